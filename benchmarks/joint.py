@@ -33,7 +33,7 @@ from test_joint import simulated
 from imu_calib.common.parallel import run_all
 from imu_calib.common.stream import Floats
 from imu_calib.estimation import joint
-from imu_calib.estimation.closed_forms import twelve_position
+from imu_calib.estimation.closed_forms import positions as twelve_position
 from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan

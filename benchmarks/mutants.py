@@ -133,8 +133,8 @@ MORE = {
     'imu_calib/recordings/remote.py': ['remote_copy', 'remote'],
     'imu_calib/recordings/remote.py': ['remote_copy', 'remote'],
     'imu_calib/estimation/hand.py': ['free_fit'],
-    'imu_calib/estimation/arms.py': ['arms'],
-    'imu_calib/estimation/free.py': ['free_fit'],
+    'imu_calib/estimation/outputs.py': ['arms'],
+    'imu_calib/estimation/free_dwells.py': ['free_fit'],
 }
 # Allowed time of a mutant relative to the unchanged tests, and additional seconds.
 SLOWER, MORE_S = 2.0, 5.0

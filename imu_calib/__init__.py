@@ -39,8 +39,7 @@ if TYPE_CHECKING:
     from .calibration.thermal import ThermalCalibration
     from .calibration.verify import Verdict, Verification
     from .common.errors import ImuCalibError, InputError, NotObservable
-    from .estimation.optimise import Optimum
-    from .estimation.reach import Reached
+    from .estimation.optimise import Optimum, Reached
     from .fleet.catalogue import Catalogue
     from .fleet.history import history
     from .fleet.report import fleet_report
@@ -74,7 +73,7 @@ _WHERE = {
     'Optimum': 'estimation.optimise',
     'Plan': 'session.plan',
     'Prediction': 'api.predict',
-    'Reached': 'estimation.reach',
+    'Reached': 'estimation.optimise',
     'Result': 'calibration.calibrator_results',
     'Simulated': 'api.simulate',
     'SimulatedUnits': 'api.simulating_units',

@@ -16,8 +16,9 @@ from test_information import evidence_of, statistics
 from imu_calib.common.errors import Contradiction, InputError
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCSEC, DEG, DEG_H, MICRO_G
-from imu_calib.estimation import joint_findings
+from imu_calib.estimation import joint as joint_findings
 from imu_calib.estimation.checks import (
+    Residual,
     WrongLatitude,
     check_axes,
     check_latitude,
@@ -35,10 +36,9 @@ from imu_calib.estimation.conclusion import (
     _outlier_finding,
     _scatter,
 )
-from imu_calib.estimation.cross_check import Comparison
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.hand import ellipsoid, in_frame_of_accelerometers, scatter_words
-from imu_calib.estimation.solution import Residual
+from imu_calib.estimation.joint import Comparison
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel, Triad
 

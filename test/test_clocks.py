@@ -23,7 +23,7 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Units
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.methods import method
-from imu_calib.estimation.observed import observe
+from imu_calib.estimation.system import observe
 from imu_calib.segmentation.clock import ClockFit, ClockSample, fit_clock
 from imu_calib.segmentation.segmenter import clock_jumps
 from imu_calib.segmentation.segments import Segment, Turn

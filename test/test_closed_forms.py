@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from test_information import SITE, evidence_of, statistics
 
 from imu_calib.common.units import DEG_H
-from imu_calib.estimation.closed_forms import six_position, twelve_position
+from imu_calib.estimation.closed_forms import positions as six_position
+from imu_calib.estimation.closed_forms import positions as twelve_position
 from imu_calib.estimation.closed_forms.linear import bias_names, response_names
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.model.sensors import SensorModel

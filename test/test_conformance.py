@@ -39,11 +39,11 @@ from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG
 from imu_calib.estimation import joint
 from imu_calib.estimation.equations import Equations
-from imu_calib.estimation.estimate import estimate
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.fit import check_observable
 from imu_calib.estimation.free_dwells import Sensors
-from imu_calib.estimation.observed import Observed
+from imu_calib.estimation.outliers import estimate
+from imu_calib.estimation.solve import check_observable
+from imu_calib.estimation.system import Observed
 from imu_calib.model.parameters import PARAMETERS, Parameter, ParameterKind
 from imu_calib.model.sensors import PRODUCTS, SensorModel, gravity_slope, parameters_of
 from imu_calib.model.session_terms import Changes, Course, change

@@ -8,8 +8,9 @@ from test_information import evidence_of
 
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats
-from imu_calib.estimation import fit, joint
-from imu_calib.estimation.converge import NotConverged, least_squares
+from imu_calib.estimation import joint
+from imu_calib.estimation import solve as fit
+from imu_calib.estimation.solve import NotConverged, least_squares
 
 
 def solved(system: object, start: float, rounds: int = 30) -> float:

@@ -9,8 +9,7 @@ import pytest
 from scipy.integrate import quad
 
 from imu_calib.common.stream import Floats
-from imu_calib.estimation.score import Family, Score
-from imu_calib.estimation.undecided_drifts import log_bayes_factor, shrinkage, undecided
+from imu_calib.estimation.score import Family, Score, log_bayes_factor, shrinkage, undecided
 from imu_calib.model.session_terms import Course
 
 

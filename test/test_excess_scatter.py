@@ -14,9 +14,8 @@ from test_information import evidence_of
 
 from imu_calib.common.budget import Source
 from imu_calib.estimation import excess_scatter as module
-from imu_calib.estimation.components import Blocks, Component
+from imu_calib.estimation.bias_drift import BiasDrift
 from imu_calib.estimation.equations import Equations
-from imu_calib.estimation.estimation_bias_drift import BiasDrift
 from imu_calib.estimation.excess_scatter import (
     _ODDS,
     _RATIOS,
@@ -36,7 +35,7 @@ from imu_calib.estimation.excess_scatter import (
     _variances,
     excess,
 )
-from imu_calib.estimation.outputs import NO_POSITIONING_ERRORS, PositioningErrors
+from imu_calib.estimation.outputs import NO_POSITIONING_ERRORS, Blocks, Component, PositioningErrors
 from imu_calib.model.session_terms import session_term
 
 SIZE = 6

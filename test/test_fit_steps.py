@@ -16,15 +16,17 @@ from imu_calib.common.budget import Source
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG, PPM
-from imu_calib.estimation import estimate, fit, outliers
+from imu_calib.estimation import outliers
+from imu_calib.estimation import outliers as estimate
 from imu_calib.estimation import solve as changing
+from imu_calib.estimation import solve as fit
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.excess_scatter import ExcessScatter
 from imu_calib.estimation.information import Information
 from imu_calib.estimation.outputs import NO_POSITIONING_ERRORS, PositioningErrors
 from imu_calib.estimation.session_model import Nuisance
-from imu_calib.estimation.temperature_change import temperature_finding
+from imu_calib.estimation.term_tests import temperature_finding
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.session_terms import Course, change, session_term

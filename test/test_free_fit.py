@@ -16,7 +16,6 @@ from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.estimation import hand as free_positions
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.free_drift import Drift, DriftKind
 from imu_calib.estimation.hand import (
     ESTIMATES,
     FREE,
@@ -37,7 +36,8 @@ from imu_calib.estimation.hand import (
     solve,
     term_words,
 )
-from imu_calib.estimation.layout import OutputLayout
+from imu_calib.estimation.hand_findings import Drift, DriftKind
+from imu_calib.estimation.outputs import OutputLayout
 from imu_calib.model.parameters import PARAMETERS, Parameter
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.terms import G_SENSITIVITY

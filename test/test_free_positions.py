@@ -23,11 +23,10 @@ from imu_calib.common.units import ARCMIN, DEG, PPM
 from imu_calib.estimation import forecast
 from imu_calib.estimation import hand as free_positions
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.free import FreeEquations, at_headings_by_moves
+from imu_calib.estimation.free_dwells import FreeEquations, at_headings_by_moves
+from imu_calib.estimation.gyro_paths import propagated
 from imu_calib.estimation.hand import ESTIMATES, FREE, in_frame_of_accelerometers, is_clear, solve
-from imu_calib.estimation.methods import check_plan
-from imu_calib.estimation.observation_gyro_paths import propagated
-from imu_calib.estimation.setup import Setup
+from imu_calib.estimation.methods import Setup, check_plan
 from imu_calib.model.earth import Site
 from imu_calib.model.parameters import PARAMETERS, ParameterKind
 from imu_calib.model.sensors import SensorModel, Triad

@@ -15,21 +15,19 @@ from imu_calib.common.budget import Source
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG, DEG_H
-from imu_calib.estimation.closed_forms import (
-    n_positions,
-    off_axis_four,
-    rate_24,
-    six_position,
-    static_six,
-    twelve_position,
-)
+from imu_calib.estimation.closed_forms import positions as n_positions
+from imu_calib.estimation.closed_forms import positions as six_position
+from imu_calib.estimation.closed_forms import positions as twelve_position
+from imu_calib.estimation.closed_forms import skewed as off_axis_four
+from imu_calib.estimation.closed_forms import skewed as rate_24
+from imu_calib.estimation.closed_forms import skewed as static_six
 from imu_calib.estimation.closed_forms.linear import (
     Gains,
     inverse,
     position_weights,
     rate_test_weights,
 )
-from imu_calib.estimation.closed_forms.n_positions import force_weights
+from imu_calib.estimation.closed_forms.positions import force_weights
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.methods import (
     check_plan,

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from test_information import SITE, evidence_of
 
 from imu_calib.common.stream import Floats
-from imu_calib.estimation import lacking
+from imu_calib.estimation import information as lacking
 from imu_calib.estimation.equations import Equations
-from imu_calib.estimation.ideal_moves import (
+from imu_calib.estimation.predict import (
     _along,
     ideal_holds,
     ideal_move,

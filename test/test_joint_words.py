@@ -13,12 +13,13 @@ from test_information import ACCEL_WALK, GYRO_WALK, SITE, evidence_of, statistic
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCSEC, DEG
-from imu_calib.estimation import joint, joint_findings
+from imu_calib.estimation import joint
+from imu_calib.estimation import joint as joint_findings
 from imu_calib.estimation.checks import WrongLatitude
-from imu_calib.estimation.converge import NotConverged
-from imu_calib.estimation.estimate import estimate
-from imu_calib.estimation.layout import OutputLayout
+from imu_calib.estimation.outliers import estimate
+from imu_calib.estimation.outputs import OutputLayout
 from imu_calib.estimation.session_model import Nuisance
+from imu_calib.estimation.solve import NotConverged
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.terms import G_SENSITIVITY

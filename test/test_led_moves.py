@@ -14,7 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from imu_calib.common.rotations import rotations_last
 from imu_calib.common.stream import Floats
-from imu_calib.estimation.gyro_paths import VelocityIncrement, _change, by_delay, by_places
+from imu_calib.estimation.gyro_paths import (
+    GyroPath,
+    VelocityIncrement,
+    _change,
+    by_delay,
+    by_places,
+    propagated,
+)
 from imu_calib.estimation.moves import (
     LinkedMove,
     Moves,
@@ -24,7 +31,6 @@ from imu_calib.estimation.moves import (
     _seconds_of_second_order,
     coning_variance,
 )
-from imu_calib.estimation.observation_gyro_paths import GyroPath, propagated
 from imu_calib.model.parameters import PARAMETERS, ParameterKind
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.segmentation.stream_facts import Move, VelocitySteps

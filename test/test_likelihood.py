@@ -11,12 +11,12 @@ from scipy.stats import chi2, multivariate_normal
 
 from imu_calib.common.stream import Floats
 from imu_calib.estimation.bias_drift import (
+    BiasDrift,
     gain_by_noise,
     log_likelihood,
     log_likelihoods_by_columns,
     log_likelihoods_by_ratio,
 )
-from imu_calib.estimation.estimation_bias_drift import BiasDrift
 
 RATIOS = np.array([0.0, 0.03, 1.0, 300.0, 1e5])
 

@@ -19,14 +19,19 @@ from imu_calib.common.rotations import rotations_last
 from imu_calib.common.stream import Floats, ImuBlock
 from imu_calib.common.units import ARCSEC, DEG, PPM
 from imu_calib.estimation import joint
-from imu_calib.estimation.arms import ACCEL_DISTANCE, ARM_STD
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.fit import fit
-from imu_calib.estimation.gyro_paths import VelocityIncrement, by_delay, by_places
+from imu_calib.estimation.gyro_paths import (
+    GyroPath,
+    VelocityIncrement,
+    by_delay,
+    by_places,
+    propagated,
+)
+from imu_calib.estimation.methods import Setup
 from imu_calib.estimation.moves import _seconds_of_second_order
-from imu_calib.estimation.observation_gyro_paths import GyroPath, propagated
-from imu_calib.estimation.setup import Setup
+from imu_calib.estimation.outputs import ACCEL_DISTANCE, ARM_STD
+from imu_calib.estimation.solve import fit
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.terms import DELAY
 from imu_calib.segmentation.moves import STEP_ANGLE, MoveReader, joined

@@ -36,9 +36,9 @@ from imu_calib.common.config import Section
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, ImuBlock, JointBlock, Units
 from imu_calib.estimation import search
-from imu_calib.estimation.converge import NotConverged
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.setup import Setup
+from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.solve import NotConverged
 from imu_calib.model.earth import Site
 from imu_calib.segmentation.segments import Segment
 from imu_calib.session.imu import ImuSpec, TriadSpec

@@ -12,16 +12,15 @@ from test_session_slopes import some
 
 from imu_calib.common.budget import Source
 from imu_calib.common.stream import Floats
-from imu_calib.estimation.components import Component, Diagonal
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.layout import OutputLayout
-from imu_calib.estimation.observation_output_noise import (
+from imu_calib.estimation.modulation import (
     encoder_rate_errors,
     encoder_rates,
     level_gravity,
     own_parts,
     unknown_north,
 )
+from imu_calib.estimation.outputs import Component, Diagonal, OutputLayout
 
 GRAVITY, NORTH_RATE = 9.8, 6e-5
 RATES = np.array([0.5, -1.0, 2.0])

@@ -10,8 +10,12 @@ import pytest
 
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats
-from imu_calib.estimation.closed_forms.methods_linear import BIAS, ChannelSystem, solve_triad
-from imu_calib.estimation.closed_forms.rate_test import RateTestEquations
+from imu_calib.estimation.closed_forms.linear import (
+    BIAS,
+    ChannelSystem,
+    RateTestEquations,
+    solve_triad,
+)
 
 UP_RATE = 4e-5
 

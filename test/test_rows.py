@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imu_calib.estimation.layout import OutputLayout
+from imu_calib.estimation.outputs import OutputLayout
 
 LAYOUTS = [
     (4, 3, 2, (0, 2), (1,)),

@@ -17,7 +17,6 @@ from imu_calib.common.errors import NotObservable
 from imu_calib.common.units import ARCMIN, ARCSEC, DEG, MICRO_G
 from imu_calib.estimation import score as scores_module
 from imu_calib.estimation import search as module
-from imu_calib.estimation.converge import NotConverged
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.excess_scatter import ExcessScatter
 from imu_calib.estimation.outputs import PositioningErrors
@@ -48,6 +47,7 @@ from imu_calib.estimation.search import (
     _under_own_scatter,
     search_terms,
 )
+from imu_calib.estimation.solve import NotConverged
 from imu_calib.estimation.term_tests import findings
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.session_terms import Course, session_term

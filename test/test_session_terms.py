@@ -24,15 +24,14 @@ from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, ImuBlock, TemperatureBlock
-from imu_calib.estimation.converge import NotConverged
 from imu_calib.estimation.equations import Equations
-from imu_calib.estimation.estimate import Estimate, estimate
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.joint import solve
-from imu_calib.estimation.methods import method
+from imu_calib.estimation.methods import Setup, method
 from imu_calib.estimation.modulation import instant_of, rates, spans
+from imu_calib.estimation.outliers import Estimate, estimate
 from imu_calib.estimation.score import families
-from imu_calib.estimation.setup import Setup
+from imu_calib.estimation.solve import NotConverged
 from imu_calib.estimation.term_tests import TermState, summary
 from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS
 from imu_calib.model.session_terms import Course, split_terms

@@ -24,7 +24,7 @@ from imu_calib.estimation.closed_forms.skewed import (
     solve_skewed,
     variance_by_weights,
 )
-from imu_calib.estimation.layout import OutputLayout
+from imu_calib.estimation.outputs import OutputLayout
 from imu_calib.model.sensors import parameters_of
 
 UP_RATE = 4e-5

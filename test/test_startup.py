@@ -182,7 +182,7 @@ def test_info_of_a_session_with_motions_loads_no_more_than_its_estimate(tmp_path
     bag = tmp_path / 'bag'
     assert main.main(['simulate', str(tmp_path / 'plan.yaml'), '-o', str(bag)]) == 0
     modules = loaded('\n'.join(LOOKED.splitlines()[:-1]), bag)
-    assert {'imu_calib.calibration.calibrator', 'imu_calib.estimation.estimate'} <= modules
+    assert {'imu_calib.calibration.calibrator', 'imu_calib.estimation.outliers'} <= modules
     # An older scipy.linalg loads scipy.sparse itself, rich 13.0 its emoji.
     modules -= loaded('import scipy.linalg, scipy.special, rich.console')
     others = 'calibrator.by_hand', 'prediction', 'verification', 'simulation'

@@ -28,7 +28,7 @@ from imu_calib.common.stream import Floats, ImuBlock, Units
 from imu_calib.common.units import ARCMIN, ARCSEC, DEG, DEG_H, PPM, STANDARD_GRAVITY
 from imu_calib.estimation import system
 from imu_calib.estimation.free_dwells import Sensors
-from imu_calib.estimation.observed import Observed, observe
+from imu_calib.estimation.system import Observed, observe
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.sensors import Triad
 from imu_calib.model.terms import G_SENSITIVITY

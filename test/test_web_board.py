@@ -17,7 +17,7 @@ from imu_calib.cli.table_view import view_table
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
 from imu_calib.common.units import DEG
-from imu_calib.estimation.setup import Setup
+from imu_calib.estimation.methods import Setup
 from imu_calib.model.earth import Site
 from imu_calib.reports.convergence import Courses
 from imu_calib.reports.remaining import Pace, ends_at, in_words

@@ -12,7 +12,6 @@ from scipy.stats import chi2
 
 from imu_calib.common.budget import Share, Source
 from imu_calib.common.stream import Floats
-from imu_calib.estimation.layout import OutputLayout
 from imu_calib.estimation.outliers import (
     _UNLIKE,
     MOST_OUTLIERS,
@@ -22,6 +21,7 @@ from imu_calib.estimation.outliers import (
     turns_disagree,
     turns_downweighted,
 )
+from imu_calib.estimation.outputs import OutputLayout
 from imu_calib.estimation.score import WhitenedResiduals
 from imu_calib.model.session_terms import Course
 

@@ -12,8 +12,8 @@ from ..common.errors import InputError, NotObservable
 from ..common.parallel import Progress
 from ..common.stream import Block
 from ..common.units import DEG, DEG_H, counted
-from ..estimation.measured_earth_rate import contradicts, measured_latitude, vertical_earth_rate
-from ..estimation.setup import Setup
+from ..estimation.free_dwells import contradicts, measured_latitude, vertical_earth_rate
+from ..estimation.methods import Setup
 from ..recordings.rosbag2 import Recording
 from ..segmentation.labelling import Labelled, heading, label, up_by_accelerometers, up_words
 from ..segmentation.segments import Segment
@@ -192,7 +192,7 @@ def _what_decides(session: Segmented, labelled: Labelled, setup: Setup, *, free:
         return f'{counted(dwells, "static dwell")}: not all {count} parameters are observable'
     from ..calibration.calibrator import Calibrator
     from ..estimation.equations import Equations
-    from ..estimation.fit import check_observable
+    from ..estimation.solve import check_observable
 
     try:
         evidence = Calibrator(setup).evidence(labelled, session)

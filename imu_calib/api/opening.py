@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from ..common.errors import InputError
 from ..common.parallel import Progress, silent
 from ..common.stream import Block
-from ..estimation.setup import Setup
+from ..estimation.methods import Setup
 from ..recordings.remote import AnyPath, located
 from ..recordings.rosbag2 import Recording, open_recording
 from ..recordings.text import InOrder

@@ -19,16 +19,21 @@ from ..common.parallel import Progress, by_one_thread, run_all, silent
 from ..common.units import DEG, counted, parse
 from ..estimation import forecast
 from ..estimation import hand as free_positions
-from ..estimation import reach as shortest_dwells
-from ..estimation.each_term import ChangeForecast, TermForecast, forecast_changes, forecast_terms
-from ..estimation.forecast import Forecast, listed, resting_on_the_table
-from ..estimation.methods import check_plan, closed_form_of
+from ..estimation import optimise as shortest_dwells
+from ..estimation.forecast import (
+    ChangeForecast,
+    Forecast,
+    TermForecast,
+    forecast_changes,
+    forecast_terms,
+    listed,
+    resting_on_the_table,
+)
+from ..estimation.methods import Setup, check_plan, closed_form_of
 from ..estimation.modulation import LEAST_RISE
-from ..estimation.optimise import Optimum
+from ..estimation.optimise import Optimum, Reached
 from ..estimation.optimise import optimise as best_plan
-from ..estimation.reach import Reached
-from ..estimation.schedule import duration
-from ..estimation.setup import Setup
+from ..estimation.predict import duration
 from ..model.earth import LUOYANG
 from ..model.parameters import Parameter
 from ..model.sensors import SensorModel, parameters_of, terms_of

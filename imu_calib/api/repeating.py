@@ -13,8 +13,8 @@ from ..calibration.views import compared_frame, draw_normalised
 from ..common.errors import InputError, NotObservable
 from ..common.parallel import Progress, by_one_thread, silent
 from ..common.units import counted
+from ..estimation.methods import Setup
 from ..estimation.methods import method as solver
-from ..estimation.setup import Setup
 from ..model.earth import LUOYANG
 from ..session.imu import ImuSpec
 from ..session.plan import Plan

@@ -7,7 +7,7 @@ from dataclasses import replace
 from ..common.errors import NotObservable
 from ..estimation import hand as free_positions
 from ..estimation.forecast import check_session
-from ..estimation.setup import Setup
+from ..estimation.methods import Setup
 from ..model.earth import Site
 from ..session.imu import ImuSpec
 from ..session.plan import Plan

@@ -14,7 +14,7 @@ from ..calibration.verify import verify as judge
 from ..common.errors import InputError, NotObservable, NotStated
 from ..common.parallel import Progress, by_one_thread, silent
 from ..estimation.hand import NAME as FREE_POSITIONS
-from ..estimation.observed import observe
+from ..estimation.system import observe
 from ..recordings.rosbag2 import Recording, open_recording
 from ..recordings.text import InOrder
 from ..segmentation.segmenter import Segmenter

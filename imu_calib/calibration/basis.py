@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..common.budget import Source
-from ..estimation.cross_check import Comparison
+from ..estimation.checks import Solution
 from ..estimation.evidence import Evidence
-from ..estimation.setup import Setup
-from ..estimation.solution import Solution
+from ..estimation.joint import Comparison
+from ..estimation.methods import Setup
 from ..segmentation.labelling import Labelled
 from ..segmentation.stream_facts import Segmented
 from ..session.table_errors import clock_share

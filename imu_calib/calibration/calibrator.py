@@ -10,12 +10,11 @@ import numpy as np
 
 from ..common.errors import Contradiction, InputError, NotObservable
 from ..common.stream import Block
-from ..estimation.cross_check import Comparison
+from ..estimation.checks import Solution
 from ..estimation.evidence import Evidence
 from ..estimation.information import attainable_std
-from ..estimation.methods import check_plan, closed_form_of, method, provisional
-from ..estimation.setup import Setup
-from ..estimation.solution import Solution
+from ..estimation.joint import Comparison
+from ..estimation.methods import Setup, check_plan, closed_form_of, method, provisional
 from ..model.parameters import AXES, Parameter
 from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms
 from ..segmentation.labelling import Labelled, label

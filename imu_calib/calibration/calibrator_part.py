@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ..estimation.setup import Setup
+    from ..estimation.methods import Setup
     from .calibrator import Calibrator
     from .calibrator_results import Result, Review
     from .hand import HandCalibrator

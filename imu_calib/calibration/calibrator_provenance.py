@@ -8,10 +8,10 @@ import scipy
 from ..common.files import version
 from ..common.stream import iso
 from ..common.units import DEG
-from ..estimation.cross_check import Comparison
+from ..estimation.checks import Solution
 from ..estimation.evidence import Evidence
-from ..estimation.setup import Setup
-from ..estimation.solution import Solution
+from ..estimation.joint import Comparison
+from ..estimation.methods import Setup
 from ..model.sensors import terms_of
 from ..model.session_terms import terms_in_words
 from ..segmentation.noise import session_noise

@@ -11,9 +11,9 @@ from ..common.budget import Budget
 from ..common.errors import InputError, NotObservable
 from ..common.stream import Floats
 from ..common.units import counted
-from ..estimation.cross_check import Comparison
-from ..estimation.setup import Setup
-from ..estimation.solution import Solution
+from ..estimation.checks import Solution
+from ..estimation.joint import Comparison
+from ..estimation.methods import Setup
 from ..estimation.term_tests import summary
 from ..model.parameters import Parameter
 from ..model.sensors import terms_of

@@ -17,10 +17,10 @@ import numpy as np
 from ..common.stream import Floats
 from ..common.units import ARCMIN, DEG, PPM
 from ..estimation.evidence import Evidence
-from ..estimation.free import FreeEquations
+from ..estimation.free_dwells import FreeEquations
 from ..estimation.hand import ESTIMATES, FEWEST, FREE, initial_equations
-from ..estimation.ideal_moves import ideal_move_by_hand, next_hold
 from ..estimation.information import Information, log_determinant
+from ..estimation.predict import ideal_move_by_hand, next_hold
 from ..model.parameters import AXES, PARAMETERS, ParameterKind
 from ..segmentation.segments import Segment
 

@@ -11,7 +11,7 @@ import numpy as np
 from ..common.errors import InputError, NotObservable
 from ..common.stream import Block, Floats, ImuBlock, TemperatureBlock, Units
 from ..common.units import DEG, STANDARD_GRAVITY, counted
-from ..estimation.checks import far_scales
+from ..estimation.checks import Residual, Solution, far_scales
 from ..estimation.evidence import Evidence
 from ..estimation.hand import (
     FEWEST,
@@ -23,10 +23,8 @@ from ..estimation.hand import (
     solve,
     term_words,
 )
-from ..estimation.methods import estimated_parameters
+from ..estimation.methods import Setup, estimated_parameters
 from ..estimation.output_noise import known_noise, walk_of_sensors, with_own_noise
-from ..estimation.setup import Setup
-from ..estimation.solution import Residual, Solution
 from ..model.parameters import PARAMETERS
 from ..model.sensors import SensorModel, gravity_covariance
 from ..segmentation.clock import NO_CLOCK

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from ..common.errors import ImuCalibError
+from ..estimation.checks import Solution
 from ..estimation.evidence import Evidence
-from ..estimation.setup import Setup
-from ..estimation.solution import Solution
+from ..estimation.methods import Setup
 from ..segmentation.labelling import Labelled
 from ..segmentation.stream_facts import Segmented
 

@@ -19,8 +19,7 @@ import scipy
 from ..common.stream import Floats
 from ..common.units import DEG, counted
 from ..estimation.free_dwells import Sensors, Up, noise_at_rest
-from ..estimation.observed import Observed
-from ..estimation.system import Fit, TriadSystem, factor_of
+from ..estimation.system import Fit, Observed, TriadSystem, factor_of
 from ..model.earth import Site
 from ..model.parameters import Parameter, ParameterKind, indices_of
 from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms, terms_of

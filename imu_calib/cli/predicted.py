@@ -27,9 +27,8 @@ from . import options
 from .terminal import OUTPUT
 
 if TYPE_CHECKING:
-    from ..estimation.each_term import ChangeForecast, TermForecast
-    from ..estimation.forecast import Forecast
-    from ..estimation.setup import Setup
+    from ..estimation.forecast import ChangeForecast, Forecast, TermForecast
+    from ..estimation.methods import Setup
     from ..model.parameters import Parameter
     from ..model.sensors import SensorModel
 

@@ -1,23 +1,157 @@
-"""Log likelihoods of residuals whose covariance is a sum, for many sizes of one part at once.
+"""Bias drift as a Gauss-Markov process, observed in the means and slopes of segments.
 
-For a covariance 1 + r K and residuals z, a reflection takes z to the first axis and K is made
-tridiagonal by rotations that leave this axis unchanged: for each r one factorisation of a
-tridiagonal matrix from its far end gives the determinant, and its last pivot the quadratic form.
-That is a third of the work of eigenvectors, and the covariance of each further size costs almost
-nothing.
-
-Sources: Golub and Van Loan 2013, Matrix Computations, 5.1.2, 8.3.1 and 4.3.6; for noise of unknown
-size docs/mathematics.md, 'Joint estimate'.
+Source: docs/mathematics.md, 'Joint estimate'.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from ..common.stream import Floats
+
+STATED_TIME = 1000.0
+"""Correlation time of the drift that a data sheet states, s, as in the simulation."""
+
+_NODES = 8
+"""Instants per segment at which the process is evaluated. A choice between accuracy and work."""
+
+
+@dataclass(frozen=True, eq=False)
+class BiasDrift:
+    """Instants at which a process is evaluated: nodes in time, and the means and slopes over them.
+
+    Attributes:
+        nodes: (n, 8) instants of each segment, s.
+        segment: (k,) index of the segment of each mean or slope, all means first.
+        weights: (k, 8) weights of the nodes of that segment.
+        responses: (k, 3, 3) responses of three outputs to three biases, for each mean or slope.
+    """
+
+    nodes: Floats
+    segment: NDArray[np.intp]
+    weights: Floats
+    responses: Floats
+
+    @classmethod
+    def over(
+        cls, starts: Floats, durations: Floats, responses: Floats, with_slope: NDArray[np.bool_]
+    ) -> BiasDrift:
+        """Place nodes in n segments, whose means come first, then the slopes.
+
+        Args:
+            starts: (n,) of the segments, s.
+            durations: (n,) s.
+            responses: (n, 3, 3) derivatives of the outputs by constant biases. In a move the effect
+                of biases rotates with the unit, so that it is not that of its duration alone.
+            with_slope: (n,) whether the slope is used too.
+        """
+        grid = (np.arange(_NODES) + 0.5) / _NODES
+        centred = grid - 0.5
+        means = np.full((len(starts), _NODES), 1 / _NODES)
+        slopes = np.outer(1 / durations, centred / (centred @ centred))
+        every = np.arange(len(starts))
+        identity = np.broadcast_to(np.eye(3), (int(np.sum(with_slope)), 3, 3))
+        return cls(
+            starts[:, None] + durations[:, None] * grid,
+            np.concatenate([every, every[with_slope]]),
+            np.vstack([means, slopes[with_slope]]),
+            np.concatenate([responses, identity]),
+        )
+
+    @property
+    def span(self) -> float:
+        """Length of the session, s."""
+        return max(float(np.ptp(self.nodes)), 1.0)
+
+    @property
+    def stated_time(self) -> float:
+        """`STATED_TIME` as a fraction of the session."""
+        return STATED_TIME / self.span
+
+    def kernel(self, time: float) -> Floats:
+        """Return the covariance of means and slopes of three channels for unit variance, (3k, 3k).
+
+        Args:
+            time: Correlation time as a fraction of the session.
+        """
+        alone, rows = self.one_channel(time * self.span), self.responses.reshape(-1, 3)
+        return np.asarray(np.kron(alone, np.ones((3, 3))) * (rows @ rows.T))
+
+    def entering(self, project: Floats) -> Floats:
+        """Return the factors of the segments' biases in the projected means, (3, r, n).
+
+        Args:
+            project: (3n, r) projection of the means of three channels.
+        """
+        parts = project.T.reshape(project.shape[1], -1, 3)
+        responses = self.responses[: parts.shape[1]]
+        return np.asarray(np.einsum('rni,nic->crn', parts, responses))
+
+    def projected(self, time: float, entering: Floats, slopes: Floats) -> Floats:
+        """Return `kernel` projected on means and slopes, (r + 3s, r + 3s).
+
+        Channels drift independently, and slopes are those of the biases: only the kernel of one
+        channel is needed.
+
+        Args:
+            time: As in `kernel`.
+            entering: (3, r, n) factors of the means.
+            slopes: (3s,) factors of the slopes.
+        """
+        alone, (_, rows, count) = self.one_channel(time * self.span), entering.shape
+        drifting = entering @ alone[:count]
+        found = np.empty((rows + len(slopes),) * 2)
+        found[:rows, :rows] = _columns(drifting[..., :count]) @ _columns(entering).T
+        crossed = np.moveaxis(drifting[..., count:], 0, -1).reshape(rows, -1) * slopes
+        found[:rows, rows:], found[rows:, :rows] = crossed, crossed.T
+        found[rows:, rows:] = np.kron(alone[count:, count:], np.eye(3))
+        found[rows:, rows:] *= np.outer(slopes, slopes)
+        return found
+
+    def one_channel(self, time: float) -> Floats:
+        """Return the covariance of one channel, (k, k), for a correlation time in s.
+
+        From one segment to a later one the process decays with the time between them: the kernel is
+        a product of a factor of each segment and one of that time.
+        """
+        nodes, weights = self.nodes[self.segment], self.weights
+        first, last = nodes[:, 0], nodes[:, -1]
+        until = (weights * np.exp((nodes - last[:, None]) / time)).sum(axis=1)
+        since = (weights * np.exp((first[:, None] - nodes) / time)).sum(axis=1)
+        between = first - last[:, None]
+        later = between >= 0
+        decayed = np.exp(-np.where(later, between, 0.0) / time)
+        found = np.where(later, until[:, None] * decayed * since, 0.0)
+        found += found.T
+        one, other = np.nonzero(~(later | later.T))
+        apart = np.abs(nodes[one][:, :, None] - nodes[other][:, None])
+        found[one, other] = np.einsum(
+            'ki,kij,kj->k', weights[one], np.exp(-apart / time), weights[other]
+        )
+        return np.asarray(found)
+
+
+def _columns(each: Floats) -> Floats:
+    """Return the (r, n) of three channels side by side, (r, 3n)."""
+    return np.hstack(list(each))
+
+
+# Log likelihoods of residuals whose covariance is a sum, for many sizes of one part at once.
+#
+# For a covariance 1 + r K and residuals z, a reflection takes z to the first axis and K is made
+# tridiagonal by rotations that leave this axis unchanged: for each r one factorisation of a
+# tridiagonal matrix from its far end gives the determinant, and its last pivot the quadratic form.
+# That is a third of the work of eigenvectors, and the covariance of each further size costs almost
+# nothing.
+#
+# Sources: Golub and Van Loan 2013, Matrix Computations, 5.1.2, 8.3.1 and 4.3.6; for noise of unknown
+# size docs/mathematics.md, 'Joint estimate'.
+
 
 _BLOCK = 32
 """Columns that are reduced at once; see LAPACK's ILAENV."""

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import scipy
 
+from ..common.budget import Shares
 from ..common.errors import Contradiction, InputError, NotObservable
 from ..common.rotations import FIVE_SIGMA
 from ..common.stream import Floats
-from ..common.units import DEG, DEG_H, PPM
+from ..common.units import ARCSEC, DEG, DEG_H, PPM, significant
 from ..model.alignment import TIMES, wrong_scale_sentences
 from ..model.earth import EARTH_RATE
-from ..model.parameters import AXES
+from ..model.parameters import AXES, PARAMETERS, Parameter
 from ..model.sensors import SensorModel
+from ..model.session_terms import Changes
 from ..session.imu import SCALE_LIMIT
+from ..session.table import Table
+from ..session.table_errors import FINEST
+from .equations import Equations
 from .evidence import Evidence
+from .information import Information
+from .outliers import Estimate
+from .search import Search
+from .term_tests import TermTest
 
 _AXIS_LIMIT = 0.5
 """Of an axis's largest response: beyond it, axes are exchanged, not misaligned."""
@@ -188,4 +199,187 @@ def check_latitude(
         f'The data contradicts the latitude {site.latitude / DEG:.2f} deg: {text}.{fits}',
         seen,
         abs(total - EARTH_RATE) / total_std,
+    )
+
+
+# Result of a method.
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """Residuals of a static dwell.
+
+    Attributes:
+        position: Id of the plan's position.
+        start: ns, IMU clock.
+        value: (6,) rad/s and m/s^2.
+        std: (6,) standard deviation of the static dwell's mean.
+    """
+
+    position: str
+    start: int
+    value: Floats
+    std: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """An estimate of the parameters.
+
+    Attributes:
+        model: The sensor model.
+        covariance: (n, n) in the order of `parameters`, SI units. NaN for a triad that was not
+            estimated.
+        residuals: One per static dwell.
+        azimuth: Heading of the table's zero by the gyros, rad; NaN where not determined.
+        azimuth_std: Its standard deviation, rad.
+        earth_up: Vertical Earth rate by the gyros, rad/s.
+        earth_up_std: Its standard deviation, rad/s.
+        condition: Condition number of the system solved, columns scaled to unit length.
+        findings: Findings that the user must know, in sentences.
+        bias_drift: (6,) standard deviation of drifting biases in the covariance, rad/s and m/s^2;
+            None for a method that does not estimate it.
+        parameters: (n,) parameters of the rows of the covariance.
+        shares: The covariance by source, which adds up to it; None for a method that does not give
+            it.
+        changes: Changes of the parameters during the session; None where not requested.
+        tests: Results for every term and error of the table; empty for a method without tests.
+        gain: (n, m + u) derivatives of the parameters by the outputs of dwells and turns, then by
+            those of a skewed gyro in the u turns that it recorded; None for a method whose weights
+            depend on the data.
+        search: Result of the joint estimate, used for several units on a table; None for other
+            methods, and for a session in progress.
+    """
+
+    model: SensorModel
+    covariance: Floats
+    residuals: tuple[Residual, ...]
+    azimuth: float
+    azimuth_std: float
+    earth_up: float
+    earth_up_std: float
+    condition: float
+    findings: tuple[str, ...]
+    bias_drift: Floats | None = None
+    parameters: tuple[Parameter, ...] = PARAMETERS
+    shares: Shares | None = None
+    changes: Changes | None = None
+    tests: tuple[TermTest, ...] = ()
+    gain: Floats | None = None
+    search: Search | None = None
+
+    def __post_init__(self) -> None:
+        """Raise if the covariance is of other parameters."""
+        assert self.covariance.shape == (len(self.parameters),) * 2
+
+    @property
+    def std(self) -> Floats:
+        """(n,) standard deviations of the parameters, SI units."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+# A table whose file states implausibly small errors: which results depend on that.
+#
+# The file is used as stated until the session shows an error of the table. So small an error cannot
+# be identified: a zero error looks like a joint axis that leans, and a wobble like an encoder error.
+# From then on all errors stated too small are taken as those of the best tables.
+#
+# Source: docs/mathematics.md, 'Tables that are stated exact'.
+
+
+SHOWN = 0.99
+"""Probability, at even odds, from which on positioning errors are reported: at most one in a
+hundred of sessions without any reaches it, since the mean of their likelihood ratio is one
+(Markov)."""
+
+_WIDER = 1.12
+"""Ratio of standard deviations from which on it is reported: for 4.5 stated deviations the true
+number is then 4.0."""
+
+_FIGURE = f'{significant(FINEST / ARCSEC)} arcsec'
+
+
+def as_the_best(evidence: Evidence) -> Evidence:
+    """Return a session with the table's errors stated too small set to those of the best."""
+    if evidence.table is None:
+        return evidence
+    table = evidence.table.as_the_best()
+    return replace(evidence, table=table, positioning=table.positioning)
+
+
+def contradicted(search: Search) -> bool:
+    """Return whether a session shows errors of a table whose file states too small ones."""
+    evidence = search.estimate.equations.evidence
+    if evidence.plan.by_hand or evidence.table is None or not evidence.table.understated_errors:
+        return False
+    of_table = any(one.family.of_table for one in search.found)
+    return of_table or search.estimate.scatter.positioning_probability >= SHOWN
+
+
+def on_the_best(equations: Equations, state: Floats, std: Floats) -> Floats:
+    """Return the standard deviations of parameters on a table as good as the best.
+
+    Args:
+        equations: On the table as its file describes it.
+        state: (n + k,) their solution.
+        std: (n,) of the parameters by these equations.
+    """
+    better = replace(equations, evidence=as_the_best(equations.evidence))
+    variances = [
+        np.diag(Information.of(one.whitened(state)[0]).covariance)[: len(std)]
+        for one in (equations, better)
+    ]
+    return np.asarray(np.sqrt(std**2 + np.maximum(variances[1] - variances[0], 0.0)))
+
+
+def exactness_findings(estimate: Estimate) -> list[str]:
+    """Return sentences on results that depend on implausibly small errors in a table's file."""
+    equations, n = estimate.equations, estimate.equations.sensors
+    table = equations.evidence.table
+    if table is None:
+        return []
+    if table.described is not None:
+        return [
+            f'The session contradicts {_described(table.described)}: {_FIGURE} is assumed of '
+            'each. State what it has.'
+        ]
+    std = np.sqrt(np.diag(estimate.covariance)[:n])
+    return resting_on_the_table(equations, estimate.state, std)
+
+
+def resting_on_the_table(equations: Equations, state: Floats, std: Floats) -> list[str]:
+    """Return a sentence on parameters that depend on a table better than any known one.
+
+    Args:
+        equations: On the table as its file describes it.
+        state: (n + k,) their solution.
+        std: (n,) of the parameters by these equations.
+    """
+    table = equations.evidence.table
+    if equations.evidence.plan.by_hand or table is None or not table.understated_errors:
+        return []
+    there = on_the_best(equations, state, std)
+    times = np.divide(there, std, out=np.ones(len(std)), where=std > 0)
+    worst: dict[tuple[str, str], int] = {}
+    for k in np.argsort(-times):
+        parameter = equations.parameters[k]
+        if times[k] > _WIDER:
+            worst.setdefault((parameter.kind.value.symbol, parameter.triad), int(k))
+    if not worst:
+        return []
+    each = [
+        f'{significant(there[k] / p.unit.scale)} {p.unit.shown} of {p.name} '
+        f'({significant(times[k])} times as large)'
+        for k, p in ((k, equations.parameters[k]) for k in worst.values())
+    ]
+    return [
+        f'The standard deviations are those of {_described(table)}, and no real one is known so '
+        f'well: with {_FIGURE} of each they would be {", ".join(each)}. State what yours has.'
+    ]
+
+
+def _described(table: Table) -> str:
+    return (
+        f'table {table.name} as its file describes it, with less than {_FIGURE} of '
+        f'{", ".join(table.understated_errors)}'
     )

@@ -17,11 +17,17 @@ from ..common.budget import Share, Source
 from ..common.stream import Floats
 from ..common.units import ARCMIN, DEG
 from ..model.parameters import BIASES, Parameter, ParameterKind
-from .components import Component, Diagonal, Factor, add_all, shares
 from .evidence import SMALLEST_VARIANCE
-from .modulation import stated_changes
-from .observation_output_noise import encoder_rates, level_gravity, own_parts, unknown_north
-from .outputs import NO_POSITIONING_ERRORS, PositioningErrors
+from .modulation import encoder_rates, level_gravity, own_parts, stated_changes, unknown_north
+from .outputs import (
+    NO_POSITIONING_ERRORS,
+    Component,
+    Diagonal,
+    Factor,
+    PositioningErrors,
+    add_all,
+    shares,
+)
 from .session_model import Nuisance, SessionModel, Value
 
 ANY_AZIMUTH = 180 * DEG / np.sqrt(3)

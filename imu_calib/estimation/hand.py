@@ -30,19 +30,27 @@ from ..model.sensors import SensorModel, Triad, terms_of
 from ..model.session_terms import Change, Changes, Course
 from ..model.terms import ACCEL_ASYMMETRY, ACCEL_CUBIC, ACCEL_QUADRATIC, G_SENSITIVITY, Term
 from ..session.plan import Plan
-from .checks import check_axes
-from .components import Component, Factor
-from .converge import least_squares
-from .estimate import shares
+from .checks import Solution, check_axes
 from .evidence import Evidence
-from .free import FreeEquations, at_headings_by_moves
-from .free_drift import DRIFT_SHOWN, LARGEST_DRIFT, TRENDS, Drift, DriftKind, drift_words
-from .hand_findings import check_turns, contradicts_latitude, other_latitudes, wrong_latitude
+from .free_dwells import FreeEquations, at_headings_by_moves
+from .hand_findings import (
+    DRIFT_SHOWN,
+    LARGEST_DRIFT,
+    TRENDS,
+    Drift,
+    DriftKind,
+    check_turns,
+    contradicts_latitude,
+    drift_words,
+    other_latitudes,
+    wrong_latitude,
+)
 from .information import Information
-from .layout import Indices
 from .modulation import spans
+from .outliers import shares
+from .outputs import Component, Factor, Indices
 from .score import Family, Score, log_f, scores_of
-from .solution import Solution
+from .solve import least_squares
 from .term_tests import TermState, TermTest, test_of
 
 NAME = 'free_positions'

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 from ..common.errors import InputError
 from ..model.earth import Site
@@ -11,21 +12,21 @@ from ..model.parameters import PARAMETERS, Parameter
 from ..model.sensors import parameters_of
 from ..model.session_terms import Change, names_of
 from ..model.terms import G_SENSITIVITY, Term
-from ..session.plan import Plan
+from ..session.imu import ImuSpec
+from ..session.plan import Plan, Step
+from ..session.table import Table
+from ..session.units_file import MountedUnit
 from . import hand as free_positions
 from . import joint
-from .closed_forms import (
-    n_positions,
-    off_axis_four,
-    rate_24,
-    six_position,
-    skewed,
-    static_six,
-    twelve_position,
-)
-from .evidence import Evidence
-from .solution import Solution
-from .timebase import in_table_time
+from .checks import Solution
+from .closed_forms import positions as n_positions
+from .closed_forms import positions as six_position
+from .closed_forms import positions as twelve_position
+from .closed_forms import skewed
+from .closed_forms import skewed as off_axis_four
+from .closed_forms import skewed as rate_24
+from .closed_forms import skewed as static_six
+from .evidence import Evidence, in_table_time
 
 METHODS: dict[str, Callable[[Evidence], Solution]] = {
     free_positions.NAME: free_positions.refuse,
@@ -167,3 +168,70 @@ def check_plan(name: str, plan: Plan, site: Site) -> None:
     for held in (name, closed_form_of(name, plan)):
         if held in _CHECKS:
             _CHECKS[held](plan, site)
+
+
+# The set-up of a calibrator: prior knowledge of a session.
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """Prior knowledge of a session.
+
+    Attributes:
+        imu: Description of the Imu stream's numbers.
+        plan: The plan; `plan.UNPLANNED` if unknown: joint states give the attitudes.
+        table: The table of the joint states; None for the IMU alone.
+        site: Gravity and Earth rate.
+        method: Name of the solver; None takes the joint estimate where it applies, else the plan's
+            own method.
+        serial_number: Unit of the type `ImuSpec.id`; empty if not stated.
+        terms: Terms to estimate beyond the method's parameters.
+        changes: Coefficients of the session's terms, likewise.
+        search_terms: Whether to search for terms that the session shows.
+    """
+
+    imu: ImuSpec
+    plan: Plan
+    table: Table | None
+    site: Site
+    method: str | None = None
+    serial_number: str = ''
+    terms: tuple[Term, ...] = ()
+    changes: tuple[Change, ...] = ()
+    search_terms: bool = False
+
+    @property
+    def method_name(self) -> str:
+        """Name of the solver."""
+        pass
+
+        return self.method or default_method(self.plan)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters estimated in any session.
+
+        Raises:
+            InputError: There is no such method, or it does not support terms.
+        """
+        pass
+
+        return estimated_parameters(self.method_name, self.terms)
+
+    @cached_property
+    def steps(self) -> tuple[Step, ...]:
+        """Steps of the plan on the table; empty without one."""
+        return () if self.table is None else self.plan.steps(self.table)
+
+    @property
+    def plan_alone(self) -> bool:
+        """Whether the method is a closed form, which uses the plan's positions alone."""
+        pass
+
+        return self.method_name not in JOINT
+
+    def of_unit(self, unit: MountedUnit, imu: ImuSpec) -> Setup:
+        """Return the set-up of one of several units with a common plan, table and site."""
+        assert self.table is not None, 'several units are turned by a table'
+        mounted = unit.table(self.table)
+        return replace(self, imu=imu, serial_number=unit.serial_number, table=mounted)

@@ -13,17 +13,33 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..common.budget import Source, effective_freedom
+from ..common.budget import Share, Source, effective_freedom
 from ..common.stream import Floats
 from ..common.units import DEG
-from ..model.parameters import RESPONSES
+from ..model.parameters import PARAMETERS, RESPONSES, Parameter
+from ..model.sensors import motion_parameters
+from ..model.session_terms import Change
 from ..segmentation.stream_facts import Move
-from .converge import least_squares
 from .equations import Equations
 from .evidence import SMALLEST_VARIANCE, Evidence
-from .excess_scatter import excess
-from .fit import ITERATIONS, fit, with_scatter
+from .excess_scatter import ExcessScatter, excess
 from .information import Information
+from .outputs import NO_POSITIONING_ERRORS
+from .score import with_parameters
+from .session_model import Nuisance
+from .solve import (
+    ITERATIONS,
+    check_observable,
+    fit,
+    headed,
+    least_squares,
+    levelled,
+    shape_covariance,
+    start,
+    with_changes,
+    with_scatter,
+    with_shape,
+)
 
 _OUTLYING = 1e-6
 """Chance by which a sound dwell or turn gets less weight: with fifty of them, one session in 20 000
@@ -358,3 +374,175 @@ def _drop(
     sound = values > _RANK
     parts = np.einsum('...ij,...i->...j', vectors, pull * scale) ** 2
     return (parts / np.where(sound, values, np.inf)).sum(axis=-1), sound.sum(axis=-1)
+
+
+# The joint estimate: fit all of a session at once, and reduce the weight of outliers.
+#
+# Bias drift and positioning errors widen the covariance (`excess`); a segment that contradicts the
+# others gets less weight (`outliers`).
+#
+# Source: docs/mathematics.md, 'Joint estimate'.
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Result of the least squares, before checks against other knowledge.
+
+    Attributes:
+        equations: With the weights that were used.
+        state: (n,) parameters of the sensors, then the nuisances.
+        covariance: (n, n) of the state.
+        condition: Condition number of the system solved, columns scaled to unit length.
+        scatter: Scatter beyond the noise.
+        outliers: Segments of less weight.
+        gain: (n, m + k) derivatives of the state by outputs and priors in standard deviations.
+        turns_scatter: Largest chi-square per degree of freedom by which the weight of turns about
+            an axis is reduced; 1 where they agree.
+        rejected_moves: Moves that were left out.
+        constant: Coefficients of the session's terms that it does not determine, left out.
+        between: (n, n) part of the covariance by the uncertainty of a warm-up's time constant.
+    """
+
+    equations: Equations
+    state: Floats
+    covariance: Floats
+    condition: float
+    scatter: ExcessScatter
+    outliers: tuple[Outlier, ...]
+    gain: Floats
+    turns_scatter: float = 1.0
+    rejected_moves: tuple[RejectedMove, ...] = ()
+    constant: tuple[Change, ...] = ()
+    between: Floats | None = None
+
+    def nuisance(self, which: Nuisance) -> tuple[float, float]:
+        """Return one of the nuisances and its standard deviation."""
+        index = self.equations.sensors + which
+        return float(self.state[index]), float(np.sqrt(self.covariance[index, index]))
+
+    @property
+    def without_scatter(self) -> Equations:
+        """The equations with the noise known beforehand, without scatter from the session."""
+        return replace(self.equations, extra=self.scatter.stated, positioning=NO_POSITIONING_ERRORS)
+
+    @property
+    def downweighted_outputs(self) -> int:
+        """Number of outputs with less weight or none."""
+        inflation = self.equations.inflation
+        down = 0 if inflation is None else int(np.count_nonzero(inflation > 1))
+        return down + 3 * len(self.rejected_moves)
+
+    def shares(self) -> dict[Source, Share]:
+        """Return the covariance of the parameters by source: of the outputs, and of the priors."""
+        found = shares(self.equations, self.state, self.gain)
+        if self.between is not None:
+            found[Source.TIME_CONSTANT] = Share.known(
+                self.between[: self.equations.sensors, : self.equations.sensors]
+            )
+        return found
+
+
+def shares(equations: Equations, state: Floats, gain: Floats) -> dict[Source, Share]:
+    """Return the covariance of the parameters by source: of the outputs, and of the priors.
+
+    Args:
+        equations: The solved equations.
+        state: (n,) their solution.
+        gain: (n, m + k) derivatives of the state by outputs and priors in standard deviations.
+    """
+    n, m = equations.sensors, len(equations.outputs)
+    factor = equations.factor(state)
+    weights = scipy.linalg.solve_triangular(factor, gain[:n, :m].T, lower=True, trans='T').T
+    found = equations.shares(state, weights)
+    for source, which, freedom in equations.prior_sources:
+        prior = gain[:n, m + np.array(which, dtype=int)]
+        parts = [(prior @ prior.T, freedom)]
+        # Some lever arms are in the state; the priors of the others are in the outputs' covariance.
+        if source in found:
+            parts.append((found[source].covariance, np.inf))
+        found[source] = Share.of_parts(parts)
+    return found
+
+
+def estimate(
+    evidence: Evidence,
+    parameters: tuple[Parameter, ...] = PARAMETERS,
+    changes: tuple[Change, ...] = (),
+    considered: tuple[tuple[Parameter, float], ...] = (),
+) -> Estimate:
+    """Fit all of a session at once.
+
+    Args:
+        evidence: The session.
+        parameters: Of the sensors.
+        changes: By which they change during the session.
+        considered: As in `Equations`.
+
+    Raises:
+        NotObservable: Names what the session cannot observe.
+    """
+    equations = Equations(evidence, parameters, considered=considered)
+    check_observable(equations)
+    equations, constant = with_changes(equations, changes)
+    # Moves lead between attitudes of a known table; they hold less information on its azimuth.
+    moving = motion_parameters(parameters)
+    resting = replace(
+        equations,
+        parameters=tuple(p for p in parameters if p not in moving),
+        evidence=evidence.with_moves(()),
+    )
+    resting, state = with_shape(resting, start(resting))
+    state = fit(resting, state)
+    resting = headed(levelled(resting, state), state)
+    state = led_by_moves(resting, fit(resting, state), evidence.moves)
+    kept, astray = moves_that_fit(resting, state, evidence.moves)
+    equations = replace(resting, evidence=kept)
+    if moving:
+        equations, state = with_parameters(equations, state, moving)
+    observed = Information.of(equations.whitened(state)[0]).observed
+    if not (moving or np.delete(observed, np.r_[equations.arm_slice]).all()):
+        # See `information.nominal_information`. Turns determine lever arms as far as the 24 need.
+        equations = resting
+    found = _without_outliers(equations, state, turns=True)
+    if turns_disagree(evidence, found.outliers):
+        equations, scatter = turns_downweighted(equations, state)
+        found = _without_outliers(equations, state, turns=False)
+        found = replace(found, turns_scatter=scatter)
+    between = shape_covariance(found.equations, found.state)
+    covariance = found.covariance if between is None else found.covariance + between
+    return replace(
+        found, covariance=covariance, rejected_moves=astray, constant=constant, between=between
+    )
+
+
+def _without_outliers(equations: Equations, state: Floats, *, turns: bool) -> Estimate:
+    """Reduce the weight of outliers, one after the other; of turns too, if requested."""
+    outliers: list[Outlier] = []
+    plain = state = fit(equations, state)
+    scatter = excess(equations, plain)
+    weighted = with_scatter(equations, scatter)
+    for _ in range(int(MOST_OUTLIERS * len(equations.evidence.segments)) + 1):
+        state = fit(weighted, state)
+        views = (equations, plain), (weighted, state)
+        found = find_outlier(views, candidates(equations.evidence, turns=turns))
+        if found is None:
+            break
+        outliers.append(found)
+        equations = downweighted(equations, found.rows, 1 + found.chi_square)
+        plain = fit(equations, state)
+        scatter = excess(equations, plain)
+        weighted = with_scatter(equations, scatter)
+    if scatter.shown:
+        scatter = excess(equations, plain, doubted=True)
+        weighted = with_scatter(equations, scatter)
+    state = fit(weighted, state)
+    information = Information.of(weighted.whitened(state)[0])
+    return Estimate(
+        weighted,
+        state,
+        information.covariance,
+        information.condition,
+        scatter,
+        tuple(outliers),
+        information.gain,
+    )

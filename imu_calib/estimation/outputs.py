@@ -1,25 +1,396 @@
-"""Effect of positioning errors of a table on the attitudes of dwells and turns.
+"""Accelerometers in whole turns: gravity along the axis, biases, and the lever arm.
 
-The difference of a stopped joint from its encoder reading is constant until it moves again: dwells
-and turns in between share that error, about the joint's axis. In addition each stop has a small
-independent rotation, whichever joint moved. Only the sensors show either.
+A point at p from the axis u of a turn at w accelerates by w x (w x p) = -w^2 p, p at right angles
+to u, on top of gravity. Joint axes that do not intersect change p with each attitude in which the
+unit is turned: its two components are unknowns. The accelerometers of a unit are at different
+places (size effect): the part of the differences that these two do not absorb is a third unknown,
+along the axis.
 
-Source: docs/mathematics.md, 'Positioning errors'.
+Source: docs/mathematics.md, 'Accelerometers in turns'.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.budget import Share, Source
 from ..common.rotations import across
 from ..common.stream import Floats
 from ..common.units import DEG
 from ..segmentation.segments import Segment, Turn
 from ..session.table import TURN, Table
+
+ARM_STD = 1.0
+"""Prior standard deviation of a lever arm across the axis, m: tables hold units closer to it."""
+
+ACCEL_DISTANCE = 0.03
+"""Distance between the accelerometers of a unit, m: a judgement, for units from hand size to those
+that fill a case. In turns about an oblique axis it is observed in full."""
+
+_DISTANCE_ALONG_AXIS = 5e-5
+"""Part of `ACCEL_DISTANCE` along the axis of a turn, by misalignments, m: a judgement, 3 cm by
+1.7 mrad of good units, 3 mm by 17 mrad of a chip."""
+
+_SAME_ATTITUDE = 0.01
+"""Attitudes that differ by less count as one, rad: 0.1 mm for an arm of a centimetre."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arms:
+    """The turns whose accelerometers are used, and their common arms.
+
+    Attributes:
+        turns: (f,) indices among the turns.
+        slopes: (f, 3, a) derivatives of the specific force by the arms, body axes, 1/s^2. Each
+            attitude in which the unit is turned has three: two across the axis, one along it.
+        deviations: (a,) prior standard deviations of the arms, m.
+    """
+
+    turns: NDArray[np.intp]
+    slopes: Floats
+    deviations: Floats
+
+    @classmethod
+    def of(cls, turns: Sequence[Turn], up_rate: float) -> Arms:
+        """Choose the turns that a table made at constant rate, about one axis; none by hand.
+
+        Args:
+            turns: Of a session.
+            up_rate: Vertical Earth rate, rad/s.
+        """
+        which = [k for k, turn in enumerate(turns) if turn.seconds is not None]
+        groups: list[int] = []
+        kinds: list[Turn] = []
+        for turn in (turns[k] for k in which):
+            group = next(
+                (g for g, kind in enumerate(kinds) if _same_mounting(turn, kind)), len(kinds)
+            )
+            groups.append(group)
+            if group == len(kinds):
+                kinds.append(turn)
+        slopes = np.zeros((len(which), 3, 3 * len(kinds)))
+        for row, k, group in zip(slopes, which, groups, strict=True):
+            rate = turns[k].rate()
+            up = kinds[group].up
+            # The Coriolis acceleration by the Earth rate, 2 w_e x (w x p), adds to it.
+            centripetal = rate * (rate + 2 * up_rate)
+            row[:, 3 * group : 3 * group + 3] = -centripetal * np.column_stack([*across(up), up])
+        deviations = [(ARM_STD, ARM_STD, _std_along_axis(turn.up)) for turn in kinds]
+        return cls(np.array(which, dtype=np.intp), slopes, np.array(deviations).ravel())
+
+    def __len__(self) -> int:
+        """Return the number of arms."""
+        return len(self.deviations)
+
+
+def _std_along_axis(up: Floats) -> float:
+    """Return the prior standard deviation of the third unknown, m, for (3,) `up` in body axes.
+
+    It stands for the distances between accelerometers along the axis of the turn.
+    """
+    oblique = np.sqrt(max(0.0, 1 - float(np.abs(up).max()) ** 2))
+    return float(np.hypot(_DISTANCE_ALONG_AXIS, ACCEL_DISTANCE * oblique))
+
+
+def _same_mounting(turn: Turn, other: Turn) -> bool:
+    """Return whether the unit is at the same place on the turning joint in two turns."""
+    if turn.joint != other.joint or np.abs(turn.up - other.up).max() > _SAME_ATTITUDE:
+        return False
+    if turn.angles is None or other.angles is None:
+        return turn.angles is other.angles
+    held = np.arange(len(turn.angles)) != turn.joint
+    return bool((np.abs(turn.angles - other.angles)[held] < _SAME_ATTITUDE).all())
+
+
+# Whole turns at equally spaced headings: a mean over a turn is the mean over these.
+
+
+_TURN_HEADINGS = 8
+"""Means over so many equal steps of a whole turn are exact for products of up to seven inputs."""
+
+
+def headings(ups: Floats) -> Floats:
+    """Return the attitudes of whole turns at equal steps, (t, 8, 3, 3): to body axes.
+
+    Those of the second half are the first half's with the level axes exactly reversed: terms that
+    cancel over a whole turn are then exactly zero, not rounding that seems observed.
+
+    Args:
+        ups: (t, 3) up in body axes.
+    """
+    angles = np.arange(_TURN_HEADINGS // 2) * (2 * np.pi / _TURN_HEADINGS)
+    cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    first, second = (axes[:, None] for axes in across(ups))
+    half = np.stack([cosine * first + sine * second, cosine * second - sine * first], axis=-1)
+    level = np.concatenate([half, -half], axis=1)
+    up = np.broadcast_to(ups[:, None, :, None], (*level.shape[:3], 1))
+    return np.concatenate([level, up], axis=-1)
+
+
+def mean_over_turn(values: Floats) -> Floats:
+    """Return the mean (t, ...) over the `headings` of whole turns, (t, 8, ...)."""
+    half = _TURN_HEADINGS // 2
+    return np.asarray((values[:, :half] + values[:, half:]).sum(axis=1) / _TURN_HEADINGS)
+
+
+# The order of a session's outputs in its equations; it is defined in this module only.
+#
+# Six for each dwell (gyros x y z, accelerometers x y z), then three for each turn (gyros), then three
+# for each move (angles), then three for each turn whose accelerometers are used, then three for each
+# move whose accelerometers are used (velocities).
+
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class OutputLayout:
+    """The layout of a session's outputs.
+
+    Attributes:
+        dwells: Their number.
+        turns: Likewise.
+        moves: Likewise.
+        turns_with_accels: Turns whose accelerometers are used.
+        moves_with_accels: Moves whose accelerometers are used.
+    """
+
+    dwells: int
+    turns: int = 0
+    moves: int = 0
+    turns_with_accels: tuple[int, ...] = ()
+    moves_with_accels: tuple[int, ...] = ()
+
+    def __len__(self) -> int:
+        """Return the number of outputs."""
+        threes = self.turns + self.moves + len(self.turns_with_accels) + len(self.moves_with_accels)
+        return 6 * self.dwells + 3 * threes
+
+    @cached_property
+    def dwell(self) -> Indices:
+        """Of the dwells, (s, 6): gyros, then accelerometers."""
+        return np.arange(6 * self.dwells).reshape(-1, 6)
+
+    @cached_property
+    def turn(self) -> Indices:
+        """Of the turns' gyros, (t, 3)."""
+        return 6 * self.dwells + np.arange(3 * self.turns).reshape(-1, 3)
+
+    @cached_property
+    def move(self) -> Indices:
+        """Of the moves' angles, (m, 3)."""
+        return 6 * self.dwells + 3 * self.turns + np.arange(3 * self.moves).reshape(-1, 3)
+
+    @cached_property
+    def turn_accels(self) -> Indices:
+        """Of the turns' accelerometers, (f, 3)."""
+        before = 6 * self.dwells + 3 * (self.turns + self.moves)
+        return before + np.arange(3 * len(self.turns_with_accels)).reshape(-1, 3)
+
+    @cached_property
+    def velocity(self) -> Indices:
+        """Of the moves' velocities, (v, 3)."""
+        count = 3 * len(self.moves_with_accels)
+        return len(self) - count + np.arange(count).reshape(-1, 3)
+
+    @cached_property
+    def moving(self) -> Indices:
+        """Of all outputs of moves: angles, velocities."""
+        return np.concatenate([self.move.ravel(), self.velocity.ravel()])
+
+    @cached_property
+    def gyros(self) -> Indices:
+        """Of all outputs of gyros, in groups of three: dwells, turns, moves."""
+        return np.concatenate([self.dwell[:, :3].ravel(), self.turn.ravel(), self.move.ravel()])
+
+    @cached_property
+    def accels(self) -> Indices:
+        """Of all outputs of accelerometers, in groups of three: dwells, turns, moves."""
+        parts = (self.dwell[:, 3:], self.turn_accels, self.velocity)
+        return np.concatenate([part.ravel() for part in parts])
+
+    @cached_property
+    def channels(self) -> Indices:
+        """Channel of each output, 0 to 5; an axis of a move counts as one."""
+        result = np.empty(len(self), dtype=np.intp)
+        result[self.dwell] = np.arange(6)
+        result[self.turn] = result[self.move] = np.arange(3)
+        result[self.turn_accels] = result[self.velocity] = np.arange(3, 6)
+        return result
+
+    @cached_property
+    def segment(self) -> Indices:
+        """Index of each output's dwell, turn or move: numbered through in this order."""
+        result = np.empty(len(self), dtype=np.intp)
+        result[self.dwell] = np.arange(self.dwells)[:, None]
+        result[self.turn] = self.dwells + np.arange(self.turns)[:, None]
+        moves = self.dwells + self.turns + np.arange(self.moves)[:, None]
+        result[self.move] = moves
+        result[self.turn_accels] = (
+            self.dwells + np.array(self.turns_with_accels, dtype=np.intp)[:, None]
+        )
+        result[self.velocity] = moves[list(self.moves_with_accels)]
+        return result
+
+    def joined(self, dwell: Floats, turn: Floats, move: Floats) -> Floats:
+        """Return values in the order of the outputs.
+
+        Args:
+            dwell: (s, 6, ...).
+            turn: (t, 6, ...): turns whose accelerometers are not used are left out.
+            move: (m, 6, ...), angles, then velocities: likewise.
+        """
+        parts = (
+            (dwell, self.dwell),
+            (turn[:, :3], self.turn),
+            (move[:, :3], self.move),
+            (turn[list(self.turns_with_accels), 3:], self.turn_accels),
+            (move[list(self.moves_with_accels), 3:], self.velocity),
+        )
+        return np.concatenate([part.reshape(at.size, *dwell.shape[2:]) for part, at in parts])
+
+
+# Covariance of a session's outputs as a sum over sources, and of parameters by source.
+
+
+class Part(Protocol):
+    """A covariance (m, m) of outputs, stored in factors."""
+
+    def add_to(self, matrix: Floats) -> None:
+        """Add it to an (m, m) matrix."""
+
+    def through(self, gain: Floats) -> Floats:
+        """Return its covariance in parameters that are (n, m) times the outputs: (k, n, n).
+
+        The k terms are independent of each other.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class Diagonal:
+    """Independent errors of every output, whose size is one common estimate.
+
+    Attributes:
+        variances: (m,).
+    """
+
+    variances: Floats
+
+    def add_to(self, matrix: Floats) -> None:
+        """Add it to an (m, m) matrix."""
+        matrix[np.diag_indices(len(matrix))] += self.variances
+
+    def through(self, gain: Floats) -> Floats:
+        """Return its covariance in parameters, (1, n, n)."""
+        return np.asarray((gain * self.variances) @ gain.T)[None]
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """Errors that enter several outputs at once.
+
+    Attributes:
+        columns: (m, e) changes of the outputs by one standard deviation of each error.
+    """
+
+    columns: Floats
+
+    def add_to(self, matrix: Floats) -> None:
+        """Add it to an (m, m) matrix."""
+        matrix += self.columns @ self.columns.T
+
+    def through(self, gain: Floats) -> Floats:
+        """Return its covariance in parameters, (1, n, n)."""
+        moved = gain @ self.columns
+        return np.asarray(moved @ moved.T)[None]
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Errors that some outputs share, independent between k such groups of g.
+
+    Attributes:
+        rows: (k, g) which outputs.
+        matrices: (k, g, g) their covariances.
+    """
+
+    rows: NDArray[np.intp]
+    matrices: Floats
+
+    def add_to(self, matrix: Floats) -> None:
+        """Add it to an (m, m) matrix."""
+        matrix[self.rows[:, :, None], self.rows[:, None, :]] += self.matrices
+
+    def through(self, gain: Floats) -> Floats:
+        """Return its covariance in parameters, (k, n, n)."""
+        weights = np.transpose(gain[:, self.rows], (1, 0, 2))
+        return np.asarray(weights @ self.matrices @ np.transpose(weights, (0, 2, 1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """A part of the covariance of the outputs, and its source.
+
+    Attributes:
+        source: Its source.
+        part: The covariance.
+        freedom: Degrees of freedom of its size; infinite where that is known.
+    """
+
+    source: Source
+    part: Part
+    freedom: float = np.inf
+
+
+def add_all(components: Iterable[Component], matrix: Floats) -> None:
+    """Add components to a covariance (m, m): errors that enter several outputs at once."""
+    columns = []
+    for component in components:
+        if isinstance(component.part, Factor):
+            columns.append(component.part.columns)
+        else:
+            component.part.add_to(matrix)
+    if columns:
+        Factor(np.hstack(columns)).add_to(matrix)
+
+
+def parts(
+    components: Iterable[Component], gain: Floats
+) -> defaultdict[Source, list[tuple[Floats, float]]]:
+    """Return independent covariances of parameters that are (n, m) times the outputs, by source.
+
+    Each (n, n), with its degrees of freedom.
+    """
+    found: defaultdict[Source, list[tuple[Floats, float]]] = defaultdict(list)
+    for component in components:
+        terms = component.part.through(gain)
+        found[component.source] += [(term, component.freedom) for term in terms]
+    return found
+
+
+def shares(components: Iterable[Component], gain: Floats) -> dict[Source, Share]:
+    """Return the covariance of parameters that are (n, m) times the outputs, by source.
+
+    Source: docs/mathematics.md, 'Uncertainty budget'.
+    """
+    return {source: Share.of_parts(of) for source, of in parts(components, gain).items() if of}
+
+
+# Effect of positioning errors of a table on the attitudes of dwells and turns.
+#
+# The difference of a stopped joint from its encoder reading is constant until it moves again: dwells
+# and turns in between share that error, about the joint's axis. In addition each stop has a small
+# independent rotation, whichever joint moved. Only the sensors show either.
+#
+# Source: docs/mathematics.md, 'Positioning errors'.
+
 
 SAME_UP = 0.01
 """Distance of two unit vectors up below which they count as equal: 0.6 deg, far above encoders'

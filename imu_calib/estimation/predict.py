@@ -7,6 +7,7 @@ and durations alone (`readings`).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -14,39 +15,341 @@ import numpy as np
 import scipy
 
 from ..common.errors import InputError
-from ..common.stream import Floats, Mode
+from ..common.rotations import across, cross, rotation, rotation_vectors, rotations
+from ..common.stream import Floats, Mode, Units
+from ..model.earth import Site
 from ..model.parameters import BIASES
 from ..model.sensors import SensorModel, Skewed, has_motion_terms
 from ..segmentation.clock import ClockFit
+from ..segmentation.counters import mean_rate, rate_between
 from ..segmentation.moves import COARSEST
 from ..segmentation.segments import Segment, Statistics, Turn
-from ..segmentation.stream_facts import Move, Temperature
+from ..segmentation.stream_facts import Move, Temperature, VelocitySteps
 from ..session.imu import NEARLY, ImuSpec, TriadSpec
-from ..session.table import TURN, Course
-from .estimation_bias_drift import STATED_TIME, BiasDrift
-from .evidence import Evidence, thermal_of
+from ..session.plan import Step
+from ..session.table import TURN, Course, Table, moving, travel_time
+from .bias_drift import STATED_TIME, BiasDrift
+from .evidence import UP, Evidence, thermal_of
 from .hand import NAME as FREE_POSITIONS
-from .ideal_moves import (
-    BY_HAND_MOVE,
-    ideal_holds,
-    ideal_move,
-    ideal_move_by_hand,
-    joint_course,
-    nanoseconds,
-)
-from .readings import (
-    SPARE,
-    duration_alone,
-    each_turn,
-    period_of,
-    reading,
-    skewed_alone,
-    triads,
-    walk_of,
-)
-from .schedule import SETTLE, schedule
+from .methods import Setup
 from .session_model import Nuisance, SessionModel
-from .setup import Setup
+
+# Statistics that counters, ADCs and rates would give for a dwell or for whole turns.
+#
+# A noise-free counter at the expected rate is processed by the same estimators as a session
+# (`segmentation.counter`).
+
+
+SPARE = 1.0
+"""Time before and after the measured turns in which a table surely keeps its rate, s. A choice."""
+
+_SAMPLE_RATE = 100.0
+"""Hz, if the IMU's file states none. A choice."""
+_PHASE = 0.5
+"""Pulses: a counter starts at any phase, on average in the middle of a pulse."""
+
+
+def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = None) -> Statistics:
+    """Return the statistics of readings whose mean is (6,) `mean`.
+
+    Args:
+        spec: Units and noise.
+        mean: Outputs, rad/s and m/s^2.
+        seconds: Duration.
+        spare: Time on both sides of whole turns in which counts are also read, s; None at rest.
+    """
+    gain, quantisation = np.full(6, 1 / seconds), np.zeros(6)
+    period = period_of(spec)
+    steps = np.array([triad.scale_factor for triad in triads(spec)])
+    for c, triad in enumerate(triads(spec)):
+        if spec.units is Units.COUNTS:
+            quantisation[c] = _rounded(triad, period)
+        elif spec.units is Units.PULSES:
+            walk = triad.random_walk / triad.scale_factor
+            pulses = _pulses(triad, period, float(mean[c]), seconds + 2 * (spare or 0.0))
+            first = (len(pulses) - seconds / period) / 2
+            found = (
+                mean_rate(pulses, period, walk)
+                if spare is None
+                else rate_between(pulses, period, first, len(pulses) - first, walk)
+            ).scaled(triad.scale_factor)
+            gain[c], quantisation[c] = found.walk_gain, found.quantisation_variance
+    return replace(
+        duration_alone(seconds),
+        samples=round(seconds / period),
+        mean=mean,
+        walk_gain=gain,
+        quantisation_variance=quantisation,
+        end_points=mean,
+        pulse=steps if spec.units is Units.PULSES else np.zeros(6),
+    )
+
+
+def duration_alone(seconds: float) -> Statistics:
+    """Return statistics that hold the duration alone, s."""
+    nothing = np.full(6, np.nan)
+    return Statistics(
+        samples=0,
+        missing=0,
+        duration=seconds,
+        mean=np.zeros(6),
+        walk_gain=np.zeros(6),
+        quantisation_variance=np.zeros(6),
+        end_points=np.zeros(6),
+        blocks=tuple(np.empty((0, 4)) for _ in range(6)),
+        drift=nothing,
+        drift_std=nothing,
+    )
+
+
+def skewed_alone(spec: ImuSpec) -> ImuSpec:
+    """Return an IMU whose first gyro is the skewed one."""
+    assert spec.skewed is not None
+    return replace(spec, gyro=spec.skewed, skewed=None)
+
+
+def each_turn(
+    spec: ImuSpec, whole: Statistics, askew: Statistics | None, rate: float
+) -> Floats | None:
+    """Return means of single turns that scatter exactly by the expected noise."""
+    count = max(1, round(abs(rate) * whole.duration / TURN))
+    if count < 2:
+        return None
+    seconds = whole.duration / count
+    single = reading(spec, whole.mean, seconds, SPARE)
+    mean, square = whole.mean[:3], single.variance(walk_of(spec))[:3]
+    if askew is not None:
+        alone = skewed_alone(spec)
+        single = reading(alone, askew.mean, seconds, SPARE)
+        mean = np.append(mean, askew.mean[0])
+        square = np.append(square, single.variance(walk_of(alone))[0])
+    ramp = np.arange(count) - (count - 1) / 2
+    return np.asarray(mean + np.outer(ramp / ramp.std(ddof=1), np.sqrt(square)))
+
+
+def _pulses(triad: TriadSpec, period: float, mean: float, seconds: float) -> Floats:
+    """Return the pulses of a noise-free counter at a rate (rad/s or m/s^2)."""
+    edges = np.arange(max(2, math.ceil(seconds / period)) + 1)
+    return np.diff(np.floor(edges * (mean * period / triad.scale_factor) + _PHASE))
+
+
+def _rounded(triad: TriadSpec, period: float) -> float:
+    """Return the variance of an ADC's rounding: Widrow and Kollar 2008, section 4.4."""
+    step = triad.scale_factor
+    noise = triad.random_walk**2 / period / step**2
+    return step**2 / 12 * math.exp(-4 * math.pi**2 * noise)
+
+
+def walk_of(spec: ImuSpec) -> Floats:
+    """Return the random-walk coefficients of the six channels, (6,)."""
+    return np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
+
+
+def triads(spec: ImuSpec) -> list[TriadSpec]:
+    """Return the description of each of the six channels."""
+    return [spec.gyro] * 3 + [spec.accel] * 3
+
+
+def period_of(spec: ImuSpec) -> float:
+    """Return the sample interval, s; that of 100 Hz if none is stated."""
+    return 1 / (spec.sample_rate or _SAMPLE_RATE)
+
+
+# Compute when a table would run the steps of a plan: moves, run-ups, settling and dwells.
+
+
+SETTLE = 1.0
+"""s from arrival to the start of a dwell, as stand and sequencer wait."""
+
+
+@dataclass(frozen=True, eq=False)
+class Visit:
+    """Times of a step.
+
+    Attributes:
+        step: The step.
+        begin: Start of the motion, s since the first step.
+        rest: Arrival at rest, s.
+        end: Start of the next step, s.
+        angles: (k,) joint angles at rest, rad.
+    """
+
+    step: Step
+    begin: float
+    rest: float
+    end: float
+    angles: Floats
+
+
+def schedule(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> tuple[Visit, ...]:
+    """Compute the times of steps.
+
+    Args:
+        steps: As `Plan.steps` returns them for this table; the table stands at the first.
+        table: Its limits apply.
+        settle: Wait after each arrival, s.
+
+    Raises:
+        InputError: A joint has no limit of rate or acceleration: its motions have no known
+            duration.
+    """
+    table.check_limited('the time that a plan takes needs')
+    visits: list[Visit] = []
+    now, angles = 0.0, steps[0].angles
+    for step in steps:
+        moving = [
+            travel_time(float(goal - origin), joint.max_rate, joint.max_acceleration)
+            for goal, origin, joint in zip(step.angles, angles, table.joints, strict=True)
+        ]
+        rest, angles = now + max(moving), step.angles.copy()
+        if step.mode is Mode.RATE:
+            k = next(k for k, rate in enumerate(step.rates) if rate)
+            rate, travel = float(step.rates[k]), TURN * (step.turns + 1)
+            rest += travel_time(travel, abs(rate), table.joints[k].max_acceleration)
+            angles[k] += math.copysign(travel, rate)
+        end = rest + settle + step.dwell
+        visits.append(Visit(step, now, rest, end, angles))
+        now = end
+    return tuple(visits)
+
+
+def duration(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> float:
+    """Return the duration of a plan, s: moves, run-ups, settling, turns and dwells."""
+    return schedule(steps, table, settle=settle)[-1].end
+
+
+# Ideal gyro outputs between dwells: by a table's joints, and by hand.
+
+
+BY_HAND_MOVE = 2.0
+"""Duration of a move from one dwell to the next, s. A choice: that of simulated hands
+(`simulation/hand`)."""
+
+_STEP = 0.01
+"""Length of the steps of a move, s: no step turns by more than a degree at 100 deg/s."""
+
+_SHORT_STEPS = 40
+"""Steps of a turn by hand: at most 4.5 degrees each."""
+
+_PARALLEL = 1e-6
+"""Sine of the angle between two directions below which they define no axis: rounding of 1e-16 turns
+the axis of so short a product by 1e-10."""
+
+
+def joint_course(table: Table, origin: Floats, goal: Floats) -> Course:
+    """Return the course of the joints at the table's limits."""
+    limits = [(joint.max_rate, joint.max_acceleration) for joint in table.joints]
+    rates, accelerations = zip(*limits, strict=True)
+    return moving(origin.tolist(), goal.tolist(), rates, accelerations)
+
+
+def ideal_move(
+    before: Segment,
+    after: Segment,
+    course: Course,
+    table: Table,
+    truth: SensorModel,
+    world: tuple[Floats, Floats],
+) -> Move:
+    """Return the ideal sensor outputs on the way from one dwell to the next.
+
+    Args:
+        before: The static dwell at its start.
+        after: The static dwell at its end.
+        course: Of the joints.
+        table: The table.
+        truth: The sensors.
+        world: (3,) Earth rate and (3,) specific force in the frame of the attitudes, SI.
+    """
+    seconds = (after.start - before.end) * 1e-9
+    knots = np.linspace(0.0, course.end, max(2, math.ceil(course.end / _STEP)) + 1)
+    attitudes = table.attitude(course.at(knots)[0])
+    # The attitude of the table at both ends, before and after.
+    stood = (seconds - course.end) / 2
+    attitudes = np.concatenate([attitudes[:1], attitudes, attitudes[-1:]])
+    spans = np.array([stood, *np.diff(knots), stood])
+    turned, velocity = _along(attitudes, spans, truth, world)
+    pulse = before.statistics.pulse
+    gained = VelocitySteps(velocity, np.zeros_like(velocity), pulse[3:], predicted=True)
+    return Move(before.end, after.start, turned, spans, pulse[:3], velocity_steps=gained)
+
+
+def _along(
+    attitudes: Floats, spans: Floats, truth: SensorModel, world: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Return the ideal sensor outputs through (n + 1, 3, 3) attitudes, (n,) seconds apart.
+
+    Returns:
+        (n, 3) angles, rad, and (n, 3) velocities, m/s.
+    """
+    earth, force = world
+    steps = rotation_vectors(np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:])
+    middles = (attitudes[:-1] + attitudes[1:]) / 2
+    rates = steps / spans[:, None] + np.einsum('i,nij->nj', earth, middles)
+    gyro, accel = truth.predict(rates, np.einsum('i,nij->nj', force, middles))
+    return gyro * spans[:, None], accel * spans[:, None]
+
+
+def ideal_holds(segments: list[Segment]) -> list[Segment]:
+    """Return holds with the same ups, each reached from the last by the shortest rotation."""
+    found = segments[:1]
+    for segment in segments[1:]:
+        assert segment.attitude is not None
+        shown = shortest(found[-1], segment.attitude[2])
+        found.append(replace(segment, attitude=shown))
+    return found
+
+
+def next_hold(last: Segment, up: Floats, seconds: float) -> Segment:
+    """Return a hold like another one, reached by the shortest rotation.
+
+    Args:
+        last: The hold before, in its attitude.
+        up: (3,) in body axes, unit vector.
+        seconds: Its duration.
+    """
+    start = last.end + nanoseconds(BY_HAND_MOVE)
+    statistics = replace(last.statistics, duration=seconds, walk_gain=np.full(6, 1 / seconds))
+    return replace(
+        last,
+        start=start,
+        end=start + nanoseconds(seconds),
+        statistics=statistics,
+        attitude=shortest(last, up),
+    )
+
+
+def shortest(last: Segment, up: Floats) -> Floats:
+    """Return the attitude (3, 3) with (3,) `up` up, by the shortest rotation."""
+    assert last.attitude is not None
+    rising = last.attitude[2]
+    axis = cross(up, rising)
+    sine, cosine = float(np.linalg.norm(axis)), float(up @ rising)
+    if sine < _PARALLEL:
+        # Half a turn may go about any level axis; rounding must not choose it.
+        axis = across(np.round(rising, 9))[0]
+    turn = rotation(axis / np.linalg.norm(axis), math.atan2(sine, cosine))
+    return np.asarray(last.attitude @ turn)
+
+
+def ideal_move_by_hand(before: Segment, after: Segment, truth: SensorModel, site: Site) -> Move:
+    """Return the ideal gyro outputs of the shortest rotation between holds, at constant rate."""
+    assert before.attitude is not None
+    assert after.attitude is not None
+    ends = np.array([before.attitude, after.attitude])
+    turn = rotation_vectors(ends[0].T @ ends[1])
+    parts = np.linspace(0.0, 1.0, _SHORT_STEPS + 1)[:, None] * turn
+    attitudes = ends[0] @ rotations(parts)
+    spans = np.full(_SHORT_STEPS, (after.start - before.end) * 1e-9 / _SHORT_STEPS)
+    world = site.up_rate * UP, site.specific_force
+    turned, _ = _along(attitudes, spans, truth, world)
+    return Move(before.end, after.start, turned, spans, before.statistics.pulse[:3])
+
+
+def nanoseconds(seconds: float) -> int:
+    """Return seconds at the resolution of stamps."""
+    return round(seconds * 1e9)
+
 
 _UNSEEN = 0.5
 """s not used at each end of a dwell by the segmentation: a window of the joint states."""

@@ -23,17 +23,16 @@ from ..common.stream import Floats
 from ..model.parameters import PARAMETERS, Parameter, indices_of
 from ..model.sensors import parameters_of, terms_of
 from ..model.session_terms import Change, Course
-from .converge import NotConverged, linear_step
 from .equations import Equations
-from .estimate import Estimate, estimate
 from .evidence import SMALLEST_VARIANCE, Evidence
-from .fit import fit
 from .information import determined, nominal_information
 from .modulation import interrupted
+from .outliers import Estimate, estimate
 from .score import (
     Family,
     Pattern,
     Score,
+    UndecidedDrifts,
     WhitenedResiduals,
     columns_of,
     families,
@@ -41,10 +40,10 @@ from .score import (
     scores_of,
     shapes_of,
     tries_of,
+    undecided,
     values_of,
 )
-from .solve import with_changes, with_shape
-from .undecided_drifts import UndecidedDrifts, undecided
+from .solve import NotConverged, fit, linear_step, with_changes, with_shape
 
 CHANCE = 1e-3
 """Chance of finding a family in a session without any, all families together. A choice: one session

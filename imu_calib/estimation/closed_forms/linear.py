@@ -8,7 +8,7 @@ follows.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,12 +18,89 @@ from ...common.stream import Floats
 from ...model.parameters import PARAMETERS, Parameter, ParameterKind
 from ...model.sensors import SensorModel, Triad, parameters_of
 from ...model.terms import G_SENSITIVITY
-from ..checks import no_turn_about
+from ..checks import Solution, no_turn_about
 from ..conclusion import SAME_UP, conclude
 from ..equations import Equations
-from ..evidence import Evidence
-from ..solution import Solution
-from .methods_linear import BIAS
+from ..evidence import Evidence, vertical_axis
+
+# The closed forms as linear maps from mean outputs to parameters.
+#
+# Per channel i the unknowns are its three responses delta_ij + M_ij and its bias. Each equation of a
+# method reads `coefficients . unknowns = weights . outputs`, so that the estimate follows from one
+# small matrix, and its covariance from that of the outputs (`gains`).
+
+
+UNKNOWNS = 4
+"""Of a channel: three responses and a bias."""
+BIAS = 3
+"""Its index among them."""
+
+
+@dataclass(eq=False)
+class ChannelSystem:
+    """Equations of one channel: four of them determine it.
+
+    Attributes:
+        size: Number of outputs that the weights refer to.
+        coefficients: (4,) of responses and bias in each equation.
+        weights: (size,) of the outputs in each equation.
+    """
+
+    size: int
+    coefficients: list[Floats] = field(default_factory=list)
+    weights: list[Floats] = field(default_factory=list)
+
+    def add(self, coefficients: Floats, weights: Floats) -> None:
+        """Add an equation: (4,) coefficients of responses and bias, (size,) weights of outputs."""
+        self.coefficients.append(coefficients)
+        self.weights.append(weights)
+
+    def solve(self) -> tuple[Floats, float]:
+        """Return the weights (4, size) of outputs for the unknowns, and the condition number.
+
+        Raises:
+            NotObservable: The equations do not determine the channel.
+        """
+        matrix, weights = np.array(self.coefficients), np.array(self.weights)
+        if matrix.shape != (UNKNOWNS, UNKNOWNS):
+            raise NotObservable(
+                f'{len(matrix)} equations for the {UNKNOWNS} unknowns of a channel.'
+            )
+        scaled = matrix / np.linalg.norm(matrix, axis=0)
+        return np.asarray(np.linalg.solve(matrix, weights)), float(np.linalg.cond(scaled))
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedTriad:
+    """Three channels by the weights on their outputs.
+
+    Attributes:
+        triad: The parameters.
+        gain: (3, 4, size) weights of each channel's outputs for responses and bias.
+        condition: The worst condition number.
+    """
+
+    triad: Triad
+    gain: Floats
+    condition: float
+
+
+def solve_triad(systems: Sequence[ChannelSystem], outputs: Floats) -> SolvedTriad:
+    """Solve three channels.
+
+    Args:
+        systems: The equations of channels x, y, z.
+        outputs: (size, 3) mean outputs.
+
+    Raises:
+        NotObservable: The equations do not determine a channel.
+    """
+    solved = [system.solve() for system in systems]
+    gain = np.array([weights for weights, _ in solved])
+    unknowns = np.einsum('ium,mi->iu', gain, outputs)
+    triad = Triad(unknowns[:, :BIAS] - np.eye(3), unknowns[:, BIAS])
+    return SolvedTriad(triad, gain, max(condition for _, condition in solved))
+
 
 ILL_CONDITIONED = 100.0
 """Where two digits are lost, only errors of the attitudes separate the parameters."""
@@ -207,3 +284,76 @@ def position_weights(evidence: Evidence) -> Floats:
     """Return the weight of each static dwell, (s,): a position measured twice counts as one."""
     names = [segment.position for segment in evidence.segments]
     return np.array([1 / names.count(name) for name in names])
+
+
+# Scale factors and misalignments of the gyros from whole turns about each axis.
+#
+# Sources: Cao 2022, section 3.1; Luo 2018, eqs. (2-175) to (2-183); off-axis 2019, section 1.1.1;
+# with the corrections of docs/mathematics.md, 'Rate test'.
+
+
+_ONE_RATE = 0.2
+"""Of the largest rate: spread below which a line has no determined slope."""
+
+
+@dataclass(frozen=True, eq=False)
+class RateTestEquations:
+    """The turns of a session as equations for the gyros' responses.
+
+    Attributes:
+        outputs: (t, 3) mean gyro outputs, rad/s.
+        inputs: (t,) rate about the vertical body axis, Earth included, rad/s.
+        axes: (t,) which body axis was vertical.
+        off_axis: (t, 3) rates of the other axes by the encoders, rad/s.
+    """
+
+    outputs: Floats
+    inputs: Floats
+    axes: Floats
+    off_axis: Floats
+
+    @classmethod
+    def of(cls, evidence: Evidence) -> RateTestEquations:
+        """Collect the turns of a session.
+
+        Raises:
+            NotObservable: An axis without turns.
+        """
+        axes, inputs, off = [], [], []
+        for turn in evidence.turns:
+            axis, sign = vertical_axis(turn.up, turn.position)
+            rate = turn.rate() + evidence.site.up_rate
+            axes.append(axis)
+            inputs.append(sign * rate)
+            off.append(rate * (turn.up - sign * np.eye(3)[axis]))
+        for axis in range(3):
+            if axis not in axes:
+                raise no_turn_about(axis)
+        outputs = np.array([t.statistics.mean[:3] for t in evidence.turns])
+        return cls(outputs, np.array(inputs), np.array(axes), np.array(off))
+
+    def add_to(self, system: ChannelSystem, axis: int, first: int) -> None:
+        """Add the equation for the response to one axis.
+
+        Turns at several rates or in both senses: the slope of the output on the input, independent
+        of bias and vertical Earth rate. One sense at one rate (a turn by hand): output less bias
+        over input, with the bias from elsewhere.
+
+        Args:
+            system: Equations of one channel.
+            axis: Body axis.
+            first: Index of the first turn among the system's outputs.
+        """
+        mine = np.flatnonzero(self.axes == axis)
+        inputs = self.inputs[mine]
+        centred = inputs - inputs.mean()
+        coefficients = np.zeros(UNKNOWNS)
+        weights = np.zeros(system.size)
+        spread = float(centred @ centred)
+        if np.sqrt(spread / len(mine)) > _ONE_RATE * np.abs(inputs).max():
+            coefficients[axis] = 1.0
+            weights[first + mine] = centred / spread
+        else:
+            coefficients[axis], coefficients[BIAS] = inputs.mean(), 1.0
+            weights[first + mine] = 1 / len(mine)
+        system.add(coefficients, weights)

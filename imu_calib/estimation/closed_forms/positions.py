@@ -13,14 +13,27 @@ import numpy as np
 
 from ...common.errors import NotObservable
 from ...common.stream import Floats
-from ...model.parameters import AXES
-from ...model.sensors import SensorModel
+from ...model.parameters import AXES, Parameter
+from ...model.sensors import SensorModel, parameters_of
+from ...model.terms import G_SENSITIVITIES, G_SENSITIVITY
+from ...session.plan import Plan
+from ..checks import Solution
 from ..conclusion import conclude
-from ..evidence import Evidence
-from ..solution import Solution
-from .linear import Gains
-from .methods_linear import BIAS, UNKNOWNS, ChannelSystem, SolvedTriad, solve_triad
-from .rate_test import RateTestEquations
+from ..evidence import UP, Evidence
+from .linear import (
+    BIAS,
+    UNKNOWNS,
+    ChannelSystem,
+    Gains,
+    RateTestEquations,
+    SolvedTriad,
+    bias_names,
+    inverse,
+    position_weights,
+    rate_test_weights,
+    response_names,
+    solve_triad,
+)
 
 _PASSES = 2
 """Rounds: tilts are milliradians, so that each reduces the error to a thousandth."""
@@ -145,3 +158,199 @@ def finish(
         north_known=north_known,
         accelerometers=lambda other: solve_accelerometers(other).triad,
     )
+
+
+# Twelve positions without a north reference.
+#
+# Each axis in turn is vertical, up twice and down twice. Within such a group the horizontal Earth
+# rate cancels on every gyro for any azimuth, and so does the vertical one: the mean is the bias.
+#
+# Source: Cao 2022, sections 2 to 4; docs/mathematics.md, 'Twelve positions'.
+
+
+_LARGEST_MEAN_INPUT = 3e-3
+"""Of the mean input: a complete set cancels to within its positioning errors."""
+
+
+def solve_twelve_position(evidence: Evidence) -> Solution:
+    """Estimate the 24 parameters; the session's azimuth is not used.
+
+    Raises:
+        NotObservable: Names what is missing and what cannot be determined without it.
+    """
+    weights, findings = _bias_weights(evidence)
+    gyros = solve_gyros(evidence, BiasEquation(weights, np.zeros(3)))
+    return finish(evidence, gyros, findings=findings, north_known=False)
+
+
+def _bias_weights(evidence: Evidence) -> tuple[Floats, list[str]]:
+    """Average the groups in which the Earth rate cancels (eqs. 13 and 14)."""
+    axes = [axis for axis, _ in evidence.vertical_axes()]
+    names = [s.position for s in evidence.segments]
+    shares = evidence.position_weights()[:, :3]
+    inputs = np.transpose(evidence.attitudes(), (0, 2, 1))
+    rows, incomplete = [], []
+    for axis in range(3):
+        mine = np.array([k for k, found in enumerate(axes) if found == axis], dtype=int)
+        count = len({names[k] for k in mine})
+        if not count:
+            incomplete.append(axis)
+            continue
+        weights = np.zeros((len(names), 3))
+        weights[mine] = shares[mine] / count
+        mean_input = np.einsum('s,sij->ij', weights.mean(axis=1), inputs)
+        if np.linalg.norm(mean_input) > _LARGEST_MEAN_INPUT:
+            incomplete.append(axis)
+        else:
+            rows.append(weights)
+    named = evidence.missing_words()
+    groups = ', '.join(AXES[axis].upper() for axis in incomplete)
+    if not rows:
+        raise NotObservable(
+            'In no group of four positions does the Earth rate cancel'
+            f'{named}: D_gx, D_gy, D_gz cannot be determined without north.'
+        )
+    findings = []
+    if incomplete:
+        findings.append(
+            f'The gyro biases rest on {len(rows)} of 3 groups: in the group of {groups} vertical '
+            f'the Earth rate does not cancel{named}.'
+        )
+    return np.mean(rows, axis=0), findings
+
+
+# Six positions with a north reference: the baseline of Cao 2022.
+#
+# Source: docs/mathematics.md, 'Twelve positions'.
+
+
+def solve_six_position(evidence: Evidence) -> Solution:
+    """Estimate the 24 parameters; D_i is the mean of n_i - [(I + M_g) w] over the positions.
+
+    Sessions turned by hand need no north: every hold has a separate unknown heading, and the level
+    Earth rate widens the biases' standard deviations.
+
+    Raises:
+        NotObservable: North is unknown, or positions are missing.
+    """
+    if evidence.azimuth is None and not evidence.plan.by_hand:
+        raise NotObservable(
+            'Six positions need north: give the azimuth of the table (in its YAML, or with '
+            '`azimuth`), or run twelve positions. D_gx, D_gy, D_gz cannot be determined.'
+        )
+    gyros = solve_gyros(evidence, _bias_equation(evidence))
+    return finish(evidence, gyros, north_known=evidence.azimuth is not None)
+
+
+def _bias_equation(evidence: Evidence) -> BiasEquation:
+    shares = evidence.position_weights()[:, :3]
+    positions = len({s.position for s in evidence.segments})
+    if not positions:
+        raise NotObservable('No position of the plan was found: nothing can be determined.')
+    weights = shares / positions
+    mean = np.einsum('s,sij->ji', weights.mean(axis=1), evidence.attitudes())
+    earth = evidence.site.earth_rate
+    if evidence.azimuth is not None:
+        return BiasEquation(weights, mean @ earth)
+    return BiasEquation(weights, mean @ (UP * earth))
+
+
+# n known positions by least squares, with g-sensitivity: 33 parameters (Luo 2018, section 6).
+#
+# After the rate test n attitudes at rest: bias and g-sensitivity of the gyros by eqs. (2-184) to
+# (2-186), bias and responses of the accelerometers by (2-187) to (2-189). North must be known.
+
+
+N_POSITIONS_ESTIMATES = parameters_of([G_SENSITIVITY])
+
+
+def solve_n_positions(evidence: Evidence) -> Solution:
+    """Estimate the 33 parameters.
+
+    Raises:
+        NotObservable: North is unknown, or turns or positions do not separate parameters.
+    """
+    if evidence.azimuth is None:
+        raise NotObservable(
+            'Positions by least squares need north: give the azimuth of the table (in its YAML, or '
+            f'with `azimuth`). {bias_names("g")} and the g-sensitivities cannot be determined.'
+        )
+    turned, _ = rate_test_weights(evidence)
+    fitted, condition = force_weights(
+        evidence.attitudes()[:, 2],
+        position_weights(evidence),
+        evidence.positions_in_words(),
+        N_POSITIONS_ESTIMATES,
+    )
+    g = evidence.site.gravity
+    rates = evidence.attitudes().transpose(0, 2, 1) @ evidence.site.earth_rate
+    at_rest = np.vstack([np.zeros_like(fitted[1:]), fitted[:1], fitted[1:] / g])
+    # n_g - (I + M_g) w: the rate test enters all that is fitted to it.
+    gyro = np.hstack([at_rest, -(at_rest @ rates) @ turned])
+    gyro[:BIAS, len(rates) :] = turned
+    accel = np.vstack([fitted[1:] / g, fitted[:1]])
+    return Gains(gyro, accel, condition).conclude(evidence, north_known=True)
+
+
+def check_positions(plan: Plan, parameters: tuple[Parameter, ...] = N_POSITIONS_ESTIMATES) -> None:
+    """Raise if a plan does not separate the parameters of its method, before it is run.
+
+    Raises:
+        NotObservable: Names the parameters.
+    """
+    held = [p for p in plan.positions if p.dwell > 0]
+    ups = np.array([p.up for p in held]).reshape(-1, 3)
+    what = f'The {len(held)} positions of plan {plan.name}'
+    force_weights(ups, np.ones(len(held)), what, parameters)
+    check_turns(plan)
+
+
+def check_turns(plan: Plan) -> None:
+    """Raise if a plan does not turn about each axis.
+
+    Raises:
+        NotObservable: Names the parameters.
+    """
+    turned = [np.abs(p.up) for p in plan.positions if p.rate_test is not None]
+    for axis, name in enumerate('XYZ'):
+        if not any(up[axis] > 1 - 1e-6 for up in turned):
+            raise NotObservable(
+                f'Plan {plan.name} has no rate test about {name}: {response_names("g", axis)} '
+                'cannot be determined.'
+            )
+
+
+def force_weights(
+    ups: Floats, weights: Floats, what: str, parameters: tuple[Parameter, ...]
+) -> tuple[Floats, float]:
+    """Fit outputs by a constant and the direction of specific force.
+
+    Args:
+        ups: (s, 3) up in body axes.
+        weights: (s,) weight of each row.
+        what: Source of the rows, for the message.
+        parameters: Those that depend on them, for the message.
+
+    Returns:
+        (4, s) weights on the outputs that give the constant and, per g, the response to X, Y, Z;
+        condition number.
+
+    Raises:
+        NotObservable: Names the parameters that the attitudes do not separate.
+
+    Source: Luo 2018, eqs. (2-184) to (2-189), [1 f^T] with f in units of gravity.
+    """
+    names = _names(parameters)
+    root = np.sqrt(weights)
+    design = np.column_stack([np.ones(len(ups)), ups]) * root[:, None]
+    gain, condition = inverse(design, names, what)
+    return gain * root, condition
+
+
+def _names(parameters: tuple[Parameter, ...]) -> Sequence[str]:
+    names = [bias_names('a'), *(response_names('a', axis) for axis in range(3))]
+    sensitive = [p for p in parameters if p in G_SENSITIVITIES]
+    if not sensitive:
+        return names
+    own = [', '.join(p.name for p in sensitive if p.column == axis) for axis in range(3)]
+    return [f'{a}, {b}' for a, b in zip([bias_names('g'), *own], names, strict=True)]

@@ -10,7 +10,7 @@ from ...calibration.calibrator import Calibrator
 from ...calibration.calibrator_part import calibrator_of
 from ...calibration.hand import HandCalibrator
 from ...common.stream import Block
-from ...estimation.setup import Setup
+from ...estimation.methods import Setup
 from ...model.parameters import skewed_parameters
 from ...recordings.rosbag2 import Kind
 from .intake import TopicIntake

@@ -10,7 +10,7 @@ from ...common.errors import ImuCalibError
 from ...common.stream import Mode
 from ...common.units import DEG
 from ...estimation import forecast
-from ...estimation.setup import Setup
+from ...estimation.methods import Setup
 from ...model.sensors import SensorModel
 from ...session.imu import load_imu
 from ...session.units_file import MountedUnit

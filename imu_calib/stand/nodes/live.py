@@ -17,7 +17,7 @@ from ...calibration.guidance import Guidance, Stage
 from ...calibration.hand import HandReview
 from ...common.errors import ImuCalibError
 from ...common.stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
-from ...estimation.setup import Setup
+from ...estimation.methods import Setup
 from ...model.parameters import Parameter
 from ...recordings.cdr import Malformed, Messages
 from ...recordings.rosbag2 import Kind

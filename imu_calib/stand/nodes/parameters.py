@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from ...common.errors import InputError
 from ...common.stream import Floats
 from ...common.units import DEG
-from ...estimation.setup import Setup
+from ...estimation.methods import Setup
 from ...model.earth import Site
 from ...model.session_terms import split_terms
 from ...model.terms import AUTO_TERMS, asks_for_search, named_terms

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from ...estimation.setup import Setup
+from ...estimation.methods import Setup
 from ...recordings.rosbag2 import Kind
 from .. import middleware as ros
 from ..middleware import messages

@@ -7,7 +7,7 @@ from typing import Any
 
 from ...calibration.calibration import Calibration
 from ...common.errors import InputError
-from ...estimation.setup import Setup
+from ...estimation.methods import Setup
 from .. import middleware as ros
 from ..middleware import messages
 from . import qos
