@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
 from hand_sessions import shortest_turns
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.calibrator_part import calibrator_of
+from imu_calib.calibration.calibrator import calibrator_of
 from imu_calib.common.files import named_file
 from imu_calib.common.parallel import run_all
 from imu_calib.estimation import forecast

@@ -34,8 +34,8 @@ sys.path.insert(0, str(CHECKOUT / 'test'))
 import units_world as world  # noqa: E402
 from units_sessions import PULSE, TURNED, WALK, solved, tilt, truth  # noqa: E402
 
-from imu_calib.calibration.calibrator_results import Result  # noqa: E402
-from imu_calib.calibration.shared_results import estimate_together  # noqa: E402
+from imu_calib.calibration.calibrator import estimate_together  # noqa: E402
+from imu_calib.calibration.results import Result  # noqa: E402
 from imu_calib.common.budget import Budget  # noqa: E402
 from imu_calib.estimation.session_model import Nuisance  # noqa: E402
 

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from .api.stand import StandRun, stand
     from .api.verify import verify
     from .calibration.calibration import Calibration
-    from .calibration.calibrator_results import Result
-    from .calibration.exported import Exported
+    from .calibration.exports import Exported
+    from .calibration.results import Result
     from .calibration.thermal import ThermalCalibration
     from .calibration.verify import Verdict, Verification
     from .common.errors import ImuCalibError, InputError, NotObservable
@@ -61,7 +61,7 @@ _WHERE = {
     'Compensated': 'api.compensate',
     'Conformity': 'api.conforming',
     'Converted': 'api.converted',
-    'Exported': 'calibration.exported',
+    'Exported': 'calibration.exports',
     'History': 'fleet.results',
     'ImuCalibError': 'common.errors',
     'ImuSpec': 'session.imu',
@@ -74,7 +74,7 @@ _WHERE = {
     'Plan': 'session.plan',
     'Prediction': 'api.predict',
     'Reached': 'estimation.optimise',
-    'Result': 'calibration.calibrator_results',
+    'Result': 'calibration.results',
     'Simulated': 'api.simulate',
     'SimulatedUnits': 'api.simulating_units',
     'StandRun': 'api.stand',

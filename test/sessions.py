@@ -16,7 +16,7 @@ from loopback import until
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.results import Result
 from imu_calib.common.files import named_file
 from imu_calib.common.parallel import single_threaded
 from imu_calib.common.stream import Block, JointBlock, SetpointBlock

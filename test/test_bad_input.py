@@ -70,7 +70,7 @@ DATA = {
     'imu_calib.session.imu': text_of('imus', 'fog_medium'),
     'imu_calib.table': text_of('tables', 'three_axis'),
     'imu_calib.latitude_deg': '34.65',
-    'imu_calib.calibration.gravity': repr(SITE.gravity),
+    'imu_calib.calibration.agreement': repr(SITE.gravity),
     'imu_calib.gravity_source': 'measured',
 }
 

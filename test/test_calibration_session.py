@@ -28,7 +28,7 @@ from sessions import (
     truth,
 )
 
-from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.results import Result
 from imu_calib.common.config import Section
 from imu_calib.common.stream import Block, Floats, ImuBlock, JointBlock, Mode, SetpointBlock
 from imu_calib.common.units import ARCMIN, DEG, DEG_H, MICRO_G, PPM

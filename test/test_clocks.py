@@ -13,10 +13,10 @@ from sessions import gathered, truth
 from test_information import evidence_of
 from test_other_world import NAVIGATION, errors, fed
 
+from imu_calib.calibration.c_header import EXPORTS
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.compensate import Compensation
-from imu_calib.calibration.exported import ExportSource
-from imu_calib.calibration.exports_part import EXPORTS
+from imu_calib.calibration.exports import ExportSource
 from imu_calib.calibration.thermal import combine
 from imu_calib.calibration.verify import Verdict, verify
 from imu_calib.common.errors import InputError

@@ -8,8 +8,7 @@ import pytest
 from sessions import paper_imu, truth
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.compensate import Compensation, noise_gains
-from imu_calib.calibration.samples import Mark, concatenated
+from imu_calib.calibration.compensate import Compensation, Mark, concatenated, noise_gains
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Units
 from imu_calib.common.units import DEG, MICRO_G

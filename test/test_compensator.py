@@ -7,8 +7,8 @@ import pytest
 from sessions import truth
 from test_compensation import known, with_skew
 
+from imu_calib.calibration.compensate import Mark, concatenated
 from imu_calib.calibration.compensator import Compensator
-from imu_calib.calibration.samples import Mark, concatenated
 from imu_calib.calibration.thermal import combine
 from imu_calib.common.stream import ImuBlock, SkewBlock, TemperatureBlock
 

@@ -21,11 +21,10 @@ from sessions import SITE, truth
 from test_exports import PROGRAM
 from test_information import CLOCK, SECOND, WALK, statistics
 
+from imu_calib.calibration.c_header import EXPORTS
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.compensate import Compensation
-from imu_calib.calibration.exported import ExportSource
-from imu_calib.calibration.exports_part import EXPORTS
-from imu_calib.calibration.samples import Mark, concatenated
+from imu_calib.calibration.compensate import Compensation, Mark, concatenated
+from imu_calib.calibration.exports import ExportSource
 from imu_calib.calibration.thermal import (
     ThermalCalibration,
     by_temperature,

@@ -13,9 +13,9 @@ import pytest
 import yaml
 from installed import needs_modules
 
+from imu_calib.calibration.c_header import EXPORTS
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.exported import ExportSource
-from imu_calib.calibration.exports_part import EXPORTS
+from imu_calib.calibration.exports import ExportSource
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Floats, Units

@@ -13,8 +13,8 @@ from sessions import SITE, at_one_rate, quick_plan, session, stand, truth
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.calibration.calibrator_results import Result
 from imu_calib.calibration.hand import HandCalibrator
+from imu_calib.calibration.results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.errors import ImuCalibError
 from imu_calib.common.files import named_file, shipped

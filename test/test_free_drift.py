@@ -13,8 +13,8 @@ from shaky import GRAVITY, LATITUDE, shaky
 from test_free_nonlinear import IMU, UNIT, off
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.calibrator_results import Result
 from imu_calib.calibration.hand import HandCalibrator
+from imu_calib.calibration.results import Result
 from imu_calib.calibration.verify import verify
 from imu_calib.common.budget import Source
 from imu_calib.common.stream import Floats

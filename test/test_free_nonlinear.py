@@ -10,8 +10,8 @@ from extent import ALL
 from scipy.spatial.transform import Rotation
 from shaky import GRAVITY, LATITUDE, shaky
 
-from imu_calib.calibration.calibrator_results import Result
 from imu_calib.calibration.hand import HandCalibrator
+from imu_calib.calibration.results import Result
 from imu_calib.calibration.verify import Verdict, verify
 from imu_calib.common.stream import Floats, ImuBlock, Units
 from imu_calib.common.units import DEG

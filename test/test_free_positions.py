@@ -12,9 +12,8 @@ from scipy.stats import chi2
 from sessions import SITE
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.calibrator_results import Result
-from imu_calib.calibration.guidance import Stage, guide
-from imu_calib.calibration.hand import HandCalibrator
+from imu_calib.calibration.hand import HandCalibrator, Stage, guide
+from imu_calib.calibration.results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.rotations import rotation, rotations_last

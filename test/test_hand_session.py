@@ -20,7 +20,7 @@ from scipy.stats import chi2
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import Block, Units

@@ -13,9 +13,8 @@ from test_motion_terms import LATE, PLACES, QUIET, known
 from test_other_world import EPOCH
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.compensate import Compensation
+from imu_calib.calibration.compensate import Compensation, concatenated
 from imu_calib.calibration.compensator import Compensator, Reading
-from imu_calib.calibration.samples import concatenated
 from imu_calib.common.stream import ImuBlock
 
 SHORT = World(

@@ -15,7 +15,7 @@ import pytest
 from hand_world import HeldUnit, held
 
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.results import Result
 from imu_calib.common.stream import Floats, ImuBlock, Units
 from imu_calib.common.units import DEG
 from imu_calib.estimation.methods import Setup

@@ -12,8 +12,7 @@ from sessions import SITE, Alone, ended
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.calibration.guidance import Stage, direction
-from imu_calib.calibration.hand import HandCalibrator
+from imu_calib.calibration.hand import HandCalibrator, Stage, direction
 from imu_calib.cli.by_hand import reached, view_hand
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError

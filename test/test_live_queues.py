@@ -12,10 +12,9 @@ from test_by_temperature import UNIT, point
 from test_compensation import known, with_skew
 
 from imu_calib.calibration import compensator as module
-from imu_calib.calibration.compensate import Compensation
+from imu_calib.calibration.compensate import Compensation, Mark
 from imu_calib.calibration.compensator import Compensator
 from imu_calib.calibration.sample_clock import SampleClock
-from imu_calib.calibration.samples import Mark
 from imu_calib.calibration.thermal import combine
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import ImuBlock, SkewBlock, TemperatureBlock, Units

@@ -11,7 +11,7 @@ from sessions import SITE, calibrate, paper_imu, stand
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError, NotObservable

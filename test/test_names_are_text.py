@@ -16,10 +16,10 @@ import yaml
 from sessions import at_one_rate, calibrate, quick_plan, session, stand
 from test_certificate import EXAMPLE
 
+from imu_calib.calibration.c_header import EXPORTS
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.calibrator_results import Result
-from imu_calib.calibration.exported import ExportSource
-from imu_calib.calibration.exports_part import EXPORTS
+from imu_calib.calibration.exports import ExportSource
+from imu_calib.calibration.results import Result
 from imu_calib.common.config import Section
 from imu_calib.reports.certificate import Certificate, certificate_of
 from imu_calib.reports.certificate_fields import read_fields

@@ -10,12 +10,12 @@ import yaml
 from shaky import GRAVITY, LATITUDE, shaky
 
 import imu_calib
+from imu_calib.calibration.c_header import EXPORTS
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.comparison import Quantity
 from imu_calib.calibration.compensate import Compensation
-from imu_calib.calibration.exported import ExportSource
-from imu_calib.calibration.exports_part import EXPORTS
+from imu_calib.calibration.exports import ExportSource
 from imu_calib.calibration.hand import HandCalibrator
+from imu_calib.calibration.verify import Quantity
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Units
 from imu_calib.common.units import DEG_H

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.stats import chi2
 from shaky import GRAVITY, LATITUDE, Shaky, shaky
 
-from imu_calib.calibration.calibrator_results import Result
 from imu_calib.calibration.hand import HandCalibrator
+from imu_calib.calibration.results import Result
 from imu_calib.common.stream import ImuBlock, Units
 from imu_calib.common.units import DEG
 from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers

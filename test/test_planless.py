@@ -26,7 +26,7 @@ from sessions import (
 from imu_calib.api.simulate import serialised
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.files import named_file

@@ -12,7 +12,7 @@ from sessions import SITE, at_one_rate, fed, gathered, paper_imu, quick_plan, st
 from sessions import session as session_of
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.files import named_file

@@ -18,7 +18,7 @@ from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, sta
 from imu_calib.api.documents import report
 from imu_calib.api.simulate import serialised
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError

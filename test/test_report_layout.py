@@ -18,7 +18,7 @@ from sessions import at_one_rate, calibrate, quick_plan, session, stand
 
 import imu_calib
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.results import Result
 from imu_calib.calibration.thermal import combine
 from imu_calib.cli.main import main
 from imu_calib.common.budget import Share, Source

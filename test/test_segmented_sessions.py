@@ -10,7 +10,7 @@ import pytest
 from extent import again
 from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand, truth
 
-from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.results import Result
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats, ImuBlock, JointBlock, SetpointBlock
 from imu_calib.common.units import DEG, DEG_H, PPM

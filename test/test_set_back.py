@@ -13,7 +13,7 @@ from sessions import quick_plan
 from test_other_world import EPOCH, MEDIUM, NAVIGATION, errors, recorded
 
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.results import Result
 from imu_calib.common.stream import (
     Floats,
     ImuBlock,

@@ -10,7 +10,7 @@ from extent import again
 from shaky import shaky
 from test_noisy_holds import NOISE, UNIT, calibrator, result, session
 
-from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.results import Result
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG
 from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers, initial_equations

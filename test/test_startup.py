@@ -190,9 +190,7 @@ def test_info_of_a_session_with_motions_loads_no_more_than_its_estimate(tmp_path
 
 
 def test_the_estimators_load_what_they_use():
-    code = (
-        'import imu_calib.calibration.calibrator_part, imu_calib.prediction, imu_calib.verification'
-    )
+    code = 'import imu_calib.calibration.calibrator, imu_calib.prediction, imu_calib.verification'
     assert not among(loaded(code), SLOW)
 
 
@@ -223,7 +221,7 @@ def test_a_device_that_cannot_do_is_refused_before_anything_is_loaded(tmp_path, 
     modules = loaded(REFUSED, *words)
     assert 'imu_calib.cli.listening' in modules
     assert not among(
-        modules, (*SLOW, *RUNTIME, 'imu_calib.calibration.calibrator_part', 'imu_calib.bags')
+        modules, (*SLOW, *RUNTIME, 'imu_calib.calibration.calibrator', 'imu_calib.bags')
     )
     assert not (tmp_path / 'stand').exists()
 

@@ -13,7 +13,7 @@ from extent import again
 from sessions import SITE, Named, beside_exactness, calibrate, paper_imu, quick_plan, stand, truth
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.results import Result
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, JointBlock, Setpoint

@@ -8,8 +8,8 @@ from extent import again
 from scipy.stats import chi2
 from shaky import GRAVITY, LATITUDE, Shaky, shaky
 
-from imu_calib.calibration.calibrator_results import Result
 from imu_calib.calibration.hand import HandCalibrator
+from imu_calib.calibration.results import Result
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.stream import ImuBlock, Units
 from imu_calib.common.units import DEG, STANDARD_GRAVITY

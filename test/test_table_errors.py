@@ -26,8 +26,8 @@ from test_information import evidence_of
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.calibration.calibrator_results import Result
-from imu_calib.calibration.losses import assumption_findings
+from imu_calib.calibration.provenance import assumption_findings
+from imu_calib.calibration.results import Result
 from imu_calib.cli.calibrate import show
 from imu_calib.cli.main import main
 from imu_calib.common.budget import Source

@@ -11,7 +11,7 @@ import pytest
 from sessions import SITE, fed, quick_plan, stand
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file, share_folder

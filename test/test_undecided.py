@@ -10,7 +10,7 @@ import pytest
 from loopback import CHECKOUT
 
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.results import Result
 from imu_calib.common.budget import Source
 from imu_calib.common.stream import Floats
 from imu_calib.estimation.term_tests import TermState, summary

@@ -10,7 +10,7 @@ import scipy
 import units_world as world
 from units_sessions import PULSE, TABLE, TURNED, WALK, solved, tilt, truth
 
-from imu_calib.calibration.shared_results import estimate_together
+from imu_calib.calibration.calibrator import estimate_together
 from imu_calib.common.budget import Source, total
 from imu_calib.estimation.common_unknowns import join, own_covariance
 from imu_calib.estimation.outputs import PositioningErrors

@@ -16,10 +16,8 @@ from sessions import LATITUDE, SITE, at_one_rate, calibrate, paper_imu, quick_pl
 
 from imu_calib.api.simulate import serialised
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.comparison import Quantity
-from imu_calib.calibration.diagnosis import diagnose
-from imu_calib.calibration.hypotheses import mistakes
-from imu_calib.calibration.verify import Verdict, Verification, _Trial, verify
+from imu_calib.calibration.diagnosis import diagnose, mistakes
+from imu_calib.calibration.verify import Quantity, Verdict, Verification, _Trial, verify
 from imu_calib.cli.main import main
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.files import named_file

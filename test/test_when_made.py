@@ -15,8 +15,7 @@ from other_world import Damage, Recording, Stop, Unit, World, damaged, joints_of
 from test_compensation import known
 
 from imu_calib.api.compensate import compensate
-from imu_calib.calibration.compensator import Compensator
-from imu_calib.calibration.whole_stream import WholeStream
+from imu_calib.calibration.compensator import Compensator, WholeStream
 from imu_calib.common.stream import ImuBlock, Units
 from imu_calib.model.sensors import SensorModel
 from imu_calib.recordings.cdr_codec import encode_imu

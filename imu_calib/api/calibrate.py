@@ -8,11 +8,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..calibration.calibrator import Calibrator
-from ..calibration.calibrator_part import calibrator_of
-from ..calibration.calibrator_results import Result
+from ..calibration.calibrator import Calibrator, SharedResults, calibrator_of, estimate_together
 from ..calibration.hand import HandCalibrator
-from ..calibration.shared_results import SharedResults, estimate_together
+from ..calibration.results import Result
 from ..common.config import checked
 from ..common.errors import ImuCalibError, InputError
 from ..common.parallel import Progress, by_one_thread, silent

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ..calibration.calibrator import Calibrator
-from ..calibration.calibrator_part import calibrator_of
-from ..calibration.calibrator_results import Result
+from ..calibration.calibrator import Calibrator, calibrator_of
 from ..calibration.hand import HandCalibrator
+from ..calibration.results import Result
 from ..common.errors import InputError, NotObservable, NotStated
 from ..common.files import printable
 from ..common.parallel import Progress, by_one_thread, silent

@@ -20,7 +20,7 @@ from ..session.imu import ImuSpec
 from .named import Named, as_calibration, as_imu, as_list
 
 if TYPE_CHECKING:
-    from ..calibration.calibrator_results import Result
+    from ..calibration.results import Result
 
 FORMATS = ('.html', '.pdf', '.xml')
 """Formats by file ending."""

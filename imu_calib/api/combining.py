@@ -12,7 +12,7 @@ from ..common.config import checked
 from .named import Named, as_calibration, as_list, name_of
 
 if TYPE_CHECKING:
-    from ..calibration.calibrator_results import Result
+    from ..calibration.results import Result
 
 
 @checked

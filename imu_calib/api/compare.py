@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-    from ..calibration.calibrator_results import Result
+    from ..calibration.results import Result
 
 _FEWEST = 2
 """Smallest number of calibrations to compare."""

@@ -11,12 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..calibration.compensate import noise_gains
-from ..calibration.compensator import Compensator, Reading
-from ..calibration.samples import Mark
+from ..calibration.compensate import Mark, TurnsSeen, noise_gains
+from ..calibration.compensator import Compensator, Reading, WholeStream
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_unit, first_of
-from ..calibration.turns_seen import TurnsSeen
-from ..calibration.whole_stream import WholeStream
 from ..common.config import checked
 from ..common.errors import InputError, NotObservable
 from ..common.parallel import Progress, silent
@@ -37,7 +34,7 @@ from .stamp_clock import sample_findings
 from .streams import imu_topic, skew_topic, temperature_topic
 
 if TYPE_CHECKING:
-    from ..calibration.calibrator_results import Result
+    from ..calibration.results import Result
 
 _MOST = 0.5
 """Share of the samples: with fewer written, most are lost."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from ..calibration.calibrator_results import Result
+from ..calibration.results import Result
 from ..calibration.thermal import AnyCalibration, ThermalCalibration
 from ..common.config import checked
 from ..common.errors import InputError

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..calibration.calibration import Calibration
-from ..calibration.calibrator_results import Result
+from ..calibration.results import Result
 from ..calibration.thermal import AnyCalibration, ThermalCalibration
 from ..common.config import checked
 from ..common.errors import InputError, NotStated

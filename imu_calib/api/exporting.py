@@ -6,8 +6,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..calibration.exported import Exported, ExportSource
-from ..calibration.exports_part import EXPORTS
+from ..calibration.c_header import EXPORTS
+from ..calibration.exports import Exported, ExportSource
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, first_of
 from ..common.config import checked
 from ..common.errors import InputError
@@ -17,7 +17,7 @@ from .named import Named, as_applied, as_imu
 from .outputs import output_path
 
 if TYPE_CHECKING:
-    from ..calibration.calibrator_results import Result
+    from ..calibration.results import Result
 
 
 @checked

@@ -23,7 +23,7 @@ from ..session.units_file import MountedUnit, load_units
 
 if TYPE_CHECKING:
     # Loads slowly; most commands do not need it.
-    from ..calibration.calibrator_results import Result
+    from ..calibration.results import Result
 
 Named: TypeAlias = str | Path
 """The name of a supplied file, or the path of one."""

@@ -31,7 +31,7 @@ from .streams import streams_of
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from ..calibration.calibrator_results import Result
+    from ..calibration.results import Result
 
 _OTHER_TEMPERATURE = 5.0
 """K between two sessions from which the difference is reported. A judgement: MEMS biases move by a

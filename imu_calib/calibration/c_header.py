@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from textwrap import indent
 
@@ -14,8 +15,11 @@ from ..common.units import DEG, STANDARD_GRAVITY
 from ..model.parameters import AXES, Product
 from ..model.sensors import SensorModel, terms_of
 from ..session.imu import ImuSpec
+from . import exports as imucal
+from . import exports as kalibr
+from . import exports as ros
 from .calibration import Calibration
-from .exported import Exported, ExportSource, common_omissions
+from .exports import Exported, ExportSource, common_omissions
 
 _EXACT = 1e-17
 """Remaining relative error: that of a double."""
@@ -259,3 +263,14 @@ _REPEATED = """\
 {body}        imu_calib_terms(rate, force, gyro_terms, accel_terms);
     }}
 """
+
+
+# Formats of other software for a calibration: one module per format.
+
+
+EXPORTS: dict[str, Callable[[ExportSource], Exported]] = {
+    'ros': ros.export_ros,
+    'kalibr': kalibr.export_kalibr,
+    'imucal': imucal.export_imucal,
+    'c': export_c_header,
+}

@@ -34,8 +34,7 @@ from ..model.terms import TERMS, Term
 from ..session.imu import ChannelNoise, ImuSpec, TriadSpec, check_plausible, read_noise
 from ..session.table_errors import KEY as CLOCK
 from ..session.table_errors import StampingClock, read_clock
-from .budget_file import budget_document, read_budget
-from .provenance import read_origin
+from .provenance import budget_document, read_budget, read_origin
 
 if TYPE_CHECKING:
     import pandas

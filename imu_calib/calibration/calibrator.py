@@ -3,29 +3,109 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..common.errors import Contradiction, InputError, NotObservable
-from ..common.stream import Block
+from ..common.errors import Contradiction, ImuCalibError, InputError, NotObservable
+from ..common.stream import Block, Mode
+from ..estimation import joint
 from ..estimation.checks import Solution
+from ..estimation.common_unknowns import Contradicting, TableEstimate, join
 from ..estimation.evidence import Evidence
 from ..estimation.information import attainable_std
 from ..estimation.joint import Comparison
 from ..estimation.methods import Setup, check_plan, closed_form_of, method, provisional
+from ..estimation.search import Search
+from ..estimation.table_effects import shares_a_table
 from ..model.parameters import AXES, Parameter
 from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms
 from ..segmentation.labelling import Labelled, label
 from ..segmentation.segmenter import Segmenter
+from ..segmentation.segments import Turn
 from ..segmentation.stream_facts import Segmented
+from ..session.plan import Plan, Step
 from ..session.table_errors import clock_share
-from .basis import Basis
-from .calibrator_results import Result, Review
-from .losses import false_samples_first, loss_findings, losses_of_all_segments
-from .results import dead_channels, explained, joints_in_degrees, refuse_apart, with_facts
-from .unsupported import unsupported_steps
+from .provenance import false_samples_first, loss_findings, losses_of_all_segments
+from .results import (
+    Basis,
+    Result,
+    Review,
+    dead_channels,
+    explained,
+    joints_in_degrees,
+    refuse_apart,
+    with_facts,
+)
+
+if TYPE_CHECKING:
+    from ..estimation.methods import Setup
+    from .hand import HandCalibrator
+    from .results import Result, Review
+
+# Find steps of a plan that were run but have too little usable data.
+
+
+_ENOUGH = 0.5
+"""Share of a dwell that must be usable: less increases its noise by more than a factor 1.4."""
+
+_SAME_RATE = 0.2
+"""Relative tolerance on the commanded rate. A judgement: scale factors are percents off, and the
+rates of a supplied plan differ by a quarter or more."""
+
+
+def unsupported_steps(
+    session: Segmented, labelled: Labelled, plan: Plan, steps: tuple[Step, ...]
+) -> tuple[int, ...]:
+    """Return the steps whose setpoints were seen without sufficient data.
+
+    Args:
+        session: Contents of the streams.
+        labelled: Its segments by name.
+        plan: The plan that is run.
+        steps: Its steps on the table; none without one, since nothing can be repeated.
+
+    Returns:
+        Indices of steps, ascending; the current step is among them until it is done.
+    """
+    seen = [s.step for s in session.setpoints if s.plan == plan.name and s.mode is not Mode.HOLD]
+    # Steps are run in order: one whose setpoints were lost with all else was run as well.
+    last = max(seen, default=-1)
+    rates = _rates_about_up(plan, steps)
+    lost = [
+        step.index
+        for step in steps
+        if step.index <= last and not _is_supported(step, labelled, rates.get(step.index))
+    ]
+    return tuple(lost)
+
+
+def _is_supported(step: Step, labelled: Labelled, rate: float | None) -> bool:
+    if step.mode is Mode.RATE:
+        return any(_is_turn_of(turn, step.position, rate) for turn in labelled.turns)
+    if not step.dwell:
+        return True
+    quiet = sum(
+        segment.statistics.duration
+        for segment in labelled.segments
+        if segment.position == step.position
+    )
+    return quiet >= _ENOUGH * step.dwell
+
+
+def _is_turn_of(turn: Turn, position: str, rate: float | None) -> bool:
+    if turn.position != position or rate is None:
+        return False
+    return abs(turn.rate() - rate) < _SAME_RATE * abs(rate)
+
+
+def _rates_about_up(plan: Plan, steps: tuple[Step, ...]) -> dict[int, float]:
+    """Return the signed rate about up of every RATE step: those of its position, in order."""
+    rates = {p.id: list(p.rate_test.rates) for p in plan.positions if p.rate_test is not None}
+    return {step.index: rates[step.position].pop(0) for step in steps if step.mode is Mode.RATE}
 
 
 class Calibrator:
@@ -221,3 +301,158 @@ class Calibrator:
             raise NotObservable(' '.join([*dead_channels(session), singular, *lost])) from None
         found = Basis(setup, evidence, session, labelled, comparison, tuple(lost), final)
         return found.concluded(solution)
+
+
+# Combine several units on one table: estimate shared unknowns once, from all of them.
+
+
+_NOBODY = (
+    'What it says of the table contradicts the other unit (chi-square {square:.0f} with {freedom} '
+    'degrees of freedom): it is unknown which of the two is right, and each is calibrated by '
+    'itself. A third unit would show which.'
+)
+_ODD = (
+    'What it says of the table contradicts the other units (chi-square {square:.0f} with {freedom} '
+    'degrees of freedom): it is calibrated by itself. Possible causes: a unit that is loose on the '
+    'fixture, samples that froze, a clock that jumps, and sensors that differ from their '
+    'description.'
+)
+
+
+_PARTIAL = (
+    'It saw {seen} of the {of_all} static dwells of all units, and is calibrated by itself: its '
+    'samples ended, froze or began late.'
+)
+
+
+@dataclass(frozen=True, eq=False)
+class SharedResults:
+    """Results of several units.
+
+    Attributes:
+        results: One for each unit: with the shared unknowns if it took part, else unchanged.
+        table: Errors of the table estimated from all; None if fewer than two took part.
+        shared: Places of the units that took part.
+        left_out: Why others did not, by their place.
+    """
+
+    results: tuple[Result | None, ...]
+    table: TableEstimate | None
+    shared: tuple[int, ...]
+    left_out: Mapping[int, str]
+
+
+def estimate_together(alone: Sequence[Result | None], names: Sequence[str]) -> SharedResults:
+    """Estimate the shared unknowns of several units on one table once, from all of them.
+
+    Results of the joint estimate on a table with known joint angles take part: closed forms, units
+    in the hand and failures remain unchanged.
+
+    Args:
+        alone: The result of each unit by itself; None if it failed.
+        names: Name of each, for messages and for the provenance of the others.
+    """
+    results = list(alone)
+    parts = {k: part for k, one in enumerate(alone) if one and (part := _basis_and_search(one))}
+    places = list(parts)
+    if len(places) < 2:
+        return SharedResults(tuple(results), None, (), {})
+    try:
+        joined = join([search.estimate for _, search in parts.values()])
+    except ImuCalibError as error:
+        finding = f'What the units share could not be estimated from all of them: {error}'
+        return SharedResults(_noted(results, dict.fromkeys(places, finding)), None, (), {})
+    shared, left_out = [], {}
+    for i, estimate in joined.estimates.items():
+        place = places[i]
+        basis, search = parts[place]
+        found = replace(search, estimate=estimate)
+        try:
+            solution = joint.concluded(found, basis.setup.terms, basis.setup.changes)
+            results[place] = basis.concluded(solution)
+        except ImuCalibError as error:
+            left_out[place] = f'With what the units share it is refused: {error}'
+            continue
+        shared.append(place)
+    for place in shared:
+        others = [names[other] for other in shared if other != place]
+        results[place] = _with_others(results[place], others)
+    for i, seen, of_all in joined.partial:
+        left_out[places[i]] = _PARTIAL.format(seen=seen, of_all=of_all)
+    for odd in joined.contradicting:
+        left_out[places[odd.unit]] = _words(odd, others=len(shared))
+    if joined.contradicting and not joined.estimates:
+        # Of the last two, which one is wrong cannot be determined.
+        last = [p for p in places if p not in left_out]
+        left_out |= {p: _words(joined.contradicting[-1], others=0) for p in last}
+    return SharedResults(_noted(results, left_out), joined.table, tuple(shared), left_out)
+
+
+def _with_others(result: Result | None, others: Sequence[str]) -> Result | None:
+    """Return a result whose provenance names the units that share its estimate of the table."""
+    if result is None or not others:
+        return result
+    calibration = result.calibration
+    provenance = {**calibration.provenance, 'shared_with': list(others)}
+    return replace(result, calibration=replace(calibration, provenance=provenance))
+
+
+def _basis_and_search(result: Result) -> tuple[Basis, Search] | None:
+    basis, search = result.basis, result.solution.search
+    if basis is None or search is None or not shares_a_table(search.estimate.equations):
+        return None
+    return basis, search
+
+
+def _words(odd: Contradicting, *, others: int) -> str:
+    words = _ODD if others else _NOBODY
+    return words.format(square=odd.chi_square, freedom=odd.freedom)
+
+
+def _noted(
+    results: Sequence[Result | None], findings: Mapping[int, str]
+) -> tuple[Result | None, ...]:
+    """Return results with one more sentence on some of them."""
+    found = list(results)
+    for place, sentence in findings.items():
+        if (result := found[place]) is not None:
+            calibration = result.calibration
+            noted = replace(calibration, findings=(*calibration.findings, sentence))
+            found[place] = replace(result, calibration=noted)
+    return tuple(found)
+
+
+# The calibrator: blocks of columns in, a calibration out. The same object live and offline.
+
+
+_WHERE = {
+    'Calibrator': 'on_table',
+    'HandCalibrator': 'by_hand',
+    'Result': 'results',
+    'Review': 'results',
+    'Setup': 'setup',
+}
+"""Loaded on first use: a session in the hand does not need the solvers of one on a table, and
+inspecting a recording needs few."""
+
+
+def calibrator_of(setup: Setup) -> Calibrator | HandCalibrator:
+    """Return the calibrator for a set-up: with a table, or in free positions.
+
+    Raises:
+        InputError: The method does not exist.
+        NotObservable: No session of the plan can determine the method's parameters.
+    """
+    if setup.method_name == 'free_positions':
+        from .hand import HandCalibrator
+
+        return HandCalibrator(setup)
+    pass
+
+    return Calibrator(setup)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(import_module(f'.{_WHERE[name]}', __name__), name)

@@ -5,18 +5,156 @@ Every sum has a fixed order, so that a sample gives the same bits alone as among
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, replace
+from enum import IntFlag
 from itertools import combinations_with_replacement
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..common.errors import NotObservable
-from ..common.stream import Floats, Units
+from ..common.rotations import cross
+from ..common.stream import Floats, Stamps, Units
+from ..common.units import STANDARD_GRAVITY
+from ..model.alignment import wrong_turns_sentences
 from ..model.parameters import Parameter, Product
 from ..model.sensors import PRODUCTS, SensorModel, has_motion_terms, inverted, terms_of
-from ..session.imu import FULL_SCALES, NEARLY, TriadSpec
+from ..session.imu import FULL_SCALES, GRAVITY_FACTOR, NEARLY, SCALE_LIMIT, ImuSpec, TriadSpec
 from .calibration import Calibration
-from .samples import CompensatedSamples, Mark, Marks, concatenated
-from .single_sample import SingleSample
+
+# Compensated samples and their marks.
+
+
+Marks = NDArray[np.uint8]
+
+
+class Mark(IntFlag):
+    """Condition of a sample that its user must know; any number of them."""
+
+    GYRO_RANGE = 1
+    """A gyro is at the end of its range, so that the rate is unknown."""
+    ACCEL_RANGE = 2
+    """An accelerometer is at the end of its range, so that the specific force is unknown."""
+    RATE = 4
+    """Faster than the unit was rotated in its calibration."""
+    TEMPERATURE = 8
+    """Colder or warmer than in the calibration; the nearest calibration is used."""
+    PARITY = 16
+    """The parity of four gyros exceeds its noise."""
+    NO_NUMBER = 32
+    """A value is not finite, or too large to compute with."""
+
+
+# Not frozen: one is made for each live sample, and freezing would cost a microsecond.
+@dataclass(eq=False)
+class CompensatedSamples:
+    """Samples in SI units along the body axes.
+
+    Attributes:
+        rate: (n, 3) angular rate, rad/s.
+        force: (n, 3) specific force, m/s^2; gravity included, +g up at rest.
+        rate_covariance: (n, 9) row by row, (rad/s)^2; element 0 is -1 where the rate is unknown.
+        force_covariance: (n, 9) likewise, (m/s^2)^2.
+        marks: (n,) of `Mark`.
+        parity: (n,) parity of a skewed gyro and the three, rad/s; None without one.
+    """
+
+    rate: Floats
+    force: Floats
+    rate_covariance: Floats
+    force_covariance: Floats
+    marks: Marks
+    parity: Floats | None = None
+
+    def __len__(self) -> int:
+        return len(self.rate)
+
+
+def concatenated(parts: list[CompensatedSamples]) -> CompensatedSamples:
+    """Join consecutive samples; at least one part."""
+    if len(parts) == 1:
+        return parts[0]
+    parities = [p.parity for p in parts if p.parity is not None]
+    return CompensatedSamples(
+        np.concatenate([p.rate for p in parts]),
+        np.concatenate([p.force for p in parts]),
+        np.concatenate([p.rate_covariance for p in parts]),
+        np.concatenate([p.force_covariance for p in parts]),
+        np.concatenate([p.marks for p in parts]),
+        np.concatenate(parities) if len(parities) == len(parts) else None,
+    )
+
+
+# Compensate one sample of a live stream in plain Python numbers.
+
+
+@dataclass(frozen=True, eq=False)
+class SingleSample:
+    """The equations of `Compensation` a second time, for one sample of the linear model.
+
+    A live stream comes sample by sample, for which arrays take more than twice the processor time
+    (20 us against 8). Both give the same bits, which `test/test_compensation.py` and
+    `test/test_conformance.py` compare: change both together. A sample that would get marks, or
+    needs the checks for them, is left to the arrays.
+
+    Attributes:
+        pulses: Whether outputs are pulses in the sample interval; else rates and forces.
+        clock_ratio: Rate of the stamping clock over that of the table's.
+        channels: Scale factor, bias, end of the range (SI) and full scale of each channel.
+        to_inputs: (6, 6) rows from outputs to rate and force.
+        highest: Rate up to which the calibration is valid, rad/s.
+        products: Indices of the two levers of each of p products.
+        variances: Of each channel by random walk, times s, and by quantisation.
+        covariance: (p + 6, 18) elements by these products and by the channels' variances.
+        known_force: Whether the accelerometers are calibrated.
+        marks: (1,) of a sample within the range.
+    """
+
+    pulses: bool
+    clock_ratio: float
+    channels: list[list[float]]
+    to_inputs: list[list[float]]
+    highest: float
+    products: list[list[int]]
+    variances: list[list[float]]
+    covariance: Floats
+    known_force: bool
+    marks: Marks
+
+    def apply(self, raw: list[float], interval: float) -> CompensatedSamples | None:
+        """Return rate and force of a sample (6 channels) of an interval, s; None: use arrays."""
+        tau = interval / self.clock_ratio
+        if not tau > 0:
+            return None
+        divisor = tau if self.pulses else 1.0
+        free = []
+        for value, (scale, bias, limit, full) in zip(raw, self.channels, strict=True):
+            output = value * scale / divisor
+            if not (abs(output) < limit and abs(value) < full):
+                return None
+            free.append(output - bias)
+        a, b, c, d, e, f = free
+        # Not by sum(), which rounds differently from Python 3.12 on.
+        both = [
+            a * p + b * q + c * r + d * s + e * t + f * u for p, q, r, s, t, u in self.to_inputs
+        ]
+        x, y, z, *force = both
+        highest = self.highest
+        if abs(x) > highest or abs(y) > highest or abs(z) > highest:
+            return None
+        levers = x, y, z, 1.0, *force
+        square = tau * tau if self.pulses else 1.0
+        terms = [levers[m] * levers[n] for m, n in self.products]
+        terms += [walk / tau + step / square for walk, step in self.variances]
+        covariance = np.add.reduce(np.array(terms)[:, None] * self.covariance, axis=0)[None]
+        if not self.known_force:
+            covariance[0, 9] = -1.0
+        values = np.array([both])
+        return CompensatedSamples(
+            values[:, :3], values[:, 3:], covariance[:, :9], covariance[:, 9:], self.marks
+        )
+
 
 _AXES = 3
 """X, Y, Z."""
@@ -360,3 +498,137 @@ def _random_walk(calibration: Calibration, gyros: int) -> Floats:
     """
     walk = np.nan_to_num(calibration.sensor_walk)
     return np.concatenate([walk[:3], np.full(gyros - _AXES, walk[:3].mean()), walk[3:]])
+
+
+# Whether compensated forces are about gravity: else the samples are in other units.
+
+
+_UNKNOWN = np.uint8(Mark.ACCEL_RANGE | Mark.NO_NUMBER)
+
+
+@dataclass
+class GravitySeen:
+    """Root mean square of the specific force of samples that state one.
+
+    Attributes:
+        count: Number of these samples.
+        squares: Sum of the squares of their specific forces, (m/s^2)^2.
+    """
+
+    count: int = 0
+    squares: float = 0.0
+
+    def take(self, values: CompensatedSamples) -> None:
+        """Add samples."""
+        force = values.force
+        if np.count_nonzero(values.marks):
+            force = force[(values.marks & _UNKNOWN) == 0]
+        self.count += len(force)
+        self.squares += float(np.vdot(force, force))
+
+    def since(self, before: GravitySeen) -> GravitySeen:
+        """Return what was added since then."""
+        return GravitySeen(self.count - before.count, self.squares - before.squares)
+
+    def copy(self) -> GravitySeen:
+        """Return the present state."""
+        return replace(self)
+
+    @property
+    def is_gravity(self) -> bool:
+        """Whether the force is gravity to within a factor of three, or there is none."""
+        if not self.count:
+            return True
+        return STANDARD_GRAVITY / GRAVITY_FACTOR <= self._force <= STANDARD_GRAVITY * GRAVITY_FACTOR
+
+    @property
+    def _force(self) -> float:
+        """Root mean square, m/s^2."""
+        return math.sqrt(max(self.squares, 0.0) / self.count)
+
+    def contradiction(self, imu: ImuSpec) -> str:
+        """Return why the samples are not those that a calibration is for; there is at least one.
+
+        Args:
+            imu: As the calibration describes it.
+        """
+        return (
+            f'The accelerations are {self._force:.3g} m/s^2 on average, expected gravity, '
+            f'{STANDARD_GRAVITY:.2f} m/s^2: the samples are not in the units of the calibration '
+            f'({imu.units.value}), or another program has removed gravity from them. Give raw '
+            'samples, or the calibration that was made of such samples.'
+        )
+
+
+# Whether compensated rates turn gravity as the accelerometers see it turn: else other units.
+
+
+_WINDOW = 0.2
+"""s: of a turn by 1 rad/s, gravity moves by 2 m/s^2, far above the noise of any accelerometer."""
+_ALIKE = 0.95
+"""Correlation above which the two tell of one motion: other accelerations make it smaller. A
+judgement: the other tenth of the squares changes the ratio by 5 %."""
+_FEWEST = 10
+"""Windows of 3 axes each; by chance so many are alike once in 10^14."""
+
+
+@dataclass
+class TurnsSeen:
+    """How specific forces change, against how the rates turn them: f' = -w x f at one place.
+
+    Attributes:
+        windows: Number of windows of a fifth of a second.
+        by_rates: Sum of squares of the changes by the rates, (m/s^2)^2.
+        by_forces: The same of the changes themselves.
+        common: Sum of their products.
+    """
+
+    windows: int = 0
+    by_rates: float = 0.0
+    by_forces: float = 0.0
+    common: float = 0.0
+
+    def take(self, stamp: Stamps, rate: Floats, force: Floats) -> None:
+        """Add consecutive samples: (n,) stamps, ns, (n, 3) rates and forces, SI."""
+        step = np.diff(stamp) * 1e-9
+        if not len(step) or not (typical := float(np.median(step))) > 0:
+            return
+        length = max(1, round(_WINDOW / typical))
+        change = -cross(rate, force)
+        middle = (change[1:] + change[:-1]) / 2 * step[:, None]
+        total = np.concatenate([np.zeros((1, 3)), np.cumsum(np.nan_to_num(middle), axis=0)])
+        ends = np.arange(0, len(stamp), length)
+        rated, forced = np.diff(total[ends], axis=0), np.diff(force[ends], axis=0)
+        seconds = np.diff(stamp[ends]) * 1e-9
+        # Not across gaps, where the rate is unknown.
+        whole = (np.abs(seconds - length * typical) < typical) & np.isfinite(forced).all(axis=1)
+        rated, forced = rated[whole], forced[whole]
+        self.windows += len(rated)
+        self.by_rates += float(np.vdot(rated, rated))
+        self.by_forces += float(np.vdot(forced, forced))
+        self.common += float(np.vdot(rated, forced))
+
+    @property
+    def scale(self) -> float | None:
+        """Ratio of the rates to those that turn gravity; None if the motion does not show it."""
+        both = math.sqrt(self.by_rates * self.by_forces)
+        if self.windows < _FEWEST or not self.common > _ALIKE * both > 0:
+            return None
+        return math.sqrt(self.by_rates / self.by_forces)
+
+    @property
+    def contradict(self) -> bool:
+        """Whether the rates are in other units than the forces."""
+        scale = self.scale
+        return scale is not None and not 1 / SCALE_LIMIT < scale < SCALE_LIMIT
+
+    def contradiction(self, imu: ImuSpec) -> str:
+        """Return why the samples are not those that a calibration is for, where they contradict.
+
+        Args:
+            imu: As the calibration describes it.
+        """
+        return wrong_turns_sentences(
+            self.scale or math.nan,
+            f'the samples are not in the units of the calibration ({imu.units.value})',
+        )

@@ -24,7 +24,7 @@ from .outcome import EXIT_CODES, Outcome, add_json_option, judged_outcome
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
-    from ..calibration.calibrator_results import Result
+    from ..calibration.results import Result
 
 _FILE = 'calibration.yaml'
 

@@ -6,7 +6,7 @@ import argparse
 
 from ..api.exporting import export
 from ..api.outputs import output_path
-from ..calibration.exports_part import EXPORTS
+from ..calibration.c_header import EXPORTS
 from . import options
 from .terminal import OUTPUT, sentence_list
 

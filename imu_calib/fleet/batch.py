@@ -17,7 +17,7 @@ from ..api.calibrating import solve
 from ..api.opening import recording_at, session_of
 from ..api.session import NO_PLAN
 from ..api.streams import units_of
-from ..calibration.calibrator_results import Result
+from ..calibration.results import Result
 from ..common.errors import ImuCalibError, InputError
 from ..common.files import named_file, read_text, user_path, version
 from ..common.stream import NS

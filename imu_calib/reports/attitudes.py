@@ -8,7 +8,7 @@ from html import escape
 
 import numpy as np
 
-from ..calibration.calibrator_results import Result
+from ..calibration.results import Result
 from ..common.rotations import across
 from ..common.stream import Floats, utc
 from ..common.units import DEG

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from html import escape
 
 from ..calibration.calibration import Calibration
-from ..calibration.calibrator_results import Result
+from ..calibration.results import Result
 from ..session.imu import ImuSpec
 from . import allan_plot, attitudes, provenance, repeatability, residuals, timeline
 from .assessment import LIMITS, angles_table, assess, badge, summary, tables, worst

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..calibration.calibration import Calibration
-from ..calibration.calibrator_results import Result
+from ..calibration.results import Result
 from ..common.stream import Floats
 from ..common.units import DEG_H, MICRO_G
 from .charts import Axis, Panel, drawing, label, legend

@@ -8,7 +8,7 @@ from datetime import timedelta
 from enum import Enum
 from html import escape
 
-from ..calibration.calibrator_results import Result
+from ..calibration.results import Result
 from ..common.stream import utc
 from ..common.units import DEG
 from ..estimation.hand import NAME as FREE_POSITIONS

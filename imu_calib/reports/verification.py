@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from rich.table import Table
 
-from ..calibration.comparison import ComparedQuantity, Quantity
 from ..calibration.diagnosis import ShiftedParameter
-from ..calibration.verify import Verdict, Verification
+from ..calibration.verify import ComparedQuantity, Quantity, Verdict, Verification
 from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G
 from .parameter_table import Shown, decimals, engineering
 from .plain_table import plain_table

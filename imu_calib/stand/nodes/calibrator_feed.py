@@ -6,8 +6,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 
-from ...calibration.calibrator import Calibrator
-from ...calibration.calibrator_part import calibrator_of
+from ...calibration.calibrator import Calibrator, calibrator_of
 from ...calibration.hand import HandCalibrator
 from ...common.stream import Block
 from ...estimation.methods import Setup

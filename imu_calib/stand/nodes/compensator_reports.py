@@ -7,12 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...calibration.compensate import GravitySeen, Mark, TurnsSeen
 from ...calibration.compensator import Compensator, Reading
-from ...calibration.gravity_seen import GravitySeen
 from ...calibration.sample_clock import INTERVAL_KNOWN_AFTER
-from ...calibration.samples import Mark
 from ...calibration.thermal import ThermalCalibration, first_of
-from ...calibration.turns_seen import TurnsSeen
 from ...recordings.cdr import Malformed
 from .diagnostics import Diagnostics, Level
 

@@ -12,7 +12,7 @@ import time
 from typing import Any
 
 from ...calibration.calibration import Calibration
-from ...calibration.guidance import direction
+from ...calibration.hand import direction
 from ...common.files import named_file
 from ...common.stream import NS
 from ...common.units import DEG

@@ -12,9 +12,8 @@ import scipy.linalg
 import scipy.special  # noqa: F401
 
 from ...calibration.calibration import Calibration
-from ...calibration.calibrator_results import Review
-from ...calibration.guidance import Guidance, Stage
-from ...calibration.hand import HandReview
+from ...calibration.hand import Guidance, HandReview, Stage
+from ...calibration.results import Review
 from ...common.errors import ImuCalibError
 from ...common.stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
 from ...estimation.methods import Setup

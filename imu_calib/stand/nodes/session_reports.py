@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from ...calibration.calibrator_results import Review
+from ...calibration.results import Review
 from ...common.stream import NS
 from ...common.units import significant
 from ...model.parameters import Parameter

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...calibration.calibrator_results import Result, Review
-from ...calibration.shared_results import estimate_together
+from ...calibration.calibrator import estimate_together
+from ...calibration.results import Result, Review
 from ...common.errors import ImuCalibError
 from ...recordings.rosbag2 import Kind
 from ...recordings.writer import Journal

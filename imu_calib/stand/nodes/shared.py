@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from ...calibration.calibrator import Calibrator
-from ...calibration.calibrator_results import Review
 from ...calibration.hand import HandCalibrator
+from ...calibration.results import Review
 from ...common.errors import ImuCalibError, InputError
 from ...recordings.cdr import Messages
 from ...recordings.writer import Journal
