@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imu_calib.common.stream import ImuBlock
-from imu_calib.simulation.frames import pack
+from imu_calib.simulation.hardware import pack
 from imu_calib.stand.devices.clock import DeviceClock
 from imu_calib.stand.devices.decoder import Decoder
 from imu_calib.stand.devices.format import load_format

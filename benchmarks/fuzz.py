@@ -63,8 +63,7 @@ from imu_calib.session.imu import read_imu
 from imu_calib.session.plan import read_plan
 from imu_calib.session.table import load_table, read_table
 from imu_calib.session.units_file import read_units
-from imu_calib.simulation.imperfections import read_imperfections
-from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.options import StandOptions, read_imperfections
 from imu_calib.stand.devices.decoder import Decoder
 from imu_calib.stand.devices.format import FrameFormat, load_format, read_format
 

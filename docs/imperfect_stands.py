@@ -23,8 +23,7 @@ from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import Plan, load_plan
 from imu_calib.session.table import Table, load_table, read_table
 from imu_calib.session.table_errors import ASSUMED
-from imu_calib.simulation.imperfections import read_imperfections
-from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.options import StandOptions, read_imperfections
 from imu_calib.simulation.stand import SimulatedStand
 
 SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))

@@ -18,9 +18,8 @@ from imu_calib.common.units import DEG
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.session.imu import load_imu
 from imu_calib.simulation.imu import SimulatedImu
-from imu_calib.simulation.motion import Motion
+from imu_calib.simulation.motion import Motion, Track, side_by_side, trapezoid
 from imu_calib.simulation.options import ImuOptions
-from imu_calib.simulation.tracks import Track, side_by_side, trapezoid
 
 SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 TILT, TURN = 12 * DEG, 90 * DEG

@@ -10,8 +10,7 @@ from imu_calib.common.rotations import rotation
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG
 from imu_calib.simulation.hand import AXES, PAUSE, HandSession, directions, one_turn_each
-from imu_calib.simulation.motion import Motion
-from imu_calib.simulation.tracks import Track, side_by_side, trapezoid
+from imu_calib.simulation.motion import Motion, Track, side_by_side, trapezoid
 
 
 def by_hand(

@@ -25,7 +25,7 @@ from imu_calib.common.stream import Mode, Setpoint, SetpointBlock
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import decode_joints, encode_setpoints
 from imu_calib.session.table import load_table
-from imu_calib.simulation.tracks import Track, trapezoid
+from imu_calib.simulation.motion import Track, trapezoid
 from imu_calib.stand.ascii import Move, Reading, Stop
 from imu_calib.stand.nodes import ascii_table_node as control
 from imu_calib.stand.nodes import qos

@@ -19,7 +19,7 @@ from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
 from imu_calib.session.imu import load_imu
-from imu_calib.simulation.frames import pack
+from imu_calib.simulation.hardware import pack
 from imu_calib.stand.devices.checksum import CATALOGUE, Checksums, Sum, Xor
 from imu_calib.stand.devices.clock import DeviceClock
 from imu_calib.stand.devices.decoder import Decoder

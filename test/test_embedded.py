@@ -27,7 +27,7 @@ from imu_calib.session.imu import load_imu
 from imu_calib.session.table import load_table
 from imu_calib.simulation.hardware import SimulatedHardware
 from imu_calib.simulation.options import StandOptions
-from imu_calib.simulation.several import SimulatedUnit
+from imu_calib.simulation.stand import SimulatedUnit
 from imu_calib.stand import middleware as ros
 from imu_calib.stand.nodes.frame_server import FrameServer
 from imu_calib.stand.nodes.turntable_node import TurntableNode

@@ -29,8 +29,7 @@ from imu_calib.session.imu import read_imu
 from imu_calib.session.plan import METHOD_NAMES, read_plan
 from imu_calib.session.table import load_table, read_table
 from imu_calib.session.units_file import read_units
-from imu_calib.simulation.imperfections import read_imperfections
-from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.options import StandOptions, read_imperfections
 from imu_calib.stand.devices.format import read_format
 
 sys.path.insert(0, str(CHECKOUT / 'docs'))

@@ -27,7 +27,7 @@ from imu_calib.recordings.cdr_codec import encode_imu
 from imu_calib.recordings.rosbag2 import Kind, open_recording
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
-from imu_calib.simulation.held import HeldHardware
+from imu_calib.simulation.hand import HeldHardware
 from imu_calib.simulation.options import ImuOptions
 from imu_calib.stand.devices.decoder import Decoder
 from imu_calib.stand.devices.format import load_format

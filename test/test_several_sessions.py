@@ -16,7 +16,7 @@ from imu_calib.recordings.rosbag2 import Kind, open_recording
 from imu_calib.recordings.writer import Journal
 from imu_calib.session.metadata import LEFT_OUT
 from imu_calib.session.table import load_table
-from imu_calib.simulation.several import SeveralOnTable, SimulatedUnit
+from imu_calib.simulation.stand import SeveralOnTable, SimulatedUnit
 from imu_calib.stand.nodes.live import SessionPhase
 from imu_calib.stand.nodes.parameters import StatedUnit
 from imu_calib.stand.nodes.sessions import Sessions

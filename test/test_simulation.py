@@ -19,9 +19,9 @@ from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.plan import Plan, Position, RateTest
 from imu_calib.session.table import Joint, Table, load_table
-from imu_calib.simulation.frames import FRAME, crc16, pack, unpack
-from imu_calib.simulation.hardware import SimulatedHardware
+from imu_calib.simulation.hardware import FRAME, SimulatedHardware, crc16, pack, unpack
 from imu_calib.simulation.imu import SimulatedImu
+from imu_calib.simulation.motion import trapezoid
 from imu_calib.simulation.options import (
     ImuOptions,
     Shock,
@@ -31,10 +31,8 @@ from imu_calib.simulation.options import (
     Vibration,
     Warming,
 )
-from imu_calib.simulation.several import SimulatedUnit
-from imu_calib.simulation.stand import SimulatedStand, simulate
+from imu_calib.simulation.stand import SimulatedStand, SimulatedUnit, simulate
 from imu_calib.simulation.table import SimulatedTable
-from imu_calib.simulation.tracks import trapezoid
 
 SITE = Site(40 * DEG, 9.8, 'measured')
 IDEAL_TABLE = TableOptions(encoder_resolution=0, positioning_error=0, rate_error=0)

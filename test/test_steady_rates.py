@@ -24,10 +24,10 @@ from imu_calib.segmentation.table_motion import Motion
 from imu_calib.session.imu import ImuSpec, load_imu
 from imu_calib.session.plan import Plan
 from imu_calib.session.table import TURN, load_table
+from imu_calib.simulation.motion import Track, trapezoid
 from imu_calib.simulation.options import StandOptions
 from imu_calib.simulation.stand import simulate
 from imu_calib.simulation.table import SimulatedTable
-from imu_calib.simulation.tracks import Track, trapezoid
 
 RAMPS = 20.0
 """Of a slow table, deg/s^2: at 90 deg/s and a plateau of 385 deg more time goes to the ramps."""

@@ -35,8 +35,7 @@ from ..session.metadata import describe
 from ..session.plan import Plan
 from ..session.table import Table
 from ..simulation.hand import as_planned
-from ..simulation.imperfections import load_imperfections
-from ..simulation.options import StandOptions
+from ..simulation.options import StandOptions, load_imperfections
 from ..simulation.stand import IMU_TOPIC, TEMPERATURE_TOPIC, SimulatedStand
 from .keywords import AtSite, with_keywords
 from .named import Named, as_imu, as_plan, as_table, load_truth

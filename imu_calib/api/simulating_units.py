@@ -19,7 +19,7 @@ from ..session.metadata import describe, mount_description, shared_description, 
 from ..session.plan import Plan
 from ..session.table import Table
 from ..session.units_file import TRUTHS, MountedUnit, spread_seeds
-from ..simulation.several import SeveralOnTable, SimulatedUnit
+from ..simulation.stand import SeveralOnTable, SimulatedUnit
 from .keywords import AtSite, with_keywords
 from .named import Named, as_imu, as_plan, as_table, as_units, load_truth
 from .outputs import new_folder, removed_on_failure

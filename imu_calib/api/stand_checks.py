@@ -12,9 +12,8 @@ from ..model.earth import Site
 from ..session.imu import ImuSpec
 from ..session.plan import Plan
 from ..session.table import Table
-from ..simulation.imperfections import load_imperfections
-from ..simulation.options import StandOptions
-from ..simulation.true_table import TrueTable
+from ..simulation.motion import TrueTable
+from ..simulation.options import StandOptions, load_imperfections
 from .named import Named
 from .session import Stated
 

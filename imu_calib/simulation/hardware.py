@@ -2,22 +2,310 @@
 
 from __future__ import annotations
 
+from binascii import crc_hqx
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..common.errors import InputError
-from ..common.stream import JointBlock, Mode, Setpoint
+from ..common.stream import Floats, ImuBlock, JointBlock, Mode, Setpoint
+from ..common.units import DEG
 from ..model.earth import Site
+from ..session.imu import check_live
 from ..session.table import Table
-from .faults import TableFaults, order
-from .line import ImuLine
+from .imu import SimulatedImu
+from .motion import Motion
 from .options import StandOptions
-from .several import SimulatedUnit
-from .stand import instants
+from .stand import SimulatedUnit, instants
 from .table import SimulatedTable, TableState
+
+# Binary frames as a simulated IMU sends them over a line.
+
+
+SYNC = 0x55AA
+"""First two bytes of a frame: AA 55, low byte first."""
+
+FRAME = np.dtype(
+    [
+        ('sync', '<u2'),
+        ('counter', '<u4'),  # frames since the start, modulo 2^32
+        ('time', '<i8'),  # device clock at the end of the sample interval, ns
+        ('gyro', '<i4', (3,)),  # pulses or counts of channels x, y, z
+        ('accel', '<i4', (3,)),
+        ('temperature', '<i2'),  # 0.01 degrees Celsius
+        ('status', '<u2'),  # bit 0: a channel is at its limit
+        ('crc', '<u2'),  # CRC-16/CCITT-FALSE of all bytes before it
+    ]
+)
+"""One sample, 44 bytes without gaps."""
+
+SKEWED_FRAME = np.dtype(
+    [(name, FRAME[name]) for name in ('sync', 'counter', 'time', 'gyro', 'accel')]
+    + [('skew', '<i4')]  # pulses or counts of the skewed gyro
+    + [(name, FRAME[name]) for name in ('temperature', 'status', 'crc')]
+)
+"""One sample of a unit with a skewed gyro, 48 bytes."""
+
+Frames = NDArray[np.void]
+
+_INT32 = np.iinfo(np.int32)
+
+
+def crc16(rows: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Return CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF) of each row of (n, m) bytes."""
+    # A live line sends a few frames at once, for which NumPy takes ten times as long.
+    return np.array([crc_hqx(row, 0xFFFF) for row in np.ascontiguousarray(rows)], np.uint16)
+
+
+def pack(
+    samples: ImuBlock,
+    celsius: Floats,
+    counter: NDArray[np.intp] | int = 0,
+    status: NDArray[np.uint16] | None = None,
+    skew: Floats | None = None,
+) -> bytes:
+    """Write samples as frames.
+
+    Args:
+        samples: n samples in whole pulses or counts; stamps in the device's clock.
+        celsius: (n,) temperature, degrees Celsius.
+        counter: Frame counters of the samples, (n,), or that of the first.
+        status: (n,) status bits; zero if not given.
+        skew: (n,) counts of a skewed gyro; the frames are `SKEWED_FRAME`s with it.
+
+    Raises:
+        InputError: A value is not a whole number within 32 bits.
+    """
+    frames = np.zeros(len(samples), dtype=FRAME if skew is None else SKEWED_FRAME)
+    columns = {'gyro': samples.gyro, 'accel': samples.accel}
+    if skew is not None:
+        columns['skew'] = skew
+    for name, values in columns.items():
+        if not ((values == np.rint(values)) & (np.abs(values) <= _INT32.max)).all():
+            raise InputError(f'A frame holds whole numbers of 32 bits; {name} has others.')
+        frames[name] = values
+    frames['sync'] = SYNC
+    if isinstance(counter, int):
+        counter = counter + np.arange(len(samples))
+    frames['counter'] = counter % 2**32
+    frames['time'] = samples.stamp
+    frames['temperature'] = np.clip(np.rint(100 * celsius), -32768, 32767)
+    if status is not None:
+        frames['status'] = status
+    frames['crc'] = crc16(_bytes(frames)[:, :-2])
+    return frames.tobytes()
+
+
+def unpack(data: bytes) -> Frames:
+    """Read consecutive frames without gaps, as an array of dtype `FRAME`.
+
+    Raises:
+        InputError: A frame is cut short, out of step or damaged; names it.
+    """
+    if len(data) % FRAME.itemsize:
+        raise InputError(
+            f'Frame {len(data) // FRAME.itemsize}: found {len(data) % FRAME.itemsize} bytes, '
+            f'expected {FRAME.itemsize}.'
+        )
+    frames = np.frombuffer(data, dtype=FRAME)
+    wrong = (frames['sync'] != SYNC) | (frames['crc'] != crc16(_bytes(frames)[:, :-2]))
+    if wrong.any():
+        raise InputError(f'Frame {int(wrong.argmax())}: sync bytes or checksum are wrong.')
+    return frames
+
+
+def _bytes(frames: Frames) -> NDArray[np.uint8]:
+    return frames.view(np.uint8).reshape(len(frames), frames.dtype.itemsize)
+
+
+# Present faults of simulated hardware, set by commands in words.
+
+
+_OF_TABLE = {'overshoot': 'DEG', 'delay': 'S', 'joint_rate': 'HZ'}
+_OF_LINE = {
+    'silence': 'S',
+    'freeze': 'S',
+    'garbage': 'BYTES',
+    'damage': 'PERCENT',
+    'clock_jump': 'S',
+}
+
+
+@dataclass
+class TableFaults:
+    """Faults of the table.
+
+    Attributes:
+        stalled: It stands still and ignores all setpoints.
+        refusing: It drops every setpoint.
+        overshoot: Distance beyond every goal, rad.
+        delay: Delay of setpoints, s.
+        joint_rate: Rate of the joint states, Hz; None as configured.
+    """
+
+    stalled: bool = False
+    refusing: bool = False
+    overshoot: float = 0.0
+    delay: float = 0.0
+    joint_rate: float | None = None
+
+
+@dataclass
+class LineFaults:
+    """Faults of an IMU or of its line.
+
+    Attributes:
+        silence: Time for which the line is dead, s.
+        freeze: Time for which the IMU repeats its last sample, s; its counter continues.
+        garbage: Number of random bytes inserted into the line.
+        damage: Percentage of frames in which one byte is changed.
+        clock_jump: Added to the device's clock, s.
+    """
+
+    silence: float = 0.0
+    freeze: float = 0.0
+    garbage: int = 0
+    damage: float = 0.0
+    clock_jump: float = 0.0
+
+
+def order(text: str, table: TableFaults, line: LineFaults) -> None:
+    """Set or clear a fault, with a number if it needs one.
+
+    Args:
+        text: For instance 'silence 2.0'; 'clear' clears all.
+        table: Faults of the table.
+        line: Faults of the unit.
+
+    Raises:
+        InputError: There is no such fault, or its number is missing.
+    """
+    name, *rest = text.split() or ['']
+    try:
+        value = float(rest[0]) if rest else None
+    except ValueError:
+        value = None
+    if name == 'clear':
+        vars(table).update(vars(TableFaults()))
+        # The offset of a clock that has jumped stays.
+        vars(line).update(vars(LineFaults(clock_jump=line.clock_jump)))
+    elif name in {'stall', 'refuse'}:
+        table.stalled, table.refusing = table.stalled or name == 'stall', True
+    elif name not in _OF_TABLE | _OF_LINE or value is None:
+        known = ', '.join(f'{name} {unit}' for name, unit in (_OF_TABLE | _OF_LINE).items())
+        raise InputError(f'Fault {text!r}: expected one of clear, stall, refuse, {known}.')
+    elif name == 'overshoot':
+        table.overshoot = value * DEG
+    elif name == 'garbage':
+        line.garbage = int(value)
+    elif name == 'clock_jump':
+        line.clock_jump += value
+    else:
+        setattr(table if name in _OF_TABLE else line, name, value)
+
+
+# A simulated IMU on a table, and the line that transmits its frames.
+
+
+class ImuLine:
+    """A live IMU with its faults.
+
+    Attributes:
+        faults: Present faults.
+        frames: Number of frames made by the IMU, including those not sent.
+
+    Args:
+        unit: The unit.
+        site: Site of the table.
+        options: Of the stand.
+        imu_rng: Source of the IMU's randomness.
+        line_rng: Source of the line's randomness.
+    """
+
+    def __init__(
+        self,
+        unit: SimulatedUnit,
+        site: Site,
+        options: StandOptions,
+        imu_rng: np.random.Generator,
+        line_rng: np.random.Generator,
+    ) -> None:
+        check_live(unit.spec)
+        own = replace(options, lever=unit.lever)
+        self.faults = LineFaults()
+        self.frames = 0
+        self._unit = unit
+        self._imu = SimulatedImu(
+            unit.spec, unit.model, site, own, imu_rng, epoch=options.start_time
+        )
+        self._warming = options.warming
+        self._rng = line_rng
+        self._has_skew = unit.spec.skewed is not None and unit.model.skewed is not None
+        self._silent_until = self._frozen_until = 0.0
+        self._frozen: tuple[Floats, Floats] | None = None
+
+    def bytes_up_to(self, end: float, begin: float, motion: Motion) -> bytes:
+        """Return the bytes on the line between two times, s.
+
+        Args:
+            end: End of the time.
+            begin: Its start.
+            motion: Motion of the unit on the table.
+        """
+        samples = self._imu.advance(self._unit.moved(motion), end)
+        skew = self._skew(len(samples))
+        counter = self._imu.taken
+        self.frames = self._imu.made
+        faults = self.faults
+        if faults.clock_jump:
+            samples = replace(samples, stamp=samples.stamp + round(faults.clock_jump * 1e9))
+        if faults.silence:
+            self._silent_until = begin + faults.silence
+            faults.silence = 0.0
+        if faults.freeze:
+            self._frozen_until = begin + faults.freeze
+            faults.freeze = 0.0
+        samples = self._as_frozen(samples, end)
+        celsius = self._warming.celsius(np.full(len(samples), end))
+        line = b'' if end <= self._silent_until else pack(samples, celsius, counter, skew=skew)
+        if faults.garbage and line:
+            # In the middle of a frame, which is lost with it.
+            middle = 7
+            line = line[:middle] + self._rng.bytes(faults.garbage) + line[middle:]
+            faults.garbage = 0
+        return self._damaged(line, len(samples)) if faults.damage else line
+
+    def _as_frozen(self, samples: ImuBlock, end: float) -> ImuBlock:
+        """Repeat the first sample of a freeze while it lasts."""
+        if end > self._frozen_until:
+            self._frozen = None
+        elif len(samples):
+            held = self._frozen or (samples.gyro[0], samples.accel[0])
+            self._frozen = held
+            gyro, accel = (np.tile(values, (len(samples), 1)) for values in held)
+            return replace(samples, gyro=gyro, accel=accel)
+        return samples
+
+    def _skew(self, count: int) -> Floats | None:
+        """Return the skewed gyro's counts for the last samples; None without one."""
+        if not self._has_skew:
+            return None
+        skewed = self._imu.skewed
+        return np.zeros(count) if skewed is None else skewed.gyro
+
+    def _damaged(self, line: bytes, frames: int) -> bytes:
+        """Change one byte in some of the frames."""
+        if not line or not frames:
+            return line
+        changed, length = np.frombuffer(line, np.uint8).copy(), len(line) // frames
+        hit = np.flatnonzero(self._rng.uniform(size=frames) < self.faults.damage / 100)
+        places = hit * length + self._rng.integers(length, size=len(hit))
+        changed[places] ^= self._rng.integers(1, 256, size=len(hit)).astype(np.uint8)
+        return changed.tobytes()
+
 
 _MEMORY = 5.0
 """s of past motion kept."""

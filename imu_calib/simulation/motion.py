@@ -3,15 +3,177 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
+import yaml
+from numpy.typing import NDArray
 
-from ..common.rotations import all_in_rotated_frame, cross, in_rotated_frame
+from ..common.files import write_whole
+from ..common.rotations import all_in_rotated_frame, cross, in_rotated_frame, rotation
 from ..common.stream import Floats
+from ..common.units import ARCSEC, DEG
 from ..model.earth import Site
-from .tracks import Track
+from ..session.table import Table
+
+# Motion of piecewise constant acceleration: trapezoids, braking, rest.
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Columns that move together in time, each a quadratic within a piece.
+
+    The first piece is extended into the past, the last one without end.
+
+    Attributes:
+        start: (m,) start of each piece, s, never decreasing.
+        value: (m, c) values at the start of each piece, rad.
+        rate: (m, c) their rates there, rad/s.
+        acceleration: (m, c) constant through the piece, rad/s^2.
+    """
+
+    start: Floats
+    value: Floats
+    rate: Floats
+    acceleration: Floats
+
+    @classmethod
+    def standing(cls, time: float, value: Floats) -> Track:
+        """Return a track at rest at (c,) values from a time on."""
+        still = np.zeros((1, len(value)))
+        return cls(np.array([time]), np.array(value, dtype=float)[None], still, still)
+
+    @property
+    def end(self) -> float:
+        """Start of the last piece, s: for a motion that ends at rest, the time of rest."""
+        return float(self.start[-1])
+
+    def piece(self, times: Floats) -> NDArray[np.intp]:
+        """Return the (n,) index of the piece of each of (n,) times."""
+        return np.maximum(np.searchsorted(self.start, times, side='right') - 1, 0)
+
+    def at(self, times: Floats) -> tuple[Floats, Floats]:
+        """Return values (n, c) and rates (n, c) at (n,) times."""
+        index = self.piece(times)
+        elapsed = (times - self.start[index])[:, None]
+        rate = self.rate[index]
+        change = self.acceleration[index] * elapsed
+        return self.value[index] + (rate + change / 2) * elapsed, rate + change
+
+    def stopping(self, offset: float, target: float) -> Track:
+        """Return the same track at an offset until it brakes; then it stops at another value.
+
+        Requires one column, and braking in the last piece but one.
+        """
+        value, rate, acceleration = self.value + offset, self.rate.copy(), self.acceleration.copy()
+        way = float(value[-1, 0] - value[-2, 0])
+        longer = (target - float(value[-2, 0])) / way
+        rate[-2] *= longer
+        acceleration[-2] *= longer
+        value[-1] = target
+        return Track(self.start, value, rate, acceleration)
+
+    def mapped(self, origin: float, target: float) -> Track:
+        """Return a track of the same times between other values.
+
+        Requires one column whose last value differs from its first.
+        """
+        ratio = (target - origin) / float(self.value[-1, 0] - self.value[0, 0])
+        value = origin + (self.value - self.value[0]) * ratio
+        value[-1] = target
+        return Track(self.start, value, self.rate * ratio, self.acceleration * ratio)
+
+    def followed_by(self, later: Track) -> Track:
+        """Return this track up to the start of another, and that one from there on."""
+        keep = self.start < later.start[0]
+        return Track(
+            np.concatenate([self.start[keep], later.start]),
+            np.concatenate([self.value[keep], later.value]),
+            np.concatenate([self.rate[keep], later.rate]),
+            np.concatenate([self.acceleration[keep], later.acceleration]),
+        )
+
+    def since(self, time: float) -> Track:
+        """Return the track without the pieces that end before a time."""
+        first = int(self.piece(np.array([time]))[0])
+        if not first:
+            return self
+        return Track(
+            self.start[first:], self.value[first:], self.rate[first:], self.acceleration[first:]
+        )
+
+    def columns(self, which: slice) -> Track:
+        """Return some of the columns."""
+        return Track(
+            self.start, self.value[:, which], self.rate[:, which], self.acceleration[:, which]
+        )
+
+
+def side_by_side(tracks: Sequence[Track]) -> Track:
+    """Return one track with the columns of several; its pieces end where any of theirs do."""
+    start = np.unique(np.concatenate([track.start for track in tracks]))
+    states = [track.at(start) for track in tracks]
+    return Track(
+        start,
+        np.hstack([value for value, _ in states]),
+        np.hstack([rate for _, rate in states]),
+        np.hstack([track.acceleration[track.piece(start)] for track in tracks]),
+    )
+
+
+def trapezoid(
+    time: float, origin: float, target: float, max_rate: float, max_acceleration: float
+) -> Track:
+    """Return the fastest motion from rest to rest within two limits, as a track of one column.
+
+    A distance too short to reach `max_rate` gives a triangle.
+
+    Args:
+        time: Start, s.
+        origin: Start value, rad.
+        target: End value, rad.
+        max_rate: rad/s, above zero.
+        max_acceleration: rad/s^2, above zero.
+    """
+    distance = abs(target - origin)
+    if distance == 0:
+        return Track.standing(time, np.array([target]))
+    sign = math.copysign(1.0, target - origin)
+    peak = min(max_rate, math.sqrt(distance * max_acceleration))
+    ramp = peak / max_acceleration
+    cruise = max(distance / peak - ramp, 0.0)
+    run_up = sign * peak * ramp / 2
+    return Track(
+        time + np.array([0.0, ramp, ramp + cruise, 2 * ramp + cruise]),
+        np.array([origin, origin + run_up, target - run_up, target])[:, None],
+        sign * np.array([0.0, peak, peak, 0.0])[:, None],
+        sign * np.array([max_acceleration, 0.0, -max_acceleration, 0.0])[:, None],
+    )
+
+
+def braking(time: float, value: Floats, rate: Floats, max_acceleration: float) -> Track:
+    """Return the stop of columns that come to rest together, the first one at the limit.
+
+    Args:
+        time: Start, s.
+        value: (c,) start values, rad.
+        rate: (c,) their rates, rad/s.
+        max_acceleration: rad/s^2, above zero.
+    """
+    duration = abs(float(rate[0])) / max_acceleration
+    if duration == 0:
+        return Track.standing(time, value)
+    still = np.zeros(len(value))
+    return Track(
+        np.array([time, time + duration]),
+        np.array([value, value + rate * duration / 2]),
+        np.array([rate, still]),
+        np.array([-rate / duration, still]),
+    )
+
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 """Gauss-Legendre quadrature: exact for polynomials up to degree 7."""
@@ -285,3 +447,167 @@ class Motion:
             turned, moved = self.shaking.change(edges)
             angle += turned
             velocity += moved
+
+
+# True geometry of a simulated table: its deviations from the description.
+
+
+Harmonic = tuple[float, float]
+"""Amplitudes of a cosine and of a sine, rad."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableSizes:
+    """Standard deviations from which the errors of a simulated table are drawn, rad.
+
+    Attributes:
+        zeros: Of each joint's true zero about the described one.
+        orthogonality: Of each joint's axis about either direction across it, except the first's,
+            whose lean is the tilt of the table.
+        wobble: Of an axis about either direction across it, once and twice per turn.
+        encoder: Error of an encoder within the turn, once and twice per turn.
+    """
+
+    zeros: float = 0.0
+    orthogonality: float = 0.0
+    wobble: Harmonic = (0.0, 0.0)
+    encoder: Harmonic = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class TrueJoint:
+    """The true geometry of a joint; a is its encoder reading.
+
+    Attributes:
+        axis: Unit vector in the frame of the joint before it.
+        zero: Added to the angle, rad.
+        encoder: Error of the encoder reading, once and twice per turn of a.
+        wobble: Lean of the axis about either direction across it (`across`), once and twice per
+            turn of a.
+    """
+
+    axis: tuple[float, float, float]
+    zero: float
+    encoder: tuple[Harmonic, Harmonic] = ((0.0, 0.0), (0.0, 0.0))
+    wobble: tuple[tuple[Harmonic, Harmonic], tuple[Harmonic, Harmonic]] = (
+        ((0.0, 0.0), (0.0, 0.0)),
+        ((0.0, 0.0), (0.0, 0.0)),
+    )
+
+
+@dataclass(frozen=True)
+class TrueTable:
+    """The true geometry of a table, joints from the base outwards.
+
+    A joint turns by W(a) R(axis, a - encoder(a) + zero), with a the angle that its encoder reads
+    and W(a) = R(u, wobble[0](a)) R(v, wobble[1](a)) about the directions u and v across the axis.
+    """
+
+    joints: tuple[TrueJoint, ...]
+
+    @classmethod
+    def drawn(cls, table: Table, sizes: TableSizes, seed: int) -> TrueTable:
+        """Draw the errors of a described table; the same seed gives the same table."""
+        rng = np.random.default_rng([seed, 0x7AB1E])
+        joints = []
+        for k, joint in enumerate(table.joints):
+            zero = joint.zero + sizes.zeros * rng.standard_normal()
+            lean = sizes.orthogonality * rng.standard_normal(2) * (k > 0)
+            # Cosine and sine share the variance, so that the error itself has the stated size.
+            parts = rng.standard_normal((3, 2, 2)) / math.sqrt(2)
+            wobble = parts[:2] * np.array(sizes.wobble)[:, None]
+            encoder = parts[2] * np.array(sizes.encoder)[:, None]
+            joints.append(
+                TrueJoint(
+                    _leaning(joint.axis, lean),
+                    float(zero),
+                    _pair(encoder),
+                    (_pair(wobble[0]), _pair(wobble[1])),
+                )
+            )
+        return cls(tuple(joints))
+
+    def axes_and_links(self, first_column: int) -> tuple[Floats, Floats, tuple[Link, ...]]:
+        """Return the axes (m, 3), zeros (m,) and links of a `Motion`, without effectless ones.
+
+        Args:
+            first_column: Of the track, for the first joint.
+        """
+        axes: list[Floats] = []
+        zeros: list[float] = []
+        links: list[Link] = []
+        for column, joint in enumerate(self.joints, start=first_column):
+            for direction, wobble in zip(across(joint.axis), joint.wobble, strict=True):
+                if any(map(any, wobble)):
+                    (c1, s1), (c2, s2) = wobble
+                    axes.append(direction)
+                    zeros.append(0.0)
+                    links.append(Link(column, 0.0, (c1, c2), (s1, s2)))
+            (c1, s1), (c2, s2) = joint.encoder
+            axes.append(np.array(joint.axis))
+            zeros.append(joint.zero)
+            links.append(Link(column, 1.0, (-c1, -c2), (-s1, -s2)))
+        return np.array(axes), np.array(zeros), tuple(links)
+
+    def save(self, path: Path, table: Table) -> None:
+        """Write it as YAML beside the description; angles in arcsec, except the zeros."""
+        joints = [
+            {
+                'name': described.name,
+                'axis': [float(c) for c in joint.axis],
+                'described_axis': [float(c) for c in described.axis],
+                'zero': f'{joint.zero / DEG!r} deg',
+                'described_zero': f'{described.zero / DEG!r} deg',
+                'encoder': _written(joint.encoder),
+                'wobble': {
+                    'about': [[float(c) for c in d] for d in across(joint.axis)],
+                    'errors': [_written(w) for w in joint.wobble],
+                },
+            }
+            for joint, described in zip(self.joints, table.joints, strict=True)
+        ]
+        text = yaml.safe_dump({'table': table.name, 'joints': joints}, sort_keys=False)
+        write_whole(path, _HEAD + text)
+
+
+_HEAD = """\
+# The simulated table as it truly is. A joint whose encoder reads a turns by
+# R(about[0], errors[0](a)) R(about[1], errors[1](a)) R(axis, a - encoder(a) + zero) in the frame of
+# the joint before it; an error is cos_1 cos(a) + sin_1 sin(a) + cos_2 cos(2a) + sin_2 sin(2a).
+"""
+
+
+def across(axis: tuple[float, float, float]) -> tuple[Floats, Floats]:
+    """Return the two directions across an axis: x and y for an axis along z.
+
+    The first is nearest to the coordinate axis least parallel to the axis; the second completes
+    them.
+    """
+    along = np.array(axis)
+    letter = np.eye(3)[int(np.argmin(np.abs(along)))]
+    first = letter - along * (along @ letter)
+    first /= np.linalg.norm(first)
+    return first, np.cross(along, first)
+
+
+def _leaning(axis: tuple[float, float, float], lean: Floats) -> tuple[float, float, float]:
+    if not lean.any():
+        return axis
+    turned = np.array(axis)
+    for direction, angle in zip(across(axis), lean, strict=True):
+        turned = rotation(direction, float(angle)) @ turned
+    x, y, z = (float(c) for c in turned / np.linalg.norm(turned))
+    return x, y, z
+
+
+def _pair(parts: Floats) -> tuple[Harmonic, Harmonic]:
+    (a, b), (c, d) = parts.tolist()
+    return (a, b), (c, d)
+
+
+def _written(harmonics: tuple[Harmonic, Harmonic]) -> dict[str, str]:
+    return {
+        f'{name}_{n}': f'{value / ARCSEC!r} arcsec'
+        for n, pair in enumerate(harmonics, start=1)
+        for name, value in zip(('cos', 'sin'), pair, strict=True)
+    }

@@ -13,10 +13,8 @@ from ..common.rotations import rotation
 from ..common.stream import Floats, Mode, Setpoint
 from ..common.units import DEG
 from ..session.table import TURN, Joint, Table
-from .motion import Link, Motion
+from .motion import Link, Motion, TableSizes, Track, TrueTable, braking, side_by_side, trapezoid
 from .options import TableOptions
-from .tracks import Track, braking, side_by_side, trapezoid
-from .true_table import TableSizes, TrueTable
 
 _STANDS = 1e-7
 """rad: closer goals need no move: the rounding of a table's inverse kinematics."""

@@ -18,9 +18,8 @@ from ...common.stream import NS
 from ...common.units import DEG
 from ...model.earth import LUOYANG, Site
 from ...session.imu import load_imu
-from ...simulation.held import HeldHardware
-from ...simulation.imperfections import load_imperfections
-from ...simulation.options import StandOptions, switched_on
+from ...simulation.hand import HeldHardware
+from ...simulation.options import StandOptions, load_imperfections, switched_on
 from .. import middleware as ros
 from ..middleware import messages
 from . import qos

@@ -28,9 +28,8 @@ from ...session.imu import load_imu
 from ...session.table import load_table
 from ...session.units_file import MountedUnit, load_units, remaining, spread_seeds
 from ...simulation.hardware import SimulatedHardware
-from ...simulation.imperfections import load_imperfections
-from ...simulation.options import StandOptions, switched_on
-from ...simulation.several import SimulatedUnit
+from ...simulation.options import StandOptions, load_imperfections, switched_on
+from ...simulation.stand import SimulatedUnit
 from .. import middleware as ros
 from ..middleware import messages
 from . import qos
