@@ -13,7 +13,7 @@ from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, sta
 
 from imu_calib.common.stream import Floats, Units
 from imu_calib.estimation.output_noise import known_noise
-from imu_calib.reports.noise import noise_lines
+from imu_calib.reports.provenance import noise_lines
 from imu_calib.segmentation.counters import (
     Term,
     allan_sums,

@@ -10,7 +10,7 @@ from imu_calib.calibration.calibration import Calibration, ResidualRow
 from imu_calib.common.errors import InputError
 from imu_calib.common.units import ARCMIN
 from imu_calib.model.sensors import SensorModel
-from imu_calib.reports.parameter_table import angle_table, parameter_table
+from imu_calib.reports.tables import angle_table, parameter_table
 
 DOCS = Path(__file__).parents[1] / 'docs'
 

@@ -32,14 +32,11 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.terms import TERMS
-from imu_calib.reports import printing
+from imu_calib.reports import certificate_page as printing
 from imu_calib.reports.certificate import Certificate, certificate_of
-from imu_calib.reports.certificate_fields import read_fields
+from imu_calib.reports.certificate_fields import Conformity, Rule, decide, read_fields
 from imu_calib.reports.certificate_page import certificate_page
-from imu_calib.reports.certificates_dcc import dcc
-from imu_calib.reports.dcc_elements import DCC, SI
-from imu_calib.reports.decision import Conformity, Rule, decide
-from imu_calib.reports.dsi import digital
+from imu_calib.reports.dcc import DCC, SI, dcc, digital
 from imu_calib.session.imu import load_imu
 
 EXAMPLE = CHECKOUT / 'config' / 'certificates' / 'example.yaml'

@@ -47,9 +47,8 @@ from imu_calib.model.parameters import PARAMETERS, Parameter, ParameterKind
 from imu_calib.model.sensors import PRODUCTS, SensorModel, gravity_slope, parameters_of
 from imu_calib.model.session_terms import Changes, Course, change
 from imu_calib.model.terms import TERMS, Term
-from imu_calib.reports.assessment import assess, tables
-from imu_calib.reports.parameter_table import parameter_table
-from imu_calib.reports.tables import comparison_table, in_scale_of, side_by_side
+from imu_calib.reports.provenance import assess, tables
+from imu_calib.reports.tables import comparison_table, in_scale_of, parameter_table, side_by_side
 from imu_calib.segmentation.segments import Segment, Turn
 from imu_calib.session.imu import check_plausible, load_imu
 from imu_calib.session.plan import load_plan

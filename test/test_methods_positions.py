@@ -21,7 +21,7 @@ from imu_calib.common.units import DEG, DEG_H, STANDARD_GRAVITY
 from imu_calib.estimation.methods import METHODS, Setup, check_plan
 from imu_calib.model.sensors import SensorModel, parameters_of
 from imu_calib.model.terms import G_SENSITIVITY
-from imu_calib.reports.parameter_table import parameter_table
+from imu_calib.reports.tables import parameter_table
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import Plan, load_plan, read_plan
 from imu_calib.session.table import Table, load_table

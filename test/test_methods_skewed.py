@@ -21,7 +21,7 @@ from imu_calib.estimation.closed_forms.skewed import RatePoints, parity
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.methods import check_plan
 from imu_calib.model.sensors import SensorModel, Triad
-from imu_calib.reports.parameter_table import parameter_table
+from imu_calib.reports.tables import parameter_table
 from imu_calib.segmentation.segments import Turn
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import Plan, load_plan

@@ -24,8 +24,7 @@ from imu_calib.common.config import Section
 from imu_calib.reports.certificate import Certificate, certificate_of
 from imu_calib.reports.certificate_fields import read_fields
 from imu_calib.reports.certificate_page import certificate_page
-from imu_calib.reports.certificates_dcc import dcc
-from imu_calib.reports.dcc_elements import DCC
+from imu_calib.reports.dcc import DCC, dcc
 from imu_calib.reports.page import Contents, page
 from imu_calib.session.imu import load_imu
 

@@ -26,7 +26,7 @@ from imu_calib.common.units import ARCMIN, DEG_H, MICRO_G, PPM
 from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.reports.charts import Axis
-from imu_calib.reports.page import Contents, page
+from imu_calib.reports.page import Contents, page, terms_section
 from imu_calib.reports.repeatability import (
     RepeatedParameter,
     Variation,
@@ -34,7 +34,6 @@ from imu_calib.reports.repeatability import (
     repeatability_table,
     repeated,
 )
-from imu_calib.reports.terms import terms_section
 from imu_calib.segmentation.stream_facts import Rejected
 from imu_calib.session.imu import ImuSpec, Specification, Verdict, judge, load_imu, read_imu
 

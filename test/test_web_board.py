@@ -19,8 +19,7 @@ from imu_calib.common.stream import ImuBlock
 from imu_calib.common.units import DEG
 from imu_calib.estimation.methods import Setup
 from imu_calib.model.earth import Site
-from imu_calib.reports.convergence import Courses
-from imu_calib.reports.remaining import Pace, ends_at, in_words
+from imu_calib.reports.timeline import Courses, Pace, ends_at, in_words
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from imu_calib.reports.certificate_fields import CONDITIONS, LOCATIONS
-from imu_calib.reports.decision import Rule
+from imu_calib.reports.certificate_fields import CONDITIONS, LOCATIONS, Rule
 
 from .keys import REQUIRED, Key, Tables, Value, array, choice, mapping, number, text
 

@@ -13,9 +13,8 @@ from ..common.errors import InputError
 from ..common.files import user_path, write_whole
 from ..reports.certificate import Certificate, certificate_of
 from ..reports.certificate_fields import Fields, read_fields
-from ..reports.certificate_page import certificate_page
-from ..reports.certificates_dcc import dcc
-from ..reports.printing import pdf
+from ..reports.certificate_page import certificate_page, pdf
+from ..reports.dcc import dcc
 from ..session.imu import ImuSpec
 from .named import Named, as_calibration, as_imu, as_list
 

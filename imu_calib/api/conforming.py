@@ -10,7 +10,7 @@ from ..calibration.thermal import AnyCalibration, ThermalCalibration
 from ..common.config import checked
 from ..common.errors import InputError
 from ..common.units import counted
-from ..reports.assessment import Assessed, assess, worst
+from ..reports.provenance import Assessed, assess, worst
 from ..session.imu import COVERAGE, ImuSpec, Specification, Verdict
 from .named import Named, as_calibration, as_combined, as_imu
 

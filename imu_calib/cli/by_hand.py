@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.text import Text
 
 from ..common.units import ARCMIN, PPM, significant
-from ..reports.plain_table import plain_table
+from ..reports.tables import plain_table
 from .embedded import Nodes
 from .node_reports import NodeReports
 from .processes import START, Outcome

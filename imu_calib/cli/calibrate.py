@@ -13,10 +13,9 @@ from ..api.outputs import output_or_default, output_path
 from ..calibration.calibration import Calibration
 from ..common.units import DEG, DEG_H, MICRO_G, PPM, significant
 from ..model.earth import MEASURED, VAGUE
-from ..reports.assessment import summary
 from ..reports.budget import budget_tables
-from ..reports.noise import noise_lines
-from ..reports.parameter_table import change_note, change_table, parameter_tables
+from ..reports.provenance import noise_lines, summary
+from ..reports.tables import change_note, change_table, parameter_tables
 from ..session.plan import METHOD_NAMES
 from . import options
 from .calibrate_units import FOLDER, of_several, run_several

@@ -10,9 +10,9 @@ from typing import Any
 from ..api.calibrate import UnitResult, UnitResults, calibrate_units, holds_several
 from ..api.conforming import Conformity, conformity
 from ..api.outputs import output_or_default
-from ..reports.assessment import summary
 from ..reports.budget import budget_tables
-from ..reports.several import comparison_tables, table_estimate
+from ..reports.provenance import summary
+from ..reports.tables import comparison_tables, table_estimate
 from . import options
 from .outcome import DONE, NO_ANSWER, OUTSIDE, WRONG_INPUT, Outcome, error_document, kind_of
 from .terminal import OUTPUT, print_whole, progress_bar, sentence_list

@@ -9,7 +9,7 @@ from rich.table import Table as Rows
 
 from ..api.inspecting import Inspection, inspect_streams, topics
 from ..common.units import DEG, DEG_H, PPM, STANDARD_GRAVITY, counted
-from ..reports.plain_table import plain_table
+from ..reports.tables import plain_table
 from . import options
 from .outcome import WRONG_INPUT, Outcome, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list

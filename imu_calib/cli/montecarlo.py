@@ -15,8 +15,7 @@ from ..api.repeating import montecarlo
 from ..calibration.views import empty_figure
 from ..common.errors import InputError
 from ..common.files import write_by
-from ..reports.parameter_table import decimals, engineering
-from ..reports.plain_table import plain_table
+from ..reports.tables import decimals, engineering, plain_table
 from ..session.plan import METHOD_NAMES
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list

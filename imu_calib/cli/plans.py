@@ -11,7 +11,7 @@ from ..common.errors import InputError
 from ..common.files import share_folder
 from ..common.stream import Mode
 from ..common.units import DEG
-from ..reports.plain_table import plain_table
+from ..reports.tables import plain_table
 from ..session.plan import METHOD_NAMES, Plan, Position, Step, load_plan
 from ..session.table import Table, load_table
 from . import options

@@ -19,8 +19,7 @@ from ..api.predict import (
 )
 from ..common.errors import NotObservable
 from ..common.units import DEG, PPM
-from ..reports.parameter_table import decimals, engineering
-from ..reports.plain_table import plain_table
+from ..reports.tables import decimals, engineering, plain_table
 from ..session.plan import Plan
 from ..session.table import Table
 from . import options

@@ -7,7 +7,7 @@ import argparse
 from ..api.conforming import Conformity, conformity
 from ..api.documents import written
 from ..api.outputs import output_path
-from ..reports.assessment import summary
+from ..reports.provenance import summary
 from . import options
 from .outcome import EXIT_CODES, Outcome, add_json_option, judged_outcome
 from .terminal import OUTPUT, progress_bar

@@ -17,8 +17,7 @@ from ..common.config import load
 from ..common.errors import InputError
 from ..common.files import named_file, read_text, user_path, write_whole
 from ..common.units import significant
-from ..reports.parameter_table import engineering
-from ..reports.plain_table import plain_table
+from ..reports.tables import engineering, plain_table
 from ..session.imu import load_imu
 from ..session.plan import load_plan
 from ..session.units_file import PULSES, TRUTHS, MountedUnit, load_units, remaining

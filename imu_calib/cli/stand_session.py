@@ -20,7 +20,7 @@ from ..api.stand_checks import check_stand, has_simulated_hands, setup_of_stand,
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError, NotObservable
 from ..model.earth import LUOYANG, Site
-from ..reports.parameter_table import parameter_tables
+from ..reports.tables import parameter_tables
 from ..session.imu import ImuSpec, load_imu
 from ..session.plan import Plan, load_plan
 from ..session.table import Table, load_table

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from ..common.errors import InputError
-from ..reports.remaining import READING
+from ..reports.timeline import READING
 from .node_reports import NodeReports
 
 _JOURNAL = 'calibrator_node: journal'

@@ -11,7 +11,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table as Rows
 from rich.text import Text
 
-from ..reports.convergence import Converging
+from ..reports.timeline import Converging
 from ..stand.devices.health import Severity
 from ..stand.web.sentences import headline, time_left
 from ..stand.web.snapshot import Snapshot

@@ -6,7 +6,7 @@ import argparse
 
 from ..api.verify import verify
 from ..calibration.verify import Verdict, Verification
-from ..reports.verification import dwell_table, limits_line, moved_table, turn_table
+from ..reports.tables import dwell_table, limits_line, moved_table, turn_table
 from . import options
 from .outcome import NO_ANSWER, Outcome, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list

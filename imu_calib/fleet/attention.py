@@ -11,7 +11,7 @@ import numpy as np
 
 from ..model.parameters import PARAMETERS
 from ..reports.charts import tag
-from ..reports.reports_html import bullets, paragraph, table
+from ..reports.html import bullets, paragraph, table
 from ..session.imu import COVERAGE
 from .formats import PLACE_OF, amount, count, day, unit_of
 from .page_contents import Flag, Fleet, Unit

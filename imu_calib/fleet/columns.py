@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..common.stream import Floats
 from ..model.parameters import PARAMETERS
-from ..reports.parameter_table import decimals, engineering
+from ..reports.tables import decimals, engineering
 from . import packed
 from .formats import PLACE_OF, day, unit_of
 from .page_contents import Flag, Fleet, Unit

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..model.parameters import PARAMETERS, Parameter
-from ..reports.parameter_table import decimals, engineering
+from ..reports.tables import decimals, engineering
 
 NO_DATE = 'no date'
 PLACE_OF = {p.name: k for k, p in enumerate(PARAMETERS)}

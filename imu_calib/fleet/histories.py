@@ -8,8 +8,7 @@ import numpy as np
 from rich.table import Table
 
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
-from ..reports.parameter_table import decimals, engineering
-from ..reports.plain_table import plain_table
+from ..reports.tables import decimals, engineering, plain_table
 from .results import Population, UnitHistory
 
 _NEVER = np.datetime64('9999-12-31', 'D')

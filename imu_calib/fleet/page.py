@@ -11,8 +11,7 @@ from importlib.resources import files
 import numpy as np
 
 from ..reports.charts import tag
-from ..reports.html import STYLE
-from ..reports.reports_html import document, facts, paragraph, section
+from ..reports.html import STYLE, document, facts, paragraph, section
 from .attention import issues, remarks
 from .bokeh_script import bokeh_script
 from .columns import sessions_data, units_data

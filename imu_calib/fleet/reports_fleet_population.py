@@ -11,8 +11,8 @@ import numpy as np
 from ..common.stream import Floats
 from ..model.parameters import PARAMETERS
 from ..reports.charts import drawing, tag
-from ..reports.parameter_table import decimals, engineering
-from ..reports.reports_html import paragraph, table
+from ..reports.html import paragraph, table
+from ..reports.tables import decimals, engineering
 from .formats import count, unit_of
 from .page_contents import Fleet
 from .results import Population, UnitHistory

@@ -16,9 +16,8 @@ from ..common.budget import PROBABILITY, Budget, Source
 from ..common.stream import Floats
 from ..model.parameters import Parameter
 from .charts import drawing, label, tag
-from .parameter_table import decimals, engineering
-from .plain_table import plain_table
-from .reports_html import paragraph, table
+from .html import paragraph, table
+from .tables import decimals, engineering, plain_table
 
 _LEAST = 0.005
 """A source below half a percent of every variance has no column: it would be shown as zero."""

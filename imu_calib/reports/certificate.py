@@ -16,8 +16,7 @@ from ..common.stream import Units
 from ..common.units import counted
 from ..model.parameters import Parameter
 from ..session.imu import Specification
-from .certificate_fields import Fields, missing
-from .decision import WORST_LAST, Conformity, decide
+from .certificate_fields import WORST_LAST, Conformity, Fields, decide, missing
 
 OUTPUT = {
     Units.PULSES: 'pulse',

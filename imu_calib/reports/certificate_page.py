@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
 from html import escape
+from importlib.util import find_spec
+from pathlib import Path
 
 from ..common.budget import PROBABILITY
+from ..common.errors import InputError
 from ..common.files import version
 from ..common.stream import Units
 from ..common.units import ARCSEC
@@ -14,9 +23,83 @@ from .budget import budget_parts, freedom_words
 from .certificate import OUTPUT, Certificate, Stated, groups
 from .certificate_fields import CONDITIONS, Contact, Equipment
 from .charts import tag
-from .parameter_table import decimals, engineering
-from .reports_html import bullets, document, named_rows, paragraph, section, table
-from .style import style
+from .html import bullets, document, named_rows, paragraph, section, table
+from .tables import decimals, engineering
+
+# The style of a certificate: A4 pages with number and page count, and a sheet on the screen.
+
+
+_PAGES = """
+@page {{ size: A4; margin: 20mm 16mm 18mm 20mm;
+  @top-left {{ content: {title}; font: 8.5pt {font}; color: #333; }}
+  @top-right {{ content: {mark}; font: bold 8.5pt {font}; color: #b3261e; }}
+  @bottom-left {{ content: {laboratory}; font: 8.5pt {font}; color: #333; }}
+  @bottom-right {{ content: "page " counter(page) " of " counter(pages);
+    font: 8.5pt {font}; color: #333; }} }}
+"""
+_FONT = '"DejaVu Sans", Arial, sans-serif'
+_SHEET = """
+* { box-sizing: border-box; }
+html { background: #e9ebee; }
+body { font: 10pt/1.4 "DejaVu Sans", Arial, sans-serif; color: #111; background: #fff;
+  max-width: 190mm; margin: 8mm auto; padding: 16mm 18mm; }
+h1 { font-size: 19pt; margin: 0; }
+h2 { font-size: 12pt; margin: 16pt 0 5pt; border-bottom: 1px solid #111; break-after: avoid; }
+h3 { font-size: 10pt; margin: 9pt 0 2pt; break-after: avoid; }
+p { margin: 4pt 0; overflow-wrap: anywhere; }
+ul { margin: 4pt 0; padding-left: 14pt; }
+.head { display: flex; flex-wrap: wrap; justify-content: space-between; gap: 6pt 20pt;
+  border-bottom: 2px solid #111; padding-bottom: 8pt; margin-bottom: 8pt; }
+.head .number { font-size: 13pt; font-weight: bold; }
+.draft { border: 2px solid #b3261e; color: #b3261e; padding: 6pt 9pt; margin: 8pt 0; }
+.missing { color: #b3261e; font-weight: bold; }
+table { border-collapse: collapse; width: 100%; margin: 3pt 0;
+  font-variant-numeric: tabular-nums; }
+th, td { padding: 1.5pt 5pt; text-align: left; vertical-align: top; }
+th { font-size: 8.5pt; border-bottom: 1px solid #888; }
+td { border-bottom: 1px solid #ddd; }
+th.r, td.r { text-align: right; white-space: nowrap; }
+.facts th { width: 30%; font-weight: normal; color: #333; border-bottom: 1px solid #ddd; }
+.facts td { overflow-wrap: anywhere; }
+.budget th, .budget td { padding: 0 3pt; font-size: 7.4pt; }
+.note { font-size: 8.5pt; color: #333; }
+.wide { overflow-x: auto; }
+.signatures { display: flex; flex-wrap: wrap; gap: 20pt; margin-top: 34pt; break-inside: avoid; }
+.signatures div { flex: 1 1 55mm; border-top: 1px solid #111; padding-top: 3pt; }
+tr, .whole { break-inside: avoid; }
+@media print {
+  html, body { background: #fff; }
+  body { max-width: none; margin: 0; padding: 0; font-size: 9.2pt; }
+  .wide { overflow: visible; }
+}
+@media screen and (max-width: 700px) {
+  body { margin: 0; padding: 14px; }
+  .facts th { width: 38%; }
+  .wide table { font-size: 7.6pt; }
+  .wide th { font-size: 7pt; }
+  .wide th, .wide td { padding: 1.5pt 2pt; }
+}
+"""
+
+
+def style(title: str, laboratory: str, mark: str) -> str:
+    """Return the style of a certificate.
+
+    Args:
+        title: On top of every printed page; contains the number.
+        laboratory: At the bottom of every printed page.
+        mark: On top of every printed page of a draft, else empty.
+    """
+    texts = {'title': title, 'laboratory': laboratory, 'mark': mark}
+    quoted = {name: _quoted(text) for name, text in texts.items()}
+    return _PAGES.format(font=_FONT, **quoted) + _SHEET
+
+
+def _quoted(text: str) -> str:
+    """Return a text as a string of CSS, escaped so that it cannot end its string or element."""
+    kept = ''.join(c if c.isalnum() or c in ' .,-' else f'\\{ord(c):x} ' for c in text)
+    return f'"{kept}"'
+
 
 _MISSING = 'MISSING'
 _UNCERTAINTY = (
@@ -258,3 +341,86 @@ def _signatures(certificate: Certificate) -> str:
     inside = ''.join(boxes) or tag('div', _MISSING, class_='missing')
     issued = paragraph(f'Issued on {_or_dash(certificate.fields.issued)}, authorized by:')
     return section('Authorization', issued + tag('div', inside, class_='signatures'))
+
+
+# Convert HTML to PDF, by WeasyPrint if installed, else by Chromium.
+
+
+_BROWSERS = ('chromium', 'chromium-browser', 'google-chrome', 'chrome')
+_OLDEST = 131
+"""First version of Chromium that prints the margin boxes of @page."""
+_PATIENCE = 300.0
+"""s: a page takes a second or two; a machine may be very busy."""
+
+
+def pdf(html: str) -> bytes:
+    """Print a page.
+
+    Raises:
+        InputError: No printing software is installed, or it failed; the text states the remedy.
+    """
+    by_weasyprint = _weasyprint()
+    if by_weasyprint is not None:
+        return by_weasyprint(html)
+    browser = next(filter(None, map(shutil.which, _BROWSERS)), None)
+    if browser is None:
+        raise InputError(
+            'A PDF needs WeasyPrint or Chromium, and neither is installed. Run '
+            f"{sys.executable} -m pip install 'imu_calib[pdf]', or write the .html and print it "
+            'from a browser.'
+        )
+    return _by_chromium(html, browser)
+
+
+def _weasyprint() -> Callable[[str], bytes] | None:
+    """Return a function that prints by WeasyPrint; None if it, or a system library, is missing."""
+    if find_spec('weasyprint') is None:
+        return None
+    try:
+        from weasyprint import HTML
+    except OSError:
+        return None
+    return lambda html: bytes(HTML(string=html).write_pdf())
+
+
+def _by_chromium(html: str, browser: str) -> bytes:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        page, target = folder / 'page.html', folder / 'page.pdf'
+        page.write_text(html, encoding='utf-8')
+        _run([browser, '--version'], oldest=True)
+        _run(
+            [
+                browser,
+                '--headless',
+                # As root Chromium has no sandbox; the page has no script and loads nothing.
+                *(['--no-sandbox'] if os.geteuid() == 0 else []),
+                '--disable-gpu',
+                '--no-first-run',
+                '--disable-background-networking',
+                f'--user-data-dir={folder / "profile"}',
+                '--no-pdf-header-footer',
+                f'--print-to-pdf={target}',
+                page.as_uri(),
+            ]
+        )
+        try:
+            return target.read_bytes()
+        except OSError as error:
+            raise InputError(f'{browser} printed no PDF ({error.strerror}).') from None
+
+
+def _run(command: list[str], *, oldest: bool = False) -> None:
+    """Run a browser."""
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=_PATIENCE, check=True
+        )
+    except (OSError, subprocess.SubprocessError) as error:
+        raise InputError(f'{command[0]} printed no PDF ({error}).') from None
+    found = re.search(r'(\d+)\.\d+', done.stdout)
+    if oldest and found and int(found[1]) < _OLDEST:
+        raise InputError(
+            f'{command[0]} is version {found[1]}, which does not number pages; expected '
+            f'{_OLDEST} or newer, or WeasyPrint (pip install weasyprint).'
+        )

@@ -1,10 +1,15 @@
-"""The results of a Digital Calibration Certificate: methods, references, quantities, budget."""
+"""A certificate as PTB's Digital Calibration Certificate, version 3.1.2, with units of D-SI.
+
+Source: PTB, dcc.xsd 3.1.2 and SI_Format.xsd 2.1.0.
+"""
 
 from __future__ import annotations
 
 import base64
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import date
 
 import numpy as np
 
@@ -12,22 +17,142 @@ from ..calibration.calibration import Calibration
 from ..common.budget import PROBABILITY
 from ..common.files import version
 from ..common.stream import Units
-from ..common.units import ARCSEC
+from ..common.units import ARCMIN, ARCSEC, DEG_H, PPM
 from ..model.parameters import Parameter
 from . import provenance
 from .budget import MANY
 from .certificate import OUTPUT, Certificate, Stated, groups
-from .certificate_fields import CONDITIONS, Equipment
-from .dcc_elements import (
-    content,
-    element,
-    expanded,
-    identification,
-    number_with_unit,
-    statement,
-    text_element,
-)
-from .dsi import ARCSECOND, ONE, Digital, digital
+from .certificate_fields import CONDITIONS, Contact, Equipment, Fields
+
+# The elements of a Digital Calibration Certificate.
+
+
+DCC, SI = 'https://ptb.de/dcc', 'https://ptb.de/si'
+
+
+def element(name: str, *parts: ET.Element | None, text: str = '', **attributes: str) -> ET.Element:
+    """Return an element of the DCC; parts that are None are omitted."""
+    made = ET.Element(f'{{{DCC}}}{name}', attributes)
+    made.text = text or None
+    made.extend([part for part in parts if part is not None])
+    return made
+
+
+def of_si(name: str, text: str, *parts: ET.Element) -> ET.Element:
+    """Return an element of D-SI."""
+    made = ET.Element(f'{{{SI}}}{name}')
+    made.text = text or None
+    made.extend(parts)
+    return made
+
+
+def text_element(name: str, text: object) -> ET.Element | None:
+    """Return an element with a text; None without a text."""
+    return element(name, text=str(text)) if text not in (None, '') else None
+
+
+def content(name: str, *texts: str, **attributes: str) -> ET.Element:
+    """Return an element of English texts."""
+    contents = [element('content', text=text, lang='en') for text in texts]
+    return element(name, *contents, **attributes)
+
+
+def identification(issuer: str, value: str, name: str, kind: str = '') -> ET.Element:
+    """Return an identification: a number or name, and its issuer."""
+    attributes = {'refType': kind} if kind else {}
+    return element(
+        'identification',
+        text_element('issuer', issuer),
+        text_element('value', value),
+        content('name', name),
+        **attributes,
+    )
+
+
+def statement(
+    words: str, kind: str, name: str = 'statement', **more: ET.Element | None
+) -> ET.Element:
+    """Return a statement; elements in the order of the schema."""
+    return element(
+        name,
+        more.get('traceable'),
+        more.get('norm'),
+        content('declaration', words),
+        more.get('date'),
+        more.get('conformity'),
+        more.get('data'),
+        refType=kind,
+    )
+
+
+def number_with_unit(
+    value: float, unit: str, uncertainty: ET.Element | None = None, label: str = ''
+) -> ET.Element:
+    """Return a value in a unit of D-SI, with its uncertainty if it has one."""
+    parts = [of_si('label', label)] if label else []
+    parts += [of_si('value', _number(value)), of_si('unit', unit)]
+    parts += [] if uncertainty is None else [uncertainty]
+    return of_si('real', '', *parts)
+
+
+def _number(value: float) -> str:
+    return f'{value:.12g}'
+
+
+def expanded(uncertainty: float, factor: float, probability: float, shape: str) -> ET.Element:
+    """Return an expanded uncertainty with its coverage."""
+    return of_si(
+        'expandedUnc',
+        '',
+        of_si('uncertainty', _number(uncertainty)),
+        of_si('coverageFactor', f'{factor:.6f}'),
+        of_si('coverageProbability', f'{probability:.4g}'),
+        of_si('distribution', shape),
+    )
+
+
+# Units of parameters in D-SI, the notation of digital certificates.
+#
+# D-SI has no unit for standard gravity, and no multiple of 1/(m/s^2): such numbers are converted.
+# `\per` is deprecated; negative exponents are written.
+#
+# Source: D-SI (doi 10.5281/zenodo.3366901), BIPM SI brochure, 9th edition.
+
+
+@dataclass(frozen=True)
+class Digital:
+    """A unit in D-SI, and its SI value."""
+
+    unit: str
+    scale: float
+
+
+ONE = Digital(r'\one', 1.0)
+ARCSECOND = r'\arcsecond'
+_HOURLY = r'\degree\hour\tothe{-1}'
+_BY_SHOWN = {
+    '': ONE,
+    'ppm': Digital(r'\ppm', PPM),
+    'arcmin': Digital(r'\arcminute', ARCMIN),
+    'deg/h': Digital(_HOURLY, DEG_H),
+    'ug': Digital(r'\micro\metre\second\tothe{-2}', 1e-6),
+    '(deg/h)/g': Digital(_HOURLY + r'\metre\tothe{-1}\second\tothe{2}', DEG_H),
+    '(deg/h)/g^2': Digital(_HOURLY + r'\metre\tothe{-2}\second\tothe{4}', DEG_H),
+    'ug/g^2': Digital(r'\metre\tothe{-1}\second\tothe{2}', 1.0),
+    'ug/g^3': Digital(r'\metre\tothe{-2}\second\tothe{4}', 1.0),
+    'mm': Digital(r'\milli\metre', 1e-3),
+    'ms': Digital(r'\milli\second', 1e-3),
+}
+"""D-SI units by engineering units."""
+
+
+def digital(parameter: Parameter) -> Digital:
+    """Return the unit of a parameter."""
+    return _BY_SHOWN[parameter.unit.shown]
+
+
+# The results of a Digital Calibration Certificate: methods, references, quantities, budget.
+
 
 _UNITS = {
     'temperature': r'\degreecelsius',
@@ -232,3 +357,148 @@ def _file(calibration: Calibration) -> ET.Element:
         text_element('dataBase64', data),
     )
     return element('result', content('name', 'File'), element('data', whole))
+
+
+_XSI = 'http://www.w3.org/2001/XMLSchema-instance'
+_LOCATION = 'https://ptb.de/dcc https://ptb.de/dcc/v3.1.2/dcc.xsd'
+
+
+def dcc(certificate: Certificate) -> str:
+    """Return a certificate as XML.
+
+    It contains the complete calibration file, with the covariance of all parameters.
+    """
+    for prefix, name in (('dcc', DCC), ('si', SI), ('xsi', _XSI)):
+        ET.register_namespace(prefix, name)
+    root = ET.Element(
+        f'{{{DCC}}}digitalCalibrationCertificate',
+        {'schemaVersion': '3.1.2', f'{{{_XSI}}}schemaLocation': _LOCATION},
+    )
+    root.append(_administration(certificate))
+    root.append(element('measurementResults', measurement(certificate)))
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding='unicode') + '\n'
+
+
+def _administration(certificate: Certificate) -> ET.Element:
+    fields = certificate.fields
+    laboratory = element(
+        'calibrationLaboratory',
+        text_element('calibrationLaboratoryCode', fields.accreditation),
+        _contact('contact', fields.laboratory),
+    )
+    return element(
+        'administrativeData',
+        element('dccSoftware', software()),
+        _core(fields),
+        element('items', _item(certificate)),
+        laboratory,
+        element('respPersons', *_persons(fields)),
+        _contact('customer', fields.customer),
+        element('statements', *_statements(certificate)),
+    )
+
+
+def _core(fields: Fields) -> ET.Element:
+    assert fields.calibrated is not None
+    first, last = fields.calibrated
+    identifications = None
+    if fields.replaces:
+        identifications = element(
+            'identifications',
+            identification('calibrationLaboratory', fields.replaces, 'replaces certificate'),
+        )
+    return element(
+        'coreData',
+        text_element('countryCodeISO3166_1', fields.laboratory.country),
+        text_element('usedLangCodeISO639_1', 'en'),
+        text_element('mandatoryLangCodeISO639_1', 'en'),
+        text_element('uniqueIdentifier', fields.number),
+        identifications,
+        text_element('receiptDate', fields.received),
+        text_element('beginPerformanceDate', first),
+        text_element('endPerformanceDate', last),
+        text_element('performanceLocation', fields.location),
+    )
+
+
+def _item(certificate: Certificate) -> ET.Element:
+    item = certificate.fields.item
+    known = [
+        identification('manufacturer', item.serial_number, 'serial number', 'basic_serialNumber')
+    ]
+    if item.customer_id:
+        known.append(identification('customer', item.customer_id, 'identification'))
+    return element(
+        'item',
+        content('name', item.description),
+        content('description', f'Condition: {item.condition}', f'Adjustment: {item.adjustment}'),
+        element('manufacturer', content('name', item.manufacturer)),
+        text_element('model', item.model),
+        element('identifications', *known),
+    )
+
+
+def _contact(name: str, contact: Contact) -> ET.Element:
+    location = element(
+        'location',
+        text_element('city', contact.city),
+        text_element('countryCode', contact.country),
+        text_element('postCode', contact.postcode),
+        text_element('street', contact.street),
+    )
+    return element(
+        name,
+        content('name', contact.name),
+        text_element('eMail', contact.email),
+        text_element('phone', contact.phone),
+        location,
+    )
+
+
+def _persons(fields: Fields) -> Iterable[ET.Element]:
+    for k, signature in enumerate(fields.signatures):
+        yield element(
+            'respPerson',
+            element('person', content('name', signature.name)),
+            text_element('role', signature.role),
+            text_element('mainSigner', 'true' if k == 0 else 'false'),
+        )
+
+
+def _statements(certificate: Certificate) -> list[ET.Element]:
+    fields, worst = certificate.fields, certificate.conformity
+    found = [
+        statement(
+            'Date of issue.', 'basic_dateOfIssue', date=text_element('date', _day(fields.issued))
+        ),
+        statement(
+            f"Coverage probability {PROBABILITY:.0%}; coverage factors by Student's t for the "
+            'effective degrees of freedom (Welch-Satterthwaite).',
+            'basic_measurementUncertainty',
+            norm=text_element('norm', 'JCGM 100:2008'),
+        ),
+        *(
+            statement(
+                f'{e.name}: {e.traceability}',
+                'basic_traceability',
+                traceable=text_element('traceable', 'true'),
+            )
+            for e in fields.equipment
+        ),
+    ]
+    if fields.rule is not None and worst is not None:
+        found.append(
+            statement(
+                f'{fields.requirement}. {fields.rule.words}',
+                'basic_conformity',
+                norm=text_element('norm', 'ILAC-G8:09/2019'),
+                conformity=text_element('conformity', worst.value),
+            )
+        )
+    found += [statement(remark, 'basic_remark') for remark in certificate.remarks]
+    return found
+
+
+def _day(day: date | None) -> str:
+    return '' if day is None else day.isoformat()

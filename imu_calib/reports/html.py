@@ -1,4 +1,126 @@
-"""The style of the report on a screen, light or dark, on a phone, and on A4 paper."""
+"""The HTML elements of the report, well-formed also as XML."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from ..calibration.results import Result
+from ..common.rotations import across
+from ..common.stream import Floats, utc
+from ..common.units import DEG
+from ..segmentation.labelling import attitude_words, up_words
+from ..segmentation.segments import Segment
+from .charts import drawing, joined, label, tag
+
+_STATIC = "default-src 'none'; style-src 'unsafe-inline'"
+"""Policy of a static page: only its own style."""
+
+
+def document(title: str, body: str, style: str, policy: str = _STATIC) -> str:
+    """Return a complete HTML file.
+
+    Args:
+        title: Plain text.
+        body: HTML.
+        style: CSS.
+        policy: Its Content-Security-Policy.
+    """
+    head = ''.join(
+        [
+            tag('meta', charset='utf-8'),
+            tag('meta', http_equiv='Content-Security-Policy', content=policy),
+            tag('meta', name='viewport', content='width=device-width, initial-scale=1'),
+            tag('title', escape(title)),
+            tag('style', style),
+        ]
+    )
+    return f'<!DOCTYPE html>\n{tag("html", tag("head", head) + tag("body", body), lang="en")}\n'
+
+
+def table(
+    headings: Sequence[str], rows: Sequence[Sequence[str]], kind: str = '', numbers: str = ''
+) -> str:
+    """Return a table.
+
+    Args:
+        headings: Plain texts.
+        rows: Cells as HTML.
+        kind: Class of the table.
+        numbers: For every column 'r' if it is right-aligned, else 'l'.
+    """
+    sides = numbers or 'l' * len(headings)
+    head = ''.join(
+        tag('th', escape(h) or ' ', scope='col', class_=side)
+        for h, side in zip(headings, sides, strict=True)
+    )
+    body = ''.join(
+        tag(
+            'tr',
+            ''.join(
+                # Shown beside the cell where a narrow screen stacks the cells of a row.
+                tag('td', cell or ' ', class_=side, data_name=heading or None)
+                for cell, side, heading in zip(row, sides, headings, strict=True)
+            ),
+        )
+        for row in rows
+    )
+    inside = tag('thead', tag('tr', head)) + tag('tbody', body or ' ')
+    return scrolling(tag('table', inside, class_=kind or None))
+
+
+def scrolling(content: str) -> str:
+    """Return content that scrolls by itself on a narrow screen."""
+    return tag('div', content, class_='wide')
+
+
+def named_rows(rows: Sequence[tuple[str, str]]) -> str:
+    """Return a table of plain texts with their names."""
+    body = ''.join(
+        tag('tr', tag('th', escape(name), scope='row') + tag('td', escape(value) or '-'))
+        for name, value in rows
+    )
+    return scrolling(tag('table', tag('tbody', body), class_='facts')) if rows else ''
+
+
+def section(title: str, *content: str, kind: str = '') -> str:
+    """Return a section with a heading; empty without content."""
+    inside = ''.join(content)
+    if not inside:
+        return ''
+    return tag('section', tag('h2', escape(title)) + inside, class_=kind or None)
+
+
+def paragraph(text: str, kind: str = '') -> str:
+    """Return a paragraph of plain text."""
+    return tag('p', _sentence(text), class_=kind or None)
+
+
+def bullets(sentences: Sequence[str]) -> str:
+    """Return a list of plain texts; empty without any."""
+    return tag('ul', ''.join(tag('li', _sentence(s)) for s in sentences)) if sentences else ''
+
+
+def facts(pairs: Sequence[tuple[str, str]]) -> str:
+    """Return names with values, plain texts."""
+    inside = ''.join(
+        tag('div', tag('dt', escape(name)) + tag('dd', escape(value) or '-'))
+        for name, value in pairs
+    )
+    return tag('dl', inside)
+
+
+def _sentence(text: str) -> str:
+    """Return plain text with the names of keywords, such as `imu_topic`, as code."""
+    return re.sub('`([a-z_]+)`', r'<code>\1</code>', escape(text))
+
+
+# The style of the report on a screen, light or dark, on a phone, and on A4 paper.
+
 
 _LIGHT = """
   --page: #e9ebee; --paper: #fff; --ink: #1a1a1a; --soft: #444; --faint: #555; --title: #1b3a5c;
@@ -198,3 +320,185 @@ svg text.letter { font-size: 12px; font-weight: 700; fill: var(--ink); }
 }
 """
 )
+
+
+# Attitudes of the unit: a small cube for every position, seen from the south-west and above.
+
+
+_SIDE, _HALF = 104.0, 21.0
+"""px: of a drawing, and half of the cube's edge."""
+_AZIMUTH, _ELEVATION = -32 * DEG, 26 * DEG
+"""Direction of view: from south towards west, and above level. No two of the six directions
+coincide."""
+_REACH = 1.95
+"""Half edges from the centre to an axis's letter; its line ends before."""
+_ROOM = 11.0
+"""px between letters: their height."""
+_MOST = 60
+"""Number of cubes drawn; further ones are only counted."""
+_ALIGNED = np.cos(1 * DEG)
+"""Cosine of the largest angle between an axis and the direction that its text names; texts are in
+whole degrees."""
+_AXES = 'XYZ'
+_CLASSES = ('of-x', 'of-y', 'of-z')
+_WHERE = ('east', 'north', 'up')
+_OPPOSITE = ('west', 'south', 'down')
+_NOTE = (
+    'East and north are those of the table: of the Earth if its zeros point north. Each cube is '
+    'seen from the south-west and above; the arrows are the axes of the unit.'
+)
+_UNKNOWN = (
+    'The heading was not measured: the cubes show which way up the unit stood, by its '
+    'accelerometers, and no more.'
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """A position with all static dwells at it.
+
+    Attributes:
+        name: Name of the position.
+        attitude: (3, 3) R_nb in east, north, up.
+        known: Whether the heading is known; else only the direction of up.
+        dwells: In order of time.
+    """
+
+    name: str
+    attitude: Floats
+    known: bool
+    dwells: tuple[Segment, ...]
+
+    @property
+    def words(self) -> str:
+        """Directions of its axes, as text."""
+        if not self.known:
+            return up_words(self.attitude[2])
+        words = [_pointing(self.attitude[:, k]) for k in range(3)]
+        if None in words:
+            return attitude_words(self.attitude)
+        return ', '.join(f'{axis} {word}' for axis, word in zip(_AXES, words, strict=True))
+
+    @property
+    def when(self) -> str:
+        """Start of the first dwell, and the total duration."""
+        first, count = utc(self.dwells[0].start), len(self.dwells)
+        seconds = sum(s.end - s.start for s in self.dwells) * 1e-9
+        parts = [] if first is None else [f'{first:%H:%M:%S}']
+        parts += [f'{count} dwells'] * (count > 1)
+        return ', '.join([*parts, f'{seconds:.0f} s'])
+
+
+def _pointing(axis: Floats) -> str | None:
+    """Return the compass direction, or up or down, of an axis."""
+    k = int(np.abs(axis).argmax())
+    if abs(axis[k]) < _ALIGNED:
+        return None
+    return _WHERE[k] if axis[k] > 0 else _OPPOSITE[k]
+
+
+def stands(result: Result) -> list[Stand]:
+    """Return the positions of a session in the order of their first dwells."""
+    found: dict[str, list[Segment]] = {}
+    for segment in result.labelled.segments:
+        found.setdefault(segment.position or '?', []).append(segment)
+    return [_stand(name, tuple(dwells)) for name, dwells in found.items()]
+
+
+def _stand(name: str, dwells: tuple[Segment, ...]) -> Stand:
+    attitude = dwells[0].attitude
+    if attitude is not None:
+        return Stand(name, attitude, known=True, dwells=dwells)
+    force = dwells[0].statistics.mean[3:]
+    up = force / np.linalg.norm(force)
+    east, north = across(up)
+    return Stand(name, np.array([east, north, up]), known=False, dwells=dwells)
+
+
+def attitudes(found: Sequence[Stand]) -> str:
+    """Draw every position as a cube with its axes, and its time."""
+    if not found:
+        return ''
+    figures = [_figure(stand) for stand in found[:_MOST]]
+    more = len(found) - _MOST
+    notes = [_NOTE] if any(s.known for s in found) else []
+    notes += [_UNKNOWN] if any(not s.known for s in found) else []
+    notes += [f'{more} more positions are not shown.'] if more > 0 else []
+    return tag('div', ''.join(figures), class_='attitudes') + paragraph(' '.join(notes), 'note')
+
+
+def _figure(stand: Stand) -> str:
+    small = tag('small', escape(stand.when))
+    text = f'{tag("b", escape(stand.name))}'
+    if stand.words != stand.name:
+        text += f'{tag("br")}{escape(stand.words)}'
+    caption = tag('figcaption', f'{text}{tag("br")}{small}')
+    return tag('figure', cube(stand.attitude, f'{stand.name}: {stand.words}') + caption)
+
+
+def cube(attitude: Floats, title: str) -> str:
+    """Draw a cube with the axes of a unit.
+
+    Args:
+        attitude: (3, 3) R_nb: columns are the body axes in east, north, up.
+        title: Alternative text.
+    """
+    toward = _toward_eye()
+    faces, axes, letters = [], [], []
+    for k in range(3):
+        for sign in (1, -1):
+            normal = sign * attitude[:, k]
+            if normal @ toward > 1e-9:
+                faces.append(_face(attitude, k, sign))
+    for k in range(3):
+        axis = attitude[:, k]
+        before = bool(axis @ toward > 0)
+        axes.append((before, _arrow(axis, k)))
+        letters.append((not before, k, _screen(_REACH * axis)))
+    behind = [arrow for before, arrow in axes if not before]
+    front = [arrow for before, arrow in axes if before]
+    return drawing([*behind, *faces, *front, *_letters(letters)], _SIDE, _SIDE, title)
+
+
+def _toward_eye() -> Floats:
+    level = np.cos(_ELEVATION)
+    south, west = np.cos(_AZIMUTH), np.sin(_AZIMUTH)
+    return np.array([west * level, -south * level, np.sin(_ELEVATION)])
+
+
+def _screen(point: Floats) -> tuple[float, float]:
+    """Return the screen position of a point (3,) in half edges, east, north, up, px."""
+    right = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
+    above = np.cross(_toward_eye(), right)
+    middle = _SIDE / 2
+    return middle + _HALF * float(right @ point), middle - _HALF * float(above @ point)
+
+
+def _face(attitude: Floats, k: int, sign: int) -> str:
+    """Return the face through which an axis leaves the cube, or enters it."""
+    first, second = (attitude[:, (k + step) % 3] for step in (1, 2))
+    middle = sign * attitude[:, k]
+    corners = [middle + a * first + b * second for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+    kind = f'face {_CLASSES[k]}' + ('' if sign > 0 else ' back')
+    return tag('polygon', points=joined([_screen(c) for c in corners]), class_=kind)
+
+
+def _arrow(axis: Floats, k: int) -> str:
+    (x1, y1), (x2, y2) = _screen(axis), _screen((_REACH - 0.42) * axis)
+    return tag('line', x1=x1, y1=y1, x2=x2, y2=y2, class_=f'line axis-line {_CLASSES[k]}') + tag(
+        'circle', cx=x2, cy=y2, r=2.2, class_=_CLASSES[k]
+    )
+
+
+def _letters(places: Sequence[tuple[bool, int, tuple[float, float]]]) -> list[str]:
+    """Return the names of the axes; overlapping ones are moved apart."""
+    taken: list[tuple[float, float]] = []
+    parts = []
+    for _, k, (x, place) in sorted(places):
+        y = place
+        while any(abs(x - a) < _ROOM and abs(y - b) < _ROOM for a, b in taken):
+            y += _ROOM / 2
+        taken.append((x, y))
+        kind = f'letter {_CLASSES[k]}'
+        parts.append(label(_AXES[k], x, y + 4, class_=kind, text_anchor='middle'))
+    return parts

@@ -5,18 +5,387 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from typing import Any
+
+import numpy as np
 
 from ..calibration.calibration import Calibration
 from ..calibration.results import Result
-from ..session.imu import ImuSpec
-from . import allan_plot, attitudes, provenance, repeatability, residuals, timeline
-from .assessment import LIMITS, angles_table, assess, badge, summary, tables, worst
+from ..common.stream import Floats
+from ..common.units import DEG_H, MICRO_G, significant
+from ..model.parameters import Parameter
+from ..model.sensors import by_name
+from ..model.session_terms import Change, largest
+from ..model.terms import coefficients_of
+from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, ImuSpec, TriadSpec, TriadUnits
+from . import html as attitudes
+from . import provenance, repeatability, timeline
 from .budget import budget_section
-from .charts import tag
-from .html import STYLE
-from .parameter_table import FREE_OF_FRAME, change_note, decimals
-from .reports_html import bullets, document, facts, paragraph, section, table
-from .terms import terms_section
+from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
+from .html import STYLE, bullets, document, facts, paragraph, scrolling, section, table
+from .provenance import LIMITS, angles_table, assess, badge, summary, tables, worst, written
+from .tables import FREE_OF_FRAME, change_note, decimals, three_digits
+
+# Residuals of each static dwell, in units and in standard deviations.
+
+
+_WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
+"""px; layout."""
+_LABELS = 24
+"""Most names side by side below a plot."""
+_LETTER = 6.4
+"""px: mean width of a character."""
+_EXPECTED = 3.0
+"""Standard deviations, drawn as lines: one residual of 370 is beyond."""
+_LEAST_RANGE = 3.5
+"""Smallest range of a plot in standard deviations, so that its limits are visible."""
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Residuals of a session.
+
+    Attributes:
+        positions: Name of every static dwell.
+        value: (s, 6) rad/s and m/s^2; NaN if a triad was not estimated.
+        std: (s, 6) standard deviation of each static dwell's own mean; None without the recording.
+    """
+
+    positions: tuple[str, ...]
+    value: Floats
+    std: Floats | None
+
+    @property
+    def numbered(self) -> bool:
+        """Whether the names are too long to fit side by side below a plot."""
+        room = (_WIDTH - _LEFT - 12) / min(max(len(self.positions), 1), _LABELS)
+        return max(map(len, self.positions), default=0) * _LETTER > room
+
+    @property
+    def normalised(self) -> Floats | None:
+        """Residuals in standard deviations, (s, 6)."""
+        if self.std is None:
+            return None
+        return np.divide(
+            self.value, self.std, out=np.full_like(self.value, np.nan), where=self.std > 0
+        )
+
+
+def residuals_of(calibration: Calibration, result: Result | None) -> Residuals:
+    """Return the residuals of a calibration, with deviations if its recording is available."""
+    rows = calibration.residuals
+    value = np.array([[*r.gyro, *r.accel] for r in rows], dtype=float).reshape(-1, 6)
+    std = None
+    if result is not None and len(result.solution.residuals) == len(rows):
+        std = np.array([r.std for r in result.solution.residuals], dtype=float).reshape(-1, 6)
+    return Residuals(tuple(r.position for r in rows), value, std)
+
+
+def residual_plots(residuals: Residuals) -> str:
+    """Draw the residuals of both triads, and below them the same in standard deviations."""
+    if not residuals.positions:
+        return ''
+    both = [
+        ('gyros, deg/h', slice(0, 3), DEG_H),
+        ('accelerometers, \u00b5g', slice(3, 6), MICRO_G),
+    ]
+    shown = [b for b in both if np.isfinite(residuals.value[:, b[1]]).any()]
+    parts = [legend('XYZ', _WIDTH - 220, 14)]
+    top = _TOP
+    for title, channels, scale in shown:
+        std = None if residuals.std is None else residuals.std[:, channels] / scale
+        panel = _panel(residuals, top, residuals.value[:, channels] / scale, std, title)
+        parts += panel.parts
+        top += _HEIGHT + _GAP
+    normalised = residuals.normalised
+    if normalised is not None:
+        for title, channels, _ in shown:
+            name = f'{title.partition(",")[0]}, residual / std'
+            panel = _panel(residuals, top, normalised[:, channels], None, name, limits=True)
+            parts += panel.parts
+            top += _HEIGHT + _GAP
+    return scrolling(drawing(parts, _WIDTH, top - _GAP + 36, 'Residuals of every static dwell'))
+
+
+def _panel(
+    residuals: Residuals,
+    top: float,
+    values: Floats,
+    std: Floats | None,
+    title: str,
+    *,
+    limits: bool = False,
+) -> Panel:
+    count = len(residuals.positions)
+    reach = np.abs(values) + (0 if std is None else std)
+    largest = float(np.nanmax(reach)) if np.isfinite(reach).any() else 1.0
+    largest = max(largest, _LEAST_RANGE) if limits else largest
+    x, y = Axis(0.0, float(count)), Axis.around([-largest, largest])
+    panel = Panel(x, y, _LEFT, top, _WIDTH - _LEFT - 12, _HEIGHT)
+    panel.frame('', title, x_ticks=False)
+    panel.level(0.0, 'zero')
+    if limits:
+        panel.level(_EXPECTED)
+        panel.level(-_EXPECTED)
+    every = -(-count // _LABELS)
+    for k, position in enumerate(residuals.positions):
+        if k % every == 0:
+            name = str(k + 1) if residuals.numbered else position
+            at = panel.across(k + 0.5)
+            bottom = top + _HEIGHT + 15
+            panel.parts.append(label(name, at, bottom, class_='tick', text_anchor='middle'))
+        for c in range(3):
+            value = float(values[k, c])
+            if np.isfinite(value):
+                spread = None
+                if std is not None:
+                    spread = value - float(std[k, c]), value + float(std[k, c])
+                panel.point(k + 0.25 + 0.25 * c, value, c, spread)
+    return panel
+
+
+def residual_notes(residuals: Residuals, rms: Sequence[object] | None) -> str:
+    """Return sentences on the size of the residuals, and on outliers."""
+    parts = []
+    if residuals.numbered:
+        named = '; '.join(f'{k + 1} {name}' for k, name in enumerate(residuals.positions))
+        parts.append(paragraph(f'Static dwells in order of time: {named}.', 'note'))
+    if rms is not None and len(rms) == 6:
+        cells = [
+            '-' if not isinstance(v, (int, float)) else three_digits(float(v) / scale)
+            for v, scale in zip(rms, [DEG_H] * 3 + [MICRO_G] * 3, strict=True)
+        ]
+        headings = ['RMS', *(f'g{a}, deg/h' for a in 'xyz'), *(f'a{a}, \u00b5g' for a in 'xyz')]
+        parts.append(table(headings, [['', *cells]], 'plain', 'lrrrrrr'))
+    normalised = residuals.normalised
+    if normalised is not None:
+        finite = normalised[np.isfinite(normalised)]
+        beyond = int(np.sum(np.abs(finite) > _EXPECTED))
+        parts.append(
+            paragraph(
+                f'{beyond} of {len(finite)} residuals are beyond {_EXPECTED:g} standard deviations '
+                "of the dwell's own noise (dashed lines). More than a few of them mean that "
+                'something else changed: positioning errors of the table, a hand that trembled, or '
+                'bias drift.',
+                'note',
+            )
+        )
+    return ''.join(parts)
+
+
+# The terms of a calibration for the report: on, off, and upper limits of those that are off.
+
+
+_NOTE = (
+    'A term that is "off" was tested and is not significant: a single coefficient of the stated '
+    'size would have been found nine times in ten. A term that the session does not show may still '
+    'be present: the parameter that it would bias is stated.'
+)
+
+
+def terms_section(calibration: Calibration) -> tuple[str, ...]:
+    """Return the section's contents; empty for a calibration without entries on terms."""
+    tests = calibration.provenance.get('tests_of_terms')
+    if tests is None:
+        return ()
+    rows = []
+    for name, test in tests.items():
+        coefficients = coefficients_of(name)
+        rows.append(
+            [
+                escape(name),
+                escape(_kind(coefficients)),
+                escape(test['state']),
+                _chance(test.get('log10_p')),
+                _smallest(coefficients, test.get('found_from')),
+                _moved(coefficients, test.get('would_move')),
+            ]
+        )
+    headings = ['', 'kind', 'state', 'chance', 'found from', 'would move']
+    return table(headings, rows, 'terms stacked', 'lllrll'), paragraph(_NOTE, 'note')
+
+
+def _kind(coefficients: Sequence[Parameter | Change]) -> str:
+    if not coefficients:
+        return 'error of the table'
+    first = coefficients[0]
+    return first.course.words if isinstance(first, Change) else first.kind.value.words
+
+
+def _unit(coefficient: Parameter | Change) -> tuple[str, float]:
+    """Return the unit in which a coefficient is shown, and its SI value."""
+    unit = coefficient.unit
+    if not isinstance(coefficient, Change):
+        return unit.shown, unit.scale
+    words, scale = coefficient.course.shown_per
+    return f'{unit.shown}{words}', unit.scale * scale
+
+
+def _chance(log10_p: float | None) -> str:
+    if log10_p is None:
+        return '-'
+    return f'{10**log10_p:.2g}' if log10_p > -3 else f'10<sup>{log10_p:.0f}</sup>'
+
+
+def _smallest(
+    coefficients: Sequence[Parameter | Change], found_from: Sequence[float | None] | None
+) -> str:
+    """Return the largest coefficient among the detection limits."""
+    if not coefficients or found_from is None:
+        return '-'
+    changes = [one for one in coefficients if isinstance(one, Change)]
+    if changes:
+        return escape(largest(changes, found_from)) or 'not shown'
+    seen = [value for value in found_from if value is not None]
+    unit, scale = _unit(coefficients[0])
+    return escape(f'{significant(max(seen) / scale)} {unit}') if seen else 'not shown'
+
+
+def _moved(
+    coefficients: Sequence[Parameter | Change], moved: Mapping[str, Mapping[str, Any]] | None
+) -> str:
+    """Return the effect of the most important coefficient on a parameter, per unit."""
+    if not coefficients or not moved:
+        return '-'
+    name, entry = max(moved.items(), key=lambda pair: abs(pair[1]['by']))
+    other = by_name([entry['parameter']])[0]
+    unit, scale = _unit(next(one for one in coefficients if one.name == name))
+    by = abs(entry['by']) * scale / other.unit.scale
+    return escape(f'{other.name}: {significant(by)} {other.unit.shown} for 1 {unit}')
+
+
+# The Allan deviation of a session's static dwells, and the noise read from it.
+
+
+_ALLAN_WIDTH, _ALLAN_HEIGHT, _ALLAN_LEFT, _ALLAN_TOP = 372.0, 250.0, 56.0, 52.0
+"""px; layout."""
+_FRAME = 300.0
+"""px wide."""
+_LEAST = 0.02
+"""Share of a value at which the error bar of an undetermined one ends."""
+_CHANNELS = 'xyz'
+
+
+def noise_plots(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
+    """Draw one panel per triad, with the random walk of the data sheet if it is known."""
+    shown = [t for t in TRIAD_NAMES if any(c in noise for c in t.channels)]
+    if not shown:
+        return ''
+    drawings = []
+    for units in shown:
+        channels = {c: noise[c] for c in units.channels if c in noise}
+        spec = None if imu is None else _of(units, imu)
+        parts = [legend('XYZ', _ALLAN_WIDTH - 216, 14), *_allan_panel(units, channels, spec).parts]
+        title = f'Allan deviation of the {units.name}s'
+        drawings.append(drawing(parts, _ALLAN_WIDTH, _ALLAN_TOP + _ALLAN_HEIGHT + 42, title))
+    return tag('div', ''.join(drawings), class_='panels halves')
+
+
+def _of(units: TriadUnits, imu: ImuSpec) -> TriadSpec:
+    return imu.gyro if units.name == 'gyro' else imu.accel
+
+
+def _allan_panel(
+    units: TriadUnits, channels: Mapping[str, ChannelNoise], spec: TriadSpec | None
+) -> Panel:
+    scale = units.rate_scale
+    taus = np.concatenate([c.tau for c in channels.values()])
+    heights = np.concatenate([c.deviation for c in channels.values()]) / scale
+    panel = Panel(
+        Axis.decades(taus.tolist()),
+        Axis.decades(heights[heights > 0].tolist()),
+        _ALLAN_LEFT,
+        _ALLAN_TOP,
+        _FRAME,
+        _ALLAN_HEIGHT,
+    )
+    rate = units.rate.replace('ug', '\u00b5g')
+    panel.frame('averaging time, s', f'{units.name}s: Allan deviation, {rate}')
+    ends = panel.x.low, panel.x.high
+    if spec is not None and spec.random_walk > 0:
+        stated = [(t, spec.random_walk / np.sqrt(t) / scale) for t in ends]
+        inside = _clipped(panel, stated)
+        panel.curve(inside, '#555555', '5 3')
+        x, y = inside[-1]
+        at = panel.across(x) - 5, min(panel.down(y) + 6, _ALLAN_TOP + _ALLAN_HEIGHT - 6)
+        panel.parts.append(label('data sheet', *at, class_='tick', text_anchor='end'))
+    for name, channel in channels.items():
+        k = units.channels.index(name)
+        points = [
+            (float(t), float(d) / scale)
+            for t, d in zip(channel.tau, channel.deviation, strict=True)
+            if d > 0
+        ]
+        panel.curve(points, COLOURS[k])
+        for t, d, s in zip(channel.tau, channel.deviation, channel.std, strict=True):
+            if d > 0:
+                spread = max(float(d - s), _LEAST * float(d)) / scale, float(d + s) / scale
+                panel.point(float(t), float(d) / scale, k, spread)
+    return panel
+
+
+def _clipped(panel: Panel, line: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Clip a line of slope -1/2 to the frame."""
+    (first, high), (last, low) = line
+    if high > panel.y.high:
+        first, high = first * (high / panel.y.high) ** 2, panel.y.high
+    if low < panel.y.low:
+        last, low = last * (low / panel.y.low) ** 2, panel.y.low
+    return [(first, high), (last, low)]
+
+
+def noise_table(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
+    """Return a table of the coefficients of all channels and those of the data sheet."""
+    rows = []
+    for units in TRIAD_NAMES:
+        spec = TriadSpec() if imu is None else _of(units, imu)
+        for axis, name in zip(_CHANNELS, units.channels, strict=True):
+            if name not in noise:
+                continue
+            channel = noise[name]
+            rows.append(
+                [
+                    f'{units.name} {axis.upper()}',
+                    *_both(channel.random_walk, spec.random_walk, units.walk_scale),
+                    units.walk,
+                    *_both(channel.bias_instability, spec.bias_instability, units.rate_scale),
+                    units.rate.replace('ug', '\u00b5g'),
+                ]
+            )
+    headings = ['', 'random walk', 'stated', '', 'bias instability', 'stated', '']
+    return table(headings, rows, 'plain', 'lrrlrrl') if rows else ''
+
+
+def _both(coefficient: Coefficient, stated: float, scale: float) -> tuple[str, str]:
+    noise = written(coefficient, scale).replace('+-', ' \u00b1 ').replace('<', 'below ')
+    return escape(noise), f'{stated / scale:.3g}' if stated else '-'
+
+
+def noise_notes(noise: Mapping[str, ChannelNoise], accel_rate: float | None = None) -> str:
+    """Return sentences on how the curves were computed.
+
+    Args:
+        noise: By name of the channel.
+        accel_rate: Sample rate of interpolated accelerometers, Hz; None without interpolation.
+    """
+    if not noise:
+        return ''
+    text = (
+        'Overlapping Allan deviation of all static dwells together, with one standard '
+        'deviation; "below" is a 95 % bound. A dwell of two minutes shows the random walk and '
+        'seldom the bias instability: for that, let one position last for hours.'
+    )
+    if any(c.timed for c in noise.values()):
+        text += (
+            ' Where single pulses hide the noise, the curve begins at ten seconds: its points are '
+            'made of the moments at which pulses came.'
+        )
+    if accel_rate is not None:
+        text += (
+            f' The accelerometers were interpolated from {accel_rate:.4g} Hz: below '
+            f'{2 / accel_rate:.2g} s their curves are too low.'
+        )
+    return paragraph(text, 'note')
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,22 +508,22 @@ def _course(result: Result | None) -> str:
 
 
 def _residuals(contents: Contents) -> str:
-    found = residuals.residuals_of(contents.calibration, contents.result)
+    found = residuals_of(contents.calibration, contents.result)
     rms = contents.calibration.provenance.get('residual_rms')
-    plots = residuals.residual_plots(found)
+    plots = residual_plots(found)
     if not plots:
         return ''
     listed = rms if isinstance(rms, Sequence) else None
-    return section('Residuals', plots, residuals.residual_notes(found, listed))
+    return section('Residuals', plots, residual_notes(found, listed))
 
 
 def _noise(contents: Contents) -> str:
     seen = contents.calibration.noise
     return section(
         'Noise',
-        allan_plot.noise_plots(seen, contents.imu),
-        allan_plot.noise_table(seen, contents.imu),
-        allan_plot.noise_notes(
+        noise_plots(seen, contents.imu),
+        noise_table(seen, contents.imu),
+        noise_notes(
             seen, provenance.number(contents.calibration.provenance, 'accel_interpolated_from_hz')
         ),
     )

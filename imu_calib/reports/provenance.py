@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
+from html import escape
 
 import numpy as np
 
 from ..calibration.calibration import Calibration
 from ..common.units import DEG, DEG_H, MICRO_G, PPM
-from .charts import tag
-from .parameter_table import three_digits
-from .reports_html import named_rows, table
+from ..model.alignment import SCALE, SHOWN
+from ..model.parameters import Parameter, ParameterKind
+from ..model.terms import TERMS
+from ..session.imu import (
+    COVERAGE,
+    TRIAD_NAMES,
+    ChannelNoise,
+    Coefficient,
+    Specification,
+    TriadSpec,
+    TriadUnits,
+    Verdict,
+    judge,
+)
+from .charts import drawing, joined, tag
+from .html import named_rows, table
+from .tables import decimals, engineering, three_digits
 
 Facts = Mapping[str, object]
 
@@ -305,3 +322,223 @@ def _word(value: object) -> str:
     if isinstance(value, float):
         return f'{value:.6g}'
     return '-' if value is None else str(value)
+
+
+# The noise of a session in the units of data sheets.
+
+
+def noise_lines(calibration: Calibration) -> list[str]:
+    """Return a line per triad: measured noise, and that of the IMU's file."""
+    seen = calibration.noise
+    lines = []
+    for units, spec in zip(TRIAD_NAMES, (calibration.imu.gyro, calibration.imu.accel), strict=True):
+        found = [seen[c] for c in units.channels if c in seen]
+        if found:
+            lines.append(_line(units, found, spec))
+    return lines
+
+
+def _line(units: TriadUnits, found: Sequence[ChannelNoise], spec: TriadSpec) -> str:
+    walk = _listed_noise([c.random_walk for c in found], units.walk_scale)
+    bias = _listed_noise([c.bias_instability for c in found], units.rate_scale)
+    return (
+        f'noise of the {units.name}s: random walk {walk} {units.walk}'
+        f'{_stated(spec.random_walk, units.walk_scale)}, '
+        f'bias instability {bias} {units.rate}{_stated(spec.bias_instability, units.rate_scale)}'
+    )
+
+
+def _listed_noise(coefficients: Sequence[Coefficient], scale: float) -> str:
+    return ' '.join(written(c, scale) for c in coefficients)
+
+
+def written(coefficient: Coefficient, scale: float) -> str:
+    """Return a coefficient with its deviation, or its upper limit, in the unit of `scale`."""
+    if coefficient.value is not None and coefficient.std is not None:
+        if coefficient.std == 0:
+            return f'{coefficient.value / scale:.3g}'
+        value, std = coefficient.value / scale, coefficient.std / scale
+        places = decimals(std)
+        return f'{value:.{places}f}+-{std:.{places}f}'
+    return (
+        f'<{three_digits(coefficient.below / scale)}' if coefficient.below < float('inf') else '-'
+    )
+
+
+def _stated(value: float, scale: float) -> str:
+    return f' (data sheet {value / scale:.3g})' if value > 0 else ''
+
+
+# The parameters compared with the unit's specification: numbers, error bars, verdicts.
+
+
+LIMITS = (
+    'Pass and fail are given where the value and its error bar of two standard deviations lie '
+    'wholly on one side of the limit (ISO 14253-1); between them it is marginal.'
+)
+"""The rule of the verdicts, for the reader."""
+
+_WIDTH, _HEIGHT = 150.0, 16.0
+"""px; layout."""
+_VERDICTS_SHOWN = 1.4
+"""Half the width of a bar, in limits."""
+_PLAIN = 5
+"""Columns of a table without limits."""
+_OF_TERMS = {term.kind for term in TERMS}
+_LINEAR = frozenset(ParameterKind) - _OF_TERMS
+_VERDICT_GROUPS: tuple[tuple[str, str, Collection[ParameterKind]], ...] = (
+    ('Gyros', 'g', _LINEAR),
+    ('Accelerometers', 'a', _LINEAR),
+    *((f'{t.kind.value.words} ({t.name})', t.triad, {t.kind}) for t in TERMS),
+)
+
+
+@dataclass(frozen=True)
+class Assessed:
+    """A parameter with its estimate and limit, in SI units.
+
+    Attributes:
+        parameter: The parameter.
+        value: Its estimate.
+        std: Its standard deviation.
+        limit: Largest amount that the specification allows; None if it states none.
+    """
+
+    parameter: Parameter
+    value: float
+    std: float
+    limit: float | None
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """The verdict on the value by its limit; None without one."""
+        return None if self.limit is None else judge(self.value, self.std, self.limit)
+
+
+def assess(calibration: Calibration, specification: Specification | None) -> list[Assessed]:
+    """Return all estimated parameters, in the order of the covariance."""
+    limits = specification or Specification()
+    return [
+        Assessed(parameter, float(value), float(std), limits.limit(parameter))
+        for parameter, value, std in zip(
+            calibration.parameters, calibration.values, calibration.std, strict=True
+        )
+        if np.isfinite(std)
+    ]
+
+
+def summary(assessed: Sequence[Assessed]) -> str:
+    """Return the number of parameters that pass, as text."""
+    counts = Counter(a.verdict for a in assessed)
+    if not sum(counts[v] for v in Verdict):
+        return 'No specification was given: values without verdicts.'
+    words = [
+        f'{counts[Verdict.PASS]} of {len(assessed)} parameters within the specification',
+        f'{counts[Verdict.MARGINAL]} marginal',
+        f'{counts[Verdict.FAIL]} outside',
+    ]
+    text = ', '.join(words)
+    return f'{text}, {counts[None]} without a limit.' if counts[None] else f'{text}.'
+
+
+def worst(assessed: Sequence[Assessed]) -> Verdict | None:
+    """Return the verdict on the unit: that of its worst parameter; None without limits."""
+    found = {a.verdict for a in assessed}
+    for verdict in (Verdict.FAIL, Verdict.MARGINAL, Verdict.PASS):
+        if verdict in found:
+            return verdict
+    return None
+
+
+def tables(assessed: Sequence[Assessed]) -> str:
+    """Return one table per group of parameters."""
+    parts = []
+    for title, triad, kinds in _VERDICT_GROUPS:
+        rows = [
+            _row(a) for a in assessed if a.parameter.triad == triad and a.parameter.kind in kinds
+        ]
+        if rows:
+            headings = ['', 'kind', 'value', f'\u00b1 {COVERAGE:g} std', 'unit', 'limit', '', '']
+            # Without a limit a bar has no reference.
+            columns = len(headings) if any(row[-1] for row in rows) else _PLAIN
+            shown = [row[:columns] for row in rows]
+            kind = 'parameters limits' if columns > _PLAIN else 'parameters plain'
+            inside = table(headings[:columns], shown, kind, 'llrrlrll'[:columns])
+            inside = tag('h3', title) + inside
+            parts.append(tag('div', inside, class_='whole'))
+    return ''.join(parts)
+
+
+def angles_table(calibration: Calibration) -> str:
+    """Return the table of the angles between input axes."""
+    rows = []
+    for angles in calibration.free_of_frame:
+        for name, value, std in zip(angles.group.names, angles.values, angles.std, strict=True):
+            places = decimals(std / SCALE)
+            rows.append(
+                [
+                    tag('b', f'{angles.group.words} {name}'),
+                    f'{value / SCALE:.{places}f}'.replace('-', '\u2212'),
+                    f'{COVERAGE * std / SCALE:.{places}f}',
+                    SHOWN,
+                ]
+            )
+    headings = ['', 'value', f'\u00b1 {COVERAGE:g} std', 'unit']
+    inside = tag('h3', 'Free of frame') + table(headings, rows, 'angles', 'lrrl')
+    return tag('div', inside, class_='whole')
+
+
+def _row(assessed: Assessed) -> list[str]:
+    shown = engineering(assessed.parameter)
+    value, std = assessed.value / shown.scale, assessed.std / shown.scale
+    places = decimals(std)
+    limit, bar, verdict = '', '', ''
+    if assessed.limit is not None:
+        limit = f'\u00b1{assessed.limit / shown.scale:g}'
+        bar = _bar(assessed)
+        verdict = badge(assessed.verdict)
+    return [
+        tag('b', assessed.parameter.name),
+        assessed.parameter.kind.value.words,
+        f'{value:.{places}f}'.replace('-', '\u2212'),
+        f'{COVERAGE * std:.{places}f}',
+        escape(shown.unit.replace('ug', '\u00b5g')),
+        limit,
+        bar,
+        verdict,
+    ]
+
+
+def badge(verdict: Verdict | None) -> str:
+    """Return a verdict as a coloured label."""
+    return '' if verdict is None else tag('span', verdict.value, class_=f'badge {verdict.value}')
+
+
+def _bar(assessed: Assessed) -> str:
+    """Draw the value with its error bar between the limits on both sides of zero."""
+    limit, middle = assessed.limit or 1.0, _HEIGHT / 2
+
+    def across(value: float) -> float:
+        share = min(max(value / limit, -_VERDICTS_SHOWN), _VERDICTS_SHOWN)
+        return _WIDTH / 2 * (1 + share / _VERDICTS_SHOWN)
+
+    low, high = across(-limit), across(limit)
+    reach = COVERAGE * assessed.std
+    ends = across(assessed.value - reach), across(assessed.value + reach)
+    mark = across(assessed.value)
+    beyond = abs(assessed.value) > _VERDICTS_SHOWN * limit
+    kind = f'mark {assessed.verdict.value}' if assessed.verdict else 'mark'
+    tip = mark + (5 if assessed.value > 0 else -5) * beyond
+    parts = [
+        tag('rect', x=low, y=1.0, width=high - low, height=_HEIGHT - 2, class_='allowed'),
+        tag('line', x1=_WIDTH / 2, y1=1.0, x2=_WIDTH / 2, y2=_HEIGHT - 1, class_='zero'),
+        tag('line', x1=ends[0], y1=middle, x2=ends[1], y2=middle, class_='bar'),
+    ]
+    if beyond:
+        back = mark + (-7 if assessed.value > 0 else 7)
+        corners = [(back, middle - 5), (mark, middle), (back, middle + 5)]
+        parts.append(tag('polygon', points=joined(corners), class_=kind))
+    else:
+        parts.append(tag('circle', cx=tip, cy=middle, r=3.6, class_=kind))
+    words = f'{assessed.parameter.name}: {assessed.value / limit:.0%} of its limit'
+    return drawing(parts, _WIDTH, _HEIGHT, words)

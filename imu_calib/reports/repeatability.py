@@ -19,10 +19,9 @@ from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.stream import Floats
 from ..model.parameters import Parameter
-from .charts import tag
-from .parameter_table import decimals, engineering
-from .reports_html import named_rows, paragraph, table
-from .small import panels, small
+from .charts import panels, small, tag
+from .html import named_rows, paragraph, table
+from .tables import decimals, engineering
 
 _SURPRISING = 0.001
 """Probability of chance below which the scatter of sessions is significant."""

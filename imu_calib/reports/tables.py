@@ -1,8 +1,8 @@
-"""Calibrations of one unit side by side."""
+"""The parameters in engineering units; all tables of parameters are created here."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,12 +10,250 @@ from rich.table import Table
 
 from ..calibration.agreement import Agreement, agreement
 from ..calibration.calibration import Calibration
+from ..calibration.diagnosis import ShiftedParameter
+from ..calibration.verify import ComparedQuantity, Quantity, Verdict, Verification
 from ..common.errors import InputError
-from ..common.stream import Floats
+from ..common.stream import Floats, at
+from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G
+from ..estimation.common_unknowns import TableEstimate
+from ..model.alignment import SCALE, SHOWN
 from ..model.parameters import AXES, Parameter, ParameterKind
 from ..model.sensors import OF_MOTION
-from .parameter_table import decimals, engineering, section_of
-from .plain_table import plain_table
+from ..model.terms import TERMS
+
+# Tables on a terminal: without lines, with headings in bold.
+
+
+def plain_table(headings: Sequence[str], sides: str, *, no_wrap: bool = False) -> Table:
+    """Return a table, to which rows are then added.
+
+    Args:
+        headings: Of the columns.
+        sides: 'r' for each right-aligned column, else 'l'.
+        no_wrap: Whether cells stay on one line.
+    """
+    table = Table(box=None, pad_edge=False, header_style='bold')
+    for heading, side in zip(headings, sides, strict=True):
+        table.add_column(heading, justify='right' if side == 'r' else 'left', no_wrap=no_wrap)
+    return table
+
+
+_OF_TERMS = {term.kind for term in TERMS}
+
+
+@dataclass(frozen=True)
+class Shown:
+    """Display of a parameter: its unit as text, and the unit's SI value."""
+
+    unit: str
+    scale: float
+
+
+def engineering(parameter: Parameter) -> Shown:
+    """Return the unit that engineers use for a parameter."""
+    return Shown(parameter.unit.shown, parameter.unit.scale)
+
+
+def decimals(deviation: float) -> int:
+    """Return the decimals that show a standard deviation with two significant digits."""
+    if not np.isfinite(deviation) or deviation <= 0:
+        return 4
+    return int(np.clip(1 - np.floor(np.log10(deviation)), 0, 9))
+
+
+def three_digits(value: float) -> str:
+    """Return a number with three significant digits, large ones as integers.
+
+    Examples:
+        >>> three_digits(0.012345), three_digits(2231.7)
+        ('0.0123', '2232')
+    """
+    return f'{value:.0f}' if abs(value) >= 1000 else f'{value:.3g}'
+
+
+def change_table(calibration: Calibration) -> Table | None:
+    """Return the estimated terms of the session; None without requested terms."""
+    if calibration.changes is None:
+        return None
+    table = plain_table(('term', 'of', 'value', 'std', 'unit'), 'llrrl')
+    for term, name, value, deviation, unit in calibration.changes.shown():
+        places = decimals(deviation)
+        table.add_row(term, name, f'{value:.{places}f}', f'{deviation:.{places}f}', unit)
+    return table
+
+
+def change_note(calibration: Calibration) -> str:
+    """Return a sentence on the state of the parameters and the use of the coefficients."""
+    changes = calibration.changes
+    if changes is None:
+        return ''
+    if changes.follows_temperature:
+        mean = calibration.provenance['temperature']['mean']
+        return (
+            f'K, E and D are those of {mean:.2f} degC, the mean of the session; compensation adds '
+            'what follows the temperature, within the range of the session.'
+        )
+    fading = ''
+    if np.isfinite(changes.time_constant):
+        fading = f' The warm-up fades with {changes.time_constant:.0f} s.'
+    if np.isfinite(changes.instant):
+        fading = f' The step is at {at(round(changes.instant * 1e9))}.'
+    return (
+        'K, E and D are those of the mean over the session. Their course during the session is not '
+        f'part of the compensation.{fading}'
+    )
+
+
+def parameter_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
+    """Return the estimated parameters: value, standard deviation, unit.
+
+    Args:
+        calibration: The calibration.
+        truth: True parameters of a simulation; adds the error in standard deviations.
+    """
+    table = _headed('parameter', against_truth=truth is not None)
+    parameters, deviations = calibration.parameters, calibration.std
+    values = calibration.values
+    true_values = truth.model.values(parameters) if truth is not None else values
+    last = parameters[0]
+    for k, parameter in enumerate(parameters):
+        if not np.isfinite(deviations[k]):
+            continue
+        if section_of(parameter) != section_of(last):
+            table.add_section()
+        last = parameter
+        shown = engineering(parameter)
+        true = None if truth is None else true_values[k] / shown.scale
+        value, deviation = values[k] / shown.scale, deviations[k] / shown.scale
+        table.add_row(parameter.name, *_cells(value, deviation, shown.unit, true))
+    return table
+
+
+def _headed(first: str, *, against_truth: bool) -> Table:
+    """Return a table of values whose rows begin with a name."""
+    headings = (first, 'value', 'std', 'unit', *(['truth', 'error/std'] * against_truth))
+    return plain_table(headings, 'lrrlrr'[: len(headings)])
+
+
+def _cells(value: float, deviation: float, unit: str, true: float | None) -> list[str]:
+    """Return the cells after the name in such a table, in display units."""
+    places = decimals(deviation)
+    cells = [f'{value:.{places}f}', f'{deviation:.{places}f}', unit]
+    if true is not None:
+        ratio = f'{(value - true) / deviation:+.2f}' if deviation > 0 else '-'
+        cells += [f'{true:.{places}f}', ratio]
+    return cells
+
+
+FREE_OF_FRAME = (
+    'xy: 90 deg minus the angle between the input axes x and y. X: rotation of the gyro triad '
+    "about X against the accelerometers. None of these depends on the table's frame."
+)
+"""Explanation of `angle_table`."""
+
+
+def parameter_tables(
+    calibration: Calibration, truth: Calibration | None = None
+) -> list[Table | str]:
+    """Return the tables of a calibration for a terminal: parameters and angles.
+
+    Args:
+        calibration: The calibration.
+        truth: True parameters of a simulation; adds the errors in standard deviations.
+    """
+    angles = angle_table(calibration, truth)
+    return [parameter_table(calibration, truth), '', angles, FREE_OF_FRAME]
+
+
+def angle_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
+    """Return the angles between input axes: value, standard deviation, unit.
+
+    Args:
+        calibration: The calibration.
+        truth: True parameters of a simulation; adds the error in standard deviations.
+    """
+    table = _headed('free of frame', against_truth=truth is not None)
+    true = {} if truth is None else {a.group: a.values for a in truth.free_of_frame}
+    for angles in calibration.free_of_frame:
+        known = true.get(angles.group, angles.values)
+        rows = zip(angles.group.names, angles.values, angles.std, known, strict=True)
+        for name, value, std, right in rows:
+            there = None if truth is None else right / SCALE
+            cells = _cells(value / SCALE, std / SCALE, SHOWN, there)
+            table.add_row(f'{angles.group.words} {name}', *cells)
+        table.add_section()
+    return table
+
+
+def section_of(parameter: Parameter) -> tuple[object, ...]:
+    """Return the key that parameters of one section of a table have in common."""
+    kind = parameter.kind if parameter.kind in _OF_TERMS else None
+    return parameter.triad, parameter.row >= len(AXES), kind
+
+
+# Calibrations of several units side by side: a column for each unit.
+
+
+_COARSE = 60 * ARCSEC
+"""Standard deviation from which an angle is shown in degrees."""
+_ANY = 90 * DEG
+"""Prior standard deviation of an unknown heading."""
+_AT_ONCE = 8
+"""Units of one table: with the parameters' names they are 110 characters wide, half a screen."""
+
+
+def comparison_tables(units: Sequence[tuple[str, Calibration]]) -> Iterator[Table]:
+    """Yield tables of all parameters that any unit has, with eight units in each.
+
+    Args:
+        units: Serial numbers with calibrations.
+    """
+    parameters: list[Parameter] = []
+    for _, calibration in units:
+        parameters += [p for p in calibration.parameters if p not in parameters]
+    for first in range(0, len(units), _AT_ONCE):
+        yield _table(units[first : first + _AT_ONCE], parameters)
+
+
+def table_estimate(seen: TableEstimate) -> Table:
+    """Return the table errors estimated from several units, with their prior values."""
+    table = plain_table(('unknown', 'value', 'std', 'beforehand', 'unit'), 'lrrrl')
+    for name, value, std, prior in zip(seen.names, seen.values, seen.std, seen.prior, strict=True):
+        unit, size = ('deg', DEG) if std > _COARSE else ('arcsec', ARCSEC)
+        places = decimals(std / size)
+        before = 'any' if prior > _ANY else f'{prior / size:.3g}'
+        table.add_row(name, f'{value / size:.{places}f}', f'{std / size:.{places}f}', before, unit)
+    return table
+
+
+def _table(units: Sequence[tuple[str, Calibration]], parameters: Sequence[Parameter]) -> Table:
+    serials = [serial for serial, _ in units]
+    table = plain_table(['parameter', *serials, 'unit'], f'l{"r" * len(serials)}l')
+    known = [
+        {
+            p: (float(value), float(std))
+            for p, value, std in zip(c.parameters, c.values, c.std, strict=True)
+        }
+        for _, c in units
+    ]
+    for parameter in parameters:
+        cells = [_cell(parameter, of.get(parameter)) for of in known]
+        if any(cells):
+            table.add_row(parameter.name, *cells, engineering(parameter).unit)
+    return table
+
+
+def _cell(parameter: Parameter, found: tuple[float, float] | None) -> str:
+    """Return value and standard deviation in engineering units; empty without a value."""
+    if found is None or not np.isfinite(found[1]):
+        return ''
+    value, std = (x / engineering(parameter).scale for x in found)
+    places = decimals(std)
+    return f'{value:.{places}f}\u00b1{std:.{places}f}'
+
+
+# Calibrations of one unit side by side.
+
 
 _MORE = 2
 """Most further decimals for a difference: a hundredth of the last digit is nothing."""
@@ -192,3 +430,103 @@ def _factor_of(parameter: Parameter, triads: Mapping[str, float], askew: float) 
     if parameter.kind in OF_MOTION:
         return 1.0
     return askew if parameter.row >= len(AXES) else triads[parameter.triad]
+
+
+# A verification for the terminal: dwells and turns, worst first, in engineering units.
+
+
+_SHOWN = {
+    Quantity.GRAVITY: Shown('ug', MICRO_G),
+    Quantity.DIRECTION: Shown('arcsec', ARCSEC),
+    Quantity.EARTH_RATE: Shown('deg/h', DEG_H),
+    Quantity.UP_RATE: Shown('deg/h', DEG_H),
+    Quantity.TURN: Shown('arcsec', ARCSEC),
+    Quantity.TURN_AXIS: Shown('arcsec', ARCSEC),
+}
+_AT_REST = (Quantity.GRAVITY, Quantity.DIRECTION, Quantity.EARTH_RATE, Quantity.UP_RATE)
+_IN_TURNS = (Quantity.TURN, Quantity.TURN_AXIS)
+
+
+def limits_line(verification: Verification) -> str:
+    """Return a sentence on the limits of the verdict."""
+    doubt, rejection = verification.limits
+    return (
+        f'Warning limit {doubt:.1f} standard deviations, rejection limit {rejection:.1f} '
+        '(1 in 100 and 1 in a million sessions of sound data), and the same chances for the '
+        'chi-square of all equations.'
+    )
+
+
+def dwell_table(verification: Verification) -> Table | None:
+    """Return the static dwells, worst first; None without any."""
+    return _verification_table(verification, _AT_REST)
+
+
+def turn_table(verification: Verification) -> Table | None:
+    """Return the turns, worst first; None without any."""
+    return _verification_table(verification, _IN_TURNS)
+
+
+def moved_table(moved: Sequence[ShiftedParameter]) -> Table:
+    """Return the parameters that differ in a session, with their differences."""
+    table = plain_table(('parameter', 'moved by', 'std', 'unit', 'in std'), 'lrrlr')
+    for one in sorted(moved, key=lambda m: -abs(m.difference / m.std)):
+        shown = engineering(one.parameter)
+        std = one.std / shown.scale
+        table.add_row(
+            one.parameter.name,
+            f'{one.difference / shown.scale:+.{decimals(std)}f}',
+            f'{std:.{decimals(std)}f}',
+            shown.unit,
+            f'{one.difference / one.std:+.1f}',
+        )
+    return table
+
+
+def _verification_table(verification: Verification, quantities: Sequence[Quantity]) -> Table | None:
+    mine = [c for c in verification.compared if c.quantity in quantities and c.says_something]
+    if not mine:
+        return None
+    present = [q for q in quantities if any(c.quantity is q for c in mine)]
+    turns = quantities is _IN_TURNS
+    headings = ['position', 'rate, deg/s' if turns else 'at, s']
+    for quantity in present:
+        headings += [f'{quantity.value}, {_SHOWN[quantity].unit}', 'std']
+    table = plain_table([*headings, 'worst/std', ''], f'l{"r" * len(headings)}l')
+    places = {q: _verification_places([c for c in mine if c.quantity is q]) for q in present}
+    for row in sorted(_rows(mine), key=lambda r: -_worst(r)):
+        first = row[0]
+        cells = [first.name, f'{first.rate / DEG:+.4g}' if turns else f'{first.at:.1f}']
+        for quantity in present:
+            one = next((c for c in row if c.quantity is quantity), None)
+            if one is None:
+                cells += ['', '']
+                continue
+            scale, digits = _SHOWN[quantity].scale, places[quantity]
+            sign = '' if quantity in {Quantity.DIRECTION, Quantity.TURN_AXIS} else '+'
+            cells += [f'{one.deviation / scale:{sign}.{digits}f}', f'{one.std / scale:.{digits}f}']
+        worst = _worst(row)
+        passed = sum(worst > limit for limit in verification.limits)
+        table.add_row(*cells, f'{worst:.1f}', str(Verdict(passed)))
+    return table
+
+
+def _rows(compared: Sequence[ComparedQuantity]) -> list[list[ComparedQuantity]]:
+    """Group the quantities of one dwell or one turn; a repeated quantity begins another group."""
+    rows: dict[tuple[str, float, float, int], list[ComparedQuantity]] = {}
+    seen: dict[tuple[str, float, float, Quantity], int] = {}
+    for one in compared:
+        place = (one.name, 0.0 if np.isnan(one.at) else one.at, one.rate)
+        times = seen.get((*place, one.quantity), 0)
+        seen[(*place, one.quantity)] = times + 1
+        rows.setdefault((*place, times), []).append(one)
+    return list(rows.values())
+
+
+def _worst(row: Sequence[ComparedQuantity]) -> float:
+    return max(abs(c.ratio) for c in row)
+
+
+def _verification_places(compared: Sequence[ComparedQuantity]) -> int:
+    scale = _SHOWN[compared[0].quantity].scale
+    return decimals(float(np.median([c.std for c in compared])) / scale)

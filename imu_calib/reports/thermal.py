@@ -10,12 +10,10 @@ import numpy as np
 from ..calibration.thermal import ThermalCalibration, temperature_range
 from ..session.imu import ImuSpec
 from . import provenance
-from .assessment import LIMITS, Assessed, assess, badge, worst
-from .charts import tag
-from .html import STYLE
-from .parameter_table import decimals, engineering
-from .reports_html import bullets, document, facts, paragraph, section, table
-from .small import panels, small
+from .charts import panels, small, tag
+from .html import STYLE, bullets, document, facts, paragraph, section, table
+from .provenance import LIMITS, Assessed, assess, badge, worst
+from .tables import decimals, engineering
 
 _SIDE_BY_SIDE = 4
 """Temperatures of one table: as many as fit side by side on A4."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import timedelta
+from datetime import datetime, timedelta
 from enum import Enum
 from html import escape
 
@@ -12,8 +14,11 @@ from ..calibration.results import Result
 from ..common.stream import utc
 from ..common.units import DEG
 from ..estimation.hand import NAME as FREE_POSITIONS
+from ..model.parameters import Parameter
+from ..session.imu import Specification, Verdict, judge
 from .charts import Axis, Panel, drawing, label, tag
-from .reports_html import scrolling, table
+from .html import scrolling, table
+from .tables import engineering, three_digits
 
 _WIDTH, _ROW, _LEFT, _TOP = 760.0, 30.0, 84.0, 14.0
 """px; layout."""
@@ -190,3 +195,202 @@ def rejected_table(found: Sequence[Interval], start: int | None) -> str:
         rows = [*rows[:_MOST_ROWS], ['', '', '', '', f'and {more} more']]
     headings = ['position', 'UTC', 'at, s', 'for, s', 'why it was not used']
     return table(headings, rows, '', 'lrrrl')
+
+
+# Standard deviations of a running session over time, and the plan's prediction.
+
+
+_MOST_POINTS = 120
+"""Most points of a course: more than a drawing of 120 px can show."""
+_NEWS = 0.01
+"""Relative change of a deviation that adds a point to its course. A judgement: a pixel."""
+_THERE = 1.1
+"""Ratio to the prediction at which it counts as reached. A judgement: a standard deviation is
+determined to 10 % with 50 degrees of freedom."""
+
+
+@dataclass(frozen=True)
+class Converging:
+    """One parameter of a running session; SI units.
+
+    Attributes:
+        parameter: The parameter.
+        value: Estimated so far; NaN before the first estimate.
+        std: Reached so far; NaN while it is not determined.
+        predicted: Prediction of the plan; NaN without one.
+        limit: Largest amount that the specification allows; None if it states none.
+        course: Times (s since the session began) with the standard deviations reached then.
+    """
+
+    parameter: Parameter
+    value: float = math.nan
+    std: float = math.nan
+    predicted: float = math.nan
+    limit: float | None = None
+    course: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def determined(self) -> bool:
+        """Whether the data determines it."""
+        return self.std > 0
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether the predicted standard deviation is reached."""
+        return self.std <= _THERE * self.predicted
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """The verdict on the value so far by its limit; None without either."""
+        if self.limit is None or math.isnan(self.value) or not self.determined:
+            return None
+        return judge(self.value, self.std, self.limit)
+
+    @property
+    def unit(self) -> str:
+        """The unit used by engineers."""
+        return engineering(self.parameter).unit.replace('ug', '\u00b5g')
+
+    def shown(self, amount: float) -> str:
+        """Return an amount in that unit with three digits; a dash if it is unknown."""
+        if math.isnan(amount):
+            return '\u2013'
+        return three_digits(amount / engineering(self.parameter).scale)
+
+
+class Courses:
+    """Collects the standard deviations that a calibrator reports in succession.
+
+    Args:
+        parameters: Parameters that the session's method estimates.
+        predicted: Standard deviations by name, SI; NaN or absent without a prediction.
+        specification: The limits of the unit; None without.
+    """
+
+    def __init__(
+        self,
+        parameters: Mapping[str, Parameter],
+        predicted: Mapping[str, float],
+        specification: Specification | None,
+    ) -> None:
+        self._parameters = parameters
+        self._predicted = predicted
+        self._limits = specification or Specification()
+        self._points: dict[str, list[tuple[float, float]]] = {}
+        self._std: dict[str, float] = {}
+        self._values: dict[str, float] = {}
+
+    def note(self, time: float, names: Sequence[str], std: Sequence[float]) -> None:
+        """Add the deviations reached at a time, s since the session began."""
+        for name, value in zip(names, std, strict=True):
+            self._std[name] = value
+            if not value > 0:
+                continue
+            points = self._points.setdefault(name, [])
+            if points and abs(value / points[-1][1] - 1) < _NEWS:
+                continue
+            points.append((time, value))
+            if len(points) > _MOST_POINTS:
+                del points[1:-1:2]
+
+    def value(self, name: str, value: float) -> None:
+        """Set the value of a parameter, SI."""
+        self._values[name] = value
+
+    def begin(self) -> None:
+        """Reset for another session."""
+        for kept in (self._points, self._std, self._values):
+            kept.clear()
+
+    def rows(self) -> tuple[Converging, ...]:
+        """Return the present state of all parameters."""
+        return tuple(
+            Converging(
+                parameter,
+                self._values.get(name, math.nan),
+                self._std.get(name, math.nan),
+                self._predicted.get(name, math.nan),
+                self._limits.limit(parameter),
+                tuple(self._points.get(name, ())),
+            )
+            for name, parameter in self._parameters.items()
+        )
+
+
+# Remaining time of a session by the wall clock, and what it waits for, as texts.
+
+
+READING = 'The journal is read: '
+"""Beginning of the report while the session before an interruption is read."""
+_SPAN = 20.0
+"""s of the wall clock over which the stand's time is compared with it: longer than the motion of a
+table between positions, during which simulated time advances unevenly."""
+_LEAST = 2.0
+"""s before the comparison is used."""
+_REAL = 0.1
+"""Relative difference up to which the stand's time and the wall clock count as equal: stamps come
+twice a second."""
+
+
+class Pace:
+    """Compares the stand's time with the wall clock, while a plan runs.
+
+    During a pause simulated time is no faster than the wall clock, however fast it is else.
+    """
+
+    def __init__(self) -> None:
+        self._last: tuple[float, float] | None = None
+        self._run = deque([(0.0, 0.0)])
+
+    def note(self, stamp: float, now: float) -> None:
+        """Add a stamp of the stand, received at a time of the steady clock, both s."""
+        last, self._last = self._last, (stamp, now)
+        if last is None:
+            return
+        if stamp < last[0] or now < last[1]:
+            self._run = deque([(0.0, 0.0)])
+            return
+        stand, wall = self._run[-1]
+        self._run.append((stand + stamp - last[0], wall + now - last[1]))
+        while self._run[-1][1] - self._run[0][1] > _SPAN:
+            self._run.popleft()
+
+    def pause(self) -> None:
+        """Leave out the time until the next stamp."""
+        self._last = None
+
+    @property
+    def speed(self) -> float:
+        """Seconds of the stand per second of the wall clock; 1 until it is known."""
+        (stamp, begun), (last, now) = self._run[0], self._run[-1]
+        if now - begun < _LEAST or last <= stamp:
+            return 1.0
+        speed = (last - stamp) / (now - begun)
+        return 1.0 if abs(speed - 1) < _REAL else speed
+
+
+def reading_sentence(share: float) -> str:
+    """Return a sentence on how much of the journal of a resumed session is read, 0 to 1."""
+    return f'{READING}{100 * share:.0f} %.'
+
+
+def in_words(seconds: float) -> str:
+    """Return a duration in at most two units.
+
+    Examples:
+        >>> in_words(42.0), in_words(754.0), in_words(7260.0)
+        ('42 s', '12 min 34 s', '2 h 1 min')
+    """
+    if math.isnan(seconds):
+        return 'not known'
+    whole = max(0, round(seconds))
+    hours, minutes, rest = whole // 3600, whole // 60 % 60, whole % 60
+    if hours:
+        return f'{hours} h {minutes} min'
+    return f'{minutes} min {rest} s' if minutes else f'{rest} s'
+
+
+def ends_at(seconds: float, now: datetime) -> str:
+    """Return the time of day of the end, with the date if that is another day."""
+    end = now + timedelta(seconds=seconds)
+    return f'{end:%H:%M}' if end.date() == now.date() else f'{end:%Y-%m-%d %H:%M}'

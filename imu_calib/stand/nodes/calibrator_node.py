@@ -11,7 +11,7 @@ from typing import Any
 from ...common.errors import InputError
 from ...common.files import user_path
 from ...recordings.rosbag2 import Kind
-from ...reports.remaining import reading_sentence
+from ...reports.timeline import reading_sentence
 from .. import middleware as ros
 from ..middleware import messages
 from . import qos

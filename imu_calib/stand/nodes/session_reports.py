@@ -12,7 +12,7 @@ from ...common.stream import NS
 from ...common.units import significant
 from ...model.parameters import Parameter
 from ...recordings.rosbag2 import Kind
-from ...reports.parameter_table import engineering
+from ...reports.tables import engineering
 from ..middleware import messages
 from .diagnostics import Diagnostics, Level, PartOfDiagnostics
 from .live import LiveSession, SessionPhase

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...common.stream import NS
-from ...reports.convergence import Courses
-from ...reports.remaining import Pace, in_words
+from ...reports.timeline import Courses, Pace, in_words
 from ..devices.health import Severity
 from ..rules import Phase
 from .samples import Streams

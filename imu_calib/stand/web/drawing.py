@@ -11,10 +11,10 @@ import numpy as np
 
 from ...common.stream import Units
 from ...model.terms import TERMS
-from ...reports.allan_plot import noise_plots
 from ...reports.charts import number, tag
-from ...reports.convergence import Converging
-from ...reports.reports_html import facts
+from ...reports.html import facts
+from ...reports.page import noise_plots
+from ...reports.timeline import Converging
 from ...segmentation.segments import CHANNELS
 from ...session.imu import COVERAGE, ImuSpec
 from ..devices.health import Severity

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from ...common.units import DEG
-from ...reports.remaining import ends_at, in_words
+from ...reports.timeline import ends_at, in_words
 from ..devices.health import Severity
 from ..rules import Phase
 from .snapshot import NOT_BEGUN, Outcome, Snapshot, TableState

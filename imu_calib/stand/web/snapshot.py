@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from ...model.parameters import Parameter
-from ...reports.convergence import Converging
+from ...reports.timeline import Converging
 from ...session.imu import Specification
 from ..devices.health import Severity
 from ..rules import Phase

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...model.parameters import Parameter
-from ...reports.convergence import Converging
+from ...reports.timeline import Converging
 from ..devices.health import Severity
 from .board import Board, sentences_of
 from .snapshot import Expected, Outcome, Sentence, Snapshot
