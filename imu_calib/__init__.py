@@ -14,23 +14,23 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .api.calibrate import UnitResult, UnitResults, calibrate_units
-    from .api.calibrating import calibrate
-    from .api.certifying import certificate
+    from .api.calibrate import UnitResult, UnitResults, calibrate, calibrate_units
     from .api.columns import Columns, read
-    from .api.combining import combine
-    from .api.compare import Compared, compare
+    from .api.compare import Compared, Conformity, combine, compare, conformity
     from .api.compensate import Compensated, compensate
-    from .api.conforming import Conformity, conformity
-    from .api.converted import Converted
-    from .api.converting import convert
-    from .api.documents import report
-    from .api.exporting import export
-    from .api.inspecting import Inspection, inspect
+    from .api.convert import Converted
+    from .api.convert_text import convert
+    from .api.documents import certificate, export, report
+    from .api.inspect import Inspection, inspect
     from .api.predict import Prediction, optimise, predict, reach
-    from .api.repeating import MonteCarloResult, montecarlo
-    from .api.simulate import Simulated, simulate
-    from .api.simulating_units import SimulatedUnits, simulate_units
+    from .api.simulate import (
+        MonteCarloResult,
+        Simulated,
+        SimulatedUnits,
+        montecarlo,
+        simulate,
+        simulate_units,
+    )
     from .api.stand import StandRun, stand
     from .api.verify import verify
     from .calibration.calibration import Calibration
@@ -59,15 +59,15 @@ _WHERE = {
     'Columns': 'api.columns',
     'Compared': 'api.compare',
     'Compensated': 'api.compensate',
-    'Conformity': 'api.conforming',
-    'Converted': 'api.converted',
+    'Conformity': 'api.compare',
+    'Converted': 'api.convert',
     'Exported': 'calibration.exports',
     'History': 'fleet.results',
     'ImuCalibError': 'common.errors',
     'ImuSpec': 'session.imu',
     'InputError': 'common.errors',
-    'Inspection': 'api.inspecting',
-    'MonteCarloResult': 'api.repeating',
+    'Inspection': 'api.inspect',
+    'MonteCarloResult': 'api.simulate',
     'MountedUnit': 'session.units_file',
     'NotObservable': 'common.errors',
     'Optimum': 'estimation.optimise',
@@ -76,7 +76,7 @@ _WHERE = {
     'Reached': 'estimation.optimise',
     'Result': 'calibration.results',
     'Simulated': 'api.simulate',
-    'SimulatedUnits': 'api.simulating_units',
+    'SimulatedUnits': 'api.simulate',
     'StandRun': 'api.stand',
     'Table': 'session.table',
     'ThermalCalibration': 'calibration.thermal',
@@ -85,30 +85,30 @@ _WHERE = {
     'Verdict': 'calibration.verify',
     'Verification': 'calibration.verify',
     'batch': 'fleet.running',
-    'calibrate': 'api.calibrating',
+    'calibrate': 'api.calibrate',
     'calibrate_units': 'api.calibrate',
-    'certificate': 'api.certifying',
-    'combine': 'api.combining',
+    'certificate': 'api.documents',
+    'combine': 'api.compare',
     'compare': 'api.compare',
     'compensate': 'api.compensate',
-    'conformity': 'api.conforming',
-    'convert': 'api.converting',
-    'export': 'api.exporting',
+    'conformity': 'api.compare',
+    'convert': 'api.convert_text',
+    'export': 'api.documents',
     'history': 'fleet.history',
     'fleet_report': 'fleet.report',
-    'inspect': 'api.inspecting',
+    'inspect': 'api.inspect',
     'load_imu': 'session.imu',
     'load_plan': 'session.plan',
     'load_table': 'session.table',
     'load_units': 'session.units_file',
-    'montecarlo': 'api.repeating',
+    'montecarlo': 'api.simulate',
     'optimise': 'api.predict',
     'predict': 'api.predict',
     'reach': 'api.predict',
     'read': 'api.columns',
     'report': 'api.documents',
     'simulate': 'api.simulate',
-    'simulate_units': 'api.simulating_units',
+    'simulate_units': 'api.simulate',
     'stand': 'api.stand',
     'verify': 'api.verify',
 }

@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 from loopback import patience, until
 
-from imu_calib.api.calibrating import calibrate
+from imu_calib.api.calibrate import calibrate
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import dispatch, stand_session
 from imu_calib.cli.embedded import Embedded

@@ -17,8 +17,8 @@ import pytest
 from loopback import CHECKOUT
 
 import imu_calib
-from imu_calib.api import repeating
-from imu_calib.api.named import as_applied
+from imu_calib.api import simulate as repeating
+from imu_calib.api.session import as_applied
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.verify import Verdict
 from imu_calib.cli.main import main

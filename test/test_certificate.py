@@ -23,7 +23,7 @@ from loopback import CHECKOUT
 from sessions import at_one_rate, calibrate, quick_plan, session, stand
 
 import imu_calib
-from imu_calib.api.certifying import certificate
+from imu_calib.api.documents import certificate
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main
 from imu_calib.common.budget import Budget
@@ -191,7 +191,7 @@ def test_the_commands_of_the_page_work_with_the_example_to_copy(
     calibration: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr('imu_calib.api.certifying.pdf', str.encode)
+    monkeypatch.setattr('imu_calib.api.documents.pdf', str.encode)
     calibration.save(tmp_path / 'calibration.yaml')
     shutil.copy(EXAMPLE, tmp_path / 'my_certificate.yaml')
     shutil.copy(named_file('imus', 'fog_medium'), tmp_path / 'my_imu.yaml')

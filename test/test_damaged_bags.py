@@ -32,7 +32,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from imu_calib.api.inspecting import inspect_streams, topics
+from imu_calib.api.inspect import inspect_streams, topics
 from imu_calib.api.session import Stated
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import SetpointBlock

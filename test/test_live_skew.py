@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from sessions import SITE, Alone, ended, stand
 
-from imu_calib.api.calibrating import calibrate
+from imu_calib.api.calibrate import calibrate
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock, SkewBlock

@@ -30,7 +30,7 @@ import pytest
 import yaml
 from extent import ALL
 
-from imu_calib.api.conforming import conformity
+from imu_calib.api.compare import conformity
 from imu_calib.calibration.c_header import EXPORTS
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main

@@ -9,7 +9,7 @@ import pytest
 from sessions import SITE, paper_imu, stand, truth
 from test_prediction import brisk
 
-from imu_calib.api import repeating
+from imu_calib.api import simulate as repeating
 from imu_calib.cli.main import main
 from imu_calib.estimation.methods import Setup
 from imu_calib.model.parameters import PARAMETERS

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imu_calib.api.calibrating import calibrate
+from imu_calib.api.calibrate import calibrate
 from imu_calib.api.compensate import compensate
-from imu_calib.api.inspecting import inspect
+from imu_calib.api.inspect import inspect
 from imu_calib.api.simulate import simulate
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main

@@ -18,7 +18,7 @@ from installed import needs_modules
 from rosbags.rosbag2 import StoragePlugin
 
 import imu_calib
-from imu_calib.api.inspecting import topics
+from imu_calib.api.inspect import topics
 from imu_calib.api.session import Stated
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError

@@ -15,7 +15,7 @@ import yaml
 from loopback import CHECKOUT, patience, until
 from test_sequencer import Stand as Simulated
 
-from imu_calib.api.calibrating import calibrate
+from imu_calib.api.calibrate import calibrate
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import dispatch, main, resume
 from imu_calib.cli.processes import Processes

@@ -121,7 +121,7 @@ def test_info_of_topics_alone_loads_no_estimator(in_the_hand):
     code = LOOKED.splitlines()[:-1]
     modules = loaded('\n'.join(code), in_the_hand, '--topics')
     packages = 'methods', 'estimation', 'observation', 'reports', 'segmentation'
-    assert 'imu_calib.api.inspecting' in modules
+    assert 'imu_calib.api.inspect' in modules
     assert not among(modules, [*SLOW, *(f'imu_calib.{name}' for name in packages)])
 
 

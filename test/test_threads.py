@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 from loopback import CHECKOUT
 
-from imu_calib.api.calibrate import calibrate_units
-from imu_calib.api.calibrating import calibrated
+from imu_calib.api.calibrate import calibrate_units, calibrated
 from imu_calib.api.predict import optimise, predicted, shortest
-from imu_calib.api.repeating import montecarlo
+from imu_calib.api.simulate import montecarlo
 from imu_calib.api.verify import verify
 from imu_calib.common import parallel as threads
 

@@ -11,21 +11,26 @@ import numpy as np
 
 from ..calibration.agreement import FALSE_ALARM, Agreement
 from ..calibration.calibration import Calibration
+from ..calibration.results import Result
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, first_of
+from ..calibration.thermal import combine as of_temperatures
 from ..calibration.views import compared_frame, draw_differences
 from ..common.config import checked
 from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import counted
 from ..model.parameters import Parameter
+from ..reports.provenance import Assessed, assess, worst
 from ..reports.tables import SideBySide, side_by_side
-from .named import Named, as_applied
+from ..session.imu import COVERAGE, ImuSpec, Specification, Verdict
+from .session import Named, as_applied, as_calibration, as_combined, as_imu, as_list, name_of
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
     from ..calibration.results import Result
+
 
 _FEWEST = 2
 """Smallest number of calibrations to compare."""
@@ -221,3 +226,136 @@ def _names(calibrations: Sequence[Result | AnyCalibration | Named]) -> tuple[str
         place if path is None else path.stem if alone else str(path)
         for path, place in zip(paths, places, strict=False)
     )
+
+
+# Compare a calibration with the unit's specification: within, marginal or outside.
+
+
+@dataclass(frozen=True, eq=False)
+class Conformity:
+    """Conformity of a calibration with the unit's limits.
+
+    Attributes:
+        assessed: Every estimated parameter, with its limit and verdict if it has one.
+    """
+
+    assessed: tuple[Assessed, ...]
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        verdict = 'no limits' if self.verdict is None else self.verdict.value
+        return f'<Conformity: {verdict}, {counted(len(self.assessed), "parameter")}>'
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Return the worst verdict; None without any limit."""
+        return worst(self.assessed)
+
+    @property
+    def outside(self) -> tuple[str, ...]:
+        """Names of the parameters that exceed their limits by more than their uncertainty."""
+        return tuple(a.parameter.name for a in self.assessed if a.verdict is Verdict.FAIL)
+
+    def sentence(self) -> str:
+        """Return which parameters are outside, in a sentence; else empty."""
+        if not self.outside:
+            return ''
+        verb = 'are' if len(self.outside) > 1 else 'is'
+        return f'The unit is outside its specification: {", ".join(self.outside)} {verb} beyond it.'
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values, SI units, with the keys of docs/files/output.md."""
+        return {
+            'verdict': None if self.verdict is None else self.verdict.value,
+            'coverage_factor': COVERAGE,
+            'parameters': [
+                {
+                    'name': a.parameter.name,
+                    'value': a.value,
+                    'std': a.std,
+                    'unit': a.parameter.unit.si,
+                    'limit': a.limit,
+                    'verdict': None if a.verdict is None else a.verdict.value,
+                }
+                for a in self.assessed
+            ],
+        }
+
+
+@checked
+def conformity(
+    calibration: Result | AnyCalibration | Named, imu: ImuSpec | Named | None = None
+) -> Conformity:
+    """Compare a calibration with the specification of its unit.
+
+    Decision rule: a parameter is within if value and expanded uncertainty (coverage factor 2) are
+    within the limit, outside if both are beyond it, else marginal (ISO 14253-1).
+
+    Args:
+        calibration: calibration.yaml, a loaded calibration, or a result of `calibrate`. If it
+            combines several temperatures, each parameter counts where it uses most of its limit.
+        imu: The unit's file; None uses the one stated to `calibrate`.
+
+    Raises:
+        InputError: The unit's file states no specification.
+    """
+    if isinstance(calibration, ThermalCalibration):
+        found = calibration.calibrations
+    else:
+        several = as_combined(calibration)
+        found = (as_calibration(calibration),) if several is None else several.calibrations
+    limits = specification_of(found[0].imu if imu is None else as_imu(imu))
+    columns = zip(*(assess(one, limits) for one in found), strict=True)
+    return Conformity(tuple(max(column, key=_beyond) for column in columns))
+
+
+def _beyond(one: Assessed) -> float:
+    """Return the share of its limit that a parameter with uncertainty uses; 0 without a limit."""
+    return (abs(one.value) + COVERAGE * one.std) / one.limit if one.limit else 0.0
+
+
+def specification_of(imu: ImuSpec) -> Specification:
+    """Return the limits of a unit.
+
+    Raises:
+        InputError: Its file states none.
+    """
+    if imu.specification is None:
+        raise InputError(
+            f'IMU {imu.id}: nothing states its limits: add the section specification to its file '
+            '(docs/files/imu.md), and name the file with `imu`.'
+        )
+    return imu.specification
+
+
+# Combine calibrations of one unit at several temperatures.
+
+
+@checked
+def combine(
+    calibrations: Result | Calibration | Named | Sequence[Result | Calibration | Named],
+    output: Named | None = None,
+    *,
+    order: int | None = None,
+) -> ThermalCalibration:
+    """Combine calibrations of one unit at several temperatures.
+
+    Args:
+        calibrations: Two or more, in any order: files, calibrations, or results of `calibrate`.
+        output: File to write, or None.
+        order: Degree of a polynomial in temperature; None for straight lines between neighbours.
+
+    Returns:
+        The calibration for `compensate` and compensator_node: `at(celsius)` is the calibration at a
+        temperature.
+
+    Raises:
+        InputError: They are not of one unit, a temperature is missing or repeated, they are too few
+            for the order, or a file cannot be read or written.
+    """
+    given = as_list(calibrations)
+    names = [name_of(one, f'calibration {k + 1}') for k, one in enumerate(given)]
+    combined = of_temperatures([as_calibration(one) for one in given], names, order)
+    if output is not None:
+        combined.save(output)
+    return combined

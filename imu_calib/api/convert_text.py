@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from ..common.config import checked
 from ..common.errors import InputError
+from ..common.files import refuse_device, require, user_path
+from ..common.other_formats import BAG_OF_ROS_1
+from ..common.parallel import Progress, silent
 from ..common.stream import (
     LAST_SECOND,
     Floats,
@@ -21,17 +26,30 @@ from ..common.stream import (
 from ..common.units import Dimension, counted, parse
 from ..recordings.cdr import Messages
 from ..recordings.cdr_codec import encode_joints, encode_temperatures
-from ..recordings.rosbag2 import Kind
-from ..recordings.text import Text, places_by_stamp
+from ..recordings.remote import AnyPath, local, located
+from ..recordings.rosbag2 import Kind, is_storage, open_recording
+from ..recordings.storage import RecordingError
+from ..recordings.text import Text, places_by_stamp, read_sensors, read_text
 from ..recordings.writer import RecordingWriter
 from ..segmentation.stream_facts import ROWS_APART, gravity_removed, halves, quiet_means
 from ..session.imu import COLDEST, HOTTEST
 from ..session.metadata import interpolation_description
-from .assumed import against_si
-from .convert import rate_of, read_at, resampling
-from .converted import JOINTS, RAW, RAW_UNITS, SI, TEMPERATURE, Converted, described, write_imu
-from .named import Named
-from .outputs import removed_on_failure
+from .convert import (
+    JOINTS,
+    RAW,
+    RAW_UNITS,
+    SI,
+    TEMPERATURE,
+    Converted,
+    described,
+    joined,
+    rate_of,
+    read_at,
+    resampling,
+    write_imu,
+)
+from .session import Named
+from .streams import against_si, removed_on_failure
 
 _GYRO = {**Dimension.RATE.value, **Dimension.ANGLE.value, **RAW_UNITS}
 _ACCEL = {**Dimension.ACCELERATION.value, **Dimension.VELOCITY.value, **RAW_UNITS}
@@ -379,3 +397,141 @@ def _parted(stated: str) -> tuple[list[str], str]:
     """Split 'NAME,NAME:UNIT' into names and unit."""
     names, _, unit = stated.rpartition(':')
     return [name.strip() for name in names.split(',')], unit.strip()
+
+
+# Convert recordings of other software to recordings that every command reads.
+
+
+@checked
+def convert(
+    source: Named,
+    output: Named,
+    *,
+    stamp: str | None = None,
+    rate: str | None = None,
+    gyro: str | None = None,
+    accel: str | None = None,
+    joints: str | None = None,
+    temperature: str | None = None,
+    delimiter: str | None = None,
+    gyro_topic: str | None = None,
+    accel_topic: str | None = None,
+    accel_file: Named | None = None,
+    accel_stamp: str | None = None,
+    imu: Named | None = None,
+    progress: Progress = silent,
+) -> Converted:
+    """Convert a recording of other software to rosbag2 (mcap).
+
+    State the columns of a text file: 'NAME,NAME,NAME:UNIT', each NAME as in its heading or a place
+    counted from 1. A bag of ROS 1 needs no such options. Gyros and accelerometers on separate
+    topics (`gyro_topic`, `accel_topic`) or in separate text files (`accel_file`) are joined: the
+    accelerometers are interpolated linearly at the stamps of the gyros. So are those in rows or
+    messages of their own: name one topic twice.
+
+    Args:
+        source: Text file, bag of ROS 1, recording of rosbag2, or a URL of one that fsspec reads.
+        output: Folder to create.
+        stamp: Column of each row's time, for instance 't:s' (s, ms, us, ns).
+        rate: Of the rows, if there is no column of time: '200 Hz'; a number alone is in Hz.
+        gyro: Three columns, for instance 'wx,wy,wz:deg/s'; units of rate or angle, pulse, or count.
+        accel: Three columns, for instance '5,6,7:g'; units of acceleration or velocity, pulse,
+            or count.
+        joints: Columns with the names of the table's joints, for instance 'outer,inner:deg'.
+        temperature: One column, 'NAME:degC'.
+        delimiter: Between fields; None detects it.
+        gyro_topic: sensor_msgs/Imu whose angular velocity is used.
+        accel_topic: sensor_msgs/Imu whose linear acceleration is used.
+        accel_file: Text file of the accelerometers, if `source` holds only the gyros.
+        accel_stamp: Column of the time in `accel_file`; None: as `stamp`.
+        imu: Meaning of pulses or counts, written into the recording.
+        progress: Shows the progress; nothing by default.
+
+    Raises:
+        InputError: Unreadable, the options do not match the file, or the output exists.
+    """
+    target = user_path(output)
+    if target.exists():
+        raise InputError(f'{target}: exists already; name a folder that does not.')
+    path = located(source)
+    refuse_device(path)
+    columns = {'stamp': stamp, 'gyro': gyro, 'accel': accel, 'joints': joints}
+    columns |= {'temperature': temperature, 'rate': rate, 'accel_stamp': accel_stamp}
+    columns |= {'accel_file': None if accel_file is None else str(accel_file)}
+    of_ros_1 = path.suffix.lower() == '.bag' or _is_bag_of_ros_1(path)
+    if of_ros_1 or path.is_dir() or is_storage(path):
+        given = [name for name, value in columns.items() if value is not None]
+        if given:
+            raise InputError(f'`{given[0]}` names columns of a text file; {path} is a recording.')
+        if of_ros_1:
+            return _from_ros1(path, target)
+        if path.is_dir() and not any(is_storage(file) for file in path.iterdir()):
+            raise InputError(f'{path} is a folder without a recording; name a file to convert.')
+        if gyro_topic is None or accel_topic is None:
+            raise InputError(
+                f'{path} is a recording of rosbag2 already. Where gyros and accelerometers are on '
+                'topics of their own, give `gyro_topic` and `accel_topic`.'
+            )
+        return joined(path, target, gyro_topic, accel_topic, imu, progress)
+    text, own = read_sensors(path, delimiter)
+    needed = {'`gyro` NAME,NAME,NAME:UNIT': gyro, '`accel` NAME,NAME,NAME:UNIT': accel}
+    needed |= {'`stamp` NAME:UNIT or `rate` HZ': stamp or rate}
+    lacking = [name for name, value in needed.items() if value is None]
+    if gyro is None or accel is None or lacking:
+        other = '' if accel_file else ' Accelerometers in a file of their own: `accel_file`.'
+        raise InputError(
+            f'{path}: its columns are {", ".join(text.names)}. Say which are which: '
+            f'{", ".join(lacking)} {"is" if len(lacking) == 1 else "are"} not stated.{other}'
+        )
+    if stamp is not None and rate is not None:
+        raise InputError(
+            f'`stamp` {stamp} and `rate` {rate} both say when the rows were: give the one or the '
+            'other.'
+        )
+    if accel_file is None and own is None:
+        if accel_stamp is not None:
+            raise InputError('`accel_stamp` is the time in `accel_file`, which is not given.')
+        return from_text(text, target, stamp, rate, gyro, accel, joints, temperature, imu)
+    if stamp is None:
+        raise InputError(
+            'Gyros and accelerometers in rows of their own are joined by the time of the rows: '
+            'give `stamp`, no `rate`.'
+        )
+    forces = own if accel_file is None else read_text(located(accel_file), delimiter)
+    others = (joints, temperature, imu, forces, accel_stamp)
+    return from_text(text, target, stamp, None, gyro, accel, *others)
+
+
+def _is_bag_of_ros_1(path: AnyPath) -> bool:
+    try:
+        with path.open('rb') as file:
+            return file.read(len(BAG_OF_ROS_1)) == BAG_OF_ROS_1
+    except OSError:
+        return False
+
+
+def _from_ros1(path: AnyPath, target: Path) -> Converted:
+    """Convert a bag of ROS 1, with the messages that calibration uses."""
+    require('rosbags', f'{path}: a bag of ROS 1', 'ros1')
+    from rosbags.convert import ConverterError
+    from rosbags.convert import convert as rewritten
+    from rosbags.typesys import Stores, get_typestore
+
+    stores = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)
+    types = [k.type_name for k in (Kind.IMU, Kind.JOINTS, Kind.TEMPERATURES)]
+    bag = Path()
+    try:
+        with removed_on_failure(target), TemporaryDirectory() as folder:
+            # rosbags goes by the ending.
+            bag = Path(folder, 'bag.bag')
+            bag.symlink_to(local(path).resolve())
+            rewritten([bag], target, 'mcap', 9, None, 'none', *stores, [], [], [], types)
+            with open_recording(target) as recording:
+                counts = {topic.name: topic.count or 0 for topic in recording.topics}
+    except (ConverterError, RecordingError) as error:
+        reason = str(error).replace(str(bag), str(path))
+        raise InputError(
+            f'{path}: cannot be converted: {reason} Expected a bag of ROS 1 with one of '
+            f'{", ".join(types)}; rosbag reindex completes one whose recorder did not finish.'
+        ) from None
+    return Converted(target, counts, ())

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..calibration.c_header import EXPORTS
 from ..calibration.calibration import Calibration
+from ..calibration.exports import Exported, ExportSource
 from ..calibration.results import Result
-from ..calibration.thermal import AnyCalibration, ThermalCalibration
-from ..common.config import checked
+from ..calibration.thermal import AnyCalibration, ThermalCalibration, first_of, load_calibration
+from ..common.config import Section, checked
 from ..common.errors import InputError, NotStated
-from ..common.files import write_whole
+from ..common.files import user_path, write_whole
 from ..common.parallel import Progress, silent
 from ..estimation.methods import JOINT
 from ..estimation.term_tests import TermState
@@ -24,15 +27,29 @@ from ..model.session_terms import SESSION_TERMS
 from ..model.terms import AUTO_TERMS, NO_TERMS
 from ..recordings.remote import located
 from ..recordings.rosbag2 import Recording
+from ..reports.certificate import Certificate, certificate_of
+from ..reports.certificate_fields import Fields, read_fields
+from ..reports.certificate_page import certificate_page, pdf
+from ..reports.dcc import dcc
 from ..reports.page import Contents, page
 from ..reports.thermal import thermal_page
 from ..session.imu import ImuSpec
 from ..session.plan import Plan, load_plan
-from .calibrating import solve
-from .named import Named, as_calibration, as_combined, as_imu, as_list
-from .opening import recording_at, session_of
-from .outputs import page_path
-from .session import NO_PLAN, Stated
+from .calibrate import solve
+from .session import (
+    NO_PLAN,
+    Named,
+    Stated,
+    as_applied,
+    as_calibration,
+    as_combined,
+    as_imu,
+    as_list,
+)
+from .streams import output_path, page_path, recording_at, session_of
+
+if TYPE_CHECKING:
+    from ..calibration.results import Result
 
 _ALIKE = 0.1
 """In standard deviations: two results of one recording that are closer are the same. A judgement:
@@ -213,3 +230,139 @@ def _far_apart(again: Calibration, calibration: Calibration) -> bool:
     known = np.isfinite(calibration.std)
     apart = np.abs(again.values - calibration.values)[known]
     return bool(np.any(apart > _ALIKE * calibration.std[known]))
+
+
+# Certificates of a calibration: HTML and PDF for people, DCC for machines.
+
+
+FORMATS = ('.html', '.pdf', '.xml')
+"""Formats by file ending."""
+
+
+@checked
+def certificate(
+    calibration: Result | AnyCalibration | Named,
+    fields: Fields | Named,
+    output: Named | Sequence[Named] = 'certificate.html',
+    *,
+    imu: ImuSpec | Named | None = None,
+    draft: bool = False,
+) -> Certificate:
+    """Write a calibration certificate by ISO/IEC 17025:2017, 7.8 (docs/certificate.md).
+
+    Args:
+        calibration: calibration.yaml with an uncertainty budget, or a result of `calibrate`.
+        fields: Statements of the laboratory, a YAML file (docs/files/certificate.md).
+        output: Files to write; the ending selects the format: .html for A4, .pdf (needs WeasyPrint
+            or Chromium), .xml for PTB's Digital Calibration Certificate 3.1.2.
+        imu: The unit's file with its specification, for statements of conformity.
+        draft: Allow missing fields, and mark every page of the certificate as a draft.
+
+    Returns:
+        The written files.
+
+    Raises:
+        InputError: Something that the standard requires is missing (everything missing is named),
+            the fields contradict the calibration, or a file cannot be read or written.
+    """
+    targets = [user_path(name) for name in as_list(output)]
+    kinds = [t.suffix.lower() for t in targets]
+    for target, kind in zip(targets, kinds, strict=True):
+        if kind not in FORMATS:
+            raise InputError(f'{target}: expected a name that ends in {", ".join(FORMATS)}.')
+    if draft and '.xml' in kinds:
+        raise InputError(
+            'A draft may have gaps, and a DCC may not. Leave the .xml out, or state '
+            'what is missing.'
+        )
+    found = _single(calibration)
+    if not isinstance(fields, Fields):
+        fields = read_fields(Section.load(user_path(fields), 'the fields of a certificate'))
+    specification = None if imu is None else as_imu(imu).specification
+    made = certificate_of(found, fields, specification, dcc='.xml' in kinds, draft=draft)
+    html = certificate_page(made)
+    for target, kind in zip(targets, kinds, strict=True):
+        write_whole(target, _bytes(kind, html, made))
+    return made
+
+
+def _single(calibration: Result | AnyCalibration | Named) -> Calibration:
+    """Return a calibration at one temperature."""
+    if isinstance(calibration, str | Path):
+        calibration = load_calibration(calibration)
+    if isinstance(calibration, ThermalCalibration):
+        if len(calibration.calibrations) > 1:
+            raise InputError(
+                'The calibration combines several temperatures, and has no uncertainty budget: '
+                'write a certificate for each that it was combined from.'
+            )
+        return calibration.calibrations[0]
+    return as_calibration(calibration)
+
+
+def _bytes(kind: str, html: str, made: Certificate) -> bytes:
+    if kind == '.pdf':
+        return pdf(html)
+    return (html if kind == '.html' else dcc(made)).encode()
+
+
+# Export a calibration in the format of other software.
+
+
+@checked
+def export(
+    calibration: Result | AnyCalibration | Named,
+    format: str,  # noqa: A002
+    output: Named | None = None,
+    *,
+    sample_rate: float | None = None,
+    topic: str = '/imu/data',
+    imu: ImuSpec | Named | None = None,
+) -> Exported:
+    """Write a calibration for other software.
+
+    Args:
+        calibration: calibration.yaml, single or combined, or a loaded calibration.
+        format: 'ros': parameters of compensator_node, which name the file (that of a value is
+            written beside `output`, OUTPUT_calibration.yaml); 'kalibr': imu.yaml;
+            'imucal': JSON; 'c': a header (docs/exports.md).
+        output: File to write, or None.
+        sample_rate: Of the stream, Hz: for kalibr, and for imucal of pulses.
+        topic: Of the stream, for kalibr.
+        imu: The data sheet, for kalibr: noise that was not measured, and the sample rate.
+
+    Returns:
+        The text, and what it cannot represent.
+
+    Raises:
+        InputError: There is no such format, it cannot represent this calibration, or a file cannot
+            be read or written.
+    """
+    if format not in EXPORTS:
+        raise InputError(f'`format`: found {format!r}, expected one of {", ".join(EXPORTS)}.')
+    if sample_rate is not None and not (math.isfinite(sample_rate) and sample_rate > 0):
+        raise InputError(f'`sample_rate`: found {sample_rate}, expected Hz above 0.')
+    path = None
+    if isinstance(calibration, str | Path):
+        path = user_path(calibration).absolute()
+    target = None if output is None else output_path(output)
+    if target is not None and path is not None and target.resolve() == path.resolve():
+        raise InputError(f'`output`: {target} is the calibration itself.')
+    loaded, name = as_applied(calibration if path is None else path)
+    combined = isinstance(loaded, ThermalCalibration) and len(loaded.calibrations) > 1
+    if combined and format != 'ros':
+        raise InputError(
+            f'{name} combines calibrations at several temperatures, which format '
+            f'{format} cannot carry: export one of them.'
+        )
+    beside = None
+    if path is None and target is not None and format == 'ros':
+        # The node reads a file, which a calibration from Python need not have.
+        path = beside = target.absolute().with_name(f'{target.stem}_calibration.yaml')
+    sheet = None if imu is None else as_imu(imu)
+    exported = EXPORTS[format](ExportSource(first_of(loaded), path, sample_rate, topic, sheet))
+    if beside is not None:
+        (loaded if combined else first_of(loaded)).save(beside)
+    if target is not None:
+        write_whole(target, exported.text)
+    return exported

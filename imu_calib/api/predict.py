@@ -40,10 +40,8 @@ from ..model.sensors import SensorModel, parameters_of, terms_of
 from ..session.imu import ImuSpec
 from ..session.plan import Plan
 from ..session.table import Table
-from .keywords import Optimised, Planned, with_keywords
-from .named import Named, as_imu, as_plan, as_truth
-from .outputs import output_path
-from .session import Stated
+from .session import Named, Optimised, Planned, Stated, as_imu, as_plan, as_truth, with_keywords
+from .streams import output_path
 
 if TYPE_CHECKING:
     import pandas

@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import wraps
+from inspect import Parameter, signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias, TypedDict, TypeVar
 
 import numpy as np
 
-from ..common.config import Section
+from ..calibration.calibration import Calibration
+from ..calibration.thermal import (
+    AnyCalibration,
+    ThermalCalibration,
+    by_temperature,
+    first_of,
+    load_calibration,
+)
+from ..common.config import Section, check
 from ..common.errors import InputError, NotStated
+from ..common.files import named_file
 from ..common.stream import Floats
 from ..common.units import DEG
 from ..model.earth import MEASURED, VAGUE, Site
 from ..model.session_terms import SESSION_TERMS, Change, split_terms
 from ..model.terms import AUTO_TERMS, NO_TERMS, TERMS, Term, asks_for_search, named_terms
-from ..session.imu import ImuSpec, read_imu
+from ..session.imu import ImuSpec, load_imu, read_imu
 from ..session.metadata import (
     SERIAL_NUMBER,
     TABLE,
@@ -25,14 +38,118 @@ from ..session.metadata import (
     serial_key,
     states_site,
 )
-from ..session.plan import UNPLANNED, Plan, read_plan
-from ..session.table import Table, read_table
-from .named import Named, as_imu, as_plan, as_table
+from ..session.plan import UNPLANNED, Plan, load_plan, read_plan
+from ..session.table import Table, load_table, read_table
+from ..session.units_file import MountedUnit, load_units
 
 if TYPE_CHECKING:
-    # Loads slowly; most commands do not need it.
+    from ..calibration.results import Result
     from ..recordings.rosbag2 import Recording
+    from ..session.imu import ImuSpec
+    from ..session.plan import Plan
+    from ..session.table import Table
     from .streams import Streams
+
+# Arguments given by name, by path or as a value.
+
+
+Named: TypeAlias = str | Path
+"""The name of a supplied file, or the path of one."""
+
+
+def as_list(given: Any) -> list[Any]:
+    """Return several values as a list, and one as a list of it; a text is one value."""
+    if isinstance(given, Sequence) and not isinstance(given, str):
+        return list(given)
+    return [given]
+
+
+def as_plan(plan: Plan | Named) -> Plan:
+    """Return a plan given by name or value."""
+    return plan if isinstance(plan, Plan) else load_plan(plan)
+
+
+def as_imu(imu: ImuSpec | Named) -> ImuSpec:
+    """Return an IMU given by name or value."""
+    return imu if isinstance(imu, ImuSpec) else load_imu(imu)
+
+
+def as_table(table: Table | Named) -> Table:
+    """Return a table given by name or value."""
+    return table if isinstance(table, Table) else load_table(table)
+
+
+def as_units(imus: Named | Sequence[MountedUnit]) -> tuple[MountedUnit, ...]:
+    """Return several units given by file or value.
+
+    Raises:
+        InputError: The file is broken, or there is no unit.
+    """
+    units = load_units(imus) if isinstance(imus, str | Path) else tuple(imus)
+    if not units:
+        raise InputError('`imus`: found no unit, expected one or more.')
+    return units
+
+
+def as_calibration(calibration: Result | Calibration | Named) -> Calibration:
+    """Return a calibration given by file, result or value."""
+    if isinstance(calibration, str | Path):
+        return Calibration.load(calibration)
+    return calibration if isinstance(calibration, Calibration) else calibration.calibration
+
+
+def as_combined(calibration: Result | AnyCalibration | Named) -> ThermalCalibration | None:
+    """Return the calibrations of a combined file; else None."""
+    if isinstance(calibration, str | Path):
+        calibration = load_calibration(calibration)
+    if isinstance(calibration, ThermalCalibration) and len(calibration.calibrations) > 1:
+        return calibration
+    return None
+
+
+def as_applied(calibration: Result | AnyCalibration | Named) -> tuple[AnyCalibration, str]:
+    """Return a calibration for compensation (over temperature, if it has that) and its name.
+
+    Raises:
+        InputError: A file cannot be read, or is not a calibration.
+    """
+    if isinstance(calibration, str | Path):
+        return load_calibration(calibration), str(calibration)
+    if isinstance(calibration, ThermalCalibration):
+        loaded: AnyCalibration = calibration
+    else:
+        single = as_calibration(calibration)
+        loaded = by_temperature(single, f'calibration of {single.imu.id}')
+    return loaded, f'calibration of {first_of(loaded).imu.id}'
+
+
+def name_of(calibration: Result | Calibration | Named, otherwise: str) -> str:
+    """Return the name of a calibration: the file's if there is one."""
+    return str(calibration) if isinstance(calibration, str | Path) else otherwise
+
+
+def as_truth(truth: Calibration | Named) -> Calibration:
+    """Return true parameters given by supplied name, file or value."""
+    if isinstance(truth, Calibration):
+        return truth
+    return Calibration.load(named_file('truths', truth))
+
+
+def load_truth(truth: Calibration | Named, imu: ImuSpec) -> Calibration:
+    """Return the true parameters of a simulated unit.
+
+    Raises:
+        InputError: They do not describe the unit's skewed gyro.
+    """
+    known = as_truth(truth)
+    if imu.skewed is not None and known.model.skewed is None:
+        name = 'of this unit' if isinstance(truth, Calibration) else truth
+        raise InputError(
+            f'`truth` {name} does not describe the skewed gyro of IMU {imu.id}: a simulated '
+            'one needs it (for instance the truth fog_skewed).'
+        )
+    return known
+
 
 NO_PLAN = 'none'
 """Value for a plan if none was run, or if the recording's own must not be used."""
@@ -306,3 +423,113 @@ def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> S
         gravity_std=stated.gravity_std,
         latitude_std=doubt,
     )
+
+
+# Keywords common to several functions: the statements on a session, which form `Stated`.
+
+
+Arguments = ParamSpec('Arguments')
+Returned = TypeVar('Returned')
+
+
+class AtSite(TypedDict, total=False):
+    """The site and its uncertainty."""
+
+    latitude: float | None
+    latitude_std: float | None
+    height: float | None
+    height_std: float | None
+    gravity: float | None
+    gravity_std: float | None
+
+
+class OnTable(TypedDict, total=False):
+    """The table that turns the unit."""
+
+    table: Table | Named | None
+    azimuth: float | None
+
+
+class Solved(TypedDict, total=False):
+    """The method of estimation."""
+
+    method: str | None
+    terms: str | None
+
+
+class OfUnit(TypedDict, total=False):
+    """The unit and the topics of its samples."""
+
+    imu: ImuSpec | Named | None
+    serial: str | None
+    imu_topic: str | None
+    imu_only: bool
+
+
+class Planned(AtSite, OnTable, Solved, total=False):
+    """A session that is predicted or simulated."""
+
+
+class Optimised(AtSite, OnTable, total=False):
+    """A session whose plan is optimised."""
+
+
+class OnStand(AtSite, Solved, total=False):
+    """A session that is run live."""
+
+
+class OfSeveral(AtSite, OnTable, Solved, total=False):
+    """A recorded session of several units."""
+
+    plan: Plan | Named | None
+    joint_topic: str | None
+    setpoint_topic: str | None
+
+
+class Session(OfSeveral, OfUnit, total=False):
+    """A recorded session of one unit."""
+
+
+class Verified(AtSite, OnTable, OfUnit, total=False):
+    """A recorded session for verification, without an estimate."""
+
+    plan: Plan | Named | None
+    joint_topic: str | None
+    setpoint_topic: str | None
+
+
+def with_keywords(
+    kind: type[object],
+) -> Callable[[Callable[Arguments, Returned]], Callable[Arguments, Returned]]:
+    """Show the keywords of a kind in the signature of a function that takes them by `**`.
+
+    The arguments are checked, as by `checked`. Help, completion, documentation and the command line
+    read them from the signature.
+    """
+
+    def of(function: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
+        own = signature(function)
+        *named, kept = own.parameters.values()
+        more = [
+            Parameter(f.name, Parameter.KEYWORD_ONLY, default=f.default, annotation=f.type)
+            for f in fields(Stated)
+            if f.name in kind.__annotations__
+        ]
+
+        @wraps(function)
+        def called(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Returned:
+            if unknown := set(kwargs) - set(extended.parameters):
+                name = function.__name__
+                raise TypeError(f'{name}() got an unexpected keyword argument {unknown.pop()!r}')
+            check(extended, args, kwargs)
+            return function(*args, **kwargs)
+
+        extended = own.replace(parameters=[*named, *more])
+        called.__signature__ = extended  # type: ignore[attr-defined]
+        # Names that cannot be resolved (`Unpack` is for mypy) would hide the others.
+        called.__annotations__ = {
+            n: a for n, a in function.__annotations__.items() if n != kept.name
+        }
+        return called
+
+    return of

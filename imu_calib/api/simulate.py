@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..calibration.calibration import Calibration
-from ..common.errors import InputError
-from ..common.parallel import Progress, silent
+from ..calibration.views import compared_frame, draw_normalised
+from ..common.errors import InputError, NotObservable
+from ..common.parallel import Progress, by_one_thread, silent
 from ..common.stream import (
     YEAR_2200,
     Block,
@@ -24,25 +25,48 @@ from ..common.stream import (
     Stamps,
     TemperatureBlock,
 )
-from ..estimation.methods import check_plan
+from ..common.units import counted
+from ..estimation.methods import Setup, check_plan
+from ..estimation.methods import method as solver
 from ..model.earth import LUOYANG
 from ..recordings.cdr import Messages
 from ..recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints, encode_temperatures
 from ..recordings.rosbag2 import Kind
 from ..recordings.writer import RecordingWriter
 from ..session.imu import COLDEST, HOTTEST, ImuSpec
-from ..session.metadata import describe
+from ..session.metadata import describe, mount_description, shared_description, unit_description
 from ..session.plan import Plan
 from ..session.table import Table
+from ..session.units_file import TRUTHS, MountedUnit, spread_seeds
 from ..simulation.hand import as_planned
 from ..simulation.options import StandOptions, load_imperfections
-from ..simulation.stand import IMU_TOPIC, TEMPERATURE_TOPIC, SimulatedStand
-from .keywords import AtSite, with_keywords
-from .named import Named, as_imu, as_plan, as_table, load_truth
-from .outputs import new_folder, removed_on_failure
-from .session import TRUE_TABLE, Stated, azimuth_of
+from ..simulation.repetition import Outcome, Study, economical, repeat
+from ..simulation.stand import (
+    IMU_TOPIC,
+    TEMPERATURE_TOPIC,
+    SeveralOnTable,
+    SimulatedStand,
+    SimulatedUnit,
+)
+from .session import (
+    TRUE_TABLE,
+    AtSite,
+    Named,
+    Planned,
+    Stated,
+    as_imu,
+    as_plan,
+    as_table,
+    as_units,
+    azimuth_of,
+    load_truth,
+    with_keywords,
+)
+from .streams import new_folder, removed_on_failure
 
 if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
     from typing_extensions import Unpack
 
 TRUTH = 'truth.yaml'
@@ -281,3 +305,268 @@ def serialised(block: Block) -> tuple[Kind, Messages, Stamps]:
         stamps = np.array([s.stamp for s in block.setpoints], dtype=np.int64)
         return Kind.SETPOINTS, encode_setpoints(block), stamps
     return Kind.TEMPERATURES, encode_temperatures(block), block.stamp
+
+
+# Simulate a recording of several units on one table.
+
+
+_UNITS_TABLE = 'three_axis'
+_TRUTH = 'cao2022_table1'
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedUnits:
+    """A simulated recording of several units.
+
+    Attributes:
+        path: Its folder.
+        plan: The plan that was run.
+        truths: The true parameters of each unit by serial number, also in the folder `TRUTHS`.
+        duration: s.
+        true_table: The file of the true table; None if it is as described.
+    """
+
+    path: Path
+    plan: Plan
+    truths: Mapping[str, Calibration]
+    duration: float
+    true_table: Path | None
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        units = counted(len(self.truths), 'unit')
+        return f'<SimulatedUnits: {self.duration:.0f} s of {units} in {self.path}>'
+
+
+@with_keywords(AtSite)
+def simulate_units(
+    plan: Plan | Named,
+    output: Named,
+    imus: Named | Sequence[MountedUnit],
+    *,
+    table: Table | Named | None = None,
+    truth: Calibration | Named = _TRUTH,
+    azimuth: float | None = None,
+    bias_instability: bool = False,
+    imperfections: Named | None = None,
+    seed: int = 0,
+    start: str | datetime | None = None,
+    temperature: float | None = None,
+    compression: str = '',
+    progress: Progress = silent,
+    **site: Unpack[AtSite],
+) -> SimulatedUnits:
+    """Simulate a session of several units on one table and write its recording.
+
+    Args:
+        plan: Name, file or value; one of a table.
+        output: Folder to create.
+        imus: File of the units (docs/files/units.md), or the units.
+        table: Name, file or value; None for the three-axis table.
+        truth: True parameters of the units that state none.
+        azimuth: As for `simulate`, as are all that follow.
+        bias_instability: Of every unit, by its own figure.
+        imperfections: Those of the table are the same for all units.
+        seed: Of the table, and of the units that state none.
+        start: Date of the first sample.
+        temperature: degC.
+        compression: '', 'lz4' or 'zstd'.
+        progress: Shows the progress.
+        **site: `latitude` to `gravity_std` as of `calibrate`, to be stated in the recording; None
+            for Luoyang's latitude.
+
+    Raises:
+        InputError: A file is missing or broken, they do not match each other, the folder exists, or
+            its parent folder does not.
+        NotObservable: The plan cannot determine the parameters with its method.
+    """
+    if seed < 0:
+        raise InputError(f'`seed`: found {seed}, expected 0 or more.')
+    target = new_folder(output)
+    listed = as_units(imus)
+    place = Stated(**site).site(LUOYANG)
+    steps = as_plan(plan)
+    check_plan(steps.method, steps, place)
+    if steps.by_hand:
+        raise InputError(
+            f'`imus`: plan {steps.name} is run by hand, without a table: expected one unit (`imu`).'
+        )
+    stands = as_table(table or _UNITS_TABLE)
+    options = options_of(
+        stands,
+        azimuth,
+        imperfections,
+        seed,
+        bias_instability=bias_instability,
+        start=start,
+        temperature=temperature,
+    )
+    units, truths = [], {}
+    for one, own_seed in zip(listed, spread_seeds(listed, seed), strict=True):
+        spec = as_imu(one.imu)
+        true = replace(load_truth(one.truth or truth, spec), imu=spec)
+        truths[one.serial_number] = replace(true, serial_number=one.serial_number)
+        unit = SimulatedUnit(one.topic, spec, true.model, one.mount, one.lever, own_seed)
+        units.append(unit)
+    stand = SeveralOnTable(steps, stands, units, place, options, seed)
+    data = shared_description(describe(plan, listed[0].imu, table or _UNITS_TABLE, place))
+    for one in listed:
+        data |= unit_description(one.topic, one.imu, one.serial_number)
+        if one.turned:
+            data |= mount_description(one.topic, one.mount)
+    with removed_on_failure(target):
+        with RecordingWriter(target, data, compression) as writer:
+            write_blocks(writer, stand.blocks(), stand.duration, progress)
+        (target / TRUTHS).mkdir()
+        for number, true in truths.items():
+            true.save(target / TRUTHS / f'{number}.yaml')
+        true_table = save_true_table(target, options, stands)
+    return SimulatedUnits(target, steps, truths, stand.duration, true_table)
+
+
+# Repeat a simulated session: errors of its method against its stated deviations.
+
+
+_MOST_RUNS = 1_000_000
+"""Chosen: of about a second each they take eleven days of one processor, and a gigabyte."""
+
+
+@dataclass(frozen=True, eq=False)
+class MonteCarloResult:
+    """A session that was simulated and calibrated many times.
+
+    Attributes:
+        setup: Plan, method, table, IMU and site.
+        outcome: Errors and standard deviations of every run, and their statistics.
+        findings: Messages for the user, in sentences.
+    """
+
+    setup: Setup
+    outcome: Outcome
+    findings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        setup, runs = self.setup, len(self.outcome.errors)
+        return (
+            f'<MonteCarloResult of plan {setup.plan.name} by {setup.method_name}: '
+            f'{counted(runs, "run")}>'
+        )
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the statistics of the runs by parameter, as a pandas.DataFrame.
+
+        Columns: mean error (bias), scatter of the errors (spread), stated standard deviation,
+        largest error (worst), root mean square of the errors over their stated standard deviations
+        (normalised), unit.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        outcome = self.outcome
+        columns = {
+            'bias': outcome.bias,
+            'spread': outcome.spread,
+            'stated': outcome.mean_stated,
+            'worst': outcome.worst,
+        }
+        return compared_frame(outcome.parameters, columns, {'normalised': outcome.rms})
+
+    def plot(self) -> Figure:
+        """Draw the errors over the stated standard deviations; return the matplotlib Figure.
+
+        Raises:
+            InputError: matplotlib is not installed.
+        """
+        setup, outcome = self.setup, self.outcome
+        title = f'{setup.plan.name}, {setup.method_name}: {len(outcome.errors)} runs'
+        known = np.isfinite(outcome.mean_stated)
+        names = [p.name for p, k in zip(outcome.parameters, known, strict=True) if k]
+        return draw_normalised(title, names, outcome.normalised[:, known])
+
+
+@with_keywords(Planned)
+@by_one_thread
+def montecarlo(
+    plan: Plan | Named,
+    imu: ImuSpec | Named = 'fog_medium',
+    *,
+    runs: int = 100,
+    seed: int = 0,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    truth: Calibration | Named = 'cao2022_table1',
+    bias_instability: bool = False,
+    progress: Progress = silent,
+    **stated: Unpack[Planned],
+) -> MonteCarloResult:
+    """Simulate a session with many seeds, calibrate from each, and compare with the truth.
+
+    Args:
+        plan: Name, file or value.
+        imu: Likewise.
+        runs: Number of sessions.
+        seed: Of the first; the outcome depends only on the seeds.
+        jobs: Number of processes. More than one require a program whose code is below
+            `if __name__ == '__main__':`, as multiprocessing does.
+        scheduler: Address of a Dask scheduler whose workers run them (tcp://host:8786); requires
+            the extra fleet.
+        truth: The unit's true parameters.
+        bias_instability: Let the biases drift by the IMU's figure.
+        progress: Shows the progress; nothing by default.
+        **stated: The session, by keywords of `calibrate`; by default on the three-axis table, at
+            Luoyang's latitude. The true latitude and gravity are drawn by their standard
+            deviations. A stated azimuth is known to the calibrator; without one each run has
+            another, unknown azimuth.
+
+    Raises:
+        InputError: A file is missing or broken, they do not match each other, the plan is run by
+            hand, or no scheduler answers.
+        NotObservable: No run gave an estimate; the text states why.
+    """
+    for name, value, least in (('runs', runs, 1), ('jobs', jobs, 1), ('seed', seed, 0)):
+        if value < least:
+            raise InputError(f'`{name}`: found {value}, expected a whole number from {least} on.')
+    if runs > _MOST_RUNS:
+        raise InputError(f'`runs`: found {runs}, expected at most {_MOST_RUNS}.')
+    study = _study(Stated(**stated), as_plan(plan), as_imu(imu), truth, drifting=bias_instability)
+    with progress('simulating and calibrating') as show:
+        outcome = repeat(study, runs, seed, jobs, show, scheduler)
+    refusals = sorted({r.refusal for r in outcome.refused})
+    if len(outcome.refused) == runs:
+        raise NotObservable(f'All of {runs} runs were refused: {refusals[0]}')
+    held = study.setup.table
+    findings = [held.assumption] if held is not None and held.assumption else []
+    if refusals:
+        findings.append(f'Refused: {len(outcome.refused)} runs. {" ".join(refusals[:5])}')
+    return MonteCarloResult(study.setup, outcome, tuple(findings))
+
+
+def _study(
+    stated: Stated, plan: Plan, imu: ImuSpec, truth: Calibration | Named, *, drifting: bool
+) -> Study:
+    """Return the study to repeat."""
+    table, site = stated.simulated_table(), stated.site(LUOYANG)
+    terms, changes = stated.sensor_terms, stated.changes
+    if stated.method is not None:
+        # Refuse it before the first run, not in it.
+        solver(stated.method, terms, changes)
+    if plan.by_hand:
+        raise InputError(f'Plan {plan.name} is run by hand: only a table can be simulated here.')
+    plan.steps(table)
+    stand = StandOptions(
+        # A uniform error of this half width has the table's stated standard deviation.
+        positioning_error=math.sqrt(3) * table.positioning,
+        bias_instability=drifting,
+    )
+    setup = Setup(
+        imu,
+        plan,
+        table,
+        site,
+        stated.method,
+        terms=terms,
+        changes=changes,
+        search_terms=stated.search_terms,
+    )
+    return Study(setup, load_truth(truth, imu).model, economical(stand), table.azimuth)

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,9 +16,20 @@ from ..calibration.calibration import Calibration
 from ..common.errors import ImuCalibError, InputError, NotObservable
 from ..common.files import user_path
 from ..common.lifetime import ENDS_WITH
-from .keywords import OnStand, with_keywords
-from .named import Named
-from .session import TRUE_TABLE
+from ..common.stream import NS
+from ..estimation import hand as free_positions
+from ..estimation.forecast import check_session
+from ..estimation.methods import Setup
+from ..model.earth import Site
+from ..recordings.rosbag2 import Recording, open_recording
+from ..recordings.storage import RecordingError
+from ..recordings.writer import FINISHED
+from ..session.imu import ImuSpec
+from ..session.plan import Plan
+from ..session.table import Table
+from ..simulation.motion import TrueTable
+from ..simulation.options import StandOptions, load_imperfections
+from .session import TRUE_TABLE, Named, OnStand, Stated, with_keywords
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -142,3 +153,86 @@ def _run(words: list[str], keywords: Collection[str]) -> None:
     for name in keywords:
         text = re.sub(rf'--{name.replace("_", "-")}\b(?!-)', f'`{name}`', text)
     raise _ERRORS.get(process.returncode, ImuCalibError)(text)
+
+
+# What a stand is asked before it starts: whether its session could give a result.
+
+
+def setup_of_stand(
+    stated: Stated, imu: ImuSpec, plan: Plan, table: Table | None, site: Site
+) -> Setup:
+    """Return the set-up of a live session, with the stated method and terms.
+
+    Raises:
+        InputError: There is no such term.
+    """
+    terms, changes, search = stated.sensor_terms, stated.changes, stated.search_terms
+    return Setup(
+        imu, plan, table, site, stated.method, terms=terms, changes=changes, search_terms=search
+    )
+
+
+def check_stand(setup: Setup) -> None:
+    """Refuse what the method could not solve; if north is unknown, name what would determine it.
+
+    Raises:
+        InputError: The table cannot run the plan, or there is no such method.
+        NotObservable: The text states what cannot be determined, and why.
+    """
+    try:
+        check_session(setup)
+    except NotObservable as error:
+        table = setup.table
+        if table is None or table.azimuth is not None:
+            raise
+        check_session(replace(setup, table=replace(table, azimuth=0.0)))
+        raise NotObservable(
+            f'{error} Here the file of the table says where north is (azimuth: 12.3 deg); that of '
+            f'{table.name} does not.'
+        ) from None
+
+
+def has_simulated_hands(setup: Setup) -> bool:
+    """Return whether a session is one that simulated hands can hold: free positions."""
+    return setup.method_name == free_positions.NAME
+
+
+def true_table_of(imperfections: Named, table: Table | None, seed: int) -> TrueTable | None:
+    """Return the simulated table where imperfections differ from its description.
+
+    Raises:
+        InputError: There is no such file, or it is broken.
+    """
+    return load_imperfections(imperfections, StandOptions(), table, seed).true
+
+
+# Journals of live sessions: whether one is complete, and when it ends.
+
+
+def is_finished(journal: Path) -> bool:
+    """Return whether the session of a journal is complete; not so if it is unreadable."""
+    recording = _opened(journal)
+    return recording is not None and FINISHED in recording.custom_data
+
+
+def end_of_journal(journal: Path) -> float | None:
+    """Return the last whole second of a journal, s after the epoch of simulated hardware.
+
+    None if it is unreadable or empty.
+    """
+    recording = _opened(journal)
+    if recording is None:
+        return None
+    with recording:
+        end = recording.end_ns
+        if end is None:
+            logged = (times.log for _, _, times in recording.messages())
+            end = max((int(log.max()) for log in logged if len(log)), default=None)
+    return None if end is None else float((end - StandOptions.start_time) // NS)
+
+
+def _opened(journal: Path) -> Recording | None:
+    try:
+        return open_recording(journal)
+    except RecordingError:
+        return None

@@ -22,10 +22,19 @@ from ..segmentation.stream_facts import Temperature
 from ..session.imu import ImuSpec
 from ..session.metadata import compensated_already
 from ..session.plan import UNPLANNED
-from .keywords import Verified, with_keywords
-from .named import Named, as_applied
-from .session import Stated, serial_of, site_of, stated_imu, stated_plan, table_of
-from .stamp_clock import clock_findings, refused_by_stamps
+from .inspect import clock_findings, refused_by_stamps
+from .session import (
+    Named,
+    Stated,
+    Verified,
+    as_applied,
+    serial_of,
+    site_of,
+    stated_imu,
+    stated_plan,
+    table_of,
+    with_keywords,
+)
 from .streams import streams_of
 
 if TYPE_CHECKING:

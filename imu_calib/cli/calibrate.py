@@ -6,10 +6,9 @@ import argparse
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from ..api.calibrating import calibrated
-from ..api.conforming import conformity
-from ..api.opening import recording_path
-from ..api.outputs import output_or_default, output_path
+from ..api.calibrate import calibrated
+from ..api.compare import conformity
+from ..api.streams import output_or_default, output_path, recording_path
 from ..calibration.calibration import Calibration
 from ..common.units import DEG, DEG_H, MICRO_G, PPM, significant
 from ..model.earth import MEASURED, VAGUE

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ..api.calibrate import UnitResult, UnitResults, calibrate_units, holds_several
-from ..api.conforming import Conformity, conformity
-from ..api.outputs import output_or_default
+from ..api.compare import Conformity, conformity
+from ..api.streams import output_or_default
 from ..reports.budget import budget_tables
 from ..reports.provenance import summary
 from ..reports.tables import comparison_tables, table_estimate

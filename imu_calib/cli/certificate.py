@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from ..api.certifying import FORMATS, certificate
-from ..api.outputs import output_path
+from ..api.documents import FORMATS, certificate
+from ..api.streams import output_path
 from .terminal import OUTPUT
 
 

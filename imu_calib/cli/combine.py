@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from ..api.combining import combine
-from ..api.outputs import output_path
+from ..api.compare import combine
+from ..api.streams import output_path
 from .terminal import OUTPUT
 
 

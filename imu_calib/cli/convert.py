@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from ..api.converting import convert
-from ..api.inspecting import Topic, topics
+from ..api.convert_text import convert
+from ..api.inspect import Topic, topics
 from ..common.units import counted
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.table import Table as Rows
 
-from ..api.inspecting import Inspection, inspect_streams, topics
+from ..api.inspect import Inspection, inspect_streams, topics
 from ..common.units import DEG, DEG_H, PPM, STANDARD_GRAVITY, counted
 from ..reports.tables import plain_table
 from . import options

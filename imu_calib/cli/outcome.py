@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from ..common.errors import ImuCalibError, NotObservable
 
 if TYPE_CHECKING:
-    from ..api.conforming import Conformity
+    from ..api.compare import Conformity
 
 FORMAT = 1
 """Version of the documents: it increases when a key changes its meaning or is removed."""

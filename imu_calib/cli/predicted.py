@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..api.named import as_truth
 from ..api.predict import (
     is_widened_by_leaning_holds,
     predicted,
@@ -17,6 +16,7 @@ from ..api.predict import (
     times_on,
     with_best_deviations,
 )
+from ..api.session import as_truth
 from ..common.errors import NotObservable
 from ..common.units import DEG, PPM
 from ..reports.tables import decimals, engineering, plain_table

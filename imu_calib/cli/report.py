@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from ..api.conforming import Conformity, conformity
+from ..api.compare import Conformity, conformity
 from ..api.documents import written
-from ..api.outputs import output_path
+from ..api.streams import output_path
 from ..reports.provenance import summary
 from . import options
 from .outcome import EXIT_CODES, Outcome, add_json_option, judged_outcome

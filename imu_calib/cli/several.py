@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from ..api.named import load_truth
+from ..api.session import load_truth
 from ..calibration.calibration import Calibration
 from ..common.config import load
 from ..common.errors import InputError

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ..api.simulate import TRUTH, Simulated, simulate
-from ..api.simulating_units import SimulatedUnits, simulate_units
+from ..api.simulate import TRUTH, Simulated, SimulatedUnits, simulate, simulate_units
 from ..session.units_file import TRUTHS
 from . import options
 from .terminal import OUTPUT, progress_bar

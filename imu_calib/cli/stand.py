@@ -6,8 +6,7 @@ import argparse
 import math
 from pathlib import Path
 
-from ..api.named import load_truth
-from ..api.session import azimuth_of
+from ..api.session import azimuth_of, load_truth
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.files import shipped, user_path
@@ -169,7 +168,7 @@ def _begin(arguments: argparse.Namespace) -> None:
 
 def _save_settings(arguments: argparse.Namespace, folder: Path) -> None:
     """Write the settings of a new session, or leave no folder that could not be resumed."""
-    from ..api.outputs import removed_on_failure
+    from ..api.streams import removed_on_failure
     from . import resume
 
     try:

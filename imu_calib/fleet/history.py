@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..api.named import Named, as_imu, as_list
+from ..api.session import Named, as_imu, as_list
 from ..common.config import checked
 from ..common.errors import InputError, NotObservable
 from ..common.files import is_shipped

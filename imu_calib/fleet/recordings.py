@@ -13,8 +13,7 @@ from typing import Any
 
 import yaml
 
-from ..api.keywords import Session
-from ..api.session import Stated
+from ..api.session import Session, Stated
 from ..common.config import load
 from ..common.errors import InputError
 from ..common.files import read_text, user_path

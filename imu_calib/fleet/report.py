@@ -11,8 +11,8 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ..api.named import Named
-from ..api.outputs import page_path
+from ..api.session import Named
+from ..api.streams import page_path
 from ..common.config import checked
 from ..common.files import require, write_whole
 from ..common.parallel import Progress, silent

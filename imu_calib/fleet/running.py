@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from ..api.keywords import Session, with_keywords
-from ..api.named import as_list
-from ..api.session import Stated
+from ..api.session import Session, Stated, as_list, with_keywords
 from ..common.errors import InputError
 from ..common.parallel import MEMORY, Engine, Progress, WorkerDied, outcomes, silent
 from ..common.units import counted
