@@ -40,7 +40,7 @@ from imu_calib.common.stream import ImuBlock
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import decode_imu, encode_imu
 from imu_calib.stand import middleware as ros
-from imu_calib.stand.nodes import qos
+from imu_calib.stand.nodes import topics as qos
 
 AIM = 0.1e-3
 AIM_99 = 1e-3

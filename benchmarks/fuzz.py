@@ -205,9 +205,9 @@ def _decode_message(kind: Kind, data: bytes) -> None:
 
 def _of_messages() -> Iterator[Target]:
     # Only the runtime without ROS reads single messages itself.
-    from imu_calib.stand.middleware.dds import codec
+    from imu_calib.stand.middleware.dds import messages as codec
     from imu_calib.stand.middleware.dds.messages import message_class
-    from imu_calib.stand.middleware.interface_types import MESSAGES
+    from imu_calib.stand.middleware.running import MESSAGES
 
     filled = {
         'ImuCalibration': {'serial_number': 'A1', 'covariance': [1.0] * 300},

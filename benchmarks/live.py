@@ -46,7 +46,7 @@ from imu_calib.session.table import load_table
 from imu_calib.simulation.options import StandOptions
 from imu_calib.simulation.stand import simulate
 from imu_calib.stand import middleware as ros
-from imu_calib.stand.nodes import qos
+from imu_calib.stand.nodes import topics as qos
 
 PLAN, IMU, TABLE, LATITUDE = 'static_six', 'fog_medium', 'three_axis', 45.0
 MOVE = 2.5

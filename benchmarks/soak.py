@@ -36,7 +36,7 @@ from imu_calib.session.plan import load_plan
 from imu_calib.simulation.options import StandOptions
 from imu_calib.stand import middleware as ros
 from imu_calib.stand.middleware import messages
-from imu_calib.stand.nodes import qos
+from imu_calib.stand.nodes import topics as qos
 
 GROWN = 4.0
 """MB for each session: pages kept by an allocator; the samples of a static dwell would be three

@@ -23,7 +23,7 @@ from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.stand import middleware as ros
 from imu_calib.stand.middleware import messages
-from imu_calib.stand.nodes import qos
+from imu_calib.stand.nodes import topics as qos
 
 HERE = Path(__file__).resolve().parent
 NODES = ('stand_node', 'imu_node', 'calibrator_node', 'turntable_node')

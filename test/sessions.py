@@ -91,7 +91,7 @@ class Alone:
         # Imported here: most tests need no live session.
         from imu_calib.recordings.writer import Journal
         from imu_calib.stand.nodes.parameters import StatedUnit
-        from imu_calib.stand.nodes.sessions import Sessions
+        from imu_calib.stand.nodes.session_reports import Sessions
 
         journal = Journal(folder, said, {topic: kind for kind, topic in topics.items()})
         self.sessions = Sessions([StatedUnit(setup, '', '')], [topics], journal, {})

@@ -26,18 +26,17 @@ from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import decode_joints, encode_setpoints
 from imu_calib.session.table import load_table
 from imu_calib.simulation.motion import Track, trapezoid
-from imu_calib.stand.ascii import Move, Reading, Stop
 from imu_calib.stand.nodes import ascii_table_node as control
-from imu_calib.stand.nodes import qos
+from imu_calib.stand.nodes import topics as qos
 from imu_calib.stand.table_driver import Follower
-from imu_calib.stand.table_line import Line
+from imu_calib.stand.table_line import Line, Move, Reading, Stop
 
 # ROS reads this when it loads its messages.
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
     from imu_calib.stand import middleware as ros
-    from imu_calib.stand.nodes import commands
-    from imu_calib.stand.nodes.nodes_ascii_table_node import AsciiTableNode
+    from imu_calib.stand.nodes import ascii_table_node as commands
+    from imu_calib.stand.nodes.ascii_table_node import AsciiTableNode
     from imu_calib.stand.nodes.turntable_node import TurntableNode
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
@@ -420,7 +419,7 @@ def test_a_subscriber_that_holds_the_publisher_up_does_not_hold_the_stop_up(benc
     def held_up(*_):
         stopped.append(until(lambda: bench.stops() > before))
 
-    monkeypatch.setattr('imu_calib.stand.nodes.nodes_ascii_table_node.publish_all', held_up)
+    monkeypatch.setattr('imu_calib.stand.nodes.ascii_table_node.publish_all', held_up)
     assert bench.until(lambda: stopped)
     assert stopped[0]
 
@@ -534,7 +533,7 @@ def test_a_heartbeat_that_says_stop_once_is_a_stop(bench):
 UNHEARD = """
 import select, sys
 from imu_calib.stand import middleware as ros
-from imu_calib.stand.nodes.nodes_ascii_table_node import AsciiTableNode
+from imu_calib.stand.nodes.ascii_table_node import AsciiTableNode
 class Cut(AsciiTableNode):
     def __init__(self):
         super().__init__()
@@ -662,9 +661,7 @@ def test_a_node_that_hangs_moves_nothing_when_it_goes_on(monkeypatch, request, s
         monkeypatch.setenv(name, value)
     controller = Controller()
     words = ['--ros-args', '-p', f'port:={controller.url}', '-p', 'reply_timeout:=0.4']
-    node = processes.start(
-        [sys.executable, '-m', 'imu_calib.stand.nodes.nodes_ascii_table_node', *words]
-    )
+    node = processes.start([sys.executable, '-m', 'imu_calib.stand.nodes.ascii_table_node', *words])
     ros.init(args=[])
     request.addfinalizer(ros.try_shutdown)
     leader, executor = Leader(), ros.SingleThreadedExecutor()

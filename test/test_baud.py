@@ -14,8 +14,8 @@ from test_imu_node import bench  # noqa: F401 - a fixture
 from imu_calib.cli import main, stand_session
 from imu_calib.cli.processes import Outcome
 from imu_calib.common.errors import InputError
-from imu_calib.stand.devices.baud import choose_baud, too_slow
 from imu_calib.stand.devices.format import load_format, read_format
+from imu_calib.stand.devices.source import choose_baud, too_slow
 
 
 @pytest.fixture

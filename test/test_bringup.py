@@ -152,7 +152,7 @@ import time
 import numpy as np
 from imu_calib.stand import middleware as ros
 from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.stand.nodes import qos
+from imu_calib.stand.nodes import topics as qos
 from imu_calib.common.stream import ImuBlock
 
 

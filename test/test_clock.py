@@ -9,11 +9,11 @@ from imu_calib.common.stream import ImuBlock
 from imu_calib.recordings.cdr_codec import encode_imu
 from imu_calib.recordings.rosbag2 import Kind, open_recording
 from imu_calib.recordings.writer import Journal
-from imu_calib.stand.rules import Phase
+from imu_calib.stand.plan_steps import Phase
 
 try:
     from imu_calib.stand import middleware as ros
-    from imu_calib.stand.nodes import qos
+    from imu_calib.stand.nodes import topics as qos
     from imu_calib.stand.nodes import topics as subscriptions
     from imu_calib.stand.nodes.calibrator_node import CalibratorNode
 except ImuCalibError as error:
@@ -148,7 +148,7 @@ NODES = {
     'compensator_node': [],
     'imu_node': ['port:={}/frames'],
 }
-MAIN = 'import sys\nfrom imu_calib.stand.nodes.nodes_programs import start\nsys.exit(start("{}"))'
+MAIN = 'import sys\nfrom imu_calib.stand.nodes.programs import start\nsys.exit(start("{}"))'
 
 
 @pytest.mark.parametrize('name', NODES)

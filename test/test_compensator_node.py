@@ -27,7 +27,7 @@ from imu_calib.session.imu import load_imu
 
 try:
     from imu_calib.stand import middleware as ros
-    from imu_calib.stand.nodes import qos
+    from imu_calib.stand.nodes import topics as qos
     from imu_calib.stand.nodes.compensator_node import CompensatorNode
     from imu_calib.stand.nodes.convert import (
         calibration_message,

@@ -12,8 +12,7 @@ from imu_calib.common.stream import JointBlock
 from imu_calib.common.units import DEG
 from imu_calib.recordings.cdr_codec import encode_joints
 from imu_calib.stand import middleware as ros
-from imu_calib.stand.rules import Phase
-from imu_calib.stand.trajectory import Overtaken
+from imu_calib.stand.plan_steps import Overtaken, Phase
 
 session = stand.session
 pytestmark = pytest.mark.skipif(

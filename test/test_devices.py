@@ -20,14 +20,21 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
 from imu_calib.session.imu import load_imu
 from imu_calib.simulation.hardware import pack
-from imu_calib.stand.devices.checksum import CATALOGUE, Checksums, Sum, Xor
 from imu_calib.stand.devices.clock import DeviceClock
 from imu_calib.stand.devices.decoder import Decoder
-from imu_calib.stand.devices.fields import DeviceTime, FrameCounter, Number
+from imu_calib.stand.devices.fields import (
+    CATALOGUE,
+    Checksums,
+    DeviceTime,
+    FrameCounter,
+    Number,
+    Sum,
+    Xor,
+)
 from imu_calib.stand.devices.format import load_format, read_format
 from imu_calib.stand.devices.health import Severity
 from imu_calib.stand.devices.source import Chunk, Source
-from imu_calib.stand.nodes.reception import Reception
+from imu_calib.stand.nodes.imu_node import Reception
 
 NS = 1_000_000_000
 SIMULATED = load_format('simulated')

@@ -2,7 +2,7 @@
 
 import pytest
 
-from imu_calib.stand.nodes.done import DoneCheck
+from imu_calib.stand.nodes.turntable_node import DoneCheck
 
 STATE = {'plan': 'short', 'steps': 14, 'commanded': 14, 'alone': True}
 

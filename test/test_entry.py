@@ -9,7 +9,7 @@ from loopback import CHECKOUT
 
 THREADS = """
 import ctypes, sys, tempfile, threading
-from imu_calib.stand.nodes import entry
+from imu_calib.stand.nodes import programs as entry
 
 libc = ctypes.CDLL(None)
 libc.fopen.restype = ctypes.c_void_p

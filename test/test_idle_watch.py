@@ -8,9 +8,8 @@ import pytest
 
 from imu_calib.common.units import DEG
 from imu_calib.session.table import load_table
-from imu_calib.stand.idle_watch import IdleWatch
-from imu_calib.stand.plan_steps import Feedback
-from imu_calib.stand.rules import Rules
+from imu_calib.stand.plan_steps import Feedback, Rules
+from imu_calib.stand.table_watch import IdleWatch
 
 TABLE = load_table('three_axis')
 RULES = Rules()  # arrives within 0.01 deg, so that what stands may stray by 0.05 deg

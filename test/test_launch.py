@@ -19,9 +19,9 @@ from imu_calib.session.table import load_table
 
 try:
     from imu_calib.stand import middleware as ros
-    from imu_calib.stand.nodes import heartbeat
     from imu_calib.stand.nodes import parameters as session_parameters
-    from imu_calib.stand.nodes.declared import declare
+    from imu_calib.stand.nodes import stop as heartbeat
+    from imu_calib.stand.nodes.parameters import declare
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -47,7 +47,7 @@ def declared(tmp_path_factory):
             patched.setenv(name, value)
         patched.chdir(tmp_path_factory.mktemp('nodes'))
         if 'web_node' in NODES:
-            patched.setattr('imu_calib.stand.web.server.Server', Unserved)
+            patched.setattr('imu_calib.stand.web.page.Server', Unserved)
         return {name: declared_by(name, kind, patched) for name, kind in NODES.items()}
 
 

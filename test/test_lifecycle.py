@@ -140,9 +140,7 @@ def test_by_default_a_node_is_active_at_once(monkeypatch, file):
 @pytest.mark.skipif(ros.RUNTIME != 'dds', reason='of the runtime without ROS')
 @pytest.mark.parametrize('name', ['imu_node', 'compensator_node'])
 def test_without_ros_a_node_that_nobody_can_activate_is_refused(name):
-    code = (
-        f'from imu_calib.stand.nodes.nodes_programs import start\nraise SystemExit(start("{name}"))'
-    )
+    code = f'from imu_calib.stand.nodes.programs import start\nraise SystemExit(start("{name}"))'
     arguments = ['--ros-args', '-p', 'autostart:=false', '-p', 'port:=socket://127.0.0.1:9']
     process = start(code, *arguments, **environment())
     _, output = process.communicate(timeout=patience())

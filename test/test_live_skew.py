@@ -20,7 +20,7 @@ from imu_calib.session.metadata import describe
 from imu_calib.session.plan import RateTest, load_plan
 from imu_calib.session.table import load_table
 from imu_calib.simulation.stand import simulate
-from imu_calib.stand.nodes import calibrator_feed
+from imu_calib.stand.nodes import live as calibrator_feed
 from imu_calib.stand.nodes.live import SessionPhase
 
 TOPICS = {

@@ -19,10 +19,14 @@ try:
     if ros.RUNTIME != 'dds':
         pytest.skip('of the dds runtime', allow_module_level=True)
     from imu_calib.stand.middleware.dds import messages
-    from imu_calib.stand.middleware.dds.codec import deserialize_message, serialize_message
-    from imu_calib.stand.middleware.dds.interfaces import interface, type_hash
-    from imu_calib.stand.middleware.dds.messages import message_class
-    from imu_calib.stand.middleware.interface_types import MESSAGES
+    from imu_calib.stand.middleware.dds.messages import (
+        deserialize_message,
+        interface,
+        message_class,
+        serialize_message,
+        type_hash,
+    )
+    from imu_calib.stand.middleware.running import MESSAGES
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 

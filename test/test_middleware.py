@@ -148,7 +148,8 @@ class LateClient:
     IDENTITY = 'clientid= 1.2.3;', 'service'
 
     def __init__(self, node):
-        from imu_calib.stand.middleware.dds import codec, wire
+        from imu_calib.stand.middleware.dds import messages as codec
+        from imu_calib.stand.middleware.dds import wire
 
         self.service = node.create_service(ros.Trigger, '/late', self.answer)
         self.participant = self.service.reader.participant
@@ -719,7 +720,7 @@ def test_signals_that_come_on_top_of_each_other_end_a_node_too(domain):
 PROGRAM = """
 import sys
 from imu_calib.stand.middleware import Node
-from imu_calib.stand.nodes.entry import entry_point
+from imu_calib.stand.nodes.programs import entry_point
 class Ending(Node):
     def __init__(self):
         super().__init__('ending')

@@ -14,12 +14,11 @@ from test_web_board import FOG, SETUP, calibration, progress, state
 
 from imu_calib.common.config import Section
 from imu_calib.session.units_file import read_units
-from imu_calib.stand.nodes.expectation import expectation, units_board
-from imu_calib.stand.rules import Phase
-from imu_calib.stand.web.board import Board
+from imu_calib.stand.nodes.web_node import expectation, units_board
+from imu_calib.stand.plan_steps import Phase
+from imu_calib.stand.web.board import Board, UnitsBoard
 from imu_calib.stand.web.guard import Token
 from imu_calib.stand.web.shape import table_shape
-from imu_calib.stand.web.units import UnitsBoard
 
 needs_modules('nicegui')
 
@@ -38,7 +37,8 @@ class Shown:
     """A page that is served of a board, and the clock that it goes by."""
 
     def __init__(self, folder):
-        from imu_calib.stand.web import page, server
+        from imu_calib.stand.web import page
+        from imu_calib.stand.web import page as server
 
         listens = server.listening_socket('127.0.0.1', 0)
         source = page.Source(

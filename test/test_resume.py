@@ -26,7 +26,7 @@ from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import encode_imu
 from imu_calib.recordings.rosbag2 import Kind, open_recording
 from imu_calib.recordings.writer import Journal
-from imu_calib.stand.rules import Phase, Rules
+from imu_calib.stand.plan_steps import Phase, Rules
 
 try:
     from live import LIMIT, short_plan

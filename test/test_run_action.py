@@ -5,7 +5,7 @@ import test_turntable_node as stand
 from loopback import patience
 
 from imu_calib.stand import middleware as ros
-from imu_calib.stand.rules import Phase
+from imu_calib.stand.plan_steps import Phase
 
 session = stand.session
 ACTION = 'turntable_node/run_calibration'

@@ -22,8 +22,7 @@ from imu_calib.cli.node_reports import NodeReports
 from imu_calib.cli.processes import Outcome
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.stand.devices.source import Source, check_port
-from imu_calib.stand.web.board import Board
-from imu_calib.stand.web.snapshot import Expected
+from imu_calib.stand.web.board import Board, Expected
 
 try:
     from imu_calib.cli import monitor, stand_session

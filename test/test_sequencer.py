@@ -20,10 +20,8 @@ from imu_calib.session.plan import RateTest, load_plan
 from imu_calib.session.table import TURN, load_table
 from imu_calib.simulation.options import TableOptions
 from imu_calib.simulation.table import SimulatedTable
-from imu_calib.stand.plan_steps import Encoders, Feedback
-from imu_calib.stand.rules import Phase, Rules
+from imu_calib.stand.plan_steps import Encoders, Feedback, Lead, Overtaken, Phase, Rules
 from imu_calib.stand.sequencer import Sequencer
-from imu_calib.stand.trajectory import Lead, Overtaken
 
 TABLE = load_table('three_axis')
 ALONE = Rules(supervised=False)

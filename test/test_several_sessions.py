@@ -19,7 +19,7 @@ from imu_calib.session.table import load_table
 from imu_calib.simulation.stand import SeveralOnTable, SimulatedUnit
 from imu_calib.stand.nodes.live import SessionPhase
 from imu_calib.stand.nodes.parameters import StatedUnit
-from imu_calib.stand.nodes.sessions import Sessions
+from imu_calib.stand.nodes.session_reports import Sessions
 
 TABLE = load_table('three_axis')
 PLAN = at_one_rate(quick_plan('twelve_position', dwell=6.0))

@@ -24,7 +24,7 @@ try:
     )
 
     from imu_calib.stand import middleware as ros
-    from imu_calib.stand.nodes import qos
+    from imu_calib.stand.nodes import topics as qos
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 

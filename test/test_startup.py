@@ -22,12 +22,11 @@ from imu_calib.cli.node_reports import NodeReports, NothingComes
 from imu_calib.cli.terminal import OUTPUT
 from imu_calib.common.files import named_file
 from imu_calib.session.imu import load_imu
-from imu_calib.stand.devices.baud import choose_baud
-from imu_calib.stand.devices.commands import Command, Commands
 from imu_calib.stand.devices.format import load_format
 from imu_calib.stand.devices.health import Severity
-from imu_calib.stand.devices.source import Chunk, Source, SourceState
-from imu_calib.stand.nodes.reception import Reception
+from imu_calib.stand.devices.messages import Command, Commands
+from imu_calib.stand.devices.source import Chunk, Source, SourceState, choose_baud
+from imu_calib.stand.nodes.imu_node import Reception
 
 SIMULATED = load_format('simulated')
 FOG = load_imu('fog_medium')

@@ -13,8 +13,8 @@ from imu_calib.common.stream import Mode
 from imu_calib.common.units import DEG
 from imu_calib.session.plan import Step, load_plan
 from imu_calib.session.table import TURN, load_table
-from imu_calib.stand.obstacles import Obstacles
-from imu_calib.stand.steps import check, end_of, held, motion_time, setpoint_of, steps_of_plan
+from imu_calib.stand.plan_steps import check, end_of, held, motion_time, setpoint_of, steps_of_plan
+from imu_calib.stand.sequencer import Obstacles
 
 TABLE = load_table('three_axis')
 STILL = np.zeros(3)

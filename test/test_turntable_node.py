@@ -20,16 +20,16 @@ from imu_calib.recordings.cdr_codec import decode_setpoints, encode_joints, enco
 from imu_calib.session.table import load_table
 from imu_calib.simulation.options import TableOptions
 from imu_calib.simulation.table import SimulatedTable
-from imu_calib.stand.nodes import qos
+from imu_calib.stand.nodes import topics as qos
 
 # ROS reads this when it loads its messages.
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
     from imu_calib.stand import middleware as ros
     from imu_calib.stand.nodes import stop, turntable_node
-    from imu_calib.stand.nodes.calibrator_progress import CalibratorProgress
+    from imu_calib.stand.nodes.diagnostics import CalibratorProgress
     from imu_calib.stand.nodes.turntable_node import TurntableNode
-    from imu_calib.stand.rules import Phase
+    from imu_calib.stand.plan_steps import Phase
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -185,7 +185,7 @@ class Watcher(ros.Node):
         self.progress.publish(message)
 
 
-MAIN = 'import sys\nfrom imu_calib.stand.nodes.nodes_programs import turntable_node\nsys.exit(turntable_node())'
+MAIN = 'import sys\nfrom imu_calib.stand.nodes.programs import turntable_node\nsys.exit(turntable_node())'
 BROKEN = """
 import sys
 from imu_calib.stand.nodes.programs import run

@@ -14,7 +14,7 @@ except ImuCalibError as error:
 if ros.RUNTIME != 'dds':
     pytest.skip('of the runtime without ROS', allow_module_level=True)
 
-from imu_calib.stand.middleware.dds import type_data
+from imu_calib.stand.middleware.dds import wire as type_data
 from imu_calib.stand.middleware.dds.wire import idl_type, topic_type
 
 TYPES = [

@@ -14,7 +14,7 @@ from test_units_board import mounted as mounted  # noqa: PLC0414
 from test_web_board import SETUP, state
 
 from imu_calib.session.imu import load_imu
-from imu_calib.stand.nodes.expectation import units_board
+from imu_calib.stand.nodes.web_node import units_board
 from imu_calib.stand.web.guard import Token
 from imu_calib.stand.web.samples import Dwells
 from imu_calib.stand.web.shape import table_shape
@@ -27,7 +27,8 @@ SIZES = {'desk': (1280, 900), 'phone': (390, 844)}
 @pytest.fixture
 def shown(mounted, tmp_path):
     """A page that is served, and the board that it shows."""
-    from imu_calib.stand.web import page, server
+    from imu_calib.stand.web import page
+    from imu_calib.stand.web import page as server
 
     board = units_board(SETUP, mounted)
     board.clock = [1.0]

@@ -9,8 +9,7 @@ from imu_calib.common.stream import Mode
 from imu_calib.common.units import DEG
 from imu_calib.session.plan import Step
 from imu_calib.session.table import load_table
-from imu_calib.stand.plan_steps import Feedback
-from imu_calib.stand.rules import Rules
+from imu_calib.stand.plan_steps import Feedback, Rules
 from imu_calib.stand.table_watch import Standing, Watch
 
 TABLE = load_table('three_axis')  # outer 400 deg/s and 200 deg/s^2

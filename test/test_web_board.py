@@ -24,15 +24,13 @@ from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table
 from imu_calib.stand.devices.health import Severity
-from imu_calib.stand.nodes.expectation import expectation
-from imu_calib.stand.rules import Phase
+from imu_calib.stand.nodes.web_node import expectation
+from imu_calib.stand.plan_steps import Phase
 from imu_calib.stand.web import drawing
-from imu_calib.stand.web.board import Board
+from imu_calib.stand.web.board import Board, Outcome
+from imu_calib.stand.web.drawing import STYLE, headline, time_left
 from imu_calib.stand.web.samples import Dwells
-from imu_calib.stand.web.sentences import headline, time_left
 from imu_calib.stand.web.shape import table_shape
-from imu_calib.stand.web.snapshot import Outcome
-from imu_calib.stand.web.style import STYLE
 
 FOG = load_imu('fog_medium')
 SETUP = Setup(FOG, load_plan('twelve_position'), load_table('three_axis'), Site.at(0.6))

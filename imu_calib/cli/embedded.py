@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import IO, Any, TypeAlias
 
 from ..common.errors import InputError
-from ..stand.runtime import forced
+from ..stand.network import forced
 from .processes import NodeFiles, Processes
 from .terminal import ERRORS
 

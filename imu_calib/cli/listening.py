@@ -8,11 +8,10 @@ from __future__ import annotations
 import time
 
 from ..session.imu import ImuSpec
-from ..stand.devices.baud import Baud
 from ..stand.devices.format import FrameFormat
 from ..stand.devices.health import Severity
-from ..stand.devices.source import Source, steady_time
-from ..stand.nodes.reception import Reception
+from ..stand.devices.source import Baud, Source, steady_time
+from ..stand.nodes.imu_node import Reception
 from .node_reports import NodeReports
 
 _ROUND = 0.02

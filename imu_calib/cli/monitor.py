@@ -9,10 +9,9 @@ from typing import Any
 
 from ..stand import middleware as ros
 from ..stand.middleware import messages
-from ..stand.nodes import qos
-from ..stand.nodes.unit_topics import listen_to_each
-from ..stand.web.board import Board
-from ..stand.web.units import UnitsBoard
+from ..stand.nodes import topics as qos
+from ..stand.nodes.topics import listen_to_each
+from ..stand.web.board import Board, UnitsBoard
 from .embedded import Nodes
 from .node_reports import NodeReports
 

@@ -25,11 +25,11 @@ from ..stand.network import (
     REACH,
     check_domain,
     check_interface,
+    in_enclave,
     interface_variables,
     on_interface,
     own_domain,
 )
-from ..stand.security import in_enclave
 from .terminal import ERRORS
 
 START = 30.0

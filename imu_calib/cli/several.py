@@ -23,7 +23,7 @@ from ..session.plan import load_plan
 from ..session.units_file import PULSES, TRUTHS, MountedUnit, load_units, remaining
 from ..stand.devices.format import load_format
 from ..stand.devices.source import check_port
-from ..stand.nodes.in_memory import SCHEME
+from ..stand.nodes.hand_node import SCHEME
 from .options import refuse_with_imus
 from .terminal import OUTPUT, sentence_list
 

@@ -14,9 +14,8 @@ from ..model.earth import LUOYANG
 from ..session.imu import ImuSpec, check_live, load_imu
 from ..session.plan import load_plan
 from ..session.table import load_table
-from ..stand.devices.baud import Baud, choose_baud, too_slow
 from ..stand.devices.format import FrameFormat, load_format
-from ..stand.devices.source import check_port, is_serial
+from ..stand.devices.source import Baud, check_port, choose_baud, is_serial, too_slow
 from ..stand.table_line import tcp_address
 from . import options, several, web_page
 from .listening import listen

@@ -24,10 +24,9 @@ from ..reports.tables import parameter_tables
 from ..session.imu import ImuSpec, load_imu
 from ..session.plan import Plan, load_plan
 from ..session.table import Table, load_table
-from ..stand.nodes.expectation import expectation, units_board
-from ..stand.runtime import forced
-from ..stand.web.board import Board
-from ..stand.web.units import UnitsBoard
+from ..stand.network import forced
+from ..stand.nodes.web_node import expectation, units_board
+from ..stand.web.board import Board, UnitsBoard
 from . import by_hand, options, resume, several, web_page
 from .embedded import Embedded, Nodes
 from .node_reports import NodeReports, NothingComes

@@ -13,9 +13,8 @@ from rich.text import Text
 
 from ..reports.timeline import Converging
 from ..stand.devices.health import Severity
-from ..stand.web.sentences import headline, time_left
-from ..stand.web.snapshot import Snapshot
-from ..stand.web.units import UnitRow
+from ..stand.web.board import Snapshot, UnitRow
+from ..stand.web.drawing import headline, time_left
 
 _STYLES = {Severity.OK: 'bold', Severity.WARN: 'bold yellow', Severity.ERROR: 'bold red'}
 _BAR = 30

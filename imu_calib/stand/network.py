@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
+import io
 import os
+import platform
 import random
 import socket
+import sys
+import tempfile
+import xml.etree.ElementTree as ET
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
 
-from ..common.errors import InputError
+from ..common.errors import ImuCalibError, InputError
+from ..common.files import share_folder
 
 LOOPBACK = 'lo'
 """The interface that other machines cannot reach."""
@@ -151,3 +165,215 @@ def network_refusal(reach: str, how: str) -> str:
         f'{REACH} is {reach}, and no network interface is named. Who is on that network could '
         f'lead the table: {how} if that is meant, else unset {REACH} (docs/access.md).'
     )
+
+
+# Parse host and port from a socket's URL.
+
+
+def host_and_port(url: str) -> tuple[str, int] | None:
+    """Return host and port of scheme://host:port, None if one of them is missing or invalid.
+
+    >>> host_and_port('socket://10.0.0.3:5000')
+    ('10.0.0.3', 5000)
+    """
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        return None
+    return (host, port) if host and port else None
+
+
+# Selection of the nodes' runtime: rclpy if available, else Cyclone DDS, or one process alone.
+
+
+VARIABLE = 'IMU_CALIB_MIDDLEWARE'
+RUNTIMES = ('rclpy', 'dds', 'embedded')
+_FIRST, _LAST = (3, 10), (3, 13)
+"""Pythons for which cyclonedds 11.0.1 has wheels, on Linux for x86_64 alone."""
+
+
+def runtime() -> str:
+    """Return 'rclpy' if a module of that name exists, else 'dds'.
+
+    The environment variable IMU_CALIB_MIDDLEWARE forces one of the three.
+
+    Raises:
+        ImuCalibError: The variable has another value.
+    """
+    forced = os.environ.get(VARIABLE, '')
+    if forced:
+        if forced not in RUNTIMES:
+            raise ImuCalibError(f'{VARIABLE} is {forced!r}, expected {", ".join(RUNTIMES)}.')
+        return forced
+    return 'rclpy' if find_spec('rclpy') is not None else 'dds'
+
+
+@contextmanager
+def forced(chosen: str) -> Iterator[None]:
+    """Force a runtime in this block, also for the modules of nodes that it loads."""
+    former = os.environ.get(VARIABLE)
+    os.environ[VARIABLE] = chosen
+    try:
+        yield
+    finally:
+        if former is None:
+            del os.environ[VARIABLE]
+        else:
+            os.environ[VARIABLE] = former
+
+
+def require(chosen: str) -> None:
+    """Check that a runtime works.
+
+    Args:
+        chosen: One of `RUNTIMES`.
+
+    Raises:
+        ImuCalibError: It does not; the text states the remedy.
+    """
+    if chosen == 'rclpy':
+        _import(
+            'rclpy',
+            'rclpy does not load: {}. Source the setup file of a ROS 2 installation '
+            f'whose Python this is, or set {VARIABLE}=dds to do without ROS.',
+        )
+        _import(
+            'imu_calib_msgs.action',
+            'The package imu_calib_msgs is not built, not sourced or old: {}. It is the folder '
+            'msg_defs of imu_calib, below which colcon does not look. In a workspace: '
+            '`ln -s imu_calib/msg_defs src/imu_calib_msgs` and `colcon build`; in a checkout '
+            'alone: `colcon build` there, whose colcon_defaults.yaml names both; then '
+            '`source install/setup.bash`.',
+        )
+        return
+    _import(
+        'rosbags.serde',
+        'Without ROS 2 the nodes need rosbags, which does not load: {}. Install it '
+        '(pip install rosbags), or start them as processes of ROS 2 (imu-calib stand --processes).',
+    )
+    if chosen == 'dds':
+        _import(
+            'cyclonedds._clayer',
+            "On ROS 2's wire the nodes need Cyclone DDS, which does not load: {}. " + _remedy(),
+        )
+
+
+def _remedy() -> str:
+    """Return how to get Cyclone DDS, if a wheel is there, and what works without."""
+    instead = (
+        '`imu-calib stand` without --processes, and all that works on recordings, need none of it.'
+    )
+    version, system, machine = sys.version_info[:2], platform.system(), platform.machine()
+    if _FIRST <= version <= _LAST and (system, machine) == ('Linux', 'x86_64'):
+        return f"Install it with `pip install '.[dds]'`, or source ROS 2. {instead}"
+    return (
+        f'It has no wheel for Python {version[0]}.{version[1]} on {system} {machine}: processes of '
+        f'their own, and peers on the wire, need ROS 2 there. {instead}'
+    )
+
+
+def _import(module: str, sentence: str) -> None:
+    try:
+        importlib.import_module(module)
+    except Exception as error:
+        reason = f'{type(error).__name__}: {error}'
+        raise ImuCalibError(sentence.format(reason)) from error
+
+
+# SROS 2 enclave of a node, and the keystore from the policy (docs/access.md).
+
+
+OVERRIDE = 'ROS_SECURITY_ENCLAVE_OVERRIDE'
+_ENABLE = 'ROS_SECURITY_ENABLE'
+_FAMILY = '/imu_calib'
+
+
+def enclave(name: str) -> str:
+    """Return the enclave of a node, or of a role: operator, stop_button, observer."""
+    return f'{_FAMILY}/{name}'
+
+
+def in_enclave(name: str) -> dict[str, str]:
+    """Return the variable that sets a node's enclave, unless the user has set one."""
+    return {} if OVERRIDE in os.environ else {OVERRIDE: enclave(name)}
+
+
+def refuse_to_pretend() -> None:
+    """Refuse unencrypted communication if the environment asks for security.
+
+    Raises:
+        InputError: It does, and this runtime has no security plug-ins.
+    """
+    if os.environ.get(_ENABLE, '').strip().lower() == 'true':
+        raise InputError(
+            f'{_ENABLE} is true, and without ROS 2 there is no security: source ROS 2, or unset '
+            f'{_ENABLE} and stay on the loopback interface (docs/access.md).'
+        )
+
+
+def policy_file() -> Path:
+    """Return the shipped policy."""
+    return share_folder() / 'config' / 'security' / 'policy.xml'
+
+
+def make_keystore(keystore: Path, namespace: str = '', policy: Path | None = None) -> list[str]:
+    """Make or update the keystore of a policy; existing keys are kept.
+
+    Args:
+        keystore: Folder, of one stand.
+        namespace: Of the stand's nodes.
+        policy: Of the user; None for the shipped one.
+
+    Returns:
+        The enclaves.
+
+    Raises:
+        ImuCalibError: sros2 is not installed, or cannot make the keystore.
+        InputError: The default domain, an unreadable policy, or a keystore of another domain.
+    """
+    # The keys of a stand are for its domain, which sros2 takes from the environment.
+    check_domain('a secured stand')
+    domain = os.environ['ROS_DOMAIN_ID'].strip()
+    _check_domain_of(keystore, domain)
+    file = policy or policy_file()
+    api, policies = _sros2()
+    try:
+        tree = policies.load_policy(file)
+        for profile in tree.iter('profile'):
+            # With several units, each has a namespace below the stand's.
+            below = str(profile.get('ns')).strip('/')
+            profile.set('ns', '/' + '/'.join(filter(None, [namespace.strip('/'), below])))
+        with tempfile.TemporaryDirectory(prefix='imu_calib_policy_') as folder:
+            placed = Path(folder) / file.name
+            with placed.open('w', encoding='utf-8') as out:
+                policies.dump_policy(tree, out)
+            with contextlib.redirect_stdout(io.StringIO()):  # It prints each step.
+                api.generate_artifacts(keystore, [], [placed])
+    except OSError as error:
+        raise InputError(f'{error.filename or keystore}: {error.strerror or error}.') from error
+    except Exception as error:  # sros2, lxml and cryptography have their own exceptions.
+        raise InputError(f'{file}: {type(error).__name__}: {error}') from error
+    return [str(one.get('path')) for one in tree.iter('enclave')]
+
+
+def _check_domain_of(keystore: Path, domain: str) -> None:
+    governance = keystore / 'enclaves' / 'governance.xml'
+    if not governance.is_file():
+        return
+    found = [one.text for one in ET.parse(governance).getroot().iter('id')]
+    if found != [domain]:
+        raise InputError(
+            f'{keystore} is of domain {", ".join(map(str, found))}, and ROS_DOMAIN_ID is {domain}: '
+            'name another folder, or set ROS_DOMAIN_ID to that domain.'
+        )
+
+
+def _sros2() -> tuple[Any, Any]:
+    try:
+        return import_module('sros2.api._artifact_generation'), import_module('sros2.policy')
+    except ImportError as error:
+        raise ImuCalibError(
+            f'Keystores are made by sros2, which does not load: {error}. Source ROS 2 and install '
+            'it: sudo apt install ros-jazzy-sros2.'
+        ) from error

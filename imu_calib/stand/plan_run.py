@@ -2,20 +2,234 @@
 
 from __future__ import annotations
 
+from collections import Counter, deque
 from collections.abc import Sequence
+from dataclasses import replace
 from enum import Enum, auto
 
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.stream import Mode
+from ..common.stream import Mode, Setpoint
 from ..session.plan import Plan, Step
 from ..session.table import Table
-from .itinerary import Itinerary
-from .orders import Orders
-from .plan_steps import Feedback, Rest
-from .rules import Phase, Rules
-from .steps import approach_step, check, end_of
+from .plan_steps import (
+    Feedback,
+    Phase,
+    Rest,
+    Rules,
+    approach_step,
+    check,
+    end_of,
+    held,
+    motion_time,
+    setpoint_of,
+    steps_of_plan,
+)
+from .table_watch import IdleWatch, Standing, Watch
+
+# The present command to the table, and the check that the table follows it.
+
+
+class Orders:
+    """The present setpoint, from its sending on, and the watch on its execution.
+
+    Args:
+        plan: Name of the plan.
+        table: The table.
+        rules: Tolerances.
+
+    Attributes:
+        revision: Changes with the setpoint.
+        motion: The motion that was ordered last; None once the table was commanded to hold.
+        turns_done: Turns at rate of the last motion, without sign.
+        idle: Motion of the table while idle.
+    """
+
+    def __init__(self, plan: str, table: Table, rules: Rules) -> None:
+        self._plan = plan
+        self._table = table
+        self._rules = rules
+        self.revision = 0
+        self.motion: Step | None = None
+        self.turns_done = 0.0
+        self.idle = IdleWatch(table, rules, None)
+        self._setpoint: Setpoint | None = None
+        self._sent = False
+        self._watch: Watch | Standing = Standing(table, rules, None)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the last command was to hold."""
+        return self._setpoint is not None and self._setpoint.mode is Mode.HOLD
+
+    def hold_setpoint(self, current: Step | None, at: Feedback | None) -> Setpoint:
+        """Return the setpoint that stops the table where it is, not yet stamped."""
+        angles = None if at is None else at.angles
+        return held(current, angles, self._plan, self._table)
+
+    def hold(self, current: Step | None, at: Feedback | None) -> None:
+        """Command the table to hold; the present watch is kept.
+
+        Args:
+            current: The interrupted step, if any.
+            at: The last joint state, if any.
+        """
+        self._order(self.hold_setpoint(current, at), None)
+
+    def stop(self, current: Step | None, at: Feedback | None) -> None:
+        """Command the table to hold, and watch it come to rest; arguments as of `hold`."""
+        commanded = isinstance(self._watch, Watch) or self._watch.commanded
+        self.idle = IdleWatch(self._table, self._rules, at, commanded=commanded)
+        self._watch = Standing(self._table, self._rules, at, commanded=commanded)
+        self.hold(current, at)
+
+    def move(self, motion: Step) -> None:
+        """Command a motion; it is watched once the setpoint was sent."""
+        self.turns_done = 0.0
+        self._order(setpoint_of(motion, self._plan, self._table.names), motion)
+
+    def watch_goal(self, goal: tuple[float, ...], at: Feedback | None) -> None:
+        """Watch that the table stays at its goal, (k,) angles, rad."""
+        self._watch = Standing(self._table, self._rules, at)
+        self._watch.keep(goal)
+
+    def to_send(self, stamp: int, at: Feedback | None) -> Setpoint | None:
+        """Return the present setpoint, None before the first; it counts as sent now.
+
+        Args:
+            stamp: Time of sending, ns.
+            at: The last joint state, if any: the watch on a motion begins there.
+        """
+        if self._setpoint is None:
+            return None
+        if not self._sent:
+            self._sent = True
+            if self.motion is not None and at is not None:
+                self._watch = Watch(self._table, self._rules, self.motion, at)
+        return replace(self._setpoint, stamp=stamp)
+
+    def rest(self, until: int) -> Rest | None:
+        """Return where the table is to stand until a stamp, ns; None if it need not stand yet."""
+        watch = self._watch
+        if not self._sent or isinstance(watch, Watch) or watch.rest is None:
+            return None
+        return Rest(watch.rest, watch.stray, until)
+
+    @property
+    def is_sent(self) -> bool:
+        """Whether the setpoint was sent: earlier measurements do not show its effect."""
+        return self._sent
+
+    def check(self, now: Feedback) -> tuple[bool, str]:
+        """Return whether the motion is complete, and a sentence on any fault."""
+        there, fault = self._watch.check(now)
+        if isinstance(self._watch, Watch):
+            self.turns_done = self._watch.turns_done
+        return there, fault
+
+    def _order(self, setpoint: Setpoint, motion: Step | None) -> None:
+        self._setpoint, self.motion, self._sent = setpoint, motion, False
+        self.revision += 1
+
+
+# Remaining steps of a plan, their order and duration.
+
+
+class Itinerary:
+    """The steps of a plan from the table's present position, and the way back there.
+
+    Attributes:
+        current: The current or next step; None before the plan is laid out.
+    """
+
+    def __init__(self, plan: Plan, table: Table, rules: Rules) -> None:
+        self._plan = plan
+        self._table = table
+        self._rules = rules
+        self._steps: tuple[Step, ...] = ()
+        self._return_step: Step | None = None
+        self._queue: deque[Step] = deque()
+        self._repeated: Counter[int] = Counter()
+        self._times: dict[str | int, float] = {}
+        self.current: Step | None = None
+
+    def __len__(self) -> int:
+        return len(self._steps)
+
+    @property
+    def index(self) -> int:
+        """Index of the current step; 0 before the plan is laid out."""
+        return 0 if self.current is None else self.current.index
+
+    @property
+    def is_returning(self) -> bool:
+        """Whether the current step is the way back, or the plan is not laid out yet."""
+        return self.current is self._return_step
+
+    @property
+    def return_step(self) -> Step:
+        """The way back to the start position."""
+        assert self._return_step is not None
+        return self._return_step
+
+    def plan_steps(self, angles: Sequence[float]) -> None:
+        """Recompute the steps.
+
+        Args:
+            angles: Present angles of the table, rad.
+
+        Raises:
+            InputError: The steps are beyond the table's limits.
+        """
+        before = np.array(angles)
+        self._steps, self._return_step = steps_of_plan(self._plan, self._table, before)
+        self._queue = deque(self._steps)
+        self.current = self._steps[0]
+        self._repeated.clear()
+        for step in (*self._steps, self._return_step):
+            time = motion_time(step, before, self._table) + self._rules.settle + step.dwell
+            self._times['home' if step is self._return_step else step.index] = time
+            before = end_of(step)
+
+    def leave_out(self, done: frozenset[int]) -> None:
+        """Remove steps that were run in the session that is resumed."""
+        self._queue = deque(step for step in self._queue if step.index not in done)
+        self.current = self._queue[0] if self._queue else self._steps[-1]
+
+    def repeat_current(self) -> None:
+        """Run the interrupted current step first."""
+        if self.current is not None:
+            self._queue.appendleft(self.current)
+
+    def take(self) -> Step | None:
+        """Return the next step; None after the last one."""
+        return self._queue.popleft() if self._queue else None
+
+    def repeat(self, indices: Sequence[int]) -> bool:
+        """Append steps with too little data, as often as the rules allow; return whether any."""
+        again = [
+            step
+            for step in self._steps
+            if step.index in set(indices) and self._repeated[step.index] < self._rules.repeats
+        ]
+        self._repeated.update(step.index for step in again)
+        self._queue.extend(again)
+        return bool(again)
+
+    def seconds_left(self) -> float:
+        """Return the duration of all after the current step, s."""
+        seconds = sum(self._time_of(step) for step in self._queue)
+        if not self.is_returning and self._return_step not in self._queue:
+            seconds += self._times['home']
+        return seconds
+
+    def seconds_of_current(self) -> float:
+        """Return the duration of the current step: motion, settling and dwell, s."""
+        return 0.0 if self.current is None else self._time_of(self.current)
+
+    def _time_of(self, step: Step) -> float:
+        return self._times['home' if step is self._return_step else step.index]
 
 
 class Leg(Enum):

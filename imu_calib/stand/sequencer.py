@@ -10,12 +10,127 @@ from ..common.errors import InputError
 from ..common.stream import JointBlock, Setpoint
 from ..session.plan import Plan
 from ..session.table import Table
-from .idle_watch import IdleWatch
-from .obstacles import Obstacles, Reasons
 from .plan_run import Leg, Run
-from .plan_steps import Encoders, Feedback, FeedbackError
-from .rules import Phase, Rules, SequencerState
-from .supervision import CALIBRATOR, Supervision
+from .plan_steps import Encoders, Feedback, FeedbackError, Phase, Rules, SequencerState
+from .table_watch import IdleWatch
+
+# Reasons against starting a plan, and reasons for a stop.
+
+
+_NO_FEEDBACK = 'There are no joint states from the table.'
+
+
+class Obstacles:
+    """Obstacles to starting a plan.
+
+    Attributes:
+        emergency: Reply to a start during the emergency stop; else empty.
+        feedback: Fault of the joint states; empty while they are valid.
+        calibrator: Fault of the calibrator; empty without.
+    """
+
+    def __init__(self) -> None:
+        self.emergency = ''
+        self.feedback = _NO_FEEDBACK
+        self.calibrator = ''
+        self._forbidden: dict[str, str] = {}
+
+    def forbid(self, what: str, why: str) -> bool:
+        """Set who forbids motion and why; empty: no longer. Return whether this is new."""
+        if why == self._forbidden.get(what, ''):
+            return False
+        if not why:
+            del self._forbidden[what]
+            return False
+        self._forbidden[what] = why
+        return True
+
+    @property
+    def forbidden(self) -> str:
+        """Why others forbid motion, in sentences; otherwise empty."""
+        return ' '.join(self._forbidden.values())
+
+
+class Reasons:
+    """Reason for a stop, and events since.
+
+    Attributes:
+        reason: Why the table stopped, or goes home without the calibrator's reply; else empty.
+        fault: Whether there was a fault since the last start, not a requested stop.
+    """
+
+    def __init__(self) -> None:
+        self.reason = ''
+        self.fault = False
+        self._remarks: dict[str, str] = {}
+
+    def begin(self, reason: str = '', *, fault: bool = False) -> None:
+        """Reset, and set a new reason."""
+        self.reason, self.fault = reason, fault
+        self._remarks.clear()
+
+    def remark(self, what: str, text: str) -> None:
+        """Add a fault that occurred at rest, once by its name."""
+        self.fault = True
+        self._remarks[what] = text
+
+    @property
+    def words(self) -> str:
+        """Return all of it in sentences."""
+        remarks = [text for text in self._remarks.values() if text != self.reason]
+        return ' '.join([*filter(None, [self.reason]), *remarks])
+
+
+# The calibrator from the sequencer's view: its presence, and its data of an old session.
+
+
+CALIBRATOR = 'the calibrator (calibration/progress)'
+
+
+class Supervision:
+    """Presence of a calibrator, and the steps that it has from a session that is resumed.
+
+    Args:
+        needed: Whether the table is moved only while one is present.
+
+    Attributes:
+        present: Whether the calibrator, if needed, is present.
+    """
+
+    def __init__(self, *, needed: bool) -> None:
+        self.needed = needed
+        self.present = not needed
+        self._resumes = False
+        self._done: frozenset[int] | None = None
+
+    def resume(self) -> None:
+        """Make the next start run only the steps that the calibrator lacks.
+
+        Raises:
+            InputError: No calibrator is needed.
+        """
+        if not self.needed:
+            raise InputError(
+                'To resume a session the parameter supervised must be true: the calibrator reports '
+                'which steps it lacks.'
+            )
+        self._resumes = True
+
+    def skip_done(self, seen: int, repeat_steps: Sequence[int]) -> None:
+        """Set the steps that the calibrator has already; arguments as `Sequencer.skip_done`."""
+        if self._resumes:
+            self._done = frozenset(range(seen)) - frozenset(repeat_steps)
+
+    def set_present(self, present: bool) -> None:
+        """Set whether the calibrator is present; to resume a session, its steps are needed too."""
+        self.present = present and not (self._resumes and self._done is None)
+
+    def take_skipped(self) -> frozenset[int]:
+        """Return the steps to skip, once: the next start runs all."""
+        if not self._resumes or self._done is None:
+            return frozenset()
+        self._resumes = False
+        return self._done
 
 
 class _Stage(Enum):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.stream import Floats
-from .checksum import Bytes
+from .fields import Bytes
 from .format import FrameFormat
 from .messages import Messages
 

@@ -8,12 +8,20 @@ from pathlib import Path
 from ...common.config import Section
 from ...common.errors import InputError
 from ...common.units import Dimension
-from .checks import FrameCheck, read_algorithm, read_number_order, read_order
-from .checksum import Checksums, checksums, fits
-from .commands import NOTHING, Commands, read_commands
-from .fields import Channel, DeviceTime, Fault, FrameCounter, Number
-from .messages import Message, read_message
-from .numbers import numbers, whole_list
+from .fields import Channel, Checksums, DeviceTime, Fault, FrameCounter, Number, checksums, fits
+from .messages import (
+    NOTHING,
+    Commands,
+    FrameCheck,
+    Message,
+    numbers,
+    read_algorithm,
+    read_commands,
+    read_message,
+    read_number_order,
+    read_order,
+    whole_list,
+)
 
 TYPES = {
     **{f'{kind}{8 * size}': (kind, size) for kind in 'ui' for size in (1, 2, 3, 4, 8)},

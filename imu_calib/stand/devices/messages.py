@@ -1,17 +1,146 @@
-"""Known messages on a device's line that are not samples, so that they do not count as damage."""
+"""The checksum of a device's frames and messages, as its YAML describes it."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...common.config import Section
+from ...common.config import Section, as_number, as_whole
 from ...common.errors import InputError
-from .checks import read_algorithm, read_order
-from .checksum import Algorithm, checksums, fits
-from .fields import Number
-from .numbers import whole_list
+from ...common.units import Dimension
+from .fields import (
+    CATALOGUE,
+    HIGH_WORD_FIRST,
+    LOW_WORD_FIRST,
+    Algorithm,
+    Crc,
+    Fletcher,
+    Number,
+    Sum,
+    Xor,
+    checksums,
+    fits,
+)
+
+_ORDERS = {'little': '<', 'big': '>'}
+ORDERS = {**_ORDERS, 'low_word_first': LOW_WORD_FIRST, 'high_word_first': HIGH_WORD_FIRST}
+"""Byte orders of a number."""
+OWN_KINDS = ('sum', 'xor', 'crc', 'fletcher')
+"""Checksums outside the catalogue."""
+WORDS = (8, 16, 32)
+"""Bits of the words of a sum."""
+FLETCHER = (255, 256)
+"""Moduli of Fletcher's checksum."""
+
+
+@dataclass(frozen=True)
+class FrameCheck:
+    """Position of a checksum, and the bytes that it covers: from `first` to `end` - 1."""
+
+    algorithm: Algorithm
+    number: Number
+    first: int
+    end: int
+    padding: int = 0
+
+
+def read_algorithm(check: Section, order: str) -> Algorithm:
+    """Read `kind` of a checksum and its parameters; `order` is its default byte order."""
+    kind = check.text('kind')
+    if kind in CATALOGUE:
+        return CATALOGUE[kind]
+    if kind == 'xor':
+        return Xor(check.whole('init', 0, 255, 0))
+    if kind == 'sum':
+        word = _one_of(check, 'word', WORDS, 8)
+        negated = check.flag('negated', default=False)
+        return Sum(_width(check, word), negated, word, read_order(check, order))
+    if kind == 'fletcher':
+        return Fletcher(_one_of(check, 'modulus', FLETCHER, None))
+    if kind == 'crc':
+        width = _width(check, None)
+        highest = (1 << width) - 1
+        return Crc(
+            width,
+            check.whole('poly', 1, highest),
+            check.whole('init', 0, highest, 0),
+            check.flag('refin', default=False),
+            check.flag('refout', default=False),
+            check.whole('xorout', 0, highest, 0),
+        )
+    known = ', '.join([*OWN_KINDS, *CATALOGUE])
+    raise InputError(f'{check.key("kind")}: found {kind!r}, expected one of {known}.')
+
+
+def _width(check: Section, default: int | None) -> int:
+    width = check.whole('width', 8, 32, default)
+    if width % 8:
+        raise InputError(f'{check.key("width")}: found {width}, expected 8, 16, 24 or 32 bits.')
+    return width
+
+
+def _one_of(check: Section, name: str, values: tuple[int, ...], default: int | None) -> int:
+    value = check.whole(name, values[0], values[-1], default)
+    if value not in values:
+        *first, last = values
+        expected = f'{", ".join(map(str, first))} or {last}'
+        raise InputError(f'{check.key(name)}: found {value}, expected {expected}.')
+    return value
+
+
+def read_order(section: Section, default: str | None) -> str:
+    """Read the order of a number's bytes: '<' lowest first, '>' highest."""
+    if default is not None and not section.has('byte_order'):
+        return default
+    return section.choice('byte_order', _ORDERS)
+
+
+def read_number_order(section: Section, default: str, size: int) -> str:
+    """Read the byte order of a number of `size` bytes: its words may be swapped, too."""
+    if not section.has('byte_order'):
+        return default
+    order = section.choice('byte_order', ORDERS)
+    if order in {LOW_WORD_FIRST, HIGH_WORD_FIRST} and size not in {2, 4, 8}:
+        raise InputError(
+            f'{section.key("byte_order")}: found {section.raw("byte_order")}, but words of 16 bits '
+            f'make numbers of 16, 32 or 64 bits; these are {8 * size}.'
+        )
+    return order
+
+
+# Read lists of integers, and scales, from a device's file, with checks.
+
+
+def whole_list(section: Section, name: str, lower: int, upper: int) -> list[int]:
+    """Read a list of integers from `lower` to `upper`."""
+    found = []
+    for value in section.items(name):
+        number = as_whole(value, lower, upper)
+        if number is None:
+            raise InputError(
+                f'{section.key(name)}: found {value!r}, expected whole numbers from {lower} to '
+                f'{upper}.'
+            )
+        found.append(number)
+    return found
+
+
+def numbers(section: Section, name: str, most: int = 3) -> list[float]:
+    """Read one number or a list of them; 1 if absent."""
+    if not section.has(name):
+        return [1.0]
+    raw = section.raw(name)
+    values = raw if isinstance(raw, list) else [raw]
+    found = [v for v in map(as_number, values) if v and math.isfinite(v)]
+    if len(found) < len(values) or not 1 <= len(values) <= most:
+        raise InputError(f'{section.key(name)}: found {raw!r}, expected a number other than 0.')
+    return found
+
+
+# Known messages on a device's line that are not samples, so that they do not count as damage.
+
 
 _LONGEST = 4096
 """Bytes: more than any IMU sends at once; a damaged length does not make the decoder wait longer. A
@@ -213,3 +342,97 @@ def _message_check(section: Section, order: str) -> MessageCheck | None:
     result = MessageCheck(algorithm, offset, read_order(check, order), first, last)
     check.finish()
     return result
+
+
+# Commands that make a device start and stop sending frames.
+
+
+LONGEST = 1024
+"""Bytes of a command: more is taken for a typing error."""
+LONGEST_WAIT = 10.0
+"""s after a command: a device that restarts takes about a second. A judgement."""
+LONGEST_STOP = 2.0
+"""s after all commands that stop a device: closing the port waits for them. A judgement."""
+LEAST_SILENCE = 0.5
+"""s without a byte before a device is restarted: a USB adapter holds bytes for tens of ms."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """Bytes to send, and the wait before the next, s."""
+
+    data: bytes
+    wait: float = 0.0
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Commands to a device.
+
+    Attributes:
+        start: Sent when its port opens.
+        again: Time without a byte after which `start` is sent again, s; None: never.
+        stop: Sent before its port is closed.
+    """
+
+    start: tuple[Command, ...] = ()
+    again: float | None = None
+    stop: tuple[Command, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.start or self.stop)
+
+
+NOTHING = Commands()
+"""For a device that sends without commands."""
+
+
+def read_commands(section: Section) -> Commands:
+    """Read `start`, `start_again` and `stop` of a device's file.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+    """
+    start, stop = _sequence(section, 'start'), _sequence(section, 'stop')
+    again = None
+    if section.has('start_again'):
+        again = section.quantity('start_again', Dimension.TIME, least=LEAST_SILENCE)
+        if not start:
+            raise InputError(f"{section.key('start_again')}: there is no 'start' to send again.")
+    waits = sum(command.wait for command in stop)
+    if waits > LONGEST_STOP:
+        raise InputError(
+            f'{section.key("stop")}: the waits add up to {waits:g} s, expected at most '
+            f'{LONGEST_STOP:g} s: closing the port waits for them.'
+        )
+    return Commands(start, again, stop)
+
+
+def _sequence(section: Section, name: str) -> tuple[Command, ...]:
+    if not section.has(name):
+        return ()
+    return tuple(_command(entry) for entry in section.sections(name))
+
+
+def _command(entry: Section) -> Command:
+    if entry.has('bytes') == entry.has('text'):
+        raise InputError(
+            f"{entry.where}: found {'both' if entry.has('bytes') else 'neither'} of 'bytes' and "
+            "'text', expected one of them."
+        )
+    if entry.has('bytes'):
+        data = bytes(whole_list(entry, 'bytes', 0, 255))
+    else:
+        text = entry.text('text')
+        if not text or not text.isascii():
+            raise InputError(f'{entry.key("text")}: found {text!r}, expected characters of ASCII.')
+        data = text.encode('ascii')
+    if len(data) > LONGEST:
+        raise InputError(f'{entry.where}: found {len(data)} bytes, expected at most {LONGEST}.')
+    wait = entry.quantity('wait', Dimension.TIME, 0.0, least=0.0)
+    if wait > LONGEST_WAIT:
+        raise InputError(
+            f'{entry.key("wait")}: found {entry.raw("wait")}, expected at most {LONGEST_WAIT:g} s.'
+        )
+    entry.finish()
+    return Command(data, wait)

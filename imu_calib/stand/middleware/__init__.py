@@ -23,6 +23,6 @@ rmw_fastrtps.
 from ..nodes.programs import Stoppable, run
 from .chosen import *  # noqa: F403
 from .chosen import NAMES, RUNTIME
-from .goals import GoalStatus
+from .running import GoalStatus
 
 __all__ = [*NAMES, 'RUNTIME', 'GoalStatus', 'Stoppable', 'run']  # noqa: PLE0604

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from ..runtime import require, runtime
+from ..network import require, runtime
 
 RUNTIME = runtime()
 require(RUNTIME)

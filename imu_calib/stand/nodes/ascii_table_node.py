@@ -1,4 +1,4 @@
-"""The thread that communicates with a table's controller; only the controller can block it."""
+"""ascii_table_node: driver of a turntable with an ASCII line protocol; see docs/tables.md."""
 
 from __future__ import annotations
 
@@ -6,15 +6,23 @@ import contextlib
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ...common.stream import JointBlock, Setpoint
-from ..ascii import (
+from ...recordings.cdr import Malformed, Messages
+from ...recordings.cdr_codec import decode_setpoints, encode_joints
+from ...session.table import load_table
+from ..middleware import Clock, ClockType, Node, drain_sources, messages, open_drain, publish_all
+from ..table_driver import Follower, OneSource
+from ..table_guard import Guard
+from ..table_line import (
     STATE_LINE,
     BadReply,
+    Line,
     Order,
     Reading,
     Refusal,
@@ -22,11 +30,77 @@ from ..ascii import (
     check,
     order_line,
     reading,
+    tcp_address,
     watchdog_line,
 )
-from ..table_driver import Follower
-from ..table_guard import Guard
-from ..table_line import Line
+from . import topics as qos
+from .diagnostics import Diagnostics, Level
+from .parameters import declare
+from .programs import entry_point
+from .stop import Heartbeat
+from .topics import names_of
+
+# The setpoints that a table's driver follows: from one source, while a heartbeat is received.
+
+
+class Commands:
+    """Receives setpoints and passes on those that the table must follow.
+
+    Args:
+        node: The driver.
+        timeout: Silence after which the table stops, s, of the steady clock.
+    """
+
+    def __init__(self, node: Any, timeout: float) -> None:
+        self._node = node
+        self._gate = OneSource(timeout)
+        self._heartbeat = Heartbeat(node)
+        self._malformed = Malformed()
+        self._unknown = 0
+        self._drain = open_drain(
+            node, messages.TurntableSetpoint, 'turntable/setpoint', qos.command()
+        )
+
+    def dispatch(self, follow: Callable[[Setpoint], None]) -> None:
+        """Pass on new setpoints, and HOLD if the heartbeat is lost; to be called often."""
+        stop = self._gate.forbid(self._heartbeat.reason)
+        if stop is not None:
+            follow(stop)
+        now = time.monotonic()
+        for payload, source in drain_sources(self._drain):
+            for block in decode_setpoints(Messages.join([payload]), self._malformed):
+                for setpoint in block.setpoints:
+                    follow(self._gate.checked(setpoint, source or self._known(), now))
+
+    def report(self, diagnostics: Diagnostics) -> None:
+        """Report whose setpoints are followed, or why none are."""
+        publishers = names_of(self._listed())
+        diagnostics.report_fault(
+            'source',
+            self._gate.reason,
+            'Setpoints of one source are followed.',
+            publishers=', '.join(publishers) or 'none',
+            heartbeat='required' if self._heartbeat.required else 'not required',
+            malformed=f'{self._malformed.count} messages',
+        )
+
+    def _listed(self) -> list[Any]:
+        return list(self._node.get_publishers_info_by_topic(self._drain.topic_name))
+
+    def _known(self) -> bytes:
+        """Return the listed publisher as source, where the middleware gives none per message.
+
+        With several publishers the source is unknown: each message then counts as from another.
+        """
+        listed = self._listed()
+        if len(listed) == 1:
+            return bytes(listed[0].endpoint_gid)
+        self._unknown += 1
+        return f'unknown {self._unknown}'.encode()
+
+
+# The thread that communicates with a table's controller; only the controller can block it.
+
 
 _RETRY = 0.5
 """s before a lost controller is contacted again. A choice: two attempts a second cost nothing."""
@@ -207,3 +281,109 @@ class Control:
         except BadReply as error:
             # Whether the order was taken is unknown.
             raise OSError(f'the reply to an order cannot be read: {error}') from error
+
+
+_PERIOD = 0.005
+"""s: half the period of a table that answers at 100 Hz, so that no answer waits for the next
+poll."""
+_REPORT_PERIOD = 0.25
+"""s: diagnostics are published at most four times a second."""
+_PATIENCE = 3.0
+"""s to wait for the answer to STOP when the node ends: several times that of a slow line; a
+choice."""
+
+
+class AsciiTableNode(Node):
+    """Follows turntable/setpoint and publishes turntable/joint_states.
+
+    A thread communicates with the controller. Publishing waits for slow subscribers; no setpoint is
+    read during that time, and the thread stops the table.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('ascii_table_node')
+        table = load_table(declare(self, 'table', 'three_axis', 'Name or file of the table.'))
+        port = declare(self, 'port', '', 'Serial port or socket://host:port of the controller.')
+        tcp_address(port)  # Refuses what cannot be.
+        baud = declare(self, 'baud', 115200, 'Baud rate of a serial port, bit/s.', lower=50)
+        reply = declare(
+            self, 'reply_timeout', 0.2, 'Longest wait for a reply, s.', lower=0.01, upper=0.4
+        )
+        rate = declare(
+            self, 'joint_state_rate', 50.0, 'How often the axes are read, Hz.', lower=5.0, upper=1e3
+        )
+        timeout = declare(
+            self,
+            'setpoint_timeout',
+            0.5,
+            'The table stops when no setpoint has come for so long, s.',
+            lower=0.1,
+            upper=2.0,
+        )
+        age = declare(
+            self, 'setpoint_age', 0.5, "Greatest age of a setpoint's stamp, s.", lower=0.01
+        )
+        self._port = port
+        self._control = Control(
+            lambda: Line(port, baud, reply),
+            Follower(table, timeout, age),
+            table.names,
+            self._now,
+            1 / rate,
+            Guard(),
+        )
+        self._diagnostics = Diagnostics(self, table.name)
+        self._joints = self.create_publisher(
+            messages.JointState,
+            'turntable/joint_states',
+            qos.stream(),
+            qos_overriding_options=qos.overridable(),
+        )
+        self._commands = Commands(self, timeout)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_PERIOD, self._work, clock=steady)
+        self.create_timer(_REPORT_PERIOD, self._report, clock=steady)
+        self._control.start()
+
+    def stop(self) -> Sequence[Any]:
+        """Stop the table; nothing is published afterwards that must be delivered."""
+        if not self._control.stop(_PATIENCE):
+            self.get_logger().fatal(
+                f'The controller on {self._port} does not answer the last stop; '
+                'its own watchdog must stop the table.'
+            )
+        return []
+
+    def destroy_node(self) -> None:
+        """Stop the table too if the context ended before the node: then `stop` is not called."""
+        # A node that a wrong parameter ended as it began has no control.
+        if hasattr(self, '_control'):
+            self._control.stop(_PATIENCE)
+        super().destroy_node()
+
+    def _now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _work(self) -> None:
+        self._commands.dispatch(self._control.command)
+        block = self._control.take()
+        if block is not None:
+            publish_all(self._joints, encode_joints(block).payloads())
+
+    def _report(self) -> None:
+        """Report the controller, and whose setpoints it follows."""
+        self._commands.report(self._diagnostics)
+        status = self._control.status
+        self._diagnostics.report(
+            'controller',
+            Level.OK if status.open else Level.ERROR,
+            status.text,
+            port=self._port,
+            bad_replies=str(status.bad),
+            line_breaks=str(status.breaks),
+        )
+        self._diagnostics.report_fault('setpoints', status.refusal, 'No setpoint is refused.')
+
+
+if __name__ == '__main__':
+    raise SystemExit(entry_point(AsciiTableNode))

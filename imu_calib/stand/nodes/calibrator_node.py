@@ -4,29 +4,194 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ...common.errors import InputError
 from ...common.files import user_path
+from ...common.stream import NS
 from ...recordings.rosbag2 import Kind
+from ...recordings.writer import Journal
 from ...reports.timeline import reading_sentence
+from ...session.metadata import mount_description, unit_description
+from ...session.plan import Plan
 from .. import middleware as ros
-from ..middleware import messages
-from . import qos
-from .declared import declare
+from ..middleware import Node, messages
+from ..plan_steps import Phase
+from . import topics as qos
 from .diagnostics import Diagnostics, Level
-from .entry import entry_point
 from .live import SessionPhase
-from .parameters import StatedUnit, declared_units
-from .session_factory import SessionFactory
-from .session_reports import IMU_TIMEOUT, journal_sentence, session_sentence
-from .sessions import Sessions
-from .topics import Subscriptions, topics_of_table, topics_of_unit
-from .turntable_state import TurntableStateIntake
-from .unit_results import UnitResults
-from .units_progress import progress_of_all
+from .parameters import StatedUnit, declare, declared_units
+from .programs import entry_point
+from .session_reports import (
+    IMU_TIMEOUT,
+    Sessions,
+    UnitResults,
+    journal_sentence,
+    progress_of_all,
+    session_sentence,
+)
+from .topics import OnePublisher, Subscriptions, topics_of_table, topics_of_unit
+from .turntable_node import DoneCheck
+
+# turntable/state of the node that runs the plan, as the calibrator receives it.
+
+
+STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
+
+_RUNS = frozenset(phase for phase in Phase if phase.at_a_step)
+
+
+class TurntableStateIntake:
+    """Passes to sessions whether the table runs, is done, or runs another plan; records the state.
+
+    Args:
+        node: The node that subscribes.
+        plan: Name of the plan that is calibrated.
+        steps: Number of its steps.
+        diagnostics: Receives the reason why a DONE is not accepted.
+
+    Attributes:
+        topic: Full name.
+        seconds_left: Remaining time of the plan as the table states, s; else NaN.
+        phase: Of the table, a constant of TurntableState; None before the first message.
+    """
+
+    def __init__(self, node: Node, plan: Plan, steps: int, diagnostics: Diagnostics) -> None:
+        self.topic = node.resolve_topic_name('turntable/state')
+        self.seconds_left = math.nan
+        self.phase: int | None = None
+        self._plan = plan
+        self._diagnostics = diagnostics
+        self._publisher = OnePublisher(node, self.topic)
+        self._done = DoneCheck(plan.name, steps)
+        self._unrecorded: list[bytes] = []
+
+    def keep(self, payload: bytes) -> None:
+        """Keep a serialised message for recording."""
+        self._unrecorded.append(payload)
+
+    def record(self, sessions: Sessions, now: int) -> None:
+        """Record the messages received since the last call, at `now`, host time in ns."""
+        for payload in self._unrecorded:
+            sessions.record(self.topic, STATE_TYPE, payload, now)
+        self._unrecorded.clear()
+
+    def check_publishers(self, now: float) -> None:
+        """Check its publishers at a time of the steady clock, s."""
+        self._publisher.fault(now)
+
+    def take(self, state: Any, sessions: Sessions, now: float) -> bool:
+        """Take a message after all earlier data; return whether it ended the sessions.
+
+        Args:
+            state: imu_calib_msgs/TurntableState.
+            sessions: The sessions it concerns.
+            now: Of the steady clock, s.
+        """
+        if state.plan and state.plan != self._plan.name:
+            for session in sessions.all:
+                session.fail(
+                    f'The table runs plan {state.plan}, this calibrator expects {self._plan.name}.'
+                )
+            return True
+        self.seconds_left, self.phase = float(state.seconds_left), state.phase
+        if state.phase != messages.TurntableState.DONE:
+            self._done.deny()
+            for session in sessions.all:
+                session.table_running()
+            return False
+        refusal = self._done.refusal(
+            state.plan,
+            state.steps,
+            max(session.steps_seen for session in sessions.all),
+            alone=self._publisher.is_alone(now),
+        )
+        if not refusal and self._done.is_repeated:
+            stamp = state.header.stamp
+            for session in sessions.all:
+                session.table_done(stamp.sec * NS + stamp.nanosec)
+        text = f'{self.topic} reports DONE, which is ignored: {refusal}.'
+        self._diagnostics.report(
+            'turntable state',
+            Level.WARN if refusal else Level.OK,
+            text if refusal else f'{self.topic} says DONE.',
+        )
+        return False
+
+    @property
+    def runs(self) -> bool:
+        """Whether the table is at a step of the plan."""
+        return self.phase in _RUNS
+
+    @property
+    def paused(self) -> bool:
+        """Whether the plan is interrupted, and may be resumed."""
+        return self.phase == Phase.PAUSED
+
+
+# Create the sessions of a calibrator, each time with a new journal.
+
+
+class SessionFactory:
+    """Opens journals, one after the other, and the sessions of all units with each.
+
+    Args:
+        units: What is calibrated.
+        description: Set-up that every journal contains.
+        journal: Folder of the first; later ones have a number at the end of their names.
+        state: Full name of turntable/state; None without a table.
+        progress: Called now and then with the read share of a journal that is resumed, 0 to 1.
+    """
+
+    def __init__(
+        self,
+        units: Sequence[StatedUnit],
+        description: Mapping[str, str],
+        journal: Path,
+        state: str | None,
+        progress: Callable[[float], None] = lambda _: None,
+    ) -> None:
+        self._units = units
+        self._description = description
+        self._journal = journal
+        self._state = state
+        self._progress = progress
+        self._count = 0
+
+    def begin(self, common: Mapping[Kind, str], of_units: Sequence[Mapping[Kind, str]]) -> Sessions:
+        """Begin sessions, or resume those in the journal.
+
+        Args:
+            common: Full names of the table's topics by content.
+            of_units: The same of each unit.
+
+        Raises:
+            InputError: The journal cannot be written, or holds another set-up.
+        """
+        path = self._journal
+        if self._count:
+            path = path.with_name(f'{path.name}_{self._count + 1}')
+        self._count += 1
+        kinds = {topic: kind for names in (common, *of_units) for kind, topic in names.items()}
+        journal = Journal(path, self._described(of_units), kinds, self._progress)
+        if self._state is not None:
+            journal.add_latched_topic(self._state, STATE_TYPE)
+        return Sessions(self._units, of_units, journal, common)
+
+    def _described(self, of_units: Sequence[Mapping[Kind, str]]) -> dict[str, str]:
+        """Return the set-up, with that of each of several units."""
+        description = dict(self._description)
+        for unit, topics in zip(self._units, of_units, strict=True):
+            if unit.name:
+                topic = topics[Kind.IMU]
+                description |= unit_description(topic, unit.imu, unit.setup.serial_number)
+                if unit.mount is not None:
+                    description |= mount_description(topic, unit.mount)
+        return description
+
 
 _TICK = 0.02
 """s: twenty samples at 1 kHz; a queue of the middleware holds many times that. The fixed cost of a

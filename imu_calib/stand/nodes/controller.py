@@ -8,10 +8,9 @@ from typing import Any
 
 from ...common.stream import Mode, Setpoint
 from ..middleware import ActionClient, Node, actions
-from ..middleware.goals import GoalStatus
-from ..plan_steps import Feedback
+from ..middleware.running import GoalStatus
+from ..plan_steps import Feedback, Lead, Overtaken
 from ..sequencer import Sequencer
-from ..trajectory import Lead, Overtaken
 from .convert import trajectory_message
 from .diagnostics import Diagnostics
 

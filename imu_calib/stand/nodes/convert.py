@@ -17,8 +17,7 @@ from ...model.terms import G_SENSITIVITIES, G_SENSITIVITY
 from ...session.imu import ImuSpec, TriadSpec, check_plausible
 from ...session.table_errors import StampingClock, check_clock
 from ..middleware import Time, messages
-from ..rules import SequencerState
-from ..trajectory import Piece
+from ..plan_steps import Piece, SequencerState
 
 _UNITS = {
     Units.PULSES: messages.ImuCalibration.UNIT_PULSES,

@@ -1,9 +1,11 @@
-"""Declare the set-up of a session as parameters of a node."""
+"""Declare, describe and check parameters of a node in one call."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 from ...common.errors import InputError
 from ...common.stream import Floats
@@ -17,8 +19,56 @@ from ...session.metadata import describe, shared_description
 from ...session.plan import UNPLANNED, load_plan
 from ...session.table import load_table
 from ...session.units_file import load_units, remaining
-from ..middleware import Node
-from .declared import declare
+from ..middleware import FloatingPointRange, IntegerRange, Node, ParameterDescriptor
+from ..plan_steps import Rules
+
+
+def declare(
+    node: Node,
+    name: str,
+    default: Any,
+    description: str,
+    *,
+    lower: float | None = None,
+    upper: float | None = None,
+    read_only: bool = True,
+) -> Any:
+    """Declare a parameter and return its value.
+
+    Args:
+        node: Declares the parameter.
+        name: Of the parameter.
+        default: Value if none is given; its type is the parameter's.
+        description: One line with the unit, as `ros2 param describe` shows it.
+        lower: Smallest accepted value, None for no limit.
+        upper: Largest accepted value, None for no limit.
+        read_only: Whether it cannot change after the start.
+
+    Raises:
+        InputError: The given value has another type or lies outside the range.
+    """
+    described = ParameterDescriptor(description=description, read_only=read_only)
+    ranged = lower is not None or upper is not None
+    if ranged and isinstance(default, float):
+        low, high = -math.inf if lower is None else lower, math.inf if upper is None else upper
+        described.floating_point_range = [
+            FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)
+        ]
+    elif ranged:
+        low, high = -(2**62) if lower is None else lower, 2**62 if upper is None else upper
+        described.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    try:
+        value = node.declare_parameter(name, default, described).value
+    except Exception as error:
+        # The two runtimes raise the same error for a wrong type, different ones for a wrong range.
+        raise InputError(f'Parameter {name}: {error}') from error
+    if ranged and not math.isfinite(value):
+        # A time that never ends is no watchdog, and NaN is within the range for rclpy.
+        raise InputError(f'Parameter {name}: found {value}, expected a finite number.')
+    return value
+
+
+# Declare the set-up of a session as parameters of a node.
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,3 +188,65 @@ def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
 def _stated(value: float) -> float | None:
     """Return a parameter, or None if it is not stated."""
     return None if math.isnan(value) else value
+
+
+# The sequencer's rules as parameters of a node.
+
+
+def declare_rules(declare: Callable[..., Any]) -> Rules:
+    """Declare tolerances and times, and return them.
+
+    Args:
+        declare: `declared.declare` of the node.
+
+    Raises:
+        InputError: A value has another type or lies outside its range.
+    """
+    default = Rules()
+    return Rules(
+        settle=declare(
+            'settle',
+            default.settle,
+            'From the stop of the joints to the start of the dwell, s of the joint states.',
+            lower=0.0,
+        ),
+        arrival=DEG
+        * declare(
+            'arrival_tolerance',
+            default.arrival / DEG,
+            'Largest distance from its goal at which a joint has arrived, deg.',
+            lower=1e-6,
+            upper=1.0,
+        ),
+        overshoot=DEG
+        * declare(
+            'overshoot_tolerance',
+            default.overshoot / DEG,
+            'Largest overshoot of a goal, and deviation from the path, of a joint, deg.',
+            lower=1e-5,
+            upper=10.0,
+        ),
+        feedback_timeout=declare(
+            'feedback_timeout',
+            default.feedback_timeout,
+            'Longest gap between the stamps of joint states, s.',
+            lower=0.001,
+        ),
+        supervised=declare(
+            'supervised',
+            default.supervised,
+            'Whether a calibrator is required; it asks for steps to be repeated.',
+        ),
+        repeats=declare(
+            'repeats',
+            default.repeats,
+            'Largest number of times that a step is repeated when the calibrator asks for it.',
+            lower=0,
+        ),
+        repeat_wait=declare(
+            'repeat_wait',
+            default.repeat_wait,
+            'Longest wait for the calibrator at the end of the plan, s of the joint states.',
+            lower=0.0,
+        ),
+    )

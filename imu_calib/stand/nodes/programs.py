@@ -1,14 +1,22 @@
-"""A node's life from init to shutdown, with last messages when a signal ends it."""
+"""The nodes' programs, as `ros2 run` starts them; loading errors are reported in a sentence."""
 
 from __future__ import annotations
 
+import ctypes
 import difflib
 import math
 import signal
+import sys
 import threading
 import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
+from ...common.errors import ImuCalibError
+from ...common.lifetime import end_with_parent
 from ..middleware.chosen import (
     ExternalShutdownException,
     acknowledged,
@@ -21,6 +29,31 @@ from ..middleware.chosen import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+
+def start(node: str) -> int:
+    """Load a node and run it; return the exit code.
+
+    Loading the node's module selects the runtime and its messages. The class is named after the
+    program: turntable_node is TurntableNode.
+    """
+    try:
+        pass
+
+        kind = getattr(import_module(f'{__package__}.{node}'), node.title().replace('_', ''))
+    except ImuCalibError as error:
+        print(f'{node}: {error}', file=sys.stderr)  # noqa: T201
+        return error.exit_code
+    return entry_point(kind)
+
+
+def __getattr__(name: str) -> Callable[[], int]:
+    if not name.endswith('_node'):
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return partial(start, name)
+
+
+# A node's life from init to shutdown, with last messages when a signal ends it.
 
 
 class Stoppable(Protocol):
@@ -159,3 +192,35 @@ def _stop_node(node: Any) -> bool:
     publishers = stop() if stop is not None else None
     acknowledged_all = [acknowledged(p, _ACKNOWLEDGE_TIMEOUT) for p in publishers or ()]
     return all(acknowledged_all)
+
+
+# Start and end of every node's program.
+
+
+_M_ARENA_MAX = -8
+"""Constant of mallopt(3), glibc's malloc.h."""
+
+
+def entry_point(node: Callable[[], Any]) -> int:
+    """Run a node until a signal ends it; return the exit code.
+
+    An error of the user is reported in a sentence: code 2 for wrong usage or unreadable input.
+    """
+    share_one_heap()
+    end_with_parent()
+    try:
+        run(node, ends=True)
+    except ImuCalibError as error:
+        print(f'{getattr(node, "__name__", "node")}: {error}', file=sys.stderr)  # noqa: T201
+        return error.exit_code
+    return 0
+
+
+def share_one_heap() -> None:
+    """Let future threads allocate from one heap.
+
+    glibc gives each thread a heap, and threads cannot use each other's free memory: calibrator_node
+    grew by 1.2 MB with each session (`benchmarks/soak.py`). Other C libraries have no such setting.
+    """
+    with suppress(AttributeError, OSError):
+        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)

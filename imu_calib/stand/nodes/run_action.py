@@ -9,12 +9,12 @@ from typing import Any
 
 from ...common.errors import InputError
 from ..middleware import GoalServer, Node, actions, messages
-from ..middleware.goals import GoalStatus
-from ..rules import Phase
+from ..middleware.running import GoalStatus
+from ..plan_steps import Phase
 from ..sequencer import Sequencer
 from ..table_watch import SETS_OUT
-from . import qos
-from .state_texts import state_sentence
+from . import topics as qos
+from .diagnostics import state_sentence
 
 _FEEDBACK_PERIOD = 0.5
 """s between two equal feedbacks: the period of turntable/state."""

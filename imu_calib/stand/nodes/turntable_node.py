@@ -23,22 +23,18 @@ from ..middleware import (
     serialize_message,
     spin_once,
 )
-from ..rules import SequencerState
+from ..plan_steps import SequencerState
 from ..sequencer import Sequencer
-from . import qos
-from .calibrator_progress import CalibratorProgress
+from . import topics as qos
 from .controller import Controller
 from .convert import state_message
-from .declared import declare
-from .diagnostics import Diagnostics, Level
-from .entry import entry_point
-from .heartbeat import Heartbeat
-from .own_topics import OwnTopics
-from .pacing import Pacing
-from .rules import declare_rules
+from .diagnostics import CalibratorProgress, Diagnostics, Level, state_figures, state_sentence
+from .parameters import declare, declare_rules
+from .programs import entry_point
 from .run_action import RunAction
-from .state_texts import state_figures, state_sentence
-from .stop import EmergencyStop, state_folder
+from .stand_node import Pacing
+from .stop import EmergencyStop, Heartbeat, state_folder
+from .topics import OwnTopics
 
 _PERIOD = 0.01
 """s between checks of the clocks without joint states: a tenth of a setpoint's period."""
@@ -448,3 +444,54 @@ def _holds(payload: bytes) -> bool:
 
 if __name__ == '__main__':
     raise SystemExit(entry_point(TurntableNode))
+
+
+# Whether a reported DONE of a plan is credible.
+
+
+class DoneCheck:
+    """Receives turntable/state, and accepts DONE only with independent evidence.
+
+    Any publisher on the topic could end a session. Therefore the calibrator must have received
+    setpoints of every step, no other node may publish the state, and DONE must come twice in
+    succession: the node that runs the plan repeats its state twice a second and would contradict.
+
+    Args:
+        plan: Name of the plan that is calibrated.
+        steps: Number of its steps.
+    """
+
+    def __init__(self, plan: str, steps: int) -> None:
+        self._plan = plan
+        self._steps = steps
+        self._in_succession = 0
+
+    def deny(self) -> None:
+        """Take a state that is not DONE."""
+        self._in_succession = 0
+
+    def refusal(self, plan: str, steps: int, commanded: int, *, alone: bool) -> str:
+        """Take a state that is DONE; return why it is not accepted, else empty.
+
+        Args:
+            plan: Name of the plan in the state.
+            steps: Number of steps in the state.
+            commanded: Number of steps commanded by setpoints.
+            alone: Whether the state has one publisher.
+        """
+        self._in_succession += 1
+        if plan != self._plan:
+            return f'it names the plan {plan or "(none)"}, not {self._plan}'
+        if steps != self._steps:
+            return f'it has {steps} steps, plan {self._plan} has {self._steps}'
+        if commanded < self._steps:
+            first = f'{commanded + 1} to ' if commanded + 1 < self._steps else ''
+            return f'step {first}{self._steps} of {self._plan} was never commanded'
+        if not alone:
+            return 'more than one node publishes the state'
+        return ''
+
+    @property
+    def is_repeated(self) -> bool:
+        """Whether DONE was received more than once in succession."""
+        return self._in_succession > 1

@@ -3,16 +3,188 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Any
 
 from ...common.stream import NS
-from ...reports.timeline import Courses, Pace, in_words
+from ...model.parameters import Parameter
+from ...reports.timeline import Converging, Courses, Pace, in_words
+from ...session.imu import Specification
 from ..devices.health import Severity
-from ..rules import Phase
+from ..plan_steps import Phase
 from .samples import Streams
-from .snapshot import NOT_BEGUN, Expected, Outcome, Sentence, Snapshot, TableState
+
+# State of a running stand at one moment, for pages and terminals.
+
+
+class Outcome(Enum):
+    """Outcome of a session, if it has ended."""
+
+    OPEN = 'open'
+    DONE = 'done'
+    INCOMPLETE = 'incomplete'
+    FAILED = 'failed'
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """A node's report on one of its parts.
+
+    Attributes:
+        source: For instance 'imu_node: stream'.
+        level: Severity.
+        text: A sentence.
+        figures: Values with their units, by name.
+    """
+
+    source: str
+    level: Severity
+    text: str
+    figures: tuple[tuple[str, str], ...] = ()
+
+    def figure(self, name: str) -> str:
+        """Return a value with its unit; empty if it is missing."""
+        return dict(self.figures).get(name, '')
+
+
+NOT_BEGUN = frozenset({Phase.IDLE, Phase.ABORTED})
+"""In these a start begins the plan with its first step."""
+
+
+@dataclass(frozen=True)
+class PlannedStep:
+    """A step of the plan: its target, and its action as text."""
+
+    position: str
+    words: str
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Known values of a session before it begins.
+
+    Attributes:
+        plan: Name of the plan.
+        imu: Name of the unit's type.
+        table: Name of the table; empty if a hand holds the unit.
+        steps: Of the plan; empty if a hand holds the unit.
+        parameters: Parameters that the session's method estimates.
+        predicted: (n,) predicted standard deviations of the plan, SI; NaN if unknown.
+        specification: The limits of the unit; None without.
+        joints: Names of the table's joints.
+    """
+
+    plan: str
+    imu: str
+    table: str
+    steps: tuple[PlannedStep, ...]
+    parameters: tuple[Parameter, ...]
+    predicted: tuple[float, ...]
+    specification: Specification | None = None
+    joints: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class TableState:
+    """State of the table; angles in rad, rates in rad/s."""
+
+    plan: str = ''
+    step: int = 0
+    steps: int = 0
+    position: str = ''
+    phase: Phase = Phase.IDLE
+    reason: str = ''
+    joints: tuple[str, ...] = ()
+    angles: tuple[float, ...] = ()
+    rates: tuple[float, ...] = ()
+    turns_done: float = 0.0
+    seconds_left: float = math.nan
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Content of a page at one moment.
+
+    Attributes:
+        expected: Known values before the session.
+        table: Last state of the table; None before the first.
+        table_silent: Duration without a state, s; 0 while states come.
+        calibrator_silent: The same for the calibrator.
+        progress: One sentence of the calibrator; empty before the first.
+        seen: Steps of the plan that have begun in its present run.
+        repeats: Steps to be repeated.
+        next: Attitudes that a hand should hold next.
+        outcome: Outcome of the session.
+        outcome_text: Text on the outcome.
+        rows: The parameters.
+        sentences: Reports of the nodes, the worst first.
+        streams: Results from the IMU's samples; None before the first.
+        celsius: The unit's temperature, degrees Celsius; NaN if not measured.
+        speed: Seconds of the stand per second of the wall clock.
+        elapsed: Since the session began, s of the stand's time.
+        worked: Of the present run of the plan, without pauses, s of the stand's time.
+        answer: Answer to the last command of a viewer; empty before the first.
+        report: Name of the report's file when it is written.
+        report_text: Text on the report.
+    """
+
+    expected: Expected
+    table: TableState | None = None
+    table_silent: float = 0.0
+    calibrator_silent: float = 0.0
+    progress: str = ''
+    seen: int = 0
+    repeats: tuple[int, ...] = ()
+    next: tuple[str, ...] = ()
+    outcome: Outcome = Outcome.OPEN
+    outcome_text: str = ''
+    rows: tuple[Converging, ...] = ()
+    sentences: tuple[Sentence, ...] = ()
+    streams: Streams | None = None
+    celsius: float = math.nan
+    speed: float = 1.0
+    elapsed: float = 0.0
+    worked: float = 0.0
+    answer: str = ''
+    report: str = ''
+    report_text: str = ''
+
+    @property
+    def problems(self) -> tuple[Sentence, ...]:
+        """Reports that need attention, the worst first, after the outcome of the session."""
+        over = self.outcome is not Outcome.OPEN
+        return tuple(
+            sentence
+            for sentence in self.sentences
+            if sentence.level is not Severity.OK
+            and not (over and sentence.source.endswith('calibrator_node: calibration'))
+        )
+
+    @property
+    def silent(self) -> bool:
+        """Whether the table or the calibrator has fallen silent: the state is out of date."""
+        return self.table_silent > 0 or self.calibrator_silent > 0
+
+    @property
+    def wall_seconds_left(self) -> float:
+        """Remaining time by the wall clock, s; NaN if unknown."""
+        return math.nan if self.table is None else self.table.seconds_left / self.speed
+
+    @property
+    def share(self) -> float:
+        """Elapsed share of the session's time, 0 to 1."""
+        if self.outcome in {Outcome.DONE, Outcome.INCOMPLETE}:
+            return 1.0
+        seconds = math.nan if self.table is None else self.table.seconds_left
+        if self.table is not None and self.table.phase is Phase.DONE:
+            return 1.0
+        if self.table is not None and self.table.phase in NOT_BEGUN:
+            return 0.0
+        whole = self.worked + seconds
+        return self.worked / whole if whole > 0 else 0.0
+
 
 _SILENT = 5.0
 """s: a node publishes once or twice a second."""
@@ -255,3 +427,196 @@ def _node(source: str) -> str:
 
 def _seconds(stamp: Any) -> float:
     return float(stamp.sec + stamp.nanosec / NS)
+
+
+# The state of a stand with several units: of all, and of each.
+
+
+_CALIBRATOR = 'calibrator_node: '
+_DEVICE = 'imu_node: stream'
+_STREAM_SOURCES = ('calibrator_node: stream', _DEVICE, 'imu_node')
+"""Nodes that report on a unit's samples; the last if its own node is silent."""
+
+
+@dataclass(frozen=True)
+class ShownUnit:
+    """Known values of a unit before a session begins.
+
+    Attributes:
+        serial_number: Of the unit.
+        place: Its place, for display; may be empty.
+        expected: Of its calibration.
+    """
+
+    serial_number: str
+    place: str
+    expected: Expected
+
+
+@dataclass(frozen=True)
+class UnitRow:
+    """State of a unit in one line.
+
+    Attributes:
+        name: Its namespace.
+        serial_number: Of the unit.
+        place: Its place; may be empty.
+        level: Severity.
+        words: Its state in a few words.
+        rate: Samples per second with their unit, as its node reports; may be empty.
+        lost: Number of lost frames, as its node reports; may be empty.
+        determined: Number of its determined parameters.
+        parameters: Number of its parameters.
+        worst: The parameter furthest from the plan's prediction; None before any is known.
+    """
+
+    name: str
+    serial_number: str
+    place: str
+    level: Severity
+    words: str
+    rate: str
+    lost: str
+    determined: int
+    parameters: int
+    worst: Converging | None
+
+    @property
+    def ratio(self) -> float:
+        """Standard deviation of the worst over its prediction; NaN if unknown."""
+        return math.nan if self.worst is None else self.worst.std / self.worst.predicted
+
+
+class UnitsBoard:
+    """Receives the nodes' messages, and keeps a `Board` for each unit and one for all.
+
+    Args:
+        units: By their namespaces.
+    """
+
+    def __init__(self, units: Mapping[str, ShownUnit]) -> None:
+        self._units = dict(units)
+        self.each = {name: Board(unit.expected) for name, unit in units.items()}
+        self.common = Board(_of_all([unit.expected for unit in units.values()]))
+        self._present: frozenset[str] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Namespaces of the units."""
+        return tuple(self._units)
+
+    def take_state(self, message: Any, now: float) -> None:
+        """Take imu_calib_msgs/TurntableState."""
+        for board in (self.common, *self.each.values()):
+            board.take_state(message, now)
+
+    def take_progress(self, message: Any, now: float) -> None:
+        """Take imu_calib_msgs/CalibrationProgress of all units."""
+        self.common.take_progress(message, now)
+        self._present = frozenset(message.serial_numbers)
+        if message.state == message.FINISHED:
+            missed = any(
+                board.snapshot(now).outcome in {Outcome.FAILED, Outcome.INCOMPLETE}
+                for name, board in self.each.items()
+                if not self._is_left_out(name)
+            )
+            outcome = Outcome.INCOMPLETE if missed else Outcome.DONE
+            self.common.take_end(outcome, message.text)
+
+    def take_diagnostics(self, message: Any, now: float) -> None:
+        """Take diagnostic_msgs/DiagnosticArray: reports on one unit also go to its board."""
+        self.common.take_diagnostics(message, now)
+        for sentence in sentences_of(message):
+            for name, board in self.each.items():
+                own = self._as_its_own(sentence, name)
+                if own is not None:
+                    board.take_sentence(own, now)
+
+    def _as_its_own(self, sentence: Sentence, name: str) -> Sentence | None:
+        """Return a report as for a single unit; None if it is on another unit."""
+        source = sentence.source
+        for other in self._units:
+            mark = f'{_CALIBRATOR}{other}: '
+            if source.startswith(mark):
+                if other != name:
+                    return None
+                return replace(sentence, source=_CALIBRATOR + source.removeprefix(mark))
+            if source.startswith(f'{other}/') and other != name:
+                return None
+        return sentence
+
+    def _is_left_out(self, name: str) -> bool:
+        return self._present is not None and (
+            self._units[name].serial_number not in self._present and bool(self._present)
+        )
+
+    def snapshot(self, now: float, name: str = '') -> Snapshot:
+        """Return the state of a unit at a moment; without a name of all."""
+        return (self.each[name] if name else self.common).snapshot(now)
+
+    def unit_rows(self, now: float) -> tuple[UnitRow, ...]:
+        """Return the state of each unit at a moment."""
+        return tuple(self._row(name, self.each[name].snapshot(now)) for name in self._units)
+
+    def _row(self, name: str, shown: Snapshot) -> UnitRow:
+        unit = self._units[name]
+        sentences = {s.source.rpartition('/')[2]: s for s in shown.sentences}
+        device = sentences.get(_DEVICE)
+        level, words = self._state_text(
+            name, shown, [sentences.get(part) for part in _STREAM_SOURCES]
+        )
+        return UnitRow(
+            name,
+            unit.serial_number,
+            unit.place,
+            level,
+            words,
+            device.figure('rate') if device else '',
+            device.figure('lost frames') if device else '',
+            sum(row.determined for row in shown.rows),
+            len(shown.rows),
+            furthest(shown.rows),
+        )
+
+    def _state_text(
+        self, name: str, shown: Snapshot, sentences: Sequence[Sentence | None]
+    ) -> tuple[Severity, str]:
+        if self._is_left_out(name):
+            return Severity.WARN, 'Left out'
+        ends = {
+            Outcome.DONE: (Severity.OK, 'Calibrated'),
+            Outcome.INCOMPLETE: (Severity.WARN, 'Calibrated, positions are missing'),
+            Outcome.FAILED: (Severity.ERROR, f'No calibration: {shown.outcome_text}'),
+        }
+        if shown.outcome in ends:
+            return ends[shown.outcome]
+        received = [one for one in sentences if one is not None]
+        if not received:
+            return Severity.WARN, 'No message yet'
+        worst = max(received, key=lambda one: one.level)
+        return worst.level, 'Samples come in' if worst.level is Severity.OK else worst.text
+
+
+def furthest(rows: tuple[Converging, ...]) -> Converging | None:
+    """Return the determined parameter that is furthest from the plan's prediction."""
+    known = [row for row in rows if row.determined and row.predicted > 0]
+    return max(known, key=lambda row: row.std / row.predicted, default=None)
+
+
+def _of_all(expected: list[Expected]) -> Expected:
+    """Return the expectation for all units: each parameter as in the worst unit."""
+    predicted: dict[str, float] = {}
+    parameters: dict[str, Parameter] = {}
+    for one in expected:
+        for parameter, value in zip(one.parameters, one.predicted, strict=True):
+            parameters.setdefault(parameter.name, parameter)
+            least = predicted.get(parameter.name, 0.0)
+            unknown = math.isnan(value + least)
+            predicted[parameter.name] = math.nan if unknown else max(least, value)
+    return replace(
+        expected[0],
+        imu=f'{len(expected)} units',
+        parameters=tuple(parameters.values()),
+        predicted=tuple(predicted.values()),
+        specification=None,
+    )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+import socket
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -9,17 +12,59 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import uvicorn
+from fastapi import FastAPI, Response
+from fastapi.responses import FileResponse
 from nicegui import ui
 
+from ...common.errors import InputError
+from ...reports.charts import tag
 from ...session.imu import ImuSpec
-from ..rules import Phase
+from ..devices.health import Severity
+from ..plan_steps import Phase
 from . import drawing
-from .connection import SCRIPT, notice
-from .guard import Token
+from .board import Outcome, Snapshot, UnitRow
+from .drawing import STYLE, sign
+from .guard import Guard, Token
 from .shape import Link, Solid
-from .snapshot import Outcome, Snapshot
-from .style import STYLE
-from .units import UnitRow
+
+# The notice that the server is lost: made by the browser, since no server can send it.
+
+
+_TEXT = 'Nothing on this page is newer. Look at the stand: its table may still move.'
+SCRIPT = """
+addEventListener('load', () => {
+  const since = document.getElementById('lost-since'), lost = document.body.classList;
+  // The stand's clock, which the rest of the page shows; the viewer may be in another time zone.
+  const ahead = new Date(since.dataset.clock) - Date.now();
+  let heard = Date.now();
+  const hear = () => { heard = Date.now(); };
+  const lose = () => {
+    if (!lost.contains('lost'))
+      since.textContent = new Date(heard + ahead).toTimeString().slice(0, 8);
+    lost.add('lost');
+  };
+  socket.onAny(hear);
+  // The server's sign of life, every few seconds.
+  socket.io.on('ping', hear);
+  socket.on('connect', () => { hear(); lost.remove('lost'); });
+  socket.on('disconnect', lose);
+  socket.on('connect_error', lose);
+});
+"""
+"""Marks the page as `lost` while it is not connected, with the time of the last message."""
+
+
+def notice(now: datetime) -> str:
+    """Return the headline of a page that has lost its server, which the style hides until then.
+
+    Args:
+        now: Of the stand's wall clock.
+    """
+    clock = tag('span', f'{now:%H:%M:%S}', id='lost-since', data_clock=f'{now:%Y-%m-%dT%H:%M:%S}')
+    words = sign(Severity.ERROR) + 'Connection lost at ' + clock
+    return tag('h2', words) + tag('p', _TEXT, class_='detail')
+
 
 _GLANCE = 0.5
 """s between two checks of the state: reports change once or twice a second."""
@@ -327,3 +372,81 @@ class _Scene:
             if abs(angle - before) > _LEAST_ANGLE:
                 body.rotate_R(link.pose(angle).tolist())
                 self._moving[name] = link, body, angle
+
+
+# Serve the page in a separate thread, so that the thread of the nodes need not wait for it.
+
+
+REPORT = '/report'
+"""Address of the report."""
+_GRACE = 1
+"""s for viewers to be disconnected. A choice."""
+_PATIENCE = 5.0
+"""s for the thread to end; after that it ends with the process."""
+
+
+def listening_socket(host: str, port: int) -> socket.socket:
+    """Return a listening socket.
+
+    Args:
+        host: Name or address of the interface.
+        port: 0 for any free one.
+
+    Raises:
+        InputError: The port is taken, or there is no such interface.
+    """
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        return socket.create_server((host, port), family=family)
+    except (OSError, OverflowError) as error:
+        reason = getattr(error, 'strerror', None) or str(error)
+        raise InputError(
+            f'The page cannot be served at {host}, port {port}: {reason}. Name another port.'
+        ) from None
+
+
+class Server:
+    """A web server of one page.
+
+    Args:
+        source: Content of the page.
+        listens: As `listening_socket` returns it.
+    """
+
+    def __init__(self, source: Source, listens: socket.socket) -> None:
+        app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+
+        @app.get(REPORT)
+        def report() -> Response:
+            if not source.report.is_file():
+                return Response('There is no report yet.\n', 404, media_type='text/plain')
+            # The report's own policy states that it may load nothing.
+            return FileResponse(source.report, media_type='text/html')
+
+        @ui.page('/', title=source.title, dark=None)
+        def index() -> None:
+            build(source)
+
+        ui.run_with(app, show_welcome_message=False, tailwind=False)
+        host, port = listens.getsockname()[:2]
+        config = uvicorn.Config(
+            Guard(app, host, port),
+            log_level=logging.WARNING,
+            access_log=False,
+            server_header=False,
+            lifespan='on',
+            timeout_graceful_shutdown=_GRACE,
+        )
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(
+            target=self._server.run, kwargs={'sockets': [listens]}, name='page', daemon=True
+        )
+
+    def start(self) -> None:
+        """Start serving."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop; viewers see that the connection is closed."""
+        self._server.should_exit = True
+        self._thread.join(_PATIENCE)

@@ -1,31 +1,36 @@
 """The subset of rclpy over the wheel `cyclonedds`; see `imu_calib.stand.middleware`."""
 
 from ...network import LEASES
-from ..interface_types import ACTIONS, MESSAGES, InterfaceTypes
+from ..running import ACTIONS, MESSAGES, InterfaceTypes
 from .action import ActionClient, GoalServer, action_type
-from .beside import run_beside
 from .clock import Clock, ClockType, Time, in_step
-from .codec import deserialize_message, serialize_message
 from .context import init, ok, shutdown, try_shutdown
-from .drains import acknowledged, drain, drain_sources, open_drain, open_stream, publish_all
 from .endpoints import Trigger
-from .managed import ManagedNode
-from .messages import message_class
-from .middleware_dds_executor import (
+from .executor import (
     ExternalShutdownException,
     SingleThreadedExecutor,
+    run_beside,
     spin,
     spin_once,
     spin_until_future_complete,
 )
-from .node import Node, parameter_names
-from .node_parameters import (
+from .messages import deserialize_message, message_class, serialize_message
+from .node import (
     FloatingPointRange,
     IntegerRange,
     InvalidParameterTypeException,
+    ManagedNode,
+    Node,
     ParameterAlreadyDeclaredException,
     ParameterDescriptor,
     ParameterNotDeclaredException,
+    acknowledged,
+    drain,
+    drain_sources,
+    open_drain,
+    open_stream,
+    parameter_names,
+    publish_all,
 )
 from .qos import (
     DurabilityPolicy,

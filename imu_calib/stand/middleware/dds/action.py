@@ -10,8 +10,8 @@ from functools import cache
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from ..goals import ENDS, GoalStatus
-from .future import Future
+from ..running import ENDS, GoalStatus
+from .clock import Future
 from .messages import message_class
 from .qos import DurabilityPolicy, QoSProfile
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ....common.stream import NS
 from .messages import message_class
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 class ClockType(IntEnum):
@@ -102,3 +105,80 @@ class Clock:
     def now(self) -> Time:
         """Return the time; zero before the first message of /clock where time is simulated."""
         return Time(self.nanoseconds())
+
+
+# Timers on any clock.
+
+
+class Timer:
+    """Calls back once per period of its clock; missed calls are skipped."""
+
+    def __init__(self, period_ns: int, callback: Callable[[], Any], clock: Clock) -> None:
+        self.timer_period_ns = period_ns
+        self.callback = callback
+        self.clock = clock
+        self._cancelled = False
+        self._last = clock.nanoseconds()
+        self._next = self._last + period_ns
+
+    def cancel(self) -> None:
+        """Stop the timer."""
+        self._cancelled = True
+
+    def reset(self) -> None:
+        """Restart: the next call is one period from now."""
+        self._cancelled = False
+        self._last = self.clock.nanoseconds()
+        self._next = self._last + self.timer_period_ns
+
+    def time_until_next_call(self) -> int | None:
+        """Return nanoseconds, None if it is stopped."""
+        return None if self._cancelled else self._next - self.clock.nanoseconds()
+
+    def execute(self) -> bool:
+        """Call back if it is due; return whether it was."""
+        now = self.clock.nanoseconds()
+        if now < self._last:
+            # The clock jumped back: simulated time restarted.
+            self._next = now + self.timer_period_ns
+        self._last = now
+        if self._cancelled or now < self._next:
+            return False
+        behind = (now - self._next) // max(1, self.timer_period_ns)
+        self._next += (behind + 1) * self.timer_period_ns
+        self.callback()
+        return True
+
+
+# A result that comes later.
+
+
+class Future:
+    """rclpy's Future without await, exceptions and cancelling."""
+
+    def __init__(self) -> None:
+        self._done = False
+        self._result: Any = None
+        self._callbacks: list[Callable[[Future], Any]] = []
+
+    def done(self) -> bool:
+        """Return whether the result is available."""
+        return self._done
+
+    def result(self) -> Any:
+        """Return the result, None before it is available."""
+        return self._result
+
+    def set_result(self, result: Any) -> None:
+        """Set the result."""
+        self._result, self._done = result, True
+        callbacks, self._callbacks = self._callbacks, []
+        for callback in callbacks:
+            callback(self)
+
+    def add_done_callback(self, callback: Callable[[Future], Any]) -> None:
+        """Call back with this future when it is done, or now if it is."""
+        if self._done:
+            callback(self)
+        else:
+            self._callbacks.append(callback)

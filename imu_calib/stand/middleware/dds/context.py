@@ -3,21 +3,77 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from enum import IntEnum
+from functools import partialmethod
 from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
 from ....common.errors import ImuCalibError
-from ...runtime import runtime
-from ...security import refuse_to_pretend
+from ....common.stream import NS
+from ...network import refuse_to_pretend, runtime
 from ..running import domain_id
-from . import logging, memory
+from . import memory
 from .arguments import Arguments, parse
 from .graph import Graph
 from .wire import WireParticipant
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+# Log lines in ROS's console format; nothing is published on /rosout.
+
+
+class LoggingSeverity(IntEnum):
+    """Levels of a log line."""
+
+    DEBUG = 10
+    INFO = 20
+    WARN = 30
+    ERROR = 40
+    FATAL = 50
+
+
+_levels = {'': LoggingSeverity.INFO}
+
+
+def set_logger_level(name: str, level: LoggingSeverity) -> None:
+    """Set the lowest level that a logger writes; the empty name sets it for all."""
+    _levels[name] = level
+
+
+class Logger:
+    """Writes `[LEVEL] [time] [name]: text` to a file, None for the standard error output."""
+
+    def __init__(self, name: str, output: IO[str] | None = None) -> None:
+        self.name = name
+        self._output = output
+
+    def _level(self) -> LoggingSeverity:
+        """Return the level of this logger or of its nearest ancestor with one."""
+        name = self.name
+        while name and name not in _levels:
+            name = name.rpartition('.')[0]
+        return _levels[name]
+
+    def _write(self, severity: LoggingSeverity, message: str) -> None:
+        if severity < self._level():
+            return
+        sec, nanosec = divmod(time.time_ns(), NS)
+        line = f'[{severity.name}] [{sec}.{nanosec:09d}] [{self.name}]: {message}\n'
+        # A closed terminal or pipe must not end a node that leads a table.
+        with suppress(OSError):
+            output = self._output or sys.stderr
+            output.write(line)
+            output.flush()
+
+    debug = partialmethod(_write, LoggingSeverity.DEBUG)
+    info = partialmethod(_write, LoggingSeverity.INFO)
+    warning = partialmethod(_write, LoggingSeverity.WARN)
+    error = partialmethod(_write, LoggingSeverity.ERROR)
+    fatal = partialmethod(_write, LoggingSeverity.FATAL)
+
 
 AnyParticipant: TypeAlias = WireParticipant | memory.Participant
 
@@ -51,7 +107,7 @@ class Context:
             raise ImuCalibError('init() is called twice without shutdown().')
         self.arguments = parse(sys.argv[1:] if args is None else args)
         for logger, level in self.arguments.levels:
-            logging.set_logger_level(logger, _severity(level))
+            set_logger_level(logger, _severity(level))
         if runtime() == 'embedded':
             self.participant = memory.Participant()
             self.graph = memory.Graph(self.participant)
@@ -96,11 +152,11 @@ class Context:
         former.leave()
 
 
-def _severity(text: str) -> logging.LoggingSeverity:
+def _severity(text: str) -> LoggingSeverity:
     try:
-        return logging.LoggingSeverity[text.upper()]
+        return LoggingSeverity[text.upper()]
     except KeyError:
-        known = ', '.join(s.name.lower() for s in logging.LoggingSeverity)
+        known = ', '.join(s.name.lower() for s in LoggingSeverity)
         raise ImuCalibError(f'--log-level {text!r}, expected one of {known}.') from None
 
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from .codec import deserialize_message, serialize_message
-from .messages import message_class
-from .participant import delete
+from .messages import deserialize_message, message_class, serialize_message
 from .qos import DurabilityPolicy, HistoryPolicy, QoSProfile, from_dds
-from .wire import WireParticipant
+from .wire import WireParticipant, delete
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -12,9 +12,8 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from ....common.errors import ImuCalibError
-from .codec import deserialize_message, serialize_message
 from .graph import TopicEndpointInfo
-from .messages import Message
+from .messages import Message, deserialize_message, serialize_message
 from .qos import (
     DurabilityPolicy,
     HistoryPolicy,

@@ -3,26 +3,148 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from ....common.errors import ImuCalibError
+from ....common.errors import ImuCalibError, InputError
 from ....common.stream import NS
-from . import names
-from .clock import Clock, ClockType
-from .context import CONTEXT
-from .endpoints import Client, Service
-from .logging import Logger
+from . import arguments as names
+from .clock import Clock, ClockType, Timer
+from .context import CONTEXT, Logger
+from .endpoints import Client, Publisher, Service, Subscription
 from .messages import Message, message_class
-from .middleware_dds_endpoints import Publisher, Subscription
-from .node_parameters import Parameter, ParameterDescriptor, Parameters
 from .qos import QoSProfile, ReliabilityPolicy, overridden, profile
-from .timer import Timer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
+    from .endpoints import Publisher, Subscription
     from .graph import TopicEndpointInfo
-    from .qos import QoSOverridingOptions, SubscriptionEventCallbacks
+    from .qos import QoSOverridingOptions, QoSProfile, SubscriptionEventCallbacks
+
+# Parameters of a node: typed, described, and checked when declared.
+#
+# Without parameter services they keep the values of files and arguments.
+
+
+_KINDS = {bool: 'BOOL', int: 'INTEGER', float: 'DOUBLE', str: 'STRING'}
+
+
+class ParameterException(Exception):
+    """Base of all errors of parameters."""
+
+
+class ParameterAlreadyDeclaredException(ParameterException):
+    """It is declared twice."""
+
+
+class ParameterNotDeclaredException(ParameterException):
+    """It was not declared."""
+
+
+class InvalidParameterTypeException(ParameterException):
+    """Its value has another type than declared."""
+
+
+class InvalidParameterValueException(ParameterException):
+    """Its value is out of range."""
+
+
+@dataclass
+class FloatingPointRange:
+    """Range of a float parameter; the step is not enforced."""
+
+    from_value: float = 0.0
+    to_value: float = 0.0
+    step: float = 0.0
+
+
+class IntegerRange(FloatingPointRange):
+    """Range of an integer parameter."""
+
+
+@dataclass
+class ParameterDescriptor:
+    """Description of a parameter: the used part of rcl_interfaces/ParameterDescriptor."""
+
+    description: str = ''
+    read_only: bool = False
+    floating_point_range: list[FloatingPointRange] = field(default_factory=list)
+    integer_range: list[IntegerRange] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A named value."""
+
+    name: str
+    value: Any
+
+
+class Parameters:
+    """The parameters of one node."""
+
+    def __init__(self, overrides: dict[str, Any], node: str) -> None:
+        self._overrides = overrides
+        self._node = node
+        self._values: dict[str, Parameter] = {}
+
+    def declare(
+        self, name: str, value: Any, descriptor: ParameterDescriptor | None = None
+    ) -> Parameter:
+        """Declare a parameter; a value from a file or an argument replaces the default.
+
+        Args:
+            name: Name.
+            value: Default; its type is the parameter's.
+            descriptor: Its description.
+
+        Raises:
+            ParameterException: Declared before, or of the wrong type, or out of range.
+        """
+        where = f'Parameter {name!r} of {self._node}'
+        if name in self._values:
+            raise ParameterAlreadyDeclaredException(f'{where} is declared twice.')
+        found = self._overrides.get(name, value)
+        kind = _kind(value)
+        # An empty list matches a list of any type.
+        if _kind(found) != kind and not (found == [] and isinstance(value, list)):
+            raise InvalidParameterTypeException(
+                f'{where}: found {found!r} ({_kind(found)}), expected {kind}.'
+            )
+        described = descriptor or ParameterDescriptor()
+        for limits in (*described.floating_point_range, *described.integer_range):
+            if not limits.from_value <= found <= limits.to_value:
+                raise InvalidParameterValueException(
+                    f'{where}: found {found!r}, expected {limits.from_value} to {limits.to_value}.'
+                )
+        self._values[name] = Parameter(name, found)
+        return self._values[name]
+
+    def names(self) -> tuple[list[str], list[str]]:
+        """Return the names given, and those declared."""
+        return list(self._overrides), list(self._values)
+
+    def get(self, name: str) -> Parameter:
+        """Return a parameter.
+
+        Raises:
+            ParameterNotDeclaredException: It is not declared.
+        """
+        if name not in self._values:
+            raise ParameterNotDeclaredException(
+                f'Parameter {name!r} of {self._node} is not declared.'
+            )
+        return self._values[name]
+
+
+def _kind(value: Any) -> str:
+    """Return ROS's name for the type of a value, or Python's if ROS has no such parameter."""
+    if isinstance(value, list):
+        kinds = {_kind(one) for one in value}
+        return f'{kinds.pop()}_ARRAY' if len(kinds) == 1 else 'list of several types'
+    return _KINDS.get(type(value), type(value).__name__)
+
 
 _TEND_PERIOD = 0.5
 """Seconds between two checks for peers with mismatched quality of service: each check reads every
@@ -302,3 +424,127 @@ class Node:
 def parameter_names(node: Node) -> tuple[list[str], list[str]]:
     """Return the names of a node's parameters: those given, and those declared."""
     return node._parameters.names()
+
+
+# A managed node without ROS 2: it starts by itself, because there is no lifecycle manager.
+
+
+class ManagedNode(Node):
+    """A node that is active from start to end; see `ros_lifecycle.ManagedNode`."""
+
+    def configure(self) -> None:
+        """Read what is needed; open and publish nothing."""
+
+    def activate(self) -> None:
+        """Start working."""
+
+    def begin(self, *, autostart: bool) -> None:
+        """Configure and activate.
+
+        Raises:
+            InputError: It must not start by itself.
+        """
+        if not autostart:
+            raise InputError(
+                'Parameter autostart: found false, expected true: without ROS 2 no tool can '
+                'configure and activate a node.'
+            )
+        self.configure()
+        self.activate()
+
+
+# The fast path: serialised messages in bulk, in one call, without losses at the publisher.
+
+
+def open_drain(
+    node: Node, msg_type: Any, topic: str, qos_profile: QoSProfile | int, **options: Any
+) -> Subscription:
+    """Subscribe without a callback: messages wait until `drain` takes them.
+
+    Args:
+        node: Node that subscribes.
+        msg_type: Class of the messages.
+        topic: Name of the topic.
+        qos_profile: Keep all on both ends loses nothing.
+        **options: Further arguments of create_subscription.
+    """
+    return node.create_subscription(msg_type, topic, None, qos_profile, raw=True, **options)
+
+
+def open_stream(
+    node: Node,
+    msg_type: Any,
+    topic: str,
+    callback: Callable[[list[bytes]], Any],
+    qos_profile: QoSProfile | int,
+    **options: Any,
+) -> Subscription:
+    """Subscribe with a callback that takes all that has arrived, serialised, oldest first.
+
+    The callback is called as soon as messages arrive: a single message does not wait for a timer,
+    and many are taken together.
+
+    Args:
+        node: Node that subscribes.
+        msg_type: Class of the messages.
+        topic: Name of the topic.
+        callback: Takes at least one message.
+        qos_profile: Keep all on both ends loses nothing.
+        **options: Further arguments of create_subscription.
+    """
+    subscription = node.create_subscription(
+        msg_type, topic, callback, qos_profile, raw=True, **options
+    )
+    subscription.in_bulk = True
+    return subscription
+
+
+def drain(subscription: Subscription, most: int | None = None) -> list[bytes]:
+    """Return what has arrived, serialised, oldest first; for `cdr.Messages.join`.
+
+    Args:
+        subscription: One of `open_drain`.
+        most: Largest number to take; a few thousand fit the processor's cache and decode fastest.
+    """
+    return subscription.reader.drain(most)
+
+
+def drain_sources(subscription: Subscription) -> list[tuple[bytes, bytes]]:
+    """Return what has arrived, serialised, each with the identifier of its publisher.
+
+    Args:
+        subscription: One of `open_drain`.
+
+    Returns:
+        Oldest first; the identifier is empty if the publisher is unknown (not on this runtime).
+    """
+    return subscription.reader.drain_sources()
+
+
+def publish_all(publisher: Publisher, payloads: Iterable[bytes]) -> None:
+    """Publish serialised messages, losing none.
+
+    With keep all on both ends this waits for slow subscriptions, and for a killed one until its
+    lease ends: 10 s with Cyclone DDS, 20 s with Fast DDS.
+
+    Args:
+        publisher: Publisher that keeps all.
+        payloads: Messages.
+
+    Raises:
+        ImuCalibError: The middleware refuses one for good (rclpy: RCLError, after 30 s).
+    """
+    publisher.writer.write_all(payloads)
+
+
+def acknowledged(publisher: Publisher, timeout_sec: float) -> bool:
+    """Wait until all reliable subscriptions have all messages of a publisher.
+
+    Args:
+        publisher: Publisher.
+        timeout_sec: Longest wait, s.
+
+    Returns:
+        Whether they have.
+    """
+    return publisher.writer.acknowledged(int(timeout_sec * 1e9))

@@ -2,20 +2,168 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from ctypes import CFUNCTYPE, c_bool, c_int32, c_int64, c_size_t, c_ssize_t, c_void_p
 from functools import cache
+from hashlib import sha256
+from importlib.util import cache_from_source
+from pathlib import Path
 from typing import Any
 
 from rosbags.interfaces import Nodetype
 
 from ....common.errors import ImuCalibError
-from .codec import deserialize_message, serialize_message
-from .interfaces import interface, type_hash
-from .messages import Message
-from .participant import Participant, TransportError, delete
+from ..running import configuration
+from .messages import Message, deserialize_message, interface, serialize_message, type_hash
 from .qos import QoSIncompatibleInfo, QoSProfile, to_dds
-from .type_data import describe
+
+# The wheel's descriptions of topic types (XTypes), kept beside the bytecode.
+#
+# The wheel builds them in Python at every start of a process, which takes a sixth of the time of a
+# node's start. They depend on the definition and on the wheel alone.
+
+
+_LENGTH = 4
+"""Bytes of the length of the first of the two parts."""
+
+
+def describe(idl: Any, name: str) -> None:
+    """Give a type its description: the kept one, or that of the wheel, which is then kept.
+
+    Args:
+        idl: The wheel's type.
+        name: Distinguishes it from every other type, and from every other definition of it.
+    """
+    made = idl.__idl__
+    path = _folder() / f'{sha256(f"{_wheel()} {name}".encode()).hexdigest()}.xtypes'
+    kept = _read(path)
+    if kept is None or not hasattr(made, '_xt_bytedata'):
+        made.fill_type_data()
+        _write(path, getattr(made, '_xt_bytedata', ()))
+        return
+    # What is not None is not built again.
+    made._xt_data, made._xt_bytedata = kept, kept
+
+
+def _folder() -> Path:
+    return Path(cache_from_source(__file__)).parent
+
+
+@cache
+def _wheel() -> str:
+    """Return what changes with the wheel, as of the source of bytecode: size and date."""
+    import cyclonedds
+
+    builder = Path(cyclonedds.__path__[0], 'idl', '_xt_builder.py')
+    with suppress(OSError):
+        found = builder.stat()
+        return f'{found.st_size} {found.st_mtime_ns}'
+    return ''
+
+
+def _read(path: Path) -> tuple[bytes, bytes] | None:
+    """Return both parts of a kept description; None if it is missing or damaged."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    digest, parts = content[:32], content[32:]
+    if sha256(parts).digest() != digest:
+        return None
+    end = _LENGTH + int.from_bytes(parts[:_LENGTH], 'little')
+    return parts[_LENGTH:end], parts[end:]
+
+
+def _write(path: Path, parts: tuple[bytes, ...]) -> None:
+    """Keep a description, as Python keeps bytecode: not if that is not wanted or possible."""
+    if sys.dont_write_bytecode or len(parts) != 2:
+        return
+    content = len(parts[0]).to_bytes(_LENGTH, 'little') + b''.join(parts)
+    own = path.with_suffix(f'.{os.getpid()}')
+    with suppress(OSError):
+        path.parent.mkdir(exist_ok=True)
+        own.write_bytes(sha256(content).digest() + content)
+        # Whole or not at all: other nodes read it meanwhile.
+        own.replace(path)
+
+
+# The DDS participant of a process and its topics.
+
+
+class TransportError(Exception):
+    """Endpoints were deleted, or the participant has left, while waiting for messages."""
+
+
+def delete(entity: Any) -> None:
+    """Delete an entity of the wheel now, without waiting for its last reference to end."""
+    entity.__del__()
+
+
+class Participant:
+    """One process in a domain.
+
+    Args:
+        number: The domain.
+
+    Raises:
+        ImuCalibError: Cyclone DDS cannot join it.
+    """
+
+    def __init__(self, number: int) -> None:
+        from cyclonedds.core import DDSException
+        from cyclonedds.domain import Domain, DomainParticipant
+        from cyclonedds.qos import Policy, Qos
+
+        self._topics: dict[str, Any] = {}
+        self._has_left = False
+        domain: Any = None
+        try:
+            domain = Domain(number, configuration())
+            self.entity: Any = DomainParticipant(number, Qos(Policy.Userdata(b'enclave=/;')))
+        except DDSException as error:
+            if domain is not None:
+                delete(domain)
+            raise ImuCalibError(
+                f'Cyclone DDS cannot join domain {number}: {error}. ROS_AUTOMATIC_DISCOVERY_RANGE '
+                'and CYCLONEDDS_URI say which network interfaces it may use.'
+            ) from error
+        self._domain = domain
+
+    def ok(self) -> bool:
+        """Return whether it is still in the domain."""
+        return not self._has_left
+
+    def topic(self, name: str, idl: Any) -> Any:
+        """Return the DDS topic of a name; it is created once.
+
+        Raises:
+            ImuCalibError: It has another type already, or cannot be created.
+        """
+        from cyclonedds.core import DDSException
+        from cyclonedds.topic import Topic
+
+        if name not in self._topics:
+            try:
+                self._topics[name] = Topic(self.entity, name, idl)
+            except DDSException as error:
+                raise ImuCalibError(f'The topic {name} cannot be made: {error}') from error
+        known = self._topics[name].data_type
+        if known is not idl:
+            raise ImuCalibError(
+                f'The topic {name} has the type {known.__idl_typename__}, '
+                f'not {idl.__idl_typename__}.'
+            )
+        return self._topics[name]
+
+    def leave(self) -> None:
+        """Delete all entities."""
+        self._has_left = True
+        for entity in (*self._topics.values(), self.entity, self._domain):
+            delete(entity)
+
 
 _ANY = 3 | 12 | 112
 """State mask: samples read or not, of new or known writers, alive or not."""
