@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from scipy.stats import beta, norm
 
 from imu_calib.common.units import ARCMIN, PPM
-from imu_calib.fleet.patterns import PATTERNS
 from imu_calib.fleet.results import USUAL, StandShift
-from imu_calib.fleet.stands import judge_stands
+from imu_calib.fleet.stands import PATTERNS, judge_stands
 
 PICTURE = Path(__file__).with_suffix('.png')
 STANDS = ('A', 'B', 'C')

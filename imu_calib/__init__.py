@@ -40,11 +40,10 @@ if TYPE_CHECKING:
     from .calibration.verify import Verdict, Verification
     from .common.errors import ImuCalibError, InputError, NotObservable
     from .estimation.optimise import Optimum, Reached
-    from .fleet.catalogue import Catalogue
+    from .fleet.catalogue import Batch, Catalogue, batch
     from .fleet.history import history
-    from .fleet.report import fleet_report
+    from .fleet.page import fleet_report
     from .fleet.results import History
-    from .fleet.running import Batch, batch
     from .reports.certificate import Certificate
     from .session.imu import ImuSpec, load_imu
     from .session.plan import Plan, load_plan
@@ -52,7 +51,7 @@ if TYPE_CHECKING:
     from .session.units_file import MountedUnit, load_units
 
 _WHERE = {
-    'Batch': 'fleet.running',
+    'Batch': 'fleet.catalogue',
     'Calibration': 'calibration.calibration',
     'Certificate': 'reports.certificate',
     'Catalogue': 'fleet.catalogue',
@@ -84,7 +83,7 @@ _WHERE = {
     'UnitResults': 'api.calibrate',
     'Verdict': 'calibration.verify',
     'Verification': 'calibration.verify',
-    'batch': 'fleet.running',
+    'batch': 'fleet.catalogue',
     'calibrate': 'api.calibrate',
     'calibrate_units': 'api.calibrate',
     'certificate': 'api.documents',
@@ -95,7 +94,7 @@ _WHERE = {
     'convert': 'api.convert_text',
     'export': 'api.documents',
     'history': 'fleet.history',
-    'fleet_report': 'fleet.report',
+    'fleet_report': 'fleet.page',
     'inspect': 'api.inspect',
     'load_imu': 'session.imu',
     'load_plan': 'session.plan',

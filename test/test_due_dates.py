@@ -5,11 +5,10 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import t as student
 
-from imu_calib.fleet.blocks import Block
-from imu_calib.fleet.forecast import Due, forecast
+from imu_calib.fleet.charts import Block
 from imu_calib.fleet.results import Rules
 from imu_calib.fleet.scatter import Prior
-from imu_calib.fleet.trends import Lines
+from imu_calib.fleet.trends import Due, Lines, forecast
 
 LIMIT, FREEDOM, BETWEEN = 10.0, 9.0, 0.25
 LEVEL, SLOPE = 2.0, 0.1

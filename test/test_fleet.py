@@ -28,9 +28,8 @@ from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.parallel import Engine
 from imu_calib.fleet.batch import DEFECT, LOST, Done, content_of, failed, key_of, run
-from imu_calib.fleet.catalogue import Catalogue, schema
+from imu_calib.fleet.catalogue import Catalogue, run_batch, schema
 from imu_calib.fleet.recordings import COLUMNS, Job, Labels, convertible, find_jobs, read_manifest
-from imu_calib.fleet.running import run_batch
 
 needs_modules('pyarrow', 'duckdb', 'distributed')
 
@@ -573,7 +572,7 @@ def test_a_batch_that_is_interrupted_says_at_once_what_becomes_of_it(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Engine, 'connected', workers)
-    monkeypatch.setattr('imu_calib.fleet.running.outcomes', interrupted)
+    monkeypatch.setattr('imu_calib.fleet.catalogue.outcomes', interrupted)
     assert main(['batch', str(recordings), '-o', str(tmp_path / 'c')]) == 130
     assert 'Ending the workers' in said_before_the_workers_ended[0]
     assert 'What was done is kept.' in said_before_the_workers_ended[0]

@@ -29,7 +29,7 @@ pytest.importorskip('bokeh')
 import fleets
 from fleets import STD
 
-from imu_calib.fleet import packed
+from imu_calib.fleet import page_contents as packed
 from imu_calib.fleet.attention import issues
 from imu_calib.fleet.batch import Done, failed
 from imu_calib.fleet.catalogue import Catalogue

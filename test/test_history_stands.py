@@ -8,11 +8,10 @@ from histories import SCALE, index, joined, of, sessions
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from imu_calib.fleet.backtest import backtest
-from imu_calib.fleet.crossed import crossed
-from imu_calib.fleet.patterns import turned
-from imu_calib.fleet.population import critical_deviate, lot_shifts, outliers
+from imu_calib.fleet.evaluation import backtest
 from imu_calib.fleet.results import Rules
+from imu_calib.fleet.scatter import critical_deviate, lot_shifts, outliers
+from imu_calib.fleet.stands import crossed, turned
 from imu_calib.model.parameters import PARAMETER_NAMES
 
 LIMITS = {'fog': 1e4 * SCALE}
@@ -343,7 +342,7 @@ ROSNER = np.array(
 
 
 def test_outliers_are_those_of_rosners_example(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('imu_calib.fleet.population._SHARE', 5)
+    monkeypatch.setattr('imu_calib.fleet.scatter._SHARE', 5)
     assert sorted(ROSNER[outliers(ROSNER, 0.05)]) == [5.34, 5.42, 6.01]
     critical = [critical_deviate(54, i, 0.05) for i in range(1, 6)]
     assert critical == pytest.approx([3.158, 3.151, 3.143, 3.136, 3.128], abs=1e-3)

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from ..common.errors import NotObservable
 from ..common.parallel import MEMORY, Show
 from ..common.units import counted
-from ..fleet.running import batch
+from ..fleet.catalogue import batch
 from . import options
 from .outcome import Outcome
 from .terminal import ERRORS, OUTPUT, progress_bar

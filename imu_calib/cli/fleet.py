@@ -7,9 +7,8 @@ from datetime import datetime
 
 from ..common.errors import InputError
 from ..common.units import counted
-from ..fleet.page import summary
+from ..fleet.page import summary, written
 from ..fleet.page_contents import AHEAD
-from ..fleet.report import written
 from ..fleet.results import USUAL
 from . import options
 from .terminal import OUTPUT, progress_bar

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..fleet.histories import (
+from ..fleet.history import history
+from ..fleet.results import unit_rows
+from ..fleet.sentences import (
     by_urgency,
     course_table,
+    listed,
     parameter_course_table,
     population_table,
     unit_table,
 )
-from ..fleet.history import history
-from ..fleet.plain import unit_rows
-from ..fleet.sentences import listed
 from . import options
 from .outcome import OUTSIDE, Outcome, add_json_option
 from .row_files import row_file, write_rows

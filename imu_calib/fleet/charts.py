@@ -8,14 +8,186 @@ charts), Hawkins 1987, Lucas & Saccucci 1990, Hotelling 1947; docs/history.md.
 
 from __future__ import annotations
 
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+
 import numpy as np
 import scipy
+from numpy.polynomial.legendre import leggauss
+from numpy.typing import NDArray
 
+from ..calibration.agreement import FEWEST_FOR_A_STEP
 from ..common.stream import Floats
-from .blocks import SIZE, Block
-from .results import Chart, ChartLimits, Rules, Signal
-from .run_length import ewma_limit, ewma_std
-from .scatter import Prior
+from ..model.parameters import PARAMETERS
+from .results import MONTH_DAYS, Chart, ChartLimits, Rules, Sessions, Signal
+from .scatter import Fit, Prior, fit, line_design, sampled
+
+# Mean run length of an EWMA chart of standard normal scores, and the limit for a given one.
+#
+# Source: the integral equation of Crowder 1987; Lucas & Saccucci 1990 tabulate its solutions;
+# docs/history.md, 'Control charts'.
+
+
+_NODES = 64
+"""Nodes of the quadrature: run lengths to five digits for smoothings from 0.05 on."""
+_WIDEST = 8.0
+"""Largest limit in standard deviations: a false alarm in 1e15 sessions."""
+_HALVINGS = 50
+"""Bisections of the bracket from zero to _WIDEST: down to rounding (8 / 2^50)."""
+
+
+def ewma_std(smoothing: float) -> float:
+    """Return the standard deviation of an EWMA of many standard normal scores."""
+    return math.sqrt(smoothing / (2 - smoothing))
+
+
+def mean_run_length(smoothing: float, limit: float, shift: float = 0.0) -> float:
+    """Return the mean number of sessions until an EWMA that starts at zero leaves its limits.
+
+    L(u) = 1 + integral of L(y) phi((y - (1 - s) u) / s - shift) / s over the limits, at u = 0.
+
+    Args:
+        smoothing: Weight s of the newest score.
+        limit: On both sides, in standard deviations of the EWMA.
+        shift: Mean of the scores; zero in control.
+    """
+    half = limit * ewma_std(smoothing)
+    nodes, weights = leggauss(_NODES)
+    y = half * nodes
+
+    def kernel(u: np.ndarray) -> np.ndarray:
+        z = (y - (1 - smoothing) * u[:, None]) / smoothing - shift
+        density = np.exp(-(z**2) / 2) / (math.sqrt(2 * math.pi) * smoothing)
+        return np.asarray(half * weights * density)
+
+    runs = np.linalg.solve(np.eye(_NODES) - kernel(y), np.ones(_NODES))
+    return float(1 + (kernel(np.zeros(1)) @ runs)[0])
+
+
+@cache
+def ewma_limit(smoothing: float, run: float) -> float:
+    """Return the limit, in standard deviations of the EWMA, with a mean run length in control."""
+    low, high = 0.0, _WIDEST
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        if mean_run_length(smoothing, middle) < run:
+            low = middle
+        else:
+            high = middle
+    return (low + high) / 2
+
+
+# Sort sessions into units by date, and group units with equal numbers of sessions.
+
+
+SIZE = len(PARAMETERS)
+_CELLS = 20_000
+"""Sessions processed together: their arrays take some 100 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """u units of one type, n sessions each, by date.
+
+    Attributes:
+        rows: (u, n) of the sessions.
+        months: (u, n) relative to the newest session of each, zero or less.
+        values: (u, 24, n) SI units, NaN if not estimated.
+        stated: (u, 24, n) variances; infinite without a value. A session that states none has the
+            typical variance of the type.
+    """
+
+    rows: NDArray[np.int64]
+    months: Floats
+    values: Floats
+    stated: Floats
+
+    @property
+    def design(self) -> Floats:
+        """Return the design matrix of each unit's line for its scatter, (u, 24, n, 2).
+
+        The slope is omitted with fewer than four sessions of the parameter: with three, a line has
+        one degree of freedom.
+        """
+        enough = np.isfinite(self.stated).sum(axis=-1) > _NO_SLOPE
+        months = np.where(enough[..., None], self.months[:, None], 0.0)
+        return np.stack([np.ones(self.values.shape), months], axis=-1)
+
+    def parts(self) -> Iterator[slice]:
+        """Yield slices of units to be processed together."""
+        step = max(1, _CELLS // self.months.shape[1])
+        for start in range(0, len(self.months), step):
+            yield slice(start, start + step)
+
+    def part(self, which: slice | NDArray[np.int64]) -> Block:
+        """Return some of the units."""
+        return Block(self.rows[which], self.months[which], self.values[which], self.stated[which])
+
+
+_NO_SLOPE = 3
+"""Sessions with which a line has one degree of freedom: too few for a slope in the scatter."""
+
+
+def units_of(sessions: Sequence[int], found: Sessions) -> dict[tuple[str, str], list[int]]:
+    """Return the rows of each unit by date, keyed by (type, serial number)."""
+    units: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for row in sessions:
+        units[found.imu[row], found.serial[row]].append(row)
+    # Sorting keeps the order of sessions with equal dates.
+    return {
+        unit: [rows[k] for k in np.argsort(found.date[rows], kind='stable')]
+        for unit, rows in sorted(units.items())
+    }
+
+
+def block(rows: NDArray[np.int64], found: Sessions, typical: Floats) -> Block:
+    """Return a block of units with their sessions.
+
+    Args:
+        rows: (u, n) by date; negative: none.
+        found: All sessions.
+        typical: (24,) variance of sessions that state none.
+    """
+    none = rows < 0
+    date = found.date[rows].astype('datetime64[s]').astype(np.int64) / 86400.0
+    newest = np.max(np.where(none, -np.inf, date), axis=1, keepdims=True)
+    months = np.where(none, 0.0, (date - newest) / MONTH_DAYS)
+    values = np.moveaxis(np.where(none[..., None], np.nan, found.values[rows]), 1, 2)
+    stated = np.diagonal(found.covariance[rows], axis1=-2, axis2=-1)
+    stated = np.moveaxis(stated, 1, 2)
+    stated = np.where(np.isfinite(stated) & (stated >= 0), stated, typical[:, None])
+    return Block(rows, months, values, np.where(np.isfinite(values), stated, np.inf))
+
+
+def blocks(units: Sequence[Sequence[int]], found: Sessions, typical: Floats) -> list[Block]:
+    """Return blocks of units with equal numbers of sessions."""
+    by_count: dict[int, list[Sequence[int]]] = defaultdict(list)
+    for rows in units:
+        by_count[len(rows)].append(rows)
+    return [block(np.array(rows), found, typical) for _, rows in sorted(by_count.items())]
+
+
+def sample(units: Sequence[Sequence[int]], found: Sessions, typical: Floats) -> Block:
+    """Return some units of a type in one block, padded with sessions without weight."""
+    some = [units[int(k)] for k in sampled(len(units))]
+    most = max(len(rows) for rows in some)
+    rows = np.full((len(some), most), -1)
+    for k, mine in enumerate(some):
+        rows[k, : len(mine)] = mine
+    return block(rows, found, typical)
+
+
+def typical_variance(covariance: Floats) -> Floats:
+    """Return the median of the stated variances, (24,); zero without any."""
+    stated = np.diagonal(covariance, axis1=-2, axis2=-1)
+    known = np.isfinite(stated) & (stated >= 0)
+    some = known.any(axis=0)
+    median = np.nanmedian(np.where(known | ~some, np.where(some, stated, 0.0), np.nan), axis=0)
+    return np.asarray(np.where(some, median, 0.0))
+
 
 _CLIPPED = 3.0
 """Normal scores beyond which a session is clipped in the estimate of correlations. One normal score
@@ -155,3 +327,127 @@ def signals_of(
         for i in np.flatnonzero(t2 > t2_limit)
     ]
     return tuple(sorted(found, key=lambda one: one.index))
+
+
+# Steps between two sessions of a unit that no trend explains.
+#
+# Source: partial t test of a step in addition to line and steps, at every place and in every
+# parameter, the probability multiplied by their number (Bonferroni); docs/history.md, 'Steps'.
+
+
+_MOST = 5
+"""Most steps of one parameter: more are not steps but another course."""
+_DISTINCT = 1e-6
+"""Share of a step that is independent of line and steps, below which it is one of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Steps of the units of a block: for each parameter, the first sessions after them.
+
+    Attributes:
+        of: Sessions by (unit, parameter), indices in the block; without steps there is no entry.
+    """
+
+    of: dict[tuple[int, int], tuple[int, ...]]
+
+    def of_unit(self, unit: int) -> dict[int, list[int]]:
+        """Return the parameters that step, by the first session after the step."""
+        found: dict[int, list[int]] = {}
+        for (u, p), places in self.of.items():
+            if u == unit:
+                for k in places:
+                    found.setdefault(k, []).append(p)
+        return dict(sorted(found.items()))
+
+
+def find_steps(block: Block, weights: Floats, prior: Prior, false_alarm: float) -> Places:
+    """Return the steps of units, with a false step in at most one unit of 1 / false_alarm.
+
+    Args:
+        block: u units.
+        weights: (u, 24, n) of the sessions.
+        prior: Of their type.
+        false_alarm: For all places and parameters of a unit together.
+    """
+    count = block.months.shape[1]
+    if count < FEWEST_FOR_A_STEP:
+        return Places({})
+    level = false_alarm / (SIZE * (count - 1))
+    design = line_design(block.months)[:, None]
+    at = fit(design, weights, block.values)
+    t, freedom = (np.zeros((*weights.shape[:2], count)) for _ in range(2))
+    for k in range(1, count):
+        t[..., k], freedom[..., k] = _t_at(k, design, weights, at, prior)
+    found = {}
+    for u, p in np.argwhere(np.min(chance_of(t, freedom), axis=-1) < level):
+        places: tuple[int, ...] = (int(np.argmax(t[u, p])),)
+        own = (block.months[u], weights[u, p], block.values[u, p])
+        one = Prior(prior.between[p], prior.scale[p], prior.freedom[p])
+        while len(places) < _MOST and (more := _next(places, *own, one, level)) is not None:
+            places = tuple(sorted((*places, more)))
+        found[int(u), int(p)] = places
+    return Places(found)
+
+
+def step_design(months: Floats, places: tuple[int, ...]) -> Floats:
+    """Return the columns of a line with steps, (n, 2 + s): its level is that after the last step.
+
+    Args:
+        months: (n,).
+        places: First sessions after each step.
+    """
+    before = np.arange(len(months))[:, None] < np.array(places, dtype=int)
+    return np.column_stack([line_design(months), -before.astype(float)])
+
+
+def _next(
+    places: tuple[int, ...],
+    months: Floats,
+    weights: Floats,
+    values: Floats,
+    prior: Prior,
+    level: float,
+) -> int | None:
+    """Return the place of a further step of one parameter, None if none is significant."""
+    design = step_design(months, places)
+    at = fit(design, weights, values)
+    t, freedom = np.zeros(len(months)), np.zeros(len(months))
+    for k in set(range(1, len(months))) - set(places):
+        t[k], freedom[k] = _t_at(k, design, weights, at, prior)
+    # By t: the probabilities of large values are all zero.
+    best = int(np.argmax(t))
+    return best if chance_of(t, freedom)[best] < level else None
+
+
+def _t_at(
+    place: int, design: Floats, weights: Floats, at: Fit, prior: Prior
+) -> tuple[Floats, Floats]:
+    """Return absolute t (...) of a step at a session in addition to the fit, and its freedom.
+
+    Both are zero without information.
+    """
+    after = slice(place, None)
+    along = np.sum((weights * at.residuals)[..., after], axis=-1)
+    crossed = np.sum(weights[..., after, None] * design[..., after, :], axis=-2)
+    explained = np.einsum('...i,...ij,...j->...', crossed, at.inverse, crossed)
+    own = np.sum(weights[..., after], axis=-1)
+    unexplained = own - explained
+    determined = unexplained > _DISTINCT * own
+    gain = np.divide(along**2, unexplained, out=np.zeros_like(along), where=determined)
+    rest = np.maximum(at.square - gain, 0.0)
+    scale, freedom = prior.moderated(rest, np.maximum(at.freedom - 1.0, 0.0))
+    determined = (
+        determined
+        & (freedom > 0)
+        & (np.sum(weights > 0, axis=-1) >= FEWEST_FOR_A_STEP)
+        & (scale > 0)
+    )
+    t = np.sqrt(np.divide(gain, scale, out=np.zeros_like(gain), where=determined))
+    return t, np.where(determined, freedom, 0.0)
+
+
+def chance_of(t: Floats, freedom: Floats) -> Floats:
+    """Return the two-sided p-value of Student's t; 1 without freedom."""
+    some = freedom > 0
+    return np.where(some, 2 * scipy.special.stdtr(np.where(some, freedom, 1.0), -np.abs(t)), 1.0)

@@ -17,9 +17,9 @@ from ..common.files import is_shipped
 from ..common.stream import Floats
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from ..session.imu import ImuSpec
-from .backtest import backtest
 from .batch import CALIBRATED, limits_of
 from .catalogue import Catalogue
+from .evaluation import backtest
 from .results import USUAL, History, Rules, Sessions
 from .sentences import listed
 

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import base64
+import json
+import struct
+import zlib
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..common.stream import Floats
+from ..model.parameters import PARAMETERS, Parameter
+from ..reports.tables import decimals, engineering
 from ..session.imu import Verdict
 from .results import Dates, Flags, History, UnitHistory
 
@@ -239,3 +247,360 @@ def _newest(rows: Recordings, chosen: Sequence[int]) -> np.datetime64:
 def _later(one: np.datetime64, other: np.datetime64) -> bool:
     """Return whether a date is after another; true if the other is unknown."""
     return bool(np.isnat(other) or one > other)
+
+
+# Dates, numbers and counts of the page as text.
+
+
+NO_DATE = 'no date'
+PLACE_OF = {p.name: k for k, p in enumerate(PARAMETERS)}
+
+
+def day(date: np.datetime64) -> str:
+    """Return a date as text.
+
+    Examples:
+        >>> day(np.datetime64('2026-03-02T14:30')), day(np.datetime64('NaT', 's'))
+        ('2026-03-02', 'no date')
+    """
+    return NO_DATE if np.isnat(date) else str(date.astype('M8[D]'))
+
+
+def count(number: int, noun: str, nouns: str = '') -> str:
+    """Return a number with its noun.
+
+    Examples:
+        >>> count(1, 'unit'), count(12345, 'unit'), count(0, 'entry', 'entries')
+        ('1 unit', '12 345 units', '0 entries')
+    """
+    written = f'{number:,}'.replace(',', '\u202f' if number >= 10_000 else '')
+    return f'{written} {noun if number == 1 else nouns or noun + "s"}'.replace('\u202f', ' ')
+
+
+def unit_of(parameter: Parameter) -> str:
+    """Return the display unit of a parameter."""
+    return engineering(parameter).unit.replace('ug', '\u00b5g')
+
+
+def amount(parameter: Parameter, value: float, std: float) -> str:
+    """Return an SI value with its standard deviation in the parameter's display unit."""
+    scale = engineering(parameter).scale
+    places = decimals(std / scale)
+    return f'{value / scale:.{places}f} \u00b1 {std / scale:.{places}f}'.replace('-', '\u2212')
+
+
+# Arrays and texts as one compressed text for the page's script.
+#
+# zlib( length of the head, 4 bytes | head, JSON | arrays, one after the other )
+#
+# in base64. The head lists the arrays with type and length, and contains the texts. The bytes of an
+# array are stored in planes, lowest first: neighbours are similar and compress well. Numbers have
+# only the precision that is shown: a page on 5000 units is read over network drives and on phones.
+
+
+NO_DAY = -(2**31)
+"""Code of a missing date."""
+STEP = 0.05
+"""Resolution in stated deviations: of values, and of normal scores. A judgement: a pixel."""
+_CODES = 254
+"""Codes of a standard deviation, in equal ratios: 2 % each for a range of a factor of 100."""
+_MANTISSA = 12
+"""Bits kept of other numbers: relative precision 1e-4."""
+_KINDS = {'u1': 'Uint8Array', 'i1': 'Int8Array', 'i4': 'Int32Array', 'f4': 'Float32Array'}
+
+
+def pack(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, object]) -> str:
+    """Return packed arrays of uint8, int8, int32 or float32 with texts (JSON values)."""
+    head: dict[str, object] = {'texts': texts}
+    listed, parts = [], []
+    for name, array in arrays.items():
+        flat = np.ascontiguousarray(array).reshape(-1)
+        listed.append([name, _KINDS[flat.dtype.str[1:]], len(flat)])
+        planes = flat.astype(flat.dtype.newbyteorder('<')).view(np.uint8)
+        parts.append(planes.reshape(-1, flat.dtype.itemsize).T.tobytes())
+    head['arrays'] = listed
+    # JSON has no NaN; a page with one would not open.
+    header = json.dumps(head, ensure_ascii=False, separators=(',', ':'), allow_nan=False)
+    coded = header.encode('utf-8', 'replace')
+    content = struct.pack('<I', len(coded)) + coded + b''.join(parts)
+    return base64.b64encode(zlib.compress(content, 6)).decode('ascii')
+
+
+def distinct(texts: Sequence[str]) -> tuple[list[str], NDArray[np.int32]]:
+    """Return the distinct texts, and the index of each text."""
+    places: dict[str, int] = {}
+    index = [places.setdefault(text, len(places)) for text in texts]
+    return list(places), np.array(index, np.int32)
+
+
+def minutes(dates: Dates) -> NDArray[np.int32]:
+    """Return dates as minutes since 1970."""
+    content = dates.astype('M8[m]')
+    counted = np.clip(content.astype(np.int64), NO_DAY + 1, 2**31 - 1)
+    return np.where(np.isnat(content), NO_DAY, counted).astype(np.int32)
+
+
+def short(values: Floats) -> NDArray[np.float32]:
+    """Return numbers with the shown digits, so that they compress well."""
+    with np.errstate(over='ignore'):
+        found = np.ascontiguousarray(values, np.float32)
+    drop = 23 - _MANTISSA
+    bits = found.view(np.uint32)
+    rounded = (bits + np.uint32(1 << (drop - 1))) & np.uint32(0xFFFFFFFF << drop & 0xFFFFFFFF)
+    # Rounding the bits of infinity or NaN would change them to other values.
+    return np.where(np.isfinite(found), rounded.view(np.float32), found)
+
+
+def scores(values: Floats) -> NDArray[np.int8]:
+    """Return normal scores in steps, -128 for none; larger ones are at the chart's edge."""
+    steps = np.clip(np.nan_to_num(values, nan=0.0) / STEP, -127, 127).round()
+    return np.where(np.isnan(values), -128, steps).astype(np.int8)
+
+
+def deviations(std: Floats) -> tuple[NDArray[np.uint8], list[list[float]]]:
+    """Return standard deviations as codes by equal ratios.
+
+    Args:
+        std: (n, m) NaN or zero for none.
+
+    Returns:
+        (m, n) codes, 0 for none; for each column [smallest, logarithm of the ratio of two codes].
+    """
+    codes = np.zeros(std.shape[::-1], np.uint8)
+    scales = []
+    for k, column in enumerate(std.T):
+        known = np.isfinite(column) & (column > 0)
+        if not known.any():
+            scales.append([1.0, 0.0])
+            continue
+        low, high = float(column[known].min()), float(column[known].max())
+        ratio = np.log(high / low) / (_CODES - 1)
+        steps = np.log(column[known] / low) / ratio if ratio > 0 else np.zeros(known.sum())
+        codes[k, known] = 1 + np.rint(steps).astype(np.uint8)
+        scales.append([low, float(ratio)])
+    return codes, scales
+
+
+def packed_differences(values: Floats, std: Floats) -> tuple[NDArray[np.int32], list[float]]:
+    """Return values in steps of a share of their smallest deviation, as differences.
+
+    Args:
+        values: (n, m); values that are not finite repeat the previous one.
+        std: (n, m) their standard deviations.
+
+    Returns:
+        (m, n) differences, whose sums wrap at 32 bits; and the step of each column.
+    """
+    found = np.zeros(values.shape[::-1], np.int32)
+    steps = []
+    for k, (column, deviation) in enumerate(zip(values.T, std.T, strict=True)):
+        known = np.isfinite(column)
+        filled = np.where(known, column, 0.0)
+        meant = np.isfinite(deviation) & (deviation > 0)
+        reach = float(np.abs(filled).max(initial=0.0))
+        step = max(
+            STEP * float(deviation[meant].min()) if meant.any() else 0.0, reach / (2**31 - 2)
+        )
+        steps.append(step or 1.0)
+        counted = np.rint(filled / steps[-1]).astype(np.int64)
+        last = np.maximum.accumulate(np.where(known, np.arange(len(column)), -1))
+        held = np.where(last >= 0, counted[np.maximum(last, 0)], 0)
+        found[k] = np.diff(held, prepend=0).astype(np.int64).astype(np.uint32).view(np.int32)
+    return found, steps
+
+
+# Data for the page's script: units for the table, sessions for the drawings.
+
+
+_NUMBER = len(PARAMETERS)
+_NONE = np.full(_NUMBER, np.nan)
+
+
+def units_data(fleet: Fleet) -> str:
+    """Return the data of the table of units."""
+    units, rows = fleet.units, fleet.recordings
+    newest = [_newest_row(fleet, unit) for unit in units]
+    histories = [unit.history for unit in units]
+    imus, imu = distinct([unit.imu for unit in units])
+    lots, lot = distinct([h.lot if h is not None else '' for h in histories])
+    stands, stand = distinct([rows.stand[k] if k >= 0 else '' for k in newest])
+    verdicts, verdict = distinct([_verdict(fleet, unit) for unit in units])
+    none = np.datetime64('NaT', 's')
+    last = np.array([rows.date[k] if k >= 0 else none for k in newest], 'M8[s]')
+    due = [h.forecast.recalibrate if h is not None else none for h in histories]
+    places = {flag: k for k, flag in enumerate(Flag)}
+    arrays: dict[str, NDArray[np.generic]] = {
+        'imu': imu,
+        'lot': lot,
+        'stand': stand,
+        'verdict': verdict,
+        'last': minutes(last),
+        'due': minutes(np.array(due, 'M8[s]')),
+        'because': np.array([_because(h) for h in histories], np.int8),
+        'sessions': np.array([len(u.sessions) for u in units], np.int32),
+        'failed': np.array([len(u.failed) for u in units], np.int32),
+        'rows': np.array([len(u.rows) for u in units], np.int32),
+        'bitmask': np.array([sum(1 << places[f] for f in u.flags) for u in units], np.int32),
+    }
+    texts = {
+        'serials': [unit.serial for unit in units],
+        'imus': imus,
+        'lots': lots,
+        'stands': stands,
+        'verdicts': verdicts,
+        'flags': [[f.name, f.value.words, f.value.kind, f.value.meaning] for f in Flag],
+        'parameters': [
+            [
+                p.name,
+                p.kind.value.words,
+                unit_of(p),
+                engineering(p).scale,
+            ]
+            for p in PARAMETERS
+        ],
+        'today': day(fleet.today),
+    }
+    return pack(arrays, texts)
+
+
+def sessions_data(fleet: Fleet) -> str:
+    """Return the data of the units' details: sessions by unit, failed recordings likewise."""
+    rows, units = fleet.recordings, fleet.units
+    chosen = [k for unit in units for k in unit.rows]
+    sessions = [k for unit in units for k in unit.sessions]
+    stands, stand = distinct([rows.stand[k] for k in chosen])
+    errors, error = distinct([rows.error[k] for k in chosen])
+    remarks, remark = distinct(['\n'.join(rows.findings[k]) for k in chosen])
+    verdicts, verdict = distinct([rows.verdict[k] for k in chosen])
+    values, std = rows.values[sessions], rows.std[sessions]
+    differences, steps = packed_differences(values, std)
+    codes, scales = deviations(std)
+    shift = _of_sessions(units, lambda h: h.values - h.corrected)
+    arrays: dict[str, NDArray[np.generic]] = {
+        'date': minutes(rows.date[chosen]),
+        'stand': stand,
+        'error': error,
+        'remark': remark,
+        'verdict': verdict,
+        'fine': rows.calibrated[chosen].astype(np.uint8),
+        'value': differences,
+        'known': np.isfinite(values).T.astype(np.uint8),
+        'std': codes,
+        'shift': short(np.nan_to_num(shift).T),
+        'score': scores(_of_sessions(units, lambda h: h.charts.score)).T,
+        'ewma': scores(_of_sessions(units, lambda h: h.charts.ewma)).T,
+        't2': short(_of_sessions(units, lambda h: h.charts.t2[:, None], 1)),
+        't2_limit': short(_of_sessions(units, lambda h: h.charts.t2_limit[:, None], 1)),
+        'slope': _of_units(units, lambda h: h.trend.slope),
+        'slope_std': _of_units(units, lambda h: h.trend.std),
+        'level': _of_units(units, lambda h: h.trend.level),
+        'scatter': _of_units(units, lambda h: h.scatter.std),
+        'limit': _of_units(units, lambda h: h.limit),
+        'leaves': minutes(
+            np.array([h.forecast.leaves if h else [_NO_DATE] * _NUMBER for h in _histories(units)])
+            .astype('M8[s]')
+            .T
+        ),
+        'significant': np.array(
+            [
+                h.trend.significant if h is not None else np.zeros(_NUMBER, bool)
+                for h in _histories(units)
+            ]
+        )
+        .reshape(-1, _NUMBER)
+        .T.astype(np.uint8),
+    }
+    limits = fleet.history.limits
+    texts = {
+        'calibrated': len(sessions),
+        'recordings': [rows.recording[k] for k in chosen],
+        'calibrations': [rows.calibration[k] for k in chosen],
+        'reports': [rows.report[k] for k in chosen],
+        'stands': stands,
+        'errors': errors,
+        'remarks': remarks,
+        'verdicts': verdicts,
+        'valueSteps': steps,
+        'stdScales': scales,
+        'scoreStep': STEP,
+        'individualsLimit': limits.individuals,
+        'ewmaLimit': limits.ewma,
+        'findings': [list(h.findings) if h is not None else [] for h in _histories(units)],
+        'reasons': [h.forecast.reason if h is not None else '' for h in _histories(units)],
+        'steps': [_steps(unit) for unit in units],
+    }
+    return pack(arrays, texts)
+
+
+_NO_DATE = np.datetime64('NaT', 's')
+
+
+def _histories(units: Sequence[Unit]) -> list[UnitHistory | None]:
+    return [unit.history for unit in units]
+
+
+def _newest_row(fleet: Fleet, unit: Unit) -> int:
+    """Return the row of a unit's newest recording; -1 without any."""
+    both = (*unit.failed, *unit.sessions)
+    dates = fleet.recordings.date
+    known = [k for k in both if not np.isnat(dates[k])]
+    if known:
+        return max(known, key=lambda k: dates[k])
+    return both[-1] if both else -1
+
+
+def _verdict(fleet: Fleet, unit: Unit) -> str:
+    history = unit.history
+    if history is not None:
+        return '' if history.verdict is None else history.verdict.value
+    return fleet.recordings.verdict[unit.sessions[-1]] if unit.sessions else ''
+
+
+def _because(history: UnitHistory | None) -> int:
+    """Return the parameter that determines a unit's due date; -1 without any."""
+    return -1 if history is None else PLACE_OF.get(history.forecast.parameter, -1)
+
+
+def _of_sessions(
+    units: Sequence[Unit], what: Callable[[UnitHistory], Floats], width: int = _NUMBER
+) -> Floats:
+    """Return (n, width) values of all sessions, by unit; none for a unit without history."""
+    parts = [
+        part
+        for unit in units
+        for part in (
+            np.full((len(unit.sessions) - _sessions_in_history(unit), width), np.nan),
+            *(() if unit.history is None else (what(unit.history),)),
+        )
+    ]
+    return np.concatenate([np.empty((0, width)), *parts])
+
+
+def _sessions_in_history(unit: Unit) -> int:
+    """Return the number of sessions in the history of a unit."""
+    return 0 if unit.history is None else len(unit.history.key)
+
+
+def _of_units(units: Sequence[Unit], what: Callable[[UnitHistory], Floats]) -> NDArray[np.float32]:
+    """Return (24, m) values of all units."""
+    rows = [_NONE if u.history is None else what(u.history) for u in units]
+    return short(np.reshape(np.array(rows, np.float64), (-1, _NUMBER)).T)
+
+
+def _steps(unit: Unit) -> list[list[object]]:
+    """Return the steps of a unit: [index of the session after it, looks like, sizes as shown]."""
+    found: list[list[object]] = []
+    before = len(unit.sessions) - _sessions_in_history(unit)
+    for step in unit.history.steps if unit.history is not None else ():
+        sizes = [
+            [name, _shown(name, size), _shown(name, std)]
+            for name, size, std in zip(step.parameters, step.size, step.std, strict=True)
+        ]
+        found.append([before + step.index, step.cause.value, sizes])
+    return found
+
+
+def _shown(name: str, value: float) -> float:
+    parameter = PARAMETERS[PLACE_OF[name]]
+    shown = value / engineering(parameter).scale
+    return round(float(shown), decimals(abs(shown)) + 1) if np.isfinite(shown) else 0.0

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _SLICE = 50_000_000
 """Longest wait, ns: the latest time for a signal's handler to run or a cancelled spin to end."""
 
-_PER_ROUND = 64
+_CALLBACKS_PER_ROUND = 64
 """Messages of one subscription per turn; then the others and the timers follow."""
 
 
@@ -91,7 +91,7 @@ class SingleThreadedExecutor:
         for one in ready:
             # A callback may have destroyed the next one.
             if not one.destroyed:
-                ran |= one.execute(_PER_ROUND)
+                ran |= one.execute(_CALLBACKS_PER_ROUND)
         for node in list(self._nodes):
             if node in CONTEXT.nodes:
                 ran |= node.run_timers()
