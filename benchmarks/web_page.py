@@ -17,7 +17,7 @@ import time
 
 import stand
 
-from imu_calib.cli import web_page
+from imu_calib.cli import processes as web_page
 from imu_calib.cli.processes import free_port
 
 

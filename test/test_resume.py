@@ -17,7 +17,8 @@ from test_sequencer import Stand as Simulated
 
 from imu_calib.api.calibrate import calibrate
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.cli import dispatch, main, resume
+from imu_calib.cli import dispatch, main
+from imu_calib.cli import stand_session as resume
 from imu_calib.cli.processes import Processes
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.common.files import named_file

@@ -18,8 +18,8 @@ from loopback import CHECKOUT, environment, patience, until
 from test_devices import frame
 
 from imu_calib.cli.main import main
-from imu_calib.cli.node_reports import NodeReports
 from imu_calib.cli.processes import Outcome
+from imu_calib.cli.terminal import NodeReports
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.stand.devices.source import Source, check_port
 from imu_calib.stand.web.board import Board, Expected

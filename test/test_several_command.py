@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from imu_calib.cli import dispatch, main, processes, several
-from imu_calib.cli.node_reports import NodeReports
+from imu_calib.cli.terminal import NodeReports
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.files import named_file
 from imu_calib.session.imu import load_imu

@@ -10,7 +10,8 @@ import pytest
 
 import imu_calib
 from imu_calib.api.session import TRUE_TABLE
-from imu_calib.cli import resume, stand_session
+from imu_calib.cli import stand_session
+from imu_calib.cli import stand_session as resume
 from imu_calib.cli.main import main
 from imu_calib.cli.terminal import as_options
 from imu_calib.common.errors import ImuCalibError, InputError, NotObservable

@@ -4,8 +4,8 @@ import time
 
 import pytest
 
-from imu_calib.cli.node_reports import NodeReports
-from imu_calib.cli.starting import Start
+from imu_calib.cli.monitor import Start
+from imu_calib.cli.terminal import NodeReports
 from imu_calib.common.errors import InputError
 
 JOURNAL = 'calibrator_node: journal'

@@ -17,9 +17,9 @@ import yaml
 from loopback import CHECKOUT, until
 from test_devices import NS, frame
 
-from imu_calib.cli import dispatch, listening, main, stand_session
-from imu_calib.cli.node_reports import NodeReports, NothingComes
-from imu_calib.cli.terminal import OUTPUT
+from imu_calib.cli import dispatch, main, stand_session
+from imu_calib.cli import stand_session as listening
+from imu_calib.cli.terminal import OUTPUT, NodeReports, NothingComes
 from imu_calib.common.files import named_file
 from imu_calib.session.imu import load_imu
 from imu_calib.stand.devices.format import load_format
@@ -218,7 +218,7 @@ def test_a_device_that_cannot_do_is_refused_before_anything_is_loaded(tmp_path, 
     words = ['stand', 'twelve_position', '-o', tmp_path / 'stand', '--latitude', '48']
     words += ['--port', strange(tmp_path, kind), '--device', 'simulated']
     modules = loaded(REFUSED, *words)
-    assert 'imu_calib.cli.listening' in modules
+    assert 'imu_calib.cli.stand_session' in modules
     assert not among(
         modules, (*SLOW, *RUNTIME, 'imu_calib.calibration.calibrator', 'imu_calib.bags')
     )

@@ -14,7 +14,7 @@ from browser import chromium, contrasts
 from installed import needs_modules
 from loopback import CHECKOUT, environment, patience, until
 
-from imu_calib.cli import web_page
+from imu_calib.cli import processes as web_page
 from imu_calib.cli.processes import free_port
 from imu_calib.common.errors import ImuCalibError
 

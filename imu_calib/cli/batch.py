@@ -11,7 +11,7 @@ from ..common.parallel import MEMORY, Show
 from ..common.units import counted
 from ..fleet.catalogue import batch
 from . import options
-from .outcome import Outcome
+from .dispatch import Outcome
 from .terminal import ERRORS, OUTPUT, progress_bar
 
 

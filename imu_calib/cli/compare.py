@@ -6,7 +6,7 @@ import argparse
 
 from ..api.compare import Compared, compare
 from ..reports.tables import agreement_lines, comparison_table
-from .outcome import Outcome, add_json_option
+from .dispatch import Outcome, add_json_option
 from .terminal import OUTPUT, print_whole
 
 _LONG = 10

@@ -11,7 +11,7 @@ from ..api.inspect import Inspection, inspect_streams, topics
 from ..common.units import DEG, DEG_H, PPM, STANDARD_GRAVITY, counted
 from ..reports.tables import plain_table
 from . import options
-from .outcome import WRONG_INPUT, Outcome, add_json_option
+from .dispatch import WRONG_INPUT, Outcome, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from ..api.documents import written
 from ..api.streams import output_path
 from ..reports.provenance import summary
 from . import options
-from .outcome import EXIT_CODES, Outcome, add_json_option, judged_outcome
+from .dispatch import EXIT_CODES, Outcome, add_json_option, judged_outcome
 from .terminal import OUTPUT, progress_bar
 
 

@@ -17,11 +17,11 @@ from ..session.table import load_table
 from ..stand.devices.format import FrameFormat, load_format
 from ..stand.devices.source import Baud, check_port, choose_baud, is_serial, too_slow
 from ..stand.table_line import tcp_address
-from . import options, several, web_page
-from .listening import listen
-from .node_reports import NodeReports
+from . import options, several
+from . import processes as web_page
 from .processes import network_of_hardware
-from .terminal import OUTPUT
+from .stand_session import listen
+from .terminal import OUTPUT, NodeReports
 
 _SLOWEST = 50
 """The slowest rate of a serial port that POSIX names, bit/s."""
@@ -157,7 +157,8 @@ def _begin(arguments: argparse.Namespace) -> None:
     several.check(arguments)
     reports = NodeReports(real=several.is_real(arguments))
     truth = _check(arguments, reports)
-    from . import resume, stand_session
+    from . import stand_session
+    from . import stand_session as resume
 
     folder.mkdir(parents=True)
     with resume.locked_folder(folder) as claim, stand_session.signals():
@@ -168,7 +169,7 @@ def _begin(arguments: argparse.Namespace) -> None:
 def _save_settings(arguments: argparse.Namespace, folder: Path) -> None:
     """Write the settings of a new session, or leave no folder that could not be resumed."""
     from ..api.streams import removed_on_failure
-    from . import resume
+    from . import stand_session as resume
 
     try:
         with removed_on_failure(folder):
@@ -179,7 +180,8 @@ def _save_settings(arguments: argparse.Namespace, folder: Path) -> None:
 
 def _go_on(arguments: argparse.Namespace) -> None:
     """Resume an interrupted session."""
-    from . import resume, stand_session
+    from . import stand_session
+    from . import stand_session as resume
 
     folder = resume.restore(arguments)
     several.complete(arguments)
@@ -199,7 +201,7 @@ def _new_folder(arguments: argparse.Namespace) -> Path:
     folder = user_path(arguments.output)
     if not folder.exists():
         return folder
-    from . import resume
+    from . import stand_session as resume
 
     if resume.unfinished(folder):
         raise InputError(

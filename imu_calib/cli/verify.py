@@ -8,7 +8,7 @@ from ..api.verify import verify
 from ..calibration.verify import Verdict, Verification
 from ..reports.tables import dwell_table, limits_line, moved_table, turn_table
 from . import options
-from .outcome import NO_ANSWER, Outcome, add_json_option
+from .dispatch import NO_ANSWER, Outcome, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 
