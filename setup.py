@@ -70,7 +70,7 @@ setup(
     author='The imu_calib developers',
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed', 'reports/fleet/page.js']},
+    package_data={NAME: ['py.typed', 'fleet/page.js']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -150,7 +150,7 @@ setup(
     entry_points={
         'console_scripts': [
             'imu-calib = imu_calib.cli.main:main',
-            *(f'{node} = {NAME}.nodes.programs:{node}' for node in NODES),
+            *(f'{node} = {NAME}.stand.nodes.programs:{node}' for node in NODES),
         ]
     },
     zip_safe=False,

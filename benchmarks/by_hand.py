@@ -27,7 +27,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import calibrator_of
 from imu_calib.common.files import named_file
 from imu_calib.common.parallel import run_all
-from imu_calib.estimation import forecast
+from imu_calib.estimation.forecast import forecast
 from imu_calib.estimation.hand import NAME as FREE_POSITIONS
 from imu_calib.estimation.hand import in_frame_of_accelerometers
 from imu_calib.estimation.methods import Setup

@@ -206,7 +206,7 @@ def _decode_message(kind: Kind, data: bytes) -> None:
 def _of_messages() -> Iterator[Target]:
     # Only the runtime without ROS reads single messages itself.
     from imu_calib.stand.middleware.dds import messages as codec
-    from imu_calib.stand.middleware.dds.messages import message_class
+    from imu_calib.stand.middleware.dds.message_types import message_class
     from imu_calib.stand.middleware.running import MESSAGES
 
     filled = {

@@ -129,8 +129,6 @@ TESTS = {
 }
 # Tests of certain modules, too slow for every mutant of a package; they run first.
 MORE = {
-    'imu_calib/recordings/remote.py': ['remote'],
-    'imu_calib/recordings/remote.py': ['remote_copy', 'remote'],
     'imu_calib/recordings/remote.py': ['remote_copy', 'remote'],
     'imu_calib/estimation/hand.py': ['free_fit'],
     'imu_calib/estimation/outputs.py': ['arms'],

@@ -66,11 +66,11 @@ PLAN_TEXT = (
 )
 WITH_SLOW_TURNS = PLAN_TEXT.replace('[60 deg/s', '[30 deg/s, -30 deg/s, 60 deg/s')
 DATA = {
-    'imu_calib.session.plan': PLAN_TEXT,
-    'imu_calib.session.imu': text_of('imus', 'fog_medium'),
+    'imu_calib.plan': PLAN_TEXT,
+    'imu_calib.imu': text_of('imus', 'fog_medium'),
     'imu_calib.table': text_of('tables', 'three_axis'),
     'imu_calib.latitude_deg': '34.65',
-    'imu_calib.calibration.agreement': repr(SITE.gravity),
+    'imu_calib.gravity': repr(SITE.gravity),
     'imu_calib.gravity_source': 'measured',
 }
 
@@ -611,7 +611,7 @@ def test_an_imu_in_whose_units_all_turns_are_beyond_the_range(cli: CommandLine) 
         good().columns,
         data={
             **DATA,
-            'imu_calib.session.imu': 'id: other\nunits: si\n'
+            'imu_calib.imu': 'id: other\nunits: si\n'
             'sample_rate: 100 Hz\ngyro: {range: 2000 deg/s}\naccelerometer: {range: 10 g}\n',
         },
     )
@@ -620,8 +620,8 @@ def test_an_imu_in_whose_units_all_turns_are_beyond_the_range(cli: CommandLine) 
 def test_turns_beyond_the_range(cli: CommandLine) -> None:
     narrow = replace(paper_imu(), gyro=replace(paper_imu().gyro, range=50 * DEG))
     columns = run_stand(slow_too(), narrow).columns
-    stated = DATA['imu_calib.session.imu'].replace('range: 300 deg/s', 'range: 50 deg/s')
-    data = {**DATA, 'imu_calib.session.imu': stated, 'imu_calib.session.plan': WITH_SLOW_TURNS}
+    stated = DATA['imu_calib.imu'].replace('range: 300 deg/s', 'range: 50 deg/s')
+    data = {**DATA, 'imu_calib.imu': stated, 'imu_calib.plan': WITH_SLOW_TURNS}
     sentence = 'Position 1, 5, 9: a turn is left out, the sensor is saturated during it'
     cli.uses_the_rest(sentence, columns, data=data)
     # A range that nobody stated shows in what the gyros make of the Earth.
@@ -846,9 +846,7 @@ def test_a_result_that_every_reader_would_refuse(
 
 
 def test_a_scale_factor_of_another_imu(cli: CommandLine, recorded: Path, tmp_path: Path) -> None:
-    (tmp_path / 'imu.yaml').write_text(
-        DATA['imu_calib.session.imu'].replace('7.8 arcsec', '5.2 arcsec')
-    )
+    (tmp_path / 'imu.yaml').write_text(DATA['imu_calib.imu'].replace('7.8 arcsec', '5.2 arcsec'))
     code, text = cli.calibrate(recorded, '--imu', tmp_path / 'imu.yaml')
     assert code == 0
     assert 'The gyros answer 0.667 times what the scale factor' in text
@@ -939,11 +937,11 @@ def test_a_table_with_other_names(cli: CommandLine, recorded: Path, tmp_path: Pa
     ('key', 'sentence'),
     [
         (
-            'imu_calib.session.plan',
+            'imu_calib.plan',
             r'does not say which plan was run: give --plan \(.*six_position',
         ),
         (
-            'imu_calib.session.imu',
+            'imu_calib.imu',
             r"does not say what the IMU's numbers mean: give --imu \(.*fog_medium",
         ),
         ('imu_calib.latitude_deg', 'does not say where it was taken: give --latitude'),
@@ -958,7 +956,7 @@ def test_a_recording_that_does_not_say(cli: CommandLine, key: str, sentence: str
 # Shocks.
 
 SHOCK = Shock(0.0, (1.0, 0.0, 0.0), 0.05 * DEG)
-SHOCKED = {**DATA, 'imu_calib.session.plan': WITH_SLOW_TURNS}
+SHOCKED = {**DATA, 'imu_calib.plan': WITH_SLOW_TURNS}
 
 
 def shocked(position: str, after: float, axis: tuple[float, float, float]) -> Columns:

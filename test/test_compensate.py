@@ -199,7 +199,7 @@ def test_what_does_not_fit_is_refused_in_a_sentence(
 
 def test_the_recordings_own_imu_is_held_against_the_calibration(tmp_path, calibration, capsys):
     text = 'id: another\nunits: si\n'
-    bag = write_with_rosbags(tmp_path / 'bag', ROWS[:500], custom={'imu_calib.session.imu': text})
+    bag = write_with_rosbags(tmp_path / 'bag', ROWS[:500], custom={'imu_calib.imu': text})
     assert main(['compensate', str(bag), '--calibration', calibration, '-o', 'out']) == 2
     assert 'imu: found fog_medium, expected another' in ' '.join(capsys.readouterr().err.split())
 

@@ -19,9 +19,9 @@ from imu_calib.common.errors import NotObservable
 from imu_calib.common.rotations import rotation, rotations_last
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCMIN, DEG, PPM
-from imu_calib.estimation import forecast
 from imu_calib.estimation import hand as free_positions
 from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.forecast import forecast
 from imu_calib.estimation.free_dwells import FreeEquations, at_headings_by_moves
 from imu_calib.estimation.gyro_paths import propagated
 from imu_calib.estimation.hand import ESTIMATES, FREE, in_frame_of_accelerometers, is_clear, solve

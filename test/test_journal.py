@@ -18,7 +18,7 @@ from imu_calib.recordings.writer import FINISHED, Journal, RecordingWriter
 NS, EPOCH = 1_000_000_000, 1_700_000_000_000_000_000
 IMU, SKEW = '/imu/pulses', '/imu/skew'
 NAMES = {IMU: Kind.IMU, SKEW: Kind.SKEW}
-SESSION = {'imu_calib.session.plan': 'name: one', 'imu_calib.latitude_deg': '34.65'}
+SESSION = {'imu_calib.plan': 'name: one', 'imu_calib.latitude_deg': '34.65'}
 
 
 def samples(first: int, count: int = 5) -> Messages:
@@ -93,7 +93,7 @@ def test_what_a_killed_session_flushed_is_gone_on_with(tmp_path: Path) -> None:
 
     again = Journal(folder, SESSION, NAMES)
     assert again.resumed
-    assert again.former['imu_calib.session.plan'] == 'name: one'
+    assert again.former['imu_calib.plan'] == 'name: one'
     assert again.former['imu_calib.left_out'] == 'unit_C'
     before = [(name, block) for name, block in again.replay() if isinstance(block, ImuBlock)]
     assert [name for name, _ in before] == [IMU] * len(before)
@@ -143,7 +143,7 @@ def test_of_an_old_session_that_cannot_be_read_it_is_said_why(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ('key', 'word'), [('imu_calib.session.plan', 'plan'), ('imu_calib.latitude_deg', 'latitude')]
+    ('key', 'word'), [('imu_calib.plan', 'plan'), ('imu_calib.latitude_deg', 'latitude')]
 )
 def test_a_session_of_something_else_is_not_gone_on_with(
     tmp_path: Path, key: str, word: str

@@ -111,7 +111,10 @@ def _declared(text):
     return {k: v if isinstance(v, ast.Constant) else None for k, v in found.items()}
 
 
-CHILD = 'from imu_calib.common.lifetime import end_with_parent as e; import time; e(); print(1, flush=True);'
+CHILD = (
+    'from imu_calib.common.lifetime import end_with_parent as e; import time; e(); '
+    'print(1, flush=True);'
+)
 LAUNCHER = """
 import os, subprocess, sys
 os.environ['IMU_CALIB_ENDS_WITH'] = str(os.getpid())

@@ -40,7 +40,7 @@ TABLE = load_table('three_axis')
 PLAN = at_one_rate(quick_plan('twelve_position', dwell=6.0))
 SETUP = Setup(paper_imu(), PLAN, TABLE, SITE)
 SLOW = replace(SETUP, plan=quick_plan('twelve_position', dwell=6.0))
-DESCRIPTION = {'imu_calib.session.plan': 'twelve, but shorter'}
+DESCRIPTION = {'imu_calib.plan': 'twelve, but shorter'}
 
 
 def serialised(setup):
@@ -244,7 +244,7 @@ def test_a_finished_journal_and_one_of_another_plan_are_not_gone_on_with(tmp_pat
     send(session, wire, np.random.default_rng(1), 0, 0.2)
     session.close()
     with pytest.raises(InputError, match='another plan'):
-        begin(tmp_path / 'other', {'imu_calib.session.plan': 'another'})
+        begin(tmp_path / 'other', {'imu_calib.plan': 'another'})
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):

@@ -339,8 +339,8 @@ def _compensated(case: Case, found: Calibration, bag: str, file: str, shell: She
     rest = _last_rest(out)
     imu = imu_of(case.imu)
     with open_recording(Path(out)) as recording:
-        text = recording.custom_data['imu_calib.session.imu:/imu/data_raw']
-        assert 'imu_calib.session.imu' not in recording.custom_data
+        text = recording.custom_data['imu_calib.imu:/imu/data_raw']
+        assert 'imu_calib.imu' not in recording.custom_data
     described = read_imu(_section(text))
     assert (described.id, described.units) == (imu.id, Units.SI)
     if found.has_accelerometers:

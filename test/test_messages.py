@@ -19,7 +19,7 @@ try:
     if ros.RUNTIME != 'dds':
         pytest.skip('of the dds runtime', allow_module_level=True)
     from imu_calib.stand.middleware.dds import messages
-    from imu_calib.stand.middleware.dds.messages import (
+    from imu_calib.stand.middleware.dds.message_types import (
         deserialize_message,
         interface,
         message_class,

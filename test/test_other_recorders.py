@@ -93,7 +93,7 @@ def test_a_topic_without_accelerations_names_the_way_to_join_two(
     told = re.sub(r'\s+', ' ', capsys.readouterr().err)
     assert '--gyro-topic /g --accel-topic /a joins them' in told
     raw = tmp_path / 'raw'
-    described = {'imu_calib.session.imu': read_text(named_file('imus', 'rates'))}
+    described = {'imu_calib.imu': read_text(named_file('imus', 'rates'))}
     with RecordingWriter(raw, described) as writer:
         for name, columns in topics.items():
             block = ImuBlock(*columns)

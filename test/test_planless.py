@@ -451,7 +451,7 @@ def test_the_plan_of_a_recording_can_be_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = named_file('plans', 'twelve_position').read_text(encoding='utf-8')
-    write(tmp_path / 'bag', turned_about_y(), {'imu_calib.session.plan': text})
+    write(tmp_path / 'bag', turned_about_y(), {'imu_calib.plan': text})
     result = ['-o', str(tmp_path / 'calibration.yaml')]
     assert main(['calibrate', str(tmp_path / 'bag'), '--plan', 'none', *SAID, *result]) == 0
     assert 'Missing' not in capsys.readouterr().out

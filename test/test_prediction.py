@@ -15,14 +15,11 @@ from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.files import named_file
 from imu_calib.common.units import DEG, DEG_H, PPM
-from imu_calib.estimation import forecast
-from imu_calib.estimation import optimise as reach
-from imu_calib.estimation import predict as expected
 from imu_calib.estimation.closed_forms import skewed
-from imu_calib.estimation.forecast import check_session, information
+from imu_calib.estimation.forecast import check_session, forecast, information
 from imu_calib.estimation.methods import Setup
-from imu_calib.estimation.optimise import candidates, log_information, optimise
-from imu_calib.estimation.predict import duration
+from imu_calib.estimation.optimise import candidates, log_information, optimise, reach
+from imu_calib.estimation.predict import duration, expected
 from imu_calib.model.earth import Site
 from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.model.sensors import SensorModel

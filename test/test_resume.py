@@ -339,7 +339,7 @@ def test_simulated_hardware_is_switched_on_after_what_it_said_before(tmp_path):
 
 def test_a_journal_torn_anywhere_can_be_gone_on_with(tmp_path):
     topics = {'/imu/pulses': Kind.IMU}
-    journal = Journal(tmp_path / 'whole', {'imu_calib.session.plan': 'x'}, topics)
+    journal = Journal(tmp_path / 'whole', {'imu_calib.plan': 'x'}, topics)
     write(journal, 3)
     content = (tmp_path / 'whole' / 'whole_0.mcap').read_bytes()
     journal.close(finished=False)
@@ -350,7 +350,7 @@ def test_a_journal_torn_anywhere_can_be_gone_on_with(tmp_path):
         folder = tmp_path / str(cut)
         folder.mkdir()
         (folder / f'{cut}_0.mcap').write_bytes(content[:cut])
-        again = Journal(folder, {'imu_calib.session.plan': 'x'}, topics)
+        again = Journal(folder, {'imu_calib.plan': 'x'}, topics)
         held.append(sum(len(block) for _, block in again.replay()))
         again.close(finished=False)
     assert held == sorted(held)

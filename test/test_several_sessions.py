@@ -26,7 +26,7 @@ PLAN = at_one_rate(quick_plan('twelve_position', dwell=6.0))
 COMMON = {Kind.JOINTS: '/turntable/joint_states', Kind.SETPOINTS: '/turntable/setpoint'}
 SERIALS = ('A1', 'B2', 'C3')
 TOPICS = {serial: f'/unit_{serial}/imu/pulses' for serial in SERIALS}
-DESCRIPTION = {'imu_calib.session.plan': 'twelve, but shorter'}
+DESCRIPTION = {'imu_calib.plan': 'twelve, but shorter'}
 NOW = 1_700_000_000_000_000_000
 LIMIT = 4.5
 

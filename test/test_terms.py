@@ -15,7 +15,7 @@ from imu_calib.calibration.results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file, share_folder
-from imu_calib.estimation import forecast
+from imu_calib.estimation.forecast import forecast
 from imu_calib.estimation.hand import in_frame_of_accelerometers
 from imu_calib.estimation.methods import JOINT, METHODS, Setup, estimated_parameters, method
 from imu_calib.model.sensors import parameters_of, terms_of

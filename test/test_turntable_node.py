@@ -185,7 +185,10 @@ class Watcher(ros.Node):
         self.progress.publish(message)
 
 
-MAIN = 'import sys\nfrom imu_calib.stand.nodes.programs import turntable_node\nsys.exit(turntable_node())'
+MAIN = (
+    'import sys\nfrom imu_calib.stand.nodes.programs import turntable_node\n'
+    'sys.exit(turntable_node())'
+)
 BROKEN = """
 import sys
 from imu_calib.stand.nodes.programs import run

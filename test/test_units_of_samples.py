@@ -54,7 +54,7 @@ def hand(tmp_path_factory: pytest.TempPathFactory) -> tuple[NDArray[np.int64], F
 def calibrated(hand: tuple[NDArray[np.int64], Floats, Floats], units: str, folder: Path):
     stamp, gyro, accel = hand
     per_rate, per_force = PER_NUMBER[units]
-    with RecordingWriter(folder / units, {'imu_calib.session.imu': SHORT[units]}) as writer:
+    with RecordingWriter(folder / units, {'imu_calib.imu': SHORT[units]}) as writer:
         block = ImuBlock(stamp, gyro / per_rate, accel / per_force)
         writer.write('/imu', 'sensor_msgs/msg/Imu', encode_imu(block), stamp)
     return imu_calib.calibrate(folder / units, latitude=LATITUDE).calibration

@@ -1,1 +1,1 @@
-"""ROOM api"""
+"""The Python interface: one function per command, exported by `imu_calib`."""

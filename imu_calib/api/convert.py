@@ -93,7 +93,7 @@ def described(imu: Named | None, numbers: Units) -> tuple[dict[str, str], ImuSpe
             f'`imu` {imu}: units: found {spec.units.value}, but the numbers are '
             f'{_NUMBERS[numbers]}.'
         )
-    return {'imu_calib.session.imu': read_text(file)}, spec
+    return {'imu_calib.imu': read_text(file)}, spec
 
 
 def write_imu(writer: RecordingWriter, block: ImuBlock, *, raw: bool) -> None:

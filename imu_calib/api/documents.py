@@ -201,7 +201,7 @@ def _plan_it_was(
         return stated.plan
     if origin['plan'] is None:
         return NO_PLAN
-    if 'imu_calib.session.plan' in recording.custom_data:
+    if 'imu_calib.plan' in recording.custom_data:
         return None
     try:
         return load_plan(origin['plan'])

@@ -270,7 +270,6 @@ def inspect_streams(outside: Inspection, stated: Stated, progress: Progress = si
     except NotStated as error:
         clocks = _clocks_alone(outside.path, progress)
         return replace(outside, missing_input=str(error), clocks=clocks)
-    pass
 
     with opened.recording as recording:
         streams = stream_contents(opened, progress)

@@ -17,13 +17,12 @@ from ..common.errors import InputError
 from ..common.files import write_whole
 from ..common.parallel import Progress, by_one_thread, run_all, silent
 from ..common.units import DEG, counted, parse
-from ..estimation import forecast
 from ..estimation import hand as free_positions
-from ..estimation import optimise as shortest_dwells
 from ..estimation.forecast import (
     ChangeForecast,
     Forecast,
     TermForecast,
+    forecast,
     forecast_changes,
     forecast_terms,
     listed,
@@ -33,6 +32,7 @@ from ..estimation.methods import Setup, check_plan, closed_form_of
 from ..estimation.modulation import LEAST_RISE
 from ..estimation.optimise import Optimum, Reached
 from ..estimation.optimise import optimise as best_plan
+from ..estimation.optimise import reach as shortest_dwells
 from ..estimation.predict import duration
 from ..model.earth import LUOYANG
 from ..model.parameters import Parameter

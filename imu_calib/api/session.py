@@ -310,7 +310,7 @@ def stated_plan(stated: Stated, recording: Recording) -> Plan | None:
         return None
     if stated.plan is not None:
         return as_plan(stated.plan)
-    if (text := recording.custom_data.get('imu_calib.session.plan')) is not None:
+    if (text := recording.custom_data.get('imu_calib.plan')) is not None:
         return read_plan(Section.parse(text, f'{recording.path}: its plan'))
     return None
 

@@ -1,1 +1,1 @@
-"""ROOM calibration"""
+"""The result: calibrations and their files; what applies, compares and verifies them."""

@@ -447,7 +447,6 @@ def calibrator_of(setup: Setup) -> Calibrator | HandCalibrator:
         from .hand import HandCalibrator
 
         return HandCalibrator(setup)
-    pass
 
     return Calibrator(setup)
 

@@ -22,8 +22,8 @@ from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_r
 
 # Subtract the effect of places and delay of the accelerometers from samples.
 #
-# Rates of change of rate and force are differences to the samples before and after: each sample waits
-# for the next one, and at a gap one side is used.
+# Rates of change of rate and force are differences to the samples before and after: each sample
+# waits for the next one, and at a gap one side is used.
 #
 # Source: docs/mathematics.md, 'Terms of motion'.
 
@@ -557,9 +557,9 @@ def _rows(block: ImuBlock, start: int, stop: int) -> ImuBlock:
 
 # Estimate the sampling times of a whole recording, from earlier and later stamps.
 #
-# A live sample is timed by the stamps received so far (`sample_clock`). In a recording all stamps are
-# known: samples that came in bunches, late or in a queue are moved to their sampling times, by the
-# rules of the segmentation (docs/mathematics.md, 'Stamps and lost samples'). Others keep their
+# A live sample is timed by the stamps received so far (`sample_clock`). In a recording all stamps
+# are known: samples that came in bunches, late or in a queue are moved to their sampling times, by
+# the rules of the segmentation (docs/mathematics.md, 'Stamps and lost samples'). Others keep their
 # stamps.
 
 

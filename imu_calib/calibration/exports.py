@@ -201,8 +201,8 @@ def _triad(letter: str, triad: Triad, scale: float, unit: float) -> dict[str, li
 # gyros:          raw = M C_gyro_i w_i + A C_gyro_i a_i + b
 #
 # so that its frame has X along the input axis of the accelerometer x, Y in the plane of x and y.
-# Our frame is that of the table's mount; T_i_b rotates from ours to Kalibr's: I + M_a = M C_i_b, and
-# likewise I + M_g = M_gyro C_gyro_i C_i_b and G = A C_gyro_i C_i_b.
+# Our frame is that of the table's mount; T_i_b rotates from ours to Kalibr's: I + M_a = M C_i_b,
+# and likewise I + M_g = M_gyro C_gyro_i C_i_b and G = A C_gyro_i C_i_b.
 
 
 _TOPIC = re.compile(r'/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*', re.ASCII)

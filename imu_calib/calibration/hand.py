@@ -47,9 +47,9 @@ from .results import Result, Review, calibrated, dead_channels, explained, refus
 
 # Guide a user with the unit in hand: what to do next, and the gain of each further hold.
 #
-# The gain is that of D-optimal design (Fedorov 1972, section 2.5): half the increase of the logarithm
-# of the determinant of the information on the 21 parameters. On average over the parameters, a gain
-# of 21 ln(2) halves every standard deviation.
+# The gain is that of D-optimal design (Fedorov 1972, section 2.5): half the increase of the
+# logarithm of the determinant of the information on the 21 parameters. On average over the
+# parameters, a gain of 21 ln(2) halves every standard deviation.
 
 
 _SCALE_WIDTH = 0.1

@@ -1,1 +1,1 @@
-"""ROOM cli"""
+"""The command `imu-calib`: one module per subcommand, each with a parser and a function."""

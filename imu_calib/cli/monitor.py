@@ -372,8 +372,6 @@ def follow(processes: Nodes, reports: NodeReports) -> Outcome:
     Raises:
         InputError: A node has ended, or the IMU sends nothing.
     """
-    pass
-
     with (
         watching(processes, reports) as monitor,
         Live(console=ERRORS, refresh_per_second=8, transient=True) as display,

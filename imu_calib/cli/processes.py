@@ -156,7 +156,7 @@ class Processes:
         name = node.rpartition('/')[2]
         arguments = self._files.arguments(node, parameters, remapped)
         log = self._files.path(node, 'log').open('ab')
-        module = f'{__package__.rpartition(".")[0]}.nodes.{name}'
+        module = f'{__package__.rpartition(".")[0]}.stand.nodes.{name}'
         process = subprocess.Popen(
             [sys.executable, '-m', module, *arguments],
             stdin=subprocess.DEVNULL,
@@ -378,7 +378,7 @@ class Embedded:
         os.environ.update(environment)
         name = node.rpartition('/')[2]
         arguments = self._files.arguments(node, parameters, remapped)
-        module = import_module(f'{__package__.rpartition(".")[0]}.nodes.{name}')
+        module = import_module(f'{__package__.rpartition(".")[0]}.stand.nodes.{name}')
         kind = getattr(module, name.title().replace('_', ''))
         log = self._logs[node] = self._files.path(node, 'log').open('a', encoding='utf-8')
         try:
@@ -490,8 +490,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         nargs='?',
         const=_PORT,
         metavar='PORT',
-        help=f'show the session at http://{LOOPBACK_HOST}:PORT (default: {_PORT}; 0: a free one); the '
-        'page stays when the session is over, until Ctrl-C',
+        help=f'show the session at http://{LOOPBACK_HOST}:PORT (default: {_PORT}; 0: a free one); '
+        'the page stays when the session is over, until Ctrl-C',
     )
     page.add_argument(
         '--web-host',

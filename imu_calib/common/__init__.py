@@ -1,1 +1,1 @@
-"""What every room stands on: errors, units, files, rotations, columns of samples, parallel work."""
+"""What every room stands on: errors, units, files, rotations, columns, parallel work."""

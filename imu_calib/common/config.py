@@ -33,6 +33,9 @@ try:
 except ImportError:  # PyYAML without libyaml reads and writes the same texts.
     from yaml import SafeDumper, SafeLoader  # type: ignore[assignment]
 
+__all__ = ['SafeDumper']
+"""Handed on to those that dump in a form of their own."""
+
 
 _INT = 'tag:yaml.org,2002:int'
 _DATE = 'tag:yaml.org,2002:timestamp'

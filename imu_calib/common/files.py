@@ -151,7 +151,7 @@ def write_by(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 # Locate the files shipped with the code: config, plans, message definitions.
 
 
-_PACKAGE = Path(__file__).resolve().parent
+_PACKAGE = Path(__file__).resolve().parents[1]
 _CHECKOUT = _PACKAGE.parent
 
 

@@ -365,10 +365,9 @@ THREADS = 'OMP_NUM_THREADS'
 """Read by BLAS when numpy is first loaded: commands and nodes set it to 1 before."""
 
 Arguments = ParamSpec('Arguments')
-ThreadResult = TypeVar('Result')
 
 
-def by_one_thread(function: Callable[Arguments, ThreadResult]) -> Callable[Arguments, ThreadResult]:
+def by_one_thread(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
     """Run a function with one thread of linear algebra, whatever the program's setting.
 
     Twelve positions are calibrated in three quarters of the time with two idle cores, and in a
@@ -377,7 +376,7 @@ def by_one_thread(function: Callable[Arguments, ThreadResult]) -> Callable[Argum
     """
 
     @wraps(function)
-    def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> ThreadResult:
+    def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
         with _one_thread():
             return function(*args, **kwargs)
 

@@ -149,8 +149,8 @@ def _columns(each: Floats) -> Floats:
 # That is a third of the work of eigenvectors, and the covariance of each further size costs almost
 # nothing.
 #
-# Sources: Golub and Van Loan 2013, Matrix Computations, 5.1.2, 8.3.1 and 4.3.6; for noise of unknown
-# size docs/mathematics.md, 'Joint estimate'.
+# Sources: Golub and Van Loan 2013, Matrix Computations, 5.1.2, 8.3.1 and 4.3.6; for noise of
+# unknown size docs/mathematics.md, 'Joint estimate'.
 
 
 _BLOCK = 32

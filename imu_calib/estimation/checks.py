@@ -281,8 +281,8 @@ class Solution:
 # A table whose file states implausibly small errors: which results depend on that.
 #
 # The file is used as stated until the session shows an error of the table. So small an error cannot
-# be identified: a zero error looks like a joint axis that leans, and a wobble like an encoder error.
-# From then on all errors stated too small are taken as those of the best tables.
+# be identified: a zero error looks like a joint axis that leans, and a wobble like an encoder
+# error. From then on all errors stated too small are taken as those of the best tables.
 #
 # Source: docs/mathematics.md, 'Tables that are stated exact'.
 

@@ -154,9 +154,9 @@ def at_headings_by_moves(evidence: Evidence, ups: Floats, model: SensorModel) ->
 # Dwells in unknown attitudes as equations: lengths, and the rate along gravity.
 #
 # In any attitude the length of the specific force is gravity, that of the rate the Earth's, and its
-# part along gravity the vertical Earth rate: these remain of the six equations of a dwell with three
-# free angles. Squares are compared: their mean over the noise is known even where noise hides the
-# heading, as for gyros whose noise exceeds the Earth's rate.
+# part along gravity the vertical Earth rate: these remain of the six equations of a dwell with
+# three free angles. Squares are compared: their mean over the noise is known even where noise hides
+# the heading, as for gyros whose noise exceeds the Earth's rate.
 #
 # Source: docs/mathematics.md, 'Verification'.
 

@@ -184,8 +184,8 @@ def _with_next(steps: Floats, which: NDArray[np.intp]) -> Floats:
 #
 # v = sum of C_i f_i t_i, V_i = the sum before step i and half of its own.
 #
-# Rotations and rates are those of the move's `GyroPath`. Terms of specific force multiply gravity on
-# the path, as everywhere, without the effects of pulses and lever arms.
+# Rotations and rates are those of the move's `GyroPath`. Terms of specific force multiply gravity
+# on the path, as everywhere, without the effects of pulses and lever arms.
 #
 # Source: docs/mathematics.md, 'Velocities of moves'; the strapdown equations of Savage 1998, J.
 # Guidance 21, 208.

@@ -203,8 +203,6 @@ class Setup:
     @property
     def method_name(self) -> str:
         """Name of the solver."""
-        pass
-
         return self.method or default_method(self.plan)
 
     @property
@@ -214,8 +212,6 @@ class Setup:
         Raises:
             InputError: There is no such method, or it does not support terms.
         """
-        pass
-
         return estimated_parameters(self.method_name, self.terms)
 
     @cached_property
@@ -226,8 +222,6 @@ class Setup:
     @property
     def plan_alone(self) -> bool:
         """Whether the method is a closed form, which uses the plan's positions alone."""
-        pass
-
         return self.method_name not in JOINT
 
     def of_unit(self, unit: MountedUnit, imu: ImuSpec) -> Setup:

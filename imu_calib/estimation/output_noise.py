@@ -189,9 +189,9 @@ def _alike(squares: Floats, freedom: Floats, chance: float) -> NDArray[np.bool_]
 
 # Errors of a velocity by the remainders of pulse counters while the unit turns.
 #
-# A counter holds back a remainder e, up to half a pulse either way, and gives it with a later sample,
-# when its axis points elsewhere. In the frame of the attitudes, with C_i the direction of a channel
-# in step i and e_i the remainder after it, the error of a velocity is
+# A counter holds back a remainder e, up to half a pulse either way, and gives it with a later
+# sample, when its axis points elsewhere. In the frame of the attitudes, with C_i the direction of a
+# channel in step i and e_i the remainder after it, the error of a velocity is
 #
 # sum C_i (e_i - e_(i-1)) = sum D_i e_i, D_0 = -C_1, D_i = C_i - C_(i+1), D_n = C_n
 #

@@ -142,9 +142,9 @@ def mean_over_turn(values: Floats) -> Floats:
 
 # The order of a session's outputs in its equations; it is defined in this module only.
 #
-# Six for each dwell (gyros x y z, accelerometers x y z), then three for each turn (gyros), then three
-# for each move (angles), then three for each turn whose accelerometers are used, then three for each
-# move whose accelerometers are used (velocities).
+# Six for each dwell (gyros x y z, accelerometers x y z), then three for each turn (gyros), then
+# three for each move (angles), then three for each turn whose accelerometers are used, then three
+# for each move whose accelerometers are used (velocities).
 
 
 Indices = NDArray[np.intp]
@@ -385,9 +385,9 @@ def shares(components: Iterable[Component], gain: Floats) -> dict[Source, Share]
 
 # Effect of positioning errors of a table on the attitudes of dwells and turns.
 #
-# The difference of a stopped joint from its encoder reading is constant until it moves again: dwells
-# and turns in between share that error, about the joint's axis. In addition each stop has a small
-# independent rotation, whichever joint moved. Only the sensors show either.
+# The difference of a stopped joint from its encoder reading is constant until it moves again:
+# dwells and turns in between share that error, about the joint's axis. In addition each stop has a
+# small independent rotation, whichever joint moved. Only the sensors show either.
 #
 # Source: docs/mathematics.md, 'Positioning errors'.
 

@@ -1,1 +1,1 @@
-"""ROOM fleet"""
+"""Many recordings: batches, catalogues, histories of units and stands, and their page."""

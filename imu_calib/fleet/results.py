@@ -498,8 +498,6 @@ class History:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units, with the keys of docs/files/output.md."""
-        pass
-
         return plain_history(self)
 
 

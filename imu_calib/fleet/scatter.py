@@ -214,10 +214,10 @@ def _trace(matrix: Floats) -> Floats:
 
 # Common properties of the units of a type: scatter of sessions, and how it differs by unit.
 #
-# A session's variance is f (v + t): v as stated, t the typical variance between sessions of the type,
-# and f a factor of the unit, near one. Over the units of a type f has a scaled inverse chi-square
-# distribution: other units add degrees of freedom to a unit with few sessions. Source: Smyth 2004
-# (moderated t), estimated robustly; docs/history.md, 'Units borrow from each other'.
+# A session's variance is f (v + t): v as stated, t the typical variance between sessions of the
+# type, and f a factor of the unit, near one. Over the units of a type f has a scaled inverse
+# chi-square distribution: other units add degrees of freedom to a unit with few sessions. Source:
+# Smyth 2004 (moderated t), estimated robustly; docs/history.md, 'Units borrow from each other'.
 
 
 FEWEST_UNITS = 10

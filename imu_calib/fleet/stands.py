@@ -24,7 +24,8 @@ from .trends import quantile
 #
 # A session is unit + stand + trend of the type + scatter. Units are fixed effects: only differences
 # of a unit between stands determine the effects of stands, however much units differ. Source: Huber
-# 1981, 7.6 and 7.7 (robust regression, its covariance and scale); docs/history.md, 'Unit or stand?'.
+# 1981, 7.6 and 7.7 (robust regression, its covariance and scale); docs/history.md, 'Unit or
+# stand?'.
 
 
 _TUNING = 2.0

@@ -1,1 +1,1 @@
-"""ROOM model"""
+"""What an IMU does: parameters, terms, sensors, changes in a session; gravity, Earth rate."""

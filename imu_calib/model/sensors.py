@@ -485,15 +485,16 @@ def gravity_covariance(
 
 # Motion terms: the size effect (places of the accelerometers) and their delay.
 #
-# Accelerometer i is at r_i and measures, beyond the specific force f at the point where r_i is zero,
+# Accelerometer i is at r_i and measures, beyond the specific force f at the point where r_i is
+# zero,
 #
 # a_i = ([dw/dt] + [w][w]) r_i,      n_i(t) = [(I + M) (f + a_i)]_i (t - T) + d_i
 #
 # A common shift of all three places is equivalent to another choice of that point. So the component
 # of r_i along axis i is zero, and six remain.
 #
-# Source: Hung, Hunter, Stripling and White 1979, Size effect on navigation using a strapdown IMU, US
-# Army T-79-73; IEEE Std 1559 (the words); docs/mathematics.md, 'Terms of motion'.
+# Source: Hung, Hunter, Stripling and White 1979, Size effect on navigation using a strapdown IMU,
+# US Army T-79-73; IEEE Std 1559 (the words); docs/mathematics.md, 'Terms of motion'.
 
 
 OF_MOTION = frozenset({ParameterKind.PLACE, ParameterKind.DELAY})

@@ -1,1 +1,1 @@
-"""ROOM recordings"""
+"""Bytes to columns: recordings of rosbag2, messages, remote files, text."""

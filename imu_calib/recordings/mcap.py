@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 
 # Put the messages of a topic into the order of their log times.
 #
-# Recorders write messages in that order, but recordings that were merged, joined or cut hold them in
-# another one. A recorder's clock that was set back looks like it, and there the order of the file is
-# the right one: messages of both times would take turns.
+# Recorders write messages in that order, but recordings that were merged, joined or cut hold them
+# in another one. A recorder's clock that was set back looks like it, and there the order of the
+# file is the right one: messages of both times would take turns.
 
 
 _HELD = 64 << 20

@@ -261,8 +261,8 @@ def first_and_last(times: list[tuple[int, int]]) -> tuple[int | None, int | None
 
 # Merge blocks of several topics in step, independent of their order in the file.
 #
-# Within a topic the order of the file is kept. No topic is ahead of the others by more than a bounded
-# time, so that a reader that pairs them needs little memory.
+# Within a topic the order of the file is kept. No topic is ahead of the others by more than a
+# bounded time, so that a reader that pairs them needs little memory.
 
 
 SPAN_NS = 5_000_000_000
@@ -360,10 +360,10 @@ def _stamps(block: Block) -> Stamps:
 
 # The clock of a topic's header stamps against that of the recorder's log times.
 #
-# A message is logged after its stamp, often late and many at a time: of neighbours the one that came
-# soonest counts. The ratio of the two clocks is that of Moon, Skelly and Towsley (Estimation and
-# Removal of Clock Skew from Network Delay Measurements, INFOCOM 1999), a line below the delays, here
-# by the medians of Theil and Sen, which stamps or log times that step do not change either.
+# A message is logged after its stamp, often late and many at a time: of neighbours the one that
+# came soonest counts. The ratio of the two clocks is that of Moon, Skelly and Towsley (Estimation
+# and Removal of Clock Skew from Network Delay Measurements, INFOCOM 1999), a line below the delays,
+# here by the medians of Theil and Sen, which stamps or log times that step do not change either.
 
 
 Numbers = TypeVar('Numbers', NDArray[np.int64], NDArray[np.float64])

@@ -1,1 +1,1 @@
-"""ROOM reports"""
+"""Results for people: tables, charts, the report, the certificate."""

@@ -25,8 +25,8 @@ from ..common.stream import Floats
 #
 # The Allan variance of a rate at averaging time tau is the mean square of second differences of its
 # integral, d = x(t + 2 tau) - 2 x(t + tau) + x(t), over 2 tau^2 (Allan 1966; IEEE Std 952-1997,
-# annex C). Sums over static dwells add up, so that a dwell is reduced to a few dozen numbers and its
-# samples can be dropped.
+# annex C). Sums over static dwells add up, so that a dwell is reduced to a few dozen numbers and
+# its samples can be dropped.
 #
 # Noise is described by four coefficients, the squares of IEEE Std 952's: quantisation Q (slope -1),
 # random walk N (-1/2), bias instability B (flat, at 0.664 B) and rate random walk K (+1/2).

@@ -457,8 +457,8 @@ class Lateness:
 # Estimate the sample interval from the stamps of a whole session rather than of one segment.
 #
 # The device has one clock. Where stamps jitter, segments a minute apart determine its interval a
-# hundred times better than one of them. Where the stamping clock drifts, the segments do not lie on a
-# line, and each is timed by its own stamps. The two estimates are averaged by their variances
+# hundred times better than one of them. Where the stamping clock drifts, the segments do not lie on
+# a line, and each is timed by its own stamps. The two estimates are averaged by their variances
 # (docs/mathematics.md, 'Stamps and lost samples').
 
 

@@ -21,8 +21,8 @@ from ..common.stream import Floats, Stamps
 #
 # A driver that reads packets stamps all samples of one as it arrives. All samples made since the
 # packet before are then cut from a dwell or a turn together, and spans of a few samples do not show
-# the interval. Bunches are found by the pattern of short and long steps, before the interval is known
-# (docs/mathematics.md, 'Stamps and lost samples').
+# the interval. Bunches are found by the pattern of short and long steps, before the interval is
+# known (docs/mathematics.md, 'Stamps and lost samples').
 
 
 LAG = 240

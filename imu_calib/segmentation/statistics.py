@@ -536,9 +536,9 @@ def _at_its_end(increments: Floats, limit: float, pulse: float) -> NDArray[np.bo
 
 # Samples that are rounded more coarsely than their noise: their means stay off.
 #
-# The error of rounding is a sawtooth of the value; averaged over Gaussian noise the first term of its
-# Fourier series is left, step / pi * exp(-2 pi^2 (std / step)^2), however long the mean is taken (the
-# theory: Widrow and Kollar, Quantization Noise, 2008).
+# The error of rounding is a sawtooth of the value; averaged over Gaussian noise the first term of
+# its Fourier series is left, step / pi * exp(-2 pi^2 (std / step)^2), however long the mean is
+# taken (the theory: Widrow and Kollar, Quantization Noise, 2008).
 
 
 _SAMPLES = 1000

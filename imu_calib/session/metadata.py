@@ -34,7 +34,7 @@ TABLE = 'imu_calib.table'
 """Key of the text of the table's file; empty if there is none."""
 
 _INTERPOLATED = 'imu_calib.accel_interpolated_from_hz'
-_IMU = 'imu_calib.session.imu'
+_IMU = 'imu_calib.imu'
 _LATITUDE = 'imu_calib.latitude_deg'
 
 
@@ -73,7 +73,7 @@ def describe(
         **texts,
         _LATITUDE: repr(site.latitude / DEG),
         'imu_calib.latitude_std_deg': repr(site.latitude_std / DEG),
-        'imu_calib.calibration.agreement': repr(site.gravity),
+        'imu_calib.gravity': repr(site.gravity),
         'imu_calib.gravity_source': site.gravity_source,
         'imu_calib.gravity_std': repr(site.gravity_std),
     }
@@ -224,7 +224,7 @@ def described_site(data: Mapping[str, str], where: str) -> Site:
         )
     try:
         latitude = float(data[_LATITUDE]) * DEG
-        gravity = float(data['imu_calib.calibration.agreement'])
+        gravity = float(data['imu_calib.gravity'])
         stated = data.get('imu_calib.gravity_std')
         std = None if stated is None else float(stated)
         height = float(data['imu_calib.height']) if 'imu_calib.height' in data else None

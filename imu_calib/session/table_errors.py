@@ -295,8 +295,8 @@ def check_clock(clock: StampingClock, where: str) -> None:
 
 # Effect of the table clock's error on the parameters of a calibration.
 #
-# A table's clock runs fast or slow against the second by some ppm, which a session does not show: the
-# rates that it states and the intervals between samples are all by that clock.
+# A table's clock runs fast or slow against the second by some ppm, which a session does not show:
+# the rates that it states and the intervals between samples are all by that clock.
 
 
 def clock_slope(model: SensorModel, parameters: Sequence[Parameter], units: Units) -> Floats:

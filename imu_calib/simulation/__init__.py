@@ -1,1 +1,1 @@
-"""ROOM simulation"""
+"""Simulated hardware: a turntable, an IMU on it, and a stand that runs a plan on both."""

@@ -1,1 +1,1 @@
-"""ROOM estimation.closed_forms"""
+"""The published methods: parameters as linear maps of mean outputs."""

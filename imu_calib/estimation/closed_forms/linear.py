@@ -25,9 +25,9 @@ from ..evidence import Evidence, vertical_axis
 
 # The closed forms as linear maps from mean outputs to parameters.
 #
-# Per channel i the unknowns are its three responses delta_ij + M_ij and its bias. Each equation of a
-# method reads `coefficients . unknowns = weights . outputs`, so that the estimate follows from one
-# small matrix, and its covariance from that of the outputs (`gains`).
+# Per channel i the unknowns are its three responses delta_ij + M_ij and its bias. Each equation of
+# a method reads `coefficients . unknowns = weights . outputs`, so that the estimate follows from
+# one small matrix, and its covariance from that of the outputs (`gains`).
 
 
 UNKNOWNS = 4

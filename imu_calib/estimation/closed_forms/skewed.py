@@ -324,8 +324,8 @@ def _groups(rates: Floats) -> Floats:
 #
 # Scale factors and misalignments of the gyros from whole turns; each axis in turn points north and
 # the unit turns about it in steps of 45 degrees: D_i is the mean of n_i - [(I + M_g) w] over the
-# positions (eq. 3). The accelerometers, which the document does not treat, by least squares over the
-# same positions (Luo 2018, eqs. 2-187 to 2-189).
+# positions (eq. 3). The accelerometers, which the document does not treat, by least squares over
+# the same positions (Luo 2018, eqs. 2-187 to 2-189).
 
 
 def solve_rate_24(evidence: Evidence) -> Solution:

@@ -31,8 +31,8 @@ from .running import domain_id as checked_domain
 # The publisher of a message under rclpy: rcl has it, rclpy of Jazzy does not pass it on.
 #
 # The struct is rmw_message_info_t of rmw/types.h, unchanged since Galactic: two times, two sequence
-# numbers, then the publisher's identifier. Every message is checked for this by the middleware's name
-# in front of the identifier.
+# numbers, then the publisher's identifier. Every message is checked for this by the middleware's
+# name in front of the identifier.
 
 
 _ROOM = 512

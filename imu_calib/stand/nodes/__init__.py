@@ -1,1 +1,1 @@
-"""ROOM stand.nodes"""
+"""ROS 2 nodes: thin shells around the core, on any runtime of `middleware`."""

@@ -149,8 +149,6 @@ class FormerSession:
 
 # Loaded here, because loading at the first solution would make a table wait.
 
-# noqa: F401
-
 
 _LATE = 500_000_000
 """ns by which the last samples may be older than the table's last message: half a second of

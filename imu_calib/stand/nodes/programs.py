@@ -38,8 +38,6 @@ def start(node: str) -> int:
     program: turntable_node is TurntableNode.
     """
     try:
-        pass
-
         kind = getattr(import_module(f'{__package__}.{node}'), node.title().replace('_', ''))
     except ImuCalibError as error:
         print(f'{node}: {error}', file=sys.stderr)  # noqa: T201

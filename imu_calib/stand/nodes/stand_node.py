@@ -334,10 +334,6 @@ class _Pace:
         return min(max(0.0, due - wall), _LONGEST_REST)
 
 
-if __name__ == '__main__':
-    raise SystemExit(entry_point(StandNode))
-
-
 # When a setpoint is due; independent of the middleware.
 
 
@@ -381,3 +377,7 @@ class Pacing:
             self._due_stamp = table_time + self._period - (late if late < self._period else 0)
         self._due = now + self.seconds
         self._revision = revision
+
+
+if __name__ == '__main__':
+    raise SystemExit(entry_point(StandNode))

@@ -442,10 +442,6 @@ def _holds(payload: bytes) -> bool:
     return all(setpoint.mode is Mode.HOLD for block in blocks for setpoint in block.setpoints)
 
 
-if __name__ == '__main__':
-    raise SystemExit(entry_point(TurntableNode))
-
-
 # Whether a reported DONE of a plan is credible.
 
 
@@ -495,3 +491,7 @@ class DoneCheck:
     def is_repeated(self) -> bool:
         """Whether DONE was received more than once in succession."""
         return self._in_succession > 1
+
+
+if __name__ == '__main__':
+    raise SystemExit(entry_point(TurntableNode))

@@ -20,7 +20,7 @@ from ...common.errors import ImuCalibError
 from ...common.files import require, user_path
 from ...common.stream import NS, ImuBlock, JointBlock, Mode, TemperatureBlock
 from ...common.units import DEG
-from ...estimation import forecast
+from ...estimation.forecast import forecast
 from ...estimation.methods import Setup
 from ...model.sensors import SensorModel
 from ...recordings.cdr import Malformed, Messages

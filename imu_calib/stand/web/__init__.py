@@ -1,1 +1,1 @@
-"""ROOM stand.web"""
+"""A page that shows a running stand: its state from the nodes' messages, and its drawing."""

@@ -14,7 +14,7 @@ from .executor import (
     spin_once,
     spin_until_future_complete,
 )
-from .messages import deserialize_message, message_class, serialize_message
+from .message_types import deserialize_message, message_class, serialize_message
 from .node import (
     FloatingPointRange,
     IntegerRange,

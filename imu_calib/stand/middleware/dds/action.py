@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..running import ENDS, GoalStatus
 from .clock import Future
-from .messages import message_class
+from .message_types import message_class
 from .qos import DurabilityPolicy, QoSProfile
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 from ....common.stream import NS
-from .messages import message_class
+from .message_types import message_class
 
 if TYPE_CHECKING:
     from collections.abc import Callable

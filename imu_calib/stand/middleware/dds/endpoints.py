@@ -10,7 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from .clock import Future
-from .messages import Message, deserialize_message, message_class, serialize_message
+from .message_types import Message, deserialize_message, message_class, serialize_message
 from .qos import QoSPolicyKind, QoSProfile
 
 if TYPE_CHECKING:

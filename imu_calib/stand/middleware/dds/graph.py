@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from .messages import deserialize_message, message_class, serialize_message
+from .message_types import deserialize_message, message_class, serialize_message
 from .qos import DurabilityPolicy, HistoryPolicy, QoSProfile, from_dds
 from .wire import WireParticipant, delete
 

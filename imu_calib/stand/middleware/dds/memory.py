@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ....common.errors import ImuCalibError
 from .graph import TopicEndpointInfo
-from .messages import Message, deserialize_message, serialize_message
+from .message_types import Message, deserialize_message, serialize_message
 from .qos import (
     DurabilityPolicy,
     HistoryPolicy,

@@ -12,7 +12,7 @@ from . import arguments as names
 from .clock import Clock, ClockType, Timer
 from .context import CONTEXT, Logger
 from .endpoints import Client, Publisher, Service, Subscription
-from .messages import Message, message_class
+from .message_types import Message, message_class
 from .qos import QoSProfile, ReliabilityPolicy, overridden, profile
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from rosbags.interfaces import Nodetype
 
 from ....common.errors import ImuCalibError
 from ..running import configuration
-from .messages import Message, deserialize_message, interface, serialize_message, type_hash
+from .message_types import Message, deserialize_message, interface, serialize_message, type_hash
 from .qos import QoSIncompatibleInfo, QoSProfile, to_dds
 
 # The wheel's descriptions of topic types (XTypes), kept beside the bytecode.
