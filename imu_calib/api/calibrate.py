@@ -230,23 +230,14 @@ def _check_that_it_was(opened: Opened, session: Segmented) -> None:
 
 @dataclass(frozen=True, eq=False)
 class UnitResult:
-    """Result of one of several units.
+    """Result of one of several units."""
 
-    Attributes:
-        serial_number: Of the unit.
-        topic: Topic of its samples.
-        place: Its place on the fixture; empty if not stated.
-        result: Its calibration with its session; None if it failed.
-        error: Why it failed; else None.
-        imu: Its type; as stated if it cannot be read, empty if not stated.
-    """
-
-    serial_number: str
-    topic: str
-    place: str
-    result: Result | None
-    error: ImuCalibError | None = None
-    imu: str = ''
+    serial_number: str  #: Of the unit.
+    topic: str  #: Topic of its samples.
+    place: str  #: Its place on the fixture; empty if not stated.
+    result: Result | None  #: Its calibration with its session; None if it failed.
+    error: ImuCalibError | None = None  #: Why it failed; else None.
+    imu: str = ''  #: Its type; as stated if it cannot be read, empty if not stated.
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -256,18 +247,13 @@ class UnitResult:
 
 @dataclass(frozen=True, eq=False)
 class UnitResults:
-    """Results of several units on one table.
+    """Results of several units on one table."""
 
-    Attributes:
-        units: In the order of their file or of their topics.
-        table: Common table errors estimated from them; None if each is calibrated separately.
-        shared: Serial numbers of the units used for `table`.
-        left_out: Reasons why other units are calibrated separately, by serial number.
-    """
-
-    units: tuple[UnitResult, ...]
+    units: tuple[UnitResult, ...]  #: In the order of their file or of their topics.
+    #: Common table errors estimated from them; None if each is calibrated separately.
     table: TableEstimate | None = None
-    shared: tuple[str, ...] = ()
+    shared: tuple[str, ...] = ()  #: Serial numbers of the units used for `table`.
+    #: Reasons why other units are calibrated separately, by serial number.
     left_out: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:

@@ -45,23 +45,14 @@ _NUMBERS = {
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """A topic as columns.
+    """A topic as columns."""
 
-    Attributes:
-        topic: Its name.
-        type: Type of its messages.
-        stamp: (n,) header stamps, ns.
-        columns: (n,) values of each field, by its name in the message.
-        units: Unit of each field that has one.
-        losses: Sentences about what could not be read.
-    """
-
-    topic: str
-    type: str
-    stamp: Stamps
-    columns: Mapping[str, NDArray[Any]]
-    units: Mapping[str, str]
-    losses: tuple[str, ...] = ()
+    topic: str  #: Its name.
+    type: str  #: Type of its messages.
+    stamp: Stamps  #: (n,) header stamps, ns.
+    columns: Mapping[str, NDArray[Any]]  #: (n,) values of each field, by its name in the message.
+    units: Mapping[str, str]  #: Unit of each field that has one.
+    losses: tuple[str, ...] = ()  #: Sentences about what could not be read.
 
     def __repr__(self) -> str:
         """Return one line."""

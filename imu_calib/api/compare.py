@@ -38,17 +38,11 @@ _FEWEST = 2
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Calibrations converted to the nominal scale factors of the first.
+    """Calibrations converted to the nominal scale factors of the first."""
 
-    Attributes:
-        names: The names of their files, or of the units.
-        side_by_side: The calibrations, their common parameters, and their agreement.
-        findings: Messages for the user, in sentences.
-    """
-
-    names: tuple[str, ...]
-    side_by_side: SideBySide
-    findings: tuple[str, ...]
+    names: tuple[str, ...]  #: The names of their files, or of the units.
+    side_by_side: SideBySide  #: The calibrations, their common parameters, and their agreement.
+    findings: tuple[str, ...]  #: Messages for the user, in sentences.
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -233,12 +227,9 @@ def _names(calibrations: Sequence[Result | AnyCalibration | Named]) -> tuple[str
 
 @dataclass(frozen=True, eq=False)
 class Conformity:
-    """Conformity of a calibration with the unit's limits.
+    """Conformity of a calibration with the unit's limits."""
 
-    Attributes:
-        assessed: Every estimated parameter, with its limit and verdict if it has one.
-    """
-
+    #: Every estimated parameter, with its limit and verdict if it has one.
     assessed: tuple[Assessed, ...]
 
     def __repr__(self) -> str:

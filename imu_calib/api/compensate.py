@@ -49,27 +49,16 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Compensated:
-    """Result of compensating a recording's raw stream.
+    """Result of compensating a recording's raw stream."""
 
-    Attributes:
-        path: The written recording.
-        topic: The raw stream.
-        target: The compensated stream.
-        further_topics: Further topics that were used: temperature, a skewed gyro.
-        samples_in: Number of samples of the raw stream.
-        samples_out: Number of samples written.
-        marked: Number of samples by mark, for instance beyond the range.
-        findings: Messages for the user, in sentences.
-    """
-
-    path: Path
-    topic: str
-    target: str
-    further_topics: tuple[str, ...]
-    samples_in: int
-    samples_out: int
-    marked: Mapping[Mark, int]
-    findings: tuple[str, ...]
+    path: Path  #: The written recording.
+    topic: str  #: The raw stream.
+    target: str  #: The compensated stream.
+    further_topics: tuple[str, ...]  #: Further topics that were used: temperature, a skewed gyro.
+    samples_in: int  #: Number of samples of the raw stream.
+    samples_out: int  #: Number of samples written.
+    marked: Mapping[Mark, int]  #: Number of samples by mark, for instance beyond the range.
+    findings: tuple[str, ...]  #: Messages for the user, in sentences.
 
     def __repr__(self) -> str:
         """Return one line."""

@@ -53,17 +53,11 @@ _BLOCK = 1 << 16
 
 @dataclass(frozen=True)
 class Converted:
-    """Result of a conversion.
+    """Result of a conversion."""
 
-    Attributes:
-        path: The recording.
-        counts: Number of messages by topic.
-        findings: Messages for the user, in sentences.
-    """
-
-    path: Path
-    counts: Mapping[str, int]
-    findings: tuple[str, ...]
+    path: Path  #: The recording.
+    counts: Mapping[str, int]  #: Number of messages by topic.
+    findings: tuple[str, ...]  #: Messages for the user, in sentences.
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -110,7 +104,6 @@ def write_imu(writer: RecordingWriter, block: ImuBlock, *, raw: bool) -> None:
 
 
 # Join gyros and accelerometers of separate topics or messages to one topic.
-
 
 _OF_SI = ('rad/s', 'm/s^2')
 _SILENT = 2.5

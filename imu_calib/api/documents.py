@@ -234,7 +234,6 @@ def _far_apart(again: Calibration, calibration: Calibration) -> bool:
 
 # Certificates of a calibration: HTML and PDF for people, DCC for machines.
 
-
 FORMATS = ('.html', '.pdf', '.xml')
 """Formats by file ending."""
 

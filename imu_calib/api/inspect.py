@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
 # Loads slowly; most commands do not need it.
 
-
 _DIFFERENT = 1000 * PPM
 """From which two clocks differ by more than clocks do: quartz is off by 20 to 100 ppm, and a daemon
 of NTP slews a clock by 500 ppm at most (RFC 5905, appendix A.5.5.6)."""
@@ -168,57 +167,36 @@ class Topic:
 
 @dataclass(frozen=True)
 class TopicClock:
-    """Header stamps of a topic against the recorder's log times.
+    """Header stamps of a topic against the recorder's log times."""
 
-    Attributes:
-        topic: Its name.
-        seconds: From the least stamp to the largest.
-        rate: Messages per second of stamps; None without a duration.
-        log_seconds: From the first log time to the last.
-        log_rate: Messages per second of log times, likewise.
-        faster: Ratio of the clock of the stamps to that of the log times, less one; None where the
-            recording does not show it.
-        faster_std: Its standard deviation.
-        log_steps: Where log times step against stamps: s from the start, and by how much, s.
-        contradiction: Why the stamps cannot be right; empty if they can.
-    """
-
-    topic: str
-    seconds: float
-    rate: float | None
-    log_seconds: float
-    log_rate: float | None
+    topic: str  #: Its name.
+    seconds: float  #: From the least stamp to the largest.
+    rate: float | None  #: Messages per second of stamps; None without a duration.
+    log_seconds: float  #: From the first log time to the last.
+    log_rate: float | None  #: Messages per second of log times, likewise.
+    #: Ratio of the clock of the stamps to that of the log times, less one; None where the recording
+    #: does not show it.
     faster: float | None
-    faster_std: float | None
+    faster_std: float | None  #: Its standard deviation.
+    #: Where log times step against stamps: s from the start, and by how much, s.
     log_steps: tuple[tuple[float, float], ...]
-    contradiction: str
+    contradiction: str  #: Why the stamps cannot be right; empty if they can.
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """Contents of a recording.
+    """Contents of a recording."""
 
-    Attributes:
-        path: Path of the recording.
-        seconds: From its first to its last message.
-        files: Number of files.
-        compensated: The calibration that compensated it; empty without one.
-        topics: All of them.
-        lost: Missing or broken data, as far as the topics were examined.
-        streams: Contents of the streams; None if it is unknown how to read them.
-        missing_input: What must be stated to read them, in a sentence.
-        clocks: Stamps of the topics with samples, if these were read.
-    """
-
-    path: str
-    seconds: float
-    files: int
-    compensated: str
-    topics: tuple[Topic, ...]
-    lost: tuple[str, ...] = ()
+    path: str  #: Path of the recording.
+    seconds: float  #: From its first to its last message.
+    files: int  #: Number of files.
+    compensated: str  #: The calibration that compensated it; empty without one.
+    topics: tuple[Topic, ...]  #: All of them.
+    lost: tuple[str, ...] = ()  #: Missing or broken data, as far as the topics were examined.
+    #: Contents of the streams; None if it is unknown how to read them.
     streams: StreamContents | None = None
-    missing_input: str = ''
-    clocks: tuple[TopicClock, ...] = ()
+    missing_input: str = ''  #: What must be stated to read them, in a sentence.
+    clocks: tuple[TopicClock, ...] = ()  #: Stamps of the topics with samples, if these were read.
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -341,7 +319,6 @@ def _extent(recording: Recording, progress: Progress) -> tuple[Counter[str], flo
 
 # Contents of a recording's streams: dwells, turns, and contradictions to the statements.
 
-
 _SAME_UP = 0.999
 """Cosine of 2.6 deg: turns about closer axes belong to the same position. A judgement: the
 positions of a rate test are 90 deg apart."""
@@ -354,25 +331,16 @@ UNUSED = 'not used'
 
 @dataclass(frozen=True)
 class Dwell:
-    """A static dwell.
+    """A static dwell."""
 
-    Attributes:
-        at: s after the start of the recording.
-        seconds: Duration.
-        missing: Number of missing samples.
-        up: Attitude as text.
-        heading: Of the unit about the vertical by the table's angles, deg; None if unknown.
-        position: Name in the plan, or why there is none; empty without a plan.
-        mean: (6,) mean outputs, rad/s and m/s^2.
-    """
-
-    at: float
-    seconds: float
-    missing: int
-    up: str
+    at: float  #: s after the start of the recording.
+    seconds: float  #: Duration.
+    missing: int  #: Number of missing samples.
+    up: str  #: Attitude as text.
+    #: Of the unit about the vertical by the table's angles, deg; None if unknown.
     heading: float | None
-    position: str
-    mean: tuple[float, ...]
+    position: str  #: Name in the plan, or why there is none; empty without a plan.
+    mean: tuple[float, ...]  #: (6,) mean outputs, rad/s and m/s^2.
 
 
 @dataclass(frozen=True)
@@ -389,29 +357,19 @@ class Turned:
 
 @dataclass(frozen=True)
 class StreamContents:
-    """Contents of a recording's streams.
+    """Contents of a recording's streams."""
 
-    Attributes:
-        dwells: Static dwells.
-        turns: Whole turns.
-        plan: Its name; empty without one.
-        missing: Missing positions of the plan; None if no plan must be followed.
-        summary: Whether all parameters are determined, in a sentence.
-        latitude: Estimated from the gyros, and its standard deviation, deg; else None.
-        contradictions: To the latitude, the plan or the description of the IMU.
-        left_out: Data that is not used, and why.
-        lost: Lost data.
-    """
-
-    dwells: tuple[Dwell, ...]
-    turns: tuple[Turned, ...]
-    plan: str
+    dwells: tuple[Dwell, ...]  #: Static dwells.
+    turns: tuple[Turned, ...]  #: Whole turns.
+    plan: str  #: Its name; empty without one.
+    #: Missing positions of the plan; None if no plan must be followed.
     missing: tuple[str, ...] | None
-    summary: str
+    summary: str  #: Whether all parameters are determined, in a sentence.
+    #: Estimated from the gyros, and its standard deviation, deg; else None.
     latitude: tuple[float, float] | None
-    contradictions: tuple[str, ...]
-    left_out: tuple[str, ...]
-    lost: tuple[str, ...]
+    contradictions: tuple[str, ...]  #: To the latitude, the plan or the description of the IMU.
+    left_out: tuple[str, ...]  #: Data that is not used, and why.
+    lost: tuple[str, ...]  #: Lost data.
 
 
 def stream_contents(opened: Opened, progress: Progress) -> StreamContents:

@@ -56,24 +56,19 @@ _USUAL_RATE = 60.0
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Predicted results of a session.
+    """Predicted results of a session."""
 
-    Attributes:
-        setup: Plan, method, table, IMU and site.
-        forecast: Of the method: standard deviations, and the smallest that the session allows.
-        closed_form: Of the plan's closed form, in addition to a joint estimate; None without one.
-        terms: Information of the session on each term of the sensors, added alone.
-        changes: Information on biases and scale factors that trend, warm up or follow a stated
-            temperature, each kind alone.
-        notes: Sentences on parameters that rely on a table that is stated exact.
-    """
-
-    setup: Setup
+    setup: Setup  #: Plan, method, table, IMU and site.
+    #: Of the method: standard deviations, and the smallest that the session allows.
     forecast: Forecast
+    #: Of the plan's closed form, in addition to a joint estimate; None without one.
     closed_form: Forecast | None
+    #: Information of the session on each term of the sensors, added alone.
     terms: tuple[TermForecast, ...]
+    #: Information on biases and scale factors that trend, warm up or follow a stated temperature,
+    #: each kind alone.
     changes: tuple[ChangeForecast, ...]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  #: Sentences on parameters that rely on a table that is stated exact.
 
     def __repr__(self) -> str:
         """Return one line."""

@@ -175,47 +175,27 @@ in the hand. The error of the vertical Earth rate is then at most 15 deg/h in ei
 
 @dataclass(frozen=True)
 class Stated:
-    """Statements of a caller on a session; None uses the recording or a default.
+    """Statements of a caller on a session; None uses the recording or a default."""
 
-    Attributes:
-        plan: The plan that was run; `NO_PLAN` for none.
-        imu: Units and noise of the IMU's samples.
-        table: The turntable.
-        azimuth: Heading of the table's zero against north, deg.
-        imu_topic: Of sensor_msgs/Imu.
-        joint_topic: Of sensor_msgs/JointState.
-        setpoint_topic: Of imu_calib_msgs/TurntableSetpoint.
-        imu_only: Use only the IMU and the order of the plan.
-        latitude: Degrees, negative in the south.
-        latitude_std: Its standard deviation, deg.
-        height: Above the ellipsoid, m.
-        height_std: Its standard deviation, m.
-        gravity: Measured gravity, m/s^2.
-        gravity_std: Its standard deviation, m/s^2.
-        method: Name of the estimator.
-        terms: Terms that the joint estimate adds to the 24 parameters: names separated by commas.
-        serial: Serial number of the unit.
-        mount: (3, 3) its body axes in those of the table's described mount.
-    """
-
-    plan: Plan | Named | None = None
-    imu: ImuSpec | Named | None = None
-    table: Table | Named | None = None
-    azimuth: float | None = None
-    imu_topic: str | None = None
-    joint_topic: str | None = None
-    setpoint_topic: str | None = None
-    imu_only: bool = False
-    latitude: float | None = None
-    latitude_std: float | None = None
-    height: float | None = None
-    height_std: float | None = None
-    gravity: float | None = None
-    gravity_std: float | None = None
-    method: str | None = None
+    plan: Plan | Named | None = None  #: The plan that was run; `NO_PLAN` for none.
+    imu: ImuSpec | Named | None = None  #: Units and noise of the IMU's samples.
+    table: Table | Named | None = None  #: The turntable.
+    azimuth: float | None = None  #: Heading of the table's zero against north, deg.
+    imu_topic: str | None = None  #: Of sensor_msgs/Imu.
+    joint_topic: str | None = None  #: Of sensor_msgs/JointState.
+    setpoint_topic: str | None = None  #: Of imu_calib_msgs/TurntableSetpoint.
+    imu_only: bool = False  #: Use only the IMU and the order of the plan.
+    latitude: float | None = None  #: Degrees, negative in the south.
+    latitude_std: float | None = None  #: Its standard deviation, deg.
+    height: float | None = None  #: Above the ellipsoid, m.
+    height_std: float | None = None  #: Its standard deviation, m.
+    gravity: float | None = None  #: Measured gravity, m/s^2.
+    gravity_std: float | None = None  #: Its standard deviation, m/s^2.
+    method: str | None = None  #: Name of the estimator.
+    #: Terms that the joint estimate adds to the 24 parameters: names separated by commas.
     terms: str | None = None
-    serial: str | None = None
-    mount: Floats | None = None
+    serial: str | None = None  #: Serial number of the unit.
+    mount: Floats | None = None  #: (3, 3) its body axes in those of the table's described mount.
 
     @property
     def _terms(self) -> str:
@@ -426,7 +406,6 @@ def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> S
 
 
 # Keywords common to several functions: the statements on a session, which form `Stated`.
-
 
 Arguments = ParamSpec('Arguments')
 Returned = TypeVar('Returned')

@@ -77,21 +77,13 @@ _TABLE = 'three_axis'
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """A simulated recording.
+    """A simulated recording."""
 
-    Attributes:
-        path: Its folder.
-        plan: The plan that was run.
-        truth: The true parameters of the unit, also in the file `TRUTH` of the folder.
-        duration: s.
-        true_table: The file of the true table; None if it is as described.
-    """
-
-    path: Path
-    plan: Plan
-    truth: Calibration
-    duration: float
-    true_table: Path | None
+    path: Path  #: Its folder.
+    plan: Plan  #: The plan that was run.
+    truth: Calibration  #: The true parameters of the unit, also in the file `TRUTH` of the folder.
+    duration: float  #: s.
+    true_table: Path | None  #: The file of the true table; None if it is as described.
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -309,28 +301,20 @@ def serialised(block: Block) -> tuple[Kind, Messages, Stamps]:
 
 # Simulate a recording of several units on one table.
 
-
 _UNITS_TABLE = 'three_axis'
 _TRUTH = 'cao2022_table1'
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedUnits:
-    """A simulated recording of several units.
+    """A simulated recording of several units."""
 
-    Attributes:
-        path: Its folder.
-        plan: The plan that was run.
-        truths: The true parameters of each unit by serial number, also in the folder `TRUTHS`.
-        duration: s.
-        true_table: The file of the true table; None if it is as described.
-    """
-
-    path: Path
-    plan: Plan
+    path: Path  #: Its folder.
+    plan: Plan  #: The plan that was run.
+    #: The true parameters of each unit by serial number, also in the folder `TRUTHS`.
     truths: Mapping[str, Calibration]
-    duration: float
-    true_table: Path | None
+    duration: float  #: s.
+    true_table: Path | None  #: The file of the true table; None if it is as described.
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -426,24 +410,17 @@ def simulate_units(
 
 # Repeat a simulated session: errors of its method against its stated deviations.
 
-
 _MOST_RUNS = 1_000_000
 """Chosen: of about a second each they take eleven days of one processor, and a gigabyte."""
 
 
 @dataclass(frozen=True, eq=False)
 class MonteCarloResult:
-    """A session that was simulated and calibrated many times.
+    """A session that was simulated and calibrated many times."""
 
-    Attributes:
-        setup: Plan, method, table, IMU and site.
-        outcome: Errors and standard deviations of every run, and their statistics.
-        findings: Messages for the user, in sentences.
-    """
-
-    setup: Setup
-    outcome: Outcome
-    findings: tuple[str, ...]
+    setup: Setup  #: Plan, method, table, IMU and site.
+    outcome: Outcome  #: Errors and standard deviations of every run, and their statistics.
+    findings: tuple[str, ...]  #: Messages for the user, in sentences.
 
     def __repr__(self) -> str:
         """Return one line."""

@@ -40,21 +40,13 @@ _ERRORS = {error.exit_code: error for error in (InputError, NotObservable)}
 
 @dataclass(frozen=True, eq=False)
 class StandRun:
-    """A completed session of a simulated stand.
+    """A completed session of a simulated stand."""
 
-    Attributes:
-        path: Its folder.
-        recording: The recording used for the calibration.
-        calibration: The result, as in calibration.yaml of the folder.
-        truth: The unit's true parameters.
-        true_table: File of the true table; None if it is as described.
-    """
-
-    path: Path
-    recording: Path
-    calibration: Calibration
-    truth: Calibration
-    true_table: Path | None
+    path: Path  #: Its folder.
+    recording: Path  #: The recording used for the calibration.
+    calibration: Calibration  #: The result, as in calibration.yaml of the folder.
+    truth: Calibration  #: The unit's true parameters.
+    true_table: Path | None  #: File of the true table; None if it is as described.
 
     def __repr__(self) -> str:
         """Return one line."""

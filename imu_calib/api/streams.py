@@ -238,7 +238,6 @@ def _named(recording: Recording, candidates: list[Topic], wanted: str, kind: Kin
 
 # Assumptions on a recording that does not state them: SI units by REP 145, and turned by hand.
 
-
 _SI, _BY_HAND = 'si', 'free_positions'
 _BLOCKS = 200
 """Blocks that are examined: some minutes of most recordings, and never more than fit into
@@ -330,21 +329,13 @@ def ask_for_plan(path: object) -> str:
 
 @dataclass(frozen=True)
 class Opened:
-    """A recording with everything that is needed to calibrate from it.
+    """A recording with everything that is needed to calibrate from it."""
 
-    Attributes:
-        recording: Open for reading.
-        setup: Set-up for the calibrator.
-        streams: Its topics.
-        assumed: Assumptions about what is not stated, in sentences.
-        order: Sorts the samples of the IMU.
-    """
-
-    recording: Recording
-    setup: Setup
-    streams: Streams
-    assumed: tuple[str, ...] = ()
-    order: InOrder = field(default_factory=InOrder)
+    recording: Recording  #: Open for reading.
+    setup: Setup  #: Set-up for the calibrator.
+    streams: Streams  #: Its topics.
+    assumed: tuple[str, ...] = ()  #: Assumptions about what is not stated, in sentences.
+    order: InOrder = field(default_factory=InOrder)  #: Sorts the samples of the IMU.
 
     def blocks(self, progress: Progress = silent) -> Iterator[Block]:
         """Read the needed topics, in order, the samples of the IMU in that of their stamps."""

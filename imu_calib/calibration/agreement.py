@@ -118,25 +118,16 @@ times some hundred rows, leaves a margin for files written with fewer digits."""
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """Differences of k calibrations of one unit, compared with their covariances.
+    """Differences of k calibrations of one unit, compared with their covariances."""
 
-    Attributes:
-        parameters: n of them.
-        chi_square: (n,) about the value that fits all calibrations best; NaN if all are exact.
-        freedom: (n,) its degrees of freedom.
-        chance: (n,) probability of this chi-square or more, for an unchanged unit.
-        total: Chi-square of all parameters together, by the whole covariances.
-        total_freedom: Its degrees of freedom.
-        total_chance: Its probability.
-    """
-
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[Parameter, ...]  #: n of them.
+    #: (n,) about the value that fits all calibrations best; NaN if all are exact.
     chi_square: Floats
-    freedom: NDArray[np.int64]
-    chance: Floats
-    total: float
-    total_freedom: int
-    total_chance: float
+    freedom: NDArray[np.int64]  #: (n,) its degrees of freedom.
+    chance: Floats  #: (n,) probability of this chi-square or more, for an unchanged unit.
+    total: float  #: Chi-square of all parameters together, by the whole covariances.
+    total_freedom: int  #: Its degrees of freedom.
+    total_chance: float  #: Its probability.
 
     @property
     def limit(self) -> float:

@@ -267,7 +267,6 @@ _REPEATED = """\
 
 # Formats of other software for a calibration: one module per format.
 
-
 EXPORTS: dict[str, Callable[[ExportSource], Exported]] = {
     'ros': ros.export_ros,
     'kalibr': kalibr.export_kalibr,

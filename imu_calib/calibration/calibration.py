@@ -68,36 +68,27 @@ class ResidualRow:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The parameters of one unit, with all that is needed to apply them.
+    """The parameters of one unit, with all that is needed to apply them."""
 
-    Attributes:
-        imu: Description of the unit's stream (nominal scale factors, units).
-        model: The parameters.
-        covariance: (n, n) in the order of `parameters`, SI units. Rows and columns of a triad that
-            was not estimated are NaN.
-        residuals: One per static dwell.
-        findings: What the user must know, in sentences.
-        provenance: Origin: recording, hash, plan, method, site, versions.
-        serial_number: Unit of the type `ImuSpec.id`; empty if not stated.
-        parameters: Of the rows of the covariance: the 24, those of terms, those of skewed gyros,
-            in the order of `model.parameters_of`.
-        budget: The variances by source; None if the method does not give them.
-        changes: Changes of parameters during the session; None if not asked for. Those with the
-            temperature are applied (`compensation/thermal`), others are not.
-        clock: The stamping clock, if the session compared it with the table's: pulses are then per
-            second of the table's clock, else of the stamps'.
-    """
-
-    imu: ImuSpec
-    model: SensorModel
+    imu: ImuSpec  #: Description of the unit's stream (nominal scale factors, units).
+    model: SensorModel  #: The parameters.
+    #: (n, n) in the order of `parameters`, SI units. Rows and columns of a triad that was not
+    #: estimated are NaN.
     covariance: Floats
-    residuals: tuple[ResidualRow, ...] = ()
-    findings: tuple[str, ...] = ()
+    residuals: tuple[ResidualRow, ...] = ()  #: One per static dwell.
+    findings: tuple[str, ...] = ()  #: What the user must know, in sentences.
+    #: Origin: recording, hash, plan, method, site, versions.
     provenance: dict[str, Any] = field(default_factory=dict)
-    serial_number: str = ''
+    serial_number: str = ''  #: Unit of the type `ImuSpec.id`; empty if not stated.
+    #: Of the rows of the covariance: the 24, those of terms, those of skewed gyros, in the order of
+    #: `model.parameters_of`.
     parameters: tuple[Parameter, ...] = PARAMETERS
-    budget: Budget | None = None
+    budget: Budget | None = None  #: The variances by source; None if the method does not give them.
+    #: Changes of parameters during the session; None if not asked for. Those with the temperature
+    #: are applied (`compensation/thermal`), others are not.
     changes: Changes | None = None
+    #: The stamping clock, if the session compared it with the table's: pulses are then per second
+    #: of the table's clock, else of the stamps'.
     clock: StampingClock | None = None
 
     def __post_init__(self) -> None:

@@ -305,7 +305,6 @@ class Calibrator:
 
 # Combine several units on one table: estimate shared unknowns once, from all of them.
 
-
 _NOBODY = (
     'What it says of the table contradicts the other unit (chi-square {square:.0f} with {freedom} '
     'degrees of freedom): it is unknown which of the two is right, and each is calibrated by '
@@ -327,19 +326,14 @@ _PARTIAL = (
 
 @dataclass(frozen=True, eq=False)
 class SharedResults:
-    """Results of several units.
+    """Results of several units."""
 
-    Attributes:
-        results: One for each unit: with the shared unknowns if it took part, else unchanged.
-        table: Errors of the table estimated from all; None if fewer than two took part.
-        shared: Places of the units that took part.
-        left_out: Why others did not, by their place.
-    """
-
+    #: One for each unit: with the shared unknowns if it took part, else unchanged.
     results: tuple[Result | None, ...]
+    #: Errors of the table estimated from all; None if fewer than two took part.
     table: TableEstimate | None
-    shared: tuple[int, ...]
-    left_out: Mapping[int, str]
+    shared: tuple[int, ...]  #: Places of the units that took part.
+    left_out: Mapping[int, str]  #: Why others did not, by their place.
 
 
 def estimate_together(alone: Sequence[Result | None], names: Sequence[str]) -> SharedResults:
@@ -423,7 +417,6 @@ def _noted(
 
 
 # The calibrator: blocks of columns in, a calibration out. The same object live and offline.
-
 
 _WHERE = {
     'Calibrator': 'on_table',

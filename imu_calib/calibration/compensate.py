@@ -49,22 +49,15 @@ class Mark(IntFlag):
 # Not frozen: one is made for each live sample, and freezing would cost a microsecond.
 @dataclass(eq=False)
 class CompensatedSamples:
-    """Samples in SI units along the body axes.
+    """Samples in SI units along the body axes."""
 
-    Attributes:
-        rate: (n, 3) angular rate, rad/s.
-        force: (n, 3) specific force, m/s^2; gravity included, +g up at rest.
-        rate_covariance: (n, 9) row by row, (rad/s)^2; element 0 is -1 where the rate is unknown.
-        force_covariance: (n, 9) likewise, (m/s^2)^2.
-        marks: (n,) of `Mark`.
-        parity: (n,) parity of a skewed gyro and the three, rad/s; None without one.
-    """
-
-    rate: Floats
-    force: Floats
+    rate: Floats  #: (n, 3) angular rate, rad/s.
+    force: Floats  #: (n, 3) specific force, m/s^2; gravity included, +g up at rest.
+    #: (n, 9) row by row, (rad/s)^2; element 0 is -1 where the rate is unknown.
     rate_covariance: Floats
-    force_covariance: Floats
-    marks: Marks
+    force_covariance: Floats  #: (n, 9) likewise, (m/s^2)^2.
+    marks: Marks  #: (n,) of `Mark`.
+    #: (n,) parity of a skewed gyro and the three, rad/s; None without one.
     parity: Floats | None = None
 
     def __len__(self) -> int:
@@ -97,30 +90,19 @@ class SingleSample:
     (20 us against 8). Both give the same bits, which `test/test_compensation.py` and
     `test/test_conformance.py` compare: change both together. A sample that would get marks, or
     needs the checks for them, is left to the arrays.
-
-    Attributes:
-        pulses: Whether outputs are pulses in the sample interval; else rates and forces.
-        clock_ratio: Rate of the stamping clock over that of the table's.
-        channels: Scale factor, bias, end of the range (SI) and full scale of each channel.
-        to_inputs: (6, 6) rows from outputs to rate and force.
-        highest: Rate up to which the calibration is valid, rad/s.
-        products: Indices of the two levers of each of p products.
-        variances: Of each channel by random walk, times s, and by quantisation.
-        covariance: (p + 6, 18) elements by these products and by the channels' variances.
-        known_force: Whether the accelerometers are calibrated.
-        marks: (1,) of a sample within the range.
     """
 
-    pulses: bool
-    clock_ratio: float
+    pulses: bool  #: Whether outputs are pulses in the sample interval; else rates and forces.
+    clock_ratio: float  #: Rate of the stamping clock over that of the table's.
+    #: Scale factor, bias, end of the range (SI) and full scale of each channel.
     channels: list[list[float]]
-    to_inputs: list[list[float]]
-    highest: float
-    products: list[list[int]]
-    variances: list[list[float]]
-    covariance: Floats
-    known_force: bool
-    marks: Marks
+    to_inputs: list[list[float]]  #: (6, 6) rows from outputs to rate and force.
+    highest: float  #: Rate up to which the calibration is valid, rad/s.
+    products: list[list[int]]  #: Indices of the two levers of each of p products.
+    variances: list[list[float]]  #: Of each channel by random walk, times s, and by quantisation.
+    covariance: Floats  #: (p + 6, 18) elements by these products and by the channels' variances.
+    known_force: bool  #: Whether the accelerometers are calibrated.
+    marks: Marks  #: (1,) of a sample within the range.
 
     def apply(self, raw: list[float], interval: float) -> CompensatedSamples | None:
         """Return rate and force of a sample (6 channels) of an interval, s; None: use arrays."""
@@ -502,21 +484,15 @@ def _random_walk(calibration: Calibration, gyros: int) -> Floats:
 
 # Whether compensated forces are about gravity: else the samples are in other units.
 
-
 _UNKNOWN = np.uint8(Mark.ACCEL_RANGE | Mark.NO_NUMBER)
 
 
 @dataclass
 class GravitySeen:
-    """Root mean square of the specific force of samples that state one.
+    """Root mean square of the specific force of samples that state one."""
 
-    Attributes:
-        count: Number of these samples.
-        squares: Sum of the squares of their specific forces, (m/s^2)^2.
-    """
-
-    count: int = 0
-    squares: float = 0.0
+    count: int = 0  #: Number of these samples.
+    squares: float = 0.0  #: Sum of the squares of their specific forces, (m/s^2)^2.
 
     def take(self, values: CompensatedSamples) -> None:
         """Add samples."""
@@ -562,7 +538,6 @@ class GravitySeen:
 
 # Whether compensated rates turn gravity as the accelerometers see it turn: else other units.
 
-
 _WINDOW = 0.2
 """s: of a turn by 1 rad/s, gravity moves by 2 m/s^2, far above the noise of any accelerometer."""
 _ALIKE = 0.95
@@ -574,19 +549,12 @@ _FEWEST = 10
 
 @dataclass
 class TurnsSeen:
-    """How specific forces change, against how the rates turn them: f' = -w x f at one place.
+    """How specific forces change, against how the rates turn them: f' = -w x f at one place."""
 
-    Attributes:
-        windows: Number of windows of a fifth of a second.
-        by_rates: Sum of squares of the changes by the rates, (m/s^2)^2.
-        by_forces: The same of the changes themselves.
-        common: Sum of their products.
-    """
-
-    windows: int = 0
-    by_rates: float = 0.0
-    by_forces: float = 0.0
-    common: float = 0.0
+    windows: int = 0  #: Number of windows of a fifth of a second.
+    by_rates: float = 0.0  #: Sum of squares of the changes by the rates, (m/s^2)^2.
+    by_forces: float = 0.0  #: The same of the changes themselves.
+    common: float = 0.0  #: Sum of their products.
 
     def take(self, stamp: Stamps, rate: Floats, force: Floats) -> None:
         """Add consecutive samples: (n,) stamps, ns, (n, 3) rates and forces, SI."""

@@ -34,21 +34,13 @@ _NEXT = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Applied:
-    """Consecutive samples with one frame, compensated without motion terms.
+    """Consecutive samples with one frame, compensated without motion terms."""
 
-    Attributes:
-        stamp: (n,) ns.
-        values: Rates and forces, including the motion terms.
-        frame_id: As received.
-        interval: (n,) sample intervals, s.
-        ready: The compensation that was applied.
-    """
-
-    stamp: Stamps
-    values: CompensatedSamples
-    frame_id: str
-    interval: Floats
-    ready: Compensation
+    stamp: Stamps  #: (n,) ns.
+    values: CompensatedSamples  #: Rates and forces, including the motion terms.
+    frame_id: str  #: As received.
+    interval: Floats  #: (n,) sample intervals, s.
+    ready: Compensation  #: The compensation that was applied.
 
     def __len__(self) -> int:
         return len(self.stamp)
@@ -211,18 +203,13 @@ _NO_NUMBER = np.uint8(Mark.NO_NUMBER)
 # Not frozen, like its values: one is made for each live sample.
 @dataclass(eq=False)
 class Reading:
-    """Consecutive samples with one frame, compensated.
+    """Consecutive samples with one frame, compensated."""
 
-    Attributes:
-        stamp: (n,) ns: header stamps as received; sampling times of samples that came in bunches
-            and, in bulk, of those that came late.
-        values: Compensated rates and forces.
-        frame_id: As received.
-    """
-
+    #: (n,) ns: header stamps as received; sampling times of samples that came in bunches and, in
+    #: bulk, of those that came late.
     stamp: Stamps
-    values: CompensatedSamples
-    frame_id: str
+    values: CompensatedSamples  #: Compensated rates and forces.
+    frame_id: str  #: As received.
 
     def __len__(self) -> int:
         return len(self.stamp)

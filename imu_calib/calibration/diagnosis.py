@@ -47,20 +47,13 @@ _SHARES = {
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A mistake, and the parameters corrected for it.
+    """A mistake, and the parameters corrected for it."""
 
-    Attributes:
-        when: Ends the sentence 'the residuals vanish when'.
-        why: What must then have happened, a sentence.
-        values: (p,) of the triad's parameters without the mistake.
-        reading: Factor on the outputs under this hypothesis.
-        of_body_axes: Whether it only rotates or mirrors the body axes, which lengths cannot show.
-    """
-
-    when: str
-    why: str
-    values: Floats
-    reading: float = 1.0
+    when: str  #: Ends the sentence 'the residuals vanish when'.
+    why: str  #: What must then have happened, a sentence.
+    values: Floats  #: (p,) of the triad's parameters without the mistake.
+    reading: float = 1.0  #: Factor on the outputs under this hypothesis.
+    #: Whether it only rotates or mirrors the body axes, which lengths cannot show.
     of_body_axes: bool = False
 
 

@@ -22,20 +22,13 @@ from .calibration import Calibration
 
 @dataclass(frozen=True, eq=False)
 class ExportSource:
-    """A calibration for export.
+    """A calibration for export."""
 
-    Attributes:
-        calibration: The calibration.
-        path: Its file, absolute; None without a file.
-        sample_rate: Of the IMU's stream, Hz; None if not stated.
-        topic: Topic of the IMU's stream.
-        sheet: Data sheet of the IMU, for noise that the calibration does not state; or None.
-    """
-
-    calibration: Calibration
-    path: Path | None = None
-    sample_rate: float | None = None
-    topic: str = '/imu/data'
+    calibration: Calibration  #: The calibration.
+    path: Path | None = None  #: Its file, absolute; None without a file.
+    sample_rate: float | None = None  #: Of the IMU's stream, Hz; None if not stated.
+    topic: str = '/imu/data'  #: Topic of the IMU's stream.
+    #: Data sheet of the IMU, for noise that the calibration does not state; or None.
     sheet: ImuSpec | None = None
 
     def rate_for(self, purpose: str) -> float:
@@ -53,14 +46,10 @@ class ExportSource:
 
 @dataclass(frozen=True)
 class Exported:
-    """A calibration in the format of other software.
+    """A calibration in the format of other software."""
 
-    Attributes:
-        text: Of the file.
-        findings: What it cannot represent, and other messages for the user, in sentences.
-    """
-
-    text: str
+    text: str  #: Of the file.
+    #: What it cannot represent, and other messages for the user, in sentences.
     findings: tuple[str, ...] = ()
 
     def __repr__(self) -> str:

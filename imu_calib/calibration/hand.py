@@ -94,21 +94,13 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Guidance:
-    """Guidance for the user.
+    """Guidance for the user."""
 
-    Attributes:
-        stage: What to do now.
-        text: The same in a sentence.
-        holds: Holds that count so far.
-        std: (24,) standard deviations reached, SI units; NaN where not determined yet.
-        candidates: Attitudes to hold next, the best first.
-    """
-
-    stage: Stage
-    text: str
-    holds: int
-    std: Floats
-    candidates: tuple[Candidate, ...]
+    stage: Stage  #: What to do now.
+    text: str  #: The same in a sentence.
+    holds: int  #: Holds that count so far.
+    std: Floats  #: (24,) standard deviations reached, SI units; NaN where not determined yet.
+    candidates: tuple[Candidate, ...]  #: Attitudes to hold next, the best first.
 
 
 def guide(
@@ -278,13 +270,9 @@ _FRAME = (
 
 @dataclass(frozen=True, eq=False)
 class HandReview(Review):
-    """How far a session in the hand has come, and what to do next.
+    """How far a session in the hand has come, and what to do next."""
 
-    Attributes:
-        guidance: Guidance for the user.
-    """
-
-    guidance: Guidance
+    guidance: Guidance  #: Guidance for the user.
 
 
 class HandCalibrator:

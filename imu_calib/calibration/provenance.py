@@ -322,7 +322,6 @@ def _or_none(value: float) -> float | None:
 
 # The uncertainty budget as `uncertainty_budget` of calibration.yaml: SI units, named.
 
-
 _NOTHING = 1e-24
 """Variance in SI of what is held at its value: what rounding leaves of it is no contradiction."""
 _ROUNDED = 1e-3

@@ -78,23 +78,15 @@ def calibrated(
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A calibration with the data that it was made from.
+    """A calibration with the data that it was made from."""
 
-    Attributes:
-        calibration: The result as a value.
-        solution: Result of the method, with gravity taken as exact.
-        session: Contents of the streams.
-        labelled: Its segments by name.
-        comparison: Comparison with the plan's closed form; None without one.
-        basis: Input from which it was concluded; None for a unit in the hand.
-    """
-
-    calibration: Calibration
-    solution: Solution
-    session: Segmented
-    labelled: Labelled
+    calibration: Calibration  #: The result as a value.
+    solution: Solution  #: Result of the method, with gravity taken as exact.
+    session: Segmented  #: Contents of the streams.
+    labelled: Labelled  #: Its segments by name.
+    #: Comparison with the plan's closed form; None without one.
     comparison: Comparison | None = None
-    basis: Basis | None = None
+    basis: Basis | None = None  #: Input from which it was concluded; None for a unit in the hand.
 
     def __repr__(self) -> str:
         """Return one line: a notebook would show the statistics of every dwell."""
@@ -135,27 +127,17 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class Review:
-    """How far a session has come.
+    """How far a session has come."""
 
-    Attributes:
-        session: Contents of the streams.
-        parameters: What the method estimates.
-        std: (n,) their standard deviations so far, SI units; NaN if not determined.
-        unsupported: Steps of the plan run so far with too little data.
-        result: The calibration, if the data determines all of it.
-        refusal: Why there is none, else empty.
-    """
-
-    session: Segmented
-    parameters: tuple[Parameter, ...]
-    std: Floats
-    unsupported: tuple[int, ...]
-    result: Result | None
-    refusal: str
+    session: Segmented  #: Contents of the streams.
+    parameters: tuple[Parameter, ...]  #: What the method estimates.
+    std: Floats  #: (n,) their standard deviations so far, SI units; NaN if not determined.
+    unsupported: tuple[int, ...]  #: Steps of the plan run so far with too little data.
+    result: Result | None  #: The calibration, if the data determines all of it.
+    refusal: str  #: Why there is none, else empty.
 
 
 # Make a result from a solution and its session.
-
 
 _LATER = (
     'Provisional: terms are looked for when the session ends (`terms` auto); a scale factor that '
@@ -165,25 +147,15 @@ _LATER = (
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """A solved session, as far as its result depends on it.
+    """A solved session, as far as its result depends on it."""
 
-    Attributes:
-        setup: Prior knowledge of the session.
-        evidence: The evidence that was solved.
-        session: Contents of the streams.
-        labelled: Its segments by name.
-        comparison: Comparison with the plan's closed form; None without one.
-        lost: Sentences on unused data.
-        final: Whether the session is over.
-    """
-
-    setup: Setup
-    evidence: Evidence
-    session: Segmented
-    labelled: Labelled
-    comparison: Comparison | None
-    lost: tuple[str, ...]
-    final: bool
+    setup: Setup  #: Prior knowledge of the session.
+    evidence: Evidence  #: The evidence that was solved.
+    session: Segmented  #: Contents of the streams.
+    labelled: Labelled  #: Its segments by name.
+    comparison: Comparison | None  #: Comparison with the plan's closed form; None without one.
+    lost: tuple[str, ...]  #: Sentences on unused data.
+    final: bool  #: Whether the session is over.
 
     def concluded(self, solution: Solution) -> Result:
         """Return a solution's result, with the uncertainty of gravity and the table's clock."""

@@ -46,14 +46,11 @@ class ThermalCalibration:
     used. A single session with coefficients of temperature (`--terms thermal`) is one, too: its
     parameters and their covariance are those of p + c (T - T_0) within the temperatures of the
     session.
-
-    Attributes:
-        calibrations: At least two of one unit, coldest first, or one with coefficients.
-        order: Of the polynomial; None for straight lines.
     """
 
+    #: At least two of one unit, coldest first, or one with coefficients.
     calibrations: tuple[Calibration, ...]
-    order: int | None = None
+    order: int | None = None  #: Of the polynomial; None for straight lines.
 
     def __repr__(self) -> str:
         """Return one line."""

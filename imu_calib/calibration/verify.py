@@ -57,25 +57,17 @@ class Quantity(Enum):
 
 @dataclass(frozen=True, eq=False)
 class ComparedQuantity:
-    """One quantity at one position: compensated value less reference.
+    """One quantity at one position: compensated value less reference."""
 
-    Attributes:
-        name: Position.
-        at: Start, s after the first dwell; NaN for a turn.
-        rate: Rate of a turn, rad/s; zero at rest.
-        quantity: What is compared.
-        deviation: m/s^2, rad/s or rad.
-        std: Its standard deviation, from the calibration's covariance and the session's noise.
-        ratio: Deviation in standard deviations; for directions, which have two components, the
-            normal deviate of equal probability.
-    """
-
-    name: str
-    at: float
-    rate: float
-    quantity: Quantity
-    deviation: float
+    name: str  #: Position.
+    at: float  #: Start, s after the first dwell; NaN for a turn.
+    rate: float  #: Rate of a turn, rad/s; zero at rest.
+    quantity: Quantity  #: What is compared.
+    deviation: float  #: m/s^2, rad/s or rad.
+    #: Its standard deviation, from the calibration's covariance and the session's noise.
     std: float
+    #: Deviation in standard deviations; for directions, which have two components, the normal
+    #: deviate of equal probability.
     ratio: float
 
     @property
@@ -245,21 +237,13 @@ _OUTCOMES = {
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """Result for the gyros or the accelerometers.
+    """Result for the gyros or the accelerometers."""
 
-    Attributes:
-        gyros: Whether it is of the gyros.
-        verdict: The outcome.
-        chi_square: Chi-square of all their equations.
-        freedom: Its degrees of freedom.
-        diagnosis: What is wrong; None unless rejected.
-    """
-
-    gyros: bool
-    verdict: Verdict
-    chi_square: float
-    freedom: int
-    diagnosis: Diagnosis | None
+    gyros: bool  #: Whether it is of the gyros.
+    verdict: Verdict  #: The outcome.
+    chi_square: float  #: Chi-square of all their equations.
+    freedom: int  #: Its degrees of freedom.
+    diagnosis: Diagnosis | None  #: What is wrong; None unless rejected.
 
     def __str__(self) -> str:
         """Return the result in one line."""
@@ -283,21 +267,16 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """Result of verifying a calibration by a session.
+    """Result of verifying a calibration by a session."""
 
-    Attributes:
-        triads: Gyros and accelerometers, as far as they were calibrated.
-        compared: Every quantity at every position, in the order of the session.
-        limits: Standard deviations beyond which a quantity is marginal, and rejected.
-        findings: What the user must know, in sentences.
-        own_recording: Whether the calibration was made from this recording: its residuals then do
-            not show its errors, and it is not accepted.
-    """
-
-    triads: tuple[Judged, ...]
+    triads: tuple[Judged, ...]  #: Gyros and accelerometers, as far as they were calibrated.
+    #: Every quantity at every position, in the order of the session.
     compared: tuple[ComparedQuantity, ...]
+    #: Standard deviations beyond which a quantity is marginal, and rejected.
     limits: tuple[float, float]
-    findings: tuple[str, ...]
+    findings: tuple[str, ...]  #: What the user must know, in sentences.
+    #: Whether the calibration was made from this recording: its residuals then do not show its
+    #: errors, and it is not accepted.
     own_recording: bool = False
 
     def __repr__(self) -> str:

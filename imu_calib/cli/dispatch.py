@@ -49,17 +49,11 @@ JSON = '--json'
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a command.
+    """Result of a command."""
 
-    Attributes:
-        result: For --json: plain values, SI units.
-        exit_code: Exit code without an exception.
-        message: Reason why the exit code is not 0.
-    """
-
-    result: Mapping[str, Any] | None = None
-    exit_code: int = DONE
-    message: str = ''
+    result: Mapping[str, Any] | None = None  #: For --json: plain values, SI units.
+    exit_code: int = DONE  #: Exit code without an exception.
+    message: str = ''  #: Reason why the exit code is not 0.
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:
@@ -142,7 +136,6 @@ def finite(value: Any) -> Any:
 
 
 # End of a command after Ctrl-C.
-
 
 INTERRUPTED = 130
 """Exit code of a shell for SIGINT: 128 + 2."""

@@ -198,7 +198,6 @@ def watching(
 
 # The terminal of a session on a table: present step, remaining time, and results so far.
 
-
 _STYLES = {Severity.OK: 'bold', Severity.WARN: 'bold yellow', Severity.ERROR: 'bold red'}
 _BAR = 30
 """Characters of the bar. A choice; layout."""
@@ -310,7 +309,6 @@ def least_known(unit: UnitRow) -> str:
 
 # The wait for a session to begin, which lasts as long as an old journal is read.
 
-
 _JOURNAL = 'calibrator_node: journal'
 
 
@@ -357,7 +355,6 @@ class Start:
 
 
 # The display of a session in the hand: the next action, and the gain of each next attitude.
-
 
 _SHOWN = 6
 """Attitudes shown at once: as many as fit above the bars of a small terminal."""

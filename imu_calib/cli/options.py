@@ -218,7 +218,6 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
 
 # Files of rows that commands write, .csv or .json by their ending.
 
-
 _ENDINGS = ('.csv', '.json')
 
 

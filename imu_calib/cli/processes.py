@@ -50,17 +50,11 @@ _PATIENCE = 6.0
 
 @dataclass
 class Outcome:
-    """Outcome of a session.
+    """Outcome of a session."""
 
-    Attributes:
-        finished: Whether there is a calibration.
-        text: Last message of the calibrator, or the reason of the failure.
-        duration: Of the session, s of the stand's time.
-    """
-
-    finished: bool
-    text: str
-    duration: float
+    finished: bool  #: Whether there is a calibration.
+    text: str  #: Last message of the calibrator, or the reason of the failure.
+    duration: float  #: Of the session, s of the stand's time.
 
 
 class NodeFiles:
@@ -306,7 +300,6 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 # The nodes of a stand in this process: the default where nothing needs ROS 2's wire.
 
-
 _THE_THIRD = 3
 """Ctrl-C that interrupts at once: the first ends the session in order, the second may be the
 impatience of a person while the table is being stopped."""
@@ -449,7 +442,6 @@ Nodes: TypeAlias = Processes | Embedded
 
 
 # The page of `imu-calib stand --web`: its options, its node, and its end.
-
 
 NODE = 'web_node'
 _PORT = 8080

@@ -138,7 +138,6 @@ def sentence_list(title: str, sentences: tuple[str, ...] | list[str]) -> None:
 
 # Reports of the nodes on the terminal: at once, and each sentence once.
 
-
 _STANDS = 1.0
 """s after which a report is not transient: at the start every node lacks something briefly."""
 

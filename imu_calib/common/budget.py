@@ -118,15 +118,10 @@ _ROWS = {
 
 @dataclass(frozen=True, eq=False)
 class Share:
-    """Contribution of a source to a covariance.
+    """Contribution of a source to a covariance."""
 
-    Attributes:
-        covariance: (n, n) SI units.
-        freedom: (n,) degrees of freedom of its variances; infinite if taken as known.
-    """
-
-    covariance: Floats
-    freedom: Floats
+    covariance: Floats  #: (n, n) SI units.
+    freedom: Floats  #: (n,) degrees of freedom of its variances; infinite if taken as known.
 
     @classmethod
     def known(cls, covariance: Floats) -> Share:
@@ -168,28 +163,18 @@ def effective_freedom(variances: Floats, freedom: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class BudgetLine:
-    """One source of a budget.
+    """One source of a budget."""
 
-    Attributes:
-        source: The source.
-        std: (n,) its contribution to the standard deviation of each parameter, SI units.
-        freedom: (n,) degrees of freedom.
-    """
-
-    source: Source
-    std: Floats
-    freedom: Floats
+    source: Source  #: The source.
+    std: Floats  #: (n,) its contribution to the standard deviation of each parameter, SI units.
+    freedom: Floats  #: (n,) degrees of freedom.
 
 
 @dataclass(frozen=True, eq=False)
 class Budget:
-    """The uncertainties of n parameters by source; parameters not estimated are NaN.
+    """The uncertainties of n parameters by source; parameters not estimated are NaN."""
 
-    Attributes:
-        lines: Sources that contribute to any parameter.
-    """
-
-    lines: tuple[BudgetLine, ...]
+    lines: tuple[BudgetLine, ...]  #: Sources that contribute to any parameter.
 
     @classmethod
     def of(cls, shares: Shares) -> Budget:

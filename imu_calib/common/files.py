@@ -150,7 +150,6 @@ def write_by(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 
 # Locate the files shipped with the code: config, plans, message definitions.
 
-
 _PACKAGE = Path(__file__).resolve().parents[1]
 _CHECKOUT = _PACKAGE.parent
 
@@ -259,7 +258,6 @@ def require(library: str, what: str, extra: str) -> None:
 
 
 # A matplotlib figure that notebooks display; needs matplotlib.
-
 
 _DOTS = 72.0
 """Dots per inch in a notebook: legible, and a small file."""

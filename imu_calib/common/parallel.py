@@ -86,17 +86,11 @@ def _check_memory(size: str) -> None:
 
 @dataclass(frozen=True)
 class Engine:
-    """Workers of Dask.
+    """Workers of Dask."""
 
-    Attributes:
-        scheduler: Address of a running one; None starts one with workers here.
-        workers: Number to start; None for one per core.
-        memory: Of each started worker.
-    """
-
-    scheduler: str | None = None
-    workers: int | None = None
-    memory: str = MEMORY
+    scheduler: str | None = None  #: Address of a running one; None starts one with workers here.
+    workers: int | None = None  #: Number to start; None for one per core.
+    memory: str = MEMORY  #: Of each started worker.
 
     @contextmanager
     def connected(self) -> Iterator[Client]:
@@ -359,7 +353,6 @@ def _quiet() -> Iterator[None]:
 
 
 # Limit BLAS to one thread: for small matrices more threads cost time by waiting.
-
 
 THREADS = 'OMP_NUM_THREADS'
 """Read by BLAS when numpy is first loaded: commands and nodes set it to 1 before."""

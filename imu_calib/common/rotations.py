@@ -184,7 +184,6 @@ def across(direction: Floats) -> tuple[Floats, Floats]:
 
 # Constants of the Gaussian distribution that several thresholds share; what a covariance is.
 
-
 MAD_TO_STD = 1.4826
 """Standard deviation over the median absolute deviation: 1 / 0.6745, its quartile."""
 

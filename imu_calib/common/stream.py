@@ -102,19 +102,12 @@ class Mode(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class ImuBlock:
-    """Consecutive samples of one sensor_msgs/Imu topic, as the sensor delivers them.
+    """Consecutive samples of one sensor_msgs/Imu topic, as the sensor delivers them."""
 
-    Attributes:
-        stamp: (n,) header stamps, ns.
-        gyro: (n, 3) angular_velocity; the unit is the sensor's (see `Units`).
-        accel: (n, 3) linear_acceleration; the unit is the sensor's.
-        frame_id: Frame of every sample of the block.
-    """
-
-    stamp: Stamps
-    gyro: Floats
-    accel: Floats
-    frame_id: str = ''
+    stamp: Stamps  #: (n,) header stamps, ns.
+    gyro: Floats  #: (n, 3) angular_velocity; the unit is the sensor's (see `Units`).
+    accel: Floats  #: (n, 3) linear_acceleration; the unit is the sensor's.
+    frame_id: str = ''  #: Frame of every sample of the block.
 
     def __len__(self) -> int:
         return len(self.stamp)
@@ -122,19 +115,12 @@ class ImuBlock:
 
 @dataclass(frozen=True, eq=False)
 class JointBlock:
-    """Consecutive samples of the table's sensor_msgs/JointState topic.
+    """Consecutive samples of the table's sensor_msgs/JointState topic."""
 
-    Attributes:
-        stamp: (n,) header stamps, ns.
-        names: Joint names, the columns of `position`.
-        position: (n, k) joint angles, rad; NaN where a message carries none.
-        velocity: (n, k) joint rates, rad/s; NaN where a message carries none.
-    """
-
-    stamp: Stamps
-    names: tuple[str, ...]
-    position: Floats
-    velocity: Floats
+    stamp: Stamps  #: (n,) header stamps, ns.
+    names: tuple[str, ...]  #: Joint names, the columns of `position`.
+    position: Floats  #: (n, k) joint angles, rad; NaN where a message carries none.
+    velocity: Floats  #: (n, k) joint rates, rad/s; NaN where a message carries none.
 
     def __len__(self) -> int:
         return len(self.stamp)
@@ -154,31 +140,19 @@ class JointBlock:
 
 @dataclass(frozen=True)
 class Setpoint:
-    """One imu_calib_msgs/TurntableSetpoint.
+    """One imu_calib_msgs/TurntableSetpoint."""
 
-    Attributes:
-        stamp: Header stamp, ns.
-        plan: Name of the plan that is run.
-        step: Index of the step in the plan, from 0.
-        position: Id of the position in the plan, for instance '1' or 'x_up'.
-        mode: POSITION (go there), RATE (turn) or HOLD (stop).
-        joints: Joint names, the order of `angles` and `rates`.
-        angles: Joint angles to reach, rad (POSITION, and the held joints of RATE).
-        rates: Joint rates, rad/s (RATE).
-        turns: Whole turns of a RATE step, counted without sign.
-        dwell: Duration of the dwell after arriving, s.
-    """
-
-    stamp: int
-    plan: str
-    step: int
-    position: str
-    mode: Mode
-    joints: tuple[str, ...]
+    stamp: int  #: Header stamp, ns.
+    plan: str  #: Name of the plan that is run.
+    step: int  #: Index of the step in the plan, from 0.
+    position: str  #: Id of the position in the plan, for instance '1' or 'x_up'.
+    mode: Mode  #: POSITION (go there), RATE (turn) or HOLD (stop).
+    joints: tuple[str, ...]  #: Joint names, the order of `angles` and `rates`.
+    #: Joint angles to reach, rad (POSITION, and the held joints of RATE).
     angles: tuple[float, ...]
-    rates: tuple[float, ...]
-    turns: float
-    dwell: float
+    rates: tuple[float, ...]  #: Joint rates, rad/s (RATE).
+    turns: float  #: Whole turns of a RATE step, counted without sign.
+    dwell: float  #: Duration of the dwell after arriving, s.
 
 
 @dataclass(frozen=True)
@@ -204,15 +178,10 @@ class TemperatureBlock:
 
 @dataclass(frozen=True, eq=False)
 class SkewBlock:
-    """Consecutive samples of a skewed gyro.
+    """Consecutive samples of a skewed gyro."""
 
-    Attributes:
-        stamp: (n,) header stamps, ns.
-        gyro: (n,) angular_velocity.x; the unit is the sensor's.
-    """
-
-    stamp: Stamps
-    gyro: Floats
+    stamp: Stamps  #: (n,) header stamps, ns.
+    gyro: Floats  #: (n,) angular_velocity.x; the unit is the sensor's.
 
     def __len__(self) -> int:
         return len(self.stamp)

@@ -23,18 +23,12 @@ _NODES = 8
 
 @dataclass(frozen=True, eq=False)
 class BiasDrift:
-    """Instants at which a process is evaluated: nodes in time, and the means and slopes over them.
+    """Instants at which a process is evaluated: nodes in time, means and slopes over them."""
 
-    Attributes:
-        nodes: (n, 8) instants of each segment, s.
-        segment: (k,) index of the segment of each mean or slope, all means first.
-        weights: (k, 8) weights of the nodes of that segment.
-        responses: (k, 3, 3) responses of three outputs to three biases, for each mean or slope.
-    """
-
-    nodes: Floats
-    segment: NDArray[np.intp]
-    weights: Floats
+    nodes: Floats  #: (n, 8) instants of each segment, s.
+    segment: NDArray[np.intp]  #: (k,) index of the segment of each mean or slope, all means first.
+    weights: Floats  #: (k, 8) weights of the nodes of that segment.
+    #: (k, 3, 3) responses of three outputs to three biases, for each mean or slope.
     responses: Floats
 
     @classmethod

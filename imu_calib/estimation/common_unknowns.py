@@ -50,13 +50,9 @@ determine even where the table is known."""
 
 @dataclass(frozen=True, eq=False)
 class SharedEstimate(Estimate):
-    """Least-squares result of one of several units.
+    """Least-squares result of one of several units."""
 
-    Attributes:
-        by_source: The covariance of its parameters by source.
-    """
-
-    by_source: dict[Source, Share] | None = None
+    by_source: dict[Source, Share] | None = None  #: The covariance of its parameters by source.
 
     def shares(self) -> dict[Source, Share]:
         """Return the covariance of the parameters by source."""
@@ -69,19 +65,12 @@ class SharedEstimate(Estimate):
 
 @dataclass(frozen=True, eq=False)
 class TableEstimate:
-    """Common estimate of the table by several units.
+    """Common estimate of the table by several units."""
 
-    Attributes:
-        names: Of the k determined unknowns.
-        values: (k,) rad.
-        std: (k,) standard deviations, rad.
-        prior: (k,) prior standard deviations, rad.
-    """
-
-    names: tuple[str, ...]
-    values: Floats
-    std: Floats
-    prior: Floats
+    names: tuple[str, ...]  #: Of the k determined unknowns.
+    values: Floats  #: (k,) rad.
+    std: Floats  #: (k,) standard deviations, rad.
+    prior: Floats  #: (k,) prior standard deviations, rad.
 
     def to_dict(self) -> list[dict[str, object]]:
         """Return it as built-in values, rad, by the keys of docs/files/output.md."""
@@ -94,33 +83,21 @@ class TableEstimate:
 
 @dataclass(frozen=True)
 class Contradicting:
-    """A unit whose part in the common unknowns contradicts that of the others.
+    """A unit whose part in the common unknowns contradicts that of the others."""
 
-    Attributes:
-        unit: Its index among all.
-        chi_square: Of its part, against the others and the priors.
-        freedom: Its degrees of freedom.
-    """
-
-    unit: int
-    chi_square: float
-    freedom: int
+    unit: int  #: Its index among all.
+    chi_square: float  #: Of its part, against the others and the priors.
+    freedom: int  #: Its degrees of freedom.
 
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """Estimates of several units with common unknowns estimated once.
+    """Estimates of several units with common unknowns estimated once."""
 
-    Attributes:
-        estimates: Of each unit that took part, by its index.
-        table: Their common estimate of the table.
-        contradicting: Those that were left out, the worst first.
-        partial: Units that saw less than half of the dwells: index, number seen, total number.
-    """
-
-    estimates: dict[int, SharedEstimate]
-    table: TableEstimate | None
-    contradicting: tuple[Contradicting, ...] = ()
+    estimates: dict[int, SharedEstimate]  #: Of each unit that took part, by its index.
+    table: TableEstimate | None  #: Their common estimate of the table.
+    contradicting: tuple[Contradicting, ...] = ()  #: Those that were left out, the worst first.
+    #: Units that saw less than half of the dwells: index, number seen, total number.
     partial: tuple[tuple[int, int, int], ...] = ()
 
 

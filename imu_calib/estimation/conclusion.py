@@ -45,19 +45,12 @@ SAME_UP = 0.99
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """Result of linear least squares.
+    """Result of linear least squares."""
 
-    Attributes:
-        step: (k,) of the unknowns; the shortest where they are not determined.
-        covariance: (k, k) its covariance.
-        square: Chi-square of the residuals.
-        freedom: Its degrees of freedom.
-    """
-
-    step: Floats
-    covariance: Floats
-    square: float
-    freedom: int
+    step: Floats  #: (k,) of the unknowns; the shortest where they are not determined.
+    covariance: Floats  #: (k, k) its covariance.
+    square: float  #: Chi-square of the residuals.
+    freedom: int  #: Its degrees of freedom.
 
     @classmethod
     def of(cls, columns: Floats, residuals: Floats, rank: float) -> LeastSquares:

@@ -71,27 +71,23 @@ def cached_by_weights(method: Callable[[Any, Floats], Value]) -> Callable[[Any, 
 
 @dataclass(frozen=True, eq=False)
 class Equations(SessionModel):
-    """The equations of a session.
+    """The equations of a session."""
 
-    Attributes:
-        levelled: Standard deviation of the table's tilt about either axis, rad; None for that of
-            the table's file.
-        any_heading: Whether the azimuth is unknown, though the table's configuration states one.
-        positioning: Scatter of positioning errors beyond that of the table's file.
-        extra: Further parts of the covariance of the outputs.
-        inflation: (m,) factors on the variance of each output's own noise, or None.
-        considered: Consider parameters: not in the state, each with its standard deviation about
-            zero.
-        held: Kinds of parameters of motion that are exactly zero: for others that are not in the
-            state the covariance allows.
-    """
-
+    #: Standard deviation of the table's tilt about either axis, rad; None for that of the table's
+    #: file.
     levelled: float | None = None
+    #: Whether the azimuth is unknown, though the table's configuration states one.
     any_heading: bool = False
+    #: Scatter of positioning errors beyond that of the table's file.
     positioning: PositioningErrors = NO_POSITIONING_ERRORS
+    #: Further parts of the covariance of the outputs.
     extra: tuple[Component, ...] = field(default=(), repr=False)
+    #: (m,) factors on the variance of each output's own noise, or None.
     inflation: Floats | None = field(default=None, repr=False)
+    #: Consider parameters: not in the state, each with its standard deviation about zero.
     considered: tuple[tuple[Parameter, float], ...] = ()
+    #: Kinds of parameters of motion that are exactly zero: for others that are not in the state the
+    #: covariance allows.
     held: frozenset[ParameterKind] = frozenset()
 
     @property

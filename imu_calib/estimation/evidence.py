@@ -63,49 +63,37 @@ claimed.
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A labelled session, ready to be solved.
+    """A labelled session, ready to be solved."""
 
-    Attributes:
-        segments: Static dwells with position and attitude.
-        turns: Whole turns about the vertical.
-        plan: What was run; `plan.UNPLANNED` where unknown.
-        site: Gravity and Earth rate.
-        clock: Table against IMU.
-        azimuth: Heading of the table's zero against north, rad; None when unknown.
-        walk: (6,) random-walk coefficients, rad/sqrt(s) and (m/s)/sqrt(s).
-        positioning: Standard deviation of a positioning error of the table, rad; 0 when not stated.
-        instability: (6,) standard deviation of drifting biases, by the data sheet, rad/s and m/s^2;
-            0 when not stated.
-        walk_freedom: (6,) degrees of freedom of the squares of `walk`; infinite for exact ones.
-        moves: Motions seen by the gyros between one static dwell and the next.
-        table: The table that turned the unit; None where the errors of its axes are unknown.
-        units: Of the numbers of the unit's stream.
-        temperature: Of the session; None without a thermometer.
-        thermal: (2, 2) scale factor and bias per K of gyros and of accelerometers, by the data
-            sheet, standard deviations, 1/K and SI/K; 0 where not stated.
-        free: Whether the attitudes are unknown: they are then estimated, and moves join them.
-        coarse: Whether to use velocities of moves with little information beside the dwells: for
-            parameters that only motion determines.
-        interruptions: As in `Segmented`: the unit may have been switched off and on there.
-    """
-
-    segments: tuple[Segment, ...]
-    turns: tuple[Turn, ...]
-    plan: Plan
-    site: Site
-    clock: ClockFit
-    azimuth: float | None
-    walk: Floats
+    segments: tuple[Segment, ...]  #: Static dwells with position and attitude.
+    turns: tuple[Turn, ...]  #: Whole turns about the vertical.
+    plan: Plan  #: What was run; `plan.UNPLANNED` where unknown.
+    site: Site  #: Gravity and Earth rate.
+    clock: ClockFit  #: Table against IMU.
+    azimuth: float | None  #: Heading of the table's zero against north, rad; None when unknown.
+    walk: Floats  #: (6,) random-walk coefficients, rad/sqrt(s) and (m/s)/sqrt(s).
+    #: Standard deviation of a positioning error of the table, rad; 0 when not stated.
     positioning: float = 0.0
+    #: (6,) standard deviation of drifting biases, by the data sheet, rad/s and m/s^2; 0 when not
+    #: stated.
     instability: Floats = field(default_factory=lambda: np.zeros(6))
+    #: (6,) degrees of freedom of the squares of `walk`; infinite for exact ones.
     walk_freedom: Floats = field(default_factory=lambda: np.full(6, np.inf))
+    #: Motions seen by the gyros between one static dwell and the next.
     moves: tuple[Move, ...] = ()
+    #: The table that turned the unit; None where the errors of its axes are unknown.
     table: Table | None = None
-    units: Units = Units.PULSES
-    temperature: Temperature | None = None
+    units: Units = Units.PULSES  #: Of the numbers of the unit's stream.
+    temperature: Temperature | None = None  #: Of the session; None without a thermometer.
+    #: (2, 2) scale factor and bias per K of gyros and of accelerometers, by the data sheet,
+    #: standard deviations, 1/K and SI/K; 0 where not stated.
     thermal: Floats = field(default_factory=lambda: np.zeros((2, 2)))
+    #: Whether the attitudes are unknown: they are then estimated, and moves join them.
     free: bool = False
+    #: Whether to use velocities of moves with little information beside the dwells: for parameters
+    #: that only motion determines.
     coarse: bool = False
+    #: As in `Segmented`: the unit may have been switched off and on there.
     interruptions: tuple[tuple[int, int], ...] = ()
 
     @classmethod

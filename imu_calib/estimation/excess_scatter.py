@@ -87,31 +87,21 @@ class _Triad:
 
     In these r coordinates the noise has the covariance 1 and common scatter the covariance given
     here: the likelihood of the residuals is the restricted one.
-
-    Attributes:
-        rows: (k,) of the outputs.
-        residuals: (r,) residuals.
-        stated_covariance: (r, r) covariance by the drift that the data sheet states.
-        further_covariances: (r, r) covariances by drift of each time of `_TIMES`, at ratios of 1.
-        positioning: (r, e) effect of the errors of stopped joints and of stops, for one rad.
-        noise: Columns (r, k) of the random walk of each channel, and the degrees of freedom of its
-            size.
-        bias_drift: Where the bias is evaluated.
-        unit_variance: Variance of a drift whose ratio (`_RATIOS`) is one, SI units squared.
-        stated_variance: Variance of the drift stated, SI units squared.
-        log_odds: (shares,) logarithms of the odds of its shares.
     """
 
-    rows: NDArray[np.intp]
-    residuals: Floats
-    stated_covariance: Floats
+    rows: NDArray[np.intp]  #: (k,) of the outputs.
+    residuals: Floats  #: (r,) residuals.
+    stated_covariance: Floats  #: (r, r) covariance by the drift that the data sheet states.
+    #: (r, r) covariances by drift of each time of `_TIMES`, at ratios of 1.
     further_covariances: tuple[Floats, ...]
+    #: (r, e) effect of the errors of stopped joints and of stops, for one rad.
     positioning: tuple[Floats, Floats]
+    #: Columns (r, k) of the random walk of each channel, and the degrees of freedom of its size.
     noise: tuple[tuple[Floats, float], ...]
-    bias_drift: BiasDrift
-    unit_variance: float
-    stated_variance: float
-    log_odds: Floats
+    bias_drift: BiasDrift  #: Where the bias is evaluated.
+    unit_variance: float  #: Variance of a drift whose ratio (`_RATIOS`) is one, SI units squared.
+    stated_variance: float  #: Variance of the drift stated, SI units squared.
+    log_odds: Floats  #: (shares,) logarithms of the odds of its shares.
 
     def positioning_covariance(self, joints: float, stops: float) -> Floats:
         """Return the covariance by noise and positioning errors of these variances, rad^2."""
@@ -163,24 +153,19 @@ class _Triad:
 
 @dataclass(frozen=True, eq=False)
 class ExcessScatter:
-    """Scatter beyond random walk and quantisation, estimated from the session.
+    """Scatter beyond random walk and quantisation, estimated from the session."""
 
-    Attributes:
-        positioning: Positioning errors beyond what the table states.
-        bias_drift: (6,) standard deviation of the drift of biases, rad/s and m/s^2.
-        extra: Covariance of the outputs by drift: as the data sheet states it, and the excess shown
-            by the session.
-        absent_drift: The part of the data sheet's drift that the session seems not to have.
-        positioning_probability: Probability that positioning errors exceed what the table states.
-        fast_drift: Of gyros and accelerometers, whether the excess over the data sheet varies
-            within a thirtieth of the session, and faster than biases drift by the data sheet.
-    """
-
-    positioning: PositioningErrors
-    bias_drift: Floats
+    positioning: PositioningErrors  #: Positioning errors beyond what the table states.
+    bias_drift: Floats  #: (6,) standard deviation of the drift of biases, rad/s and m/s^2.
+    #: Covariance of the outputs by drift: as the data sheet states it, and the excess shown by the
+    #: session.
     extra: tuple[Component, ...] = ()
+    #: The part of the data sheet's drift that the session seems not to have.
     absent_drift: tuple[Component, ...] = ()
+    #: Probability that positioning errors exceed what the table states.
     positioning_probability: float = 0.0
+    #: Of gyros and accelerometers, whether the excess over the data sheet varies within a thirtieth
+    #: of the session, and faster than biases drift by the data sheet.
     fast_drift: tuple[bool, bool] = (False, False)
 
     @property
@@ -543,17 +528,11 @@ def _outputs_of_triad(
 
 @dataclass(frozen=True, eq=False)
 class _Slopes:
-    """Slopes of a triad's outputs within those s of n dwells and turns that have enough blocks.
+    """Slopes of a triad's outputs within those s of n dwells and turns that have enough blocks."""
 
-    Attributes:
-        used: (n,) mask of these dwells and turns.
-        residuals: (3 s,) slopes less those that the parameters explain, rad/s^2 or m/s^3.
-        variances: (s, 3, 2) their variances by random walk alone, and in total.
-    """
-
-    used: NDArray[np.bool_]
-    residuals: Floats
-    variances: Floats
+    used: NDArray[np.bool_]  #: (n,) mask of these dwells and turns.
+    residuals: Floats  #: (3 s,) slopes less those that the parameters explain, rad/s^2 or m/s^3.
+    variances: Floats  #: (s, 3, 2) their variances by random walk alone, and in total.
 
     @classmethod
     def of(

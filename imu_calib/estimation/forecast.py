@@ -37,24 +37,15 @@ from .solve import check_observable, with_changes
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """Forecast of a session.
+    """Forecast of a session."""
 
-    Attributes:
-        evidence: The evidence of the session.
-        method: Name of the method.
-        parameters: The parameters that the method estimates.
-        std: (n,) by that method, SI units; NaN for parameters not estimated, or if the method
-            fails.
-        best: (n,) by the Fisher information; NaN for parameters that are not observable.
-        refusal: Why the method gives no result, else empty.
-    """
-
-    evidence: Evidence
-    method: str
-    parameters: tuple[Parameter, ...]
+    evidence: Evidence  #: The evidence of the session.
+    method: str  #: Name of the method.
+    parameters: tuple[Parameter, ...]  #: The parameters that the method estimates.
+    #: (n,) by that method, SI units; NaN for parameters not estimated, or if the method fails.
     std: Floats
-    best: Floats
-    refusal: str
+    best: Floats  #: (n,) by the Fisher information; NaN for parameters that are not observable.
+    refusal: str  #: Why the method gives no result, else empty.
 
 
 def forecast(
@@ -259,17 +250,13 @@ def _by_closed_form(
 
 @dataclass(frozen=True, eq=False)
 class TermForecast:
-    """How well a session would determine a term.
+    """How well a session would determine a term."""
 
-    Attributes:
-        term: The term, added to the estimated parameters.
-        std: (n,) of its parameters, SI units; NaN for those that the session does not determine.
-        worsened: Parameters whose standard deviation grows by more than `_DEARER` times with the
-            term, and the factor: NaN for those that the session then does not determine.
-    """
-
-    term: Term
+    term: Term  #: The term, added to the estimated parameters.
+    #: (n,) of its parameters, SI units; NaN for those that the session does not determine.
     std: Floats
+    #: Parameters whose standard deviation grows by more than `_DEARER` times with the term, and the
+    #: factor: NaN for those that the session then does not determine.
     worsened: tuple[tuple[Parameter, float], ...]
 
     @property
@@ -280,18 +267,14 @@ class TermForecast:
 
 @dataclass(frozen=True, eq=False)
 class ChangeForecast:
-    """How well a session would determine parameters that change during it.
+    """How well a session would determine parameters that change during it."""
 
-    Attributes:
-        changes: The k coefficients added, of one course and one kind of parameter.
-        std: (k,) of them, SI units; NaN where the session does not determine them. A warm-up is
-            assumed to fade within a quarter of the session, with a known time constant.
-        worsened: As in `TermForecast`.
-    """
-
+    #: The k coefficients added, of one course and one kind of parameter.
     changes: tuple[Change, ...]
+    #: (k,) of them, SI units; NaN where the session does not determine them. A warm-up is assumed
+    #: to fade within a quarter of the session, with a known time constant.
     std: Floats
-    worsened: tuple[tuple[Parameter, float], ...]
+    worsened: tuple[tuple[Parameter, float], ...]  #: As in `TermForecast`.
 
     @property
     def determined(self) -> bool:

@@ -212,14 +212,10 @@ class Sensors:
 
 @dataclass(frozen=True, eq=False)
 class Up:
-    """Up by the accelerometers of a calibration where the attitude is unknown.
+    """Up by the accelerometers of a calibration where the attitude is unknown."""
 
-    Attributes:
-        forces: (s, 3) specific forces at rest, m/s^2, as long as gravity.
-        covariance: (s, 3, s, 3) of their directions, rad^2: by noise and by their parameters.
-    """
-
-    forces: Floats
+    forces: Floats  #: (s, 3) specific forces at rest, m/s^2, as long as gravity.
+    #: (s, 3, s, 3) of their directions, rad^2: by noise and by their parameters.
     covariance: Floats
 
     @classmethod
@@ -305,7 +301,6 @@ def propagated(gain: Floats, covariance: Floats) -> Floats:
 
 
 # The latitude seen by the gyros at rest, to check a stated one before the estimate.
-
 
 _NOMINAL = 0.03
 """Relative uncertainty of nominal scale factors of gyros; data sheets of cheap units state it

@@ -26,24 +26,17 @@ from ..segmentation.stream_facts import VelocitySteps
 
 @dataclass(frozen=True, eq=False)
 class GyroPath:
-    """A motion from rest to rest by a model.
+    """A motion from rest to rest by a model."""
 
-    Attributes:
-        rates: (n, 3) mean rate of each interval about the body axes, rad/s.
-        forces: (n, 3) specific force in its middle, m/s^2; zeros where not stated.
-        seconds: (n,) its length, s.
-        rotation: (3, 3) transforms the components of a vector fixed in inertial space from the
-            start to the end.
-        axes: (n, 3, 3) transforms components from the middle of an interval to the end.
-        error_transfer: (n, 3, 3) transforms an error of the gyros' outputs over an interval, rad,
-            to the error in the rotation of the body axes at the end.
-    """
-
-    rates: Floats
-    forces: Floats
-    seconds: Floats
+    rates: Floats  #: (n, 3) mean rate of each interval about the body axes, rad/s.
+    forces: Floats  #: (n, 3) specific force in its middle, m/s^2; zeros where not stated.
+    seconds: Floats  #: (n,) its length, s.
+    #: (3, 3) transforms the components of a vector fixed in inertial space from the start to the
+    #: end.
     rotation: Floats
-    axes: Floats
+    axes: Floats  #: (n, 3, 3) transforms components from the middle of an interval to the end.
+    #: (n, 3, 3) transforms an error of the gyros' outputs over an interval, rad, to the error in
+    #: the rotation of the body axes at the end.
     error_transfer: Floats
 
     @classmethod
@@ -206,21 +199,13 @@ _SQUARES = tuple(combinations_with_replacement(range(3), 2))
 
 @dataclass(frozen=True, eq=False)
 class VelocityIncrement:
-    """The specific force of a move by a model.
+    """The specific force of a move by a model."""
 
-    Attributes:
-        path: The rotation.
-        model: The sensors.
-        additions: (n, 3) outputs by biases and terms, m/s^2.
-        specific_force: (n, 3) mean specific force of each step, m/s^2.
-        steps: (n, 3) velocity of each step, body axes at the end, m/s.
-    """
-
-    path: GyroPath
-    model: SensorModel
-    additions: Floats
-    specific_force: Floats
-    steps: Floats
+    path: GyroPath  #: The rotation.
+    model: SensorModel  #: The sensors.
+    additions: Floats  #: (n, 3) outputs by biases and terms, m/s^2.
+    specific_force: Floats  #: (n, 3) mean specific force of each step, m/s^2.
+    steps: Floats  #: (n, 3) velocity of each step, body axes at the end, m/s.
 
     @classmethod
     def of_each(

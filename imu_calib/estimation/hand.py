@@ -150,75 +150,47 @@ _GROUPS = ('the accelerometers at rest', 'the gyros at rest', 'the turns')
 
 @dataclass(frozen=True, eq=False)
 class FreeFit:
-    """Estimate from holds and turns.
+    """Estimate from holds and turns."""
 
-    Attributes:
-        model: In the frame of the accelerometers.
-        parameters: The n of the covariance: the 24, and those of terms that the session shows.
-        covariance: (n, n); zero for the three that the frame sets to zero.
-        residuals: (k, 6) outputs at rest less those predicted by the model.
-        condition: Condition number of the system, columns scaled to unit length.
-        scatter: (3,) factor on the noise of accelerometers at rest, gyros at rest and turns by
-            their scatter, as standard deviations.
-        scatter_chances: (3,) probabilities of such scatter by chance.
-        rejected_moves: Indices of the holds before turns that were left out.
-        shares: The covariance by source.
-        chance: Probability of so significant a g-sensitivity by chance; 1 without it.
-        drifts: Drifts of biases that the session shows.
-        changes: Their coefficients; None without an even one.
-        nonlinear: Terms of the accelerometers that are on, in the order in which they were found.
-        tests: Of the terms of the accelerometers.
-    """
-
-    model: SensorModel
+    model: SensorModel  #: In the frame of the accelerometers.
+    #: The n of the covariance: the 24, and those of terms that the session shows.
     parameters: tuple[Parameter, ...]
-    covariance: Floats
-    residuals: Floats
-    condition: float
+    covariance: Floats  #: (n, n); zero for the three that the frame sets to zero.
+    residuals: Floats  #: (k, 6) outputs at rest less those predicted by the model.
+    condition: float  #: Condition number of the system, columns scaled to unit length.
+    #: (3,) factor on the noise of accelerometers at rest, gyros at rest and turns by their scatter,
+    #: as standard deviations.
     scatter: Floats
-    scatter_chances: Floats
-    rejected_moves: tuple[int, ...]
-    shares: Shares
-    chance: float = 1.0
-    drifts: tuple[Drift, ...] = ()
-    changes: Changes | None = None
+    scatter_chances: Floats  #: (3,) probabilities of such scatter by chance.
+    rejected_moves: tuple[int, ...]  #: Indices of the holds before turns that were left out.
+    shares: Shares  #: The covariance by source.
+    chance: float = 1.0  #: Probability of so significant a g-sensitivity by chance; 1 without it.
+    drifts: tuple[Drift, ...] = ()  #: Drifts of biases that the session shows.
+    changes: Changes | None = None  #: Their coefficients; None without an even one.
+    #: Terms of the accelerometers that are on, in the order in which they were found.
     nonlinear: tuple[Nonlinearity, ...] = ()
-    tests: tuple[TermTest, ...] = ()
+    tests: tuple[TermTest, ...] = ()  #: Of the terms of the accelerometers.
 
 
 @dataclass(frozen=True)
 class Nonlinearity:
-    """A term of the accelerometers that a session shows.
+    """A term of the accelerometers that a session shows."""
 
-    Attributes:
-        term: The term.
-        log_p: Natural logarithm of the probability by chance.
-        alternatives: Terms that explain the session as well.
-    """
-
-    term: Term
-    log_p: float
-    alternatives: tuple[Term, ...] = ()
+    term: Term  #: The term.
+    log_p: float  #: Natural logarithm of the probability by chance.
+    alternatives: tuple[Term, ...] = ()  #: Terms that explain the session as well.
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """A step of the iteration.
+    """A step of the iteration."""
 
-    Attributes:
-        equations: Linearised at the present attitudes.
-        values: (n,) the state.
-        scatter: (3,) factors on the noise, as in `FreeFit`.
-        rejected_moves: Likewise.
-        scatter_chances: Likewise.
-        wanders: Biases that wander, by the name of their drift, and by how much: in the covariance.
-    """
-
-    equations: FreeEquations
-    values: Floats
-    scatter: Floats
-    rejected_moves: tuple[int, ...] = ()
-    scatter_chances: Floats = field(default_factory=lambda: np.ones(3))
+    equations: FreeEquations  #: Linearised at the present attitudes.
+    values: Floats  #: (n,) the state.
+    scatter: Floats  #: (3,) factors on the noise, as in `FreeFit`.
+    rejected_moves: tuple[int, ...] = ()  #: Likewise.
+    scatter_chances: Floats = field(default_factory=lambda: np.ones(3))  #: Likewise.
+    #: Biases that wander, by the name of their drift, and by how much: in the covariance.
     wanders: tuple[tuple[str, float], ...] = ()
 
     @property
@@ -386,17 +358,12 @@ def solve(evidence: Evidence) -> FreeFit:
 
 @dataclass(frozen=True)
 class _Choice:
-    """A fit with g-sensitivity and even drifts on or off.
+    """A fit with g-sensitivity and even drifts on or off."""
 
-    Attributes:
-        state: The least squares.
-        chance: Probability of so significant a g-sensitivity by chance, where that was tested.
-        drifts: The drifts that are on: even ones, and wanders.
-    """
-
-    state: _State
+    state: _State  #: The least squares.
+    #: Probability of so significant a g-sensitivity by chance, where that was tested.
     chance: float
-    drifts: tuple[Drift, ...] = ()
+    drifts: tuple[Drift, ...] = ()  #: The drifts that are on: even ones, and wanders.
 
 
 def _chosen(start: _State) -> _Choice:

@@ -197,19 +197,12 @@ class DriftKind(Enum):
 
 @dataclass(frozen=True)
 class Drift:
-    """A drift of the biases of a triad that a session shows.
+    """A drift of the biases of a triad that a session shows."""
 
-    Attributes:
-        name: Of the term: `trend:D_g` or `trend:D_a`.
-        log_p: Natural logarithm of the probability by chance, or of the odds for a wander.
-        largest: By how much a bias changes during the session, rad/s or m/s^2.
-        kind: How.
-    """
-
-    name: str
-    log_p: float
-    largest: float
-    kind: DriftKind = DriftKind.EVEN
+    name: str  #: Of the term: `trend:D_g` or `trend:D_a`.
+    log_p: float  #: Natural logarithm of the probability by chance, or of the odds for a wander.
+    largest: float  #: By how much a bias changes during the session, rad/s or m/s^2.
+    kind: DriftKind = DriftKind.EVEN  #: How.
 
 
 def drift_words(drifts: Sequence[Drift]) -> list[str]:

@@ -48,18 +48,12 @@ encoders and axes, far below any angle of a plan."""
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """The information in the equations of a session.
+    """The information in the equations of a session."""
 
-    Attributes:
-        covariance: (n, n) of the whole state; rows of unobserved entries are NaN.
-        observed: (n,) whether an entry of the state is observed.
-        condition: Largest over smallest singular value of the column-scaled system.
-        gain: (n, m) derivatives of the solution by the equations; its square is the covariance.
-    """
-
-    covariance: Floats
-    observed: NDArray[np.bool_]
-    condition: float
+    covariance: Floats  #: (n, n) of the whole state; rows of unobserved entries are NaN.
+    observed: NDArray[np.bool_]  #: (n,) whether an entry of the state is observed.
+    condition: float  #: Largest over smallest singular value of the column-scaled system.
+    #: (n, m) derivatives of the solution by the equations; its square is the covariance.
     gain: Floats
 
     @classmethod

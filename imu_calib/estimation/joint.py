@@ -467,30 +467,22 @@ def _free_earth(plain: Equations, state: Floats) -> tuple[Floats, Floats]:
 
 # Compare the joint estimate with the closed form of its plan: two solutions of the same data.
 
-
 _ONE_IN = 1e-3
 """Share of sessions in which the two contradict each other by chance. A choice."""
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Result of the closed form for the parameters of the joint estimate.
+    """Result of the closed form for the parameters of the joint estimate."""
 
-    Attributes:
-        method: Name of the closed form.
-        parameters: Estimated by both.
-        difference: (n,) closed form less joint, in units of the larger of the two standard
-            deviations. The difference of an estimate from the best one has a smaller deviation than
-            the estimate itself (Hausman 1978, Econometrica 46, 1251).
-        ratio: (n,) standard deviation of the joint estimate over that of the closed form.
-        refusal: Why the closed form has no result, else empty; nothing is compared then.
-    """
-
-    method: str
-    parameters: tuple[Parameter, ...]
+    method: str  #: Name of the closed form.
+    parameters: tuple[Parameter, ...]  #: Estimated by both.
+    #: (n,) closed form less joint, in units of the larger of the two standard deviations. The
+    #: difference of an estimate from the best one has a smaller deviation than the estimate itself
+    #: (Hausman 1978, Econometrica 46, 1251).
     difference: Floats
-    ratio: Floats
-    refusal: str = ''
+    ratio: Floats  #: (n,) standard deviation of the joint estimate over that of the closed form.
+    refusal: str = ''  #: Why the closed form has no result, else empty; nothing is compared then.
 
     @classmethod
     def of(cls, joint: Solution, closed: Solution, method: str) -> Comparison:

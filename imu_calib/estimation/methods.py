@@ -175,30 +175,19 @@ def check_plan(name: str, plan: Plan, site: Site) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """Prior knowledge of a session.
+    """Prior knowledge of a session."""
 
-    Attributes:
-        imu: Description of the Imu stream's numbers.
-        plan: The plan; `plan.UNPLANNED` if unknown: joint states give the attitudes.
-        table: The table of the joint states; None for the IMU alone.
-        site: Gravity and Earth rate.
-        method: Name of the solver; None takes the joint estimate where it applies, else the plan's
-            own method.
-        serial_number: Unit of the type `ImuSpec.id`; empty if not stated.
-        terms: Terms to estimate beyond the method's parameters.
-        changes: Coefficients of the session's terms, likewise.
-        search_terms: Whether to search for terms that the session shows.
-    """
-
-    imu: ImuSpec
-    plan: Plan
-    table: Table | None
-    site: Site
+    imu: ImuSpec  #: Description of the Imu stream's numbers.
+    plan: Plan  #: The plan; `plan.UNPLANNED` if unknown: joint states give the attitudes.
+    table: Table | None  #: The table of the joint states; None for the IMU alone.
+    site: Site  #: Gravity and Earth rate.
+    #: Name of the solver; None takes the joint estimate where it applies, else the plan's own
+    #: method.
     method: str | None = None
-    serial_number: str = ''
-    terms: tuple[Term, ...] = ()
-    changes: tuple[Change, ...] = ()
-    search_terms: bool = False
+    serial_number: str = ''  #: Unit of the type `ImuSpec.id`; empty if not stated.
+    terms: tuple[Term, ...] = ()  #: Terms to estimate beyond the method's parameters.
+    changes: tuple[Change, ...] = ()  #: Coefficients of the session's terms, likewise.
+    search_terms: bool = False  #: Whether to search for terms that the session shows.
 
     @property
     def method_name(self) -> str:

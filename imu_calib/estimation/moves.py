@@ -70,41 +70,25 @@ Cached = TypeVar('Cached')
 
 @dataclass(frozen=True, eq=False)
 class LinkedMove:
-    """A move, and the indices of the segments at rest at its ends.
+    """A move, and the indices of the segments at rest at its ends."""
 
-    Attributes:
-        first: Index of the segment before.
-        second: Index of the segment after.
-        move: The move.
-        rounding: (6,) variance by the rounding of each sample, rad^2 and (m/s)^2.
-        encoders: Variance by the noise of the encoders at both ends, about any axis, rad^2.
-        coning_variance: Variance by rates that do not change linearly, rad^2.
-        second_order_error: Error of the velocity by the second order, m/s.
-    """
-
-    first: int
-    second: int
-    move: Move
-    rounding: Floats
-    encoders: float
-    coning_variance: float
-    second_order_error: float
+    first: int  #: Index of the segment before.
+    second: int  #: Index of the segment after.
+    move: Move  #: The move.
+    rounding: Floats  #: (6,) variance by the rounding of each sample, rad^2 and (m/s)^2.
+    encoders: float  #: Variance by the noise of the encoders at both ends, about any axis, rad^2.
+    coning_variance: float  #: Variance by rates that do not change linearly, rad^2.
+    second_order_error: float  #: Error of the velocity by the second order, m/s.
 
 
 @dataclass(frozen=True, eq=False)
 class Moves:
-    """The moves between segments whose attitudes are known from encoders.
+    """The moves between segments whose attitudes are known from encoders."""
 
-    Attributes:
-        linked: In order.
-        attitudes: (s, 3, 3) of all segments.
-        gravity: m/s^2.
-        approximate_sensors: Their outputs, to count pulses; None where the attitudes are unknown.
-    """
-
-    linked: tuple[LinkedMove, ...]
-    attitudes: Floats
-    gravity: float
+    linked: tuple[LinkedMove, ...]  #: In order.
+    attitudes: Floats  #: (s, 3, 3) of all segments.
+    gravity: float  #: m/s^2.
+    #: Their outputs, to count pulses; None where the attitudes are unknown.
     approximate_sensors: ApproximateSensors | None = None
     _paths: dict[bytes, tuple[GyroPath, ...]] = field(default_factory=dict, init=False, repr=False)
     _increments_cache: dict[bytes, tuple[VelocityIncrement | None, ...]] = field(

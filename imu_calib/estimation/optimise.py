@@ -50,19 +50,12 @@ _GAINED = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Attitude:
-    """A candidate as a plan's file writes it: where X, Y, Z point, then turned about one of them.
+    """A candidate as a plan's file writes it: where X, Y, Z point, turned about one of them."""
 
-    Attributes:
-        letters: Compass letters of X, Y and Z.
-        about: 'X', 'Y' or 'Z'.
-        by: Angle about it, deg.
-        matrix: (3, 3) R_nb.
-    """
-
-    letters: str
-    about: str
-    by: float
-    matrix: Floats
+    letters: str  #: Compass letters of X, Y and Z.
+    about: str  #: 'X', 'Y' or 'Z'.
+    by: float  #: Angle about it, deg.
+    matrix: Floats  #: (3, 3) R_nb.
 
     def text(self) -> str:
         """Return it as YAML."""
@@ -74,19 +67,12 @@ class Attitude:
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """The best plan found.
+    """The best plan found."""
 
-    Attributes:
-        plan: The plan, for the joint estimate.
-        attitudes: Attitudes of its positions, as written in its file.
-        information: Logarithm of the determinant of the information on the 24 parameters.
-        seconds: Time on the table, s.
-    """
-
-    plan: Plan
-    attitudes: tuple[Attitude, ...]
-    information: float
-    seconds: float
+    plan: Plan  #: The plan, for the joint estimate.
+    attitudes: tuple[Attitude, ...]  #: Attitudes of its positions, as written in its file.
+    information: float  #: Logarithm of the determinant of the information on the 24 parameters.
+    seconds: float  #: Time on the table, s.
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -343,17 +329,11 @@ _SLACK = 1.001
 
 @dataclass(frozen=True, eq=False)
 class Reached:
-    """A plan whose dwells reach the wanted accuracy.
+    """A plan whose dwells reach the wanted accuracy."""
 
-    Attributes:
-        plan: The plan with these dwells; order, attitudes and turns are unchanged.
-        forecast: Its forecast.
-        wanted: Standard deviations by name of the parameter, SI units.
-    """
-
-    plan: Plan
-    forecast: Forecast
-    wanted: Mapping[str, float]
+    plan: Plan  #: The plan with these dwells; order, attitudes and turns are unchanged.
+    forecast: Forecast  #: Its forecast.
+    wanted: Mapping[str, float]  #: Standard deviations by name of the parameter, SI units.
 
     def __repr__(self) -> str:
         """Return one line."""

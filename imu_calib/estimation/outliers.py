@@ -82,33 +82,22 @@ half the digits of a 64-bit number remain for the others."""
 
 @dataclass(frozen=True, eq=False)
 class Outlier:
-    """A static dwell or a turn that contradicts the rest.
+    """A static dwell or a turn that contradicts the rest."""
 
-    Attributes:
-        name: Position and kind, for messages.
-        rows: Its rows among the equations.
-        chi_square: Decrease of chi-square without it.
-    """
-
-    name: str
-    rows: NDArray[np.intp]
-    chi_square: float
+    name: str  #: Position and kind, for messages.
+    rows: NDArray[np.intp]  #: Its rows among the equations.
+    chi_square: float  #: Decrease of chi-square without it.
 
 
 @dataclass(frozen=True)
 class RejectedMove:
-    """A move that is left out, or its velocity alone.
+    """A move that is left out, or its velocity alone."""
 
-    Attributes:
-        positions: Its two ends.
-        misclosure: Difference of its end by the gyros from the encoders, rad; or velocity by the
-            accelerometers at its end, where the unit is at rest, m/s.
-        velocity: Whether only the velocity is left out.
-    """
-
-    positions: tuple[str, str]
+    positions: tuple[str, str]  #: Its two ends.
+    #: Difference of its end by the gyros from the encoders, rad; or velocity by the accelerometers
+    #: at its end, where the unit is at rest, m/s.
     misclosure: float
-    velocity: bool = False
+    velocity: bool = False  #: Whether only the velocity is left out.
 
 
 def moves_that_fit(
@@ -386,33 +375,23 @@ def _drop(
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Result of the least squares, before checks against other knowledge.
+    """Result of the least squares, before checks against other knowledge."""
 
-    Attributes:
-        equations: With the weights that were used.
-        state: (n,) parameters of the sensors, then the nuisances.
-        covariance: (n, n) of the state.
-        condition: Condition number of the system solved, columns scaled to unit length.
-        scatter: Scatter beyond the noise.
-        outliers: Segments of less weight.
-        gain: (n, m + k) derivatives of the state by outputs and priors in standard deviations.
-        turns_scatter: Largest chi-square per degree of freedom by which the weight of turns about
-            an axis is reduced; 1 where they agree.
-        rejected_moves: Moves that were left out.
-        constant: Coefficients of the session's terms that it does not determine, left out.
-        between: (n, n) part of the covariance by the uncertainty of a warm-up's time constant.
-    """
-
-    equations: Equations
-    state: Floats
-    covariance: Floats
-    condition: float
-    scatter: ExcessScatter
-    outliers: tuple[Outlier, ...]
+    equations: Equations  #: With the weights that were used.
+    state: Floats  #: (n,) parameters of the sensors, then the nuisances.
+    covariance: Floats  #: (n, n) of the state.
+    condition: float  #: Condition number of the system solved, columns scaled to unit length.
+    scatter: ExcessScatter  #: Scatter beyond the noise.
+    outliers: tuple[Outlier, ...]  #: Segments of less weight.
+    #: (n, m + k) derivatives of the state by outputs and priors in standard deviations.
     gain: Floats
+    #: Largest chi-square per degree of freedom by which the weight of turns about an axis is
+    #: reduced; 1 where they agree.
     turns_scatter: float = 1.0
-    rejected_moves: tuple[RejectedMove, ...] = ()
+    rejected_moves: tuple[RejectedMove, ...] = ()  #: Moves that were left out.
+    #: Coefficients of the session's terms that it does not determine, left out.
     constant: tuple[Change, ...] = ()
+    #: (n, n) part of the covariance by the uncertainty of a warm-up's time constant.
     between: Floats | None = None
 
     def nuisance(self, which: Nuisance) -> tuple[float, float]:

@@ -227,15 +227,10 @@ _UNKNOWN = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class ApproximateSensors:
-    """Approximate sensors, accurate enough to count pulses: a line through all segments.
+    """Approximate sensors, accurate enough to count pulses: a line through all segments."""
 
-    Attributes:
-        model: Without terms, and without the Earth rate.
-        accel_std: (3,) standard deviation of its accelerometers' outputs on the way, m/s^2.
-    """
-
-    model: SensorModel
-    accel_std: Floats
+    model: SensorModel  #: Without terms, and without the Earth rate.
+    accel_std: Floats  #: (3,) standard deviation of its accelerometers' outputs on the way, m/s^2.
 
     @classmethod
     def of(

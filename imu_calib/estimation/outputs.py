@@ -44,18 +44,13 @@ _SAME_ATTITUDE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Arms:
-    """The turns whose accelerometers are used, and their common arms.
+    """The turns whose accelerometers are used, and their common arms."""
 
-    Attributes:
-        turns: (f,) indices among the turns.
-        slopes: (f, 3, a) derivatives of the specific force by the arms, body axes, 1/s^2. Each
-            attitude in which the unit is turned has three: two across the axis, one along it.
-        deviations: (a,) prior standard deviations of the arms, m.
-    """
-
-    turns: NDArray[np.intp]
+    turns: NDArray[np.intp]  #: (f,) indices among the turns.
+    #: (f, 3, a) derivatives of the specific force by the arms, body axes, 1/s^2. Each attitude in
+    #: which the unit is turned has three: two across the axis, one along it.
     slopes: Floats
-    deviations: Floats
+    deviations: Floats  #: (a,) prior standard deviations of the arms, m.
 
     @classmethod
     def of(cls, turns: Sequence[Turn], up_rate: float) -> Arms:
@@ -111,7 +106,6 @@ def _same_mounting(turn: Turn, other: Turn) -> bool:
 
 # Whole turns at equally spaced headings: a mean over a turn is the mean over these.
 
-
 _TURN_HEADINGS = 8
 """Means over so many equal steps of a whole turn are exact for products of up to seven inputs."""
 
@@ -152,21 +146,13 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class OutputLayout:
-    """The layout of a session's outputs.
+    """The layout of a session's outputs."""
 
-    Attributes:
-        dwells: Their number.
-        turns: Likewise.
-        moves: Likewise.
-        turns_with_accels: Turns whose accelerometers are used.
-        moves_with_accels: Moves whose accelerometers are used.
-    """
-
-    dwells: int
-    turns: int = 0
-    moves: int = 0
-    turns_with_accels: tuple[int, ...] = ()
-    moves_with_accels: tuple[int, ...] = ()
+    dwells: int  #: Their number.
+    turns: int = 0  #: Likewise.
+    moves: int = 0  #: Likewise.
+    turns_with_accels: tuple[int, ...] = ()  #: Turns whose accelerometers are used.
+    moves_with_accels: tuple[int, ...] = ()  #: Moves whose accelerometers are used.
 
     def __len__(self) -> int:
         """Return the number of outputs."""
@@ -275,13 +261,9 @@ class Part(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Diagonal:
-    """Independent errors of every output, whose size is one common estimate.
+    """Independent errors of every output, whose size is one common estimate."""
 
-    Attributes:
-        variances: (m,).
-    """
-
-    variances: Floats
+    variances: Floats  #: (m,).
 
     def add_to(self, matrix: Floats) -> None:
         """Add it to an (m, m) matrix."""
@@ -294,13 +276,9 @@ class Diagonal:
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """Errors that enter several outputs at once.
+    """Errors that enter several outputs at once."""
 
-    Attributes:
-        columns: (m, e) changes of the outputs by one standard deviation of each error.
-    """
-
-    columns: Floats
+    columns: Floats  #: (m, e) changes of the outputs by one standard deviation of each error.
 
     def add_to(self, matrix: Floats) -> None:
         """Add it to an (m, m) matrix."""
@@ -314,15 +292,10 @@ class Factor:
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Errors that some outputs share, independent between k such groups of g.
+    """Errors that some outputs share, independent between k such groups of g."""
 
-    Attributes:
-        rows: (k, g) which outputs.
-        matrices: (k, g, g) their covariances.
-    """
-
-    rows: NDArray[np.intp]
-    matrices: Floats
+    rows: NDArray[np.intp]  #: (k, g) which outputs.
+    matrices: Floats  #: (k, g, g) their covariances.
 
     def add_to(self, matrix: Floats) -> None:
         """Add it to an (m, m) matrix."""
@@ -336,17 +309,11 @@ class Blocks:
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """A part of the covariance of the outputs, and its source.
+    """A part of the covariance of the outputs, and its source."""
 
-    Attributes:
-        source: Its source.
-        part: The covariance.
-        freedom: Degrees of freedom of its size; infinite where that is known.
-    """
-
-    source: Source
-    part: Part
-    freedom: float = np.inf
+    source: Source  #: Its source.
+    part: Part  #: The covariance.
+    freedom: float = np.inf  #: Degrees of freedom of its size; infinite where that is known.
 
 
 def add_all(components: Iterable[Component], matrix: Floats) -> None:
@@ -405,15 +372,10 @@ _HEADINGS = 8
 
 @dataclass(frozen=True)
 class PositioningErrors:
-    """Standard deviations of positioning errors beyond what the table states, rad.
+    """Standard deviations of positioning errors beyond what the table states, rad."""
 
-    Attributes:
-        joints: Of a stopped joint, about its axis.
-        stops: Of a stop, about each of three axes.
-    """
-
-    joints: float = 0.0
-    stops: float = 0.0
+    joints: float = 0.0  #: Of a stopped joint, about its axis.
+    stops: float = 0.0  #: Of a stop, about each of three axes.
 
 
 NO_POSITIONING_ERRORS = PositioningErrors()
@@ -422,15 +384,10 @@ NO_POSITIONING_ERRORS = PositioningErrors()
 
 @dataclass(frozen=True, eq=False)
 class AttitudeErrors:
-    """Rotations of attitudes about the body axes by one radian of each of e errors.
+    """Rotations of attitudes about the body axes by one radian of each of e errors."""
 
-    Attributes:
-        at_rest: (s, 3, e) of the static dwells.
-        turning: (t, 3, e) of the turns.
-    """
-
-    at_rest: Floats
-    turning: Floats
+    at_rest: Floats  #: (s, 3, e) of the static dwells.
+    turning: Floats  #: (t, 3, e) of the turns.
 
     @classmethod
     def of(cls, columns: list[Floats], dwells: int, parts: int) -> AttitudeErrors:

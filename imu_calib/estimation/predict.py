@@ -157,28 +157,19 @@ def period_of(spec: ImuSpec) -> float:
 
 # Compute when a table would run the steps of a plan: moves, run-ups, settling and dwells.
 
-
 SETTLE = 1.0
 """s from arrival to the start of a dwell, as stand and sequencer wait."""
 
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """Times of a step.
+    """Times of a step."""
 
-    Attributes:
-        step: The step.
-        begin: Start of the motion, s since the first step.
-        rest: Arrival at rest, s.
-        end: Start of the next step, s.
-        angles: (k,) joint angles at rest, rad.
-    """
-
-    step: Step
-    begin: float
-    rest: float
-    end: float
-    angles: Floats
+    step: Step  #: The step.
+    begin: float  #: Start of the motion, s since the first step.
+    rest: float  #: Arrival at rest, s.
+    end: float  #: Start of the next step, s.
+    angles: Floats  #: (k,) joint angles at rest, rad.
 
 
 def schedule(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> tuple[Visit, ...]:
@@ -219,7 +210,6 @@ def duration(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> 
 
 
 # Ideal gyro outputs between dwells: by a table's joints, and by hand.
-
 
 BY_HAND_MOVE = 2.0
 """Duration of a move from one dwell to the next, s. A choice: that of simulated hands
@@ -373,17 +363,11 @@ _ANYHOW = Skewed(np.full((1, 3), 1 / math.sqrt(3)), np.zeros(1))
 
 @dataclass(frozen=True, eq=False)
 class _Times:
-    """Times of dwells and turns, without readings.
+    """Times of dwells and turns, without readings."""
 
-    Attributes:
-        dwells: Static dwells.
-        turns: Whole turns, with the time measured.
-        courses: For each dwell, the motion from the dwell before it; None if there is a turn
-            between.
-    """
-
-    dwells: list[Segment]
-    turns: list[Turn]
+    dwells: list[Segment]  #: Static dwells.
+    turns: list[Turn]  #: Whole turns, with the time measured.
+    #: For each dwell, the motion from the dwell before it; None if there is a turn between.
     courses: list[Course | None]
 
 

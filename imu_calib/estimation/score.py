@@ -61,17 +61,11 @@ _TINY = -500.0
 
 @dataclass(frozen=True)
 class Family:
-    """Coefficients that are switched on together: a term, or errors of the table.
+    """Coefficients that are switched on together: a term, or errors of the table."""
 
-    Attributes:
-        name: Of the term, or of the field of `TableErrors`.
-        term: The term of the sensors, or None.
-        course: The course of a term of the session, or None.
-    """
-
-    name: str
-    term: Term | None = None
-    course: Course | None = None
+    name: str  #: Of the term, or of the field of `TableErrors`.
+    term: Term | None = None  #: The term of the sensors, or None.
+    course: Course | None = None  #: The course of a term of the session, or None.
 
     @property
     def of_table(self) -> bool:
@@ -267,30 +261,20 @@ def values_of(parameters: Sequence[Parameter], equations: Equations, state: Floa
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """Result of the test of a family.
+    """Result of the test of a family."""
 
-    Attributes:
-        statistic: Chi-square, in the assumed covariance.
-        rank: Its dimensions: coefficients that the session separates from all others.
-        scale: Factor on that covariance by the residuals with the family on; 1 at least.
-        freedom: Degrees of freedom of that.
-        estimate: (k,) coefficients by one step from zero, SI units; 0 along unobserved directions.
-        deviation: (k,) their standard deviations; infinite where unobserved.
-        covariance: (k, k) of the coefficients along observed directions, in the assumed covariance.
-        tries: Number of patterns of which it is the most significant, any of which may be so by
-            chance.
-        chosen: Index of the chosen one.
-    """
-
-    statistic: float
-    rank: int
-    scale: float
-    freedom: float
+    statistic: float  #: Chi-square, in the assumed covariance.
+    rank: int  #: Its dimensions: coefficients that the session separates from all others.
+    scale: float  #: Factor on that covariance by the residuals with the family on; 1 at least.
+    freedom: float  #: Degrees of freedom of that.
+    #: (k,) coefficients by one step from zero, SI units; 0 along unobserved directions.
     estimate: Floats
-    deviation: Floats
+    deviation: Floats  #: (k,) their standard deviations; infinite where unobserved.
+    #: (k, k) of the coefficients along observed directions, in the assumed covariance.
     covariance: Floats
+    #: Number of patterns of which it is the most significant, any of which may be so by chance.
     tries: int = 1
-    chosen: int = 0
+    chosen: int = 0  #: Index of the chosen one.
 
     @property
     def tested(self) -> bool:
@@ -325,19 +309,12 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class WhitenedResiduals:
-    """Whitened residuals of a session about a solution, orthogonal to the state.
+    """Whitened residuals of a session about a solution, orthogonal to the state."""
 
-    Attributes:
-        equations: With the assumed covariance.
-        basis: (m + 4, n) orthonormal, of the space explained by the state.
-        whitened: (m + 4,) residuals less the part explained by the state.
-        factor: (m, m) lower triangle of the covariance of the outputs.
-    """
-
-    equations: Equations
-    basis: Floats
-    whitened: Floats
-    factor: Floats
+    equations: Equations  #: With the assumed covariance.
+    basis: Floats  #: (m + 4, n) orthonormal, of the space explained by the state.
+    whitened: Floats  #: (m + 4,) residuals less the part explained by the state.
+    factor: Floats  #: (m, m) lower triangle of the covariance of the outputs.
 
     @classmethod
     def of(cls, equations: Equations, state: Floats) -> WhitenedResiduals:
@@ -480,15 +457,10 @@ _LEAST = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class UndecidedDrifts:
-    """Possible effects of drifts that are not shown.
+    """Possible effects of drifts that are not shown."""
 
-    Attributes:
-        probability: Of each course, all of its time constants together.
-        covariance: (n, n) covariance of their effect on the parameters.
-    """
-
-    probability: Mapping[Family, float]
-    covariance: Floats
+    probability: Mapping[Family, float]  #: Of each course, all of its time constants together.
+    covariance: Floats  #: (n, n) covariance of their effect on the parameters.
 
 
 Possible = tuple[Score, Floats]

@@ -61,58 +61,40 @@ _AT_ONCE = 3
 
 @dataclass(frozen=True)
 class Found:
-    """A family that is significant in the session.
+    """A family that is significant in the session."""
 
-    Attributes:
-        family: The family.
-        log_p: Natural logarithm of the probability by chance.
-        considered: Coefficients of a term that the session does not determine, each with its prior
-            standard deviation about zero; empty where it is estimated.
-        size: Standard deviation assigned to an error of the table, rad; 0 for a term.
-        seen: Root mean square of the observed part of such an error, rad; 0 for a term.
-        min_saved_outputs: Its number of coefficients, where it is significant only with no output
-            set aside; else 0. With the families of a search on, more outputs than the sum of these
-            must no longer be outliers.
-        alternatives: Families that explain the session equally well.
-    """
-
-    family: Family
-    log_p: float
+    family: Family  #: The family.
+    log_p: float  #: Natural logarithm of the probability by chance.
+    #: Coefficients of a term that the session does not determine, each with its prior standard
+    #: deviation about zero; empty where it is estimated.
     considered: tuple[tuple[Parameter, float], ...] = ()
-    size: float = 0.0
-    seen: float = 0.0
+    size: float = 0.0  #: Standard deviation assigned to an error of the table, rad; 0 for a term.
+    seen: float = 0.0  #: Root mean square of the observed part of such an error, rad; 0 for a term.
+    #: Its number of coefficients, where it is significant only with no output set aside; else 0.
+    #: With the families of a search on, more outputs than the sum of these must no longer be
+    #: outliers.
     min_saved_outputs: int = 0
-    alternatives: tuple[Family, ...] = ()
+    alternatives: tuple[Family, ...] = ()  #: Families that explain the session equally well.
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """An estimate with the families selected, and the scores of the others.
+    """An estimate with the families selected, and the scores of the others."""
 
-    Attributes:
-        estimate: With all families found.
-        found: Families in the order of their selection.
-        scores: Of families that are off.
-        alpha: Chance at which each of them is tested.
-        undecided_covariance: (n, n) covariance of the parameters by alternative families, and by
-            drifts that are not significant.
-        leverage: Derivatives of parameters (n,) by each coefficient (k,) of a term that is off, (n,
-            k), SI units.
-        probability: Of each drift that is off; empty without a search.
-        before_search: The estimate before anything was found.
-        by_drifts: (n, n) part of `undecided_covariance` by such drifts.
-        broken_off: Whether the search did not end: nothing is on though something may be needed.
-    """
-
-    estimate: Estimate
-    found: tuple[Found, ...]
-    scores: Mapping[Family, Score]
-    alpha: float
+    estimate: Estimate  #: With all families found.
+    found: tuple[Found, ...]  #: Families in the order of their selection.
+    scores: Mapping[Family, Score]  #: Of families that are off.
+    alpha: float  #: Chance at which each of them is tested.
+    #: (n, n) covariance of the parameters by alternative families, and by drifts that are not
+    #: significant.
     undecided_covariance: Floats
+    #: Derivatives of parameters (n,) by each coefficient (k,) of a term that is off, (n, k), SI
+    #: units.
     leverage: Mapping[Family, Floats]
-    probability: Mapping[Family, float]
-    before_search: Estimate
-    by_drifts: Floats
+    probability: Mapping[Family, float]  #: Of each drift that is off; empty without a search.
+    before_search: Estimate  #: The estimate before anything was found.
+    by_drifts: Floats  #: (n, n) part of `undecided_covariance` by such drifts.
+    #: Whether the search did not end: nothing is on though something may be needed.
     broken_off: bool = False
 
     def shares(self) -> dict[Source, Share]:
@@ -130,18 +112,13 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """The unknowns of a fit.
+    """The unknowns of a fit."""
 
-    Attributes:
-        evidence: The session; errors of the table that are on are in its `table`.
-        parameters: Of the sensors, to be estimated.
-        changes: Coefficients of changes during the session, to be estimated.
-        considered: Parameters with their standard deviations about zero, as in `Equations`.
-    """
-
-    evidence: Evidence
-    parameters: tuple[Parameter, ...]
+    evidence: Evidence  #: The session; errors of the table that are on are in its `table`.
+    parameters: tuple[Parameter, ...]  #: Of the sensors, to be estimated.
+    #: Coefficients of changes during the session, to be estimated.
     changes: tuple[Change, ...] = ()
+    #: Parameters with their standard deviations about zero, as in `Equations`.
     considered: tuple[tuple[Parameter, float], ...] = ()
 
     def estimate(self) -> Estimate:

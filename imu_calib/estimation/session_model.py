@@ -43,23 +43,14 @@ _X, _Y, _Z = np.eye(3)
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Earth rate and gravity in the frame of the attitudes, with derivatives by azimuth and tilts.
+    """Earth rate and gravity in the frame of the attitudes; derivatives by azimuth and tilts."""
 
-    Attributes:
-        rate: (3,) rad/s.
-        force: (3,) m/s^2.
-        rate_by_latitude: (3,) d rate by the latitude of the site, 1/s.
-        rate_slopes: (3, 3) d rate, one column for each of azimuth and tilts.
-        force_slopes: (3, 3) d force.
-        level: (3, 3) transforms vectors of that frame to level, at the frame's own heading.
-    """
-
-    rate: Floats
-    force: Floats
-    rate_by_latitude: Floats
-    rate_slopes: Floats
-    force_slopes: Floats
-    level: Floats
+    rate: Floats  #: (3,) rad/s.
+    force: Floats  #: (3,) m/s^2.
+    rate_by_latitude: Floats  #: (3,) d rate by the latitude of the site, 1/s.
+    rate_slopes: Floats  #: (3, 3) d rate, one column for each of azimuth and tilts.
+    force_slopes: Floats  #: (3, 3) d force.
+    level: Floats  #: (3, 3) transforms vectors of that frame to level, at the frame's own heading.
 
     @classmethod
     def at(cls, site: Site, azimuth: float, tilt_x: float, tilt_y: float) -> Surroundings:
@@ -122,17 +113,14 @@ class SessionModel:
 
     The order of its outputs is that of `layout`. Methods named `..._derivatives` return derivatives
     of `predict`, and those named `..._effects` what errors of a given size change in it.
-
-    Attributes:
-        evidence: The session, in the time of its table (`timebase`).
-        parameters: Of the sensors, in the order of the state, at its beginning.
-        changes: Coefficients by which parameters change during the session: the end of the state.
-        shape: Time constant of a warm-up or instant of a step, as a fraction of the session.
     """
 
-    evidence: Evidence
+    evidence: Evidence  #: The session, in the time of its table (`timebase`).
+    #: Of the sensors, in the order of the state, at its beginning.
     parameters: tuple[Parameter, ...] = PARAMETERS
+    #: Coefficients by which parameters change during the session: the end of the state.
     changes: tuple[Change, ...] = ()
+    #: Time constant of a warm-up or instant of a step, as a fraction of the session.
     shape: float = 1.0
 
     @property

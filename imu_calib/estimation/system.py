@@ -43,19 +43,13 @@ from .solve import least_squares, linear_step
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """A session to verify a calibration by.
+    """A session to verify a calibration by."""
 
-    Attributes:
-        evidence: Dwells and turns by name; without attitudes and turns if these are unknown.
-        imu: The recording's description of its IMU.
-        sample_rate: Samples per second, Hz.
-        notes: What was left out, in sentences.
-    """
-
+    #: Dwells and turns by name; without attitudes and turns if these are unknown.
     evidence: Evidence
-    imu: ImuSpec
-    sample_rate: float
-    notes: tuple[str, ...] = ()
+    imu: ImuSpec  #: The recording's description of its IMU.
+    sample_rate: float  #: Samples per second, Hz.
+    notes: tuple[str, ...] = ()  #: What was left out, in sentences.
 
     @property
     def site(self) -> Site:
@@ -172,28 +166,19 @@ _ANY_TILT = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Residuals after fitting errors of the parameters within their deviations.
+    """Residuals after fitting errors of the parameters within their deviations."""
 
-    Attributes:
-        chi_square: Chi-square.
-        freedom: Its degrees of freedom.
-        delta: (p,) estimated errors of the parameters.
-        std: (p,) their standard deviations.
-        unknown: (u,) the other unknowns: `Nuisance`, and if requested a small rotation in the
-            mount, rad; empty without attitudes.
-        ratios: Squared residual over its expectation: of dwells, of turns, of moves (1 without).
-        spare: Degrees of freedom of the residuals at rest.
-        converged: Whether the search converged; else chi-square is that of its start, which is
-            larger.
-    """
-
-    chi_square: float
-    freedom: int
-    delta: Floats
-    std: Floats
+    chi_square: float  #: Chi-square.
+    freedom: int  #: Its degrees of freedom.
+    delta: Floats  #: (p,) estimated errors of the parameters.
+    std: Floats  #: (p,) their standard deviations.
+    #: (u,) the other unknowns: `Nuisance`, and if requested a small rotation in the mount, rad;
+    #: empty without attitudes.
     unknown: Floats
+    #: Squared residual over its expectation: of dwells, of turns, of moves (1 without).
     ratios: tuple[float, ...]
-    spare: float
+    spare: float  #: Degrees of freedom of the residuals at rest.
+    #: Whether the search converged; else chi-square is that of its start, which is larger.
     converged: bool = True
 
     @property
@@ -212,29 +197,21 @@ class _System(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class TriadSystem:
-    """The equations of one triad in one session.
+    """The equations of one triad in one session."""
 
-    Attributes:
-        observed: The session.
-        sensors: Gyros or accelerometers.
-        reading: Factor by which the outputs are to be multiplied.
-        up: Direction of up by the accelerometers; None if attitudes are known.
-        inflation: Factors on the noise of dwells, of turns and of moves.
-        bias_drift: Standard deviation of the biases from dwell to dwell, rad/s or m/s^2.
-        seen: The unknowns fitted with all parameters free, as a start; None before that fit.
-        mount_free: Whether a small rotation of the unit in its mount is estimated.
-        considered: Parameters of the other triad and their standard deviations: gyros propagate the
-            axes of velocity changes.
-    """
-
-    observed: Observed
-    sensors: Sensors
-    reading: float = 1.0
-    up: Up | None = None
+    observed: Observed  #: The session.
+    sensors: Sensors  #: Gyros or accelerometers.
+    reading: float = 1.0  #: Factor by which the outputs are to be multiplied.
+    up: Up | None = None  #: Direction of up by the accelerometers; None if attitudes are known.
+    #: Factors on the noise of dwells, of turns and of moves.
     inflation: tuple[float, ...] = (1.0, 1.0, 1.0)
+    #: Standard deviation of the biases from dwell to dwell, rad/s or m/s^2.
     bias_drift: float = 0.0
+    #: The unknowns fitted with all parameters free, as a start; None before that fit.
     seen: Floats | None = None
-    mount_free: bool = False
+    mount_free: bool = False  #: Whether a small rotation of the unit in its mount is estimated.
+    #: Parameters of the other triad and their standard deviations: gyros propagate the axes of
+    #: velocity changes.
     considered: tuple[tuple[Parameter, float], ...] = ()
 
     @property

@@ -62,31 +62,24 @@ Positioning errors of joints are two: of stopped joints, and at the ends of whol
 
 @dataclass(frozen=True, eq=False)
 class CommonErrors:
-    """The errors that enter the outputs of all units.
+    """The errors that enter the outputs of all units."""
 
-    Attributes:
-        sources: Source of each of the k errors, in units of its prior standard deviation.
-        names: Name of each, for messages; empty for one that is not determined separately.
-        sizes: (k,) prior standard deviation of each error with a name, rad; 0 for the others.
-        columns: For each unit the (m, k) changes of its outputs by one standard deviation.
-    """
-
+    #: Source of each of the k errors, in units of its prior standard deviation.
     sources: tuple[Source, ...]
+    #: Name of each, for messages; empty for one that is not determined separately.
     names: tuple[str, ...]
+    #: (k,) prior standard deviation of each error with a name, rad; 0 for the others.
     sizes: Floats
+    #: For each unit the (m, k) changes of its outputs by one standard deviation.
     columns: tuple[Floats, ...]
 
 
 @dataclass(frozen=True)
 class CommonSizes:
-    """Assumed sizes of the errors of a table.
+    """Assumed sizes of the errors of a table."""
 
-    Attributes:
-        errors: Of its axes, zeros and encoders.
-        positioning: Positioning errors of joints and stops beyond its description.
-    """
-
-    errors: TableErrors
+    errors: TableErrors  #: Of its axes, zeros and encoders.
+    #: Positioning errors of joints and stops beyond its description.
     positioning: PositioningErrors
 
     @classmethod
@@ -325,15 +318,10 @@ are negligible against them."""
 
 @dataclass(frozen=True, eq=False)
 class Tilt:
-    """The plumb line by the accelerometers at rest.
+    """The plumb line by the accelerometers at rest."""
 
-    Attributes:
-        up: (3,) unit vector in the frame of the attitudes.
-        std: Standard deviation of its direction about either level axis, rad.
-    """
-
-    up: Floats
-    std: float
+    up: Floats  #: (3,) unit vector in the frame of the attitudes.
+    std: float  #: Standard deviation of its direction about either level axis, rad.
 
     @property
     def size(self) -> float:

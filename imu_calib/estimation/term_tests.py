@@ -87,35 +87,26 @@ class TermState(Enum):
 
 @dataclass(frozen=True, eq=False)
 class TermTest:
-    """Result of a session for a term, or for a kind of error of the table.
+    """Result of a session for a term, or for a kind of error of the table."""
 
-    Attributes:
-        name: Of the term, or the key in the table's file.
-        state: Its status.
-        log10_p: Decimal logarithm of the chance of such a test; None where not tested.
-        parameters: Of a term of the sensors.
-        changes: Coefficients of a term of the session.
-        smallest: (k,) coefficients that would be detected nine times in ten, SI units; infinite for
-            those that the session does not show. Empty for families that are on.
-        moved: For each coefficient that is off, the parameter it would move most, and by how much
-            per SI unit of it; None where it would move none.
-        hidden: Likewise of a term of the sensors, for coefficients just below detection that would
-            move it by `_HIDDEN` deviations; None for others.
-        probability: Of an undetected drift, for which the standard deviations allow; None where
-            they do not.
-        amount: Of a coefficient, in its unit, for which the effect is reported.
-    """
-
-    name: str
-    state: TermState
+    name: str  #: Of the term, or the key in the table's file.
+    state: TermState  #: Its status.
+    #: Decimal logarithm of the chance of such a test; None where not tested.
     log10_p: float | None = None
-    parameters: tuple[Parameter, ...] = ()
-    changes: tuple[Change, ...] = ()
+    parameters: tuple[Parameter, ...] = ()  #: Of a term of the sensors.
+    changes: tuple[Change, ...] = ()  #: Coefficients of a term of the session.
+    #: (k,) coefficients that would be detected nine times in ten, SI units; infinite for those that
+    #: the session does not show. Empty for families that are on.
     smallest: tuple[float, ...] = ()
+    #: For each coefficient that is off, the parameter it would move most, and by how much per SI
+    #: unit of it; None where it would move none.
     moved: tuple[tuple[Parameter, float] | None, ...] = ()
+    #: Likewise of a term of the sensors, for coefficients just below detection that would move it
+    #: by `_HIDDEN` deviations; None for others.
     hidden: tuple[tuple[Parameter, float] | None, ...] = ()
+    #: Of an undetected drift, for which the standard deviations allow; None where they do not.
     probability: float | None = None
-    amount: float = _AMOUNT
+    amount: float = _AMOUNT  #: Of a coefficient, in its unit, for which the effect is reported.
 
     @classmethod
     def found(cls, term: Term, log_p: float) -> TermTest:
@@ -459,7 +450,6 @@ def _held(one: TermTest, held: list[tuple[Parameter, tuple[Parameter, float]]]) 
 
 
 # Effect of a temperature change during a session on parameters taken as constant.
-
 
 _CHEAPEST = 200 * PPM
 """Scale factor per kelvin of the cheapest units (MPU-9150: 0.02 % of the accelerometers). Where

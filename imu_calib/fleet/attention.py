@@ -29,23 +29,14 @@ Cases = Sequence[Sequence[str]]
 
 @dataclass(frozen=True)
 class Issue:
-    """A matter that needs attention.
+    """A matter that needs attention."""
 
-    Attributes:
-        title: Its title.
-        kind: Its class, by severity.
-        sentences: With their numbers.
-        headings: Of the cases.
-        cases: Cells as HTML, the most urgent first.
-        flag: Selects its units in the table of units; None for other cases.
-    """
-
-    title: str
-    kind: str
-    sentences: Sequence[str]
-    headings: Sequence[str] = ()
-    cases: Cases = ()
-    flag: Flag | None = None
+    title: str  #: Its title.
+    kind: str  #: Its class, by severity.
+    sentences: Sequence[str]  #: With their numbers.
+    headings: Sequence[str] = ()  #: Of the cases.
+    cases: Cases = ()  #: Cells as HTML, the most urgent first.
+    flag: Flag | None = None  #: Selects its units in the table of units; None for other cases.
 
     def html(self) -> str:
         """Return it with its first cases as HTML."""
@@ -387,7 +378,6 @@ def remarks(fleet: Fleet) -> str:
 
 
 # Distributions of the units of each type, and recordings by stand and by type.
-
 
 _BINS = 24
 """Bins of a small distribution: 5 px each."""

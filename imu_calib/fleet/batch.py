@@ -41,19 +41,12 @@ _FOLDERS = {'imu': 'imus', 'plan': 'plans', 'table': 'tables'}
 
 @dataclass(frozen=True)
 class Done:
-    """Result of a task.
+    """Result of a task."""
 
-    Attributes:
-        key: Key of the task.
-        row: For the catalogue; None if the catalogue has it.
-        calibration: Text of calibration.yaml; empty without one.
-        others: Results for the other units of the recording.
-    """
-
-    key: str
-    row: dict[str, Any] | None = None
-    calibration: str = ''
-    others: tuple[Done, ...] = ()
+    key: str  #: Key of the task.
+    row: dict[str, Any] | None = None  #: For the catalogue; None if the catalogue has it.
+    calibration: str = ''  #: Text of calibration.yaml; empty without one.
+    others: tuple[Done, ...] = ()  #: Results for the other units of the recording.
 
     @property
     def results(self) -> tuple[Done, ...]:

@@ -376,7 +376,6 @@ def rows_of(table: pa.Table) -> Iterable[dict[str, Any]]:
 
 # A batch: process recordings with Dask workers, and add their rows to a catalogue.
 
-
 Task: TypeAlias = Callable[[Job, frozenset[str]], Done]
 
 _FLUSH, _FLUSH_SHARE, _LATEST_FLUSH = 1.0, 0.05, 60.0
@@ -390,27 +389,17 @@ _MOST = 100
 
 @dataclass(frozen=True)
 class Batch:
-    """Result of a batch.
+    """Result of a batch."""
 
-    Attributes:
-        catalogue: Its folder.
-        recordings: Number of recordings named by the sources.
-        calibrated: Number of calibrated units: one or several per recording.
-        failed: Number of units without a calibration, with the reason in their row.
-        known: Number of units that the catalogue had already.
-        known_failed: Those among them without a calibration.
-        seconds: Duration.
-        convertible: Files in the folders of the sources that are no recordings until
-            `imu_calib.convert` makes some of them, or until they are unpacked.
-    """
-
-    catalogue: Path
-    recordings: int
-    calibrated: int
-    failed: int
-    known: int
-    known_failed: int
-    seconds: float
+    catalogue: Path  #: Its folder.
+    recordings: int  #: Number of recordings named by the sources.
+    calibrated: int  #: Number of calibrated units: one or several per recording.
+    failed: int  #: Number of units without a calibration, with the reason in their row.
+    known: int  #: Number of units that the catalogue had already.
+    known_failed: int  #: Those among them without a calibration.
+    seconds: float  #: Duration.
+    #: Files in the folders of the sources that are no recordings until `imu_calib.convert` makes
+    #: some of them, or until they are unpacked.
     convertible: tuple[Path, ...] = ()
 
     def __repr__(self) -> str:

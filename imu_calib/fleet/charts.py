@@ -82,7 +82,6 @@ def ewma_limit(smoothing: float, run: float) -> float:
 
 # Sort sessions into units by date, and group units with equal numbers of sessions.
 
-
 SIZE = len(PARAMETERS)
 _CELLS = 20_000
 """Sessions processed together: their arrays take some 100 MB."""
@@ -90,19 +89,13 @@ _CELLS = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """u units of one type, n sessions each, by date.
+    """u units of one type, n sessions each, by date."""
 
-    Attributes:
-        rows: (u, n) of the sessions.
-        months: (u, n) relative to the newest session of each, zero or less.
-        values: (u, 24, n) SI units, NaN if not estimated.
-        stated: (u, 24, n) variances; infinite without a value. A session that states none has the
-            typical variance of the type.
-    """
-
-    rows: NDArray[np.int64]
-    months: Floats
-    values: Floats
+    rows: NDArray[np.int64]  #: (u, n) of the sessions.
+    months: Floats  #: (u, n) relative to the newest session of each, zero or less.
+    values: Floats  #: (u, 24, n) SI units, NaN if not estimated.
+    #: (u, 24, n) variances; infinite without a value. A session that states none has the typical
+    #: variance of the type.
     stated: Floats
 
     @property
@@ -343,12 +336,9 @@ _DISTINCT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Steps of the units of a block: for each parameter, the first sessions after them.
+    """Steps of the units of a block: for each parameter, the first sessions after them."""
 
-    Attributes:
-        of: Sessions by (unit, parameter), indices in the block; without steps there is no entry.
-    """
-
+    #: Sessions by (unit, parameter), indices in the block; without steps there is no entry.
     of: dict[tuple[int, int], tuple[int, ...]]
 
     def of_unit(self, unit: int) -> dict[int, list[int]]:

@@ -55,7 +55,6 @@ def bokeh_script() -> str:
 
 # Additions of the page on a catalogue to the report's style: a wide table, controls, drawings.
 
-
 FLEET_STYLE = """
 :root { --stand-4: #a0559a; --stand-5: #7a6a00; --stand-6: #3b7fd1; --stand-7: #8a5a3c;
   --stand-8: #5b6670; --good-area: #4f9d82; }

@@ -27,17 +27,11 @@ AHEAD = 90.0
 
 @dataclass(frozen=True)
 class State:
-    """A possible state of a unit, for a badge and a filter.
+    """A possible state of a unit, for a badge and a filter."""
 
-    Attributes:
-        words: Text of the badge.
-        kind: Class of the badge.
-        meaning: Explanation of the text.
-    """
-
-    words: str
-    kind: str
-    meaning: str
+    words: str  #: Text of the badge.
+    kind: str  #: Class of the badge.
+    meaning: str  #: Explanation of the text.
 
 
 class Flag(Enum):
@@ -57,63 +51,38 @@ class Flag(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Recordings:
-    """Rows of a catalogue, n of them.
+    """Rows of a catalogue, n of them."""
 
-    Attributes:
-        key: Key of the task.
-        recording: Its name.
-        imu: Type; for a failed one as stated.
-        serial: Serial number of the unit; empty if not stated.
-        stand: Its stand; empty if not stated.
-        date: (n,) date, UTC; NaT if unknown.
-        calibrated: (n,) whether it gave a calibration.
-        error: Reason of the failure, a sentence.
-        verdict: Against the specification; empty without one.
-        values: (n, 24) SI units; NaN if not estimated.
-        std: (n, 24) stated standard deviations.
-        findings: Of its calibration, sentences.
-        calibration: Link to its file, relative to the page; empty without one.
-        report: Likewise to its report.
-    """
-
-    key: Sequence[str]
-    recording: Sequence[str]
-    imu: Sequence[str]
-    serial: Sequence[str]
-    stand: Sequence[str]
-    date: Dates
-    calibrated: Flags
-    error: Sequence[str]
-    verdict: Sequence[str]
-    values: Floats
-    std: Floats
-    findings: Sequence[Sequence[str]]
-    calibration: Sequence[str]
-    report: Sequence[str]
+    key: Sequence[str]  #: Key of the task.
+    recording: Sequence[str]  #: Its name.
+    imu: Sequence[str]  #: Type; for a failed one as stated.
+    serial: Sequence[str]  #: Serial number of the unit; empty if not stated.
+    stand: Sequence[str]  #: Its stand; empty if not stated.
+    date: Dates  #: (n,) date, UTC; NaT if unknown.
+    calibrated: Flags  #: (n,) whether it gave a calibration.
+    error: Sequence[str]  #: Reason of the failure, a sentence.
+    verdict: Sequence[str]  #: Against the specification; empty without one.
+    values: Floats  #: (n, 24) SI units; NaN if not estimated.
+    std: Floats  #: (n, 24) stated standard deviations.
+    findings: Sequence[Sequence[str]]  #: Of its calibration, sentences.
+    calibration: Sequence[str]  #: Link to its file, relative to the page; empty without one.
+    report: Sequence[str]  #: Likewise to its report.
 
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """A unit with its recordings.
+    """A unit with its recordings."""
 
-    Attributes:
-        imu: Type; empty if only failed recordings name the unit, without a type.
-        serial: Serial number.
-        sessions: Rows of `Recordings` with a calibration: first those without a date, which
-            `history` lacks, then those of `history`, by date.
-        failed: Rows without a calibration, by date.
-        replaced: Rows of recordings that were calibrated again: the newer row counts.
-        history: Evaluation of the sessions; None without one.
-        flags: Its flags, worst first.
-    """
-
-    imu: str
-    serial: str
+    imu: str  #: Type; empty if only failed recordings name the unit, without a type.
+    serial: str  #: Serial number.
+    #: Rows of `Recordings` with a calibration: first those without a date, which `history` lacks,
+    #: then those of `history`, by date.
     sessions: tuple[int, ...]
-    failed: tuple[int, ...]
+    failed: tuple[int, ...]  #: Rows without a calibration, by date.
+    #: Rows of recordings that were calibrated again: the newer row counts.
     replaced: tuple[int, ...]
-    history: UnitHistory | None
-    flags: tuple[Flag, ...]
+    history: UnitHistory | None  #: Evaluation of the sessions; None without one.
+    flags: tuple[Flag, ...]  #: Its flags, worst first.
 
     @property
     def rows(self) -> tuple[int, ...]:
@@ -128,22 +97,14 @@ class Unit:
 
 @dataclass(frozen=True, eq=False)
 class Fleet:
-    """Contents of the page.
+    """Contents of the page."""
 
-    Attributes:
-        name: Name of the catalogue.
-        recordings: Its rows.
-        history: Their evaluation.
-        today: Date of the page, UTC: due dates are counted from it.
-        ahead: Days before a due recalibration from which the page shows it.
-        units: The units of the history, as the page shows them.
-    """
-
-    name: str
-    recordings: Recordings
-    history: History
-    today: np.datetime64
-    ahead: float = AHEAD
+    name: str  #: Name of the catalogue.
+    recordings: Recordings  #: Its rows.
+    history: History  #: Their evaluation.
+    today: np.datetime64  #: Date of the page, UTC: due dates are counted from it.
+    ahead: float = AHEAD  #: Days before a due recalibration from which the page shows it.
+    #: The units of the history, as the page shows them.
     units: tuple[Unit, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -250,7 +211,6 @@ def _later(one: np.datetime64, other: np.datetime64) -> bool:
 
 
 # Dates, numbers and counts of the page as text.
-
 
 NO_DATE = 'no date'
 PLACE_OF = {p.name: k for k, p in enumerate(PARAMETERS)}
@@ -410,7 +370,6 @@ def packed_differences(values: Floats, std: Floats) -> tuple[NDArray[np.int32], 
 
 
 # Data for the page's script: units for the table, sessions for the drawings.
-
 
 _NUMBER = len(PARAMETERS)
 _NONE = np.full(_NUMBER, np.nan)

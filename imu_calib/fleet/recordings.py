@@ -40,38 +40,23 @@ NUMBERS = frozenset(
 
 @dataclass(frozen=True)
 class Labels:
-    """Statements on a recording that a history uses and a calibration does not.
+    """Statements on a recording that a history uses and a calibration does not."""
 
-    Attributes:
-        site: Where it was recorded.
-        stand: The table.
-        operator: Who recorded it.
-        lot: Production lot of the unit.
-        date: Date, UTC; None for the time of its first message.
-    """
-
-    site: str = ''
-    stand: str = ''
-    operator: str = ''
-    lot: str = ''
-    date: datetime | None = None
+    site: str = ''  #: Where it was recorded.
+    stand: str = ''  #: The table.
+    operator: str = ''  #: Who recorded it.
+    lot: str = ''  #: Production lot of the unit.
+    date: datetime | None = None  #: Date, UTC; None for the time of its first message.
 
 
 @dataclass(frozen=True)
 class Job:
-    """One recording with the statements on it.
+    """One recording with the statements on it."""
 
-    Attributes:
-        recording: Path of a rosbag2 folder or storage file, or a URL of one.
-        stated: Statements for `calibrate`.
-        labels: Statements for the catalogue.
-        imus: File of several units on one table; empty for one unit, or if the recording states
-            them.
-    """
-
-    recording: str
-    stated: Stated = field(default_factory=Stated)
-    labels: Labels = field(default_factory=Labels)
+    recording: str  #: Path of a rosbag2 folder or storage file, or a URL of one.
+    stated: Stated = field(default_factory=Stated)  #: Statements for `calibrate`.
+    labels: Labels = field(default_factory=Labels)  #: Statements for the catalogue.
+    #: File of several units on one table; empty for one unit, or if the recording states them.
     imus: str = ''
 
 

@@ -34,25 +34,20 @@ MONTH_DAYS = 30.4375
 class Rules:
     """Rules of the evaluation of a history.
 
-    Attributes:
-        false_alarm: Largest probability of a wrong statement: for each kind of chart that any
-            parameter of a unit gives a signal at a session; that any step, or any significant
-            trend, is found in a unit without one; that any stand is named, any unit called an
-            outlier, or any lot called different without cause.
-        confidence: Of all intervals.
-        inside: Probability with which a unit is still within its specification when it is due.
-        smoothing: Weight of the newest session in an EWMA chart.
-        horizon: Years from the newest session beyond which nothing is predicted.
-
     Raises:
         InputError: A number is outside its range.
     """
 
+    #: Largest probability of a wrong statement: for each kind of chart that any parameter of a unit
+    #: gives a signal at a session; that any step, or any significant trend, is found in a unit
+    #: without one; that any stand is named, any unit called an outlier, or any lot called different
+    #: without cause.
     false_alarm: float = 0.01
-    confidence: float = 0.95
+    confidence: float = 0.95  #: Of all intervals.
+    #: Probability with which a unit is still within its specification when it is due.
     inside: float = 0.95
-    smoothing: float = 0.2
-    horizon: float = 10.0
+    smoothing: float = 0.2  #: Weight of the newest session in an EWMA chart.
+    horizon: float = 10.0  #: Years from the newest session beyond which nothing is predicted.
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -78,101 +73,62 @@ USUAL = Rules()
 
 @dataclass(frozen=True, eq=False)
 class Sessions:
-    """Calibrations of units, n of them, in any order.
+    """Calibrations of units, n of them, in any order."""
 
-    Attributes:
-        key: Identifies each session.
-        serial: Serial number of the unit; with its type it identifies the unit.
-        imu: Type.
-        lot: Of the unit; empty if unknown.
-        stand: Where it was calibrated; empty if unknown.
-        date: (n,) date, UTC.
-        values: (n, 24) SI units; NaN if not estimated.
-        covariance: (n, 24, 24) as stated; NaN if not stated.
-    """
-
-    key: tuple[str, ...]
-    serial: tuple[str, ...]
-    imu: tuple[str, ...]
-    lot: tuple[str, ...]
-    stand: tuple[str, ...]
-    date: Dates
-    values: Floats
-    covariance: Floats
+    key: tuple[str, ...]  #: Identifies each session.
+    serial: tuple[str, ...]  #: Serial number of the unit; with its type it identifies the unit.
+    imu: tuple[str, ...]  #: Type.
+    lot: tuple[str, ...]  #: Of the unit; empty if unknown.
+    stand: tuple[str, ...]  #: Where it was calibrated; empty if unknown.
+    date: Dates  #: (n,) date, UTC.
+    values: Floats  #: (n, 24) SI units; NaN if not estimated.
+    covariance: Floats  #: (n, 24, 24) as stated; NaN if not stated.
 
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """Scatter of a unit's parameters between sessions: turn-on repeatability, (24,) each.
+    """Scatter of a unit's parameters between sessions: turn-on repeatability, (24,) each."""
 
-    Attributes:
-        std: Standard deviation between sessions beyond the stated ones, by restricted maximum
-            likelihood.
-        low: Lower end of its interval.
-        high: Upper end.
-        stated: Standard deviation stated by a session, root mean square.
-        freedom: Degrees of freedom of the scatter.
-        overstated: Whether the scatter is smaller than stated: the sessions have a common error, or
-            their stated deviations are too large. `high` is then the limit for all scatter as that
-            between sessions.
-    """
-
+    #: Standard deviation between sessions beyond the stated ones, by restricted maximum likelihood.
     std: Floats
-    low: Floats
-    high: Floats
-    stated: Floats
-    freedom: Floats
+    low: Floats  #: Lower end of its interval.
+    high: Floats  #: Upper end.
+    stated: Floats  #: Standard deviation stated by a session, root mean square.
+    freedom: Floats  #: Degrees of freedom of the scatter.
+    #: Whether the scatter is smaller than stated: the sessions have a common error, or their stated
+    #: deviations are too large. `high` is then the limit for all scatter as that between sessions.
     overstated: Flags
 
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """A unit's line through its sessions, with its steps; (24,) each.
+    """A unit's line through its sessions, with its steps; (24,) each."""
 
-    Attributes:
-        slope: SI units per month.
-        std: Its standard deviation.
-        low: Lower end of its interval.
-        high: Upper end.
-        chance: Probability of at least this slope in a unit without a trend.
-        significant: Whether it differs from zero, corrected for all parameters of the unit.
-        level: Of the line at the newest session, SI units.
-        level_std: Its standard deviation.
-    """
-
-    slope: Floats
-    std: Floats
-    low: Floats
-    high: Floats
-    chance: Floats
-    significant: Flags
-    level: Floats
-    level_std: Floats
+    slope: Floats  #: SI units per month.
+    std: Floats  #: Its standard deviation.
+    low: Floats  #: Lower end of its interval.
+    high: Floats  #: Upper end.
+    chance: Floats  #: Probability of at least this slope in a unit without a trend.
+    significant: Flags  #: Whether it differs from zero, corrected for all parameters of the unit.
+    level: Floats  #: Of the line at the newest session, SI units.
+    level_std: Floats  #: Its standard deviation.
 
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """When a unit leaves its specification.
+    """When a unit leaves its specification."""
 
-    Attributes:
-        limit: (24,) largest amount allowed, SI units; NaN without one.
-        leaves: (24,) date at which the line crosses the limit; NaT: after the horizon.
-        earliest: (24,) date until which the parameter is inside with the probability `inside`.
-        recalibrate: Date until which all parameters together are inside with that probability; NaT:
-            after the horizon, or unknown (`reason`).
-        parameter: Name of the one that is most likely outside then; empty without a date.
-        borrowed: Whether trends of the type are used where the unit's own sessions are
-            insufficient.
-        reason: Why there is no date, a sentence; else empty.
-    """
-
-    limit: Floats
-    leaves: Dates
+    limit: Floats  #: (24,) largest amount allowed, SI units; NaN without one.
+    leaves: Dates  #: (24,) date at which the line crosses the limit; NaT: after the horizon.
+    #: (24,) date until which the parameter is inside with the probability `inside`.
     earliest: Dates
+    #: Date until which all parameters together are inside with that probability; NaT: after the
+    #: horizon, or unknown (`reason`).
     recalibrate: np.datetime64
-    parameter: str
+    parameter: str  #: Name of the one that is most likely outside then; empty without a date.
+    #: Whether trends of the type are used where the unit's own sessions are insufficient.
     borrowed: bool
-    reason: str
+    reason: str  #: Why there is no date, a sentence; else empty.
 
 
 class Cause(Enum):
@@ -186,31 +142,18 @@ class Cause(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A change between two sessions that no trend explains.
+    """A change between two sessions that no trend explains."""
 
-    Attributes:
-        index: Of the first session after it, in the unit's course.
-        after: Date of the last session before it.
-        before: Date of the first session after it.
-        parameters: Names of the k that changed significantly.
-        size: (k,) SI units.
-        std: (k,) standard deviations.
-        low: (k,) lower ends of their intervals.
-        high: (k,) upper ends.
-        cause: Its cause.
-        rotation: (3,) rad about X, Y, Z of a mount; else NaN.
-    """
-
-    index: int
-    after: np.datetime64
-    before: np.datetime64
-    parameters: tuple[str, ...]
-    size: Floats
-    std: Floats
-    low: Floats
-    high: Floats
-    cause: Cause
-    rotation: Floats
+    index: int  #: Of the first session after it, in the unit's course.
+    after: np.datetime64  #: Date of the last session before it.
+    before: np.datetime64  #: Date of the first session after it.
+    parameters: tuple[str, ...]  #: Names of the k that changed significantly.
+    size: Floats  #: (k,) SI units.
+    std: Floats  #: (k,) standard deviations.
+    low: Floats  #: (k,) lower ends of their intervals.
+    high: Floats  #: (k,) upper ends.
+    cause: Cause  #: Its cause.
+    rotation: Floats  #: (3,) rad about X, Y, Z of a mount; else NaN.
 
 
 class Chart(Enum):
@@ -223,144 +166,86 @@ class Chart(Enum):
 
 @dataclass(frozen=True)
 class ChartLimits:
-    """Limits of the charts, and their run lengths for a unit in control.
+    """Limits of the charts, and their run lengths for a unit in control."""
 
-    Attributes:
-        individuals: Of the normal scores, on both sides.
-        ewma: Of the EWMA of normal scores, on both sides.
-        parameter_run: Mean number of sessions between false alarms of one parameter on one chart.
-        unit_run: The same for any of the 24 on one chart, a lower bound; and for T^2.
-    """
-
-    individuals: float
-    ewma: float
+    individuals: float  #: Of the normal scores, on both sides.
+    ewma: float  #: Of the EWMA of normal scores, on both sides.
+    #: Mean number of sessions between false alarms of one parameter on one chart.
     parameter_run: float
-    unit_run: float
+    unit_run: float  #: The same for any of the 24 on one chart, a lower bound; and for T^2.
 
 
 @dataclass(frozen=True)
 class Signal:
-    """A session at which a chart leaves its limits.
+    """A session at which a chart leaves its limits."""
 
-    Attributes:
-        chart: Kind of the chart.
-        index: Of the session, in the unit's course.
-        parameter: Name; empty for T^2.
-        value: Value on the chart.
-        limit: Its limit.
-    """
-
-    chart: Chart
-    index: int
-    parameter: str
-    value: float
-    limit: float
+    chart: Chart  #: Kind of the chart.
+    index: int  #: Of the session, in the unit's course.
+    parameter: str  #: Name; empty for T^2.
+    value: float  #: Value on the chart.
+    limit: float  #: Its limit.
 
 
 @dataclass(frozen=True, eq=False)
 class Charts:
-    """Control charts of a unit; each session is compared with the preceding ones.
+    """Control charts of a unit; each session is compared with the preceding ones."""
 
-    Attributes:
-        score: (n, 24) normal scores: the session minus its prediction from its predecessors, as a
-            standard normal deviate. NaN without a prediction.
-        ewma: (n, 24) their exponentially weighted moving average.
-        t2: (n,) Hotelling's T^2 of the scores of a session.
-        t2_limit: (n,) its limit.
-        t2_chance: (n,) probability of at least this value in control.
-        signals: Sessions at which a chart leaves its limits.
-    """
-
+    #: (n, 24) normal scores: the session minus its prediction from its predecessors, as a standard
+    #: normal deviate. NaN without a prediction.
     score: Floats
-    ewma: Floats
-    t2: Floats
-    t2_limit: Floats
-    t2_chance: Floats
-    signals: tuple[Signal, ...]
+    ewma: Floats  #: (n, 24) their exponentially weighted moving average.
+    t2: Floats  #: (n,) Hotelling's T^2 of the scores of a session.
+    t2_limit: Floats  #: (n,) its limit.
+    t2_chance: Floats  #: (n,) probability of at least this value in control.
+    signals: tuple[Signal, ...]  #: Sessions at which a chart leaves its limits.
 
 
 @dataclass(frozen=True, eq=False)
 class UnitHistory:
-    """Evaluation of the n sessions of one unit, by date.
+    """Evaluation of the n sessions of one unit, by date."""
 
-    Attributes:
-        serial: Its serial number.
-        imu: Its type.
-        lot: Its lot; empty if unknown.
-        key: (n) keys of the sessions.
-        date: (n,) dates.
-        stand: (n) stands; empty if unknown.
-        values: (n, 24) estimates, SI units.
-        std: (n, 24) stated standard deviations.
-        corrected: (n, 24) values minus the shifts of named stands, used for trend, steps, charts
-            and forecast.
-        limit: (24,) of the specification, SI units; NaN without one.
-        verdict: Of the newest session against the specification; None without one.
-        outside: Names of parameters that are proven to be outside at the newest session.
-        scatter: Between sessions.
-        trend: Over time.
-        forecast: When it is due.
-        steps: Changes between sessions.
-        charts: Control charts.
-        findings: Messages for the user on this unit, sentences.
-    """
-
-    serial: str
-    imu: str
-    lot: str
-    key: tuple[str, ...]
-    date: Dates
-    stand: tuple[str, ...]
-    values: Floats
-    std: Floats
+    serial: str  #: Its serial number.
+    imu: str  #: Its type.
+    lot: str  #: Its lot; empty if unknown.
+    key: tuple[str, ...]  #: (n) keys of the sessions.
+    date: Dates  #: (n,) dates.
+    stand: tuple[str, ...]  #: (n) stands; empty if unknown.
+    values: Floats  #: (n, 24) estimates, SI units.
+    std: Floats  #: (n, 24) stated standard deviations.
+    #: (n, 24) values minus the shifts of named stands, used for trend, steps, charts and forecast.
     corrected: Floats
-    limit: Floats
-    verdict: Verdict | None
+    limit: Floats  #: (24,) of the specification, SI units; NaN without one.
+    verdict: Verdict | None  #: Of the newest session against the specification; None without one.
+    #: Names of parameters that are proven to be outside at the newest session.
     outside: tuple[str, ...]
-    scatter: Scatter
-    trend: Trend
-    forecast: Forecast
-    steps: tuple[Step, ...]
-    charts: Charts
-    findings: tuple[str, ...]
+    scatter: Scatter  #: Between sessions.
+    trend: Trend  #: Over time.
+    forecast: Forecast  #: When it is due.
+    steps: tuple[Step, ...]  #: Changes between sessions.
+    charts: Charts  #: Control charts.
+    findings: tuple[str, ...]  #: Messages for the user on this unit, sentences.
 
 
 @dataclass(frozen=True)
 class Outlier:
-    """A unit that differs from the others of its type.
+    """A unit that differs from the others of its type."""
 
-    Attributes:
-        serial: Its serial number.
-        parameter: Name.
-        value: Its level, SI units.
-        score: Distance from the median in robust standard deviations.
-    """
-
-    serial: str
-    parameter: str
-    value: float
-    score: float
+    serial: str  #: Its serial number.
+    parameter: str  #: Name.
+    value: float  #: Its level, SI units.
+    score: float  #: Distance from the median in robust standard deviations.
 
 
 @dataclass(frozen=True)
 class LotShift:
-    """A lot that differs from the others of its type.
+    """A lot that differs from the others of its type."""
 
-    Attributes:
-        lot: Its name.
-        parameter: Name.
-        units: Number of its units.
-        shift: Mean of its units minus that of all others, SI units.
-        std: Its standard deviation.
-        chance: Probability of at least this shift between lots that do not differ.
-    """
-
-    lot: str
-    parameter: str
-    units: int
-    shift: float
-    std: float
-    chance: float
+    lot: str  #: Its name.
+    parameter: str  #: Name.
+    units: int  #: Number of its units.
+    shift: float  #: Mean of its units minus that of all others, SI units.
+    std: float  #: Its standard deviation.
+    chance: float  #: Probability of at least this shift between lots that do not differ.
 
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -369,122 +254,74 @@ QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 @dataclass(frozen=True, eq=False)
 class Population:
-    """The units of one type; one value for each, that of its newest session; (24,) each.
+    """The units of one type; one value for each, that of its newest session; (24,) each."""
 
-    Attributes:
-        imu: Type.
-        units: Number of units.
-        sessions: Number of sessions of all units.
-        count: Number of units with a value.
-        mean: SI units.
-        std: Between units, including stated deviations and scatter.
-        median: SI units.
-        robust_std: 1.4826 times the median absolute deviation from it.
-        quantiles: (5, 24) at `QUANTILES`.
-        turn_on: Standard deviation between sessions of a unit, typical of the type.
-        trend: Mean slope, per month.
-        trend_std: Standard deviation of the units' true slopes.
-        outside: Number of units proven to be outside their specification by this parameter.
-        outliers: Units that differ from the others.
-        lots: Lots that differ from the others.
-    """
-
-    imu: str
-    units: int
-    sessions: int
-    count: NDArray[np.int64]
-    mean: Floats
-    std: Floats
-    median: Floats
-    robust_std: Floats
-    quantiles: Floats
-    turn_on: Floats
-    trend: Floats
-    trend_std: Floats
+    imu: str  #: Type.
+    units: int  #: Number of units.
+    sessions: int  #: Number of sessions of all units.
+    count: NDArray[np.int64]  #: Number of units with a value.
+    mean: Floats  #: SI units.
+    std: Floats  #: Between units, including stated deviations and scatter.
+    median: Floats  #: SI units.
+    robust_std: Floats  #: 1.4826 times the median absolute deviation from it.
+    quantiles: Floats  #: (5, 24) at `QUANTILES`.
+    turn_on: Floats  #: Standard deviation between sessions of a unit, typical of the type.
+    trend: Floats  #: Mean slope, per month.
+    trend_std: Floats  #: Standard deviation of the units' true slopes.
+    #: Number of units proven to be outside their specification by this parameter.
     outside: NDArray[np.int64]
-    outliers: tuple[Outlier, ...]
-    lots: tuple[LotShift, ...]
+    outliers: tuple[Outlier, ...]  #: Units that differ from the others.
+    lots: tuple[LotShift, ...]  #: Lots that differ from the others.
 
 
 @dataclass(frozen=True)
 class StandShift:
-    """A stand with a common shift of all units.
+    """A stand with a common shift of all units."""
 
-    Attributes:
-        stand: Its name; for a pair of different stands that of the second (not `identified`).
-        others: Stands in the comparison.
-        identified: Whether this stand is the cause; with only two stands it is unknown which is.
-        what: Name of a parameter, or of a common cause of several ('K_a', 'E about X').
-        parameters: Names of the shifted ones.
-        unit: SI unit of the numbers.
-        shift: Its size, SI units.
-        std: Its standard deviation.
-        low: Lower end of its interval, corrected for all tests.
-        high: Upper end.
-        chance: Probability of at least this shift without cause, corrected for all tests.
-        units: Number of units that were on this stand and on another.
-    """
-
-    stand: str
-    others: tuple[str, ...]
+    stand: str  #: Its name; for a pair of different stands that of the second (not `identified`).
+    others: tuple[str, ...]  #: Stands in the comparison.
+    #: Whether this stand is the cause; with only two stands it is unknown which is.
     identified: bool
-    what: str
-    parameters: tuple[str, ...]
-    unit: str
-    shift: float
-    std: float
-    low: float
-    high: float
-    chance: float
-    units: int
+    what: str  #: Name of a parameter, or of a common cause of several ('K_a', 'E about X').
+    parameters: tuple[str, ...]  #: Names of the shifted ones.
+    unit: str  #: SI unit of the numbers.
+    shift: float  #: Its size, SI units.
+    std: float  #: Its standard deviation.
+    low: float  #: Lower end of its interval, corrected for all tests.
+    high: float  #: Upper end.
+    chance: float  #: Probability of at least this shift without cause, corrected for all tests.
+    units: int  #: Number of units that were on this stand and on another.
 
 
 @dataclass(frozen=True, eq=False)
 class Stands:
-    """Comparison of m stands by the units that were on several.
+    """Comparison of m stands by the units that were on several."""
 
-    Attributes:
-        names: Names of the m stands.
-        sessions: (m,) number of sessions of each.
-        units: (m,) number of units of each.
-        groups: Stands linked by common units; only those of one group can be compared.
-        effect: (m, 24) of a stand minus the mean of its group, SI units; NaN if undetermined.
-        std: (m, 24) their standard deviations.
-        reproducibility: (24,) standard deviation between stands, by restricted maximum likelihood.
-        shifts: Shifts of stands.
-        findings: Messages for the user, sentences, including what cannot be separated.
-    """
-
-    names: tuple[str, ...]
-    sessions: NDArray[np.int64]
-    units: NDArray[np.int64]
+    names: tuple[str, ...]  #: Names of the m stands.
+    sessions: NDArray[np.int64]  #: (m,) number of sessions of each.
+    units: NDArray[np.int64]  #: (m,) number of units of each.
+    #: Stands linked by common units; only those of one group can be compared.
     groups: tuple[tuple[str, ...], ...]
+    #: (m, 24) of a stand minus the mean of its group, SI units; NaN if undetermined.
     effect: Floats
-    std: Floats
+    std: Floats  #: (m, 24) their standard deviations.
+    #: (24,) standard deviation between stands, by restricted maximum likelihood.
     reproducibility: Floats
-    shifts: tuple[StandShift, ...]
+    shifts: tuple[StandShift, ...]  #: Shifts of stands.
+    #: Messages for the user, sentences, including what cannot be separated.
     findings: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Evaluation of all sessions.
+    """Evaluation of all sessions."""
 
-    Attributes:
-        rules: Rules of the evaluation.
-        limits: Of the charts.
-        units: By type and serial number.
-        populations: By type.
-        stands: Their comparison.
-        findings: Messages for the user on the whole, sentences.
-    """
-
-    rules: Rules
-    limits: ChartLimits
-    units: tuple[UnitHistory, ...]
-    populations: Mapping[str, Population]
-    stands: Stands
-    findings: tuple[str, ...] = field(default=())
+    rules: Rules  #: Rules of the evaluation.
+    limits: ChartLimits  #: Of the charts.
+    units: tuple[UnitHistory, ...]  #: By type and serial number.
+    populations: Mapping[str, Population]  #: By type.
+    stands: Stands  #: Their comparison.
+    findings: tuple[str, ...] = field(default=())  #: Messages for the user on the whole, sentences.
 
     def __repr__(self) -> str:
         """Return one line."""

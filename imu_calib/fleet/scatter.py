@@ -30,24 +30,15 @@ times in months have some ten digits, and their squares half of those."""
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A weighted least-squares fit.
+    """A weighted least-squares fit."""
 
-    Attributes:
-        coefficients: (..., p).
-        inverse: (..., p, p) pseudo-inverse of the normal matrix: their covariance per unit of
-            scale.
-        residuals: (..., n) zero without weight.
-        square: (...) weighted sum of squares of the residuals.
-        freedom: (...) degrees of freedom of that.
-        known: (...) whether all columns are determined.
-    """
-
-    coefficients: Floats
+    coefficients: Floats  #: (..., p).
+    #: (..., p, p) pseudo-inverse of the normal matrix: their covariance per unit of scale.
     inverse: Floats
-    residuals: Floats
-    square: Floats
-    freedom: NDArray[np.int64]
-    known: NDArray[np.bool_]
+    residuals: Floats  #: (..., n) zero without weight.
+    square: Floats  #: (...) weighted sum of squares of the residuals.
+    freedom: NDArray[np.int64]  #: (...) degrees of freedom of that.
+    known: NDArray[np.bool_]  #: (...) whether all columns are determined.
 
 
 def fit(design: Floats, weights: Floats, values: Floats) -> Fit:
@@ -246,17 +237,11 @@ zero."""
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Prior of a type, (24,) each.
+    """Prior of a type, (24,) each."""
 
-    Attributes:
-        between: Variance between sessions, t.
-        scale: Typical f.
-        freedom: Degrees of freedom of the prior; 0 with too few units.
-    """
-
-    between: Floats
-    scale: Floats
-    freedom: Floats
+    between: Floats  #: Variance between sessions, t.
+    scale: Floats  #: Typical f.
+    freedom: Floats  #: Degrees of freedom of the prior; 0 with too few units.
 
     def moderated(self, square: Floats, freedom: Floats) -> tuple[Floats, Floats]:
         """Return f (..., 24) of units, and its degrees of freedom.

@@ -51,22 +51,15 @@ itself."""
 
 @dataclass(frozen=True, eq=False)
 class Effects:
-    """Effects of s stands on one parameter.
+    """Effects of s stands on one parameter."""
 
-    Attributes:
-        effect: (s,) of a stand minus the mean of all.
-        covariance: (s, s) of these, of rank s - 1.
-        freedom: Degrees of freedom.
-        residuals: (n,) of the sessions over their standard deviations, outliers clipped; NaN if a
-            session does not count.
-        comparable: Whether all stands can be compared.
-    """
-
-    effect: Floats
-    covariance: Floats
-    freedom: int
+    effect: Floats  #: (s,) of a stand minus the mean of all.
+    covariance: Floats  #: (s, s) of these, of rank s - 1.
+    freedom: int  #: Degrees of freedom.
+    #: (n,) of the sessions over their standard deviations, outliers clipped; NaN if a session does
+    #: not count.
     residuals: Floats
-    comparable: bool
+    comparable: bool  #: Whether all stands can be compared.
 
 
 def crossed(
@@ -186,15 +179,10 @@ def _solved(columns: Floats, weight: Floats, values: Floats) -> tuple[Floats, Fl
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """A possible shift by a stand: of one parameter, or of several together.
+    """A possible shift by a stand: of one parameter, or of several together."""
 
-    Attributes:
-        name: For display.
-        of: (24,) shift of each parameter for a size of one.
-    """
-
-    name: str
-    of: Floats
+    name: str  #: For display.
+    of: Floats  #: (24,) shift of each parameter for a size of one.
 
     @property
     def parameters(self) -> tuple[int, ...]:

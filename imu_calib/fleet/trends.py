@@ -25,38 +25,24 @@ _TINY = np.finfo(float).tiny
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """Lines of u units with their steps, (u, 24) each.
+    """Lines of u units with their steps, (u, 24) each."""
 
-    Attributes:
-        coefficients: (u, 24, 2) level at the newest session, slope per month.
-        covariance: (u, 24, 2, 2) of these; NaN if undetermined.
-        scale: Factor of the variances of sessions.
-        freedom: Degrees of freedom of that.
-        known: Whether both are determined.
-        steps: (size, standard deviation) by (unit, parameter), one for each place.
-    """
-
-    coefficients: Floats
-    covariance: Floats
-    scale: Floats
-    freedom: Floats
-    known: NDArray[np.bool_]
+    coefficients: Floats  #: (u, 24, 2) level at the newest session, slope per month.
+    covariance: Floats  #: (u, 24, 2, 2) of these; NaN if undetermined.
+    scale: Floats  #: Factor of the variances of sessions.
+    freedom: Floats  #: Degrees of freedom of that.
+    known: NDArray[np.bool_]  #: Whether both are determined.
+    #: (size, standard deviation) by (unit, parameter), one for each place.
     steps: dict[tuple[int, int], tuple[Floats, Floats]]
 
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Slopes of the units of a type, (24,) each.
+    """Slopes of the units of a type, (24,) each."""
 
-    Attributes:
-        mean: Per month; NaN if too few units determine it.
-        variance: Of the units' true slopes.
-        mean_variance: Variance of the mean.
-    """
-
-    mean: Floats
-    variance: Floats
-    mean_variance: Floats
+    mean: Floats  #: Per month; NaN if too few units determine it.
+    variance: Floats  #: Of the units' true slopes.
+    mean_variance: Floats  #: Variance of the mean.
 
 
 def fit_lines(
@@ -171,18 +157,12 @@ _FORECAST_HALVINGS = 14
 
 @dataclass(frozen=True, eq=False)
 class Due:
-    """Due dates of u units, in months after the newest session; infinite: after the horizon.
+    """Due dates of u units, in months after the newest session; infinite: after the horizon."""
 
-    Attributes:
-        leaves: (u, 24) when the line crosses the limit; NaN without a line or limit.
-        earliest: (u, 24) when the parameter may be outside.
-        unit: (u,) when any parameter may be outside.
-        worst: (u,) the parameter that is most likely outside then.
-    """
-
-    leaves: Floats
-    earliest: Floats
-    unit: Floats
+    leaves: Floats  #: (u, 24) when the line crosses the limit; NaN without a line or limit.
+    earliest: Floats  #: (u, 24) when the parameter may be outside.
+    unit: Floats  #: (u,) when any parameter may be outside.
+    #: (u,) the parameter that is most likely outside then.
     worst: np.ndarray[tuple[int], np.dtype[np.int64]]
 
 

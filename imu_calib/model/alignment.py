@@ -32,19 +32,12 @@ _STEP = 1e-5
 
 @dataclass(frozen=True)
 class Group:
-    """Three angles of one kind.
+    """Three angles of one kind."""
 
-    Attributes:
-        key: In calibration.yaml.
-        words: For people.
-        names: Of the angles: pairs of channels, or axes.
-        triads: Triads that must have been estimated.
-    """
-
-    key: str
-    words: str
-    names: tuple[str, str, str]
-    triads: str
+    key: str  #: In calibration.yaml.
+    words: str  #: For people.
+    names: tuple[str, str, str]  #: Of the angles: pairs of channels, or axes.
+    triads: str  #: Triads that must have been estimated.
 
 
 GROUPS = (
@@ -56,17 +49,11 @@ GROUPS = (
 
 @dataclass(frozen=True, eq=False)
 class Angles:
-    """The three angles of a group.
+    """The three angles of a group."""
 
-    Attributes:
-        group: The group.
-        values: (3,) rad.
-        std: (3,) their standard deviations, rad.
-    """
-
-    group: Group
-    values: Floats
-    std: Floats
+    group: Group  #: The group.
+    values: Floats  #: (3,) rad.
+    std: Floats  #: (3,) their standard deviations, rad.
 
 
 def free_of_frame(
@@ -121,7 +108,6 @@ def _orthogonal(axes: Floats) -> Floats:
 
 
 # Sentences on sensors whose outputs are many times, or a fraction of, what they should be.
-
 
 TIMES = ' A wrong rate of the samples, or unit of their times, does the same.'
 """For gyros: their rates times time are compared with turned angles."""

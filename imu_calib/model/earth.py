@@ -93,23 +93,14 @@ def normal_gravity(latitude: float, height: float = 0.0) -> float:
 
 @dataclass(frozen=True)
 class Site:
-    """The site of the table.
+    """The site of the table."""
 
-    Attributes:
-        latitude: Geodetic latitude, rad, negative in the south.
-        gravity: Local gravity, m/s^2.
-        gravity_source: 'measured', or how it was computed.
-        gravity_std: Its standard deviation, m/s^2; 0 if taken as exact.
-        height: Above the ellipsoid, m; None if not stated.
-        latitude_std: Standard deviation of the latitude, rad; 0 if taken as exact.
-    """
-
-    latitude: float
-    gravity: float
-    gravity_source: str
-    gravity_std: float = 0.0
-    height: float | None = None
-    latitude_std: float = 0.0
+    latitude: float  #: Geodetic latitude, rad, negative in the south.
+    gravity: float  #: Local gravity, m/s^2.
+    gravity_source: str  #: 'measured', or how it was computed.
+    gravity_std: float = 0.0  #: Its standard deviation, m/s^2; 0 if taken as exact.
+    height: float | None = None  #: Above the ellipsoid, m; None if not stated.
+    latitude_std: float = 0.0  #: Standard deviation of the latitude, rad; 0 if taken as exact.
 
     @classmethod
     def at(

@@ -25,43 +25,28 @@ class Carried(Enum):
 
 @dataclass(frozen=True)
 class Unit:
-    """The units of a kind of parameter.
+    """The units of a kind of parameter."""
 
-    Attributes:
-        si: In files and messages.
-        shown: In displays for engineers.
-        scale: SI value of the unit shown.
-        dimension: Dimension of the units accepted as input.
-        limit: Largest plausible amount for a strapdown IMU, SI; None if judged otherwise.
-    """
-
-    si: str
-    shown: str
-    scale: float
-    dimension: Dimension
+    si: str  #: In files and messages.
+    shown: str  #: In displays for engineers.
+    scale: float  #: SI value of the unit shown.
+    dimension: Dimension  #: Dimension of the units accepted as input.
+    #: Largest plausible amount for a strapdown IMU, SI; None if judged otherwise.
     limit: float | None = None
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Common properties of all parameters of a kind.
+    """Common properties of all parameters of a kind."""
 
-    Attributes:
-        symbol: Prefix of their names.
-        words: Name in sentences.
-        key: In calibration.yaml, and in the specification of an IMU's YAML.
-        axes: Number of input axes in their names after the channel; None if a triad has one
-            parameter, without a channel.
-        units: By triad.
-        exports: Treatment by each export.
-    """
-
-    symbol: str
-    words: str
-    key: str
+    symbol: str  #: Prefix of their names.
+    words: str  #: Name in sentences.
+    key: str  #: In calibration.yaml, and in the specification of an IMU's YAML.
+    #: Number of input axes in their names after the channel; None if a triad has one parameter,
+    #: without a channel.
     axes: int | None
-    units: Mapping[str, Unit]
-    exports: Mapping[str, Carried]
+    units: Mapping[str, Unit]  #: By triad.
+    exports: Mapping[str, Carried]  #: Treatment by each export.
 
 
 _EVERYWHERE = dict.fromkeys(('ros', 'c', 'kalibr', 'imucal'), Carried.YES)
@@ -240,7 +225,6 @@ TRIADS = {'g': 'gyro', 'a': 'accelerometer'}
 
 # The parameters of the sensor model, and their factors.
 
-
 AXES = 'xyz'
 _SKEWED = 'stuv'
 MOST_SKEWED = len(_SKEWED)
@@ -288,16 +272,11 @@ class Product:
     """The factor of a parameter: scale * u_i u_j ... abs(u_k) ...
 
     u = [w_x, w_y, w_z, f_x, f_y, f_z], rad/s and m/s^2.
-
-    Attributes:
-        factors: Indices of the inputs in the product; none for a bias.
-        absolute: Indices of those that enter by their absolute value.
-        scale: Constant factor, SI.
     """
 
-    factors: tuple[int, ...] = ()
-    absolute: tuple[int, ...] = ()
-    scale: float = 1.0
+    factors: tuple[int, ...] = ()  #: Indices of the inputs in the product; none for a bias.
+    absolute: tuple[int, ...] = ()  #: Indices of those that enter by their absolute value.
+    scale: float = 1.0  #: Constant factor, SI.
 
     @property
     def is_zero(self) -> bool:

@@ -150,17 +150,11 @@ _NAMES = {parameter.name: parameter for parameter in _ALL}
 
 @dataclass(frozen=True, eq=False)
 class Regressors:
-    """Parameters grouped by their factors.
+    """Parameters grouped by their factors."""
 
-    Attributes:
-        channels: (n,) output to which each adds, as in `Parameter.channel`.
-        products: The factors, each once.
-        index: (n,) index of each parameter's factor.
-    """
-
-    channels: NDArray[np.intp]
-    products: tuple[Product, ...]
-    index: NDArray[np.intp]
+    channels: NDArray[np.intp]  #: (n,) output to which each adds, as in `Parameter.channel`.
+    products: tuple[Product, ...]  #: The factors, each once.
+    index: NDArray[np.intp]  #: (n,) index of each parameter's factor.
 
     def at(self, rate: Floats, force: Floats) -> Floats:
         """Return the products, (..., m), at (..., 3) rates and specific forces."""
@@ -192,15 +186,12 @@ def _places(parameters: tuple[Parameter, ...]) -> NDArray[np.intp]:
 class Triad:
     """Three channels: n = (I + error_matrix) u + bias.
 
-    Attributes:
-        error_matrix: (3, 3) scale-factor errors on the diagonal, misalignments (rad) off it.
-        bias: (3,) rad/s or m/s^2.
-
     Source: Cao 2022, eqs. (1)-(2).
     """
 
+    #: (3, 3) scale-factor errors on the diagonal, misalignments (rad) off it.
     error_matrix: Floats = field(default_factory=lambda: np.zeros((3, 3)))
-    bias: Floats = field(default_factory=lambda: np.zeros(3))
+    bias: Floats = field(default_factory=lambda: np.zeros(3))  #: (3,) rad/s or m/s^2.
 
     @property
     def response(self) -> Floats:
@@ -224,14 +215,10 @@ class Skewed:
     """Gyros with input axes skewed to X, Y and Z: n_s = response w + bias.
 
     Scale factor and direction are not separated, so no small angle is needed (CN103697918A).
-
-    Attributes:
-        response: (k, 3) to rates about the body axes.
-        bias: (k,) rad/s.
     """
 
-    response: Floats
-    bias: Floats
+    response: Floats  #: (k, 3) to rates about the body axes.
+    bias: Floats  #: (k,) rad/s.
 
     def predict(self, rate: Floats) -> Floats:
         """Return the readings, (..., k) rad/s, for (..., 3) rates."""
@@ -245,20 +232,15 @@ class SensorModel:
     n_g = (I + M_g) w + d_g + G f and n_a = (I + M_a) f + d_a, plus the terms. The effect of motion
     terms of the accelerometers is not included: see `motion`.
 
-    Attributes:
-        gyro: The gyro triad.
-        accel: The accelerometer triad.
-        g_sensitivity: (3, 3) G, (rad/s)/(m/s^2); zero in the 24-parameter model.
-        skewed: Further gyros, or None.
-        terms: Coefficients of further terms by name, in the order of `Term.parameters`, SI.
-
     Source: Cao 2022, eqs. (1)-(2); Luo 2018, section 6.2, for G; `terms` for the others.
     """
 
-    gyro: Triad = field(default_factory=Triad)
-    accel: Triad = field(default_factory=Triad)
+    gyro: Triad = field(default_factory=Triad)  #: The gyro triad.
+    accel: Triad = field(default_factory=Triad)  #: The accelerometer triad.
+    #: (3, 3) G, (rad/s)/(m/s^2); zero in the 24-parameter model.
     g_sensitivity: Floats = field(default_factory=lambda: np.zeros((3, 3)))
-    skewed: Skewed | None = None
+    skewed: Skewed | None = None  #: Further gyros, or None.
+    #: Coefficients of further terms by name, in the order of `Term.parameters`, SI.
     terms: Mapping[str, Floats] = field(default_factory=dict)
 
     @property

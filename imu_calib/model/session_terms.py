@@ -85,19 +85,12 @@ class Course(Enum):
 
 @dataclass(frozen=True)
 class Change:
-    """One coefficient of a term of a session.
+    """One coefficient of a term of a session."""
 
-    Attributes:
-        course: Its factor.
-        name: Its parameter, or the common scale factors of a triad: K_g, K_a.
-        parameters: The parameters that it changes.
-        by_name: Whether it was requested by name; else it is dropped if the session does not
-            determine it.
-    """
-
-    course: Course
-    name: str
-    parameters: tuple[Parameter, ...]
+    course: Course  #: Its factor.
+    name: str  #: Its parameter, or the common scale factors of a triad: K_g, K_a.
+    parameters: tuple[Parameter, ...]  #: The parameters that it changes.
+    #: Whether it was requested by name; else it is dropped if the session does not determine it.
     by_name: bool = False
 
     @property
@@ -247,23 +240,14 @@ _ROUNDED = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Changes:
-    """Estimated coefficients of a session's terms.
+    """Estimated coefficients of a session's terms."""
 
-    Attributes:
-        changes: The k coefficients.
-        values: (k,) SI units.
-        covariance: (k, k) of them.
-        cross: (n, k) covariance of the parameters of the sensors and them.
-        time_constant: Of a warm-up, s; NaN without one.
-        instant: Of a step, s by the stamps of the table; NaN without one.
-    """
-
-    changes: tuple[Change, ...]
-    values: Floats
-    covariance: Floats
-    cross: Floats
-    time_constant: float = float('nan')
-    instant: float = float('nan')
+    changes: tuple[Change, ...]  #: The k coefficients.
+    values: Floats  #: (k,) SI units.
+    covariance: Floats  #: (k, k) of them.
+    cross: Floats  #: (n, k) covariance of the parameters of the sensors and them.
+    time_constant: float = float('nan')  #: Of a warm-up, s; NaN without one.
+    instant: float = float('nan')  #: Of a step, s by the stamps of the table; NaN without one.
 
     @property
     def std(self) -> Floats:

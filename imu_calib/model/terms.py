@@ -31,21 +31,14 @@ REFERENCE_RATE = 60 * DEG
 
 @dataclass(frozen=True)
 class Term:
-    """A group of parameters that are added to the model together.
+    """A group of parameters that are added to the model together."""
 
-    Attributes:
-        name: As in `--terms` and in files.
-        kind: Of all its parameters.
-        products: Its parameters, in order, each with its factor.
-        needs: What a session must contain to determine it; ends 'it takes'.
-        moving: Its addition to channel i if it is a motion term (`motion`), as text; empty for
-            others.
-    """
-
-    name: str
-    kind: ParameterKind
+    name: str  #: As in `--terms` and in files.
+    kind: ParameterKind  #: Of all its parameters.
+    #: Its parameters, in order, each with its factor.
     products: tuple[tuple[Parameter, Product], ...]
-    needs: str
+    needs: str  #: What a session must contain to determine it; ends 'it takes'.
+    #: Its addition to channel i if it is a motion term (`motion`), as text; empty for others.
     moving: str = ''
 
     @property

@@ -28,17 +28,11 @@ class CdrError(InputError):
 
 @dataclass(frozen=True, eq=False)
 class Messages:
-    """Serialised messages of one topic at any offsets in one buffer.
+    """Serialised messages of one topic at any offsets in one buffer."""
 
-    Attributes:
-        buffer: (bytes,) memory that holds the messages, and possibly more.
-        offset: (n,) start of each message, at its 4-byte encapsulation header.
-        size: (n,) bytes of each message, encapsulation header included.
-    """
-
-    buffer: Bytes
-    offset: Indices
-    size: Indices
+    buffer: Bytes  #: (bytes,) memory that holds the messages, and possibly more.
+    offset: Indices  #: (n,) start of each message, at its 4-byte encapsulation header.
+    size: Indices  #: (n,) bytes of each message, encapsulation header included.
 
     def __post_init__(self) -> None:
         """Refuse messages outside the buffer: the decoders read without further checks."""
@@ -128,15 +122,10 @@ class Messages:
 
 @dataclass
 class Malformed:
-    """Count of the messages that a decoder skipped, and what was wrong with the first.
+    """Count of the messages that a decoder skipped, and what was wrong with the first."""
 
-    Attributes:
-        count: Messages skipped so far.
-        reason: What was wrong with the first of them.
-    """
-
-    count: int = 0
-    reason: str = ''
+    count: int = 0  #: Messages skipped so far.
+    reason: str = ''  #: What was wrong with the first of them.
 
     def add(self, reason: str) -> None:
         """Count one more message."""
@@ -158,23 +147,15 @@ ORDERS = {b'\x00\x00': '>', b'\x00\x01': '<'}
 
 @dataclass(frozen=True)
 class Layout:
-    """Offsets of the fields in messages of one shape.
+    """Offsets of the fields in messages of one shape."""
 
-    Attributes:
-        order: '<' or '>', the byte order.
-        size: Bytes of the whole message.
-        fixed: Offsets and contents of the bytes that define the shape.
-        stamp: Offset of the header's stamp.
-        columns: Offset and number of the float64 of each column.
-        names: The strings of the message, in order.
-    """
-
-    order: str
-    size: int
+    order: str  #: '<' or '>', the byte order.
+    size: int  #: Bytes of the whole message.
+    #: Offsets and contents of the bytes that define the shape.
     fixed: tuple[tuple[int, bytes], ...]
-    stamp: int
-    columns: dict[str, tuple[int, int]]
-    names: tuple[str, ...]
+    stamp: int  #: Offset of the header's stamp.
+    columns: dict[str, tuple[int, int]]  #: Offset and number of the float64 of each column.
+    names: tuple[str, ...]  #: The strings of the message, in order.
 
     @cached_property
     def head(self) -> int:

@@ -327,7 +327,6 @@ def _mode(value: int) -> Mode:
 
 # Encode columns as serialised messages, in bulk: the inverse of `decode`, little-endian.
 
-
 _FIRST_SECOND = -LAST_SECOND - 1
 """The first of builtin_interfaces/Time, signed 32 bits, s."""
 

@@ -248,7 +248,6 @@ def _module(compression: str) -> Any:
 
 # Unpack the next compressed chunks on two cores while earlier ones are decoded.
 
-
 Stored = TypeVar('Stored')
 Content = TypeVar('Content')
 

@@ -238,7 +238,6 @@ def _inner_types(type_name: str) -> list[str]:
 
 # The metadata.yaml of a rosbag2 folder, and the same text inside the storage files.
 
-
 NAME = 'metadata.yaml'
 VERSION = 9
 """Version of metadata.yaml as written by rosbag2 of Jazzy."""
@@ -249,19 +248,13 @@ _TEXTS = 4
 
 @dataclass(frozen=True)
 class Metadata:
-    """The parts of metadata.yaml used for reading.
+    """The parts of metadata.yaml used for reading."""
 
-    Attributes:
-        files: Names of the storage files, in order; None if not stated.
-        custom_data: The user's own entries.
-        counts: Messages by topic name.
-        problem: Why the metadata is invalid or missing; else empty.
-    """
-
+    #: Names of the storage files, in order; None if not stated.
     files: tuple[str, ...] | None = None
-    custom_data: Mapping[str, str] = field(default_factory=dict)
-    counts: Mapping[str, int] = field(default_factory=dict)
-    problem: str = ''
+    custom_data: Mapping[str, str] = field(default_factory=dict)  #: The user's own entries.
+    counts: Mapping[str, int] = field(default_factory=dict)  #: Messages by topic name.
+    problem: str = ''  #: Why the metadata is invalid or missing; else empty.
 
 
 def read_metadata(folder: AnyPath) -> Metadata:

@@ -65,52 +65,36 @@ class Channel:
 
 @dataclass(frozen=True)
 class ChunkIndex:
-    """The summary's entry on a chunk.
+    """The summary's entry on a chunk."""
 
-    Attributes:
-        times: Earliest and latest log time, ns.
-        start: Offset of the chunk record.
-        length: Of the record, its head included.
-        index: Offset of the message index of each channel.
-        index_bytes: Bytes of all message indexes, which follow the chunk.
-        compression: '', 'lz4' or 'zstd'.
-        sizes: Bytes of the messages, stored and unpacked.
-    """
-
-    times: tuple[int, int]
-    start: int
-    length: int
-    index: dict[int, int]
-    index_bytes: int
-    compression: str
-    sizes: tuple[int, int]
+    times: tuple[int, int]  #: Earliest and latest log time, ns.
+    start: int  #: Offset of the chunk record.
+    length: int  #: Of the record, its head included.
+    index: dict[int, int]  #: Offset of the message index of each channel.
+    index_bytes: int  #: Bytes of all message indexes, which follow the chunk.
+    compression: str  #: '', 'lz4' or 'zstd'.
+    sizes: tuple[int, int]  #: Bytes of the messages, stored and unpacked.
 
 
 @dataclass
 class Catalogue:
-    """Records on the file as a whole.
+    """Records on the file as a whole."""
 
-    Attributes:
-        schemas: Message type, language and text of the definition by schema id.
-        channels: Channels by id.
-        records: The metadata records: name and content.
-        counts: Messages by channel id, from the statistics; None without.
-        chunks: Contents of the chunk index.
-        metadata_at: Offset and length of the metadata records, from their index.
-        totals: Numbers of metadata records and of chunks, from the statistics; None without.
-        attachments_at: Offset and length of the attachments' records.
-        attachments: Their number, from the statistics.
-    """
-
+    #: Message type, language and text of the definition by schema id.
     schemas: dict[int, tuple[str, str, str]] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)  #: Channels by id.
+    #: The metadata records: name and content.
     records: list[tuple[str, dict[str, str]]] = field(default_factory=list)
+    #: Messages by channel id, from the statistics; None without.
     counts: dict[int, int] | None = None
-    chunks: list[ChunkIndex] = field(default_factory=list)
+    chunks: list[ChunkIndex] = field(default_factory=list)  #: Contents of the chunk index.
+    #: Offset and length of the metadata records, from their index.
     metadata_at: list[tuple[int, int]] = field(default_factory=list)
+    #: Numbers of metadata records and of chunks, from the statistics; None without.
     totals: tuple[int, int] | None = None
+    #: Offset and length of the attachments' records.
     attachments_at: list[tuple[int, int]] = field(default_factory=list)
-    attachments: int = 0
+    attachments: int = 0  #: Their number, from the statistics.
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
@@ -282,7 +266,6 @@ def _run(buffer: Bytes, position: int, length: int) -> Indices:
 
 # Chunks of an mcap file: their offsets, from their own heads or from the summary.
 
-
 CHUNK_FIELDS = 40
 """Bytes of a chunk's fields before its records: start, end, size, CRC, compression, length
 (mcap.dev/spec)."""
@@ -302,35 +285,24 @@ five are loaded as one, which took less processor time than three or six."""
 
 @dataclass
 class Chunk:
-    """A range of messages in the file: a chunk record, or messages without chunks.
+    """A range of messages in the file: a chunk record, or messages without chunks."""
 
-    Attributes:
-        start: Offset of the record.
-        data: Offset of the stored bytes.
-        stored: Number of stored bytes that the file holds.
-        size: Bytes after unpacking; None if the file does not state it.
-        compression: '', 'lz4' or 'zstd'.
-        crc: CRC-32 of the unpacked bytes; 0 without one, None if only the summary was read, which
-            does not contain it.
-        start_ns: Earliest log time.
-        end_ns: Latest log time.
-        index: Offset in the file and number of the message index entries of each channel; None
-            without index.
-        counts: Messages of each channel; None if known only after unpacking.
-        cut: Whether the file ends within this chunk.
-    """
-
-    start: int
-    data: int
-    stored: int
-    size: int | None
-    compression: str
+    start: int  #: Offset of the record.
+    data: int  #: Offset of the stored bytes.
+    stored: int  #: Number of stored bytes that the file holds.
+    size: int | None  #: Bytes after unpacking; None if the file does not state it.
+    compression: str  #: '', 'lz4' or 'zstd'.
+    #: CRC-32 of the unpacked bytes; 0 without one, None if only the summary was read, which does
+    #: not contain it.
     crc: int | None
-    start_ns: int
-    end_ns: int
+    start_ns: int  #: Earliest log time.
+    end_ns: int  #: Latest log time.
+    #: Offset in the file and number of the message index entries of each channel; None without
+    #: index.
     index: dict[int, tuple[int, int]] | None = None
+    #: Messages of each channel; None if known only after unpacking.
     counts: dict[int, int] | None = None
-    cut: bool = False
+    cut: bool = False  #: Whether the file ends within this chunk.
 
     @property
     def end(self) -> int:

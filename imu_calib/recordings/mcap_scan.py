@@ -329,41 +329,28 @@ def _chunk_of(buffer: Bytes, offsets: Indices, position: int, size: int) -> Chun
 
 # Find the messages in unpacked chunks: by valid indexes, otherwise by walking the records.
 
-
 HEAD = RECORD_HEAD + MESSAGE_HEAD
 _MESSAGE = int(Op.MESSAGE)
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """The content of one chunk in a buffer that may hold more.
+    """The content of one chunk in a buffer that may hold more."""
 
-    Attributes:
-        name: Name of the chunk for messages.
-        start: Start of its records.
-        end: End of its records.
-        tables: Message index: (n, 2) log times and offsets from the start, by channel.
-    """
-
-    name: str
-    start: int
-    end: int
+    name: str  #: Name of the chunk for messages.
+    start: int  #: Start of its records.
+    end: int  #: End of its records.
+    #: Message index: (n, 2) log times and offsets from the start, by channel.
     tables: dict[int, Indices] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Messages of one channel within a buffer.
+    """Messages of one channel within a buffer."""
 
-    Attributes:
-        offset: (n,) start of each serialised message.
-        size: (n,) bytes of each.
-        log_ns: Log time of the first.
-    """
-
-    offset: Indices
-    size: Indices
-    log_ns: int
+    offset: Indices  #: (n,) start of each serialised message.
+    size: Indices  #: (n,) bytes of each.
+    log_ns: int  #: Log time of the first.
 
 
 def located(parts: Sequence[Part], buffer: Bytes, lose: Callable[[str], None]) -> dict[int, Placed]:

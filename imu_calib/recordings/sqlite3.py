@@ -242,17 +242,11 @@ class OddPagesError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Messages of some topics, in the order of their row ids.
+    """Messages of some topics, in the order of their row ids."""
 
-    Attributes:
-        messages: The serialised messages, in the memory of their pages.
-        topic: (n,) number of the topic of each.
-        log: (n,) log time of each, ns.
-    """
-
-    messages: Messages
-    topic: Indices
-    log: Stamps
+    messages: Messages  #: The serialised messages, in the memory of their pages.
+    topic: Indices  #: (n,) number of the topic of each.
+    log: Stamps  #: (n,) log time of each, ns.
 
     @property
     def nbytes(self) -> int:
@@ -262,17 +256,11 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Some consecutive leaf pages.
+    """Some consecutive leaf pages."""
 
-    Attributes:
-        first: Their least row id.
-        last: Their largest.
-        pages: (k,) their numbers, in the order of the row ids.
-    """
-
-    first: int
-    last: int
-    pages: Indices
+    first: int  #: Their least row id.
+    last: int  #: Their largest.
+    pages: Indices  #: (k,) their numbers, in the order of the row ids.
 
 
 class TablePages:

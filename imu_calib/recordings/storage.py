@@ -32,35 +32,24 @@ class RecordingError(InputError):
 
 @dataclass(frozen=True)
 class Described:
-    """A recorder's description of a topic beyond its name and type; empty if not recorded.
+    """A recorder's description of a topic beyond its name and type; empty if not recorded."""
 
-    Attributes:
-        definition: Text of the message definition; bytes that are none are surrogates of Python.
-        language: Of that text: ros2msg or ros2idl, or another recorder's.
-        profiles: Offered QoS as YAML.
-        metadata: All that a channel of mcap states, by its keys; None in other files.
-    """
-
+    #: Text of the message definition; bytes that are none are surrogates of Python.
     definition: str = ''
-    language: str = ''
-    profiles: str = ''
+    language: str = ''  #: Of that text: ros2msg or ros2idl, or another recorder's.
+    profiles: str = ''  #: Offered QoS as YAML.
+    #: All that a channel of mcap states, by its keys; None in other files.
     metadata: tuple[tuple[str, str], ...] | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
 class Times:
-    """Log and publish times of messages, (n,) ns each.
+    """Log and publish times of messages, (n,) ns each."""
 
-    Attributes:
-        log: Of each arrival.
-        publish: Of each publication.
-        channel: (n,) channel of each message; None where a topic has one.
-        sequence: (n,) numbers that the publishers gave; None where not recorded.
-    """
-
-    log: Stamps
-    publish: Stamps
-    channel: Stamps | None = None
+    log: Stamps  #: Of each arrival.
+    publish: Stamps  #: Of each publication.
+    channel: Stamps | None = None  #: (n,) channel of each message; None where a topic has one.
+    #: (n,) numbers that the publishers gave; None where not recorded.
     sequence: Stamps | None = None
 
     def select(self, rows: Indices | NDArray[np.bool_]) -> Times:
@@ -71,22 +60,15 @@ class Times:
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a recording.
+    """A topic of a recording."""
 
-    Attributes:
-        name: Full name.
-        type: Message type, for instance sensor_msgs/msg/Imu.
-        count: Messages in the recording; None if known only after reading it.
-        encoding: How messages are serialised.
-        described: The recorder's description of the topic, for copying.
-        channels: The same of each channel of a file of mcap, with its id there.
-    """
-
-    name: str
-    type: str
-    count: int | None
-    encoding: str = 'cdr'
+    name: str  #: Full name.
+    type: str  #: Message type, for instance sensor_msgs/msg/Imu.
+    count: int | None  #: Messages in the recording; None if known only after reading it.
+    encoding: str = 'cdr'  #: How messages are serialised.
+    #: The recorder's description of the topic, for copying.
     described: Described = field(default_factory=Described, compare=False)
+    #: The same of each channel of a file of mcap, with its id there.
     channels: tuple[tuple[int, Topic], ...] = field(default=(), compare=False)
 
     @property
@@ -111,21 +93,13 @@ class Topic:
 
 @dataclass(frozen=True, eq=False)
 class MessageBatch:
-    """Messages of one topic that were loaded together.
+    """Messages of one topic that were loaded together."""
 
-    Attributes:
-        messages: The serialised messages.
-        log: (n,) their log times, ns.
-        log_ns: Log time of the first message, or of one shortly before.
-        position: Bytes of the storage file before the end of the batch.
-        times: Returns log and publish times of the messages.
-    """
-
-    messages: Messages
-    log: Stamps
-    log_ns: int
-    position: int
-    times: Callable[[], Times]
+    messages: Messages  #: The serialised messages.
+    log: Stamps  #: (n,) their log times, ns.
+    log_ns: int  #: Log time of the first message, or of one shortly before.
+    position: int  #: Bytes of the storage file before the end of the batch.
+    times: Callable[[], Times]  #: Returns log and publish times of the messages.
 
 
 class Losses:
@@ -271,17 +245,11 @@ SPAN_NS = 5_000_000_000
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A block to be merged.
+    """A block to be merged."""
 
-    Attributes:
-        block: The samples.
-        log_ns: Log time of the message that the block starts with, or of one shortly before.
-        position: Bytes of the recording before the end of the piece.
-    """
-
-    block: Block
-    log_ns: int
-    position: int
+    block: Block  #: The samples.
+    log_ns: int  #: Log time of the message that the block starts with, or of one shortly before.
+    position: int  #: Bytes of the recording before the end of the piece.
 
 
 @dataclass

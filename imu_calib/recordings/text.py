@@ -40,19 +40,13 @@ table and broken lines are few in comparison."""
 
 @dataclass(frozen=True, eq=False)
 class Text:
-    """A table of numbers in a file.
+    """A table of numbers in a file."""
 
-    Attributes:
-        path: The file.
-        names: Of the columns, as in the heading; without a heading their places from '1' on.
-        values: (n, k); NaN if a field is not a number.
-        broken: Number of lines with too few fields or no number; they are skipped.
-    """
-
-    path: AnyPath
+    path: AnyPath  #: The file.
+    #: Of the columns, as in the heading; without a heading their places from '1' on.
     names: tuple[str, ...]
-    values: Floats
-    broken: int
+    values: Floats  #: (n, k); NaN if a field is not a number.
+    broken: int  #: Number of lines with too few fields or no number; they are skipped.
 
     def column(self, name: str, option: str) -> Floats:
         """Return a column by its name in the heading, or by its place, counted from 1.
@@ -295,7 +289,6 @@ def _number(field: str) -> float:
 
 
 # Samples that come in another order than their stamps, as over UDP or from two threads: sorted.
-
 
 HELD = 4096
 """Samples among which is sorted: 0.2 MB."""

@@ -335,7 +335,6 @@ def _in_words(path: Path) -> Iterator[None]:
 
 # The journal of a live session: a recording that survives a crash of its program.
 
-
 FINISHED = 'imu_calib.finished'
 """Entry of a journal whose session is complete."""
 

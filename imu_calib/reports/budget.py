@@ -73,19 +73,12 @@ _NONE = 'The method states no sources of its uncertainty: there is no budget.'
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """The shown part of a budget.
+    """The shown part of a budget."""
 
-    Attributes:
-        parameters: (p,) the estimated ones.
-        rows: (p,) their indices in the calibration.
-        budget: Of all parameters, by the sources that concern the shown ones.
-        wide: (k,) which sources have a separate column.
-    """
-
-    parameters: tuple[Parameter, ...]
-    rows: NDArray[np.intp]
-    budget: Budget
-    wide: NDArray[np.bool_]
+    parameters: tuple[Parameter, ...]  #: (p,) the estimated ones.
+    rows: NDArray[np.intp]  #: (p,) their indices in the calibration.
+    budget: Budget  #: Of all parameters, by the sources that concern the shown ones.
+    wide: NDArray[np.bool_]  #: (k,) which sources have a separate column.
 
     @classmethod
     def of(cls, calibration: Calibration, budget: Budget) -> _Shown:

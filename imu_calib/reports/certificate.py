@@ -41,46 +41,27 @@ _HINT = re.compile(
 
 @dataclass(frozen=True)
 class Stated:
-    """A result, SI units.
+    """A result, SI units."""
 
-    Attributes:
-        parameter: The parameter.
-        value: The estimate.
-        expanded: U, the uncertainty expanded to `PROBABILITY`.
-        factor: k, the factor on the standard uncertainty.
-        freedom: Effective degrees of freedom; infinite for known values.
-        limit: Largest amount that the specification allows; None without one.
-        conformity: Statement on that limit; None if none is requested.
-    """
-
-    parameter: Parameter
-    value: float
-    expanded: float
-    factor: float
-    freedom: float
-    limit: float | None = None
-    conformity: Conformity | None = None
+    parameter: Parameter  #: The parameter.
+    value: float  #: The estimate.
+    expanded: float  #: U, the uncertainty expanded to `PROBABILITY`.
+    factor: float  #: k, the factor on the standard uncertainty.
+    freedom: float  #: Effective degrees of freedom; infinite for known values.
+    limit: float | None = None  #: Largest amount that the specification allows; None without one.
+    conformity: Conformity | None = None  #: Statement on that limit; None if none is requested.
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """Contents of a certificate.
+    """Contents of a certificate."""
 
-    Attributes:
-        fields: Statements of the laboratory.
-        calibration: The result.
-        budget: Of its uncertainties.
-        results: Every estimated parameter.
-        missing: Required but missing statements; only a draft has any.
-        draft: Whether it is not yet a certificate.
-    """
-
-    fields: Fields
-    calibration: Calibration
-    budget: Budget
-    results: tuple[Stated, ...]
-    missing: tuple[str, ...] = ()
-    draft: bool = False
+    fields: Fields  #: Statements of the laboratory.
+    calibration: Calibration  #: The result.
+    budget: Budget  #: Of its uncertainties.
+    results: tuple[Stated, ...]  #: Every estimated parameter.
+    missing: tuple[str, ...] = ()  #: Required but missing statements; only a draft has any.
+    draft: bool = False  #: Whether it is not yet a certificate.
 
     def __repr__(self) -> str:
         """Return one line."""

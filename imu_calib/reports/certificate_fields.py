@@ -146,17 +146,11 @@ class Item:
 
 @dataclass(frozen=True)
 class Condition:
-    """A quantity of the environment.
+    """A quantity of the environment."""
 
-    Attributes:
-        key: A key of `CONDITIONS`.
-        value: In its unit.
-        within: Half the width of the interval of its variation.
-    """
-
-    key: str
-    value: float
-    within: float
+    key: str  #: A key of `CONDITIONS`.
+    value: float  #: In its unit.
+    within: float  #: Half the width of the interval of its variation.
 
 
 @dataclass(frozen=True)

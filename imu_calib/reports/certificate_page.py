@@ -345,7 +345,6 @@ def _signatures(certificate: Certificate) -> str:
 
 # Convert HTML to PDF, by WeasyPrint if installed, else by Chromium.
 
-
 _BROWSERS = ('chromium', 'chromium-browser', 'google-chrome', 'chrome')
 _OLDEST = 131
 """First version of Chromium that prints the margin boxes of @page."""

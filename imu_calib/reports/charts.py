@@ -54,17 +54,11 @@ def label(text: str, x: float, y: float, **attributes: object) -> str:
 
 @dataclass(frozen=True)
 class Axis:
-    """Conversion of values to positions.
+    """Conversion of values to positions."""
 
-    Attributes:
-        low: Smallest value shown.
-        high: Largest value shown.
-        logarithmic: Whether it has decades.
-    """
-
-    low: float
-    high: float
-    logarithmic: bool = False
+    low: float  #: Smallest value shown.
+    high: float  #: Largest value shown.
+    logarithmic: bool = False  #: Whether it has decades.
 
     @classmethod
     def around(cls, values: Sequence[float], margin: float = 0.08) -> Axis:
@@ -124,25 +118,15 @@ def _power(exponent: int) -> str:
 
 @dataclass
 class Panel:
-    """One pair of axes in a drawing; marks are added to it.
+    """One pair of axes in a drawing; marks are added to it."""
 
-    Attributes:
-        x: Horizontal axis.
-        y: Vertical axis.
-        left: Left edge of the frame, px.
-        top: Top edge of the frame, px.
-        width: Of the frame, px.
-        height: Of the frame, px.
-        parts: Elements so far.
-    """
-
-    x: Axis
-    y: Axis
-    left: float
-    top: float
-    width: float
-    height: float
-    parts: list[str] = field(default_factory=list)
+    x: Axis  #: Horizontal axis.
+    y: Axis  #: Vertical axis.
+    left: float  #: Left edge of the frame, px.
+    top: float  #: Top edge of the frame, px.
+    width: float  #: Of the frame, px.
+    height: float  #: Of the frame, px.
+    parts: list[str] = field(default_factory=list)  #: Elements so far.
 
     def across(self, value: float) -> float:
         """Return the horizontal position of a value, px."""
@@ -277,7 +261,6 @@ def drawing(parts: Sequence[str], width: float, height: float, title: str) -> st
 
 
 # Small drawings, one for each parameter: its course over time or temperature.
-
 
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP = 182.0, 74.0, 44.0, 12.0, 22.0
 """px, the margins around the plot included; layout."""

@@ -153,7 +153,6 @@ def digital(parameter: Parameter) -> Digital:
 
 # The results of a Digital Calibration Certificate: methods, references, quantities, budget.
 
-
 _UNITS = {
     'temperature': r'\degreecelsius',
     'relative_humidity': r'\percent',

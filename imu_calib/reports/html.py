@@ -121,7 +121,6 @@ def _sentence(text: str) -> str:
 
 # The style of the report on a screen, light or dark, on a phone, and on A4 paper.
 
-
 _LIGHT = """
   --page: #e9ebee; --paper: #fff; --ink: #1a1a1a; --soft: #444; --faint: #555; --title: #1b3a5c;
   --rule: #999; --hair: #e4e6e9; --panel: #f4f5f7; --grid: #e1e4e8; --frame: #888; --lane: #f1f2f4;
@@ -324,7 +323,6 @@ svg text.letter { font-size: 12px; font-weight: 700; fill: var(--ink); }
 
 # Attitudes of the unit: a small cube for every position, seen from the south-west and above.
 
-
 _SIDE, _HALF = 104.0, 21.0
 """px: of a drawing, and half of the cube's edge."""
 _AZIMUTH, _ELEVATION = -32 * DEG, 26 * DEG
@@ -355,19 +353,12 @@ _UNKNOWN = (
 
 @dataclass(frozen=True, eq=False)
 class Stand:
-    """A position with all static dwells at it.
+    """A position with all static dwells at it."""
 
-    Attributes:
-        name: Name of the position.
-        attitude: (3, 3) R_nb in east, north, up.
-        known: Whether the heading is known; else only the direction of up.
-        dwells: In order of time.
-    """
-
-    name: str
-    attitude: Floats
-    known: bool
-    dwells: tuple[Segment, ...]
+    name: str  #: Name of the position.
+    attitude: Floats  #: (3, 3) R_nb in east, north, up.
+    known: bool  #: Whether the heading is known; else only the direction of up.
+    dwells: tuple[Segment, ...]  #: In order of time.
 
     @property
     def words(self) -> str:

@@ -43,16 +43,11 @@ _LEAST_RANGE = 3.5
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Residuals of a session.
+    """Residuals of a session."""
 
-    Attributes:
-        positions: Name of every static dwell.
-        value: (s, 6) rad/s and m/s^2; NaN if a triad was not estimated.
-        std: (s, 6) standard deviation of each static dwell's own mean; None without the recording.
-    """
-
-    positions: tuple[str, ...]
-    value: Floats
+    positions: tuple[str, ...]  #: Name of every static dwell.
+    value: Floats  #: (s, 6) rad/s and m/s^2; NaN if a triad was not estimated.
+    #: (s, 6) standard deviation of each static dwell's own mean; None without the recording.
     std: Floats | None
 
     @property
@@ -175,7 +170,6 @@ def residual_notes(residuals: Residuals, rms: Sequence[object] | None) -> str:
 
 # The terms of a calibration for the report: on, off, and upper limits of those that are off.
 
-
 _NOTE = (
     'A term that is "off" was tested and is not significant: a single coefficient of the stated '
     'size would have been found nine times in ten. A term that the session does not show may still '
@@ -255,7 +249,6 @@ def _moved(
 
 
 # The Allan deviation of a session's static dwells, and the noise read from it.
-
 
 _ALLAN_WIDTH, _ALLAN_HEIGHT, _ALLAN_LEFT, _ALLAN_TOP = 372.0, 250.0, 56.0, 52.0
 """px; layout."""
@@ -390,20 +383,15 @@ def noise_notes(noise: Mapping[str, ChannelNoise], accel_rate: float | None = No
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """Contents of a report.
+    """Contents of a report."""
 
-    Attributes:
-        calibration: The result.
-        name: Of its file.
-        imu: The unit's description with its specification and data sheet; None if not given.
-        result: Result of calibrating the recording again; None without a recording.
-        others: Further calibrations of the unit by name, for comparison.
-    """
-
-    calibration: Calibration
-    name: str
+    calibration: Calibration  #: The result.
+    name: str  #: Of its file.
+    #: The unit's description with its specification and data sheet; None if not given.
     imu: ImuSpec | None = None
+    #: Result of calibrating the recording again; None without a recording.
     result: Result | None = None
+    #: Further calibrations of the unit by name, for comparison.
     others: Mapping[str, Calibration] | None = None
 
 

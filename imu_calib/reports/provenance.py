@@ -371,7 +371,6 @@ def _stated(value: float, scale: float) -> str:
 
 # The parameters compared with the unit's specification: numbers, error bars, verdicts.
 
-
 LIMITS = (
     'Pass and fail are given where the value and its error bar of two standard deviations lie '
     'wholly on one side of the limit (ISO 14253-1); between them it is marginal.'
@@ -395,19 +394,12 @@ _VERDICT_GROUPS: tuple[tuple[str, str, Collection[ParameterKind]], ...] = (
 
 @dataclass(frozen=True)
 class Assessed:
-    """A parameter with its estimate and limit, in SI units.
+    """A parameter with its estimate and limit, in SI units."""
 
-    Attributes:
-        parameter: The parameter.
-        value: Its estimate.
-        std: Its standard deviation.
-        limit: Largest amount that the specification allows; None if it states none.
-    """
-
-    parameter: Parameter
-    value: float
-    std: float
-    limit: float | None
+    parameter: Parameter  #: The parameter.
+    value: float  #: Its estimate.
+    std: float  #: Its standard deviation.
+    limit: float | None  #: Largest amount that the specification allows; None if it states none.
 
     @property
     def verdict(self) -> Verdict | None:

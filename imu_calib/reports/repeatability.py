@@ -52,21 +52,13 @@ class Variation(Enum):
 
 @dataclass(frozen=True, eq=False)
 class RepeatedParameter:
-    """One parameter in several calibrations, SI units.
+    """One parameter in several calibrations, SI units."""
 
-    Attributes:
-        parameter: The parameter.
-        value: (n,) estimates.
-        std: (n,) stated standard deviations.
-        days: (n,) days after the first; None if a calibration has no date.
-        first: Date of the first; None if a calibration has none.
-    """
-
-    parameter: Parameter
-    value: Floats
-    std: Floats
-    days: Floats | None
-    first: datetime | None = None
+    parameter: Parameter  #: The parameter.
+    value: Floats  #: (n,) estimates.
+    std: Floats  #: (n,) stated standard deviations.
+    days: Floats | None  #: (n,) days after the first; None if a calibration has no date.
+    first: datetime | None = None  #: Date of the first; None if a calibration has none.
 
     @property
     def spread(self) -> float:

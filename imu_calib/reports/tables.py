@@ -193,7 +193,6 @@ def section_of(parameter: Parameter) -> tuple[object, ...]:
 
 # Calibrations of several units side by side: a column for each unit.
 
-
 _COARSE = 60 * ARCSEC
 """Standard deviation from which an angle is shown in degrees."""
 _ANY = 90 * DEG
@@ -254,28 +253,19 @@ def _cell(parameter: Parameter, found: tuple[float, float] | None) -> str:
 
 # Calibrations of one unit side by side.
 
-
 _MORE = 2
 """Most further decimals for a difference: a hundredth of the last digit is nothing."""
 
 
 @dataclass(frozen=True, eq=False)
 class SideBySide:
-    """Calibrations converted to the nominal scale factors of the first.
+    """Calibrations converted to the nominal scale factors of the first."""
 
-    Attributes:
-        calibrations: k of them.
-        parameters: The n that all of them estimated.
-        only: For each the names of its parameters that others lack.
-        agreement: Which of `parameters` differ by more than the covariances explain.
-        std: (k - 1, n) standard deviations of the differences from the first, SI units.
-    """
-
-    calibrations: tuple[Calibration, ...]
-    parameters: tuple[Parameter, ...]
-    only: tuple[tuple[str, ...], ...]
-    agreement: Agreement
-    std: Floats
+    calibrations: tuple[Calibration, ...]  #: k of them.
+    parameters: tuple[Parameter, ...]  #: The n that all of them estimated.
+    only: tuple[tuple[str, ...], ...]  #: For each the names of its parameters that others lack.
+    agreement: Agreement  #: Which of `parameters` differ by more than the covariances explain.
+    std: Floats  #: (k - 1, n) standard deviations of the differences from the first, SI units.
 
 
 def side_by_side(calibrations: Sequence[Calibration]) -> SideBySide:
@@ -433,7 +423,6 @@ def _factor_of(parameter: Parameter, triads: Mapping[str, float], askew: float) 
 
 
 # A verification for the terminal: dwells and turns, worst first, in engineering units.
-
 
 _SHOWN = {
     Quantity.GRAVITY: Shown('ug', MICRO_G),

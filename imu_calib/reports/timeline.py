@@ -42,21 +42,13 @@ class Lane(Enum):
 
 @dataclass(frozen=True)
 class Interval:
-    """An interval of the session, s from its first sample.
+    """An interval of the session, s from its first sample."""
 
-    Attributes:
-        lane: Its kind.
-        start: s.
-        end: s.
-        name: Position of the plan, or other description.
-        reason: Why it was not used; empty if it was.
-    """
-
-    lane: Lane
-    start: float
-    end: float
-    name: str
-    reason: str = ''
+    lane: Lane  #: Its kind.
+    start: float  #: s.
+    end: float  #: s.
+    name: str  #: Position of the plan, or other description.
+    reason: str = ''  #: Why it was not used; empty if it was.
 
 
 def intervals(result: Result) -> list[Interval]:
@@ -199,7 +191,6 @@ def rejected_table(found: Sequence[Interval], start: int | None) -> str:
 
 # Standard deviations of a running session over time, and the plan's prediction.
 
-
 _MOST_POINTS = 120
 """Most points of a course: more than a drawing of 120 px can show."""
 _NEWS = 0.01
@@ -211,22 +202,15 @@ determined to 10 % with 50 degrees of freedom."""
 
 @dataclass(frozen=True)
 class Converging:
-    """One parameter of a running session; SI units.
+    """One parameter of a running session; SI units."""
 
-    Attributes:
-        parameter: The parameter.
-        value: Estimated so far; NaN before the first estimate.
-        std: Reached so far; NaN while it is not determined.
-        predicted: Prediction of the plan; NaN without one.
-        limit: Largest amount that the specification allows; None if it states none.
-        course: Times (s since the session began) with the standard deviations reached then.
-    """
-
-    parameter: Parameter
-    value: float = math.nan
-    std: float = math.nan
-    predicted: float = math.nan
+    parameter: Parameter  #: The parameter.
+    value: float = math.nan  #: Estimated so far; NaN before the first estimate.
+    std: float = math.nan  #: Reached so far; NaN while it is not determined.
+    predicted: float = math.nan  #: Prediction of the plan; NaN without one.
+    #: Largest amount that the specification allows; None if it states none.
     limit: float | None = None
+    #: Times (s since the session began) with the standard deviations reached then.
     course: tuple[tuple[float, float], ...] = ()
 
     @property
@@ -318,7 +302,6 @@ class Courses:
 
 
 # Remaining time of a session by the wall clock, and what it waits for, as texts.
-
 
 READING = 'The journal is read: '
 """Beginning of the report while the session before an interruption is read."""

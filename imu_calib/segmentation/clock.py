@@ -67,27 +67,17 @@ class ClockSample:
 
 @dataclass(frozen=True)
 class ClockFit:
-    """IMU clock = table clock + offset + rate * (table clock - epoch).
+    """IMU clock = table clock + offset + rate * (table clock - epoch)."""
 
-    Attributes:
-        epoch: Table time in the middle of the motions, ns.
-        offset: At the epoch, s.
-        offset_std: Standard deviation, s; NaN below two motions.
-        rate: Dimensionless; 0 where the session does not determine it.
-        rate_std: Standard deviation; NaN where the session does not determine it.
-        motions: Number of motions used.
-        jumps: Jumps of the offset between motions, s, in order.
-        least_jumps: (jumps,) lower bounds of their sizes by the scatter; 0 where there may be none,
-            and where stamps are known to go back.
-    """
-
-    epoch: float
-    offset: float
-    offset_std: float
-    rate: float
-    rate_std: float
-    motions: int
-    jumps: tuple[float, ...] = ()
+    epoch: float  #: Table time in the middle of the motions, ns.
+    offset: float  #: At the epoch, s.
+    offset_std: float  #: Standard deviation, s; NaN below two motions.
+    rate: float  #: Dimensionless; 0 where the session does not determine it.
+    rate_std: float  #: Standard deviation; NaN where the session does not determine it.
+    motions: int  #: Number of motions used.
+    jumps: tuple[float, ...] = ()  #: Jumps of the offset between motions, s, in order.
+    #: (jumps,) lower bounds of their sizes by the scatter; 0 where there may be none, and where
+    #: stamps are known to go back.
     least_jumps: tuple[float, ...] = ()
 
 

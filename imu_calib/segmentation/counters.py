@@ -55,19 +55,12 @@ class Term(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class AllanSums:
-    """Sums of squared second differences of the integrals of some channels.
+    """Sums of squared second differences of the integrals of some channels."""
 
-    Attributes:
-        period: Sample interval, s.
-        lengths: Samples of every gap-free run, in order.
-        squares: (k, c) sums at 1, 2, 4, ... samples, in (rad)^2 or (m/s)^2.
-        counts: (k,) number of second differences in each sum.
-    """
-
-    period: float
-    lengths: tuple[int, ...]
-    squares: Floats
-    counts: NDArray[np.int64]
+    period: float  #: Sample interval, s.
+    lengths: tuple[int, ...]  #: Samples of every gap-free run, in order.
+    squares: Floats  #: (k, c) sums at 1, 2, 4, ... samples, in (rad)^2 or (m/s)^2.
+    counts: NDArray[np.int64]  #: (k,) number of second differences in each sum.
 
     @property
     def taus(self) -> Floats:
@@ -283,17 +276,11 @@ _WIDEST_WINDOW = 256.0
 
 @dataclass(frozen=True)
 class MeanRate:
-    """A mean rate and its variance: walk_gain N^2 + quantisation_variance.
+    """A mean rate and its variance: walk_gain N^2 + quantisation_variance."""
 
-    Attributes:
-        rate: Per second.
-        walk_gain: Multiplies the squared random-walk coefficient, 1/s.
-        quantisation_variance: Variance left by quantisation, rate squared.
-    """
-
-    rate: float
-    walk_gain: float
-    quantisation_variance: float
+    rate: float  #: Per second.
+    walk_gain: float  #: Multiplies the squared random-walk coefficient, 1/s.
+    quantisation_variance: float  #: Variance left by quantisation, rate squared.
 
     def variance(self, walk: float) -> float:
         """Return the variance for a random-walk coefficient (per root second)."""

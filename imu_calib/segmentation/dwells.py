@@ -59,32 +59,21 @@ _FAR_BETTER = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Sound:
-    """Which samples of a dwell are sound.
+    """Which samples of a dwell are sound."""
 
-    Attributes:
-        mask: (n,) the sound samples.
-        notes: Why the others are not, in words.
-        mount_shift: The first disturbance that turned the unit; None without one.
-    """
-
-    mask: NDArray[np.bool_]
-    notes: tuple[str, ...]
+    mask: NDArray[np.bool_]  #: (n,) the sound samples.
+    notes: tuple[str, ...]  #: Why the others are not, in words.
+    #: The first disturbance that turned the unit; None without one.
     mount_shift: ShiftingDisturbance | None = None
 
 
 @dataclass(frozen=True)
 class ShiftingDisturbance:
-    """A disturbance that left the unit turned.
+    """A disturbance that left the unit turned."""
 
-    Attributes:
-        start: Its first sample.
-        stop: The first sample after it.
-        angle: By which the unit turned, rad.
-    """
-
-    start: int
-    stop: int
-    angle: float
+    start: int  #: Its first sample.
+    stop: int  #: The first sample after it.
+    angle: float  #: By which the unit turned, rad.
 
 
 def sound_samples(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None = None) -> Sound:
@@ -141,19 +130,12 @@ def _settled(bad: NDArray[np.bool_]) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Means:
-    """Sums of windows about their robust line.
+    """Sums of windows about their robust line."""
 
-    Attributes:
-        sums: (w, 6) sums of the samples of w windows, rad and m/s.
-        residuals: (w, 6) residuals of the sums, rad and m/s.
-        scatter: (6,) standard deviation of a sum.
-        tolerance: (6,) largest error of a sum by rounding.
-    """
-
-    sums: Floats
-    residuals: Floats
-    scatter: Floats
-    tolerance: Floats
+    sums: Floats  #: (w, 6) sums of the samples of w windows, rad and m/s.
+    residuals: Floats  #: (w, 6) residuals of the sums, rad and m/s.
+    scatter: Floats  #: (6,) standard deviation of a sum.
+    tolerance: Floats  #: (6,) largest error of a sum by rounding.
 
     @classmethod
     def of(cls, sums: Floats, expected: Floats) -> _Means:

@@ -218,21 +218,13 @@ judgement: in the hand 0.3 % of zeros move a scale factor by five deviations."""
 
 @dataclass(frozen=True)
 class FalseSamples:
-    """False samples of a stream.
+    """False samples of a stream."""
 
-    Attributes:
-        on_all_axes: Number of those that read one number on all axes of a triad.
-        spikes: Number of those on which a single sensor stands out.
-        first: Stamp of the first, ns; 0 without one.
-        received: Number of samples of the stream, these included.
-        of: The sensor in sentences; empty for the IMU.
-    """
-
-    on_all_axes: int = 0
-    spikes: int = 0
-    first: int = 0
-    received: int = 0
-    of: str = ''
+    on_all_axes: int = 0  #: Number of those that read one number on all axes of a triad.
+    spikes: int = 0  #: Number of those on which a single sensor stands out.
+    first: int = 0  #: Stamp of the first, ns; 0 without one.
+    received: int = 0  #: Number of samples of the stream, these included.
+    of: str = ''  #: The sensor in sentences; empty for the IMU.
 
     @property
     def count(self) -> int:
@@ -274,21 +266,13 @@ class Rows(NamedTuple):
 
 
 class _Limits(NamedTuple):
-    """How far values have to stand out.
+    """How far values have to stand out."""
 
-    Attributes:
-        ratio: Times the roughness around, and the step of the values.
-        step: Of pulses and counts; 0 where it is seen around the values.
-        coarsest: (6,) largest step that is seen there.
-        least: (6,) by how much at least.
-        jump: (6,) `_JUMP`.
-    """
-
-    ratio: float
-    step: float
-    coarsest: Floats
-    least: Floats
-    jump: Floats
+    ratio: float  #: Times the roughness around, and the step of the values.
+    step: float  #: Of pulses and counts; 0 where it is seen around the values.
+    coarsest: Floats  #: (6,) largest step that is seen there.
+    least: Floats  #: (6,) by how much at least.
+    jump: Floats  #: (6,) `_JUMP`.
 
     @classmethod
     def of_whole(cls, ratio: float, value: Floats) -> _Limits:
@@ -557,16 +541,12 @@ def _successions(
 
 
 class _Ratios(NamedTuple):
-    """How rows stand out of those around, (m, channels) each; 0 where too few are around.
+    """How rows stand out of those around, (m, channels) each; 0 where too few are around."""
 
-    Attributes:
-        beyond: Distance from the nearer one of both neighbours, if these are on one side, over the
-            roughness around or the step of the values, whichever is larger.
-        off: Distance from the line between both neighbours, over the same.
-    """
-
+    #: Distance from the nearer one of both neighbours, if these are on one side, over the roughness
+    #: around or the step of the values, whichever is larger.
     beyond: Floats
-    off: Floats
+    off: Floats  #: Distance from the line between both neighbours, over the same.
 
 
 def _ratios(

@@ -70,15 +70,10 @@ _NEVER = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Bridged:
-    """Samples without short gaps.
+    """Samples without short gaps."""
 
-    Attributes:
-        samples: With rows for those that were lost.
-        rows: (n,) of the samples as they came; -1 for those that were lost.
-    """
-
-    samples: Samples
-    rows: NDArray[np.intp]
+    samples: Samples  #: With rows for those that were lost.
+    rows: NDArray[np.intp]  #: (n,) of the samples as they came; -1 for those that were lost.
 
     @property
     def lost(self) -> int:
@@ -144,19 +139,12 @@ def filled_at_steady_rate(samples: Samples, walk: Floats) -> Samples:
 
 @dataclass(frozen=True)
 class _Hole:
-    """A run of lost samples, as half-open ranges of rows.
+    """A run of lost samples, as half-open ranges of rows."""
 
-    Attributes:
-        start: The first lost row.
-        stop: The first row after it.
-        first: The first row around it without a long gap between.
-        last: The row after the last of these.
-    """
-
-    start: int
-    stop: int
-    first: int
-    last: int
+    start: int  #: The first lost row.
+    stop: int  #: The first row after it.
+    first: int  #: The first row around it without a long gap between.
+    last: int  #: The row after the last of these.
 
 
 def _with_gaps(runs: list[tuple[int, int]], gaps: list[int], short: list[bool]) -> NDArray[np.intp]:
@@ -243,19 +231,12 @@ def _summed(pulses: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Gain:
-    """A gap's count from the counts around it: weights, and the remaining variance.
+    """A gap's count from the counts around it: weights, and the remaining variance."""
 
-    Attributes:
-        before: Weights of the counts from the gap backwards, 0 at the gap.
-        after: Of those from the gap onwards.
-        read: Multiplies the variance of one reading of the counter.
-        walked: Multiplies the variance that the random walk adds in one sample.
-    """
-
-    before: Floats
-    after: Floats
-    read: float
-    walked: float
+    before: Floats  #: Weights of the counts from the gap backwards, 0 at the gap.
+    after: Floats  #: Of those from the gap onwards.
+    read: float  #: Multiplies the variance of one reading of the counter.
+    walked: float  #: Multiplies the variance that the random walk adds in one sample.
 
     def variance(self, rate: float, noise: float, reach: int) -> float:
         """Return the variance, pulses squared, of pulses per sample, their walk, and the reach."""
@@ -321,7 +302,6 @@ def _quadrature() -> tuple[Floats, Floats]:
 
 # Detect repeated samples: a device that sends on without measuring.
 
-
 _FEWEST = 8
 """Fewest repeated samples in a row that count as frozen: a judgement, fewer cost nothing."""
 
@@ -377,18 +357,12 @@ def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Repetition:
-    """How samples of a motion repeat themselves.
+    """How samples of a motion repeat themselves."""
 
-    Attributes:
-        samples: Number of samples.
-        share: Share of samples that repeat the one before.
-        longest: Most of these in a row.
-        sample: (6,) the one repeated so, rad/s and m/s^2; NaN for none.
-    """
-
-    samples: int
-    share: float
-    longest: int
+    samples: int  #: Number of samples.
+    share: float  #: Share of samples that repeat the one before.
+    longest: int  #: Most of these in a row.
+    #: (6,) the one repeated so, rad/s and m/s^2; NaN for none.
     sample: Floats = field(default_factory=lambda: np.full(6, np.nan))
 
     @classmethod

@@ -85,7 +85,6 @@ def unique(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
 
 # Name segments of the IMU alone: dwells by the plan's order, whole turns by the gyros.
 
-
 SHORT_DWELL = 0.25
 """Share of a dwell below which it is not one of the plan's. A judgement."""
 
@@ -250,21 +249,13 @@ _PART = ('', 'what lies after it is', 'what lies before it is', 'what lies betwe
 
 @dataclass(frozen=True, eq=False)
 class Labelled:
-    """A session whose segments carry positions and attitudes.
+    """A session whose segments carry positions and attitudes."""
 
-    Attributes:
-        segments: Static dwells that are used, in order.
-        turns: Whole turns, in order.
-        rejected: Static dwells that were not used, and why.
-        notes: Other data that was left out, in sentences.
-        passing: Stops between two dwells, which are not used.
-    """
-
-    segments: tuple[Segment, ...]
-    turns: tuple[Turn, ...]
-    rejected: tuple[Rejected, ...]
-    notes: tuple[str, ...] = ()
-    passing: tuple[Segment, ...] = ()
+    segments: tuple[Segment, ...]  #: Static dwells that are used, in order.
+    turns: tuple[Turn, ...]  #: Whole turns, in order.
+    rejected: tuple[Rejected, ...]  #: Static dwells that were not used, and why.
+    notes: tuple[str, ...] = ()  #: Other data that was left out, in sentences.
+    passing: tuple[Segment, ...] = ()  #: Stops between two dwells, which are not used.
 
     def of_plan(self, plan: Plan) -> Labelled:
         """Return the dwells and turns at positions of a plan, the input of a closed form."""

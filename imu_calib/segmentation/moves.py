@@ -168,25 +168,15 @@ class MoveReader:
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """Steps of a motion.
+    """Steps of a motion."""
 
-    Attributes:
-        turned: (n, 3) rotation vectors by the assumed sample interval, rad.
-        velocity: (n, 3) velocities in the axes in the mean of the rotation, likewise, m/s.
-        mean: (n, 3) that mean less half of the rotation, likewise, rad.
-        counts: (n,) samples in each.
-        period: (n,) the sample interval assumed, s.
-        pulse: (6,) size of a pulse, rad and m/s.
-        filled: (2,) variances due to filled gaps, rad^2 and (m/s)^2.
-    """
-
-    turned: Floats
-    velocity: Floats
-    mean: Floats
-    counts: Floats
-    period: Floats
-    pulse: Floats
-    filled: Floats
+    turned: Floats  #: (n, 3) rotation vectors by the assumed sample interval, rad.
+    velocity: Floats  #: (n, 3) velocities in the axes in the mean of the rotation, likewise, m/s.
+    mean: Floats  #: (n, 3) that mean less half of the rotation, likewise, rad.
+    counts: Floats  #: (n,) samples in each.
+    period: Floats  #: (n,) the sample interval assumed, s.
+    pulse: Floats  #: (6,) size of a pulse, rad and m/s.
+    filled: Floats  #: (2,) variances due to filled gaps, rad^2 and (m/s)^2.
 
 
 def _concatenated(parts: Sequence[_Steps]) -> _Steps:

@@ -65,27 +65,16 @@ def session_noise(statistics: Sequence[Statistics], walk: Floats) -> dict[str, C
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Allan variances of one channel, with their contributions.
+    """Allan variances of one channel, with their contributions."""
 
-    Attributes:
-        factors: (k,) cluster sizes, in steps of `period`.
-        period: s.
-        lengths: Steps of every run.
-        variance: (k,) as observed.
-        known: (k,) theoretical contribution of quantisation.
-        pulse: Size of a pulse; 0 if quantisation is to be fitted.
-        usable: (k,) mask of points for the fit.
-        timed: See `ChannelNoise`.
-    """
-
-    factors: Floats
-    period: float
-    lengths: tuple[int, ...]
-    variance: Floats
-    known: Floats
-    pulse: float
-    usable: np.ndarray[Any, np.dtype[np.bool_]]
-    timed: bool = False
+    factors: Floats  #: (k,) cluster sizes, in steps of `period`.
+    period: float  #: s.
+    lengths: tuple[int, ...]  #: Steps of every run.
+    variance: Floats  #: (k,) as observed.
+    known: Floats  #: (k,) theoretical contribution of quantisation.
+    pulse: float  #: Size of a pulse; 0 if quantisation is to be fitted.
+    usable: np.ndarray[Any, np.dtype[np.bool_]]  #: (k,) mask of points for the fit.
+    timed: bool = False  #: See `ChannelNoise`.
 
 
 def _points(statistics: Sequence[Statistics], channel: int, walk: float) -> _Points | None:

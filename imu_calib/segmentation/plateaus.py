@@ -79,29 +79,17 @@ judgement: a ramp of 20 deg/s^2 departs by 0.1 deg in it."""
 
 @dataclass(frozen=True)
 class Line:
-    """A line by least squares.
+    """A line by least squares."""
 
-    Attributes:
-        count: Number of angles.
-        time: Their mean, s.
-        spread: Sum of the squares of their distances from it, s^2.
-        angle: At that time, rad.
-        slope: rad/s.
-        slope_std: Its standard deviation, rad/s.
-        step: Of the encoder, rad, as far as it is known.
-        noise: Scatter of the angles about it, rad.
-        smoothed: Number of angles over which a departure is averaged: as many as make the noise
-            small.
-    """
-
-    count: int
-    time: float
-    spread: float
-    angle: float
-    slope: float
-    slope_std: float
-    step: float
-    noise: float
+    count: int  #: Number of angles.
+    time: float  #: Their mean, s.
+    spread: float  #: Sum of the squares of their distances from it, s^2.
+    angle: float  #: At that time, rad.
+    slope: float  #: rad/s.
+    slope_std: float  #: Its standard deviation, rad/s.
+    step: float  #: Of the encoder, rad, as far as it is known.
+    noise: float  #: Scatter of the angles about it, rad.
+    #: Number of angles over which a departure is averaged: as many as make the noise small.
     smoothed: int
 
     @classmethod
@@ -275,27 +263,16 @@ largest contradiction between arrivals and a device before its stamps are correc
 
 @dataclass(frozen=True, eq=False)
 class Plateau:
-    """A part of a motion at constant rate, by a line through its encoder angles.
+    """A part of a motion at constant rate, by a line through its encoder angles."""
 
-    Attributes:
-        start: Instant from which on all angles certainly lie on the line, s.
-        end: Instant until which they do, s.
-        rate: Slope of the line, rad/s, signed.
-        rate_std: Its standard deviation, rad/s.
-        before: Time before `start` without a visible departure, s.
-        after: Time after `end`, likewise, s.
-        unseen: Departure that would not be visible there, rad.
-        step: Of the encoder, rad; 0 where its angles show none.
-    """
-
-    start: float
-    end: float
-    rate: float
-    rate_std: float
-    before: float
-    after: float
-    unseen: float
-    step: float = 0.0
+    start: float  #: Instant from which on all angles certainly lie on the line, s.
+    end: float  #: Instant until which they do, s.
+    rate: float  #: Slope of the line, rad/s, signed.
+    rate_std: float  #: Its standard deviation, rad/s.
+    before: float  #: Time before `start` without a visible departure, s.
+    after: float  #: Time after `end`, likewise, s.
+    unseen: float  #: Departure that would not be visible there, rad.
+    step: float = 0.0  #: Of the encoder, rad; 0 where its angles show none.
 
     @property
     def turned(self) -> float:
@@ -305,27 +282,17 @@ class Plateau:
 
 @dataclass(frozen=True, eq=False)
 class WholeTurns:
-    """Whole turns at constant rate of one joint.
+    """Whole turns at constant rate of one joint."""
 
-    Attributes:
-        joint: Index of the joint.
-        start: Instant at which the turns begin on the line, ns (float: between samples).
-        seconds: Their time on the line, s, by the table's clock.
-        angle: Angle turned, rad: a whole number of turns, signed.
-        rate_error: Standard deviation of the mean rate over them, relative.
-        spare: Time before and after the turns in which the rate is certainly the same, s: less than
-            the line shows, to allow for the onset of ramps and for clocks that are not compared
-            yet.
-        step: Of the encoder, rad; 0 where its angles show none.
-    """
-
-    joint: int
-    start: float
-    seconds: float
-    angle: float
-    rate_error: float
+    joint: int  #: Index of the joint.
+    start: float  #: Instant at which the turns begin on the line, ns (float: between samples).
+    seconds: float  #: Their time on the line, s, by the table's clock.
+    angle: float  #: Angle turned, rad: a whole number of turns, signed.
+    rate_error: float  #: Standard deviation of the mean rate over them, relative.
+    #: Time before and after the turns in which the rate is certainly the same, s: less than the
+    #: line shows, to allow for the onset of ramps and for clocks that are not compared yet.
     spare: float
-    step: float = 0.0
+    step: float = 0.0  #: Of the encoder, rad; 0 where its angles show none.
 
 
 def find_turns(motion: Motion) -> list[WholeTurns]:
@@ -513,7 +480,6 @@ def _whole_turns(plateau: Plateau, joint: int, origin: float) -> WholeTurns | No
 
 
 # Estimate the offset between the clocks of table and IMU from the pattern of the first motions.
-
 
 FARTHEST = 60.0
 """s: clocks of GPS, of UTC and of TAI are up to 37 s apart, a clock that is never set is within a

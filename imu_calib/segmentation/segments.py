@@ -21,42 +21,28 @@ class Statistics:
 
     The variance of `mean` is walk_gain * N^2 + quantisation_variance, with N the channel's
     random-walk coefficient, estimated from the blocks of all segments together.
-
-    Attributes:
-        samples: Number of samples used.
-        missing: Number of samples lost in gaps within the segment.
-        duration: Time that the samples cover, s, by the device's clock.
-        mean: (6,) best estimate of the mean output, rad/s and m/s^2.
-        walk_gain: (6,) 1/s.
-        quantisation_variance: (6,) variance by quantisation, (rad/s)^2 and (m/s^2)^2.
-        end_points: (6,) sum over duration, the mean in the documents' formulae.
-        blocks: Per channel (b, 4): mean, walk gain, quantisation variance of blocks of 10 s or
-            more, and the middle of each, s after the segment began.
-        drift: (6,) slope of the block means, rad/s^2 and m/s^3.
-        drift_std: (6,) its standard deviation by the scatter of the blocks; NaN below 4 blocks.
-        pulse: (6,) size of one pulse, rad and m/s; 0 where the values are not whole pulses.
-        allan: Sums for the Allan variance; None where not computed.
-        timing: How the samples were timed; None where not requested.
-        time_error: Standard deviation of the sample interval, relative.
-        sample_variance: (6,) of single samples about their neighbours, which slow motion such as a
-            trembling hand does not raise, (rad/s)^2 and (m/s^2)^2; NaN where too few follow each
-            other.
     """
 
-    samples: int
-    missing: int
-    duration: float
-    mean: Floats
-    walk_gain: Floats
-    quantisation_variance: Floats
-    end_points: Floats
+    samples: int  #: Number of samples used.
+    missing: int  #: Number of samples lost in gaps within the segment.
+    duration: float  #: Time that the samples cover, s, by the device's clock.
+    mean: Floats  #: (6,) best estimate of the mean output, rad/s and m/s^2.
+    walk_gain: Floats  #: (6,) 1/s.
+    quantisation_variance: Floats  #: (6,) variance by quantisation, (rad/s)^2 and (m/s^2)^2.
+    end_points: Floats  #: (6,) sum over duration, the mean in the documents' formulae.
+    #: Per channel (b, 4): mean, walk gain, quantisation variance of blocks of 10 s or more, and the
+    #: middle of each, s after the segment began.
     blocks: tuple[Floats, ...]
-    drift: Floats
+    drift: Floats  #: (6,) slope of the block means, rad/s^2 and m/s^3.
+    #: (6,) its standard deviation by the scatter of the blocks; NaN below 4 blocks.
     drift_std: Floats
+    #: (6,) size of one pulse, rad and m/s; 0 where the values are not whole pulses.
     pulse: Floats = field(default_factory=lambda: np.zeros(6))
-    allan: AllanSums | None = None
-    timing: Timing | None = None
-    time_error: float = 0.0
+    allan: AllanSums | None = None  #: Sums for the Allan variance; None where not computed.
+    timing: Timing | None = None  #: How the samples were timed; None where not requested.
+    time_error: float = 0.0  #: Standard deviation of the sample interval, relative.
+    #: (6,) of single samples about their neighbours, which slow motion such as a trembling hand
+    #: does not raise, (rad/s)^2 and (m/s^2)^2; NaN where too few follow each other.
     sample_variance: Floats = field(default_factory=lambda: np.full(6, np.nan))
 
     def variance(self, walk: Floats) -> Floats:
@@ -94,33 +80,23 @@ class Statistics:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A segment at rest: a static dwell.
+    """A segment at rest: a static dwell."""
 
-    Attributes:
-        start: First instant used, ns, IMU clock.
-        end: Last instant used, ns, IMU clock.
-        statistics: Of its samples.
-        attitude: (3, 3) R_nb in east, north, up of the table's azimuth; None where neither joint
-            angles nor a plan give it.
-        position: Id of the plan's position; None where unknown.
-        angles: (k,) mean joint angles, rad; None without joint states.
-        notes: What was cut away and why, in sentences.
-        attitude_error: Standard deviation of the attitude about any axis by the encoders' noise,
-            rad.
-        excess_covariance: (3, 3) covariance of the accelerometers' mean beyond their usual noise,
-            (m/s^2)^2; None without.
-        sliding: Rate at which the unit leans more and more, rad/s; its gyros show that, too.
-    """
-
-    start: int
-    end: int
-    statistics: Statistics
+    start: int  #: First instant used, ns, IMU clock.
+    end: int  #: Last instant used, ns, IMU clock.
+    statistics: Statistics  #: Of its samples.
+    #: (3, 3) R_nb in east, north, up of the table's azimuth; None where neither joint angles nor a
+    #: plan give it.
     attitude: Floats | None = None
-    position: str | None = None
-    angles: Floats | None = None
-    notes: tuple[str, ...] = ()
+    position: str | None = None  #: Id of the plan's position; None where unknown.
+    angles: Floats | None = None  #: (k,) mean joint angles, rad; None without joint states.
+    notes: tuple[str, ...] = ()  #: What was cut away and why, in sentences.
+    #: Standard deviation of the attitude about any axis by the encoders' noise, rad.
     attitude_error: float = 0.0
+    #: (3, 3) covariance of the accelerometers' mean beyond their usual noise, (m/s^2)^2; None
+    #: without.
     excess_covariance: Floats | None = None
+    #: Rate at which the unit leans more and more, rad/s; its gyros show that, too.
     sliding: float = 0.0
 
     def variance(self, walk: Floats, gravity: float) -> Floats:
@@ -146,63 +122,45 @@ class Segment:
 
 @dataclass(frozen=True)
 class RestToRest:
-    """A turn as a part of the whole motion from rest to rest.
+    """A turn as a part of the whole motion from rest to rest."""
 
-    Attributes:
-        turned: Angle about up between the cuts, rad, signed, from the share seen by the gyros.
-        way: Angle from rest to rest, whole turns, rad, without sign.
-        by_noise: Standard deviation of the rate, relative, for a random walk of one about up, with
-            the uncertainty of the gyros' output at rest.
-        by_pulses: The same by quantisation.
-    """
-
+    #: Angle about up between the cuts, rad, signed, from the share seen by the gyros.
     turned: float
-    way: float
+    way: float  #: Angle from rest to rest, whole turns, rad, without sign.
+    #: Standard deviation of the rate, relative, for a random walk of one about up, with the
+    #: uncertainty of the gyros' output at rest.
     by_noise: float
-    by_pulses: float
+    by_pulses: float  #: The same by quantisation.
 
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """Whole turns about the vertical.
+    """Whole turns about the vertical."""
 
-    Attributes:
-        start: First instant used, ns, IMU clock.
-        end: Last instant used, ns, IMU clock.
-        statistics: Of its samples; `blocks` are empty.
-        angle: Angle turned about up, rad, signed.
-        seconds: Its time by the table's clock; None without a table.
-        up: (3,) up in body axes.
-        position: Id of the plan's position at which it was made; None where unknown.
-        rate_error: Standard deviation of the encoder's rate, relative; 0 without an encoder.
-        up_error: Standard deviation of `up` about either level axis by the encoders' noise, rad.
-        skewed: Statistics of a skewed gyro, as first channel; None without one.
-        each: (n, 3) gyro means of the single turns, (n, 4) with a skewed one; None for one turn.
-        level_share: Share of a level rate that does not average out: for whole turns at a constant
-            rate the error of cuts within samples, for turns from rest to rest the effect of the
-            slow parts.
-        angles: (k,) mean joint angles, rad; None without joint states.
-        joint: Index of the joint that turns.
-        step: Of its encoder, rad, by its angles; 0 where they show none.
-        whole_way: The turn by the gyros as a part of the whole motion; None where the encoder's
-            line is more accurate.
-    """
-
-    start: int
-    end: int
-    statistics: Statistics
-    angle: float
-    seconds: float | None
-    up: Floats
+    start: int  #: First instant used, ns, IMU clock.
+    end: int  #: Last instant used, ns, IMU clock.
+    statistics: Statistics  #: Of its samples; `blocks` are empty.
+    angle: float  #: Angle turned about up, rad, signed.
+    seconds: float | None  #: Its time by the table's clock; None without a table.
+    up: Floats  #: (3,) up in body axes.
+    #: Id of the plan's position at which it was made; None where unknown.
     position: str | None = None
+    #: Standard deviation of the encoder's rate, relative; 0 without an encoder.
     rate_error: float = 0.0
+    #: Standard deviation of `up` about either level axis by the encoders' noise, rad.
     up_error: float = 0.0
+    #: Statistics of a skewed gyro, as first channel; None without one.
     skewed: Statistics | None = None
+    #: (n, 3) gyro means of the single turns, (n, 4) with a skewed one; None for one turn.
     each: Floats | None = None
+    #: Share of a level rate that does not average out: for whole turns at a constant rate the error
+    #: of cuts within samples, for turns from rest to rest the effect of the slow parts.
     level_share: float = 0.0
-    angles: Floats | None = None
-    joint: int | None = None
-    step: float = 0.0
+    angles: Floats | None = None  #: (k,) mean joint angles, rad; None without joint states.
+    joint: int | None = None  #: Index of the joint that turns.
+    step: float = 0.0  #: Of its encoder, rad, by its angles; 0 where they show none.
+    #: The turn by the gyros as a part of the whole motion; None where the encoder's line is more
+    #: accurate.
     whole_way: RestToRest | None = None
 
     @property

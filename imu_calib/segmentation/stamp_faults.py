@@ -160,7 +160,6 @@ class SharedStamps:
 
 # Stamps of a clock that was set back within a session: moved on, so that they increase again.
 
-
 _SURE = 32
 """Samples in a row, all stamped before the last one, that show a clock that was set back. A
 judgement: a third of a second at 100 Hz; fewer, if stamps then continue beyond the last one."""
@@ -185,15 +184,10 @@ between none and all of them."""
 
 @dataclass(frozen=True)
 class SetBack:
-    """A clock that was set back.
+    """A clock that was set back."""
 
-    Attributes:
-        instant: The first stamp afterwards as it is used, ns.
-        by: ns; below zero where it was set on again by as much.
-    """
-
-    instant: int
-    by: int
+    instant: int  #: The first stamp afterwards as it is used, ns.
+    by: int  #: ns; below zero where it was set on again by as much.
 
 
 class SetBackClock:
@@ -390,7 +384,6 @@ def set_back_sentences(found: Sequence[SetBack], whose: str, then: str) -> list[
 
 # Count samples that are stamped late by chance, and by how much: a sign of a busy line.
 
-
 JITTER = 6 * MAD_TO_STD
 """Times the median absolute deviation: six standard deviations of Gaussian jitter."""
 
@@ -478,17 +471,11 @@ _LEAST_STD = 1e-10
 
 @dataclass(frozen=True)
 class Timing:
-    """How a segment was timed.
+    """How a segment was timed."""
 
-    Attributes:
-        used: Sample interval used for reading it, s.
-        own: That by its own stamps, s.
-        own_std: Its standard deviation, s.
-    """
-
-    used: float
-    own: float
-    own_std: float
+    used: float  #: Sample interval used for reading it, s.
+    own: float  #: That by its own stamps, s.
+    own_std: float  #: Its standard deviation, s.
 
 
 @dataclass(frozen=True)

@@ -75,15 +75,10 @@ _LARGEST = 0.9
 
 @dataclass(frozen=True)
 class Pattern:
-    """How samples come in bunches.
+    """How samples come in bunches."""
 
-    Attributes:
-        interval: Sample interval, ns.
-        size: Samples of a whole packet; None where a reader takes all that has arrived.
-    """
-
-    interval: float
-    size: int | None
+    interval: float  #: Sample interval, ns.
+    size: int | None  #: Samples of a whole packet; None where a reader takes all that has arrived.
 
 
 def pattern(stamp: Stamps) -> Pattern | None:
@@ -357,23 +352,15 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class SampleGrid:
-    """Equal intervals fitted to the stamps of a segment.
+    """Equal intervals fitted to the stamps of a segment."""
 
-    Attributes:
-        index: (n,) which interval each sample ends, from 0; omitted numbers are missing.
-        origin: Stamp of sample 0 on the line, s after the first stamp.
-        period: Sample interval by these stamps alone, s.
-        period_std: Its standard deviation, s; infinite where the stamps are too few.
-        scatter: Of a stamp about the line, s.
-        kept: (n,) stamps used in the fit of the line.
-    """
-
+    #: (n,) which interval each sample ends, from 0; omitted numbers are missing.
     index: NDArray[np.int64]
-    origin: float
-    period: float
-    period_std: float
-    scatter: float
-    kept: NDArray[np.bool_]
+    origin: float  #: Stamp of sample 0 on the line, s after the first stamp.
+    period: float  #: Sample interval by these stamps alone, s.
+    period_std: float  #: Its standard deviation, s; infinite where the stamps are too few.
+    scatter: float  #: Of a stamp about the line, s.
+    kept: NDArray[np.bool_]  #: (n,) stamps used in the fit of the line.
 
     def stamps(self, stamp: Stamps) -> Stamps:
         """Return the instants of the samples, ns; the stamps themselves where they are clean."""
@@ -574,7 +561,6 @@ def _in_common(residuals: Floats) -> float:
 
 
 # A first-in first-out buffer of rows, cheap to append to and to drop from.
-
 
 _FIRST_CAPACITY = 1024
 """Rows. A choice: it doubles when it is full."""

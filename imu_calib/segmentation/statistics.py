@@ -60,30 +60,22 @@ _Blocks = list[tuple[float, MeanRate]]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples of one segment, in SI after the nominal scale factor.
+    """Samples of one segment, in SI after the nominal scale factor."""
 
-    Attributes:
-        stamp: (n,) ns, ends of the sample intervals.
-        increments: (n, 6) angle (rad) or velocity (m/s) gained in each interval.
-        pulse: (6,) size of one pulse, rad and m/s; 0 where the values are not whole pulses.
-        period: Sample interval, s.
-        grid: (6,) step to which each increment is rounded by itself, rad and m/s: that of an ADC. A
-            counter carries its remainder on and has none.
-        carried: (6,) pulse of the counter from which SI values were computed, rad and m/s: they are
-            not whole pulses any more, but remainders are carried on.
-        timing: How they were timed; None where only `period` is known.
-        filled: (n,) rows that were lost and are interpolated; None for none.
-        bridged: (6,) variance of a sum due to such a gap, rad^2 and (m/s)^2.
-    """
-
-    stamp: Stamps
-    increments: Floats
-    pulse: Floats
-    period: float
+    stamp: Stamps  #: (n,) ns, ends of the sample intervals.
+    increments: Floats  #: (n, 6) angle (rad) or velocity (m/s) gained in each interval.
+    pulse: Floats  #: (6,) size of one pulse, rad and m/s; 0 where the values are not whole pulses.
+    period: float  #: Sample interval, s.
+    #: (6,) step to which each increment is rounded by itself, rad and m/s: that of an ADC. A
+    #: counter carries its remainder on and has none.
     grid: Floats
+    #: (6,) pulse of the counter from which SI values were computed, rad and m/s: they are not whole
+    #: pulses any more, but remainders are carried on.
     carried: Floats = field(default_factory=lambda: np.zeros(6))
-    timing: Timing | None = None
+    timing: Timing | None = None  #: How they were timed; None where only `period` is known.
+    #: (n,) rows that were lost and are interpolated; None for none.
     filled: NDArray[np.bool_] | None = None
+    #: (6,) variance of a sum due to such a gap, rad^2 and (m/s)^2.
     bridged: Floats = field(default_factory=lambda: np.zeros(6))
 
     def part(self, start: int, stop: int) -> Samples:
@@ -365,15 +357,10 @@ def _drifts(blocks: tuple[Floats, ...]) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class PooledWalk:
-    """Squared random-walk coefficients of the six channels, and their uncertainty.
+    """Squared random-walk coefficients of the six channels, and their uncertainty."""
 
-    Attributes:
-        square: (6,) rad^2/s and (m/s)^2/s; NaN where no segment has two blocks.
-        deviation: (6,) its standard deviation; infinite without data.
-    """
-
-    square: Floats
-    deviation: Floats
+    square: Floats  #: (6,) rad^2/s and (m/s)^2/s; NaN where no segment has two blocks.
+    deviation: Floats  #: (6,) its standard deviation; infinite without data.
 
     @property
     def freedom(self) -> Floats:
@@ -419,7 +406,6 @@ def _channel_walk(segments: list[Floats]) -> tuple[float, float]:
 
 # Properties of samples from an IMU's description: noise, and the ends of the range.
 
-
 _WALK_GUESS = 0.05
 """Pulses per root of a sample: first weights; the walk is then estimated from the session."""
 _FEW_PULSES = 10.0
@@ -430,15 +416,10 @@ _ENOUGH_PULSES = 100.0
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
-    """An IMU whose samples are read.
+    """An IMU whose samples are read."""
 
-    Attributes:
-        spec: Meaning of their numbers.
-        walk: (6,) random walk to choose weights by, rad/sqrt(s) and (m/s)/sqrt(s).
-    """
-
-    spec: ImuSpec
-    walk: Floats
+    spec: ImuSpec  #: Meaning of their numbers.
+    walk: Floats  #: (6,) random walk to choose weights by, rad/sqrt(s) and (m/s)/sqrt(s).
 
     @classmethod
     def of(cls, spec: ImuSpec) -> Sensor:

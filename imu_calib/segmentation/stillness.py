@@ -180,7 +180,6 @@ class GyroOffset:
 
 # Estimate tolerances for detecting dwells: the deviations while a unit is held still.
 
-
 _BESIDE = 5
 """Windows before and after each window: a second in all."""
 
@@ -208,17 +207,11 @@ resolves a tenth."""
 
 @dataclass(frozen=True)
 class RestTolerance:
-    """Largest deviation of the mean of a tenth of a second at rest, in each axis.
+    """Largest deviation of the mean of a tenth of a second at rest, in each axis."""
 
-    Attributes:
-        rate: From the gyros' output at rest, rad/s.
-        force: From the accelerometers' output at the start of the rest, m/s^2.
-        usual: Deviation of rates in nine windows of ten from the second around, rad/s.
-    """
-
-    rate: float = ASSUMED_SPREAD
-    force: float = _LEAN
-    usual: float = 0.0
+    rate: float = ASSUMED_SPREAD  #: From the gyros' output at rest, rad/s.
+    force: float = _LEAN  #: From the accelerometers' output at the start of the rest, m/s^2.
+    usual: float = 0.0  #: Deviation of rates in nine windows of ten from the second around, rad/s.
 
     @classmethod
     def of(
@@ -296,20 +289,14 @@ arrays."""
 
 @dataclass(frozen=True)
 class Quietest:
-    """The two seconds of least deviation: largest deviation of a tenth of one from their mean.
+    """The two seconds of least deviation: largest deviation of a tenth of one from their mean."""
 
-    Attributes:
-        rate: Of the gyros, the largest of three axes, rad/s.
-        force: Of the accelerometers, m/s^2.
-        length: Mean length of the specific forces of tenths of a second, m/s^2: a unit that turns
-            reads gravity too.
-        tolerance: Tolerance of a dwell by the session's last minutes.
-    """
-
-    rate: float
-    force: float
+    rate: float  #: Of the gyros, the largest of three axes, rad/s.
+    force: float  #: Of the accelerometers, m/s^2.
+    #: Mean length of the specific forces of tenths of a second, m/s^2: a unit that turns reads
+    #: gravity too.
     length: float
-    tolerance: RestTolerance
+    tolerance: RestTolerance  #: Tolerance of a dwell by the session's last minutes.
 
 
 class StillnessTracker:

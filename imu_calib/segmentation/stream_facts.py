@@ -191,7 +191,6 @@ class StreamFacts:
 
 # Accelerations from which another program has removed gravity: near 0 where the unit is quiet.
 
-
 _NEAR_ZERO = 0.05 * STANDARD_GRAVITY
 """m/s^2. A judgement: what phones and fusion chips leave at rest is a tenth of that, and an
 accelerometer with gravity never reads so little on a table or in a hand."""
@@ -245,7 +244,6 @@ def quiet_means(force: Floats) -> Floats:
 
 # The temperature of a session: course, mean and ends, the same for any cut into blocks.
 
-
 _STEP = 1e-6
 """K: less is rounding."""
 _COLDEST, _HOTTEST = -273.15, 1000.0
@@ -257,18 +255,12 @@ by only a small part of their range in that time."""
 
 @dataclass(frozen=True)
 class Temperature:
-    """Temperature of a session, degrees Celsius.
+    """Temperature of a session, degrees Celsius."""
 
-    Attributes:
-        mean: Over all readings.
-        lowest: Of them.
-        highest: Of them.
-        course: (c, 2) instants, ns of the IMU's clock, and means of 10 s about them, in order.
-    """
-
-    mean: float
-    lowest: float
-    highest: float
+    mean: float  #: Over all readings.
+    lowest: float  #: Of them.
+    highest: float  #: Of them.
+    #: (c, 2) instants, ns of the IMU's clock, and means of 10 s about them, in order.
     course: Floats = field(default_factory=lambda: np.zeros((0, 2)), compare=False, repr=False)
 
     def over(self, starts: Stamps, ends: Stamps) -> Floats:
@@ -353,21 +345,13 @@ class Thermometer:
 
 @dataclass(frozen=True, eq=False)
 class Rejected:
-    """A dwell, turn or move that was not used.
+    """A dwell, turn or move that was not used."""
 
-    Attributes:
-        start: Its first instant, ns, IMU clock.
-        end: Its last instant, ns, IMU clock.
-        reason: Why it was not used, as part of a sentence.
-        position: Id of the plan's position; None where unknown.
-        turn: Whether it is a turn or a move; else a dwell.
-    """
-
-    start: int
-    end: int
-    reason: str
-    position: str | None = None
-    turn: bool = False
+    start: int  #: Its first instant, ns, IMU clock.
+    end: int  #: Its last instant, ns, IMU clock.
+    reason: str  #: Why it was not used, as part of a sentence.
+    position: str | None = None  #: Id of the plan's position; None where unknown.
+    turn: bool = False  #: Whether it is a turn or a move; else a dwell.
 
 
 @dataclass(frozen=True)
@@ -380,21 +364,13 @@ class MountShift:
 
 @dataclass(frozen=True, eq=False)
 class FreeMotion:
-    """A motion between two dwells as seen by the gyros alone.
+    """A motion between two dwells as seen by the gyros alone."""
 
-    Attributes:
-        start: First instant, ns, IMU clock.
-        end: Last instant, ns, IMU clock.
-        statistics: Of its samples.
-        turned: (3,) integral of the rates, rad.
-        mean_phase: Mean over the motion of exp(i angle), the angle turned since its start.
-    """
-
-    start: int
-    end: int
-    statistics: Statistics
-    turned: Floats
-    mean_phase: complex
+    start: int  #: First instant, ns, IMU clock.
+    end: int  #: Last instant, ns, IMU clock.
+    statistics: Statistics  #: Of its samples.
+    turned: Floats  #: (3,) integral of the rates, rad.
+    mean_phase: complex  #: Mean over the motion of exp(i angle), the angle turned since its start.
 
     @property
     def level(self) -> complex:
@@ -404,45 +380,31 @@ class FreeMotion:
 
 @dataclass(frozen=True, eq=False)
 class VelocitySteps:
-    """Velocities gained by the accelerometers on a move, step by step.
+    """Velocities gained by the accelerometers on a move, step by step."""
 
-    Attributes:
-        velocity: (n, 3) integral of the specific force of each step, in the body axes in the mean
-            of its rotation over its time, m/s.
-        mean: (n, 3) that mean less half of the rotation, rad: the effect of a changing rate.
-        pulse: (3,) size of one pulse of their counters, m/s; 0 where there are none.
-        filled: Variance along any axis due to lost samples that are interpolated, (m/s)^2.
-        predicted: Whether the counts are predicted: before a session they are not known to a pulse.
-    """
-
+    #: (n, 3) integral of the specific force of each step, in the body axes in the mean of its
+    #: rotation over its time, m/s.
     velocity: Floats
-    mean: Floats
-    pulse: Floats
+    mean: Floats  #: (n, 3) that mean less half of the rotation, rad: the effect of a changing rate.
+    pulse: Floats  #: (3,) size of one pulse of their counters, m/s; 0 where there are none.
+    #: Variance along any axis due to lost samples that are interpolated, (m/s)^2.
     filled: float = 0.0
+    #: Whether the counts are predicted: before a session they are not known to a pulse.
     predicted: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """A motion from one segment at rest to the next, without a gap.
+    """A motion from one segment at rest to the next, without a gap."""
 
-    Attributes:
-        start: End of the segment before, ns, IMU clock.
-        end: Start of the segment after, ns, IMU clock.
-        turned: (n, 3) rotation vector of each step, rad.
-        seconds: (n,) duration of each step, s.
-        pulse: (3,) size of one pulse of the gyros' counters, rad; 0 where there are none.
-        filled: Variance of its angle about any axis due to lost samples that are interpolated,
-            rad^2.
-        velocity_steps: Velocities gained by the accelerometers; None where not requested.
-    """
-
-    start: int
-    end: int
-    turned: Floats
-    seconds: Floats
-    pulse: Floats
+    start: int  #: End of the segment before, ns, IMU clock.
+    end: int  #: Start of the segment after, ns, IMU clock.
+    turned: Floats  #: (n, 3) rotation vector of each step, rad.
+    seconds: Floats  #: (n,) duration of each step, s.
+    pulse: Floats  #: (3,) size of one pulse of the gyros' counters, rad; 0 where there are none.
+    #: Variance of its angle about any axis due to lost samples that are interpolated, rad^2.
     filled: float = 0.0
+    #: Velocities gained by the accelerometers; None where not requested.
     velocity_steps: VelocitySteps | None = None
 
     @property
@@ -468,44 +430,27 @@ class Move:
 
 @dataclass(frozen=True, eq=False)
 class Segmented:
-    """All that a session's streams contain.
+    """All that a session's streams contain."""
 
-    Attributes:
-        segments: Static dwells, in order.
-        turns: Whole turns measured by an encoder, in order.
-        motions: Larger motions without an encoder, in order.
-        moves: Motions seen by the gyros between one segment and the next, in order.
-        rejected: Static dwells that were not used.
-        mount_shifts: Shocks that shifted the unit in its mount, in order.
-        losses: Data lost on input, in sentences.
-        setpoints: The first of every run of equal setpoints, in order.
-        clock: Table against IMU.
-        samples: Number of IMU samples received.
-        duration: From the first to the last IMU stamp, s.
-        start: First IMU stamp, ns; None without samples.
-        temperature: Of the unit's thermometer; None without one.
-        foreign_joints: Sentence on joint states if none were the table's; else empty.
-        lost_moves: Motions from one segment to the next that are not used, with the reason.
-        interruptions: Last stamp before and first after each interruption of the IMU's stream, ns.
-        facts: Of the IMU's stream, as it came in.
-        false_samples: Samples of the IMU that are false, and count as missing.
-    """
-
-    segments: tuple[Segment, ...]
-    turns: tuple[Turn, ...]
-    motions: tuple[FreeMotion, ...]
+    segments: tuple[Segment, ...]  #: Static dwells, in order.
+    turns: tuple[Turn, ...]  #: Whole turns measured by an encoder, in order.
+    motions: tuple[FreeMotion, ...]  #: Larger motions without an encoder, in order.
+    #: Motions seen by the gyros between one segment and the next, in order.
     moves: tuple[Move, ...]
-    rejected: tuple[Rejected, ...]
-    mount_shifts: tuple[MountShift, ...]
-    losses: tuple[str, ...]
-    setpoints: tuple[Setpoint, ...]
-    clock: ClockFit
-    samples: int
-    duration: float
-    start: int | None = None
-    temperature: Temperature | None = None
-    foreign_joints: str = ''
+    rejected: tuple[Rejected, ...]  #: Static dwells that were not used.
+    mount_shifts: tuple[MountShift, ...]  #: Shocks that shifted the unit in its mount, in order.
+    losses: tuple[str, ...]  #: Data lost on input, in sentences.
+    setpoints: tuple[Setpoint, ...]  #: The first of every run of equal setpoints, in order.
+    clock: ClockFit  #: Table against IMU.
+    samples: int  #: Number of IMU samples received.
+    duration: float  #: From the first to the last IMU stamp, s.
+    start: int | None = None  #: First IMU stamp, ns; None without samples.
+    temperature: Temperature | None = None  #: Of the unit's thermometer; None without one.
+    foreign_joints: str = ''  #: Sentence on joint states if none were the table's; else empty.
+    #: Motions from one segment to the next that are not used, with the reason.
     lost_moves: tuple[Rejected, ...] = ()
+    #: Last stamp before and first after each interruption of the IMU's stream, ns.
     interruptions: tuple[tuple[int, int], ...] = ()
-    facts: StreamFacts = field(default_factory=StreamFacts)
+    facts: StreamFacts = field(default_factory=StreamFacts)  #: Of the IMU's stream, as it came in.
+    #: Samples of the IMU that are false, and count as missing.
     false_samples: FalseSamples = NONE_FALSE

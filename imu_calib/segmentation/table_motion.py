@@ -43,36 +43,23 @@ _SECOND_DIFFERENCE = MAD_TO_STD / np.sqrt(6)
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """A time in which the table, or a unit without one, stood still.
+    """A time in which the table, or a unit without one, stood still."""
 
-    Attributes:
-        start: Its beginning, ns.
-        end: Its end, ns.
-        angles: (k,) joint angles, rad; None without joint states.
-        angle_error: Standard deviation of such an angle by the noise of its encoder, rad.
-    """
-
-    start: int
-    end: int
-    angles: Floats | None = None
+    start: int  #: Its beginning, ns.
+    end: int  #: Its end, ns.
+    angles: Floats | None = None  #: (k,) joint angles, rad; None without joint states.
+    #: Standard deviation of such an angle by the noise of its encoder, rad.
     angle_error: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The table moved from `start` to `end` (ns).
+    """The table moved from `start` to `end` (ns)."""
 
-    Attributes:
-        start: Last instant of the rest before, ns.
-        end: First instant of the rest after, ns.
-        stamp: (n,) joint states of the motion and of the rest around it, ns.
-        position: (n, k) rad; empty without joint states.
-    """
-
-    start: int
-    end: int
-    stamp: Stamps
-    position: Floats
+    start: int  #: Last instant of the rest before, ns.
+    end: int  #: First instant of the rest after, ns.
+    stamp: Stamps  #: (n,) joint states of the motion and of the rest around it, ns.
+    position: Floats  #: (n, k) rad; empty without joint states.
 
     @cached_property
     def travel(self) -> Floats:

@@ -57,18 +57,12 @@ encoders that show its rates."""
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """Outputs of the sensors around a motion.
+    """Outputs of the sensors around a motion."""
 
-    Attributes:
-        sensor: The IMU.
-        values: (n, 6) as delivered; NaN where samples were lost and are interpolated.
-        samples: The same in SI units.
-        skew: (m,) stamps and (m, 6) values of the skewed gyro; None without one.
-    """
-
-    sensor: Sensor
-    values: Floats
-    samples: Samples
+    sensor: Sensor  #: The IMU.
+    values: Floats  #: (n, 6) as delivered; NaN where samples were lost and are interpolated.
+    samples: Samples  #: The same in SI units.
+    #: (m,) stamps and (m, 6) values of the skewed gyro; None without one.
     skew: tuple[Stamps, Floats] | None = None
 
 

@@ -53,13 +53,9 @@ def judge(value: float, std: float, limit: float) -> Verdict:
 
 @dataclass(frozen=True)
 class Specification:
-    """The limits of a unit.
+    """The limits of a unit."""
 
-    Attributes:
-        limits: Largest amounts, SI units, by kind of parameter and triad ('g' or 'a'); none for
-            others.
-    """
-
+    #: Largest amounts, SI units, by kind of parameter and triad ('g' or 'a'); none for others.
     limits: Mapping[tuple[ParameterKind, str], float] = field(default_factory=dict)
 
     def limit(self, parameter: Parameter) -> float | None:
@@ -115,51 +111,32 @@ and ADCs clip slightly early. A judgement."""
 
 @dataclass(frozen=True)
 class TriadSpec:
-    """Three channels of one kind.
+    """Three channels of one kind."""
 
-    Attributes:
-        scale_factor: Nominal: rad or m/s per pulse or increment, rad/s or m/s^2 per count or rate,
-            1 for SI.
-        random_walk: rad/sqrt(s) or (m/s)/sqrt(s); 0 when not stated.
-        bias_instability: rad/s or m/s^2; 0 when not stated.
-        range: Largest rate or specific force, rad/s or m/s^2; inf when not stated.
-        pulse: For SI values computed from a counter: its pulse, rad or m/s, whose remainder carries
-            over to the next sample; 0 otherwise.
-        scale_factor_temperature: Standard deviation of the temperature coefficient of scale
-            factors, 1/K; 0 when not stated.
-        bias_temperature: The same of biases, (rad/s)/K or (m/s^2)/K.
-    """
-
+    #: Nominal: rad or m/s per pulse or increment, rad/s or m/s^2 per count or rate, 1 for SI.
     scale_factor: float = 1.0
-    random_walk: float = 0.0
-    bias_instability: float = 0.0
-    range: float = math.inf
+    random_walk: float = 0.0  #: rad/sqrt(s) or (m/s)/sqrt(s); 0 when not stated.
+    bias_instability: float = 0.0  #: rad/s or m/s^2; 0 when not stated.
+    range: float = math.inf  #: Largest rate or specific force, rad/s or m/s^2; inf when not stated.
+    #: For SI values computed from a counter: its pulse, rad or m/s, whose remainder carries over to
+    #: the next sample; 0 otherwise.
     pulse: float = 0.0
+    #: Standard deviation of the temperature coefficient of scale factors, 1/K; 0 when not stated.
     scale_factor_temperature: float = 0.0
-    bias_temperature: float = 0.0
+    bias_temperature: float = 0.0  #: The same of biases, (rad/s)/K or (m/s^2)/K.
 
 
 @dataclass(frozen=True)
 class ImuSpec:
-    """One type of IMU.
+    """One type of IMU."""
 
-    Attributes:
-        id: Name of the unit or of its type.
-        units: Units of the numbers of its Imu messages.
-        sample_rate: Nominal, Hz; None when not stated.
-        gyro: The gyro triad.
-        accel: The accelerometer triad.
-        skewed: A further gyro skewed to the three, None without one.
-        specification: Limits of its parameters; None when not stated.
-    """
-
-    id: str
-    units: Units
-    sample_rate: float | None
-    gyro: TriadSpec
-    accel: TriadSpec
-    skewed: TriadSpec | None = None
-    specification: Specification | None = None
+    id: str  #: Name of the unit or of its type.
+    units: Units  #: Units of the numbers of its Imu messages.
+    sample_rate: float | None  #: Nominal, Hz; None when not stated.
+    gyro: TriadSpec  #: The gyro triad.
+    accel: TriadSpec  #: The accelerometer triad.
+    skewed: TriadSpec | None = None  #: A further gyro skewed to the three, None without one.
+    specification: Specification | None = None  #: Limits of its parameters; None when not stated.
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -352,7 +329,6 @@ def check_live(spec: ImuSpec) -> None:
 
 # The noise of a channel as a value and in files, and its units in data sheets.
 
-
 _SIGNIFICANT = 2.0
 """Standard deviations above which a coefficient is stated; below, a limit is."""
 _NINETY_FIVE = 1.645
@@ -379,27 +355,18 @@ class Coefficient:
 
 @dataclass(frozen=True, eq=False)
 class ChannelNoise:
-    """The noise of one channel in the static dwells, in SI units.
+    """The noise of one channel in the static dwells, in SI units."""
 
-    Attributes:
-        tau: (k,) averaging times, s.
-        deviation: (k,) Allan deviation, rad/s or m/s^2.
-        std: (k,) its standard deviation.
-        random_walk: rad/sqrt(s) or (m/s)/sqrt(s).
-        bias_instability: rad/s or m/s^2; the curve is flat at 0.664 of it.
-        quantisation: rad or m/s, by slope -1; of a counter the known pulse over sqrt(12).
-        rate_random_walk: (rad/s)/sqrt(s) or (m/s^2)/sqrt(s).
-        timed: Whether `tau` refers to clusters with timed pulses, since single readings of the
-            counter hide the noise below its steps.
-    """
-
-    tau: Floats
-    deviation: Floats
-    std: Floats
-    random_walk: Coefficient
-    bias_instability: Coefficient
+    tau: Floats  #: (k,) averaging times, s.
+    deviation: Floats  #: (k,) Allan deviation, rad/s or m/s^2.
+    std: Floats  #: (k,) its standard deviation.
+    random_walk: Coefficient  #: rad/sqrt(s) or (m/s)/sqrt(s).
+    bias_instability: Coefficient  #: rad/s or m/s^2; the curve is flat at 0.664 of it.
+    #: rad or m/s, by slope -1; of a counter the known pulse over sqrt(12).
     quantisation: Coefficient
-    rate_random_walk: Coefficient
+    rate_random_walk: Coefficient  #: (rad/s)/sqrt(s) or (m/s^2)/sqrt(s).
+    #: Whether `tau` refers to clusters with timed pulses, since single readings of the counter hide
+    #: the noise below its steps.
     timed: bool
 
     def document(self) -> dict[str, Any]:
@@ -442,23 +409,14 @@ def read_noise(document: Mapping[str, Any]) -> dict[str, ChannelNoise]:
 
 @dataclass(frozen=True)
 class TriadUnits:
-    """Units of the noise of a triad.
+    """Units of the noise of a triad."""
 
-    Attributes:
-        name: gyro or accelerometer.
-        channels: Names of its channels.
-        walk: Unit of the random walk in words.
-        walk_scale: Its SI value.
-        rate: Unit of the bias instability and of the Allan deviation in words.
-        rate_scale: Its SI value.
-    """
-
-    name: str
-    channels: tuple[str, ...]
-    walk: str
-    walk_scale: float
-    rate: str
-    rate_scale: float
+    name: str  #: gyro or accelerometer.
+    channels: tuple[str, ...]  #: Names of its channels.
+    walk: str  #: Unit of the random walk in words.
+    walk_scale: float  #: Its SI value.
+    rate: str  #: Unit of the bias instability and of the Allan deviation in words.
+    rate_scale: float  #: Its SI value.
 
 
 _ROOT_HOUR = HOUR**0.5
@@ -470,7 +428,6 @@ TRIAD_NAMES = (
 
 
 # Check whether the parameters of a calibration are plausible for a strapdown IMU.
-
 
 _SCALE = (0.5, 2.0)
 """Limits of the response along the input axis. A nominal scale factor wrong by a factor of two is

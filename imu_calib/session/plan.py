@@ -42,32 +42,22 @@ BODY_AXES = {'X': np.array([1.0, 0, 0]), 'Y': np.array([0, 1.0, 0]), 'Z': np.arr
 
 @dataclass(frozen=True, eq=False)
 class RateTest:
-    """Turns about the vertical at a position, before its dwell.
+    """Turns about the vertical at a position, before its dwell."""
 
-    Attributes:
-        rates: Signed rates about up, rad/s, in order; empty when the turn is made by hand.
-        turns: Whole turns at each rate.
-    """
-
+    #: Signed rates about up, rad/s, in order; empty when the turn is made by hand.
     rates: tuple[float, ...]
-    turns: int
+    turns: int  #: Whole turns at each rate.
 
 
 @dataclass(frozen=True, eq=False)
 class Position:
-    """One attitude of the plan.
+    """One attitude of the plan."""
 
-    Attributes:
-        id: Name, unique within the plan.
-        attitude: (3, 3) R_nb, columns are the body axes in east, north, up of the table's azimuth.
-        dwell: Duration of the dwell, s; 0 for turns alone.
-        rate_test: Turns made here before the dwell.
-    """
-
-    id: str
+    id: str  #: Name, unique within the plan.
+    #: (3, 3) R_nb, columns are the body axes in east, north, up of the table's azimuth.
     attitude: Floats
-    dwell: float
-    rate_test: RateTest | None = None
+    dwell: float  #: Duration of the dwell, s; 0 for turns alone.
+    rate_test: RateTest | None = None  #: Turns made here before the dwell.
 
     @property
     def up(self) -> Floats:
@@ -77,46 +67,27 @@ class Position:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One setpoint of the plan on a given table.
+    """One setpoint of the plan on a given table."""
 
-    Attributes:
-        index: From 0.
-        position: Id of the plan's position.
-        mode: POSITION or RATE.
-        angles: (k,) joint angles, rad.
-        rates: (k,) joint rates, rad/s.
-        turns: Whole turns of a RATE step.
-        dwell: Duration of the dwell afterwards, s.
-    """
-
-    index: int
-    position: str
-    mode: Mode
-    angles: Floats
-    rates: Floats
-    turns: int
-    dwell: float
+    index: int  #: From 0.
+    position: str  #: Id of the plan's position.
+    mode: Mode  #: POSITION or RATE.
+    angles: Floats  #: (k,) joint angles, rad.
+    rates: Floats  #: (k,) joint rates, rad/s.
+    turns: int  #: Whole turns of a RATE step.
+    dwell: float  #: Duration of the dwell afterwards, s.
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A calibration session: positions in order, each with its dwell and its rate test.
+    """A calibration session: positions in order, each with its dwell and its rate test."""
 
-    Attributes:
-        name: Name of the plan.
-        title: One line for a person.
-        source: Document and section.
-        method: Default method of the plan.
-        positions: In the order of the run.
-        by_hand: Turned by hand: the angle of a turn is known, its rate is not.
-    """
-
-    name: str
-    title: str
-    source: str
-    method: str
-    positions: tuple[Position, ...]
-    by_hand: bool = False
+    name: str  #: Name of the plan.
+    title: str  #: One line for a person.
+    source: str  #: Document and section.
+    method: str  #: Default method of the plan.
+    positions: tuple[Position, ...]  #: In the order of the run.
+    by_hand: bool = False  #: Turned by hand: the angle of a turn is known, its rate is not.
 
     def __repr__(self) -> str:
         """Return one line."""

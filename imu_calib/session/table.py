@@ -47,25 +47,15 @@ _LETTERS = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
 
 @dataclass(frozen=True)
 class Joint:
-    """One axis of the table.
+    """One axis of the table."""
 
-    Attributes:
-        name: As in joint states and setpoints.
-        axis: Unit vector in the frame of the joint before it.
-        zero: Angle to add to the encoder's, rad.
-        lower: Lowest encoder angle, rad; -inf for a continuous joint.
-        upper: Highest encoder angle, rad; inf for a continuous joint.
-        max_rate: rad/s.
-        max_acceleration: rad/s^2.
-    """
-
-    name: str
-    axis: tuple[float, float, float]
-    zero: float = 0.0
-    lower: float = -math.inf
-    upper: float = math.inf
-    max_rate: float = math.inf
-    max_acceleration: float = math.inf
+    name: str  #: As in joint states and setpoints.
+    axis: tuple[float, float, float]  #: Unit vector in the frame of the joint before it.
+    zero: float = 0.0  #: Angle to add to the encoder's, rad.
+    lower: float = -math.inf  #: Lowest encoder angle, rad; -inf for a continuous joint.
+    upper: float = math.inf  #: Highest encoder angle, rad; inf for a continuous joint.
+    max_rate: float = math.inf  #: rad/s.
+    max_acceleration: float = math.inf  #: rad/s^2.
 
     @property
     def continuous(self) -> bool:
@@ -75,34 +65,23 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A turntable: joints from the base outwards, and the mount of the unit on the last.
+    """A turntable: joints from the base outwards, and the mount of the unit on the last."""
 
-    Attributes:
-        name: Name of the table.
-        joints: From the base to the unit.
-        mount: (3, 3) columns are the body axes in the frame of the last joint.
-        azimuth: Heading of the table's zero against north about up, rad; None when unknown.
-        positioning: Standard deviation of the positioning error, which the encoder does not show,
-            rad.
-        clock: Standard deviation of the rate of its clock, relative; 0 when not stated.
-        errors: Unknown errors of its axes, zeros and encoders.
-        level: Standard deviation of its tilt about either level axis, rad.
-        assumed: Keys missing in its file: usual values are assumed.
-        raised: Keys with stated values below `FINEST`, which replaces them.
-        described: The table as described in its file, if a session contradicts that
-            (`as_the_best`); else None.
-    """
-
-    name: str
-    joints: tuple[Joint, ...]
+    name: str  #: Name of the table.
+    joints: tuple[Joint, ...]  #: From the base to the unit.
+    #: (3, 3) columns are the body axes in the frame of the last joint.
     mount: Floats = field(default_factory=lambda: np.eye(3))
+    #: Heading of the table's zero against north about up, rad; None when unknown.
     azimuth: float | None = None
+    #: Standard deviation of the positioning error, which the encoder does not show, rad.
     positioning: float = 0.0
-    clock: float = 0.0
+    clock: float = 0.0  #: Standard deviation of the rate of its clock, relative; 0 when not stated.
+    #: Unknown errors of its axes, zeros and encoders.
     errors: TableErrors = field(default_factory=TableErrors)
-    level: float = LEVELLED
-    assumed: tuple[str, ...] = ()
-    raised: tuple[str, ...] = ()
+    level: float = LEVELLED  #: Standard deviation of its tilt about either level axis, rad.
+    assumed: tuple[str, ...] = ()  #: Keys missing in its file: usual values are assumed.
+    raised: tuple[str, ...] = ()  #: Keys with stated values below `FINEST`, which replaces them.
+    #: The table as described in its file, if a session contradicts that (`as_the_best`); else None.
     described: Table | None = None
 
     def __repr__(self) -> str:
@@ -460,7 +439,6 @@ def read_mount(section: Section) -> Floats:
 
 # Motion of a table at its limits: travel times, and courses of piecewise constant acceleration.
 
-
 _SAME_INSTANT = 1e-9
 """s: one nanosecond, the resolution of stamps."""
 
@@ -490,16 +468,11 @@ class Course:
 
     The cubic between two neighbouring knots, as in joint_trajectory_controller, is exactly this
     motion.
-
-    Attributes:
-        time: (m,) s from the start, increasing from 0.
-        angles: (m, k) rad.
-        rates: (m, k) rad/s.
     """
 
-    time: Floats
-    angles: Floats
-    rates: Floats
+    time: Floats  #: (m,) s from the start, increasing from 0.
+    angles: Floats  #: (m, k) rad.
+    rates: Floats  #: (m, k) rad/s.
 
     @property
     def end(self) -> float:

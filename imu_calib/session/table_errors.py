@@ -79,20 +79,14 @@ _WORST = 1 * DEG
 
 @dataclass(frozen=True)
 class TableErrors:
-    """Standard deviations of a table's unknown errors, rad; 0 for none.
+    """Standard deviations of a table's unknown errors, rad; 0 for none."""
 
-    Attributes:
-        zeros: Of each joint's zero except the first's, which is the azimuth.
-        orthogonality: Of each joint's axis about either direction across it, except the first's,
-            which is the tilt.
-        wobble: Of an axis about either direction across it, once and twice per turn, each.
-        encoder: Error of an encoder within the turn, once and twice per turn, each.
-    """
-
-    zeros: float = 0.0
+    zeros: float = 0.0  #: Of each joint's zero except the first's, which is the azimuth.
+    #: Of each joint's axis about either direction across it, except the first's, which is the tilt.
     orthogonality: float = 0.0
+    #: Of an axis about either direction across it, once and twice per turn, each.
     wobble: float = 0.0
-    encoder: float = 0.0
+    encoder: float = 0.0  #: Error of an encoder within the turn, once and twice per turn, each.
 
     @property
     def exact(self) -> bool:
@@ -102,17 +96,11 @@ class TableErrors:
 
 @dataclass(frozen=True)
 class ErrorSizes:
-    """Errors stated in a table's file.
+    """Errors stated in a table's file."""
 
-    Attributes:
-        sizes: Standard deviations by key, rad.
-        assumed: Keys missing in the file: their values are those of `ASSUMED`.
-        raised: Keys with stated values below `FINEST`, which replaces them.
-    """
-
-    sizes: Mapping[str, float]
-    assumed: tuple[str, ...]
-    raised: tuple[str, ...]
+    sizes: Mapping[str, float]  #: Standard deviations by key, rad.
+    assumed: tuple[str, ...]  #: Keys missing in the file: their values are those of `ASSUMED`.
+    raised: tuple[str, ...]  #: Keys with stated values below `FINEST`, which replaces them.
 
 
 def read_error_sizes(section: Section, joints: int) -> ErrorSizes:
@@ -168,19 +156,12 @@ def assumption(table: str, assumed: Sequence[str], raised: Sequence[str]) -> str
 
 @dataclass(frozen=True, eq=False)
 class JointPoses:
-    """A joint at n attitudes of a table.
+    """A joint at n attitudes of a table."""
 
-    Attributes:
-        axis: (3,) in the frame of the joint before it.
-        read: (n,) its encoder readings, rad.
-        turned: (n, 3, 3) its rotation.
-        body: (n, 3, 3) from body axes to its rotated frame.
-    """
-
-    axis: Floats
-    read: Floats
-    turned: Floats
-    body: Floats
+    axis: Floats  #: (3,) in the frame of the joint before it.
+    read: Floats  #: (n,) its encoder readings, rad.
+    turned: Floats  #: (n, 3, 3) its rotation.
+    body: Floats  #: (n, 3, 3) from body axes to its rotated frame.
 
 
 def attitude_errors(joints: Sequence[JointPoses], errors: TableErrors) -> Floats:
@@ -229,19 +210,12 @@ what the scale factors of the best gyros are known to."""
 
 @dataclass(frozen=True)
 class StampingClock:
-    """Relative rate of the stamping clock.
+    """Relative rate of the stamping clock."""
 
-    Attributes:
-        name: The clock.
-        against: The clock that it is compared with.
-        faster: Ratio of its rate to that of the other clock, less one.
-        std: Its standard deviation.
-    """
-
-    name: str
-    against: str
-    faster: float
-    std: float
+    name: str  #: The clock.
+    against: str  #: The clock that it is compared with.
+    faster: float  #: Ratio of its rate to that of the other clock, less one.
+    std: float  #: Its standard deviation.
 
     @property
     def is_noticed(self) -> bool:

@@ -38,33 +38,22 @@ MOST_UNITS = 256
 
 @dataclass(frozen=True, eq=False)
 class MountedUnit:
-    """One of several units on a table.
+    """One of several units on a table."""
 
-    Attributes:
-        serial_number: Unit of its type; also the name of its calibration.
-        imu: Name or file of its type, which describes its numbers.
-        topic: Of its sensor_msgs/Imu messages, with a leading slash.
-        place: Its place on the fixture, in words.
-        mount: (3, 3) columns are its body axes in those that the table's description mounts.
-        lever: (3,) from the centre of rotation to its accelerometers, its body axes, m; of a
-            simulated unit.
-        port: Of its device; empty if others read it, or if it is simulated.
-        device: Name or file of the format of its frames; empty for the default.
-        baud: Of a serial port, bit/s; 0 for that of the device's file.
-        truth: Name or file of a simulated unit's true parameters; empty for the default.
-        seed: Of the noise of a simulated unit; None for one derived from the session's.
-    """
-
-    serial_number: str
-    imu: str
-    topic: str
-    place: str = ''
+    serial_number: str  #: Unit of its type; also the name of its calibration.
+    imu: str  #: Name or file of its type, which describes its numbers.
+    topic: str  #: Of its sensor_msgs/Imu messages, with a leading slash.
+    place: str = ''  #: Its place on the fixture, in words.
+    #: (3, 3) columns are its body axes in those that the table's description mounts.
     mount: Floats = field(default_factory=lambda: np.eye(3))
+    #: (3,) from the centre of rotation to its accelerometers, its body axes, m; of a simulated
+    #: unit.
     lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    port: str = ''
-    device: str = ''
-    baud: int = 0
-    truth: str = ''
+    port: str = ''  #: Of its device; empty if others read it, or if it is simulated.
+    device: str = ''  #: Name or file of the format of its frames; empty for the default.
+    baud: int = 0  #: Of a serial port, bit/s; 0 for that of the device's file.
+    truth: str = ''  #: Name or file of a simulated unit's true parameters; empty for the default.
+    #: Of the noise of a simulated unit; None for one derived from the session's.
     seed: int | None = None
 
     def __repr__(self) -> str:

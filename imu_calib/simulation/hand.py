@@ -42,17 +42,11 @@ AXES = np.array([[0.0, 0, 1], [0, 1, 0], [1, 0, 0]])
 
 @dataclass(frozen=True, eq=False)
 class HandSession:
-    """The true motion of a session by hand.
+    """The true motion of a session by hand."""
 
-    Attributes:
-        motion: Of the unit.
-        holds: (n, 2) times at rest, s.
-        duration: s.
-    """
-
-    motion: Motion
-    holds: Floats
-    duration: float
+    motion: Motion  #: Of the unit.
+    holds: Floats  #: (n, 2) times at rest, s.
+    duration: float  #: s.
 
     def attitudes(self) -> Floats:
         """Return R_nb of the holds, (n, 3, 3)."""
@@ -135,7 +129,6 @@ def directions(count: int, rng: np.random.Generator) -> Floats:
 
 
 # A live simulated unit in the hand: time passes in steps, guidance comes in, bytes go out.
-
 
 _SHORTEST, _LONGEST = 3.3, 4.0
 """s: range of the random duration of a hold; a choice."""

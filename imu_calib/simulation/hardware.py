@@ -123,7 +123,6 @@ def _bytes(frames: Frames) -> NDArray[np.uint8]:
 
 # Present faults of simulated hardware, set by commands in words.
 
-
 _OF_TABLE = {'overshoot': 'DEG', 'delay': 'S', 'joint_rate': 'HZ'}
 _OF_LINE = {
     'silence': 'S',
@@ -136,40 +135,25 @@ _OF_LINE = {
 
 @dataclass
 class TableFaults:
-    """Faults of the table.
+    """Faults of the table."""
 
-    Attributes:
-        stalled: It stands still and ignores all setpoints.
-        refusing: It drops every setpoint.
-        overshoot: Distance beyond every goal, rad.
-        delay: Delay of setpoints, s.
-        joint_rate: Rate of the joint states, Hz; None as configured.
-    """
-
-    stalled: bool = False
-    refusing: bool = False
-    overshoot: float = 0.0
-    delay: float = 0.0
-    joint_rate: float | None = None
+    stalled: bool = False  #: It stands still and ignores all setpoints.
+    refusing: bool = False  #: It drops every setpoint.
+    overshoot: float = 0.0  #: Distance beyond every goal, rad.
+    delay: float = 0.0  #: Delay of setpoints, s.
+    joint_rate: float | None = None  #: Rate of the joint states, Hz; None as configured.
 
 
 @dataclass
 class LineFaults:
-    """Faults of an IMU or of its line.
+    """Faults of an IMU or of its line."""
 
-    Attributes:
-        silence: Time for which the line is dead, s.
-        freeze: Time for which the IMU repeats its last sample, s; its counter continues.
-        garbage: Number of random bytes inserted into the line.
-        damage: Percentage of frames in which one byte is changed.
-        clock_jump: Added to the device's clock, s.
-    """
-
-    silence: float = 0.0
+    silence: float = 0.0  #: Time for which the line is dead, s.
+    #: Time for which the IMU repeats its last sample, s; its counter continues.
     freeze: float = 0.0
-    garbage: int = 0
-    damage: float = 0.0
-    clock_jump: float = 0.0
+    garbage: int = 0  #: Number of random bytes inserted into the line.
+    damage: float = 0.0  #: Percentage of frames in which one byte is changed.
+    clock_jump: float = 0.0  #: Added to the device's clock, s.
 
 
 def order(text: str, table: TableFaults, line: LineFaults) -> None:

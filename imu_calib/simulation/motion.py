@@ -27,18 +27,12 @@ class Track:
     """Columns that move together in time, each a quadratic within a piece.
 
     The first piece is extended into the past, the last one without end.
-
-    Attributes:
-        start: (m,) start of each piece, s, never decreasing.
-        value: (m, c) values at the start of each piece, rad.
-        rate: (m, c) their rates there, rad/s.
-        acceleration: (m, c) constant through the piece, rad/s^2.
     """
 
-    start: Floats
-    value: Floats
-    rate: Floats
-    acceleration: Floats
+    start: Floats  #: (m,) start of each piece, s, never decreasing.
+    value: Floats  #: (m, c) values at the start of each piece, rad.
+    rate: Floats  #: (m, c) their rates there, rad/s.
+    acceleration: Floats  #: (m, c) constant through the piece, rad/s^2.
 
     @classmethod
     def standing(cls, time: float, value: Floats) -> Track:
@@ -187,20 +181,13 @@ class Ringing:
 
     Angle and velocity follow amplitude * exp(-t/decay) * sin(2 pi frequency t) about zero, so that
     no offset remains. The change of gravity's direction with the angle is neglected.
-
-    Attributes:
-        time: When it starts, s.
-        angle: (3,) amplitude about the body axes, rad.
-        velocity: (3,) amplitude along the body axes, m/s.
-        frequency: Hz.
-        decay: Time constant, s.
     """
 
-    time: float
-    angle: Floats
-    velocity: Floats
-    frequency: float
-    decay: float
+    time: float  #: When it starts, s.
+    angle: Floats  #: (3,) amplitude about the body axes, rad.
+    velocity: Floats  #: (3,) amplitude along the body axes, m/s.
+    frequency: float  #: Hz.
+    decay: float  #: Time constant, s.
 
     def course(self, times: Floats) -> Floats:
         """Return the (n,) factor of both amplitudes at (n,) times; zero before the start."""
@@ -215,18 +202,12 @@ class Shaking:
 
     Like ringing, angle and velocity oscillate about zero; the change of gravity's direction with
     the angle is neglected.
-
-    Attributes:
-        frequency: (m,) Hz.
-        angle: (m, 3) amplitudes about the body axes, rad.
-        velocity: (m, 3) amplitudes along the body axes, m/s.
-        phase: (m,) at time zero, rad.
     """
 
-    frequency: Floats
-    angle: Floats
-    velocity: Floats
-    phase: Floats
+    frequency: Floats  #: (m,) Hz.
+    angle: Floats  #: (m, 3) amplitudes about the body axes, rad.
+    velocity: Floats  #: (m, 3) amplitudes along the body axes, m/s.
+    phase: Floats  #: (m,) at time zero, rad.
 
     def change(self, edges: Floats) -> tuple[Floats, Floats]:
         """Return the changes of angle and velocity, (n, 3) each, between (n + 1,) times."""
@@ -240,18 +221,13 @@ class Link:
     """Angle of an axis by a column q of the track: zero + gain q + harmonics of q.
 
     The harmonics are cos[n - 1] cos(n q) + sin[n - 1] sin(n q), n = 1, 2.
-
-    Attributes:
-        column: Of the track.
-        gain: 1 for the axis of a joint, 0 for an error that depends on the joint's angle.
-        cos: rad, once and twice per turn.
-        sin: rad, likewise.
     """
 
-    column: int
+    column: int  #: Of the track.
+    #: 1 for the axis of a joint, 0 for an error that depends on the joint's angle.
     gain: float = 1.0
-    cos: tuple[float, float] = (0.0, 0.0)
-    sin: tuple[float, float] = (0.0, 0.0)
+    cos: tuple[float, float] = (0.0, 0.0)  #: rad, once and twice per turn.
+    sin: tuple[float, float] = (0.0, 0.0)  #: rad, likewise.
 
     def angle(self, q: Floats) -> Floats:
         """Return the angle at values q of the column, rad."""
@@ -273,26 +249,16 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The true motion of a unit: R_nb = base R(axis_1, angle_1) ... R(axis_k, angle_k) mount.
+    """The true motion of a unit: R_nb = base R(axis_1, angle_1) ... R(axis_k, angle_k) mount."""
 
-    Attributes:
-        base: (3, 3) from the first joint's frame to east, north, up.
-        axes: (k, 3) unit axes, each in the frame of the joint before it.
-        zeros: (k,) added to the angles, rad.
-        mount: (3, 3) columns are the body axes in the last joint's frame.
-        track: True angles, k columns.
-        ringing: Additional oscillations of the mounting.
-        shaking: Additional vibration of the floor; None without.
-        links: How each axis follows the columns of the track; empty where axis k follows column k.
-    """
-
-    base: Floats
-    axes: Floats
-    zeros: Floats
-    mount: Floats
-    track: Track
-    ringing: tuple[Ringing, ...] = ()
-    shaking: Shaking | None = None
+    base: Floats  #: (3, 3) from the first joint's frame to east, north, up.
+    axes: Floats  #: (k, 3) unit axes, each in the frame of the joint before it.
+    zeros: Floats  #: (k,) added to the angles, rad.
+    mount: Floats  #: (3, 3) columns are the body axes in the last joint's frame.
+    track: Track  #: True angles, k columns.
+    ringing: tuple[Ringing, ...] = ()  #: Additional oscillations of the mounting.
+    shaking: Shaking | None = None  #: Additional vibration of the floor; None without.
+    #: How each axis follows the columns of the track; empty where axis k follows column k.
     links: tuple[Link, ...] = ()
     _rests: dict[tuple[int, Site, bytes], tuple[Floats, Floats]] = field(
         default_factory=dict, init=False, repr=False
@@ -451,44 +417,32 @@ class Motion:
 
 # True geometry of a simulated table: its deviations from the description.
 
-
 Harmonic = tuple[float, float]
 """Amplitudes of a cosine and of a sine, rad."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TableSizes:
-    """Standard deviations from which the errors of a simulated table are drawn, rad.
+    """Standard deviations from which the errors of a simulated table are drawn, rad."""
 
-    Attributes:
-        zeros: Of each joint's true zero about the described one.
-        orthogonality: Of each joint's axis about either direction across it, except the first's,
-            whose lean is the tilt of the table.
-        wobble: Of an axis about either direction across it, once and twice per turn.
-        encoder: Error of an encoder within the turn, once and twice per turn.
-    """
-
-    zeros: float = 0.0
+    zeros: float = 0.0  #: Of each joint's true zero about the described one.
+    #: Of each joint's axis about either direction across it, except the first's, whose lean is the
+    #: tilt of the table.
     orthogonality: float = 0.0
+    #: Of an axis about either direction across it, once and twice per turn.
     wobble: Harmonic = (0.0, 0.0)
-    encoder: Harmonic = (0.0, 0.0)
+    encoder: Harmonic = (0.0, 0.0)  #: Error of an encoder within the turn, once and twice per turn.
 
 
 @dataclass(frozen=True)
 class TrueJoint:
-    """The true geometry of a joint; a is its encoder reading.
+    """The true geometry of a joint; a is its encoder reading."""
 
-    Attributes:
-        axis: Unit vector in the frame of the joint before it.
-        zero: Added to the angle, rad.
-        encoder: Error of the encoder reading, once and twice per turn of a.
-        wobble: Lean of the axis about either direction across it (`across`), once and twice per
-            turn of a.
-    """
-
-    axis: tuple[float, float, float]
-    zero: float
+    axis: tuple[float, float, float]  #: Unit vector in the frame of the joint before it.
+    zero: float  #: Added to the angle, rad.
+    #: Error of the encoder reading, once and twice per turn of a.
     encoder: tuple[Harmonic, Harmonic] = ((0.0, 0.0), (0.0, 0.0))
+    #: Lean of the axis about either direction across it (`across`), once and twice per turn of a.
     wobble: tuple[tuple[Harmonic, Harmonic], tuple[Harmonic, Harmonic]] = (
         ((0.0, 0.0), (0.0, 0.0)),
         ((0.0, 0.0), (0.0, 0.0)),

@@ -23,65 +23,44 @@ Channels: TypeAlias = float | tuple[float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class TableOptions:
-    """Deviations of the simulated table from an ideal one; errors are drawn anew at each stop.
+    """Deviations of the simulated table from an ideal one; errors are drawn anew at each stop."""
 
-    Attributes:
-        azimuth: True heading of the table's zero against north about up, rad; None: the table's
-            own, or north if not stated.
-        tilt: Rotation of the base about east and about north, rad.
-        encoder_resolution: Step of the angles read, rad; 0 for none.
-        positioning_error: Difference of a stopped joint from its encoder reading, uniform within
-            this, rad.
-        servo_error: Difference of the encoder reading from the goal at rest, uniform within this,
-            rad.
-        rate_error: Relative error of a RATE step's rate, uniform within this, constant per step.
-        setpoint_timeout: Time without a setpoint after which the table stops, s.
-        setpoint_age: Largest difference of a setpoint's stamp from now, s; others are refused.
-        wrapped: Angles are read within -180 to 180 deg instead of continuously.
-        true: True axes, zeros, wobble and encoders; None: as described.
-        encoder_noise: Standard deviation of one reading, rad.
-        stop_error: Standard deviation of a stopped joint from its encoder reading until it moves
-            again, whole turns included, rad.
-        stop_tilt: Standard deviation of the tilt of the whole table about east and about north,
-            drawn anew after every motion, rad.
-        stop_heading: The same about up, rad.
-        acceleration: Of all joints, if it is below their limits, rad/s^2.
-    """
-
+    #: True heading of the table's zero against north about up, rad; None: the table's own, or north
+    #: if not stated.
     azimuth: float | None = None
-    tilt: tuple[float, float] = (0.0, 0.0)
-    encoder_resolution: float = TURN / 2**22
+    tilt: tuple[float, float] = (0.0, 0.0)  #: Rotation of the base about east and about north, rad.
+    encoder_resolution: float = TURN / 2**22  #: Step of the angles read, rad; 0 for none.
+    #: Difference of a stopped joint from its encoder reading, uniform within this, rad.
     positioning_error: float = 2 * ARCSEC
+    #: Difference of the encoder reading from the goal at rest, uniform within this, rad.
     servo_error: float = 0.0
+    #: Relative error of a RATE step's rate, uniform within this, constant per step.
     rate_error: float = 1e-5
-    setpoint_timeout: float = 0.5
+    setpoint_timeout: float = 0.5  #: Time without a setpoint after which the table stops, s.
+    #: Largest difference of a setpoint's stamp from now, s; others are refused.
     setpoint_age: float = 0.5
-    wrapped: bool = False
-    true: TrueTable | None = None
-    encoder_noise: float = 0.0
+    wrapped: bool = False  #: Angles are read within -180 to 180 deg instead of continuously.
+    true: TrueTable | None = None  #: True axes, zeros, wobble and encoders; None: as described.
+    encoder_noise: float = 0.0  #: Standard deviation of one reading, rad.
+    #: Standard deviation of a stopped joint from its encoder reading until it moves again, whole
+    #: turns included, rad.
     stop_error: float = 0.0
+    #: Standard deviation of the tilt of the whole table about east and about north, drawn anew
+    #: after every motion, rad.
     stop_tilt: float = 0.0
-    stop_heading: float = 0.0
-    acceleration: float = math.inf
+    stop_heading: float = 0.0  #: The same about up, rad.
+    acceleration: float = math.inf  #: Of all joints, if it is below their limits, rad/s^2.
 
 
 @dataclass(frozen=True)
 class Warming:
-    """Temperature: reference + offset + ramp * t + rise * (1 - exp(-t / time_constant)).
+    """Temperature: reference + offset + ramp * t + rise * (1 - exp(-t / time_constant))."""
 
-    Attributes:
-        reference: Temperature at which the sensor model holds, degrees Celsius.
-        offset: At the start above the reference, K.
-        rise: In the long run above the start, K.
-        time_constant: s.
-        ramp: K/s.
-    """
-
-    reference: float = 25.0
-    offset: float = 0.0
-    rise: float = 0.0
-    time_constant: float = 600.0
-    ramp: float = 0.0
+    reference: float = 25.0  #: Temperature at which the sensor model holds, degrees Celsius.
+    offset: float = 0.0  #: At the start above the reference, K.
+    rise: float = 0.0  #: In the long run above the start, K.
+    time_constant: float = 600.0  #: s.
+    ramp: float = 0.0  #: K/s.
 
     def celsius(self, times: Floats) -> Floats:
         """Return the (n,) temperature at (n,) times, degrees Celsius."""
@@ -95,198 +74,120 @@ class Warming:
 
 @dataclass(frozen=True)
 class ThermalDrift:
-    """Linear coefficients per kelvin above the reference, of all channels alike or of each.
+    """Linear coefficients per kelvin above the reference, of all channels alike or of each."""
 
-    Attributes:
-        gyro_bias: (rad/s)/K.
-        gyro_scale: Relative, 1/K.
-        accel_bias: (m/s^2)/K.
-        accel_scale: Relative, 1/K.
-    """
-
-    gyro_bias: Channels = 0.0
-    gyro_scale: Channels = 0.0
-    accel_bias: Channels = 0.0
-    accel_scale: Channels = 0.0
+    gyro_bias: Channels = 0.0  #: (rad/s)/K.
+    gyro_scale: Channels = 0.0  #: Relative, 1/K.
+    accel_bias: Channels = 0.0  #: (m/s^2)/K.
+    accel_scale: Channels = 0.0  #: Relative, 1/K.
 
 
 @dataclass(frozen=True)
 class WarmUp:
-    """Biases that decay as bias * exp(-t / time_constant), independent of the temperature.
+    """Biases that decay as bias * exp(-t / time_constant), independent of the temperature."""
 
-    Attributes:
-        gyro_bias: At the start, of all channels alike or of each, rad/s.
-        accel_bias: At the start, m/s^2.
-        time_constant: s.
-    """
-
-    gyro_bias: Channels = 0.0
-    accel_bias: Channels = 0.0
-    time_constant: float = 600.0
+    gyro_bias: Channels = 0.0  #: At the start, of all channels alike or of each, rad/s.
+    accel_bias: Channels = 0.0  #: At the start, m/s^2.
+    time_constant: float = 600.0  #: s.
 
 
 @dataclass(frozen=True)
 class BiasStep:
-    """Biases that change at one instant, as those of a unit that is switched off and on do.
+    """Biases that change at one instant, as those of a unit that is switched off and on do."""
 
-    Attributes:
-        time: s since the start; infinite for none.
-        gyro_bias: Added from then on, to all channels alike or to each, rad/s.
-        accel_bias: The same, m/s^2.
-    """
-
-    time: float = math.inf
-    gyro_bias: Channels = 0.0
-    accel_bias: Channels = 0.0
+    time: float = math.inf  #: s since the start; infinite for none.
+    gyro_bias: Channels = 0.0  #: Added from then on, to all channels alike or to each, rad/s.
+    accel_bias: Channels = 0.0  #: The same, m/s^2.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Delivery:
-    """Delivery of samples from the sensors to the recorder.
+    """Delivery of samples from the sensors to the recorder."""
 
-    Attributes:
-        bunch: Number of samples that are sent and stamped together, when the last one is made.
-        late: Share of the samples that are late, and delay those queued behind them.
-        delay: Mean delay of such a sample, exponentially distributed, s.
-        lost: Share of the samples that never arrive, each independently.
-        twice: Share of the samples that arrive twice, with the same stamp.
-        frozen_every: Mean time from one freeze to the next, s; infinite for none.
-        frozen_for: Time for which the device repeats its last sample, with new stamps, s.
-    """
-
+    #: Number of samples that are sent and stamped together, when the last one is made.
     bunch: int = 1
-    late: float = 0.0
-    delay: float = 0.0
-    lost: float = 0.0
-    twice: float = 0.0
-    frozen_every: float = math.inf
+    late: float = 0.0  #: Share of the samples that are late, and delay those queued behind them.
+    delay: float = 0.0  #: Mean delay of such a sample, exponentially distributed, s.
+    lost: float = 0.0  #: Share of the samples that never arrive, each independently.
+    twice: float = 0.0  #: Share of the samples that arrive twice, with the same stamp.
+    frozen_every: float = math.inf  #: Mean time from one freeze to the next, s; infinite for none.
+    #: Time for which the device repeats its last sample, with new stamps, s.
     frozen_for: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImuOptions:
-    """Properties of the simulated IMU beyond its data sheet and its sensor model.
+    """Properties of the simulated IMU beyond its data sheet and its sensor model."""
 
-    Attributes:
-        sample_rate: Hz, by the device's own clock; None: the data sheet's, or 100 Hz.
-        noise: Whether there is random walk as in the data sheet.
-        bias_instability: Whether the biases drift as in the data sheet.
-        bias_time_constant: Correlation time of the drift, s.
-        turn_on_gyro: Standard deviation of a bias drawn once per run, rad/s.
-        turn_on_accel: The same of the accelerometers, m/s^2.
-        quantise: Whether pulses and counts are whole numbers.
-        warming: Temperature over the run.
-        thermal_drift: Effect of temperature on the channels.
-        lever: From the centre of rotation to the accelerometers, body axes, m.
-        clock_offset: Device clock minus host clock at the start, s.
-        clock_rate_error: Relative rate error of the device clock (50e-6 is 50 ppm fast).
-        imu_stamp_jitter: Standard deviation of the stamps, s; at most 0.45 of a sample.
-        warm_up: Decaying biases.
-        bias_step: Biases from an instant on.
-        delivery: Delivery of the samples.
-        frame_id: Of the samples.
-    """
-
+    #: Hz, by the device's own clock; None: the data sheet's, or 100 Hz.
     sample_rate: float | None = None
-    noise: bool = True
-    bias_instability: bool = True
-    bias_time_constant: float = 1000.0
-    turn_on_gyro: float = 0.0
-    turn_on_accel: float = 0.0
-    quantise: bool = True
-    warming: Warming = field(default_factory=Warming)
+    noise: bool = True  #: Whether there is random walk as in the data sheet.
+    bias_instability: bool = True  #: Whether the biases drift as in the data sheet.
+    bias_time_constant: float = 1000.0  #: Correlation time of the drift, s.
+    turn_on_gyro: float = 0.0  #: Standard deviation of a bias drawn once per run, rad/s.
+    turn_on_accel: float = 0.0  #: The same of the accelerometers, m/s^2.
+    quantise: bool = True  #: Whether pulses and counts are whole numbers.
+    warming: Warming = field(default_factory=Warming)  #: Temperature over the run.
+    #: Effect of temperature on the channels.
     thermal_drift: ThermalDrift = field(default_factory=ThermalDrift)
+    #: From the centre of rotation to the accelerometers, body axes, m.
     lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    clock_offset: float = 0.0
+    clock_offset: float = 0.0  #: Device clock minus host clock at the start, s.
+    #: Relative rate error of the device clock (50e-6 is 50 ppm fast).
     clock_rate_error: float = 0.0
-    imu_stamp_jitter: float = 0.0
-    warm_up: WarmUp = field(default_factory=WarmUp)
-    bias_step: BiasStep = field(default_factory=BiasStep)
-    delivery: Delivery = field(default_factory=Delivery)
-    frame_id: str = 'imu_link'
+    imu_stamp_jitter: float = 0.0  #: Standard deviation of the stamps, s; at most 0.45 of a sample.
+    warm_up: WarmUp = field(default_factory=WarmUp)  #: Decaying biases.
+    bias_step: BiasStep = field(default_factory=BiasStep)  #: Biases from an instant on.
+    delivery: Delivery = field(default_factory=Delivery)  #: Delivery of the samples.
+    frame_id: str = 'imu_link'  #: Of the samples.
 
 
 @dataclass(frozen=True)
 class Shock:
-    """A shock that leaves the unit rotated in its mount.
+    """A shock that leaves the unit rotated in its mount."""
 
-    Attributes:
-        time: s since the start.
-        axis: Body axis of the rotation; any length.
-        angle: Its angle, rad.
-        duration: Its duration, s.
-    """
-
-    time: float
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    angle: float = 0.0
-    duration: float = 0.05
+    time: float  #: s since the start.
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)  #: Body axis of the rotation; any length.
+    angle: float = 0.0  #: Its angle, rad.
+    duration: float = 0.05  #: Its duration, s.
 
 
 @dataclass(frozen=True)
 class Vibration:
-    """Ringing of the mounting after each stop, about and along a random direction.
+    """Ringing of the mounting after each stop, about and along a random direction."""
 
-    Attributes:
-        rate: Initial amplitude of the angular rate, rad/s.
-        force: Initial amplitude of the specific force, m/s^2.
-        frequency: Hz.
-        decay: Time constant, s.
-    """
-
-    rate: float = 0.0
-    force: float = 0.0
-    frequency: float = 20.0
-    decay: float = 0.2
+    rate: float = 0.0  #: Initial amplitude of the angular rate, rad/s.
+    force: float = 0.0  #: Initial amplitude of the specific force, m/s^2.
+    frequency: float = 20.0  #: Hz.
+    decay: float = 0.2  #: Time constant, s.
 
 
 @dataclass(frozen=True)
 class Shake:
-    """Permanent vibration of the floor: tones of random phase within a band.
+    """Permanent vibration of the floor: tones of random phase within a band."""
 
-    Attributes:
-        rate: Root mean square of the angular rate about each axis, rad/s.
-        force: Root mean square of the specific force along each axis, m/s^2.
-        lowest: Hz.
-        highest: Hz.
-    """
-
-    rate: float = 0.0
-    force: float = 0.0
-    lowest: float = 5.0
-    highest: float = 40.0
+    rate: float = 0.0  #: Root mean square of the angular rate about each axis, rad/s.
+    force: float = 0.0  #: Root mean square of the specific force along each axis, m/s^2.
+    lowest: float = 5.0  #: Hz.
+    highest: float = 40.0  #: Hz.
 
 
 @dataclass(frozen=True, kw_only=True)
 class StandOptions(TableOptions, ImuOptions):
-    """All options of a simulated stand besides plan, table, IMU, model and site.
+    """All options of a simulated stand besides plan, table, IMU, model and site."""
 
-    Attributes:
-        start_time: Host stamp of the start, ns.
-        lead: Time at rest before the first setpoint and after the last, s.
-        settle: From the end of a step's motion to the start of its dwell, s.
-        setpoint_rate: Repetition rate of setpoints, Hz.
-        joint_state_rate: Hz.
-        joint_stamp_jitter: Standard deviation of the joint states' stamps, s; at most 0.45 of
-            their spacing.
-        temperature_rate: Hz.
-        block_length: Longest duration of a block, s.
-        vibration: After each stop.
-        shake: Of the floor.
-        shock: One shock, or None.
-    """
-
-    start_time: int = 1_700_000_000_000_000_000
-    lead: float = 1.0
-    settle: float = 1.0
-    setpoint_rate: float = 10.0
-    joint_state_rate: float = 100.0
+    start_time: int = 1_700_000_000_000_000_000  #: Host stamp of the start, ns.
+    lead: float = 1.0  #: Time at rest before the first setpoint and after the last, s.
+    settle: float = 1.0  #: From the end of a step's motion to the start of its dwell, s.
+    setpoint_rate: float = 10.0  #: Repetition rate of setpoints, Hz.
+    joint_state_rate: float = 100.0  #: Hz.
+    #: Standard deviation of the joint states' stamps, s; at most 0.45 of their spacing.
     joint_stamp_jitter: float = 0.0
-    temperature_rate: float = 1.0
-    block_length: float = 10.0
-    vibration: Vibration = field(default_factory=Vibration)
-    shake: Shake = field(default_factory=Shake)
-    shock: Shock | None = None
+    temperature_rate: float = 1.0  #: Hz.
+    block_length: float = 10.0  #: Longest duration of a block, s.
+    vibration: Vibration = field(default_factory=Vibration)  #: After each stop.
+    shake: Shake = field(default_factory=Shake)  #: Of the floor.
+    shock: Shock | None = None  #: One shock, or None.
 
 
 def switched_on(seed: int, start: float) -> int | tuple[int, int]:

@@ -26,49 +26,31 @@ _JOINT_STATES = 25.0
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """The session to repeat.
+    """The session to repeat."""
 
-    Attributes:
-        setup: Set-up of the calibrator.
-        truth: True sensors.
-        options: Imperfections of the hardware.
-        azimuth: True heading of the table's zero, rad; None draws another for each run.
-    """
-
-    setup: Setup
-    truth: SensorModel
-    options: StandOptions
+    setup: Setup  #: Set-up of the calibrator.
+    truth: SensorModel  #: True sensors.
+    options: StandOptions  #: Imperfections of the hardware.
+    #: True heading of the table's zero, rad; None draws another for each run.
     azimuth: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Result of one session.
+    """Result of one session."""
 
-    Attributes:
-        seed: Its seed.
-        parameters: The estimated ones; none if refused.
-        error: (n,) estimate less truth, SI units; NaN for a triad that was not estimated.
-        std: (n,) standard deviations stated.
-        refusal: Why there is no estimate, else empty.
-    """
-
-    seed: int
-    parameters: tuple[Parameter, ...]
-    error: Floats
-    std: Floats
-    refusal: str = ''
+    seed: int  #: Its seed.
+    parameters: tuple[Parameter, ...]  #: The estimated ones; none if refused.
+    error: Floats  #: (n,) estimate less truth, SI units; NaN for a triad that was not estimated.
+    std: Floats  #: (n,) standard deviations stated.
+    refusal: str = ''  #: Why there is no estimate, else empty.
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Results of all runs.
+    """Results of all runs."""
 
-    Attributes:
-        runs: All, in the order of their seeds.
-    """
-
-    runs: tuple[Run, ...]
+    runs: tuple[Run, ...]  #: All, in the order of their seeds.
 
     @property
     def refused(self) -> tuple[Run, ...]:

@@ -42,19 +42,12 @@ _TONES = 12
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """Times of a step.
+    """Times of a step."""
 
-    Attributes:
-        step: The step.
-        begin: Its first setpoint, s since the start.
-        rest: Arrival of the table at rest, s.
-        end: Start of the next step, s.
-    """
-
-    step: Step
-    begin: float
-    rest: float
-    end: float
+    step: Step  #: The step.
+    begin: float  #: Its first setpoint, s since the start.
+    rest: float  #: Arrival of the table at rest, s.
+    end: float  #: Start of the next step, s.
 
 
 class SimulatedStand:
@@ -284,23 +277,16 @@ def _shocked(motion: Motion, shock: Shock) -> Motion:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedUnit:
-    """A unit on the table.
+    """A unit on the table."""
 
-    Attributes:
-        topic: Of its samples.
-        spec: Units, scale factors and noise.
-        model: The true model, to be found by a calibration.
-        mount: (3, 3) columns are its body axes in those that the table mounts.
-        lever: From the centre of rotation to its accelerometers, in its body axes, m.
-        seed: Of its noise: the same seed gives the same bits, independent of other units. None: for
-            a unit that is alone, derived from the stand's.
-    """
-
-    topic: str
-    spec: ImuSpec
-    model: SensorModel
-    mount: Floats
+    topic: str  #: Of its samples.
+    spec: ImuSpec  #: Units, scale factors and noise.
+    model: SensorModel  #: The true model, to be found by a calibration.
+    mount: Floats  #: (3, 3) columns are its body axes in those that the table mounts.
+    #: From the centre of rotation to its accelerometers, in its body axes, m.
     lever: tuple[float, float, float]
+    #: Of its noise: the same seed gives the same bits, independent of other units. None: for a unit
+    #: that is alone, derived from the stand's.
     seed: int | None
 
     def moved(self, motion: Motion) -> Motion:

@@ -25,23 +25,14 @@ _CONTENT = attrgetter(*(f.name for f in fields(Setpoint) if f.name != 'stamp'))
 
 @dataclass(frozen=True, eq=False)
 class TableState:
-    """Present state of the table.
+    """Present state of the table."""
 
-    Attributes:
-        time: s since the table's epoch.
-        angles: (k,) encoder readings, rad.
-        rates: (k,) rad/s.
-        at_rest: Whether every joint is at rest.
-        step: Index of the plan's step accepted last, None before the first.
-        stopped: Why it stopped before its goal; empty while it follows setpoints.
-    """
-
-    time: float
-    angles: Floats
-    rates: Floats
-    at_rest: bool
-    step: int | None
-    stopped: str
+    time: float  #: s since the table's epoch.
+    angles: Floats  #: (k,) encoder readings, rad.
+    rates: Floats  #: (k,) rad/s.
+    at_rest: bool  #: Whether every joint is at rest.
+    step: int | None  #: Index of the plan's step accepted last, None before the first.
+    stopped: str  #: Why it stopped before its goal; empty while it follows setpoints.
 
 
 @dataclass(frozen=True, eq=False)

@@ -115,17 +115,11 @@ def _unknown_arguments(context: Any) -> list[str]:
 
 @dataclass(frozen=True)
 class Device:
-    """One of several units, read by a node.
+    """One of several units, read by a node."""
 
-    Attributes:
-        namespace: Of its node, below the stand's.
-        parameters: Of its node.
-        remappings: Of its topics.
-    """
-
-    namespace: str
-    parameters: dict[str, Any]
-    remappings: list[tuple[str, str]]
+    namespace: str  #: Of its node, below the stand's.
+    parameters: dict[str, Any]  #: Of its node.
+    remappings: list[tuple[str, str]]  #: Of its topics.
 
 
 def devices(given: Mapping[str, str]) -> list[Device]:

@@ -186,7 +186,6 @@ def host_and_port(url: str) -> tuple[str, int] | None:
 
 # Selection of the nodes' runtime: rclpy if available, else Cyclone DDS, or one process alone.
 
-
 VARIABLE = 'IMU_CALIB_MIDDLEWARE'
 RUNTIMES = ('rclpy', 'dds', 'embedded')
 _FIRST, _LAST = (3, 10), (3, 13)
@@ -282,7 +281,6 @@ def _import(module: str, sentence: str) -> None:
 
 
 # SROS 2 enclave of a node, and the keystore from the policy (docs/access.md).
-
 
 OVERRIDE = 'ROS_SECURITY_ENCLAVE_OVERRIDE'
 _ENABLE = 'ROS_SECURITY_ENABLE'

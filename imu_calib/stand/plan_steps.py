@@ -145,63 +145,40 @@ class Phase(IntEnum):
 
 @dataclass(frozen=True)
 class Rules:
-    """Tolerances and times; all times are by the stamps of the joint states.
+    """Tolerances and times; all times are by the stamps of the joint states."""
 
-    Attributes:
-        settle: From the arrival at a step's end to the start of its dwell, s.
-        arrival: Largest distance from its goal of a joint that has arrived, rad.
-        overshoot: Largest distance of a joint beyond its goal, or off its way, rad.
-        feedback_timeout: Longest gap between joint states, s.
-        supervised: Whether a calibrator requests repetitions of steps.
-        repeats: Most repetitions of a step at the calibrator's request.
-        repeat_wait: Longest wait for the calibrator's reply at the end of the plan, s.
-    """
-
-    settle: float = 1.0
-    arrival: float = 0.01 * DEG
+    settle: float = 1.0  #: From the arrival at a step's end to the start of its dwell, s.
+    arrival: float = 0.01 * DEG  #: Largest distance from its goal of a joint that has arrived, rad.
+    #: Largest distance of a joint beyond its goal, or off its way, rad.
     overshoot: float = 0.5 * DEG
-    feedback_timeout: float = 0.5
-    supervised: bool = True
-    repeats: int = 2
+    feedback_timeout: float = 0.5  #: Longest gap between joint states, s.
+    supervised: bool = True  #: Whether a calibrator requests repetitions of steps.
+    repeats: int = 2  #: Most repetitions of a step at the calibrator's request.
+    #: Longest wait for the calibrator's reply at the end of the plan, s.
     repeat_wait: float = 600.0
 
 
 @dataclass(frozen=True)
 class SequencerState:
-    """State of the sequencer: the content of imu_calib_msgs/TurntableState.
+    """State of the sequencer: the content of imu_calib_msgs/TurntableState."""
 
-    Attributes:
-        plan: Name of the plan.
-        step: Index of the current or last step.
-        steps: Number of steps, 0 before the first start.
-        position: Id of the plan's position, empty on the way back to the start.
-        phase: Present phase.
-        reason: Why it is PAUSED or ABORTED, DONE without the calibrator's reply, or what happened
-            to an idle table; else empty.
-        fault: Whether there was a fault, not a requested stop.
-        waits_for: What an accepted start waits for, else empty.
-        angles: (k,) measured, unwrapped, rad; empty before the first joint state.
-        rates: (k,) measured, rad/s.
-        turns_done: Turns at rate of the current RATE step, without sign.
-        seconds_left: Expected time to the end of the plan, s.
-    """
-
-    plan: str
-    step: int
-    steps: int
-    position: str
-    phase: Phase
+    plan: str  #: Name of the plan.
+    step: int  #: Index of the current or last step.
+    steps: int  #: Number of steps, 0 before the first start.
+    position: str  #: Id of the plan's position, empty on the way back to the start.
+    phase: Phase  #: Present phase.
+    #: Why it is PAUSED or ABORTED, DONE without the calibrator's reply, or what happened to an idle
+    #: table; else empty.
     reason: str
-    fault: bool
-    waits_for: str
-    angles: tuple[float, ...]
-    rates: tuple[float, ...]
-    turns_done: float
-    seconds_left: float
+    fault: bool  #: Whether there was a fault, not a requested stop.
+    waits_for: str  #: What an accepted start waits for, else empty.
+    angles: tuple[float, ...]  #: (k,) measured, unwrapped, rad; empty before the first joint state.
+    rates: tuple[float, ...]  #: (k,) measured, rad/s.
+    turns_done: float  #: Turns at rate of the current RATE step, without sign.
+    seconds_left: float  #: Expected time to the end of the plan, s.
 
 
 # Convert joint states to continuous angles in the table's order, with rates.
-
 
 WINDOW = 0.1
 """s without motion after which a table is at rest; derived rates are means over this time."""
@@ -226,39 +203,25 @@ class FeedbackError(InputError):
 
 @dataclass(frozen=True)
 class Feedback:
-    """One joint state.
+    """One joint state."""
 
-    Attributes:
-        stamp: ns.
-        gap: Since the joint state before, s; 0 for the first one.
-        angles: (k,) in the table's order, continuous, rad.
-        rates: (k,) rad/s, as reported, else derived from the angles.
-        still: Whether no joint has moved over the last tenth of a second.
-        means: (k,) mean rates over the last tenth of a second by the angles alone, rad/s; empty for
-            the first one.
-    """
-
-    stamp: int
-    gap: float
-    angles: tuple[float, ...]
-    rates: tuple[float, ...]
-    still: bool
+    stamp: int  #: ns.
+    gap: float  #: Since the joint state before, s; 0 for the first one.
+    angles: tuple[float, ...]  #: (k,) in the table's order, continuous, rad.
+    rates: tuple[float, ...]  #: (k,) rad/s, as reported, else derived from the angles.
+    still: bool  #: Whether no joint has moved over the last tenth of a second.
+    #: (k,) mean rates over the last tenth of a second by the angles alone, rad/s; empty for the
+    #: first one.
     means: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
 class Rest:
-    """A table that is to stand, and needs no decision while it does.
+    """A table that is to stand, and needs no decision while it does."""
 
-    Attributes:
-        angles: (k,) continuous angles at which it stands, rad.
-        stray: Largest distance from there, rad, less than a quarter of a turn.
-        until: Stamp of the next decision, ns.
-    """
-
-    angles: tuple[float, ...]
-    stray: float
-    until: int
+    angles: tuple[float, ...]  #: (k,) continuous angles at which it stands, rad.
+    stray: float  #: Largest distance from there, rad, less than a quarter of a turn.
+    until: int  #: Stamp of the next decision, ns.
 
 
 class Encoders:
@@ -421,15 +384,10 @@ class Overtaken(ImuCalibError):
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """One trajectory.
+    """One trajectory."""
 
-    Attributes:
-        stamp: Its start, ns; 0: now.
-        course: Knots; without one at time zero it starts from the present position.
-    """
-
-    stamp: int
-    course: Course
+    stamp: int  #: Its start, ns; 0: now.
+    course: Course  #: Knots; without one at time zero it starts from the present position.
 
 
 class Lead:

@@ -83,7 +83,6 @@ class Reasons:
 
 # The calibrator from the sequencer's view: its presence, and its data of an old session.
 
-
 CALIBRATOR = 'the calibrator (calibration/progress)'
 
 

@@ -47,27 +47,16 @@ SETS_OUT = 2 * WINDOW
 
 @dataclass
 class _JointMotion:
-    """Motion of one joint.
+    """Motion of one joint."""
 
-    Attributes:
-        joint: The joint.
-        goal: Its angle at the end, rad.
-        sign: Sense of the motion, +1 or -1.
-        distance: Angle from the start to the goal, rad, without sign.
-        patience: Longest time without progress, s.
-        progress: Angle by which it has to come nearer in that time, rad.
-        best: Least angle to the goal so far, rad.
-        mark: Stamp, ns, and angle to the goal, rad, when it last made progress.
-    """
-
-    joint: Joint
-    goal: float
-    sign: float
-    distance: float
-    patience: float
-    progress: float
-    best: float
-    mark: tuple[int, float]
+    joint: Joint  #: The joint.
+    goal: float  #: Its angle at the end, rad.
+    sign: float  #: Sense of the motion, +1 or -1.
+    distance: float  #: Angle from the start to the goal, rad, without sign.
+    patience: float  #: Longest time without progress, s.
+    progress: float  #: Angle by which it has to come nearer in that time, rad.
+    best: float  #: Least angle to the goal so far, rad.
+    mark: tuple[int, float]  #: Stamp, ns, and angle to the goal, rad, when it last made progress.
 
 
 class Watch:
@@ -292,7 +281,6 @@ def _strays(joint: Joint, angle: float, goal: float) -> str:
 
 
 # Check that an idle table stays at rest, from a stop to the next start.
-
 
 _GROWTH = 2.0
 """Factor by which an excursion must grow to be reported again: few reports for a long turn."""

@@ -38,17 +38,12 @@ BIAS = 3
 
 @dataclass(eq=False)
 class ChannelSystem:
-    """Equations of one channel: four of them determine it.
+    """Equations of one channel: four of them determine it."""
 
-    Attributes:
-        size: Number of outputs that the weights refer to.
-        coefficients: (4,) of responses and bias in each equation.
-        weights: (size,) of the outputs in each equation.
-    """
-
-    size: int
+    size: int  #: Number of outputs that the weights refer to.
+    #: (4,) of responses and bias in each equation.
     coefficients: list[Floats] = field(default_factory=list)
-    weights: list[Floats] = field(default_factory=list)
+    weights: list[Floats] = field(default_factory=list)  #: (size,) of the outputs in each equation.
 
     def add(self, coefficients: Floats, weights: Floats) -> None:
         """Add an equation: (4,) coefficients of responses and bias, (size,) weights of outputs."""
@@ -72,17 +67,11 @@ class ChannelSystem:
 
 @dataclass(frozen=True, eq=False)
 class SolvedTriad:
-    """Three channels by the weights on their outputs.
+    """Three channels by the weights on their outputs."""
 
-    Attributes:
-        triad: The parameters.
-        gain: (3, 4, size) weights of each channel's outputs for responses and bias.
-        condition: The worst condition number.
-    """
-
-    triad: Triad
-    gain: Floats
-    condition: float
+    triad: Triad  #: The parameters.
+    gain: Floats  #: (3, 4, size) weights of each channel's outputs for responses and bias.
+    condition: float  #: The worst condition number.
 
 
 def solve_triad(systems: Sequence[ChannelSystem], outputs: Floats) -> SolvedTriad:
@@ -112,19 +101,14 @@ _INVOLVED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """Weights of outputs that give the unknowns.
+    """Weights of outputs that give the unknowns."""
 
-    Attributes:
-        gyro: (u, s + t), or (3, u, s + t) where channels differ: three responses, the bias, and
-            three g-sensitivities where u is 7, from the outputs of static dwells, then turns.
-        accel: (4, s), or (3, 4, s), three responses and the bias; None where they are not
-            estimated.
-        condition: Condition number of what was inverted, columns scaled to unit length.
-    """
-
+    #: (u, s + t), or (3, u, s + t) where channels differ: three responses, the bias, and three
+    #: g-sensitivities where u is 7, from the outputs of static dwells, then turns.
     gyro: Floats
+    #: (4, s), or (3, 4, s), three responses and the bias; None where they are not estimated.
     accel: Floats | None
-    condition: float
+    condition: float  #: Condition number of what was inverted, columns scaled to unit length.
 
     @property
     def _gyro(self) -> Floats:
@@ -298,19 +282,12 @@ _ONE_RATE = 0.2
 
 @dataclass(frozen=True, eq=False)
 class RateTestEquations:
-    """The turns of a session as equations for the gyros' responses.
+    """The turns of a session as equations for the gyros' responses."""
 
-    Attributes:
-        outputs: (t, 3) mean gyro outputs, rad/s.
-        inputs: (t,) rate about the vertical body axis, Earth included, rad/s.
-        axes: (t,) which body axis was vertical.
-        off_axis: (t, 3) rates of the other axes by the encoders, rad/s.
-    """
-
-    outputs: Floats
-    inputs: Floats
-    axes: Floats
-    off_axis: Floats
+    outputs: Floats  #: (t, 3) mean gyro outputs, rad/s.
+    inputs: Floats  #: (t,) rate about the vertical body axis, Earth included, rad/s.
+    axes: Floats  #: (t,) which body axis was vertical.
+    off_axis: Floats  #: (t, 3) rates of the other axes by the encoders, rad/s.
 
     @classmethod
     def of(cls, evidence: Evidence) -> RateTestEquations:

@@ -41,15 +41,10 @@ _PASSES = 2
 
 @dataclass(frozen=True, eq=False)
 class BiasEquation:
-    """The gyro biases as weighted means of the outputs at rest.
+    """The gyro biases as weighted means of the outputs at rest."""
 
-    Attributes:
-        weights: (s, 3) of the static dwells, per channel.
-        mean_input: (3,) rad/s, weighted mean of the Earth rate.
-    """
-
-    weights: Floats
-    mean_input: Floats
+    weights: Floats  #: (s, 3) of the static dwells, per channel.
+    mean_input: Floats  #: (3,) rad/s, weighted mean of the Earth rate.
 
 
 def solve_gyros(evidence: Evidence, bias: BiasEquation) -> SolvedTriad:

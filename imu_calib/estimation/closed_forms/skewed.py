@@ -53,28 +53,18 @@ _SLIGHT = 0.01
 
 @dataclass(frozen=True, eq=False)
 class RatePoints:
-    """The turns of a session as equations for four channels.
+    """The turns of a session as equations for four channels."""
 
-    Attributes:
-        inputs: (t, 3) rate about the body axes, vertical Earth rate included, rad/s.
-        outputs: (t, 4) mean outputs of x, y, z and the skewed gyro, rad/s.
-        own: (t, 4) variances of these by random walk and quantisation, (rad/s)^2.
-        groups: (t,) number of a point's |rate|.
-        spread: (t, 4) variance of the mean of a point by the scatter of its single turns, NaN for
-            one turn only.
-        freedom: (t,) degrees of freedom of that scatter, 0 for one turn only.
-        turned: (t,) rate of the table, rad/s.
-        rate_error: (t,) standard deviation of that, relative.
-    """
-
-    inputs: Floats
-    outputs: Floats
-    own: Floats
-    groups: Floats
+    inputs: Floats  #: (t, 3) rate about the body axes, vertical Earth rate included, rad/s.
+    outputs: Floats  #: (t, 4) mean outputs of x, y, z and the skewed gyro, rad/s.
+    own: Floats  #: (t, 4) variances of these by random walk and quantisation, (rad/s)^2.
+    groups: Floats  #: (t,) number of a point's |rate|.
+    #: (t, 4) variance of the mean of a point by the scatter of its single turns, NaN for one turn
+    #: only.
     spread: Floats
-    freedom: Floats
-    turned: Floats
-    rate_error: Floats
+    freedom: Floats  #: (t,) degrees of freedom of that scatter, 0 for one turn only.
+    turned: Floats  #: (t,) rate of the table, rad/s.
+    rate_error: Floats  #: (t,) standard deviation of that, relative.
 
     @classmethod
     def of(cls, evidence: Evidence) -> RatePoints:

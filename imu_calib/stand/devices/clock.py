@@ -97,7 +97,6 @@ class Delays:
 
 # Compare the host's clock with the monotonic clock: find its steps.
 
-
 _LEAST_STEP = 10_000_000
 """A smaller difference, ns, can result from an interruption between the readings of both clocks. A
 judgement."""
@@ -141,7 +140,6 @@ class HostClock:
 
 
 # Time steps between samples by the device: its clock compared with its counter.
-
 
 Indices = NDArray[np.int64]
 
@@ -358,17 +356,11 @@ for so long."""
 
 @dataclass(frozen=True)
 class Jump:
-    """A contradiction within the device's data, or with the host.
+    """A contradiction within the device's data, or with the host."""
 
-    Attributes:
-        elapsed: Its time, ns after the first sample.
-        seconds: Jump of the device's clock, or of the host's, s; None if unknown.
-        reason: What happened, in words.
-    """
-
-    elapsed: int
-    seconds: float | None
-    reason: str
+    elapsed: int  #: Its time, ns after the first sample.
+    seconds: float | None  #: Jump of the device's clock, or of the host's, s; None if unknown.
+    reason: str  #: What happened, in words.
 
 
 @dataclass

@@ -19,28 +19,18 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples of n consecutive frames.
+    """Samples of n consecutive frames."""
 
-    Attributes:
-        gyro: (n, 3) counts.
-        accel: (n, 3) counts.
-        skew: (n,) counts of the skewed gyro, None without one.
-        celsius: (n,) temperature, None without one.
-        counter: (n,) frame counter, less the other messages before that it counts; None without
-            one.
-        time: (n,) device time in units of `DeviceTime.unit`, as sent; None without one.
-        faults: (n,) bit k is set while the format's fault k is present.
-        end: (n,) number of bytes from the start to the end of the frame.
-    """
-
-    gyro: Floats
-    accel: Floats
-    skew: Floats | None
-    celsius: Floats | None
+    gyro: Floats  #: (n, 3) counts.
+    accel: Floats  #: (n, 3) counts.
+    skew: Floats | None  #: (n,) counts of the skewed gyro, None without one.
+    celsius: Floats | None  #: (n,) temperature, None without one.
+    #: (n,) frame counter, less the other messages before that it counts; None without one.
     counter: Indices | None
+    #: (n,) device time in units of `DeviceTime.unit`, as sent; None without one.
     time: Indices | None
-    faults: Indices
-    end: Indices
+    faults: Indices  #: (n,) bit k is set while the format's fault k is present.
+    end: Indices  #: (n,) number of bytes from the start to the end of the frame.
 
     def __len__(self) -> int:
         return len(self.end)
@@ -48,31 +38,20 @@ class Samples:
 
 @dataclass
 class Counts:
-    """Counts of received data.
+    """Counts of received data."""
 
-    Attributes:
-        frames: Frames that were decoded.
-        bad: Frames whose checksum is wrong.
-        skipped: Bytes outside good frames and known messages, including those of bad frames.
-        others: Known messages that are not frames.
-        lost: Frames missing by the counter.
-        repeated: Repeated frames, used once.
-        restarts: Number of times that the counter went back.
-        unusable: Frames with a NaN in a channel.
-        early_bad: Of `bad`, those before the first frame.
-        early_skipped: Of `skipped`, those before the first frame: the rest of an earlier one, or a
-            greeting of the device.
-    """
-
-    frames: int = 0
-    bad: int = 0
+    frames: int = 0  #: Frames that were decoded.
+    bad: int = 0  #: Frames whose checksum is wrong.
+    #: Bytes outside good frames and known messages, including those of bad frames.
     skipped: int = 0
-    others: int = 0
-    lost: int = 0
-    repeated: int = 0
-    restarts: int = 0
-    unusable: int = 0
-    early_bad: int = 0
+    others: int = 0  #: Known messages that are not frames.
+    lost: int = 0  #: Frames missing by the counter.
+    repeated: int = 0  #: Repeated frames, used once.
+    restarts: int = 0  #: Number of times that the counter went back.
+    unusable: int = 0  #: Frames with a NaN in a channel.
+    early_bad: int = 0  #: Of `bad`, those before the first frame.
+    #: Of `skipped`, those before the first frame: the rest of an earlier one, or a greeting of the
+    #: device.
     early_skipped: int = 0
 
     @property

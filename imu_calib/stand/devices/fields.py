@@ -27,22 +27,14 @@ class Crc:
 
     Names and meaning are those of the catalogue of parametrised CRC algorithms
     (reveng.sourceforge.io/crc-catalogue).
-
-    Attributes:
-        width: Bits: 8, 16, 24 or 32.
-        poly: Generator polynomial without its highest bit, unreflected.
-        init: Initial register, unreflected.
-        refin: Whether bytes enter with their lowest bit first.
-        refout: Whether the register is reflected at the end.
-        xorout: Combined with the register at the end.
     """
 
-    width: int
-    poly: int
-    init: int = 0
-    refin: bool = False
-    refout: bool = False
-    xorout: int = 0
+    width: int  #: Bits: 8, 16, 24 or 32.
+    poly: int  #: Generator polynomial without its highest bit, unreflected.
+    init: int = 0  #: Initial register, unreflected.
+    refin: bool = False  #: Whether bytes enter with their lowest bit first.
+    refout: bool = False  #: Whether the register is reflected at the end.
+    xorout: int = 0  #: Combined with the register at the end.
 
 
 CATALOGUE = {
@@ -65,19 +57,12 @@ CATALOGUE = {
 
 @dataclass(frozen=True)
 class Sum:
-    """Sum of the bytes, or of words of several bytes, modulo 2^width.
+    """Sum of the bytes, or of words of several bytes, modulo 2^width."""
 
-    Attributes:
-        width: Bits: 8, 16, 24 or 32.
-        negated: Whether the transmitted value makes the sum zero.
-        word: Bits of the summands: 8, 16 or 32.
-        order: Byte order of a word: '<' lowest first, '>' highest.
-    """
-
-    width: int = 8
-    negated: bool = False
-    word: int = 8
-    order: str = '<'
+    width: int = 8  #: Bits: 8, 16, 24 or 32.
+    negated: bool = False  #: Whether the transmitted value makes the sum zero.
+    word: int = 8  #: Bits of the summands: 8, 16 or 32.
+    order: str = '<'  #: Byte order of a word: '<' lowest first, '>' highest.
 
 
 @dataclass(frozen=True)
@@ -86,27 +71,18 @@ class Fletcher:
 
     The sum is the low byte, the sum of sums the high one (J. Fletcher, An Arithmetic Checksum for
     Serial Transmissions, IEEE Trans. Communications 30 (1982); RFC 1146, appendix I).
-
-    Attributes:
-        modulus: Of both: 255 in Fletcher's original, or 256 in MIP and UBX.
-        width: Bits of the checksum.
     """
 
-    modulus: int
-    width: int = field(default=16, init=False)
+    modulus: int  #: Of both: 255 in Fletcher's original, or 256 in MIP and UBX.
+    width: int = field(default=16, init=False)  #: Bits of the checksum.
 
 
 @dataclass(frozen=True)
 class Xor:
-    """Exclusive or of the bytes.
+    """Exclusive or of the bytes."""
 
-    Attributes:
-        init: Initial value.
-        width: Bits of the checksum.
-    """
-
-    init: int = 0
-    width: int = field(default=8, init=False)
+    init: int = 0  #: Initial value.
+    width: int = field(default=8, init=False)  #: Bits of the checksum.
 
 
 Algorithm: TypeAlias = Crc | Sum | Fletcher | Xor
@@ -241,23 +217,18 @@ Level Communication Protocol, MT0101P, formats of output data)."""
 
 @dataclass(frozen=True)
 class Number:
-    """A number somewhere in a frame.
+    """A number somewhere in a frame."""
 
-    Attributes:
-        kind: 'u', 'i', 'f', or 'q' for FP16.32: a fraction of 32 bits, then 16 bits before the
-            point, each in `order`.
-        size: Bytes: 1, 2, 3, 4, 6 or 8.
-        offset: Of its first byte.
-        order: '<' lowest byte first, '>' highest; of an even number of bytes also `LOW_WORD_FIRST`,
-            words of 16 bits of which the lowest is first, each with its high byte first, and
-            `HIGH_WORD_FIRST`, the highest word first, each with its low byte first.
-        bits: First bit and number of bits if it does not take all of them, else None.
-    """
-
+    #: 'u', 'i', 'f', or 'q' for FP16.32: a fraction of 32 bits, then 16 bits before the point, each
+    #: in `order`.
     kind: str
-    size: int
-    offset: int
+    size: int  #: Bytes: 1, 2, 3, 4, 6 or 8.
+    offset: int  #: Of its first byte.
+    #: '<' lowest byte first, '>' highest; of an even number of bytes also `LOW_WORD_FIRST`, words
+    #: of 16 bits of which the lowest is first, each with its high byte first, and
+    #: `HIGH_WORD_FIRST`, the highest word first, each with its low byte first.
     order: str
+    #: First bit and number of bits if it does not take all of them, else None.
     bits: tuple[int, int] | None = None
 
     @property
@@ -370,19 +341,12 @@ class FrameCounter:
 
 @dataclass(frozen=True)
 class DeviceTime:
-    """The device's clock.
+    """The device's clock."""
 
-    Attributes:
-        number: The field.
-        tick: Duration of its unit, ns.
-        modulus: Ticks after which it wraps, None if it does not.
-        shorter: Ticks after which other models of the device wrap earlier.
-    """
-
-    number: Number
-    tick: float
-    modulus: int | None
-    shorter: tuple[int, ...] = ()
+    number: Number  #: The field.
+    tick: float  #: Duration of its unit, ns.
+    modulus: int | None  #: Ticks after which it wraps, None if it does not.
+    shorter: tuple[int, ...] = ()  #: Ticks after which other models of the device wrap earlier.
 
     def read(self, rows: Bytes) -> NDArray[np.int64]:
         """Return the (n,) ticks; floating-point times are rounded to whole ns beforehand."""
@@ -410,21 +374,13 @@ class DeviceTime:
 
 @dataclass(frozen=True)
 class Fault:
-    """A condition that the device reports.
+    """A condition that the device reports."""
 
-    Attributes:
-        number: The status field.
-        mask: Bits concerned.
-        when_set: Present when one of the bits is set; else when one of them is clear.
-        words: Its meaning, in words.
-        error: Whether the data must not be used; else it is a warning.
-    """
-
-    number: Number
-    mask: int
-    when_set: bool
-    words: str
-    error: bool = True
+    number: Number  #: The status field.
+    mask: int  #: Bits concerned.
+    when_set: bool  #: Present when one of the bits is set; else when one of them is clear.
+    words: str  #: Its meaning, in words.
+    error: bool = True  #: Whether the data must not be used; else it is a warning.
 
     def read(self, rows: Bytes) -> NDArray[np.bool_]:
         """Return in which of the (n, length) contiguous frames it is present."""

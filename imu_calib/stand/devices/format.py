@@ -46,40 +46,25 @@ COUNTLESS = 2**62
 
 @dataclass(frozen=True)
 class FrameFormat:
-    """Frames of one length, each with one sample of all channels.
+    """Frames of one length, each with one sample of all channels."""
 
-    Attributes:
-        name: Of the device or of its output format.
-        length: Bytes of a frame.
-        constant: Offsets and values of the bytes that are equal in every frame; the first of
-            them are the sync bytes at the frame's beginning.
-        gyro: Channels x, y, z.
-        accel: Channels x, y, z.
-        skew: The skewed gyro, None without one.
-        temperature: In degrees Celsius, None without one.
-        counter: None without one.
-        time: None without one.
-        faults: Conditions in the status fields.
-        check: Checksum; None without one.
-        others: Other messages between the frames.
-        baud: Of the device's serial port, bit/s; None if the file does not state it.
-        commands: Sent to it when the port opens and closes.
-    """
-
-    name: str
-    length: int
+    name: str  #: Of the device or of its output format.
+    length: int  #: Bytes of a frame.
+    #: Offsets and values of the bytes that are equal in every frame; the first of them are the sync
+    #: bytes at the frame's beginning.
     constant: tuple[tuple[int, int], ...]
-    gyro: tuple[Channel, ...]
-    accel: tuple[Channel, ...]
-    skew: Channel | None
-    temperature: Channel | None
-    counter: FrameCounter | None
-    time: DeviceTime | None
-    faults: tuple[Fault, ...]
-    check: FrameCheck | None
-    others: tuple[Message, ...] = ()
+    gyro: tuple[Channel, ...]  #: Channels x, y, z.
+    accel: tuple[Channel, ...]  #: Channels x, y, z.
+    skew: Channel | None  #: The skewed gyro, None without one.
+    temperature: Channel | None  #: In degrees Celsius, None without one.
+    counter: FrameCounter | None  #: None without one.
+    time: DeviceTime | None  #: None without one.
+    faults: tuple[Fault, ...]  #: Conditions in the status fields.
+    check: FrameCheck | None  #: Checksum; None without one.
+    others: tuple[Message, ...] = ()  #: Other messages between the frames.
+    #: Of the device's serial port, bit/s; None if the file does not state it.
     baud: int | None = None
-    commands: Commands = NOTHING
+    commands: Commands = NOTHING  #: Sent to it when the port opens and closes.
 
     def checksums(self) -> Checksums | None:
         """Return the calculator of the frames' checksum."""

@@ -141,7 +141,6 @@ def numbers(section: Section, name: str, most: int = 3) -> list[float]:
 
 # Known messages on a device's line that are not samples, so that they do not count as damage.
 
-
 _LONGEST = 4096
 """Bytes: more than any IMU sends at once; a damaged length does not make the decoder wait longer. A
 judgement."""
@@ -152,40 +151,24 @@ LENGTH_TYPES = {'u8': 1, 'u16': 2}
 
 @dataclass(frozen=True)
 class MessageCheck:
-    """A checksum whose offset and last byte are counted from the message's end.
+    """A checksum whose offset and last byte are counted from the message's end."""
 
-    Attributes:
-        algorithm: The algorithm.
-        offset: Of its first byte, below zero: -1 is the message's last byte.
-        order: '<' lowest byte first, '>' highest.
-        first: First byte that it covers, from the beginning.
-        last: Last byte that it covers, below zero.
-    """
-
-    algorithm: Algorithm
-    offset: int
-    order: str
-    first: int
-    last: int
+    algorithm: Algorithm  #: The algorithm.
+    offset: int  #: Of its first byte, below zero: -1 is the message's last byte.
+    order: str  #: '<' lowest byte first, '>' highest.
+    first: int  #: First byte that it covers, from the beginning.
+    last: int  #: Last byte that it covers, below zero.
 
 
 @dataclass(frozen=True)
 class Message:
-    """A kind of message that is not a sample.
+    """A kind of message that is not a sample."""
 
-    Attributes:
-        sync: Its first bytes.
-        length: Bytes of it, checksum included, or its field that states them.
-        more: Added to that field.
-        check: None without a checksum.
-        counted: Whether the frame counter counts it, too.
-    """
-
-    sync: bytes
-    length: int | Number
-    more: int
-    check: MessageCheck | None
-    counted: bool
+    sync: bytes  #: Its first bytes.
+    length: int | Number  #: Bytes of it, checksum included, or its field that states them.
+    more: int  #: Added to that field.
+    check: MessageCheck | None  #: None without a checksum.
+    counted: bool  #: Whether the frame counter counts it, too.
 
     def length_at(self, data: bytes, at: int) -> int | None:
         """Return the length of a message that begins at a byte; None if more bytes are needed."""
@@ -226,19 +209,12 @@ def _unsigned(data: bytes, order: str) -> int:
 
 @dataclass
 class Messages:
-    """Find messages among the bytes between frames, independent of how those are cut.
+    """Find messages among the bytes between frames, independent of how those are cut."""
 
-    Attributes:
-        kinds: Possible messages; if several match, the first.
-        found: Number of messages.
-        size: Their bytes.
-        counted: Number of messages since `close` that the frame counter counts.
-    """
-
-    kinds: tuple[Message, ...]
-    found: int = 0
-    size: int = 0
-    counted: int = 0
+    kinds: tuple[Message, ...]  #: Possible messages; if several match, the first.
+    found: int = 0  #: Number of messages.
+    size: int = 0  #: Their bytes.
+    counted: int = 0  #: Number of messages since `close` that the frame counter counts.
     _open: bytes = field(default=b'', repr=False)
 
     @property
@@ -346,7 +322,6 @@ def _message_check(section: Section, order: str) -> MessageCheck | None:
 
 # Commands that make a device start and stop sending frames.
 
-
 LONGEST = 1024
 """Bytes of a command: more is taken for a typing error."""
 LONGEST_WAIT = 10.0
@@ -367,17 +342,12 @@ class Command:
 
 @dataclass(frozen=True)
 class Commands:
-    """Commands to a device.
+    """Commands to a device."""
 
-    Attributes:
-        start: Sent when its port opens.
-        again: Time without a byte after which `start` is sent again, s; None: never.
-        stop: Sent before its port is closed.
-    """
-
-    start: tuple[Command, ...] = ()
+    start: tuple[Command, ...] = ()  #: Sent when its port opens.
+    #: Time without a byte after which `start` is sent again, s; None: never.
     again: float | None = None
-    stop: tuple[Command, ...] = ()
+    stop: tuple[Command, ...] = ()  #: Sent before its port is closed.
 
     def __bool__(self) -> bool:
         return bool(self.start or self.stop)

@@ -37,15 +37,10 @@ _COMMON = (115200, 230400, 460800, 921600, 1843200, 3000000)
 
 @dataclass(frozen=True)
 class Baud:
-    """Rate of a serial port.
+    """Rate of a serial port."""
 
-    Attributes:
-        rate: bit/s.
-        origin: Source of the rate, in words.
-    """
-
-    rate: int
-    origin: str
+    rate: int  #: bit/s.
+    origin: str  #: Source of the rate, in words.
 
     def __str__(self) -> str:
         return f'{self.rate} bit/s ({self.origin})'
@@ -141,19 +136,12 @@ def steady_time() -> int:
 
 @dataclass(frozen=True)
 class SourceState:
-    """State of a source.
+    """State of a source."""
 
-    Attributes:
-        open: Whether bytes can come.
-        ended: Whether the end of a file was reached.
-        text: A sentence.
-        tried: Whether opening was tried.
-    """
-
-    open: bool
-    ended: bool
-    text: str
-    tried: bool = True
+    open: bool  #: Whether bytes can come.
+    ended: bool  #: Whether the end of a file was reached.
+    text: str  #: A sentence.
+    tried: bool = True  #: Whether opening was tried.
 
 
 class Source:

@@ -101,7 +101,6 @@ class Commands:
 
 # The thread that communicates with a table's controller; only the controller can block it.
 
-
 _RETRY = 0.5
 """s before a lost controller is contacted again. A choice: two attempts a second cost nothing."""
 _BAD_IN_A_ROW = 3
@@ -115,21 +114,13 @@ this protocol."""
 
 @dataclass(frozen=True)
 class Status:
-    """State of the line to the controller.
+    """State of the line to the controller."""
 
-    Attributes:
-        open: Whether the controller answers.
-        text: A sentence.
-        refusal: Why the last setpoint is not followed; otherwise empty.
-        bad: Number of replies so far outside the protocol.
-        breaks: Number of line failures.
-    """
-
-    open: bool
-    text: str
-    refusal: str = ''
-    bad: int = 0
-    breaks: int = 0
+    open: bool  #: Whether the controller answers.
+    text: str  #: A sentence.
+    refusal: str = ''  #: Why the last setpoint is not followed; otherwise empty.
+    bad: int = 0  #: Number of replies so far outside the protocol.
+    breaks: int = 0  #: Number of line failures.
 
 
 class Control:

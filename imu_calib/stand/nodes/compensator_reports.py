@@ -46,23 +46,16 @@ def _why_unknown(waiting: int) -> str:
 
 @dataclass
 class _Second:
-    """Events since the last report.
+    """Events since the last report."""
 
-    Attributes:
-        since: Its beginning, s of the monotonic clock.
-        taken: Number of samples that came.
-        given: Number of samples that were published.
-        newest: Stamp of the latest of these, ns.
-        latencies: Time of each group of samples in the node, s.
-        readings: Compensated samples.
-    """
-
+    #: Its beginning, s of the monotonic clock.
     since: float = field(default_factory=time.monotonic)
-    taken: int = 0
-    given: int = 0
-    newest: int = 0
+    taken: int = 0  #: Number of samples that came.
+    given: int = 0  #: Number of samples that were published.
+    newest: int = 0  #: Stamp of the latest of these, ns.
+    #: Time of each group of samples in the node, s.
     latencies: list[float] = field(default_factory=list)
-    readings: list[Reading] = field(default_factory=list)
+    readings: list[Reading] = field(default_factory=list)  #: Compensated samples.
 
 
 class CompensatorReports:

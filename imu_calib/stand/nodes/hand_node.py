@@ -139,7 +139,6 @@ class InMemorySource:
 
 # The lines of simulated devices: sockets that serve their frames.
 
-
 IN_MEMORY = 0
 """Port that stands for lines within this process."""
 _STUCK = 20.0

@@ -99,7 +99,6 @@ class CalibratorFeed:
 
 # Compare the end of the session before a crash with the start of this one.
 
-
 _SET_BACK = 10_000_000_000
 """ns that stamps may begin before a journal's last: less than the shortest step of the plans."""
 
@@ -148,7 +147,6 @@ class FormerSession:
 
 
 # Loaded here, because loading at the first solution would make a table wait.
-
 
 _LATE = 500_000_000
 """ns by which the last samples may be older than the table's last message: half a second of

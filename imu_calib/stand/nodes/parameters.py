@@ -73,20 +73,13 @@ def declare(
 
 @dataclass(frozen=True, eq=False)
 class StatedUnit:
-    """A unit whose samples a node receives.
+    """A unit whose samples a node receives."""
 
-    Attributes:
-        setup: What is calibrated, and how.
-        name: Of its namespace; empty for a single unit.
-        imu: Name or file of its type.
-        topic: Topic of its samples; empty: imu/pulses in its namespace.
-        mount: (3, 3) rotation of its axes against those of the plan; None if they are equal.
-    """
-
-    setup: Setup
-    name: str
-    imu: str
-    topic: str = ''
+    setup: Setup  #: What is calibrated, and how.
+    name: str  #: Of its namespace; empty for a single unit.
+    imu: str  #: Name or file of its type.
+    topic: str = ''  #: Topic of its samples; empty: imu/pulses in its namespace.
+    #: (3, 3) rotation of its axes against those of the plan; None if they are equal.
     mount: Floats | None = None
 
     @property

@@ -194,7 +194,6 @@ def _stop_node(node: Any) -> bool:
 
 # Start and end of every node's program.
 
-
 _M_ARENA_MAX = -8
 """Constant of mallopt(3), glibc's malloc.h."""
 

@@ -239,7 +239,6 @@ def _std_text(parameter: Parameter, value: float) -> str:
 
 # The sessions of all units on one table: they begin, receive data, and end together.
 
-
 _LEFT_OUT = 'The unit was left out of the session.'
 
 
@@ -429,7 +428,6 @@ def _reviewed(calibrator: AnyCalibrator) -> Review | ImuCalibError:
 
 
 # Reports of a calibrator on several units: the least advanced unit determines them.
-
 
 _ENDS = frozenset({SessionPhase.FINISHED, SessionPhase.FAILED})
 

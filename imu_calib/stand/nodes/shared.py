@@ -131,17 +131,11 @@ class JournalPart:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A running or completed review.
+    """A running or completed review."""
 
-    Attributes:
-        future: Its result or error.
-        final: Whether it was the session's last.
-        until: Stamp of the last data used, ns.
-    """
-
-    future: Future[Review]
-    final: bool
-    until: int
+    future: Future[Review]  #: Its result or error.
+    final: bool  #: Whether it was the session's last.
+    until: int  #: Stamp of the last data used, ns.
 
 
 class AtOnce:

@@ -81,7 +81,6 @@ def observer_profile(depth: int) -> QoSProfile:
 
 # Who publishes on a topic that only one node may publish.
 
-
 _NAMELESS = 2.0
 """s by which a node's name may appear later than its publishers. A judgement."""
 
@@ -168,7 +167,6 @@ def _name(publisher: Any) -> str:
 
 
 # Topics that only one node may publish: check for other publishers.
-
 
 _KEPT = 256
 """Most messages that may be on their way back to the node that sent them. A judgement."""
@@ -343,28 +341,17 @@ class Subscriptions:
 
 @dataclass(eq=False)
 class TopicIntake:
-    """One topic of the session.
+    """One topic of the session."""
 
-    Attributes:
-        kind: Content of the topic.
-        topic: Full name.
-        malformed: Number of messages that could not be read.
-        received_at: When the newest came, s of the steady clock.
-        count: Number of samples, those of the journal included.
-        ignored: Number of joint states that lack a joint of the table, or setpoints of another
-            plan.
-        oldest: Stamp of the first, ns; None before it.
-        newest: Stamp of the newest, ns; None before the first.
-    """
-
-    kind: Kind
-    topic: str
-    malformed: Malformed
-    received_at: float
-    count: int = 0
+    kind: Kind  #: Content of the topic.
+    topic: str  #: Full name.
+    malformed: Malformed  #: Number of messages that could not be read.
+    received_at: float  #: When the newest came, s of the steady clock.
+    count: int = 0  #: Number of samples, those of the journal included.
+    #: Number of joint states that lack a joint of the table, or setpoints of another plan.
     ignored: int = 0
-    oldest: int | None = None
-    newest: int | None = None
+    oldest: int | None = None  #: Stamp of the first, ns; None before it.
+    newest: int | None = None  #: Stamp of the newest, ns; None before the first.
 
     def note(self, block: Block, *, strange: bool) -> None:
         """Count a block; a foreign one, for instance of other joints, is ignored."""

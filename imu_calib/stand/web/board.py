@@ -30,19 +30,12 @@ class Outcome(Enum):
 
 @dataclass(frozen=True)
 class Sentence:
-    """A node's report on one of its parts.
+    """A node's report on one of its parts."""
 
-    Attributes:
-        source: For instance 'imu_node: stream'.
-        level: Severity.
-        text: A sentence.
-        figures: Values with their units, by name.
-    """
-
-    source: str
-    level: Severity
-    text: str
-    figures: tuple[tuple[str, str], ...] = ()
+    source: str  #: For instance 'imu_node: stream'.
+    level: Severity  #: Severity.
+    text: str  #: A sentence.
+    figures: tuple[tuple[str, str], ...] = ()  #: Values with their units, by name.
 
     def figure(self, name: str) -> str:
         """Return a value with its unit; empty if it is missing."""
@@ -63,27 +56,17 @@ class PlannedStep:
 
 @dataclass(frozen=True)
 class Expected:
-    """Known values of a session before it begins.
+    """Known values of a session before it begins."""
 
-    Attributes:
-        plan: Name of the plan.
-        imu: Name of the unit's type.
-        table: Name of the table; empty if a hand holds the unit.
-        steps: Of the plan; empty if a hand holds the unit.
-        parameters: Parameters that the session's method estimates.
-        predicted: (n,) predicted standard deviations of the plan, SI; NaN if unknown.
-        specification: The limits of the unit; None without.
-        joints: Names of the table's joints.
-    """
-
-    plan: str
-    imu: str
-    table: str
-    steps: tuple[PlannedStep, ...]
-    parameters: tuple[Parameter, ...]
+    plan: str  #: Name of the plan.
+    imu: str  #: Name of the unit's type.
+    table: str  #: Name of the table; empty if a hand holds the unit.
+    steps: tuple[PlannedStep, ...]  #: Of the plan; empty if a hand holds the unit.
+    parameters: tuple[Parameter, ...]  #: Parameters that the session's method estimates.
+    #: (n,) predicted standard deviations of the plan, SI; NaN if unknown.
     predicted: tuple[float, ...]
-    specification: Specification | None = None
-    joints: tuple[str, ...] = ()
+    specification: Specification | None = None  #: The limits of the unit; None without.
+    joints: tuple[str, ...] = ()  #: Names of the table's joints.
 
 
 @dataclass(frozen=True)
@@ -105,51 +88,28 @@ class TableState:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Content of a page at one moment.
+    """Content of a page at one moment."""
 
-    Attributes:
-        expected: Known values before the session.
-        table: Last state of the table; None before the first.
-        table_silent: Duration without a state, s; 0 while states come.
-        calibrator_silent: The same for the calibrator.
-        progress: One sentence of the calibrator; empty before the first.
-        seen: Steps of the plan that have begun in its present run.
-        repeats: Steps to be repeated.
-        next: Attitudes that a hand should hold next.
-        outcome: Outcome of the session.
-        outcome_text: Text on the outcome.
-        rows: The parameters.
-        sentences: Reports of the nodes, the worst first.
-        streams: Results from the IMU's samples; None before the first.
-        celsius: The unit's temperature, degrees Celsius; NaN if not measured.
-        speed: Seconds of the stand per second of the wall clock.
-        elapsed: Since the session began, s of the stand's time.
-        worked: Of the present run of the plan, without pauses, s of the stand's time.
-        answer: Answer to the last command of a viewer; empty before the first.
-        report: Name of the report's file when it is written.
-        report_text: Text on the report.
-    """
-
-    expected: Expected
-    table: TableState | None = None
-    table_silent: float = 0.0
-    calibrator_silent: float = 0.0
-    progress: str = ''
-    seen: int = 0
-    repeats: tuple[int, ...] = ()
-    next: tuple[str, ...] = ()
-    outcome: Outcome = Outcome.OPEN
-    outcome_text: str = ''
-    rows: tuple[Converging, ...] = ()
-    sentences: tuple[Sentence, ...] = ()
-    streams: Streams | None = None
-    celsius: float = math.nan
-    speed: float = 1.0
-    elapsed: float = 0.0
-    worked: float = 0.0
-    answer: str = ''
-    report: str = ''
-    report_text: str = ''
+    expected: Expected  #: Known values before the session.
+    table: TableState | None = None  #: Last state of the table; None before the first.
+    table_silent: float = 0.0  #: Duration without a state, s; 0 while states come.
+    calibrator_silent: float = 0.0  #: The same for the calibrator.
+    progress: str = ''  #: One sentence of the calibrator; empty before the first.
+    seen: int = 0  #: Steps of the plan that have begun in its present run.
+    repeats: tuple[int, ...] = ()  #: Steps to be repeated.
+    next: tuple[str, ...] = ()  #: Attitudes that a hand should hold next.
+    outcome: Outcome = Outcome.OPEN  #: Outcome of the session.
+    outcome_text: str = ''  #: Text on the outcome.
+    rows: tuple[Converging, ...] = ()  #: The parameters.
+    sentences: tuple[Sentence, ...] = ()  #: Reports of the nodes, the worst first.
+    streams: Streams | None = None  #: Results from the IMU's samples; None before the first.
+    celsius: float = math.nan  #: The unit's temperature, degrees Celsius; NaN if not measured.
+    speed: float = 1.0  #: Seconds of the stand per second of the wall clock.
+    elapsed: float = 0.0  #: Since the session began, s of the stand's time.
+    worked: float = 0.0  #: Of the present run of the plan, without pauses, s of the stand's time.
+    answer: str = ''  #: Answer to the last command of a viewer; empty before the first.
+    report: str = ''  #: Name of the report's file when it is written.
+    report_text: str = ''  #: Text on the report.
 
     @property
     def problems(self) -> tuple[Sentence, ...]:
@@ -431,7 +391,6 @@ def _seconds(stamp: Any) -> float:
 
 # The state of a stand with several units: of all, and of each.
 
-
 _CALIBRATOR = 'calibrator_node: '
 _DEVICE = 'imu_node: stream'
 _STREAM_SOURCES = ('calibrator_node: stream', _DEVICE, 'imu_node')
@@ -440,45 +399,27 @@ _STREAM_SOURCES = ('calibrator_node: stream', _DEVICE, 'imu_node')
 
 @dataclass(frozen=True)
 class ShownUnit:
-    """Known values of a unit before a session begins.
+    """Known values of a unit before a session begins."""
 
-    Attributes:
-        serial_number: Of the unit.
-        place: Its place, for display; may be empty.
-        expected: Of its calibration.
-    """
-
-    serial_number: str
-    place: str
-    expected: Expected
+    serial_number: str  #: Of the unit.
+    place: str  #: Its place, for display; may be empty.
+    expected: Expected  #: Of its calibration.
 
 
 @dataclass(frozen=True)
 class UnitRow:
-    """State of a unit in one line.
+    """State of a unit in one line."""
 
-    Attributes:
-        name: Its namespace.
-        serial_number: Of the unit.
-        place: Its place; may be empty.
-        level: Severity.
-        words: Its state in a few words.
-        rate: Samples per second with their unit, as its node reports; may be empty.
-        lost: Number of lost frames, as its node reports; may be empty.
-        determined: Number of its determined parameters.
-        parameters: Number of its parameters.
-        worst: The parameter furthest from the plan's prediction; None before any is known.
-    """
-
-    name: str
-    serial_number: str
-    place: str
-    level: Severity
-    words: str
-    rate: str
-    lost: str
-    determined: int
-    parameters: int
+    name: str  #: Its namespace.
+    serial_number: str  #: Of the unit.
+    place: str  #: Its place; may be empty.
+    level: Severity  #: Severity.
+    words: str  #: Its state in a few words.
+    rate: str  #: Samples per second with their unit, as its node reports; may be empty.
+    lost: str  #: Number of lost frames, as its node reports; may be empty.
+    determined: int  #: Number of its determined parameters.
+    parameters: int  #: Number of its parameters.
+    #: The parameter furthest from the plan's prediction; None before any is known.
     worst: Converging | None
 
     @property

@@ -41,17 +41,11 @@ _ENDS = {
 
 @dataclass(frozen=True)
 class Headline:
-    """The headline of the page.
+    """The headline of the page."""
 
-    Attributes:
-        level: Severity.
-        now: Present activity, a few words.
-        detail: Reason or required action; may be empty.
-    """
-
-    level: Severity
-    now: str
-    detail: str = ''
+    level: Severity  #: Severity.
+    now: str  #: Present activity, a few words.
+    detail: str = ''  #: Reason or required action; may be empty.
 
 
 def headline(shown: Snapshot) -> Headline:
@@ -512,7 +506,6 @@ def report(shown: Snapshot) -> str:
 
 
 # The style of the page: light and dark, on a desktop and on a phone.
-
 
 STYLE = """
 :root { --ground: #eef0f3; --card: #fff; --ink: #16191d; --soft: #59616b; --line: #d9dde2;

@@ -87,30 +87,21 @@ _HEIGHT = 340
 
 @dataclass(frozen=True)
 class Source:
-    """Content of a page, and target of its viewers' commands.
+    """Content of a page, and target of its viewers' commands."""
 
-    Attributes:
-        title: Of the page.
-        imus: Descriptions of the samples by the names of the units; for a single unit by an empty
-            name.
-        shape: The table; None if a hand holds the unit.
-        snapshot: Returns the present state of the unit with that name; empty: of all units.
-        units: Returns a line for each of several units; empty for a single one.
-        angles: Returns the present angles of the joints by name, rad.
-        command: Takes 'start', 'pause' or 'abort' of an authorised viewer.
-        token: Authorises viewers.
-        report: The report's file; it may not exist yet.
-    """
-
-    title: str
+    title: str  #: Of the page.
+    #: Descriptions of the samples by the names of the units; for a single unit by an empty name.
     imus: Mapping[str, ImuSpec]
-    shape: Link | None
+    shape: Link | None  #: The table; None if a hand holds the unit.
+    #: Returns the present state of the unit with that name; empty: of all units.
     snapshot: Callable[[str], Snapshot]
+    #: Returns a line for each of several units; empty for a single one.
     units: Callable[[], Sequence[UnitRow]]
+    #: Returns the present angles of the joints by name, rad.
     angles: Callable[[], dict[str, float]]
-    command: Callable[[str], None]
-    token: Token
-    report: Path
+    command: Callable[[str], None]  #: Takes 'start', 'pause' or 'abort' of an authorised viewer.
+    token: Token  #: Authorises viewers.
+    report: Path  #: The report's file; it may not exist yet.
 
 
 @dataclass
@@ -375,7 +366,6 @@ class _Scene:
 
 
 # Serve the page in a separate thread, so that the thread of the nodes need not wait for it.
-
 
 REPORT = '/report'
 """Address of the report."""

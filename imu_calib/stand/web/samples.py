@@ -37,25 +37,18 @@ _RATE_SPAN = 2_000_000_000
 
 @dataclass(frozen=True, eq=False)
 class Streams:
-    """Results from the samples.
+    """Results from the samples."""
 
-    Attributes:
-        rate: Samples per second by their stamps, Hz; NaN before the first two seconds.
-        means: (6,) mean of the channels over two seconds: pulses/s, counts, or rad/s and m/s^2.
-        taken: Number of samples received by this page.
-        missing: Number of missing samples, by the stamps.
-        noise: By channel, of the dwells so far; empty before the first.
-        dwells: Number of dwells used for the noise.
-        revision: Changes with the noise.
-    """
-
+    #: Samples per second by their stamps, Hz; NaN before the first two seconds.
     rate: float = float('nan')
+    #: (6,) mean of the channels over two seconds: pulses/s, counts, or rad/s and m/s^2.
     means: Floats = field(default_factory=lambda: np.full(6, np.nan))
-    taken: int = 0
-    missing: int = 0
+    taken: int = 0  #: Number of samples received by this page.
+    missing: int = 0  #: Number of missing samples, by the stamps.
+    #: By channel, of the dwells so far; empty before the first.
     noise: Mapping[str, ChannelNoise] = field(default_factory=dict)
-    dwells: int = 0
-    revision: int = 0
+    dwells: int = 0  #: Number of dwells used for the noise.
+    revision: int = 0  #: Changes with the noise.
 
 
 class Dwells:

@@ -35,44 +35,26 @@ _AXES = (('#d92626', 0), ('#2e9e41', 1), ('#2f6fde', 2))
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A body of a link; lengths in m.
+    """A body of a link; lengths in m."""
 
-    Attributes:
-        kind: 'box', 'cylinder' (along its own z) or 'sphere'.
-        size: Edges of a box; radius and length of a cylinder; radius of a sphere.
-        at: Its centre, in the link's frame.
-        turned: (3, 3) its axes in the link's frame.
-        colour: In HTML notation.
-    """
-
-    kind: str
-    size: tuple[float, ...]
-    at: Triple
-    turned: Floats
-    colour: str
+    kind: str  #: 'box', 'cylinder' (along its own z) or 'sphere'.
+    size: tuple[float, ...]  #: Edges of a box; radius and length of a cylinder; radius of a sphere.
+    at: Triple  #: Its centre, in the link's frame.
+    turned: Floats  #: (3, 3) its axes in the link's frame.
+    colour: str  #: In HTML notation.
 
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A rigid part of the table, and its joint to the previous one.
+    """A rigid part of the table, and its joint to the previous one."""
 
-    Attributes:
-        joint: Name of the joint that moves it; empty if it is fixed.
-        axis: Of the joint, in the joint's frame.
-        at: Origin of the joint's frame in the previous link's frame, m.
-        turned: (3, 3) axes of the joint's frame there.
-        zero: Angle to add to the encoder's, rad.
-        solids: Its visible bodies.
-        links: The links attached to it.
-    """
-
-    joint: str
-    axis: Floats
-    at: Triple
-    turned: Floats
-    zero: float
-    solids: tuple[Solid, ...]
-    links: tuple[Link, ...]
+    joint: str  #: Name of the joint that moves it; empty if it is fixed.
+    axis: Floats  #: Of the joint, in the joint's frame.
+    at: Triple  #: Origin of the joint's frame in the previous link's frame, m.
+    turned: Floats  #: (3, 3) axes of the joint's frame there.
+    zero: float  #: Angle to add to the encoder's, rad.
+    solids: tuple[Solid, ...]  #: Its visible bodies.
+    links: tuple[Link, ...]  #: The links attached to it.
 
     def pose(self, angle: float) -> Floats:
         """Return the (3, 3) rotation of the link against its joint's frame at an encoder angle."""

@@ -117,19 +117,13 @@ _Loader.add_implicit_resolver(
 
 @dataclass(frozen=True)
 class Arguments:
-    """The arguments between --ros-args and its end.
+    """The arguments between --ros-args and its end."""
 
-    Attributes:
-        parameters: (pattern of nodes, name, value), later ones win.
-        remaps: Rules in their order, the first match wins.
-        levels: (logger, level), the empty logger for all.
-        others: The arguments that are not ROS's.
-    """
-
+    #: (pattern of nodes, name, value), later ones win.
     parameters: tuple[tuple[str, str, Any], ...] = ()
-    remaps: tuple[Remap, ...] = ()
-    levels: tuple[tuple[str, str], ...] = ()
-    others: tuple[str, ...] = ()
+    remaps: tuple[Remap, ...] = ()  #: Rules in their order, the first match wins.
+    levels: tuple[tuple[str, str], ...] = ()  #: (logger, level), the empty logger for all.
+    others: tuple[str, ...] = ()  #: The arguments that are not ROS's.
 
     def special(self, key: str, node: str) -> str | None:
         """Return the target of a rule for __node or __ns, None without one."""

@@ -156,7 +156,6 @@ class Subscription(_TopicEnd):
 
 # Services (std_srvs/Trigger and similar) with the protocol of rmw_cyclonedds.
 
-
 _REQUEST_ID = struct.Struct('<Qq')
 _CLIENT = re.compile(rb'clientid=[^;]*;')
 """Marks both ends of one client in their user data."""

@@ -171,7 +171,6 @@ def spin_until_future_complete(
 
 # All nodes of a stand in one process and one thread, as ROS composes nodes in a container.
 
-
 _STEP = 20_000_000
 """ns of simulated steady time per step of the simulation. A choice: every timer that reads data is
 due at each step, and reviews and reports, once a second, are not most of the work."""

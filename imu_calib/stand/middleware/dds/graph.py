@@ -26,21 +26,13 @@ UNKNOWN_NAME, UNKNOWN_NAMESPACE = '_NODE_NAME_UNKNOWN_', '_NODE_NAMESPACE_UNKNOW
 
 @dataclass(frozen=True)
 class TopicEndpointInfo:
-    """One publisher or subscription of a topic, as in rclpy's class of that name.
+    """One publisher or subscription of a topic, as in rclpy's class of that name."""
 
-    Attributes:
-        node_name: Name of its node.
-        node_namespace: Namespace of its node.
-        topic_type: For instance std_msgs/msg/Bool.
-        endpoint_gid: 16 bytes; the first twelve are those of its participant.
-        qos_profile: Offered or requested reliability and durability.
-    """
-
-    node_name: str
-    node_namespace: str
-    topic_type: str
-    endpoint_gid: list[int]
-    qos_profile: QoSProfile
+    node_name: str  #: Name of its node.
+    node_namespace: str  #: Namespace of its node.
+    topic_type: str  #: For instance std_msgs/msg/Bool.
+    endpoint_gid: list[int]  #: 16 bytes; the first twelve are those of its participant.
+    qos_profile: QoSProfile  #: Offered or requested reliability and durability.
 
 
 class Graph:

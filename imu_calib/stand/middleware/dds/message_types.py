@@ -44,10 +44,9 @@ class Interface:
         constants: (name, type, value) of each.
         fields: (name, description) of each; a description is (kind, details).
         defaults: Default numbers of fields, as texts.
-        cls: Creates a message from the values of its fields, in order.
     """
 
-    cls: Callable[..., Any]
+    cls: Callable[..., Any]  #: Creates a message from the values of its fields, in order.
 
     def __init__(self, name: str) -> None:
         text = message_text(name)
@@ -155,18 +154,13 @@ class _Numbers(array.array):  # type: ignore[type-arg]
 
 @dataclass(frozen=True)
 class Field:
-    """Storage of one field.
+    """Storage of one field."""
 
-    Attributes:
-        idl: Its type in IDL.
-        default: Returns the value in a new message.
-        check: Returns the stored form of a value; raises AssertionError for another type.
-        read: Returns the stored form of a value read from bytes; None for the same.
-    """
-
-    idl: str
-    default: Callable[[], Any]
+    idl: str  #: Its type in IDL.
+    default: Callable[[], Any]  #: Returns the value in a new message.
+    #: Returns the stored form of a value; raises AssertionError for another type.
     check: Callable[[str, Any], Any]
+    #: Returns the stored form of a value read from bytes; None for the same.
     read: Callable[[Any], Any] | None = None
 
 
@@ -347,7 +341,6 @@ def _check(
 
 
 # Message objects to serialised bytes (XCDR1, final structs) and back.
-
 
 _HEADER = 4
 """Bytes of the encapsulation header."""
