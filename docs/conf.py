@@ -74,9 +74,9 @@ nitpick_ignore_regex = [
     # Values within others, which have no page, and names for a choice of types.
     (
         'py:class',
-        r'imu_calib\.(api\.progress\.Show|channel_noise\.ChannelNoise|repetition\.Outcome'
-        r'|bags\.remote\..*|calibrator\.basis\..*|estimation\.(search|several)\..*|fleet\.task\..*'
-        r'|agreement\..*|reports\..*|specification\..*|api\.inspecting\..*|api\.stated\..*)',
+        r'imu_calib\.(common\.(parallel\.Show|other_formats\..*)|session\.imu\.Verdict|recordings\.remote\..*'
+        r'|estimation\.(search|common_unknowns|checks)\..*|calibration\.(agreement|results)\..*'
+        r'|simulation\.repetition\.Outcome|reports\..*|api\.(inspect|session)\..*|fleet\.batch\..*)',
     ),
     (
         'py:class',
@@ -139,7 +139,16 @@ def led(text: str, lies: Path, page: Path, source: Path) -> str:
     return _LINK.sub(replace, text)
 
 
+def whole_words(
+    _app: Sphinx, what: str, _name: str, _obj: Any, _options: Any, lines: list[str]
+) -> None:
+    """Keep napoleon from reading `Of the unit: ...` beside a field as a type and its words."""
+    if what == 'attribute':
+        lines.insert(0, '')
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Connect what the pages need."""
     app.connect('source-read', read_source)
+    app.connect('autodoc-process-docstring', whole_words, priority=400)
     return {'parallel_read_safe': True, 'parallel_write_safe': True}
