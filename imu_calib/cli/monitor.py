@@ -20,7 +20,7 @@ from rich.text import Text
 
 from ..common.errors import InputError
 from ..common.units import ARCMIN, PPM, significant
-from ..reports.tables import plain_table
+from ..reports.plain_table import plain_table
 from ..reports.timeline import READING, Converging
 from ..stand import middleware as ros
 from ..stand.devices.health import Severity

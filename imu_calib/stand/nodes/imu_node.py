@@ -18,7 +18,7 @@ from ..devices.source import Baud, Chunk, Source, SourceState, choose_baud, is_s
 from ..middleware import Clock, ClockType, ManagedNode, messages, publish_all
 from . import topics as qos
 from .diagnostics import Diagnostics, Level
-from .hand_node import SCHEME, InMemorySource
+from .frame_server import SCHEME, InMemorySource
 from .parameters import declare
 from .programs import entry_point
 
