@@ -20,7 +20,7 @@ from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock
 from imu_calib.common.units import ARCMIN, DEG, PPM
 from imu_calib.estimation.hand import FREE
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.parameters import PARAMETER_NAMES, ParameterKind
 from imu_calib.recordings.cdr_codec import encode_imu

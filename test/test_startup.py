@@ -25,8 +25,8 @@ from imu_calib.session.imu import load_imu
 from imu_calib.stand.devices.format import load_format
 from imu_calib.stand.devices.health import Severity
 from imu_calib.stand.devices.messages import Command, Commands
+from imu_calib.stand.devices.reception import Reception
 from imu_calib.stand.devices.source import Chunk, Source, SourceState, choose_baud
-from imu_calib.stand.nodes.imu_node import Reception
 
 SIMULATED = load_format('simulated')
 FOG = load_imu('fog_medium')

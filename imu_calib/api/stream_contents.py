@@ -13,7 +13,7 @@ from ..common.parallel import Progress
 from ..common.stream import Block
 from ..common.units import DEG, DEG_H, counted
 from ..estimation.free_dwells import contradicts, measured_latitude, vertical_earth_rate
-from ..estimation.methods import Setup
+from ..estimation.setup import Setup
 from ..recordings.rosbag2 import Recording
 from ..segmentation.labelling import Labelled, heading, label, up_by_accelerometers, up_words
 from ..segmentation.segments import Segment

@@ -33,7 +33,7 @@ from .terminal import OUTPUT, progress_bar
 
 if TYPE_CHECKING:
     from ..estimation.forecast import ChangeForecast, Forecast, TermForecast
-    from ..estimation.methods import Setup
+    from ..estimation.setup import Setup
     from ..model.parameters import Parameter
     from ..model.sensors import SensorModel
 

@@ -37,11 +37,11 @@ from ..session.plan import Plan, load_plan
 from ..session.table import Table, load_table
 from ..stand.devices.format import FrameFormat
 from ..stand.devices.health import Severity
+from ..stand.devices.reception import Reception
 from ..stand.devices.source import Baud, Source, steady_time
 from ..stand.network import forced
-from ..stand.nodes.imu_node import Reception
-from ..stand.nodes.web_node import expectation, units_board
 from ..stand.web.board import Board, UnitsBoard
+from ..stand.web.expectation import expectation, units_board
 from . import monitor as by_hand
 from . import options, several
 from . import processes as web_page
