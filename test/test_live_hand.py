@@ -13,8 +13,8 @@ from sessions import SITE, Alone, ended
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.calibration.hand import HandCalibrator, Stage, direction
+from imu_calib.cli.displays import reached, view_hand
 from imu_calib.cli.main import main
-from imu_calib.cli.monitor import reached, view_hand
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock

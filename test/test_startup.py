@@ -119,7 +119,7 @@ def test_info_of_topics_alone_loads_no_estimator(in_the_hand):
     # The plain stream of a recording that nobody describes ends there, too.
     code = LOOKED.splitlines()[:-1]
     modules = loaded('\n'.join(code), in_the_hand, '--topics')
-    packages = 'methods', 'estimation', 'observation', 'reports', 'segmentation'
+    packages = 'estimation.joint', 'estimation.solve', 'reports.tables', 'segmentation.segmenter'
     assert 'imu_calib.api.inspect' in modules
     assert not among(modules, [*SLOW, *(f'imu_calib.{name}' for name in packages)])
 
@@ -184,12 +184,15 @@ def test_info_of_a_session_with_motions_loads_no_more_than_its_estimate(tmp_path
     assert {'imu_calib.calibration.calibrator', 'imu_calib.estimation.outliers'} <= modules
     # An older scipy.linalg loads scipy.sparse itself, rich 13.0 its emoji.
     modules -= loaded('import scipy.linalg, scipy.special, rich.console')
-    others = 'calibrator.by_hand', 'prediction', 'verification', 'simulation'
+    others = 'calibration.hand', 'estimation.forecast', 'calibration.verify', 'simulation'
     assert not among(modules, (*UNUSED, *RUNTIME, *(f'imu_calib.{name}' for name in others)))
 
 
 def test_the_estimators_load_what_they_use():
-    code = 'import imu_calib.calibration.calibrator, imu_calib.prediction, imu_calib.verification'
+    code = (
+        'import imu_calib.calibration.calibrator, imu_calib.estimation.optimise, '
+        'imu_calib.calibration.verify'
+    )
     assert not among(loaded(code), SLOW)
 
 

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 from test_web_board import NOON, SETUP, calibration, diagnostics, progress, state
 
-from imu_calib.cli.monitor import view_table
+from imu_calib.cli.displays import view_table
 from imu_calib.common.config import Section
 from imu_calib.session.units_file import read_units
 from imu_calib.stand.devices.health import Severity

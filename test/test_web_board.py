@@ -13,7 +13,7 @@ from browser import browser as browser  # noqa: PLC0414
 from browser import look_at, needs_chromium, opened, overlaps, width
 from rich.console import Console
 
-from imu_calib.cli.monitor import view_table
+from imu_calib.cli.displays import view_table
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
 from imu_calib.common.units import DEG

@@ -42,10 +42,9 @@ from ..stand.devices.source import Baud, Source, steady_time
 from ..stand.network import forced
 from ..stand.web.board import Board, UnitsBoard
 from ..stand.web.expectation import expectation, units_board
-from . import monitor as by_hand
 from . import options, several
 from . import processes as web_page
-from .monitor import Start, view_table
+from .displays import Start, follow, view_table
 from .processes import (
     START,
     Embedded,
@@ -445,7 +444,7 @@ def _session(
     if web_page.NODE in given:
         web_page.start(arguments, processes, given[web_page.NODE])
     if load_plan(arguments.plan).by_hand:
-        return by_hand.follow(processes, reports)
+        return follow(processes, reports)
     site = options.stated(arguments).site(LUOYANG)
     plan, table = load_plan(arguments.plan), load_table(arguments.table)
     imu = load_imu(arguments.imu or several.units_of(arguments)[0].imu)
