@@ -13,6 +13,7 @@ import imu_calib
 from imu_calib.api.simulate import serialised
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.files import share_folder
 from imu_calib.common.stream import ImuBlock
 from imu_calib.recordings.rosbag2 import Kind, Recording, open_recording
 from imu_calib.recordings.writer import RecordingWriter
@@ -44,7 +45,7 @@ def units(folder):
 def session(folder, units):
     """Twelve short dwells."""
     plan = yaml.safe_load(
-        (imu_calib.share.share_folder() / 'config/plans/twelve_position.yaml').read_text()
+        (share_folder() / 'config/plans/twelve_position.yaml').read_text()
     )
     for position in plan['positions']:
         position['dwell'] = '20 s'
