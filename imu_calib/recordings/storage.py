@@ -217,7 +217,7 @@ class Storage(Protocol):
     def attachments(self) -> Iterator[bytes]:
         """Read the attachment records of mcap, one after the other."""
 
-    def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[MessageBatch]]:
+    def cursors(self, topics: frozenset[str], cache: Cache, /) -> dict[str, Iterator[MessageBatch]]:
         """Start reading: one iterator per topic, all independent of each other."""
 
 
