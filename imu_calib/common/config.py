@@ -166,9 +166,6 @@ class Section:
         Args:
             path: The file.
             expected: What it is to be, for the sentence on a recording in its place.
-
-        Raises:
-            InputError: Unreadable, not YAML, or not a mapping.
         """
         try:
             text = read_bytes(path).decode('utf-8')
@@ -187,9 +184,6 @@ class Section:
         Args:
             kind: Folder below config, as of `named_file`.
             name: A supplied name, or the path of a file.
-
-        Raises:
-            InputError: There is none, or as of `load`.
         """
         return cls.load(named_file(kind, name), _KINDS[kind])
 
@@ -352,11 +346,7 @@ class Section:
         return [Section(v, f'{self.key(name)}[{i}]') for i, v in enumerate(self.items(name))]
 
     def finish(self) -> None:
-        """Refuse unknown keys.
-
-        Raises:
-            InputError: Names the unknown and the known keys.
-        """
+        """Refuse unknown keys."""
         unknown = sorted(set(self._data) - set(self._known))
         if unknown:
             known = sorted(set(self._known))
@@ -449,11 +439,7 @@ _LONGEST = 60
 
 
 def checked(function: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
-    """Check the arguments of a function that is called from Python, before it begins.
-
-    Raises:
-        InputError: From the function: names the keyword, what was found and what was expected.
-    """
+    """Check the arguments of a function that is called from Python, before it begins."""
     known = signature(function)
 
     @wraps(function)
@@ -465,11 +451,7 @@ def checked(function: Callable[Arguments, Returned]) -> Callable[Arguments, Retu
 
 
 def check(known: Signature, args: tuple[object, ...], kwargs: Mapping[str, object]) -> None:
-    """Refuse arguments that are not of the annotated types.
-
-    Raises:
-        InputError: Names the keyword, what was found and what was expected.
-    """
+    """Refuse arguments that are not of the annotated types."""
     try:
         given = known.bind(*args, **kwargs).arguments
     except TypeError:

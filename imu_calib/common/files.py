@@ -19,11 +19,7 @@ _KEPT = 40
 
 
 def user_path(name: str | Path) -> Path:
-    """Return a path with a leading `~` or `~user` expanded.
-
-    Raises:
-        InputError: There is no such home folder, or no file can have this name.
-    """
+    """Return a path with a leading `~` or `~user` expanded."""
     try:
         path = Path(name).expanduser()
         path.stat()
@@ -61,21 +57,13 @@ class AnyFile(Protocol):
 
 
 def refuse_device(path: AnyFile) -> None:
-    """Refuse a device or a pipe, whose contents may never come, or never end.
-
-    Raises:
-        InputError: It is one.
-    """
+    """Refuse a device or a pipe, whose contents may never come, or never end."""
     if path.exists() and not path.is_file() and not path.is_dir():
         raise InputError(f'{path}: found a device or a pipe, expected a file.')
 
 
 def read_bytes(path: AnyFile) -> bytes:
-    """Return the contents of a file.
-
-    Raises:
-        InputError: It is no file, or cannot be read.
-    """
+    """Return the contents of a file."""
     refuse_device(path)
     try:
         with path.open('rb') as file:
@@ -85,11 +73,7 @@ def read_bytes(path: AnyFile) -> bytes:
 
 
 def read_text(path: AnyFile) -> str:
-    """Return the text of a file in UTF-8, without a byte order mark.
-
-    Raises:
-        InputError: It is no file, cannot be read, or is no text.
-    """
+    """Return the text of a file in UTF-8, without a byte order mark."""
     try:
         return read_bytes(path).decode('utf-8-sig')
     except UnicodeDecodeError:
@@ -102,9 +86,6 @@ def write_whole(path: Path, content: str | bytes) -> None:
     Args:
         path: The file.
         content: Bytes, or a text that is written in UTF-8.
-
-    Raises:
-        InputError: It cannot be written.
     """
     if isinstance(content, str):
         content = content.encode('utf-8', 'backslashreplace')
@@ -120,9 +101,6 @@ def write_by(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     Args:
         path: The file.
         write: Called with the open file.
-
-    Raises:
-        InputError: It cannot be written; a file that was there is unchanged.
     """
     target = path.resolve()
     temporary = target.with_name(f'.{target.name[:_KEPT]}.{os.urandom(4).hex()}.part')
@@ -156,9 +134,6 @@ def share_folder() -> Path:
 
     In a checkout (including an editable install) it is the checkout; else it is share/imu_calib of
     the prefix of the installation, a ROS workspace or a Python environment.
-
-    Raises:
-        InputError: None of them contains the package's files.
     """
     candidates = [_CHECKOUT, *(p / 'share' / 'imu_calib' for p in _PACKAGE.parents)]
     for folder in candidates:
@@ -171,11 +146,7 @@ def share_folder() -> Path:
 
 
 def message_folder() -> Path:
-    """Return the folder of the suite's .msg files.
-
-    Raises:
-        InputError: The package's files are not installed.
-    """
+    """Return the folder of the suite's .msg files."""
     folder = share_folder()
     for candidate in (folder / 'msg_defs' / 'msg', folder.parent / 'imu_calib_msgs' / 'msg'):
         if candidate.is_dir():
@@ -190,9 +161,6 @@ def named_file(kind: str, name: str | Path) -> Path:
         kind: Folder below config: 'plans', 'imus', 'tables', 'truths', 'devices' or
             'imperfections'.
         name: A shipped name ('twelve_position'), or a path to the user's file.
-
-    Raises:
-        InputError: Neither exists; the message lists the shipped names.
     """
     path = user_path(name)
     if path.suffix in {'.yaml', '.yml'} or path.parent != Path():
@@ -243,9 +211,6 @@ def require(library: str, what: str, extra: str) -> None:
         library: Name to import.
         what: The feature that needs it, as the beginning of a sentence.
         extra: Extra of this package that installs it.
-
-    Raises:
-        InputError: It is not installed; explains how to install it.
     """
     if find_spec(library) is None:
         raise InputError(

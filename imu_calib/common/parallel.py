@@ -66,11 +66,7 @@ def end_started(others: set[BaseProcess]) -> None:
 
 
 def _check_memory(size: str) -> None:
-    """Refuse a size that is none, or too small for any recording.
-
-    Raises:
-        InputError: Names what was found and what was expected.
-    """
+    """Refuse a size that is none, or too small for any recording."""
     from dask.utils import parse_bytes
 
     try:
@@ -94,11 +90,7 @@ class Engine:
 
     @contextmanager
     def connected(self) -> Iterator[Client]:
-        """Yield a client; all that was started for it ends with it.
-
-        Raises:
-            InputError: No scheduler answers, a value is wrong, or Dask is not installed.
-        """
+        """Yield a client; all that was started for it ends with it."""
         require('distributed', 'Work on workers of Dask', 'fleet')
         if self.workers is not None and self.workers < 1:
             raise InputError(f'`workers`: found {self.workers}, expected 1 or more.')
@@ -410,10 +402,6 @@ def run_all(
             scheduler.
         scheduler: Address of a Dask scheduler whose workers run the tasks (tcp://host:8786).
         ended: Called with each result, in the order of the tasks.
-
-    Raises:
-        InputError: No scheduler answers, Dask is not installed, or raised by a task.
-        NotObservable: Raised by a task.
     """
     results: list[Result] = []
 

@@ -171,9 +171,6 @@ def parse(text: object, dimension: Dimension, key: str) -> float:
         dimension: What is expected.
         key: Key of the text, for the error message.
 
-    Raises:
-        InputError: Not a number with a unit of that dimension.
-
     Examples:
         >>> parse('180 deg', Dimension.ANGLE, 'mount')
         3.141592653589793

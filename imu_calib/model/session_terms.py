@@ -125,9 +125,6 @@ def session_term(text: str) -> tuple[Change, ...]:
 
     D_g and D_a stand for the three biases of a triad, K_g and K_a for its common scale factors;
     without parameters, those of `Course.by_default` are taken.
-
-    Raises:
-        InputError: No such term, or no such parameter.
     """
     name, _, acts_on = text.partition(':')
     course = Course(name)
@@ -143,9 +140,6 @@ def split_terms(text: str) -> tuple[str, tuple[Change, ...]]:
 
     Returns:
         The rest of the list, or 'none', and the coefficients.
-
-    Raises:
-        InputError: A name is wrong, or two courses with time are combined.
     """
     if not isinstance(text, str):
         raise InputError(f'`terms`: found {text!r}, expected names in a text, with commas between.')
@@ -163,11 +157,7 @@ def split_terms(text: str) -> tuple[str, tuple[Change, ...]]:
 
 
 def change(course: Course, name: str) -> Change:
-    """Return a coefficient by its name, as in files.
-
-    Raises:
-        InputError: No such parameter.
-    """
+    """Return a coefficient by its name, as in files."""
     found = _changes(course, name, by_name=True)
     if len(found) != 1:
         raise InputError(f'{course.value}: found {name!r}, expected one parameter, or K_g or K_a.')
@@ -314,9 +304,6 @@ def read_changes(section: Section, parameters: Sequence[Parameter], covariance: 
         section: The mapping.
         parameters: Those of the calibration, n.
         covariance: (n, n) theirs, NaN for those that were not estimated.
-
-    Raises:
-        InputError: A wrong name or number; names the key.
     """
     coefficients, values, deviations = [], [], []
     for row in section.sections('coefficients'):

@@ -326,6 +326,8 @@ def _mode(value: int) -> Mode:
 
 
 # Encode columns as serialised messages, in bulk: the inverse of `decode`, little-endian.
+#
+# A stamp that does not fit a header raises CdrError.
 
 _FIRST_SECOND = -LAST_SECOND - 1
 """The first of builtin_interfaces/Time, signed 32 bits, s."""
@@ -431,9 +433,6 @@ def encode_imu(block: ImuBlock, first_covariances: tuple[float, float, float] = 
 
     Returns:
         One message per sample.
-
-    Raises:
-        CdrError: A stamp does not fit the header.
     """
     return _imu(block, first_covariances, None)
 
@@ -448,9 +447,6 @@ def encode_rates(block: ImuBlock, rate_covariance: Floats, force_covariance: Flo
 
     Returns:
         One message per sample.
-
-    Raises:
-        CdrError: A stamp does not fit the header.
     """
     return _imu(block, RATES, (rate_covariance, force_covariance))
 
@@ -526,9 +522,6 @@ def encode_joints(block: JointBlock, frame_id: str = '') -> Messages:
 
     Returns:
         One message per sample.
-
-    Raises:
-        CdrError: A stamp does not fit the header.
     """
     columns = block.position, block.velocity
     widths = tuple(_carried(values) for values in columns)
@@ -570,9 +563,6 @@ def encode_temperatures(
 
     Returns:
         One message per sample.
-
-    Raises:
-        CdrError: A stamp does not fit the header.
     """
     template = _Template()
     template.string(frame_id)
@@ -589,9 +579,6 @@ def encode_setpoints(block: SetpointBlock, frame_id: str = '') -> Messages:
 
     Returns:
         One message per setpoint.
-
-    Raises:
-        CdrError: A stamp does not fit the header.
     """
     known: dict[tuple[object, ...], _Template] = {}
     payloads = []

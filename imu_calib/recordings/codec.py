@@ -130,9 +130,6 @@ def compressor(compression: str) -> Callable[[bytes], bytes]:
 
     Args:
         compression: '', 'lz4' or 'zstd', as named in mcap chunks.
-
-    Raises:
-        InputError: The compression is unknown, or its package is not installed.
     """
     if compression == '':
         return bytes

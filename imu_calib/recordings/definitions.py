@@ -166,9 +166,6 @@ def definition(type_name: str) -> str:
     Returns:
         Text in mcap's form ros2msg: the definition, then each further one after a rule and its
             name.
-
-    Raises:
-        InputError: The definition of one of them is not found.
     """
     parts = [message_text(type_name)]
     seen = [type_name]
@@ -185,9 +182,6 @@ def message_text(type_name: str) -> str:
 
     Standard messages are built in, the suite's own are read from its files, others from the ROS
     installation, if there is one.
-
-    Raises:
-        InputError: It is not found.
     """
     if type_name in _BUILT_IN:
         return _BUILT_IN[type_name]

@@ -266,10 +266,6 @@ class McapStorage:
     Args:
         path: The file.
         losses: Receives sentences on unreadable data.
-
-    Raises:
-        RecordingError: This is not an mcap file.
-        OSError: The file cannot be read.
     """
 
     def __init__(self, path: AnyPath, losses: Losses) -> None:

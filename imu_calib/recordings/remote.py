@@ -246,11 +246,7 @@ def located(name: str | AnyPath) -> AnyPath:
 
 
 def local(path: AnyPath) -> Path:
-    """Return a local path for a C library; a remote file is fetched whole.
-
-    Raises:
-        InputError: It cannot be fetched.
-    """
+    """Return a local path for a C library; a remote file is fetched whole."""
     return path.fetched() if isinstance(path, RemotePath) else path
 
 
@@ -274,11 +270,7 @@ class RemotePath:
 
     @classmethod
     def at(cls, url: str) -> RemotePath:
-        """Return the path of a URL.
-
-        Raises:
-            InputError: As in `located`.
-        """
+        """Return the path of a URL."""
         require('fsspec', f'{url} (a URL)', 'remote')
         import fsspec
 
@@ -339,11 +331,7 @@ class RemotePath:
         return self._kind[0] == 'directory'
 
     def iterdir(self) -> Iterator[RemotePath]:
-        """Yield the entries of a folder.
-
-        Raises:
-            InputError: It cannot be listed.
-        """
+        """Yield the entries of a folder."""
         if self._held is None:
             entries = with_retries(self._url, lambda: self._files.ls(self._inside, detail=True))
             # Kept, with their fetched content: a folder is listed more than once.
@@ -351,20 +339,12 @@ class RemotePath:
         yield from self._held.values()
 
     def below(self) -> Iterator[RemotePath]:
-        """Yield all files below a folder at any depth, by one listing.
-
-        Raises:
-            InputError: It cannot be listed.
-        """
+        """Yield all files below a folder at any depth, by one listing."""
         entries = with_retries(self._url, lambda: self._files.find(self._inside, detail=True))
         yield from self._paths(entries.values())
 
     def matching(self) -> Iterator[RemotePath]:
-        """Yield the paths that match this one as a pattern (*, ?, **).
-
-        Raises:
-            InputError: It cannot be listed.
-        """
+        """Yield the paths that match this one as a pattern (*, ?, **)."""
         entries = with_retries(self._url, lambda: self._files.glob(self._inside, detail=True))
         yield from self._paths(entries.values())
 

@@ -165,9 +165,6 @@ def open_storage(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage:
 
     Returns:
         The storage.
-
-    Raises:
-        RecordingError: The file is neither mcap nor sqlite3, or not readable.
     """
     refuse_device(path)
     try:
@@ -228,9 +225,6 @@ def open_recording(path: str | AnyPath, sha256: str | None = None) -> Recording:
 
     Returns:
         The recording. `losses` describes missing or damaged data.
-
-    Raises:
-        InputError: Nothing of it can be read.
     """
     path = located(path)
     losses = Losses()
@@ -335,11 +329,7 @@ class Recording:
             yield from storage.attachments()
 
     def sha256(self) -> str:
-        """Return the SHA-256 of the storage files' contents, in the order of their names.
-
-        Raises:
-            RecordingError: A file can no longer be read.
-        """
+        """Return the SHA-256 of the storage files' contents, in the order of their names."""
         if self._sha256 is None:
             try:
                 self._sha256 = content_hash(self.files)

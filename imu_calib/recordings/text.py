@@ -49,11 +49,7 @@ class Text:
     broken: int  #: Number of lines with too few fields or no number; they are skipped.
 
     def column(self, name: str, option: str) -> Floats:
-        """Return a column by its name in the heading, or by its place, counted from 1.
-
-        Raises:
-            InputError: There is none; the text names the option and the available columns.
-        """
+        """Return a column by its name in the heading, or by its place, counted from 1."""
         if name in self.names:
             return self.values[:, self.names.index(name)]
         if name.isdigit() and 0 < int(name) <= len(self.names):
@@ -73,9 +69,6 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
     Args:
         path: The file.
         delimiter: Between fields; None detects it.
-
-    Raises:
-        InputError: It cannot be read, or holds no numbers.
     """
     return _table(path, _written(path), delimiter)
 
@@ -91,9 +84,6 @@ def read_sensors(path: AnyPath, delimiter: str | None = None) -> tuple[Text, Tex
 
     Returns:
         The table, or that of the gyros, and that of the accelerometers; None without labels.
-
-    Raises:
-        InputError: As for `read_text`.
     """
     written = _written(path)
     found = _by_label(written)

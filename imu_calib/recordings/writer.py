@@ -108,9 +108,6 @@ class RecordingWriter:
             topic: Full name of the topic.
             type_name: Message type, for instance sensor_msgs/msg/Imu.
             transient_local: The topic is latched: late subscribers get its last message.
-
-        Raises:
-            InputError: The topic already has another type, or the type is not known.
         """
         if topic in self._topics:
             if self._topics[topic][1] != type_name:
@@ -141,9 +138,6 @@ class RecordingWriter:
             topic: As read from a recording.
             messages: Serialised messages.
             times: Theirs.
-
-        Raises:
-            InputError: The disk is full.
         """
         for number, one in topic.channels or ((0, topic),):
             mine, when = messages, times
@@ -205,10 +199,6 @@ class RecordingWriter:
             messages: Serialised messages.
             log_time: (n,) time of each arrival, ns.
             publish_time: (n,) time of each publication, ns; None: that of the arrival.
-
-        Raises:
-            InputError: The topic already has another type, the type is not known, or the disk is
-                full.
         """
         self.add_topic(topic, type_name)
         times = np.asarray(log_time, np.int64)
@@ -435,11 +425,7 @@ class Journal:
         self._writer.add_topic(topic, type_name, transient_local=True)
 
     def flush(self) -> None:
-        """Write all data to the operating system, so that it survives a killed program.
-
-        Raises:
-            InputError: The disk is full.
-        """
+        """Write all data to the operating system, so that it survives a killed program."""
         self._writer.flush()
 
     @property
@@ -452,9 +438,6 @@ class Journal:
 
         Args:
             finished: Whether the session is complete, so that nothing is to be added.
-
-        Raises:
-            InputError: The disk is full.
         """
         if finished:
             self._writer.add_custom_data({FINISHED: 'true'})
