@@ -121,13 +121,7 @@ def _values(node: yaml.Node, counts: dict[int, float]) -> float:
 
 
 def dump(value: Any, dumper: type[SafeDumper] = SafeDumper, **form: Any) -> str:
-    """Return a value as text, keys in their own order.
-
-    Args:
-        value: Of plain values, lists and dictionaries.
-        dumper: Replaces the default one.
-        form: As in `yaml.dump`: `width`, `default_flow_style`.
-    """
+    """Return a value as text, keys in their own order; `form` as in `yaml.dump`."""
     return str(yaml.dump(value, Dumper=dumper, sort_keys=False, **form))
 
 
@@ -163,9 +157,7 @@ class Section:
     def load(cls, path: Path, expected: str = 'a YAML file') -> Section:
         """Read the mapping at the top of a YAML file.
 
-        Args:
-            path: The file.
-            expected: What it is to be, for the sentence on a recording in its place.
+        If a recording was given in its place, the sentence says what was `expected`.
         """
         try:
             text = read_bytes(path).decode('utf-8')
@@ -179,12 +171,7 @@ class Section:
 
     @classmethod
     def named(cls, kind: str, name: str | Path) -> Section:
-        """Read a file given by name or path.
-
-        Args:
-            kind: Folder below config, as of `named_file`.
-            name: A supplied name, or the path of a file.
-        """
+        """Read a file of a kind, as of `named_file`, given by name or path."""
         return cls.load(named_file(kind, name), _KINDS[kind])
 
     @classmethod

@@ -81,26 +81,17 @@ def read_text(path: AnyFile) -> str:
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file whole or not at all, as `write_by`.
-
-    Args:
-        path: The file.
-        content: Bytes, or a text that is written in UTF-8.
-    """
+    """Write a file whole or not at all, as `write_by`; a text in UTF-8."""
     if isinstance(content, str):
         content = content.encode('utf-8', 'backslashreplace')
     write_by(path, lambda file: file.write(content))
 
 
 def write_by(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file whole or not at all; a link is kept, and its target is written.
+    """Write a file whole or not at all, by a function of the open file.
 
-    A device or a pipe, /dev/null or /dev/stdout, is written directly: a file in its place would
-    hide it from all programs.
-
-    Args:
-        path: The file.
-        write: Called with the open file.
+    A link is kept, and its target is written. A device or a pipe, /dev/null or /dev/stdout, is
+    written directly: a file in its place would hide it from all programs.
     """
     target = path.resolve()
     temporary = target.with_name(f'.{target.name[:_KEPT]}.{os.urandom(4).hex()}.part')
@@ -205,13 +196,7 @@ def version() -> str:
 
 
 def require(library: str, what: str, extra: str) -> None:
-    """Raise an error if an optional library is not installed.
-
-    Args:
-        library: Name to import.
-        what: The feature that needs it, as the beginning of a sentence.
-        extra: Extra of this package that installs it.
-    """
+    """Refuse the feature `what` if an optional library, which `extra` installs, is missing."""
     if find_spec(library) is None:
         raise InputError(
             f'{what} needs {library}, which is not installed. Run '

@@ -139,11 +139,9 @@ def wrong_scale_sentences(scale: float, name: str) -> str:
 
 
 def wrong_turns_sentences(scale: float, meaning: str) -> str:
-    """Return sentences on gyros that turn gravity so many times as far as it turns.
+    """Return sentences on gyros that turn gravity `scale` times as far as it turns.
 
-    Args:
-        scale: How many times.
-        meaning: What contradicts what, without a stop.
+    `meaning` says what contradicts what, without a stop.
     """
     return (
         f'The gyros turn gravity {scale:.3g} times as far as the accelerometers do: {meaning}.'

@@ -138,8 +138,7 @@ def session_term(text: str) -> tuple[Change, ...]:
 def split_terms(text: str) -> tuple[str, tuple[Change, ...]]:
     """Separate the terms of a session from a list with commas.
 
-    Returns:
-        The rest of the list, or 'none', and the coefficients.
+    Return the rest of the list, or 'none', and the coefficients.
     """
     if not isinstance(text, str):
         raise InputError(f'`terms`: found {text!r}, expected names in a text, with commas between.')
@@ -182,9 +181,7 @@ def terms_in_words(changes: Sequence[Change]) -> list[str]:
 def largest(changes: Sequence[Change], values: Sequence[float | None]) -> str:
     """Return the largest coefficient of each kind as text: 'D_g 0.2 deg/h per h, K_a ...'.
 
-    Args:
-        changes: The coefficients.
-        values: Of each, SI units; None or infinite if unknown.
+    Values are in SI units; None or infinite if unknown.
     """
     found: dict[str, float] = {}
     shown: dict[str, str] = {}
@@ -300,10 +297,7 @@ class Changes:
 def read_changes(section: Section, parameters: Sequence[Parameter], covariance: Floats) -> Changes:
     """Read a file's section.
 
-    Args:
-        section: The mapping.
-        parameters: Those of the calibration, n.
-        covariance: (n, n) theirs, NaN for those that were not estimated.
+    The covariance, (n, n), is that of the calibration's parameters; NaN for those not estimated.
     """
     coefficients, values, deviations = [], [], []
     for row in section.sections('coefficients'):

@@ -66,14 +66,10 @@ _STAMP = 12
 
 
 def time_order(starts: Stamps, ends: Stamps) -> Indices | None:
-    """Return the order in which the parts of a file are read.
+    """Return the order, (n,), in which the parts of a file are read; None for that of the file.
 
-    Args:
-        starts: (n,) least log time of each, in the order of the file.
-        ends: (n,) largest.
-
-    Returns:
-        (n,) places; None if the clock was set back, and the order of the file is the right one.
+    That is the right one if the clock was set back. `starts` and `ends` are the least and largest
+    log times of the parts, in the order of the file.
     """
     in_file = np.arange(len(starts))
     if (starts[1:] >= starts[:-1]).all():
@@ -261,12 +257,7 @@ class Unpacked:
 
 
 class McapStorage:
-    """One mcap file.
-
-    Args:
-        path: The file.
-        losses: Receives sentences on unreadable data.
-    """
+    """One mcap file; `losses` receives sentences on unreadable data."""
 
     def __init__(self, path: AnyPath, losses: Losses) -> None:
         self.path = path
@@ -524,11 +515,7 @@ def _with_checksum(chunk: Chunk, record: memoryview) -> Chunk:
 def _tables(chunk: Chunk, content: memoryview, first: int, file: ByteFile) -> dict[int, Indices]:
     """Return the message index of a chunk, (n, 2) log times and offsets by channel.
 
-    Args:
-        chunk: The chunk.
-        content: Bytes of the file.
-        first: Offset of the first of these bytes.
-        file: For reading other parts.
+    The content is that of the file from byte `first` on; other parts are read.
     """
     tables = {}
     for channel, (position, count) in (chunk.index or {}).items():

@@ -59,14 +59,7 @@ class Scan:
 
 
 def scan(path: AnyPath, losses: Losses) -> Scan:
-    """Find the chunks, channels and metadata of a file.
-
-    Args:
-        path: The file.
-        losses: Receives sentences on missing or damaged data.
-
-    Returns:
-        The chunks, channels and metadata.
+    """Find the chunks, channels and metadata of a file; `losses` receives what is damaged.
 
     Raises:
         RecordingError: This is not an mcap file.
@@ -354,15 +347,9 @@ class Placed:
 
 
 def located(parts: Sequence[Part], buffer: Bytes, lose: Callable[[str], None]) -> dict[int, Placed]:
-    """Find the messages of chunks.
+    """Find the messages of chunks in a buffer: by channel, in the order of the buffer.
 
-    Args:
-        parts: The chunks, in the order of the buffer.
-        buffer: Holds their records.
-        lose: Receives sentences on invalid records.
-
-    Returns:
-        Messages by channel, in the order of the buffer.
+    The parts are in that order too; `lose` receives sentences on invalid records.
     """
     placed = indexed(parts, buffer)
     if placed is not None:
@@ -373,11 +360,10 @@ def located(parts: Sequence[Part], buffer: Bytes, lose: Callable[[str], None]) -
 
 
 def indexed(parts: Sequence[Part], buffer: Bytes) -> dict[int, Placed] | None:
-    """Find messages by the indexes alone; arguments as of `located`.
+    """Find messages as `located`, by the indexes alone.
 
-    Returns:
-        Messages by channel; None if an index contradicts its chunk or is incomplete, or if
-            several chunks must be examined one by one.
+    None if an index contradicts its chunk or is incomplete, or if several chunks must be examined
+    one by one.
     """
     # The tables of a channel are joined, in the order of the buffer.
     channels = dict.fromkeys(channel for part in parts for channel in part.tables)

@@ -42,17 +42,8 @@ class McapWriter:
     """One mcap file being written.
 
     Closed chunks survive a kill of the program: the records are self-contained, and summary and
-    footer only make them faster to find.
-
-    Args:
-        path: File to create.
-        compression: '', 'lz4' or 'zstd'.
-        pack: Compresses a chunk.
-        chunk_bytes: Size at which a chunk is closed.
-        chunk_ns: Span of log time at which a chunk is closed.
-
-    Raises:
-        OSError: The file cannot be created.
+    footer only make them faster to find. A chunk is closed at `chunk_bytes`, or at a span of log
+    time of `chunk_ns`, and compressed by `pack`, the function of its compression.
     """
 
     def __init__(
@@ -93,14 +84,9 @@ class McapWriter:
     ) -> int:
         """Describe a topic; return the id of its channel.
 
-        Args:
-            topic: Its name.
-            type_name: Message type; empty for a channel without a schema.
-            definition: Of the message; surrogates of Python for bytes that are no text.
-            qos: Offered profiles as YAML.
-            language: Of the definition.
-            encoding: Of the messages.
-            metadata: Of the channel; None: the profiles, as rosbag2 writes them.
+        Without a message type the channel has no schema. Bytes of a definition that are no text are
+        surrogates of Python; profiles are YAML. The channel's metadata are the profiles by default,
+        as rosbag2 writes them.
         """
         schema, key = 0, (type_name, language, definition)
         if type_name or definition:

@@ -253,11 +253,7 @@ def local(path: AnyPath) -> Path:
 class RemotePath:
     """A file or folder read by fsspec, with the methods of `Path` that the readers use.
 
-    Args:
-        url: As given.
-        files: Its file system.
-        inside: Its path there.
-        kind: 'file', 'directory' or '' if there is nothing, and the bytes of a file if known.
+    Its kind is 'file', 'directory' or '' if there is nothing, with the bytes of a file if known.
     """
 
     def __init__(self, url: str, files: AbstractFileSystem, inside: str, kind: _Kind) -> None:

@@ -77,19 +77,11 @@ class Scratch:
 
 
 def find_files(path: AnyPath, losses: Losses) -> Found:
-    """Find the storage files of a recording.
-
-    Args:
-        path: Folder of rosbag2, or one storage file.
-        losses: Receives sentences on missing files.
-
-    Returns:
-        The files.
+    """Find the storage files of a folder of rosbag2, or one; `losses` receives missing ones.
 
     Raises:
         RecordingError: There is nothing to read.
         OSError: The folder cannot be read.
-        InputError: Its connection was lost.
     """
     if path.is_file():
         if (sentence := other_format(path)) is not None:
@@ -156,16 +148,7 @@ def _natural(path: AnyPath) -> list[tuple[int, str]]:
 
 
 def open_storage(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage:
-    """Open one storage file; unpack it first if the whole file is compressed.
-
-    Args:
-        path: The file.
-        scratch: Folder for unpacked files.
-        losses: Receives sentences on unreadable data.
-
-    Returns:
-        The storage.
-    """
+    """Open one storage file; unpack it into `scratch` first if the whole file is compressed."""
     refuse_device(path)
     try:
         with path.open('rb') as file:
@@ -349,12 +332,7 @@ class Recording:
             progress: Called now and then with the bytes done and their total.
 
         Yields:
-            Topic and block. Within a topic the order is that of the files; the topics are in step
-            with
-                each other, whatever their order in the files.
-
-        Raises:
-            InputError: A topic is missing or of another type, or none has a message.
+            Topic and block, each topic in the order of the files, in step with the others.
         """
         self._check(topics)
         return self._read(topics, progress)
@@ -362,14 +340,10 @@ class Recording:
     def messages(
         self, progress: Callable[[int, int], None] | None = None
     ) -> Iterator[tuple[Topic, Messages, Times]]:
-        """Read all topics as serialised messages, unpacked but otherwise as recorded.
+        """Read all topics as serialised messages with their times, unpacked but as recorded.
 
-        Args:
-            progress: Called now and then with the bytes done and their total.
-
-        Yields:
-            Topic, messages and their times; file after file, the topics of a file in step with each
-                other, each in its own order.
+        File after file, the topics of a file in step with each other, each in its own order.
+        `progress` is called now and then with the bytes done and their total.
         """
         before, total = 0, sum(storage.size for storage in self._storages)
         malformed = {topic.name: Malformed() for topic in self.topics}

@@ -57,14 +57,9 @@ class RowQueries:
     def read(
         self, topics: tuple[int, ...], first: int | None
     ) -> Iterator[tuple[Messages, Stamps, int | None]]:
-        """Read the messages of some topics in windows, wider ones if a topic is rare.
+        """Read the messages of some topics from a row on, in windows, wider if a topic is rare.
 
-        Args:
-            topics: Their numbers.
-            first: The first row id; None without rows.
-
-        Yields:
-            Messages, their log times in ns, and the row id after them, None at the end.
+        Yield messages, their log times in ns, and the row id after them, None at the end.
         """
         start, width = first, _MIN_ROWS
         with closing(self._connect()) as database:
@@ -79,14 +74,9 @@ class RowQueries:
     def read_by_time(
         self, topics: tuple[int, ...], state: Callable[[], None]
     ) -> Iterator[tuple[Messages, Stamps]]:
-        """Read the messages of some topics in the order of their log times.
+        """Read the messages of some topics, with log times in ns, in the order of these.
 
-        Args:
-            topics: Their numbers.
-            state: Called where their row ids are in another order.
-
-        Yields:
-            Messages and their log times in ns.
+        `state` is called where their row ids are in another order.
         """
         query = (
             'SELECT timestamp, data, id FROM messages '
@@ -217,16 +207,7 @@ _AS_IT_LIES = np.arange(1)
 
 
 class SqliteStorage:
-    """One sqlite3 file.
-
-    Args:
-        path: The file.
-        losses: Receives sentences on unreadable data.
-
-    Raises:
-        RecordingError: This is not an sqlite3 file of rosbag2.
-        OSError: The file cannot be read.
-    """
+    """One sqlite3 file; `losses` receives sentences on unreadable data."""
 
     def __init__(self, path: Path, losses: Losses) -> None:
         self.path = path

@@ -145,13 +145,7 @@ class Cache:
         self._bytes = 0
 
     def get(self, key: Hashable, load: Callable[[], Content], users: int) -> Content:
-        """Return the content of a key; load it if it is not held.
-
-        Args:
-            key: Name of the content.
-            load: Loads it.
-            users: Expected total number of requests for it.
-        """
+        """Return the content of a key, expected to be requested by `users`; load it if not held."""
         if key in self._held:
             content, remaining = self._held.pop(key)
             self._bytes -= content.nbytes
@@ -294,13 +288,9 @@ class _Queue:
 
 
 def merge(topics: Iterable[tuple[str, Iterator[Piece]]]) -> Iterator[tuple[str, Block, int]]:
-    """Merge the pieces of several topics.
+    """Merge the non-empty pieces of several topics, each topic in its own order.
 
-    Args:
-        topics: Names and non-empty pieces, each topic in its own order.
-
-    Yields:
-        Topic, block, and the number of bytes of the recording done.
+    Yield topic, block, and the number of bytes of the recording done.
     """
     queues = []
     for topic, pieces in topics:
@@ -401,12 +391,7 @@ class RecordedClock:
         return self._log
 
     def take(self, stamp: Stamps, log: Stamps) -> None:
-        """Take messages.
-
-        Args:
-            stamp: (n,) header stamps, ns.
-            log: (n,) log times, ns.
-        """
+        """Add messages with header stamps (n,) and log times (n,), ns."""
         if not len(stamp):
             return
         self._stamps, self._log = _extended(self._stamps, stamp), _extended(self._log, log)

@@ -64,26 +64,17 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
 
     Empty lines, lines that begin with #, % or //, and a logger's text above the table are skipped.
     The last line above the rows is the heading, also behind a #, if it has a name for each column.
-    If commas do not separate fields, a comma is a decimal point.
-
-    Args:
-        path: The file.
-        delimiter: Between fields; None detects it.
+    If commas do not separate fields, a comma is a decimal point. Without a delimiter it is
+    detected.
     """
     return _table(path, _written(path), delimiter)
 
 
 def read_sensors(path: AnyPath, delimiter: str | None = None) -> tuple[Text, Text | None]:
-    """Read a table of numbers, or two whose rows alternate and say which sensor they are of.
+    """Read a table of numbers as `read_text`, or two whose rows alternate and name their sensor.
 
-    A label begins with gyr or acc (GYR, gyroscope; ACC, ACCE, accelerometer), in any letters.
-
-    Args:
-        path: The file.
-        delimiter: As for `read_text`.
-
-    Returns:
-        The table, or that of the gyros, and that of the accelerometers; None without labels.
+    A label begins with gyr or acc (GYR, gyroscope; ACC, ACCE, accelerometer), in any letters. With
+    labels the first table is that of the gyros, the second that of the accelerometers, else None.
     """
     written = _written(path)
     found = _by_label(written)
@@ -291,13 +282,9 @@ comes twice, make few, and have their own treatment."""
 
 
 def places_by_stamp(stamp: Stamps | Floats) -> NDArray[np.intp] | None:
-    """Return the places (n,) of samples in the order of their stamps.
+    """Return the places (n,) of samples, as they arrived, in the order of their stamps.
 
-    Args:
-        stamp: (n,) ns, in the order of arrival.
-
-    Returns:
-        None where they are in order, or too far out of it.
+    None where they are in order, or too far out of it.
     """
     back = np.count_nonzero(np.diff(stamp) < 0)
     if back <= _SHARE * len(stamp):

@@ -104,10 +104,7 @@ class RecordingWriter:
     def add_topic(self, topic: str, type_name: str, *, transient_local: bool = False) -> None:
         """Describe a topic before its first message; `write` does so otherwise.
 
-        Args:
-            topic: Full name of the topic.
-            type_name: Message type, for instance sensor_msgs/msg/Imu.
-            transient_local: The topic is latched: late subscribers get its last message.
+        Late subscribers get the last message of one that is `transient_local` (latched).
         """
         if topic in self._topics:
             if self._topics[topic][1] != type_name:
@@ -123,22 +120,12 @@ class RecordingWriter:
         self._profiles[topic] = [profile]
 
     def copy_topic(self, topic: Topic) -> None:
-        """Describe a topic with another recorder's description of each channel, of any type.
-
-        Args:
-            topic: As read from a recording.
-        """
+        """Describe a topic with another recorder's description of each channel, of any type."""
         for _, one in topic.channels or ((0, topic),):
             self._copied(one)
 
     def copy(self, topic: Topic, messages: Messages, times: Times) -> None:
-        """Append messages of another recording, each to its own channel.
-
-        Args:
-            topic: As read from a recording.
-            messages: Serialised messages.
-            times: Theirs.
-        """
+        """Append messages of another recording, with their times, each to its own channel."""
         for number, one in topic.channels or ((0, topic),):
             mine, when = messages, times
             if len(topic.channels) > 1 and times.channel is not None:
@@ -191,14 +178,9 @@ class RecordingWriter:
         log_time: Stamps,
         publish_time: Stamps | None = None,
     ) -> None:
-        """Append messages of one topic.
+        """Append messages of one topic, with (n,) times of arrival and publication, ns.
 
-        Args:
-            topic: Full name of the topic.
-            type_name: Message type, for instance sensor_msgs/msg/Imu.
-            messages: Serialised messages.
-            log_time: (n,) time of each arrival, ns.
-            publish_time: (n,) time of each publication, ns; None: that of the arrival.
+        Messages are taken as published when they arrive unless stated.
         """
         self.add_topic(topic, type_name)
         times = np.asarray(log_time, np.int64)
@@ -402,13 +384,9 @@ class Journal:
             self.losses = recording.losses
 
     def write(self, topic: str, type_name: str, messages: Messages, now: int) -> None:
-        """Append messages of a topic.
+        """Append messages of a topic that arrive now, ns; at least one.
 
-        Args:
-            topic: Full name.
-            type_name: Message type.
-            messages: Serialised messages, at least one.
-            now: Time of their arrival, ns; log times never decrease, even if the clock jumps back.
+        Log times never decrease, even if the clock jumps back.
 
         Raises:
             InputError: The disk is full. The messages are held in memory, and the next `flush`
@@ -434,11 +412,7 @@ class Journal:
         return self._writer.held > _HELD
 
     def close(self, *, finished: bool) -> None:
-        """Finish the file.
-
-        Args:
-            finished: Whether the session is complete, so that nothing is to be added.
-        """
+        """Finish the file; nothing is to be added to a session that is finished."""
         if finished:
             self._writer.add_custom_data({FINISHED: 'true'})
         self._writer.close()
