@@ -115,7 +115,7 @@ class Share:
         return cls(covariance, np.full(len(covariance), np.inf))
 
     @classmethod
-    def of_parts(cls, parts: Sequence[tuple[Floats, float]]) -> Share:
+    def from_parts(cls, parts: Sequence[tuple[Floats, float]]) -> Share:
         """Add up independent parts: (n, n) covariances with the degrees of freedom of each."""
         variances = np.array([np.diag(covariance) for covariance, _ in parts])
         freedom = np.repeat(np.array([[f] for _, f in parts]), variances.shape[1], axis=1)
@@ -163,7 +163,7 @@ class Budget:
     lines: tuple[BudgetLine, ...]  #: Sources that contribute to any parameter.
 
     @classmethod
-    def of(cls, shares: Shares) -> Budget:
+    def from_shares(cls, shares: Shares) -> Budget:
         """Return the budget of a covariance that is the sum of shares."""
         lines = []
         for source in Source:
@@ -179,7 +179,7 @@ class Budget:
     def with_share(self, source: Source, share: Share) -> Budget:
         """Return the budget with another source, in the order of `Source`."""
         order = list(Source)
-        added = Budget.of({source: share}).lines
+        added = Budget.from_shares({source: share}).lines
         lines = sorted((*self.lines, *added), key=lambda line: order.index(line.source))
         return Budget(tuple(lines))
 

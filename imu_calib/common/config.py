@@ -19,18 +19,14 @@ import yaml
 from yaml.reader import ReaderError
 
 from .errors import InputError
-from .files import named_file, read_bytes
-from .other_formats import other_format
+from .files import named_file, other_format, read_bytes
 from .stream import Floats
 from .units import LARGEST, Dimension, parse, point_for_comma
-
-# Load and dump YAML text, by libyaml if PyYAML has it: several times as fast.
-
 
 try:
     from yaml import CSafeDumper as SafeDumper
     from yaml import CSafeLoader as SafeLoader
-except ImportError:  # PyYAML without libyaml reads and writes the same texts.
+except ImportError:  # PyYAML without libyaml reads and writes the same texts, more slowly.
     from yaml import SafeDumper, SafeLoader  # type: ignore[assignment]
 
 __all__ = ['SafeDumper']

@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 
     from distributed import Client, Future
 
-# Run independent tasks on workers of Dask: of this machine, or of a scheduler.
-
-
 Task = TypeVar('Task')
 Result = TypeVar('Result')
 
@@ -344,10 +341,9 @@ def _quiet() -> Iterator[None]:
             logger.setLevel(level)
 
 
-# Limit BLAS to one thread: for small matrices more threads cost time by waiting.
-
 THREADS = 'OMP_NUM_THREADS'
-"""Read by BLAS when numpy is first loaded: commands and nodes set it to 1 before."""
+"""Read by BLAS when numpy is first loaded: commands and nodes set it to 1 before, as for small
+matrices more threads cost time by waiting."""
 
 Arguments = ParamSpec('Arguments')
 
@@ -405,7 +401,7 @@ def run_all(
     """
     results: list[Result] = []
 
-    def take(result: Result) -> None:
+    def collect(result: Result) -> None:
         results.append(result)
         if ended is not None:
             ended(result)
@@ -413,12 +409,12 @@ def run_all(
     listed = list(tasks)
     jobs = min(jobs or os.cpu_count() or 1, len(listed))
     if scheduler is not None:
-        _on_workers(function, listed, scheduler, take)
+        _on_workers(function, listed, scheduler, collect)
     elif jobs <= 1:
         for task in listed:
-            take(function(task))
+            collect(function(task))
     else:
-        _in_processes(function, listed, jobs, take)
+        _in_processes(function, listed, jobs, collect)
     return results
 
 
@@ -426,7 +422,7 @@ def _on_workers(
     function: Callable[[Task], Result],
     tasks: list[Task],
     scheduler: str,
-    take: Callable[[Result], None],
+    collect: Callable[[Result], None],
 ) -> None:
     early: dict[int, Result] = {}
     following = 0
@@ -439,12 +435,15 @@ def _on_workers(
                 )
             early[number] = outcome
             while following in early:
-                take(early.pop(following))
+                collect(early.pop(following))
                 following += 1
 
 
 def _in_processes(
-    function: Callable[[Task], Result], tasks: list[Task], jobs: int, take: Callable[[Result], None]
+    function: Callable[[Task], Result],
+    tasks: list[Task],
+    jobs: int,
+    collect: Callable[[Result], None],
 ) -> None:
     others = set(active_children())
     spawn, share = get_context('spawn'), _share(len(tasks), jobs)
@@ -456,7 +455,7 @@ def _in_processes(
                 submitted = [pool.submit(_one_by_one, function, chunk) for chunk in chunks]
             for future in submitted:
                 for result in future.result():
-                    take(result)
+                    collect(result)
         except BaseException:
             # Otherwise running tasks, whose results are dropped, would be waited for. None is
             # cancelled, as `pool.map` does: the thread of a pool whose processes are gone fails on
@@ -485,9 +484,6 @@ def single_threaded() -> Iterator[None]:
             del os.environ[THREADS]
         else:
             os.environ[THREADS] = before
-
-
-# How long work reports its progress.
 
 
 class Show(Protocol):

@@ -143,9 +143,6 @@ def shortest(start: Floats, end: Floats) -> Floats:
     return np.asarray(np.eye(3) + cross + cross @ cross / (1 + float(start @ end)))
 
 
-# Directions at right angles to others.
-
-
 def cross(first: Floats, second: Floats) -> Floats:
     """Return the cross products (..., 3) of vectors (..., 3) with others.
 
@@ -170,8 +167,6 @@ def across(direction: Floats) -> tuple[Floats, Floats]:
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
     return first, cross(direction, first)
 
-
-# Constants of the Gaussian distribution that several thresholds share; what a covariance is.
 
 MAD_TO_STD = 1.4826
 """Standard deviation over the median absolute deviation: 1 / 0.6745, its quartile."""

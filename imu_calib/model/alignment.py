@@ -107,8 +107,6 @@ def _orthogonal(axes: Floats) -> Floats:
     return np.asarray(left @ right)
 
 
-# Sentences on sensors whose outputs are many times, or a fraction of, what they should be.
-
 TIMES = ' A wrong rate of the samples, or unit of their times, does the same.'
 """For gyros: their rates times time are compared with turned angles."""
 _RANGES = {

@@ -223,8 +223,6 @@ TRIADS = {'g': 'gyro', 'a': 'accelerometer'}
 """Section in files and word for a triad, by the letter in its parameters' names."""
 
 
-# The parameters of the sensor model, and their factors.
-
 AXES = 'xyz'
 _SKEWED = 'stuv'
 MOST_SKEWED = len(_SKEWED)

@@ -24,9 +24,6 @@ from .parameters import (
 )
 from .terms import DELAY, G_SENSITIVITIES, G_SENSITIVITY, SIZE_EFFECT, TERMS, Term, term
 
-# Invert a nonlinear sensor model: inputs from outputs.
-
-
 _ROUNDS = 30
 """Newton's steps double the digits: five suffice for terms of a percent. Where terms exceed the
 linear part, the iteration does not converge."""

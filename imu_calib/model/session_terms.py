@@ -214,11 +214,6 @@ def _changes(course: Course, name: str, *, by_name: bool) -> tuple[Change, ...]:
     return (Change(course, name, (found[0],), by_name),)
 
 
-# Changes of parameters with time or temperature in a session: a value and its section of a file.
-#
-# Source: docs/mathematics.md, 'Terms of a session'.
-
-
 KEY = 'session_terms'
 """Section in calibration.yaml."""
 _ROUNDED = 1e-6

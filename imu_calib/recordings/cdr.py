@@ -221,7 +221,7 @@ class LayoutReader:
         self._columns: dict[str, tuple[int, int]] = {}
         self._names: list[str] = []
 
-    def _take(self, alignment: int, size: int) -> int:
+    def _advance(self, alignment: int, size: int) -> int:
         start = self._position + (ENCAPSULATION - self._position) % alignment
         if start + size > len(self._payload):
             raise CdrError(
@@ -238,7 +238,7 @@ class LayoutReader:
     def number(self, code: str) -> Any:
         """Read one number that may differ between messages."""
         size = struct.calcsize(code)
-        return struct.unpack_from(self.order + code, self._payload, self._take(size, size))[0]
+        return struct.unpack_from(self.order + code, self._payload, self._advance(size, size))[0]
 
     def stamp(self) -> int:
         """Read a builtin_interfaces/Time, in ns."""
@@ -247,14 +247,14 @@ class LayoutReader:
 
     def count(self) -> int:
         """Read the length of a sequence; it belongs to the layout."""
-        start = self._take(4, 4)
+        start = self._advance(4, 4)
         self._keep(start, self._position)
         return int(struct.unpack_from(f'{self.order}I', self._payload, start)[0])
 
     def string(self) -> str:
         """Read a string; it belongs to the layout."""
         length = self.count()
-        start = self._take(1, length)
+        start = self._advance(1, length)
         self._keep(start, self._position)
         content = self._payload[start : self._position]
         if length and content[-1]:
@@ -272,7 +272,7 @@ class LayoutReader:
 
     def column(self, name: str, width: int) -> None:
         """Skip float64 numbers that form the column `name`."""
-        start = self._take(8, 8 * width) if width else self._position
+        start = self._advance(8, 8 * width) if width else self._position
         self._columns[name] = (start, width)
 
     def sequence(self, name: str) -> int:
@@ -284,7 +284,7 @@ class LayoutReader:
     def floats(self) -> tuple[float, ...]:
         """Read a float64 sequence."""
         width = self.count()
-        start = self._take(8, 8 * width) if width else self._position
+        start = self._advance(8, 8 * width) if width else self._position
         values: tuple[float, ...] = struct.unpack_from(
             f'{self.order}{width}d', self._payload, start
         )

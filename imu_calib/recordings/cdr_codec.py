@@ -28,17 +28,8 @@ from .cdr import ENCAPSULATION, ORDERS, CdrError, Layout, LayoutReader, Malforme
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from ..common.stream import (
-        Floats,
-        ImuBlock,
-        JointBlock,
-        Setpoint,
-        SetpointBlock,
-        Stamps,
-        TemperatureBlock,
-    )
+    from ..common.stream import Floats, Stamps
     from .cdr import Bytes, Indices
-
 
 Columns = TypeVar('Columns', ImuBlock, JointBlock, TemperatureBlock)
 AnyBlock = TypeVar('AnyBlock', bound=Block)
@@ -68,7 +59,7 @@ def decode_imu(messages: Messages, malformed: Malformed | None = None) -> list[I
 
 def decode_skew(messages: Messages, malformed: Malformed | None = None) -> list[SkewBlock]:
     """Decode the sensor_msgs/Imu of a skewed gyro; arguments, order and errors as `decode_imu`."""
-    return [SkewBlock.of(block) for block in decode_imu(messages, malformed)]
+    return [SkewBlock.from_imu(block) for block in decode_imu(messages, malformed)]
 
 
 class ImuDecoder:

@@ -70,10 +70,11 @@ def unpack(data: bytes | memoryview, compression: str, most: int) -> bytes:
 
 
 def unpacked_into(memory: memoryview, data: bytes | memoryview, compression: str) -> bool:
-    """Unpack a block of lz4 or zstd into memory of its stated size; return whether it fits.
+    """Unpack a block of lz4 or zstd into memory of its stated size.
 
     Unpacking it at once allocates fresh memory several times, which the system clears page by page:
-    four times as long as unpacking alone. `unpack` handles all but one valid frame of that size.
+    four times as long as unpacking alone. Return whether it is one valid frame of that size;
+    `unpack` handles others.
     """
     module = _module(compression)
     try:
@@ -130,7 +131,7 @@ def unpack_file(source: AnyPath, target: Path) -> str:
         try:
             while block := packed.read(_BLOCK):
                 for start in range(0, len(block), _FED):
-                    content.writelines(stream.feed(block[start : start + _FED]))
+                    content.writelines(stream.unpack(block[start : start + _FED]))
         except _errors() as error:
             return str(error)
     return '' if stream.at_boundary else 'the compressed data ends in the middle of a frame'
@@ -146,7 +147,7 @@ class _FrameStream:
         self._used = 0
         self.at_boundary = True
 
-    def feed(self, block: bytes) -> Iterator[bytes]:
+    def unpack(self, block: bytes) -> Iterator[bytes]:
         """Yield the unpacked content of the next bytes of the file."""
         while block:
             if self._frame is None:
@@ -214,8 +215,6 @@ def _module(compression: str) -> Any:
         f'installed: install python3-{package} (apt) or {package} (pip).'
     )
 
-
-# Unpack the next compressed chunks on two cores while earlier ones are decoded.
 
 Stored = TypeVar('Stored')
 Content = TypeVar('Content')

@@ -17,7 +17,6 @@ from ..common.files import message_folder
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from .remote import AnyPath
     from .storage import Topic
@@ -224,8 +223,6 @@ def _inner_types(type_name: str) -> list[str]:
             found.append(f'{(own or package).removesuffix("/msg")}/msg/{name}')
     return found
 
-
-# The metadata.yaml of a rosbag2 folder, and the same text inside the storage files.
 
 NAME = 'metadata.yaml'
 VERSION = 9

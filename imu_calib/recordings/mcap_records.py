@@ -259,8 +259,6 @@ def _run(buffer: Bytes, position: int, length: int) -> Indices:
     return position + stride * np.arange(count)
 
 
-# Chunks of an mcap file: their offsets, from their own heads or from the summary.
-
 CHUNK_FIELDS = 40
 """Bytes of a chunk's fields before its records: start, end, size, CRC, compression, length
 (mcap.dev/spec)."""

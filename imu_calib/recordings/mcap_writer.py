@@ -22,7 +22,7 @@ _HEAD = RECORD_HEAD + MESSAGE_HEAD
 
 
 @dataclass
-class _Open:
+class _OpenChunk:
     """The chunk being filled."""
 
     parts: list[bytes] = field(default_factory=list)
@@ -60,7 +60,7 @@ class McapWriter:
         self._chunk_ns = chunk_ns
         # Unbuffered: an error of a full disk appears at once, and the data is written again later.
         self._file = path.open('xb', buffering=0)
-        self._chunk = _Open()
+        self._chunk = _OpenChunk()
         self._schemas: dict[tuple[str, str, str], bytes] = {}
         self._channels: list[bytes] = []
         self._chunk_index: list[bytes] = []
@@ -210,7 +210,7 @@ class McapWriter:
         self._chunk_index.append(record(Op.CHUNK_INDEX, place))
         self.start_ns = min(self.start_ns, chunk.start_ns)
         self.end_ns = max(self.end_ns, chunk.end_ns)
-        self._chunk = _Open()
+        self._chunk = _OpenChunk()
 
     def close(self) -> None:
         """Write the summary and the footer, and close the file."""

@@ -13,8 +13,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..common.files import refuse_device
-from ..common.other_formats import BAG_OF_ROS_1, bag_of_ros_1, other_encoding, other_format
+from ..common.files import (
+    BAG_OF_ROS_1,
+    bag_of_ros_1,
+    other_encoding,
+    other_format,
+    refuse_device,
+)
 from ..common.stream import SetpointBlock
 from .cdr import Malformed, Messages
 from .cdr_codec import decode_imu, decode_joints, decode_setpoints, decode_skew, decode_temperatures
@@ -40,17 +45,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from ..common.stream import Block, Stamps
-    from .cdr import Malformed, Messages
-
-# Find the storage files of a recording and open them.
-
 
 _STORAGE = ('.mcap', '.db3')
 _PACKED = ('.zstd', '.zst')
 
 
 @dataclass(frozen=True)
-class Found:
+class StorageFiles:
     """The storage files of a recording, in order, and its metadata."""
 
     paths: tuple[AnyPath, ...]
@@ -76,7 +77,7 @@ class Scratch:
             self._folder = None
 
 
-def find_files(path: AnyPath, losses: Losses) -> Found:
+def find_files(path: AnyPath, losses: Losses) -> StorageFiles:
     """Find the storage files of a folder of rosbag2, or one; `losses` receives missing ones.
 
     Raises:
@@ -88,7 +89,7 @@ def find_files(path: AnyPath, losses: Losses) -> Found:
             raise RecordingError(sentence)
         if path.name == NAME:
             raise RecordingError(f'{path} describes a recording: give the folder that holds it.')
-        return Found((path,), Metadata())
+        return StorageFiles((path,), Metadata())
     if not path.is_dir():
         # A recording is read in several places.
         found = 'found a device or a pipe' if path.exists() else 'no such recording'
@@ -103,8 +104,8 @@ def find_files(path: AnyPath, losses: Losses) -> Found:
     if metadata.files is None:
         names = ', '.join(p.name for p in present)
         losses.add(f'{path.name}: {metadata.problem}; the storage files found are used: {names}.')
-        return Found(tuple(present), metadata)
-    return Found(_listed(metadata.files, present, path.name, losses), metadata)
+        return StorageFiles(tuple(present), metadata)
+    return StorageFiles(_listed(metadata.files, present, path.name, losses), metadata)
 
 
 def _listed(
@@ -259,7 +260,7 @@ class Recording:
     def __init__(
         self,
         path: AnyPath,
-        found: Found,
+        found: StorageFiles,
         storages: Sequence[Storage],
         losses: Losses,
         scratch: Scratch,
@@ -479,7 +480,7 @@ def _decoded(
             log_ns, position = batch.log_ns, base + batch.position
             blocks = kind.decode(_unpacked(batch.messages, malformed), malformed)
             if len(stamps := _stamps(blocks)) == len(batch.messages):
-                clock.take(stamps, batch.log)
+                clock.add(stamps, batch.log)
             # The blocks do not share memory with the messages, which is free for the next ones.
             del batch
             for block in blocks:
@@ -527,9 +528,6 @@ def _unpacked(messages: Messages, malformed: Malformed) -> Messages:
         except CodecError as error:
             malformed.add(f'a message does not unpack (zstd: {error})')
     return Messages.join(plain)
-
-
-# The message types that calibration uses.
 
 
 class Kind(Enum):

@@ -19,8 +19,6 @@ from .cdr_codec import part
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from ..common.stream import Block, Floats, Stamps
     from .cdr import Bytes, Indices, Messages
     from .remote import AnyPath
@@ -259,7 +257,7 @@ class _Queue:
         """Return the start time of the head; ties are broken by the position in the file."""
         return int(self.stamps[0]) if by_stamp else self.head.log_ns, self.head.position
 
-    def take(self, limit: int | None) -> Block:
+    def split_head(self, limit: int | None) -> Block:
         """Remove samples from the head up to the first one after a limit, at least one."""
         count = len(self.stamps)
         beyond = self.stamps > limit if limit is not None else np.zeros(1, np.bool_)
@@ -305,7 +303,7 @@ def merge(topics: Iterable[tuple[str, Iterator[Piece]]]) -> Iterator[tuple[str, 
         if by_stamp and len(queues) > 1:
             limit = queues[1].first(by_stamp)[0] + SPAN_NS
         done = min(queue.head.position for queue in queues)
-        yield queues[0].topic, queues[0].take(limit), done
+        yield queues[0].topic, queues[0].split_head(limit), done
         if not queues[0].advance():
             del queues[0]
 
@@ -390,7 +388,7 @@ class RecordedClock:
         """Earliest and latest log time; None without messages."""
         return self._log
 
-    def take(self, stamp: Stamps, log: Stamps) -> None:
+    def add(self, stamp: Stamps, log: Stamps) -> None:
         """Add messages with header stamps (n,) and log times (n,), ns."""
         if not len(stamp):
             return
