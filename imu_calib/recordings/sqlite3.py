@@ -73,10 +73,11 @@ class RowQueries:
 
     def read_by_time(
         self, topics: tuple[int, ...], state: Callable[[], None]
-    ) -> Iterator[tuple[Messages, Stamps]]:
-        """Read the messages of some topics, with log times in ns, in the order of these.
+    ) -> Iterator[tuple[Messages, Stamps, int]]:
+        """Read the messages of some topics in the order of their log times, as `read`.
 
-        `state` is called where their row ids are in another order.
+        `state` is called where their row ids are in another order. The row id is the least: how
+        much of the file is read is not known.
         """
         query = (
             'SELECT timestamp, data, id FROM messages '
@@ -92,7 +93,7 @@ class RowQueries:
                     if ids != sorted(ids):
                         state()
                     last, row = int(log[-1]), ids[-1]
-                    yield _messages(rows), log
+                    yield _messages(rows), log, -LAST_ROW
             except DAMAGE as error:
                 self._losses.add(
                     f'{self._name}: rows after log time {last / 1e9:.3f} s cannot be read '
@@ -221,7 +222,7 @@ class SqliteStorage:
         self.start_ns: int | None = None
         self.end_ns: int | None = None
         try:
-            self._open_for_the_first_time()
+            self._open()
         except DAMAGE as error:
             raise RecordingError(
                 f'{path.name} is not a sound sqlite3 file: {damage_text(error)}.'
@@ -232,20 +233,15 @@ class SqliteStorage:
     ) -> dict[str, Iterator[MessageBatch]]:
         """Start reading: one iterator per topic, all independent of each other."""
         ids = {topic: tuple(self._ids.get(topic, ())) for topic in topics}
+        rows = RowQueries(self.path.name, self._connect, self._last, self._losses)
+        state = partial(self._losses.add_order, self.path.name)
         order = self._time_order()
         if order is not None and (order[1:] < order[:-1]).any():
-            return {topic: self._by_time(ids[topic]) for topic in topics}
-        found = {topic: self._in_file(ids[topic]) for topic in topics}
+            return {topic: self._batches(rows.read_by_time(ids[topic], state)) for topic in topics}
+        found = {topic: self._batches(rows.read(ids[topic], self._first)) for topic in topics}
         if order is None:
             return found
-        state = partial(self._losses.add_order, self.path.name)
         return {topic: LogOrder(_with_bounds(batches), state) for topic, batches in found.items()}
-
-    def _in_file(self, topics: tuple[int, ...]) -> Iterator[MessageBatch]:
-        """Read messages in the order of the file."""
-        rows = RowQueries(self.path.name, self._connect, self._last, self._losses)
-        for messages, log, following in rows.read(topics, self._first):
-            yield self._batch(messages, log, following)
 
     def _time_order(self) -> Indices | None:
         """Return the order of rows spread over the file by their log times, as `time_order`."""
@@ -268,22 +264,18 @@ class SqliteStorage:
         usual = np.median(np.abs(steps)).astype(np.int64)
         return time_order(starts, starts + np.where(steps > 0, np.minimum(steps, usual), usual))
 
-    def _by_time(self, topics: tuple[int, ...]) -> Iterator[MessageBatch]:
-        """Read messages in the order of their log times, by SQLite's index of these."""
-        rows = RowQueries(self.path.name, self._connect, self._last, self._losses)
-        state = partial(self._losses.add_order, self.path.name)
-        for messages, log in rows.read_by_time(topics, state):
-            yield self._batch(messages, log, self._first)
-
-    def _batch(self, messages: Messages, log: Stamps, following: int | None) -> MessageBatch:
-        times = partial(Times, log, log)
-        return MessageBatch(messages, log, int(log[0]), self._position(following), times)
+    def _batches(
+        self, rows: Iterator[tuple[Messages, Stamps, int | None]]
+    ) -> Iterator[MessageBatch]:
+        for messages, log, following in rows:
+            times = partial(Times, log, log)
+            yield MessageBatch(messages, log, int(log[0]), self._position(following), times)
 
     def _position(self, row: int | None) -> int:
         """Estimate the number of bytes in the file before a row."""
         if row is None or self._first is None or self._last is None or row > self._last:
             return self.size
-        return self.size * (row - self._first) // max(self._last - self._first, 1)
+        return self.size * max(row - self._first, 0) // max(self._last - self._first, 1)
 
     def _check_magic(self) -> None:
         with self.path.open('rb') as file:
@@ -321,7 +313,7 @@ class SqliteStorage:
         """Read no attachments: only files of mcap have them."""
         return iter(())
 
-    def _open_for_the_first_time(self) -> None:
+    def _open(self) -> None:
         log = self.path.with_name(f'{self.path.name}-wal')
         self._immutable = not (log.is_file() and log.stat().st_size)
         try:
