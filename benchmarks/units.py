@@ -116,7 +116,9 @@ def _of_units(
     figures.errors.append(np.array([one.values for one in found]) - true)
     figures.std.append(np.array([one.std for one in found]))
     shares = [result.solution.shares for result in results if result is not None]
-    figures.freedom.append(np.array([Budget.of(one).freedom[: true.shape[1]] for one in shares]))
+    figures.freedom.append(
+        np.array([Budget.from_shares(one).freedom[: true.shape[1]] for one in shares])
+    )
 
 
 def rms(values: Any) -> float:

@@ -74,7 +74,7 @@ nitpick_ignore_regex = [
     # Values within others, which have no page, and names for a choice of types.
     (
         'py:class',
-        r'imu_calib\.(common\.(parallel\.Show|other_formats\..*)|session\.imu\.Verdict|recordings\.remote\..*'
+        r'imu_calib\.(common\.(parallel\.Show|files\.AnyFile)|session\.imu\.Verdict|recordings\.remote\..*'
         r'|estimation\.(search|common_unknowns|checks)\..*|calibration\.(agreement|results)\..*'
         r'|simulation\.repetition\.Outcome|reports\..*|api\.(inspect|session)\..*|fleet\.batch\..*)',
     ),

@@ -345,7 +345,7 @@ def test_what_the_session_shows_beyond_what_is_stated_has_lines_of_its_own() -> 
         mean = segment.statistics.mean + np.append(np.zeros(3), leaning)
         segments.append(replace(segment, statistics=replace(segment.statistics, mean=mean)))
     found = method('joint')(replace(evidence, segments=tuple(segments)))
-    budget = Budget.of(found.shares)
+    budget = Budget.from_shares(found.shares)
     lines = {line.source: line for line in budget.lines}
     e_a = slice(NAMES.index('E_axy'), NAMES.index('D_ax'))
     assert lines[Source.POSITIONING_FOUND].std[e_a].min() > 10 * ARCSEC

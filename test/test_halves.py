@@ -16,7 +16,7 @@ from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import encode_imu
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.storage import Times
-from imu_calib.recordings.text import HELD, InOrder, places_by_stamp, read_sensors
+from imu_calib.recordings.text import HELD, StampSorter, places_by_stamp, read_sensors
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.stream_facts import halves
 
@@ -189,10 +189,10 @@ def test_samples_out_of_order_are_sorted_however_the_stream_is_cut() -> None:
     values = np.column_stack([np.arange(count)] * 3).astype(float)
     places = shuffled(count, 20, 1)
     for size in (7, 1000, count):
-        order, done = InOrder(), []
+        order, done = StampSorter(), []
         for k in range(0, count, size):
             part = places[k : k + size]
-            done += order.take(ImuBlock(stamp[part], values[part], -values[part]))
+            done += order.add(ImuBlock(stamp[part], values[part], -values[part]))
         done += order.finish()
         assert np.concatenate([b.stamp for b in done]).tolist() == stamp.tolist()
         assert np.concatenate([b.accel for b in done])[:, 2].tolist() == (-values[:, 2]).tolist()
@@ -205,9 +205,9 @@ def test_a_clock_that_is_set_back_is_not_sorted() -> None:
     assert places_by_stamp(stamp) is None
     far = shuffled(4 * HELD, 3 * HELD, 2)
     assert places_by_stamp(far * 1_000_000) is None
-    order = InOrder()
+    order = StampSorter()
     zeros = np.zeros((len(stamp), 3))
-    done = [*order.take(ImuBlock(stamp, zeros, zeros)), *order.finish()]
+    done = [*order.add(ImuBlock(stamp, zeros, zeros)), *order.finish()]
     assert np.concatenate([b.stamp for b in done]).tolist() == stamp.tolist()
     assert order.sentences == ()
 

@@ -31,9 +31,9 @@ from mcap_bytes import (
 from imu_calib.recordings import mcap
 from imu_calib.recordings import mcap_records as mcap_chunk
 from imu_calib.recordings.cdr import Bytes
-from imu_calib.recordings.mcap import McapStorage, Unpacked, _tables, _with_checksum
+from imu_calib.recordings.mcap import McapStorage, UnpackedChunks, _tables, _with_checksum
 from imu_calib.recordings.mcap_records import Chunk, chunk_at, grouped
-from imu_calib.recordings.mcap_scan import Part, Placed, indexed, located
+from imu_calib.recordings.mcap_scan import ChannelMessages, ChunkContent, indexed, located
 from imu_calib.recordings.storage import Cache, Losses, Memory, MessageBatch
 
 NS = 1_000_000_000
@@ -260,9 +260,9 @@ def tables(*rows: tuple[int, int, int]) -> dict[int, np.ndarray]:
     return {k: np.array([row[1:] for row in rows if row[0] == k], np.int64) for k in keys}
 
 
-def indexed_alone(index: dict[int, np.ndarray], buffer: Bytes) -> dict[int, Placed] | None:
+def indexed_alone(index: dict[int, np.ndarray], buffer: Bytes) -> dict[int, ChannelMessages] | None:
     """Find the messages of a chunk that has the buffer for itself."""
-    return indexed([Part('a chunk', 0, len(buffer), index)], buffer)
+    return indexed([ChunkContent('a chunk', 0, len(buffer), index)], buffer)
 
 
 SOUND = [(1, 50, PLACES[0]), (2, 51, PLACES[1]), (1, 52, PLACES[2]), (2, 53, PLACES[3])]
@@ -282,7 +282,7 @@ def test_entries_of_several_chunks_may_come_in_any_order() -> None:
     messages = INSIDE[len(HEADED) :]
     rows = [(key, time, place - len(HEADED)) for key, time, place in reversed(SOUND)]
     size, buffer = len(messages), np.frombuffer(messages * 2, np.uint8)
-    parts = [Part('a chunk', start, start + size, tables(*rows)) for start in (0, size)]
+    parts = [ChunkContent('a chunk', start, start + size, tables(*rows)) for start in (0, size)]
     found = indexed(parts, buffer)
     assert found is not None
     places = [place - len(HEADED) + HEAD for place in PLACES]
@@ -580,9 +580,9 @@ def test_chunks_without_a_sound_index_are_walked_over_and_the_others_are_not() -
     ends = np.cumsum([2, len(one), len(other) + 17, len(one)]).tolist()
     of_one = tables((1, 5, 0), (2, 6, HEAD + 2))
     parts = [
-        Part('first', ends[0], ends[1], of_one),
-        Part('second', ends[1], ends[2]),
-        Part('third', ends[2], ends[3], of_one),
+        ChunkContent('first', ends[0], ends[1], of_one),
+        ChunkContent('second', ends[1], ends[2]),
+        ChunkContent('third', ends[2], ends[3], of_one),
     ]
     messages: list[str] = []
     found = located(parts, buffer, messages.append)
@@ -595,11 +595,14 @@ def test_chunks_without_a_sound_index_are_walked_over_and_the_others_are_not() -
     ]
     # Entries of one chunk that lie in another are none, though messages are there.
     astray = tables((1, 5, 0), (2, 6, HEAD + 2), (1, 7, len(one)))
-    two_of_them = [Part('first', 2, ends[1], astray), Part('second', ends[1], ends[2] - 17)]
+    two_of_them = [
+        ChunkContent('first', 2, ends[1], astray),
+        ChunkContent('second', ends[1], ends[2] - 17),
+    ]
     assert indexed(two_of_them, buffer) is None
     sound = [
-        Part('first', 2, ends[1], of_one),
-        Part('second', ends[1], ends[2] - 17, tables((1, 7, 0))),
+        ChunkContent('first', 2, ends[1], of_one),
+        ChunkContent('second', ends[1], ends[2] - 17, tables((1, 7, 0))),
     ]
     both = indexed(sound, buffer)
     assert both is not None
@@ -609,6 +612,8 @@ def test_chunks_without_a_sound_index_are_walked_over_and_the_others_are_not() -
 def test_a_chunk_in_memory_knows_what_it_takes() -> None:
     buffer = np.zeros(100, np.uint8)
     some = np.arange(3, dtype=np.int64)
-    unpacked = Unpacked(buffer, {1: Placed(some, some, 0), 2: Placed(some[:1], some[:1], 0)})
+    unpacked = UnpackedChunks(
+        buffer, {1: ChannelMessages(some, some, 0), 2: ChannelMessages(some[:1], some[:1], 0)}
+    )
     assert unpacked.nbytes == 100 + 2 * 8 * (3 + 1)
     assert unpacked.batch(frozenset({3}), 0) is None

@@ -223,8 +223,8 @@ HALVES = (slice(0, 300), slice(300, None))
 def test_what_the_topic_carries_is_the_count_in_x() -> None:
     stamp = np.arange(3)
     block = ImuBlock(stamp, np.array([[5.0, 0, 0], [6, 0, 0], [7, 0, 0]]), np.zeros((3, 3)))
-    assert SkewBlock.of(block).gyro.tolist() == [5, 6, 7]
-    assert np.array_equal(SkewBlock.of(block).as_imu().gyro, block.gyro)
+    assert SkewBlock.from_imu(block).gyro.tolist() == [5, 6, 7]
+    assert np.array_equal(SkewBlock.from_imu(block).as_imu().gyro, block.gyro)
 
 
 def test_without_the_skewed_stream_it_says_what_is_lost() -> None:

@@ -24,7 +24,7 @@ OTHERS = {
     'middleware/dds/arguments.py': 'options of ROS',
     'middleware/dds/context.py': 'options of ROS',
     'exports/ros.py': 'a command of ROS',
-    'other_formats.py': 'a whole command',
+    'common/files.py': 'a whole command',
     'fleet/history.py': 'a whole command',
     'api/standing.py': 'runs a command',
     'api/streams.py': 'a whole command',

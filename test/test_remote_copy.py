@@ -14,7 +14,7 @@ import pytest
 from imu_calib.common.errors import InputError
 from imu_calib.recordings import remote as remote_copy
 from imu_calib.recordings import remote as retries
-from imu_calib.recordings.remote import AHEAD, BLOCK, PAUSE, Copy, Reader
+from imu_calib.recordings.remote import AHEAD, BLOCK, PAUSE, FetchedFile, RemoteReader
 
 URL = 'memory://lab/rec.mcap'
 BLOCKS = 100
@@ -53,8 +53,8 @@ def files() -> Files:
     return Files()
 
 
-def copy(files: Any, size: int | None = len(CONTENT)) -> Copy:
-    return Copy(URL, files, 'lab/rec.mcap', size)
+def copy(files: Any, size: int | None = len(CONTENT)) -> FetchedFile:
+    return FetchedFile(URL, files, 'lab/rec.mcap', size)
 
 
 def test_what_is_asked_for_is_given_in_whole_blocks_and_fetched_once(files: Files) -> None:
@@ -248,13 +248,13 @@ def test_the_copy_goes_with_who_holds_it(files: Files) -> None:
     assert path.exists()
     del held
     assert not path.parent.exists()
-    nameless = Copy(URL, files, 'lab/', 5)  # type: ignore[arg-type]
+    nameless = FetchedFile(URL, files, 'lab/', 5)  # type: ignore[arg-type]
     assert nameless.path.name == 'recording'
 
 
 def test_an_open_file_is_a_place_in_it(files: Files, tmp_path: Path) -> None:
     small = CONTENT[: 3 * BLOCK]
-    there = Reader(copy(Files(small), len(small)))
+    there = RemoteReader(copy(Files(small), len(small)))
     here_path = tmp_path / 'here'
     here_path.write_bytes(small)
     with here_path.open('rb') as here:

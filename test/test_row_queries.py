@@ -40,14 +40,12 @@ class File:
         if found := re.search(r'id >= (\d+) AND id <= (\d+)', statement):
             self.ranges.append((int(found[1]), int(found[2])))
 
-    def read(
-        self, topics: tuple[int, ...], first: int | None, last: int = LAST_ROW
-    ) -> list[tuple[int, int, int | None]]:
+    def read(self, topics: tuple[int, ...], first: int | None) -> list[tuple[int, int, int | None]]:
         """First log time, number of messages, and where the next window begins, of each."""
         queries = RowQueries('bag.db3', self.connect, None, self.losses)
         return [
             (int(log[0]), len(messages), following)
-            for messages, log, following in queries.read(topics, first, last)
+            for messages, log, following in queries.read(topics, first)
         ]
 
 
@@ -59,24 +57,18 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> File:
 
 def test_a_topic_that_is_everywhere_is_read_in_narrow_windows(long: File) -> None:
     long.ranges.clear()
-    found = long.read((COMMON,), 1, 10_000)
-    assert long.ranges == [
-        (1, 2048),
-        (2049, 4096),
-        (4097, 6144),
-        (6145, 8192),
-        (8193, 10_000),
-    ]
-    assert [following for *_, following in found] == [2049, 4097, 6145, 8193, 10_001]
+    found = long.read((COMMON,), 1)
+    assert long.ranges[:4] == [(1, 2048), (2049, 4096), (4097, 6144), (6145, 8192)]
+    assert [following for *_, following in found[:4]] == [2049, 4097, 6145, 8193]
     assert found[0][:2] == (10, 2048 - 20)
-    assert sum(count for _, count, _ in found) == 9900
+    assert sum(count for _, count, _ in found) == ROWS - ROWS // EVERY
 
 
 def test_a_rare_one_is_read_in_windows_that_grow_up_to_the_widest(long: File) -> None:
     long.ranges.clear()
-    found = long.read((RARE,), 1, ROWS)
+    found = long.read((RARE,), 1)
     widths = [last - first + 1 for first, last in long.ranges]
-    assert widths == [2048, 4096, 8192, 16384, 32768, 65536, 65536, 65536, 39904]
+    assert widths == [2048, 4096, 8192, 16384, 32768, *[65536] * 5]
     assert [first for first, _ in long.ranges[1:]] == [last + 1 for _, last in long.ranges[:-1]]
     assert sum(count for _, count, _ in found) == ROWS // EVERY
 
@@ -84,23 +76,22 @@ def test_a_rare_one_is_read_in_windows_that_grow_up_to_the_widest(long: File) ->
 def test_windows_shrink_again_where_a_topic_is_no_longer_rare(tmp_path: Path) -> None:
     rows = [(k, RARE if k > 20_000 or k % EVERY == 0 else COMMON, k, b'') for k in range(1, 50_001)]
     file = File(tmp_path / 'bag.db3', rows)  # type: ignore[arg-type]
-    file.read((RARE,), 1, 50_000)
+    file.read((RARE,), 1)
     widths = [last - first + 1 for first, last in file.ranges]
     # At 14337 a wide window meets what is everywhere: each one after is half as wide.
-    assert widths == [2048, 4096, 8192, 16384, 8192, 4096, 2048, 2048, 2048, 848]
+    assert widths == [2048, 4096, 8192, 16384, 8192, 4096, 2048, 2048, 2048, 2048, 2048]
 
 
 def test_a_window_without_a_row_is_passed_over(tmp_path: Path) -> None:
     rows = [(5, COMMON, 50, b''), (1_000_000, COMMON, 60, b'abc'), (1_000_001, RARE, 70, b'')]
     file = File(tmp_path / 'bag.db3', rows)  # type: ignore[arg-type]
-    found = file.read((COMMON,), 5, 2_000_000)
+    found = file.read((COMMON,), 5)
     assert [(log, count) for log, count, _ in found] == [(50, 1), (60, 1)]
     # After the first window of 2048 comes an empty one of 4096: the next begins at a row.
     assert file.ranges[:3] == [(5, 2052), (2053, 6148), (1_000_000, 1_008_191)]
-    assert file.read((NONE,), 5, 2_000_000) == []
+    assert file.read((NONE,), 5) == []
     assert file.read((COMMON,), None) == []
     assert file.read((), 5) == []
-    assert file.read((COMMON,), 6, 999_999) == []
 
 
 def test_the_last_row_id_of_all_is_read(tmp_path: Path) -> None:
@@ -112,11 +103,11 @@ def test_foreign_values_are_a_message_of_no_bytes_at_the_time_of_the_first(tmp_p
     rows = [(1, COMMON, 'soon', b'a'), (2, COMMON, 8, 'text'), (3, COMMON, None, b'bc')]
     file = File(tmp_path / 'bag.db3', rows)  # type: ignore[arg-type]
     ((messages, log, following),) = RowQueries('bag.db3', file.connect, 3, file.losses).read(
-        (COMMON,), 1, 3
+        (COMMON,), 1
     )
     assert messages.payloads() == [b'a', b'', b'bc']
     assert log.tolist() == [8, 8, 8]
-    assert following == 4
+    assert following == 2049
 
 
 class Held:
@@ -190,11 +181,11 @@ class Damaged:
         pass
 
 
-def past(*damaged: int, end: int = LAST_ROW) -> tuple[list[tuple[int, int, int | None]], list[str]]:
+def past(*damaged: int) -> tuple[list[tuple[int, int, int | None]], list[str]]:
     """First log time, number of messages and what follows of each window; what is said."""
     losses = Losses()
     queries = RowQueries('bag.db3', lambda: Damaged(*damaged), 5000, losses)  # type: ignore[arg-type,return-value]
-    found = [(int(log[0]), len(log), then) for _, log, then in queries.read((COMMON,), 1, end)]
+    found = [(int(log[0]), len(log), then) for _, log, then in queries.read((COMMON,), 1)]
     return found, losses.sentences
 
 
@@ -209,22 +200,18 @@ def test_where_nothing_follows_that_can_be_read_it_is_said_once() -> None:
     windows, reports = past(*range(3000, 5001))
     assert windows == [(10, 2048, 2049), (20490, 951, None)]
     assert reports == ['bag.db3: the rows after 2999 cannot be read (malformed).']
-    # Up to the end of a window only, the next begins behind it.
-    windows, reports = past(*range(3000, 5001), end=4000)
-    assert windows == [(10, 2048, 2049), (20490, 951, 4001)]
-    assert reports == ['bag.db3: rows 3000 to 4000 cannot be read (malformed).']
 
 
 def test_before_damage_rows_come_in_windows_too() -> None:
     losses = Losses()
     queries = RowQueries('bag.db3', Damaged, None, losses)  # type: ignore[arg-type,return-value]
     error = sqlite3.DatabaseError('malformed')
-    rows, following = queries._load_damaged(Damaged(4000), (COMMON,), 2, LAST_ROW, error)  # type: ignore[arg-type]
+    rows, following = queries._load_damaged(Damaged(4000), (COMMON,), 2, error)  # type: ignore[arg-type]
     assert (len(rows), rows[-1][0], following) == (2048, 20490, 2050)
-    rows, following = queries._load_damaged(Damaged(), (COMMON,), 4001, LAST_ROW, error)  # type: ignore[arg-type]
+    rows, following = queries._load_damaged(Damaged(), (COMMON,), 4001, error)  # type: ignore[arg-type]
     assert (len(rows), following) == (1000, None)
     assert losses.sentences == []
     # Of a file whose last row nobody knows nothing is looked for behind damage.
-    rows, following = queries._load_damaged(Damaged(4000), (RARE,), 3001, LAST_ROW, error)  # type: ignore[arg-type]
+    rows, following = queries._load_damaged(Damaged(4000), (RARE,), 3001, error)  # type: ignore[arg-type]
     assert (rows, following) == ([], None)
     assert losses.sentences == ['bag.db3: the rows after 3999 cannot be read (malformed).']

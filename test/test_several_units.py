@@ -44,9 +44,7 @@ def units(folder):
 @pytest.fixture(scope='module')
 def session(folder, units):
     """Twelve short dwells."""
-    plan = yaml.safe_load(
-        (share_folder() / 'config/plans/twelve_position.yaml').read_text()
-    )
+    plan = yaml.safe_load((share_folder() / 'config/plans/twelve_position.yaml').read_text())
     for position in plan['positions']:
         position['dwell'] = '20 s'
     path = folder / 'short.yaml'

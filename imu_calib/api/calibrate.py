@@ -20,7 +20,7 @@ from ..common.units import counted
 from ..estimation.common_unknowns import TableEstimate
 from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording
-from ..recordings.text import InOrder
+from ..recordings.text import StampSorter
 from ..segmentation.stream_facts import Segmented
 from ..session.imu import HOTTEST
 from ..session.metadata import compensated_already, interpolated_from, serial_key
@@ -210,7 +210,7 @@ def _fits_holds_and_turns(opened: Opened, session: Segmented) -> bool:
         return False
     setup = replace(opened.setup, plan=load_plan(_HOLDS_AND_TURNS))
     calibrator = calibrator_of(setup)
-    for block in replace(opened, order=InOrder()).blocks():
+    for block in replace(opened, order=StampSorter()).blocks():
         calibrator.feed(block)
     try:
         calibrator.finish()
@@ -434,7 +434,7 @@ class _Part:
         """Take a block of a topic: samples go to the calibrator in the order of their stamps."""
         assert self.opened is not None
         if topic == self.opened.streams.imu and isinstance(block, ImuBlock):
-            self.feed(self.opened.order.take(block))
+            self.feed(self.opened.order.add(block))
         else:
             self.feed([block])
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from ..common.config import checked
 from ..common.errors import InputError
-from ..common.files import refuse_device, require, user_path
-from ..common.other_formats import BAG_OF_ROS_1
+from ..common.files import BAG_OF_ROS_1, refuse_device, require, user_path
 from ..common.parallel import Progress, silent
 from ..common.stream import (
     LAST_SECOND,

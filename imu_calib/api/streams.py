@@ -15,15 +15,14 @@ import numpy as np
 
 from ..common.config import Section
 from ..common.errors import InputError, NotStated
-from ..common.files import shipped, user_path
-from ..common.other_formats import other_encoding
+from ..common.files import other_encoding, shipped, user_path
 from ..common.parallel import Progress, silent
 from ..common.stream import Block, Floats, ImuBlock, Units
 from ..common.units import LARGEST, STANDARD_GRAVITY
 from ..estimation.setup import Setup
 from ..recordings.remote import AnyPath, located
 from ..recordings.rosbag2 import Kind, Recording, is_storage, open_recording
-from ..recordings.text import InOrder
+from ..recordings.text import StampSorter
 from ..session.imu import ImuSpec, load_imu, read_imu
 from ..session.metadata import LEFT_OUT, described_imu, serial_key
 from ..session.plan import UNPLANNED, Plan, load_plan
@@ -335,13 +334,13 @@ class Opened:
     setup: Setup  #: Set-up for the calibrator.
     streams: Streams  #: Its topics.
     assumed: tuple[str, ...] = ()  #: Assumptions about what is not stated, in sentences.
-    order: InOrder = field(default_factory=InOrder)  #: Sorts the samples of the IMU.
+    order: StampSorter = field(default_factory=StampSorter)  #: Sorts the samples of the IMU.
 
     def blocks(self, progress: Progress = silent) -> Iterator[Block]:
         """Read the needed topics, in order, the samples of the IMU in that of their stamps."""
         with progress('reading') as show:
             blocks = self.recording.read(self.streams.kinds(), show)
-            yield from self.order.passed(blocks, self.streams.imu)
+            yield from self.order.sorted_blocks(blocks, self.streams.imu)
 
     @property
     def losses(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from ..common.parallel import Progress, by_one_thread, silent
 from ..estimation.hand import NAME as FREE_POSITIONS
 from ..estimation.system import observe
 from ..recordings.rosbag2 import Recording, open_recording
-from ..recordings.text import InOrder
+from ..recordings.text import StampSorter
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.stream_facts import Temperature
 from ..session.imu import ImuSpec
@@ -114,10 +114,10 @@ def _verify(
     table = table_of(stated, recording) if streams.joints is not None else None
     segmenter = Segmenter(imu, table)
     kinds = {t: kind for t, kind in streams.kinds().items() if t != streams.skew}
-    order = InOrder()
+    order = StampSorter()
     with refused_by_stamps(recording, streams):
         with progress('reading') as show:
-            for block in order.passed(recording.read(kinds, show), streams.imu):
+            for block in order.sorted_blocks(recording.read(kinds, show), streams.imu):
                 segmenter.feed(block)
         session = segmenter.finish()
         calibration, notes = _at_temperature(loaded, session.temperature)

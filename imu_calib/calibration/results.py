@@ -56,7 +56,7 @@ def calibrated(
         origin,
         setup.serial_number,
         solution.parameters,
-        None if solution.shares is None else Budget.of(solution.shares),
+        None if solution.shares is None else Budget.from_shares(solution.shares),
         solution.changes,
         clock,
     )

@@ -27,93 +27,79 @@ factors beyond 12.7 are of no use."""
 class Source(Enum):
     """A source of uncertainty; the value is its name in files."""
 
-    NOISE = 'sensor_noise'
-    QUANTISATION = 'quantisation'
-    BIAS_STATED = 'bias_instability'
-    BIAS_FOUND = 'bias_drift'
-    POSITIONING_STATED = 'positioning'
-    POSITIONING_FOUND = 'positioning_found'
-    STOPS = 'stops_found'
-    ENCODER_RATE = 'encoder_rate'
-    ENCODER_NOISE = 'encoder_noise'
-    AZIMUTH = 'azimuth'
-    TILT = 'tilt'
-    ARM = 'lever_arm'
-    DELAY = 'delay'
-    NORTH = 'unknown_north'
-    TABLE = 'table'
-    CLOCK = 'clock'
-    TABLE_CLOCK = 'table_clock'
-    GRAVITY = 'gravity'
-    LATITUDE = 'latitude'
-    SCATTER = 'scatter'
-    TIME_CONSTANT = 'time_constant'
-    TEMPERATURE = 'temperature'
-    TERMS = 'terms'
-    OTHER_UNITS = 'other_units'
+    evaluation: str
+    """'A' by statistics of the session, 'B' by other means (GUM 2.3.2, 2.3.3)."""
+    heading: str
+    """Its name above a column, eleven letters at most."""
+    words: str
+    """Description of the source, and the origin of its size."""
 
-    @property
-    def evaluation(self) -> str:
-        """'A' by statistics of the session, 'B' by other means (GUM 2.3.2, 2.3.3)."""
-        return _ROWS[self][0]
+    def __new__(cls, name: str, evaluation: str, heading: str, words: str) -> Source:
+        """Make a member of a row below."""
+        source = object.__new__(cls)
+        source._value_ = name
+        source.evaluation, source.heading, source.words = evaluation, heading, words
+        return source
 
-    @property
-    def heading(self) -> str:
-        """Its name above a column, eleven letters at most."""
-        return _ROWS[self][1]
-
-    @property
-    def words(self) -> str:
-        """Description of the source, and the origin of its size."""
-        return _ROWS[self][2]
-
-
-_ROWS = {
-    Source.NOISE: ('A', 'noise', 'random walk of the sensors, from blocks of static dwells'),
-    Source.QUANTISATION: ('B', 'pulse', 'quantisation, from the pulse weight'),
-    Source.BIAS_STATED: ('B', 'bias', 'bias instability, as the IMU description states it'),
-    Source.BIAS_FOUND: ('A', 'drift', 'bias drift beyond that, as the session shows it'),
-    Source.POSITIONING_STATED: ('B', 'position', 'positioning errors, as stated or assumed'),
-    Source.POSITIONING_FOUND: (
+    NOISE = 'sensor_noise', 'A', 'noise', 'random walk of the sensors, from blocks of static dwells'
+    QUANTISATION = 'quantisation', 'B', 'pulse', 'quantisation, from the pulse weight'
+    BIAS_STATED = (
+        'bias_instability',
+        'B',
+        'bias',
+        'bias instability, as the IMU description states it',
+    )
+    BIAS_FOUND = 'bias_drift', 'A', 'drift', 'bias drift beyond that, as the session shows it'
+    POSITIONING_STATED = 'positioning', 'B', 'position', 'positioning errors, as stated or assumed'
+    POSITIONING_FOUND = (
+        'positioning_found',
         'A',
         'position+',
         'positioning errors beyond that, found',
-    ),
-    Source.STOPS: (
+    )
+    STOPS = 'stops_found', 'A', 'stops', 'attitude errors of the table at each stop, found'
+    ENCODER_RATE = (
+        'encoder_rate',
         'A',
-        'stops',
-        'attitude errors of the table at each stop, found',
-    ),
-    Source.ENCODER_RATE: ('A', 'turn-rate', "the table's rate, from the scatter of its encoder"),
-    Source.ENCODER_NOISE: ('A', 'encoder', "attitudes, from the encoders' noise"),
-    Source.AZIMUTH: ('B', 'azimuth', "prior of the table's azimuth"),
-    Source.TILT: ('B', 'tilt', "prior of the table's two tilts"),
-    Source.ARM: ('B', 'lever-arm', 'priors of the lever arms of accelerometers'),
-    Source.DELAY: ('B', 'delay', 'delay of accelerometers after gyros'),
-    Source.TABLE: ('B', 'table', 'axes, zeros and encoders of the table, as stated or assumed'),
-    Source.NORTH: ('B', 'north', 'horizontal Earth rate, unknown heading or left by turns'),
-    Source.CLOCK: ('A', 'clock', 'rate between the clocks of IMU and table'),
-    Source.TABLE_CLOCK: ('B', 'table-clock', "the table's own clock, as its description states it"),
-    Source.GRAVITY: ('B', 'gravity', 'gravity at the site'),
-    Source.LATITUDE: ('B', 'latitude', 'latitude of the site'),
-    Source.SCATTER: ('A', 'scatter', 'scatter of the residuals beyond all that'),
-    Source.TIME_CONSTANT: (
+        'turn-rate',
+        "the table's rate, from the scatter of its encoder",
+    )
+    ENCODER_NOISE = 'encoder_noise', 'A', 'encoder', "attitudes, from the encoders' noise"
+    AZIMUTH = 'azimuth', 'B', 'azimuth', "prior of the table's azimuth"
+    TILT = 'tilt', 'B', 'tilt', "prior of the table's two tilts"
+    ARM = 'lever_arm', 'B', 'lever-arm', 'priors of the lever arms of accelerometers'
+    DELAY = 'delay', 'B', 'delay', 'delay of accelerometers after gyros'
+    NORTH = 'unknown_north', 'B', 'north', 'horizontal Earth rate, unknown heading or left by turns'
+    TABLE = 'table', 'B', 'table', 'axes, zeros and encoders of the table, as stated or assumed'
+    CLOCK = 'clock', 'A', 'clock', 'rate between the clocks of IMU and table'
+    TABLE_CLOCK = (
+        'table_clock',
+        'B',
+        'table-clock',
+        "the table's own clock, as its description states it",
+    )
+    GRAVITY = 'gravity', 'B', 'gravity', 'gravity at the site'
+    LATITUDE = 'latitude', 'B', 'latitude', 'latitude of the site'
+    SCATTER = 'scatter', 'A', 'scatter', 'scatter of the residuals beyond all that'
+    TIME_CONSTANT = (
+        'time_constant',
         'A',
         'warm-up',
         'time constant of a warm-up or instant of a step, by its likelihood',
-    ),
-    Source.TEMPERATURE: (
+    )
+    TEMPERATURE = (
+        'temperature',
         'B',
         'temperature',
         'temperature that moved, by the coefficients that the IMU description states',
-    ),
-    Source.OTHER_UNITS: (
+    )
+    TERMS = 'terms', 'A', 'terms', 'terms that the session does not determine or exclude'
+    OTHER_UNITS = (
+        'other_units',
         'A',
         'units',
         'what the other units on the table say of it, by their noise',
-    ),
-    Source.TERMS: ('A', 'terms', 'terms that the session does not determine or exclude'),
-}
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +115,7 @@ class Share:
         return cls(covariance, np.full(len(covariance), np.inf))
 
     @classmethod
-    def of_parts(cls, parts: Sequence[tuple[Floats, float]]) -> Share:
+    def from_parts(cls, parts: Sequence[tuple[Floats, float]]) -> Share:
         """Add up independent parts: (n, n) covariances with the degrees of freedom of each."""
         variances = np.array([np.diag(covariance) for covariance, _ in parts])
         freedom = np.repeat(np.array([[f] for _, f in parts]), variances.shape[1], axis=1)
@@ -177,7 +163,7 @@ class Budget:
     lines: tuple[BudgetLine, ...]  #: Sources that contribute to any parameter.
 
     @classmethod
-    def of(cls, shares: Shares) -> Budget:
+    def from_shares(cls, shares: Shares) -> Budget:
         """Return the budget of a covariance that is the sum of shares."""
         lines = []
         for source in Source:
@@ -193,7 +179,7 @@ class Budget:
     def with_share(self, source: Source, share: Share) -> Budget:
         """Return the budget with another source, in the order of `Source`."""
         order = list(Source)
-        added = Budget.of({source: share}).lines
+        added = Budget.from_shares({source: share}).lines
         lines = sorted((*self.lines, *added), key=lambda line: order.index(line.source))
         return Budget(tuple(lines))
 

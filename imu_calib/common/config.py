@@ -19,18 +19,14 @@ import yaml
 from yaml.reader import ReaderError
 
 from .errors import InputError
-from .files import named_file, read_bytes
-from .other_formats import other_format
+from .files import named_file, other_format, read_bytes
 from .stream import Floats
 from .units import LARGEST, Dimension, parse, point_for_comma
-
-# Load and dump YAML text, by libyaml if PyYAML has it: several times as fast.
-
 
 try:
     from yaml import CSafeDumper as SafeDumper
     from yaml import CSafeLoader as SafeLoader
-except ImportError:  # PyYAML without libyaml reads and writes the same texts.
+except ImportError:  # PyYAML without libyaml reads and writes the same texts, more slowly.
     from yaml import SafeDumper, SafeLoader  # type: ignore[assignment]
 
 __all__ = ['SafeDumper']
@@ -121,13 +117,7 @@ def _values(node: yaml.Node, counts: dict[int, float]) -> float:
 
 
 def dump(value: Any, dumper: type[SafeDumper] = SafeDumper, **form: Any) -> str:
-    """Return a value as text, keys in their own order.
-
-    Args:
-        value: Of plain values, lists and dictionaries.
-        dumper: Replaces the default one.
-        form: As in `yaml.dump`: `width`, `default_flow_style`.
-    """
+    """Return a value as text, keys in their own order; `form` as in `yaml.dump`."""
     return str(yaml.dump(value, Dumper=dumper, sort_keys=False, **form))
 
 
@@ -163,12 +153,7 @@ class Section:
     def load(cls, path: Path, expected: str = 'a YAML file') -> Section:
         """Read the mapping at the top of a YAML file.
 
-        Args:
-            path: The file.
-            expected: What it is to be, for the sentence on a recording in its place.
-
-        Raises:
-            InputError: Unreadable, not YAML, or not a mapping.
+        If a recording was given in its place, the sentence says what was `expected`.
         """
         try:
             text = read_bytes(path).decode('utf-8')
@@ -182,15 +167,7 @@ class Section:
 
     @classmethod
     def named(cls, kind: str, name: str | Path) -> Section:
-        """Read a file given by name or path.
-
-        Args:
-            kind: Folder below config, as of `named_file`.
-            name: A supplied name, or the path of a file.
-
-        Raises:
-            InputError: There is none, or as of `load`.
-        """
+        """Read a file of a kind, as of `named_file`, given by name or path."""
         return cls.load(named_file(kind, name), _KINDS[kind])
 
     @classmethod
@@ -352,11 +329,7 @@ class Section:
         return [Section(v, f'{self.key(name)}[{i}]') for i, v in enumerate(self.items(name))]
 
     def finish(self) -> None:
-        """Refuse unknown keys.
-
-        Raises:
-            InputError: Names the unknown and the known keys.
-        """
+        """Refuse unknown keys."""
         unknown = sorted(set(self._data) - set(self._known))
         if unknown:
             known = sorted(set(self._known))
@@ -449,11 +422,7 @@ _LONGEST = 60
 
 
 def checked(function: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
-    """Check the arguments of a function that is called from Python, before it begins.
-
-    Raises:
-        InputError: From the function: names the keyword, what was found and what was expected.
-    """
+    """Check the arguments of a function that is called from Python, before it begins."""
     known = signature(function)
 
     @wraps(function)
@@ -465,11 +434,7 @@ def checked(function: Callable[Arguments, Returned]) -> Callable[Arguments, Retu
 
 
 def check(known: Signature, args: tuple[object, ...], kwargs: Mapping[str, object]) -> None:
-    """Refuse arguments that are not of the annotated types.
-
-    Raises:
-        InputError: Names the keyword, what was found and what was expected.
-    """
+    """Refuse arguments that are not of the annotated types."""
     try:
         given = known.bind(*args, **kwargs).arguments
     except TypeError:

@@ -1,4 +1,4 @@
-"""Expand paths, read files and no devices, and write files atomically."""
+"""Paths and files: read, write whole, those shipped with the code, those of other software."""
 
 from __future__ import annotations
 
@@ -19,11 +19,7 @@ _KEPT = 40
 
 
 def user_path(name: str | Path) -> Path:
-    """Return a path with a leading `~` or `~user` expanded.
-
-    Raises:
-        InputError: There is no such home folder, or no file can have this name.
-    """
+    """Return a path with a leading `~` or `~user` expanded."""
     try:
         path = Path(name).expanduser()
         path.stat()
@@ -47,6 +43,10 @@ def printable(text: str) -> str:
 class AnyFile(Protocol):
     """A path, local or remote."""
 
+    @property
+    def suffix(self) -> str:
+        """Ending of its name."""
+
     def exists(self) -> bool:
         """Return whether there is anything."""
 
@@ -61,21 +61,13 @@ class AnyFile(Protocol):
 
 
 def refuse_device(path: AnyFile) -> None:
-    """Refuse a device or a pipe, whose contents may never come, or never end.
-
-    Raises:
-        InputError: It is one.
-    """
+    """Refuse a device or a pipe, whose contents may never come, or never end."""
     if path.exists() and not path.is_file() and not path.is_dir():
         raise InputError(f'{path}: found a device or a pipe, expected a file.')
 
 
 def read_bytes(path: AnyFile) -> bytes:
-    """Return the contents of a file.
-
-    Raises:
-        InputError: It is no file, or cannot be read.
-    """
+    """Return the contents of a file."""
     refuse_device(path)
     try:
         with path.open('rb') as file:
@@ -85,11 +77,7 @@ def read_bytes(path: AnyFile) -> bytes:
 
 
 def read_text(path: AnyFile) -> str:
-    """Return the text of a file in UTF-8, without a byte order mark.
-
-    Raises:
-        InputError: It is no file, cannot be read, or is no text.
-    """
+    """Return the text of a file in UTF-8, without a byte order mark."""
     try:
         return read_bytes(path).decode('utf-8-sig')
     except UnicodeDecodeError:
@@ -97,32 +85,17 @@ def read_text(path: AnyFile) -> str:
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file whole or not at all, as `write_by`.
-
-    Args:
-        path: The file.
-        content: Bytes, or a text that is written in UTF-8.
-
-    Raises:
-        InputError: It cannot be written.
-    """
+    """Write a file whole or not at all, as `write_by`; a text in UTF-8."""
     if isinstance(content, str):
         content = content.encode('utf-8', 'backslashreplace')
     write_by(path, lambda file: file.write(content))
 
 
 def write_by(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file whole or not at all; a link is kept, and its target is written.
+    """Write a file whole or not at all, by a function of the open file.
 
-    A device or a pipe, /dev/null or /dev/stdout, is written directly: a file in its place would
-    hide it from all programs.
-
-    Args:
-        path: The file.
-        write: Called with the open file.
-
-    Raises:
-        InputError: It cannot be written; a file that was there is unchanged.
+    A link is kept, and its target is written. A device or a pipe, /dev/null or /dev/stdout, is
+    written directly: a file in its place would hide it from all programs.
     """
     target = path.resolve()
     temporary = target.with_name(f'.{target.name[:_KEPT]}.{os.urandom(4).hex()}.part')
@@ -145,8 +118,6 @@ def write_by(path: Path, write: Callable[[IO[bytes]], object]) -> None:
             temporary.unlink(missing_ok=True)
 
 
-# Locate the files shipped with the code: config, plans, message definitions.
-
 _PACKAGE = Path(__file__).resolve().parents[1]
 _CHECKOUT = _PACKAGE.parent
 
@@ -156,9 +127,6 @@ def share_folder() -> Path:
 
     In a checkout (including an editable install) it is the checkout; else it is share/imu_calib of
     the prefix of the installation, a ROS workspace or a Python environment.
-
-    Raises:
-        InputError: None of them contains the package's files.
     """
     candidates = [_CHECKOUT, *(p / 'share' / 'imu_calib' for p in _PACKAGE.parents)]
     for folder in candidates:
@@ -171,11 +139,7 @@ def share_folder() -> Path:
 
 
 def message_folder() -> Path:
-    """Return the folder of the suite's .msg files.
-
-    Raises:
-        InputError: The package's files are not installed.
-    """
+    """Return the folder of the suite's .msg files."""
     folder = share_folder()
     for candidate in (folder / 'msg_defs' / 'msg', folder.parent / 'imu_calib_msgs' / 'msg'):
         if candidate.is_dir():
@@ -190,9 +154,6 @@ def named_file(kind: str, name: str | Path) -> Path:
         kind: Folder below config: 'plans', 'imus', 'tables', 'truths', 'devices' or
             'imperfections'.
         name: A shipped name ('twelve_position'), or a path to the user's file.
-
-    Raises:
-        InputError: Neither exists; the message lists the shipped names.
     """
     path = user_path(name)
     if path.suffix in {'.yaml', '.yml'} or path.parent != Path():
@@ -220,11 +181,8 @@ def shipped(kind: str) -> str:
     return ', '.join(sorted(p.stem for p in (share_folder() / 'config' / kind).glob('*.yaml')))
 
 
-# The version of the installed package, which setup.py takes from package.xml.
-
-
 def version() -> str:
-    """Return the installed version; '0+unknown' for a checkout that is not installed."""
+    """Return the version, which setup.py takes from package.xml; '0+unknown' if not installed."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:
@@ -233,22 +191,104 @@ def version() -> str:
         return '0+unknown'
 
 
-# Optional libraries.
-
-
 def require(library: str, what: str, extra: str) -> None:
-    """Raise an error if an optional library is not installed.
-
-    Args:
-        library: Name to import.
-        what: The feature that needs it, as the beginning of a sentence.
-        extra: Extra of this package that installs it.
-
-    Raises:
-        InputError: It is not installed; explains how to install it.
-    """
+    """Refuse the feature `what` if an optional library, which `extra` installs, is missing."""
     if find_spec(library) is None:
         raise InputError(
             f'{what} needs {library}, which is not installed. Run '
             f"{sys.executable} -m pip install 'imu_calib[{extra}]', or install {library}."
         )
+
+
+# Recordings of other software, by file ending, and the way to make recordings of them.
+
+_TEXT = (
+    'a text file',
+    'imu-calib convert {path} -o OUT --stamp NAME:UNIT --gyro NAME,NAME,NAME:UNIT --accel '
+    'NAME,NAME,NAME:UNIT makes a recording of it',
+)
+_FORMATS = {
+    '.bag': ('a bag of ROS 1', 'imu-calib convert {path} -o OUT makes a recording of it'),
+    '.ulg': (
+        'a log of PX4',
+        'ulog2csv (pyulog) makes text files of it, and imu-calib convert a recording of those',
+    ),
+    '.mat': (
+        'a file of MATLAB',
+        'writematrix there, or scipy.io.loadmat and numpy.savetxt in Python, make a text file of '
+        'it, and imu-calib convert a recording of that',
+    ),
+    **dict.fromkeys(('.csv', '.txt', '.tsv', '.dat'), _TEXT),
+    **{
+        ending: ('a packed file', f'{program} {{path}} unpacks it')
+        for ending, program in (
+            ('.gz', 'gunzip -k'),
+            ('.bz2', 'bunzip2 -k'),
+            ('.xz', 'unxz -k'),
+            ('.zip', 'unzip'),
+            ('.tar', 'tar -xf'),
+            ('.tgz', 'tar -xf'),
+        )
+    },
+}
+BAG_OF_ROS_1 = b'#ROSBAG V'
+"""First bytes of a bag of ROS 1, of any ending (wiki.ros.org/Bags/Format)."""
+_ENCODINGS = {
+    'ros1': 'of ROS 1: imu-calib convert reads the .bag that it was made of',
+    'json': 'in JSON',
+    'protobuf': 'in Protobuf',
+}
+_DECODED = (
+    'write stamps, rates and accelerations to a text file (the Python package mcap reads them), '
+    'and imu-calib convert makes a recording of that'
+)
+_RECORDINGS = ('.mcap', '.db3')
+CONVERTIBLE = tuple(ending for ending, (_, way) in _FORMATS.items() if way.startswith('imu-calib'))
+"""Endings of files that imu-calib convert reads."""
+OTHERS = tuple(_FORMATS)
+"""Endings of files that are converted, or unpacked, before a command reads them."""
+
+
+def other_format(path: AnyFile, expected: str = '') -> str | None:
+    """Return a sentence on a file by its ending: what it is, and the way; None for other endings.
+
+    Args:
+        path: Of a file that cannot be used as it is.
+        expected: What it was given for, if not for a recording.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> other_format(Path('a.bag'), 'a plan').split(':')[0]
+        'a.bag is a bag of ROS 1, expected a plan'
+        >>> other_format(Path('plan.yaml')) is None
+        True
+    """
+    ending = path.suffix.lower()
+    wanted = f', expected {expected}' if expected else ''
+    if ending in _RECORDINGS and expected:
+        return f'{path} is a recording{wanted}.'
+    if ending not in _FORMATS:
+        return None
+    return _way(path, ending, wanted)
+
+
+def bag_of_ros_1(path: AnyFile) -> str:
+    """Return the sentence on a file that its first bytes show to be a bag of ROS 1."""
+    return _way(path, '.bag', '')
+
+
+def _way(path: AnyFile, ending: str, wanted: str) -> str:
+    what, way = _FORMATS[ending]
+    return f'{path} is {what}{wanted}: {way.format(path=path)}.'
+
+
+def other_encoding(topic: str, encoding: str) -> str:
+    """Return a sentence on a topic whose messages are not serialised as those of ROS 2 are.
+
+    Examples:
+        >>> other_encoding('/imu', 'json').split(',')[0]
+        'the messages of /imu are in JSON'
+    """
+    known = _ENCODINGS.get(encoding, f'serialised as {encoding!r}')
+    either = 'or else ' if encoding == 'ros1' else ''
+    return f'the messages of {topic} are {known}, expected CDR of ROS 2; {either}{_DECODED}.'

@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 
     from distributed import Client, Future
 
-# Run independent tasks on workers of Dask: of this machine, or of a scheduler.
-
-
 Task = TypeVar('Task')
 Result = TypeVar('Result')
 
@@ -66,11 +63,7 @@ def end_started(others: set[BaseProcess]) -> None:
 
 
 def _check_memory(size: str) -> None:
-    """Refuse a size that is none, or too small for any recording.
-
-    Raises:
-        InputError: Names what was found and what was expected.
-    """
+    """Refuse a size that is none, or too small for any recording."""
     from dask.utils import parse_bytes
 
     try:
@@ -94,11 +87,7 @@ class Engine:
 
     @contextmanager
     def connected(self) -> Iterator[Client]:
-        """Yield a client; all that was started for it ends with it.
-
-        Raises:
-            InputError: No scheduler answers, a value is wrong, or Dask is not installed.
-        """
+        """Yield a client; all that was started for it ends with it."""
         require('distributed', 'Work on workers of Dask', 'fleet')
         if self.workers is not None and self.workers < 1:
             raise InputError(f'`workers`: found {self.workers}, expected 1 or more.')
@@ -352,10 +341,9 @@ def _quiet() -> Iterator[None]:
             logger.setLevel(level)
 
 
-# Limit BLAS to one thread: for small matrices more threads cost time by waiting.
-
 THREADS = 'OMP_NUM_THREADS'
-"""Read by BLAS when numpy is first loaded: commands and nodes set it to 1 before."""
+"""Read by BLAS when numpy is first loaded: commands and nodes set it to 1 before, as for small
+matrices more threads cost time by waiting."""
 
 Arguments = ParamSpec('Arguments')
 
@@ -410,14 +398,10 @@ def run_all(
             scheduler.
         scheduler: Address of a Dask scheduler whose workers run the tasks (tcp://host:8786).
         ended: Called with each result, in the order of the tasks.
-
-    Raises:
-        InputError: No scheduler answers, Dask is not installed, or raised by a task.
-        NotObservable: Raised by a task.
     """
     results: list[Result] = []
 
-    def take(result: Result) -> None:
+    def collect(result: Result) -> None:
         results.append(result)
         if ended is not None:
             ended(result)
@@ -425,12 +409,12 @@ def run_all(
     listed = list(tasks)
     jobs = min(jobs or os.cpu_count() or 1, len(listed))
     if scheduler is not None:
-        _on_workers(function, listed, scheduler, take)
+        _on_workers(function, listed, scheduler, collect)
     elif jobs <= 1:
         for task in listed:
-            take(function(task))
+            collect(function(task))
     else:
-        _in_processes(function, listed, jobs, take)
+        _in_processes(function, listed, jobs, collect)
     return results
 
 
@@ -438,7 +422,7 @@ def _on_workers(
     function: Callable[[Task], Result],
     tasks: list[Task],
     scheduler: str,
-    take: Callable[[Result], None],
+    collect: Callable[[Result], None],
 ) -> None:
     early: dict[int, Result] = {}
     following = 0
@@ -451,12 +435,15 @@ def _on_workers(
                 )
             early[number] = outcome
             while following in early:
-                take(early.pop(following))
+                collect(early.pop(following))
                 following += 1
 
 
 def _in_processes(
-    function: Callable[[Task], Result], tasks: list[Task], jobs: int, take: Callable[[Result], None]
+    function: Callable[[Task], Result],
+    tasks: list[Task],
+    jobs: int,
+    collect: Callable[[Result], None],
 ) -> None:
     others = set(active_children())
     spawn, share = get_context('spawn'), _share(len(tasks), jobs)
@@ -468,7 +455,7 @@ def _in_processes(
                 submitted = [pool.submit(_one_by_one, function, chunk) for chunk in chunks]
             for future in submitted:
                 for result in future.result():
-                    take(result)
+                    collect(result)
         except BaseException:
             # Otherwise running tasks, whose results are dropped, would be waited for. None is
             # cancelled, as `pool.map` does: the thread of a pool whose processes are gone fails on
@@ -497,9 +484,6 @@ def single_threaded() -> Iterator[None]:
             del os.environ[THREADS]
         else:
             os.environ[THREADS] = before
-
-
-# How long work reports its progress.
 
 
 class Show(Protocol):

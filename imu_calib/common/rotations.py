@@ -36,15 +36,7 @@ def cross_matrix(vector: Floats) -> Floats:
 
 
 def rotation(axis: Floats, angle: Floats | float) -> Floats:
-    """Return the rotation matrices about a unit axis (Rodrigues).
-
-    Args:
-        axis: (3,) unit vector.
-        angle: (...) angles, rad.
-
-    Returns:
-        (..., 3, 3) matrices.
-    """
+    """Return the rotation matrices (..., 3, 3) about a unit axis (3,) by (...) rad (Rodrigues)."""
     cross = cross_matrix(axis)
     sine = np.sin(angle)[..., None, None]
     versine = (1 - np.cos(angle))[..., None, None]
@@ -52,12 +44,9 @@ def rotation(axis: Floats, angle: Floats | float) -> Floats:
 
 
 def in_rotated_frame(rows: Floats, axis: Floats, angle: Floats) -> Floats:
-    """Return rows @ rotation(axis, angle): vectors in the rotated frame.
+    """Return rows @ rotation(axis, angle): vectors (..., 3) in the rotated frame.
 
-    Args:
-        rows: (..., 3) vectors.
-        axis: (3,) unit vector.
-        angle: (...) rad, or one for all.
+    The axis is a unit vector (3,); the angles, rad, are (...), or one for all.
     """
     return all_in_rotated_frame([rows], axis, angle)[0]
 
@@ -154,9 +143,6 @@ def shortest(start: Floats, end: Floats) -> Floats:
     return np.asarray(np.eye(3) + cross + cross @ cross / (1 + float(start @ end)))
 
 
-# Directions at right angles to others.
-
-
 def cross(first: Floats, second: Floats) -> Floats:
     """Return the cross products (..., 3) of vectors (..., 3) with others.
 
@@ -181,8 +167,6 @@ def across(direction: Floats) -> tuple[Floats, Floats]:
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
     return first, cross(direction, first)
 
-
-# Constants of the Gaussian distribution that several thresholds share; what a covariance is.
 
 MAD_TO_STD = 1.4826
 """Standard deviation over the median absolute deviation: 1 / 0.6745, its quartile."""

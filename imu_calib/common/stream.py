@@ -125,7 +125,7 @@ class JointBlock:
     def __len__(self) -> int:
         return len(self.stamp)
 
-    def of(self, names: tuple[str, ...]) -> JointBlock | None:
+    def select_joints(self, names: tuple[str, ...]) -> JointBlock | None:
         """Return the joints of a table in its order; other joints are left out.
 
         None if a joint is missing or named twice: the attitude of the table is then unknown.
@@ -187,7 +187,7 @@ class SkewBlock:
         return len(self.stamp)
 
     @classmethod
-    def of(cls, block: ImuBlock) -> SkewBlock:
+    def from_imu(cls, block: ImuBlock) -> SkewBlock:
         """Convert a block of the topic imu/skew."""
         return cls(block.stamp, block.gyro[:, 0])
 

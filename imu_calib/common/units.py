@@ -137,10 +137,7 @@ def point_for_comma(text: object) -> str:
 def counted(number: int, noun: str, plural: str = '') -> str:
     """Return a number with its noun, in the singular for one.
 
-    Args:
-        number: The number.
-        noun: In the singular.
-        plural: If it is not the singular with an s.
+    A plural is given if it is not the singular with an s.
 
     Examples:
         >>> counted(1, 'turn'), counted(0, 'turn'), counted(2, 'is', 'are')
@@ -164,15 +161,7 @@ def significant(value: float, digits: int = 2) -> str:
 
 
 def parse(text: object, dimension: Dimension, key: str) -> float:
-    """Convert a quantity with its unit to SI.
-
-    Args:
-        text: For instance '7.8 arcsec/pulse'.
-        dimension: What is expected.
-        key: Key of the text, for the error message.
-
-    Raises:
-        InputError: Not a number with a unit of that dimension.
+    """Convert a quantity with its unit to SI; `key` names it in errors.
 
     Examples:
         >>> parse('180 deg', Dimension.ANGLE, 'mount')

@@ -412,7 +412,7 @@ class _System:
             found[source].append((stated * covariance, freedom))
             if stated < 1:
                 found[Source.POSITIONING_FOUND].append(((1 - stated) * covariance, freedom))
-        return {source: Share.of_parts(parts) for source, parts in found.items() if parts}
+        return {source: Share.from_parts(parts) for source, parts in found.items() if parts}
 
     def _information_on_common(self, k: int) -> list[tuple[Floats, float]]:
         """Return a unit's information on the common unknowns: (c, c) covariances by its own errors.

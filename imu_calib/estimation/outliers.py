@@ -439,7 +439,7 @@ def shares(equations: Equations, state: Floats, gain: Floats) -> dict[Source, Sh
         # Some lever arms are in the state; the priors of the others are in the outputs' covariance.
         if source in found:
             parts.append((found[source].covariance, np.inf))
-        found[source] = Share.of_parts(parts)
+        found[source] = Share.from_parts(parts)
     return found
 
 

@@ -347,7 +347,7 @@ def shares(components: Iterable[Component], gain: Floats) -> dict[Source, Share]
 
     Source: docs/mathematics.md, 'Uncertainty budget'.
     """
-    return {source: Share.of_parts(of) for source, of in parts(components, gain).items() if of}
+    return {source: Share.from_parts(of) for source, of in parts(components, gain).items() if of}
 
 
 # Effect of positioning errors of a table on the attitudes of dwells and turns.

@@ -26,8 +26,7 @@ from urllib.parse import quote
 from ..api.session import Session, Stated, as_list, with_keywords
 from ..common.config import checked
 from ..common.errors import InputError, NotObservable
-from ..common.files import printable, require, user_path, write_whole
-from ..common.other_formats import other_format
+from ..common.files import other_format, printable, require, user_path, write_whole
 from ..common.parallel import MEMORY, Engine, Progress, WorkerDied, outcomes, silent
 from ..common.units import counted
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS

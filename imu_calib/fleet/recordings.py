@@ -16,8 +16,7 @@ import yaml
 from ..api.session import Session, Stated
 from ..common.config import load
 from ..common.errors import InputError
-from ..common.files import read_text, user_path
-from ..common.other_formats import OTHERS, other_format
+from ..common.files import OTHERS, other_format, read_text, user_path
 from ..common.units import point_for_comma
 from ..recordings.remote import AnyPath, RemotePath, is_url, located
 from ..recordings.rosbag2 import is_storage

@@ -107,8 +107,6 @@ def _orthogonal(axes: Floats) -> Floats:
     return np.asarray(left @ right)
 
 
-# Sentences on sensors whose outputs are many times, or a fraction of, what they should be.
-
 TIMES = ' A wrong rate of the samples, or unit of their times, does the same.'
 """For gyros: their rates times time are compared with turned angles."""
 _RANGES = {
@@ -139,11 +137,9 @@ def wrong_scale_sentences(scale: float, name: str) -> str:
 
 
 def wrong_turns_sentences(scale: float, meaning: str) -> str:
-    """Return sentences on gyros that turn gravity so many times as far as it turns.
+    """Return sentences on gyros that turn gravity `scale` times as far as it turns.
 
-    Args:
-        scale: How many times.
-        meaning: What contradicts what, without a stop.
+    `meaning` says what contradicts what, without a stop.
     """
     return (
         f'The gyros turn gravity {scale:.3g} times as far as the accelerometers do: {meaning}.'

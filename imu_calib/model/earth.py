@@ -125,10 +125,6 @@ class Site:
                 of normal gravity at a known height (default: `NORMAL_GRAVITY_STD` and the effect of
                 `latitude_std`), m/s^2.
             latitude_std: Standard deviation of the latitude, rad (default: `LATITUDE_STD`).
-
-        Raises:
-            InputError: A value impossible on Earth, or the deviation of a height that is not
-                stated.
         """
         if not abs(latitude) <= math.pi / 2:
             raise InputError(f'latitude: found {math.degrees(latitude):g} deg, expected -90 to 90.')

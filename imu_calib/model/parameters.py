@@ -223,8 +223,6 @@ TRIADS = {'g': 'gyro', 'a': 'accelerometer'}
 """Section in files and word for a triad, by the letter in its parameters' names."""
 
 
-# The parameters of the sensor model, and their factors.
-
 AXES = 'xyz'
 _SKEWED = 'stuv'
 MOST_SKEWED = len(_SKEWED)
@@ -289,11 +287,7 @@ class Product:
         return sum(k >= len(AXES) for k in (*self.factors, *self.absolute))
 
     def words(self, axis: str = '') -> str:
-        """Return it as text, with its constant factor as a number.
-
-        Args:
-            axis: Replaces the axis of every input; empty to keep them.
-        """
+        """Return it as text, with its constant factor; `axis` replaces those of inputs."""
         names = [f'{"wf"[k // len(AXES)]}_{axis or AXES[k % len(AXES)]}' for k in range(6)]
         factors = [*(names[k] for k in self.factors), *(f'|{names[k]}|' for k in self.absolute)]
         if self.scale != 1:
@@ -378,11 +372,7 @@ def skewed_parameters(channels: int) -> tuple[Parameter, ...]:
 
 
 def linear_product(parameter: Parameter) -> Product:
-    """Return the factor of a parameter of the linear model: an input of its triad, or one.
-
-    Args:
-        parameter: One of `PARAMETERS` or of a skewed gyro.
-    """
+    """Return the factor of a parameter of the linear model: an input of its triad, or one."""
     if parameter.column is None:
         return Product()
     return Product((parameter.column + (len(AXES) if parameter.triad == 'a' else 0),))

@@ -24,9 +24,6 @@ from .parameters import (
 )
 from .terms import DELAY, G_SENSITIVITIES, G_SENSITIVITY, SIZE_EFFECT, TERMS, Term, term
 
-# Invert a nonlinear sensor model: inputs from outputs.
-
-
 _ROUNDS = 30
 """Newton's steps double the digits: five suffice for terms of a percent. Where terms exceed the
 linear part, the iteration does not converge."""
@@ -122,9 +119,7 @@ PRODUCTS: Mapping[Parameter, Product] = {
 def parameters_of(terms: Sequence[Term] = (), *, skewed: int = 0) -> tuple[Parameter, ...]:
     """Return the parameters of a model in the order of its vectors and covariance.
 
-    Args:
-        terms: Its terms beyond the 24 parameters, in any order.
-        skewed: Number of skewed gyros.
+    They are the 24, those of its terms, in any order, and those of so many skewed gyros.
     """
     chosen = [p for one in TERMS if one in terms for p in one.parameters]
     return (*PARAMETERS, *chosen, *skewed_parameters(skewed))
@@ -317,14 +312,9 @@ class SensorModel:
         return flat
 
     def predict(self, rate: Floats, force: Floats) -> tuple[Floats, Floats]:
-        """Return the readings of the channels.
+        """Return the readings of gyros, (..., 3) rad/s, and accelerometers, (..., 3) m/s^2.
 
-        Args:
-            rate: (..., 3) angular rate along the body axes, rad/s.
-            force: (..., 3) specific force along the body axes, m/s^2.
-
-        Returns:
-            Gyro (..., 3) in rad/s and accelerometer (..., 3) in m/s^2 channels.
+        Rates, (..., 3) rad/s, and specific forces, (..., 3) m/s^2, are along the body axes.
         """
         gyro = rate @ self.gyro.response.T + self.gyro.bias + force @ self.g_sensitivity.T
         accel = force @ self.accel.response.T + self.accel.bias
@@ -334,15 +324,10 @@ class SensorModel:
         return gyro + more[..., :3], accel + more[..., 3:]
 
     def derivatives(self, rate: Floats, force: Floats, parameters: tuple[Parameter, ...]) -> Floats:
-        """Return the derivatives of the six outputs by parameters, (..., 6, n).
+        """Return the derivatives of the six outputs by n parameters, (..., 6, n).
 
         The model is linear in the parameters: the derivatives do not depend on their values. Those
-        by a skewed gyro's parameters are zero.
-
-        Args:
-            rate: (..., 3) rad/s.
-            force: (..., 3) m/s^2.
-            parameters: The parameters.
+        by a skewed gyro's parameters are zero. Rates are (..., 3) rad/s, forces (..., 3) m/s^2.
         """
         by = regressors(parameters)
         result = np.zeros((*rate.shape[:-1], 6, len(parameters)))
@@ -395,14 +380,7 @@ class SensorModel:
         return result
 
     def compensate(self, gyro: Floats, accel: Floats) -> tuple[Floats, Floats]:
-        """Return the rate and the specific force for readings of the channels.
-
-        Args:
-            gyro: (..., 3) gyro channels, rad/s.
-            accel: (..., 3) accelerometer channels, m/s^2.
-
-        Returns:
-            Angular rate (..., 3) in rad/s and specific force (..., 3) in m/s^2, body axes.
+        """Return rates and specific forces along the body axes for readings; shapes as `predict`.
 
         Raises:
             NotObservable: A response matrix is singular, or terms exceed the responses.
@@ -454,13 +432,7 @@ def gravity_slope(model: SensorModel, parameters: Sequence[Parameter]) -> Floats
 def gravity_covariance(
     model: SensorModel, parameters: Sequence[Parameter], relative_std: float
 ) -> Floats:
-    """Return the contribution of gravity's uncertainty to a covariance, (n, n), of rank one.
-
-    Args:
-        model: The values of the parameters.
-        parameters: The parameters of the rows.
-        relative_std: Relative standard deviation of gravity.
-    """
+    """Return the share of gravity's relative uncertainty in a covariance, (n, n), of rank one."""
     deviation = gravity_slope(model, parameters) * relative_std
     return np.asarray(np.outer(deviation, deviation))
 

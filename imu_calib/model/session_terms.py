@@ -125,9 +125,6 @@ def session_term(text: str) -> tuple[Change, ...]:
 
     D_g and D_a stand for the three biases of a triad, K_g and K_a for its common scale factors;
     without parameters, those of `Course.by_default` are taken.
-
-    Raises:
-        InputError: No such term, or no such parameter.
     """
     name, _, acts_on = text.partition(':')
     course = Course(name)
@@ -141,11 +138,7 @@ def session_term(text: str) -> tuple[Change, ...]:
 def split_terms(text: str) -> tuple[str, tuple[Change, ...]]:
     """Separate the terms of a session from a list with commas.
 
-    Returns:
-        The rest of the list, or 'none', and the coefficients.
-
-    Raises:
-        InputError: A name is wrong, or two courses with time are combined.
+    Return the rest of the list, or 'none', and the coefficients.
     """
     if not isinstance(text, str):
         raise InputError(f'`terms`: found {text!r}, expected names in a text, with commas between.')
@@ -163,11 +156,7 @@ def split_terms(text: str) -> tuple[str, tuple[Change, ...]]:
 
 
 def change(course: Course, name: str) -> Change:
-    """Return a coefficient by its name, as in files.
-
-    Raises:
-        InputError: No such parameter.
-    """
+    """Return a coefficient by its name, as in files."""
     found = _changes(course, name, by_name=True)
     if len(found) != 1:
         raise InputError(f'{course.value}: found {name!r}, expected one parameter, or K_g or K_a.')
@@ -192,9 +181,7 @@ def terms_in_words(changes: Sequence[Change]) -> list[str]:
 def largest(changes: Sequence[Change], values: Sequence[float | None]) -> str:
     """Return the largest coefficient of each kind as text: 'D_g 0.2 deg/h per h, K_a ...'.
 
-    Args:
-        changes: The coefficients.
-        values: Of each, SI units; None or infinite if unknown.
+    Values are in SI units; None or infinite if unknown.
     """
     found: dict[str, float] = {}
     shown: dict[str, str] = {}
@@ -225,11 +212,6 @@ def _changes(course: Course, name: str, *, by_name: bool) -> tuple[Change, ...]:
             'parameters, several with + between (trend:D_g+D_a).'
         )
     return (Change(course, name, (found[0],), by_name),)
-
-
-# Changes of parameters with time or temperature in a session: a value and its section of a file.
-#
-# Source: docs/mathematics.md, 'Terms of a session'.
 
 
 KEY = 'session_terms'
@@ -310,13 +292,7 @@ class Changes:
 def read_changes(section: Section, parameters: Sequence[Parameter], covariance: Floats) -> Changes:
     """Read a file's section.
 
-    Args:
-        section: The mapping.
-        parameters: Those of the calibration, n.
-        covariance: (n, n) theirs, NaN for those that were not estimated.
-
-    Raises:
-        InputError: A wrong name or number; names the key.
+    The covariance, (n, n), is that of the calibration's parameters; NaN for those not estimated.
     """
     coefficients, values, deviations = [], [], []
     for row in section.sections('coefficients'):

@@ -239,11 +239,7 @@ G_SENSITIVITIES: tuple[Parameter, ...] = G_SENSITIVITY.parameters
 
 
 def named_terms(text: str) -> tuple[Term, ...]:
-    """Return the terms in a text: 'none', or names with commas between; 'auto' is left out.
-
-    Raises:
-        InputError: No such term.
-    """
+    """Return the terms in a text: 'none', or names with commas between; 'auto' is left out."""
     if text == NO_TERMS:
         return ()
     names = [name.strip() for name in text.split(',')]
@@ -256,11 +252,7 @@ def asks_for_search(text: str) -> bool:
 
 
 def term(name: str) -> Term:
-    """Return the term of a name.
-
-    Raises:
-        InputError: No such term; lists those that exist.
-    """
+    """Return the term of a name."""
     for known in TERMS:
         if known.name == name:
             return known
@@ -269,11 +261,7 @@ def term(name: str) -> Term:
 
 
 def coefficients_of(name: str) -> tuple[Parameter | Change, ...]:
-    """Return the coefficients of a term of the sensors or of a session; none for other names.
-
-    Raises:
-        InputError: A term of a session with an unknown parameter.
-    """
+    """Return the coefficients of a term of the sensors or of a session; none for other names."""
     if name.partition(':')[0] in SESSION_TERMS:
         return session_term(name)
     return tuple(p for one in TERMS if one.name == name for p in one.parameters)

@@ -53,11 +53,7 @@ class Messages:
 
     @classmethod
     def join(cls, payloads: Sequence[bytes]) -> Messages:
-        """Copy messages that are scattered in memory into one buffer.
-
-        Returns:
-            The messages, in the same order.
-        """
+        """Copy messages that are scattered in memory into one buffer."""
         size = np.fromiter(map(len, payloads), np.int64, len(payloads))
         buffer = np.frombuffer(b''.join(payloads), np.uint8)
         return cls(buffer, np.cumsum(size) - size, size)
@@ -81,13 +77,9 @@ class Messages:
         return [bytes(whole[a:b]) for a, b in zip(self.offset.tolist(), ends, strict=True)]
 
     def leading_bytes(self, size: int) -> Bytes:
-        """Gather the first bytes of every message.
+        """Gather the first bytes, (n, size), of every message; none may be shorter.
 
-        Args:
-            size: Bytes to take; no message may be shorter.
-
-        Returns:
-            (n, size) bytes, contiguous; the buffer's own if the messages adjoin.
+        They are contiguous, and the buffer's own if the messages adjoin.
         """
         if self._is_matrix(size):
             start = int(self.offset[0])
@@ -101,15 +93,7 @@ class Messages:
         return bool((self.offset[1:] - self.offset[:-1] == size).all())
 
     def gather(self, start: int, size: int) -> Bytes:
-        """Copy the same bytes of every message; no message may be shorter.
-
-        Args:
-            start: First byte, counted from the start of a message.
-            size: Bytes to take.
-
-        Returns:
-            (n, size) bytes in new memory.
-        """
+        """Copy (n, size) bytes from the same place in every message; none may end before."""
         if len(self) == 0:
             return np.empty((0, size), np.uint8)
         # Every possible position is one element of this overlapping view, so that one indexed copy
@@ -169,13 +153,9 @@ class Layout:
         )
 
     def holds(self, rows: Bytes) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """Return which messages have this layout.
+        """Return which messages, (n,), have this layout, by their first bytes, (n, head).
 
-        Args:
-            rows: (n, head) first bytes of messages of the right size.
-
-        Returns:
-            (n,) true where all fixed bytes agree.
+        They must have the right size.
         """
         same = np.ones(len(rows), np.bool_)
         for start, kind, value in self._words:
@@ -241,7 +221,7 @@ class LayoutReader:
         self._columns: dict[str, tuple[int, int]] = {}
         self._names: list[str] = []
 
-    def _take(self, alignment: int, size: int) -> int:
+    def _advance(self, alignment: int, size: int) -> int:
         start = self._position + (ENCAPSULATION - self._position) % alignment
         if start + size > len(self._payload):
             raise CdrError(
@@ -258,7 +238,7 @@ class LayoutReader:
     def number(self, code: str) -> Any:
         """Read one number that may differ between messages."""
         size = struct.calcsize(code)
-        return struct.unpack_from(self.order + code, self._payload, self._take(size, size))[0]
+        return struct.unpack_from(self.order + code, self._payload, self._advance(size, size))[0]
 
     def stamp(self) -> int:
         """Read a builtin_interfaces/Time, in ns."""
@@ -267,14 +247,14 @@ class LayoutReader:
 
     def count(self) -> int:
         """Read the length of a sequence; it belongs to the layout."""
-        start = self._take(4, 4)
+        start = self._advance(4, 4)
         self._keep(start, self._position)
         return int(struct.unpack_from(f'{self.order}I', self._payload, start)[0])
 
     def string(self) -> str:
         """Read a string; it belongs to the layout."""
         length = self.count()
-        start = self._take(1, length)
+        start = self._advance(1, length)
         self._keep(start, self._position)
         content = self._payload[start : self._position]
         if length and content[-1]:
@@ -292,7 +272,7 @@ class LayoutReader:
 
     def column(self, name: str, width: int) -> None:
         """Skip float64 numbers that form the column `name`."""
-        start = self._take(8, 8 * width) if width else self._position
+        start = self._advance(8, 8 * width) if width else self._position
         self._columns[name] = (start, width)
 
     def sequence(self, name: str) -> int:
@@ -304,7 +284,7 @@ class LayoutReader:
     def floats(self) -> tuple[float, ...]:
         """Read a float64 sequence."""
         width = self.count()
-        start = self._take(8, 8 * width) if width else self._position
+        start = self._advance(8, 8 * width) if width else self._position
         values: tuple[float, ...] = struct.unpack_from(
             f'{self.order}{width}d', self._payload, start
         )

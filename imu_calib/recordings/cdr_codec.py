@@ -28,17 +28,8 @@ from .cdr import ENCAPSULATION, ORDERS, CdrError, Layout, LayoutReader, Malforme
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from ..common.stream import (
-        Floats,
-        ImuBlock,
-        JointBlock,
-        Setpoint,
-        SetpointBlock,
-        Stamps,
-        TemperatureBlock,
-    )
+    from ..common.stream import Floats, Stamps
     from .cdr import Bytes, Indices
-
 
 Columns = TypeVar('Columns', ImuBlock, JointBlock, TemperatureBlock)
 AnyBlock = TypeVar('AnyBlock', bound=Block)
@@ -55,15 +46,10 @@ _COMMON = frozenset({'names', 'frame_id'})
 
 
 def decode_imu(messages: Messages, malformed: Malformed | None = None) -> list[ImuBlock]:
-    """Decode sensor_msgs/Imu.
+    """Decode sensor_msgs/Imu: blocks in the order of the messages.
 
-    Args:
-        messages: Serialised messages.
-        malformed: Counts the messages that are skipped because their bytes contradict the type.
-
-    Returns:
-        Blocks in the order of the messages; a new one starts where frame, size or byte order
-        change.
+    A new block starts where frame, size or byte order change. Messages whose bytes contradict the
+    type are counted by `malformed`.
 
     Raises:
         CdrError: A message is malformed and `malformed` is None.
@@ -73,7 +59,7 @@ def decode_imu(messages: Messages, malformed: Malformed | None = None) -> list[I
 
 def decode_skew(messages: Messages, malformed: Malformed | None = None) -> list[SkewBlock]:
     """Decode the sensor_msgs/Imu of a skewed gyro; arguments, order and errors as `decode_imu`."""
-    return [SkewBlock.of(block) for block in decode_imu(messages, malformed)]
+    return [SkewBlock.from_imu(block) for block in decode_imu(messages, malformed)]
 
 
 class ImuDecoder:
@@ -326,6 +312,8 @@ def _mode(value: int) -> Mode:
 
 
 # Encode columns as serialised messages, in bulk: the inverse of `decode`, little-endian.
+#
+# A stamp that does not fit a header raises CdrError.
 
 _FIRST_SECOND = -LAST_SECOND - 1
 """The first of builtin_interfaces/Time, signed 32 bits, s."""
@@ -424,33 +412,16 @@ def _messages(rows: Bytes) -> Messages:
 def encode_imu(block: ImuBlock, first_covariances: tuple[float, float, float] = PULSES) -> Messages:
     """Encode sensor_msgs/Imu without orientation.
 
-    Args:
-        block: Samples to encode.
-        first_covariances: Element 0 of the covariances of orientation, angular velocity and
-            linear acceleration: `PULSES`, `RATES` or own values; -1 means unknown.
-
-    Returns:
-        One message per sample.
-
-    Raises:
-        CdrError: A stamp does not fit the header.
+    The first covariances are element 0 of those of orientation, angular velocity and linear
+    acceleration: `PULSES`, `RATES` or own values; -1 means unknown.
     """
     return _imu(block, first_covariances, None)
 
 
 def encode_rates(block: ImuBlock, rate_covariance: Floats, force_covariance: Floats) -> Messages:
-    """Encode sensor_msgs/Imu in SI units without orientation, as REP 145 asks.
+    """Encode sensor_msgs/Imu in rad/s and m/s^2 without orientation, as REP 145 asks.
 
-    Args:
-        block: Samples in rad/s and m/s^2.
-        rate_covariance: (n, 9) row by row, (rad/s)^2.
-        force_covariance: (n, 9) row by row, (m/s^2)^2.
-
-    Returns:
-        One message per sample.
-
-    Raises:
-        CdrError: A stamp does not fit the header.
+    Covariances are (n, 9) row by row, (rad/s)^2 and (m/s^2)^2.
     """
     return _imu(block, RATES, (rate_covariance, force_covariance))
 
@@ -518,18 +489,7 @@ def _imu_template(
 
 
 def encode_joints(block: JointBlock, frame_id: str = '') -> Messages:
-    """Encode sensor_msgs/JointState without effort.
-
-    Args:
-        block: Samples to encode; an array that is NaN throughout is left out of the messages.
-        frame_id: Frame of the header.
-
-    Returns:
-        One message per sample.
-
-    Raises:
-        CdrError: A stamp does not fit the header.
-    """
+    """Encode sensor_msgs/JointState without effort, and without arrays that are NaN throughout."""
     columns = block.position, block.velocity
     widths = tuple(_carried(values) for values in columns)
     template, starts = _joint_template(frame_id, tuple(block.names), widths)
@@ -561,19 +521,7 @@ def _carried(values: Floats) -> int:
 def encode_temperatures(
     block: TemperatureBlock, frame_id: str = '', variance: float = 0.0
 ) -> Messages:
-    """Encode sensor_msgs/Temperature.
-
-    Args:
-        block: Samples to encode, degrees Celsius.
-        frame_id: Frame of the header.
-        variance: Variance of every sample; 0 means unknown.
-
-    Returns:
-        One message per sample.
-
-    Raises:
-        CdrError: A stamp does not fit the header.
-    """
+    """Encode sensor_msgs/Temperature; a variance of 0 means unknown."""
     template = _Template()
     template.string(frame_id)
     start = template.doubles([0.0, variance])
@@ -586,12 +534,6 @@ def encode_setpoints(block: SetpointBlock, frame_id: str = '') -> Messages:
     """Encode imu_calib_msgs/TurntableSetpoint.
 
     A setpoint is repeated ten times a second with a new stamp: each content is encoded once.
-
-    Returns:
-        One message per setpoint.
-
-    Raises:
-        CdrError: A stamp does not fit the header.
     """
     known: dict[tuple[object, ...], _Template] = {}
     payloads = []

@@ -39,19 +39,12 @@ class CodecError(Exception):
 
 
 def unpack(data: bytes | memoryview, compression: str, most: int) -> bytes:
-    """Unpack one compressed block.
+    """Unpack a block compressed by '', 'lz4' or 'zstd', as named in mcap chunks.
 
-    Args:
-        data: The block.
-        compression: '', 'lz4' or 'zstd', as named in mcap chunks.
-        most: Bytes that it may unpack to; what holds more is refused without unpacking the rest.
-
-    Returns:
-        The content.
+    What holds more than `most` bytes is refused without unpacking the rest.
 
     Raises:
         CodecError: The data are corrupt, or unpack to more.
-        InputError: The compression is unknown, or its package is not installed.
     """
     if compression == '':
         return bytes(data)
@@ -77,18 +70,11 @@ def unpack(data: bytes | memoryview, compression: str, most: int) -> bytes:
 
 
 def unpacked_into(memory: memoryview, data: bytes | memoryview, compression: str) -> bool:
-    """Unpack one compressed block into memory of its stated size.
+    """Unpack a block of lz4 or zstd into memory of its stated size.
 
     Unpacking it at once allocates fresh memory several times, which the system clears page by page:
-    four times as long as unpacking alone.
-
-    Args:
-        memory: (size,) bytes.
-        data: The block.
-        compression: 'lz4' or 'zstd'.
-
-    Returns:
-        Whether it is one valid frame of that size; `unpack` handles all other cases.
+    four times as long as unpacking alone. Return whether it is one valid frame of that size;
+    `unpack` handles others.
     """
     module = _module(compression)
     try:
@@ -126,14 +112,7 @@ def _moved_into(memory: memoryview, data: bytes | memoryview, frame: Any, most: 
 
 
 def compressor(compression: str) -> Callable[[bytes], bytes]:
-    """Return the function that packs one block.
-
-    Args:
-        compression: '', 'lz4' or 'zstd', as named in mcap chunks.
-
-    Raises:
-        InputError: The compression is unknown, or its package is not installed.
-    """
+    """Return the function that packs one block by '', 'lz4' or 'zstd', as named in mcap chunks."""
     if compression == '':
         return bytes
     module = _module(compression)
@@ -145,23 +124,14 @@ def compressor(compression: str) -> Callable[[bytes], bytes]:
 def unpack_file(source: AnyPath, target: Path) -> str:
     """Unpack a zstd file piece by piece, as far as possible.
 
-    Args:
-        source: Compressed file.
-        target: File to write.
-
-    Returns:
-        The error before the end of the source; empty without.
-
-    Raises:
-        InputError: No package for zstd is installed.
-        OSError: A file cannot be read or written.
+    Return the error before the end of the source; empty without.
     """
     stream = _FrameStream(_module('zstd'))
     with source.open('rb') as packed, target.open('wb') as content:
         try:
             while block := packed.read(_BLOCK):
                 for start in range(0, len(block), _FED):
-                    content.writelines(stream.feed(block[start : start + _FED]))
+                    content.writelines(stream.unpack(block[start : start + _FED]))
         except _errors() as error:
             return str(error)
     return '' if stream.at_boundary else 'the compressed data ends in the middle of a frame'
@@ -177,7 +147,7 @@ class _FrameStream:
         self._used = 0
         self.at_boundary = True
 
-    def feed(self, block: bytes) -> Iterator[bytes]:
+    def unpack(self, block: bytes) -> Iterator[bytes]:
         """Yield the unpacked content of the next bytes of the file."""
         while block:
             if self._frame is None:
@@ -245,8 +215,6 @@ def _module(compression: str) -> Any:
         f'installed: install python3-{package} (apt) or {package} (pip).'
     )
 
-
-# Unpack the next compressed chunks on two cores while earlier ones are decoded.
 
 Stored = TypeVar('Stored')
 Content = TypeVar('Content')

@@ -17,7 +17,6 @@ from ..common.files import message_folder
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from .remote import AnyPath
     from .storage import Topic
@@ -160,15 +159,7 @@ _OF_ACTIONS = {
 def definition(type_name: str) -> str:
     """Return a message definition together with those of all messages in it.
 
-    Args:
-        type_name: Full name, for instance sensor_msgs/msg/Imu.
-
-    Returns:
-        Text in mcap's form ros2msg: the definition, then each further one after a rule and its
-            name.
-
-    Raises:
-        InputError: The definition of one of them is not found.
+    In mcap's form ros2msg: the definition, then each further one after a rule and its name.
     """
     parts = [message_text(type_name)]
     seen = [type_name]
@@ -185,9 +176,6 @@ def message_text(type_name: str) -> str:
 
     Standard messages are built in, the suite's own are read from its files, others from the ROS
     installation, if there is one.
-
-    Raises:
-        InputError: It is not found.
     """
     if type_name in _BUILT_IN:
         return _BUILT_IN[type_name]
@@ -236,8 +224,6 @@ def _inner_types(type_name: str) -> list[str]:
     return found
 
 
-# The metadata.yaml of a rosbag2 folder, and the same text inside the storage files.
-
 NAME = 'metadata.yaml'
 VERSION = 9
 """Version of metadata.yaml as written by rosbag2 of Jazzy."""
@@ -258,13 +244,7 @@ class Metadata:
 
 
 def read_metadata(folder: AnyPath) -> Metadata:
-    """Read the metadata of a recording, if present.
-
-    Args:
-        folder: Folder of the recording.
-
-    Returns:
-        The metadata; `problem` names a missing or broken file.
+    """Read the metadata of a folder; `problem` names a missing or broken file.
 
     Raises:
         OSError: The file exists but cannot be read.
@@ -376,14 +356,8 @@ def information(
 ) -> dict[str, Any]:
     """Build the metadata of a recording in mcap files, as ROS 2 Jazzy writes it.
 
-    Args:
-        files: The storage files, in order.
-        topics: Topics with their counts.
-        profiles: Offered QoS by topic name.
-        custom_data: The user's own entries.
-
-    Returns:
-        The content below `rosbag2_bagfile_information`.
+    It is the content below `rosbag2_bagfile_information`: files in order, topics with their counts,
+    QoS offered for each by its name, and the user's own entries.
     """
     filled = [file for file in files if file.count]
     start = min((file.start_ns for file in filled), default=0)

@@ -27,14 +27,19 @@ from .mcap_records import (
     grouped,
     walk,
 )
-from .mcap_scan import Part, Placed, located, log_at, scan, times_at
+from .mcap_scan import ChannelMessages, ChunkContent, located, log_at, scan, times_at
 from .storage import Cache, Losses, Memory, MessageBatch, Times, Topic, first_and_last
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from ..common.stream import Stamps
-    from .cdr import Indices
+    from .cdr import Bytes, Indices
+    from .mcap_scan import ByteFile
+    from .remote import AnyPath
+
+    _Stored = tuple[ChunkGroup, memoryview, list[dict[int, Indices]]]
+    _Content = tuple[Bytes, list[ChunkContent]]
 
 # Put the messages of a topic into the order of their log times.
 #
@@ -66,14 +71,10 @@ _STAMP = 12
 
 
 def time_order(starts: Stamps, ends: Stamps) -> Indices | None:
-    """Return the order in which the parts of a file are read.
+    """Return the order, (n,), in which the parts of a file are read; None for that of the file.
 
-    Args:
-        starts: (n,) least log time of each, in the order of the file.
-        ends: (n,) largest.
-
-    Returns:
-        (n,) places; None if the clock was set back, and the order of the file is the right one.
+    That is the right one if the clock was set back. `starts` and `ends` are the least and largest
+    log times of the parts, in the order of the file.
     """
     in_file = np.arange(len(starts))
     if (starts[1:] >= starts[:-1]).all():
@@ -127,7 +128,7 @@ class LogOrder:
             if following is None:
                 self._release()
                 break
-            self._take(*following)
+            self._accept(*following)
         if not self._ready:
             raise StopIteration
         return self._ready.pop(0)
@@ -138,7 +139,7 @@ class LogOrder:
             self._ready.append(self._waiting)
             self._waiting = None
 
-    def _take(self, batch: MessageBatch, bound: int | None) -> None:
+    def _accept(self, batch: MessageBatch, bound: int | None) -> None:
         log = batch.log
         if (log[1:] < log[:-1]).any():
             order = np.argsort(log, kind='stable')
@@ -220,23 +221,12 @@ def _of_times(several: list[Times], rows: slice | Indices) -> Times:
     return Times(*columns)
 
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from .cdr import Bytes, Indices
-
-    _Stored = tuple[ChunkGroup, memoryview, list[dict[int, Indices]]]
-    _Content = tuple[Bytes, list[Part]]
-    from .mcap_scan import ByteFile
-    from .remote import AnyPath
-
-
 @dataclass(frozen=True, eq=False)
-class Unpacked:
+class UnpackedChunks:
     """Chunks in memory: their bytes, and the offsets of the messages of each channel."""
 
     buffer: Bytes
-    channels: dict[int, Placed]
+    channels: dict[int, ChannelMessages]
 
     @property
     def nbytes(self) -> int:
@@ -261,16 +251,7 @@ class Unpacked:
 
 
 class McapStorage:
-    """One mcap file.
-
-    Args:
-        path: The file.
-        losses: Receives sentences on unreadable data.
-
-    Raises:
-        RecordingError: This is not an mcap file.
-        OSError: The file cannot be read.
-    """
+    """One mcap file; `losses` receives sentences on unreadable data."""
 
     def __init__(self, path: AnyPath, losses: Losses) -> None:
         self.path = path
@@ -410,7 +391,7 @@ class McapStorage:
         together = bool(group.compression) and size <= TOGETHER
         if together:
             buffer = self._memory.allocate(size)
-        parts: list[Part] = []
+        parts: list[ChunkContent] = []
         for chunk, table in zip(group.chunks, tables, strict=True):
             start = chunk.data - group.start
             stored, memory = content[start : start + chunk.stored], None
@@ -422,13 +403,15 @@ class McapStorage:
                 continue
             if group.compression and not together:
                 buffer, start = unpacked, 0
-            parts.append(Part(f'{self.path.name}: {chunk}', start, start + len(unpacked), table))
+            parts.append(
+                ChunkContent(f'{self.path.name}: {chunk}', start, start + len(unpacked), table)
+            )
         return buffer, parts
 
-    def _located(self, ahead: ReadAhead[_Stored, _Content], group: ChunkGroup) -> Unpacked:
+    def _located(self, ahead: ReadAhead[_Stored, _Content], group: ChunkGroup) -> UnpackedChunks:
         """Find the messages of chunks while the thread continues to unpack."""
         buffer, parts = ahead.load(group)
-        return Unpacked(buffer, located(parts, buffer, self._losses.add))
+        return UnpackedChunks(buffer, located(parts, buffer, self._losses.add))
 
     def _unpack(
         self, chunk: Chunk, stored: memoryview, memory: memoryview | None = None
@@ -528,11 +511,7 @@ def _with_checksum(chunk: Chunk, record: memoryview) -> Chunk:
 def _tables(chunk: Chunk, content: memoryview, first: int, file: ByteFile) -> dict[int, Indices]:
     """Return the message index of a chunk, (n, 2) log times and offsets by channel.
 
-    Args:
-        chunk: The chunk.
-        content: Bytes of the file.
-        first: Offset of the first of these bytes.
-        file: For reading other parts.
+    The content is that of the file from byte `first` on; other parts are read.
     """
     tables = {}
     for channel, (position, count) in (chunk.index or {}).items():

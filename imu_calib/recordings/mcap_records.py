@@ -221,14 +221,9 @@ def strings(pairs: dict[str, str]) -> bytes:
 
 
 def walk(buffer: Bytes, start: int = 0) -> tuple[Indices, int]:
-    """Find consecutive records in a buffer.
+    """Find consecutive records in a buffer, the first at `start`.
 
-    Args:
-        buffer: (bytes,) records.
-        start: Offset of the first.
-
-    Returns:
-        (n,) offsets of the whole records, and the offset where the last of them ends.
+    Return the offsets (n,) of the whole records, and that where the last of them ends.
     """
     whole = buffer.data
     end = len(buffer)
@@ -263,8 +258,6 @@ def _run(buffer: Bytes, position: int, length: int) -> Indices:
     count = int(other[0]) if len(other) else possible
     return position + stride * np.arange(count)
 
-
-# Chunks of an mcap file: their offsets, from their own heads or from the summary.
 
 CHUNK_FIELDS = 40
 """Bytes of a chunk's fields before its records: start, end, size, CRC, compression, length
@@ -366,14 +359,9 @@ class ChunkGroup:
 
 
 def chunk_at(position: int, head: bytes) -> tuple[Chunk, int]:
-    """Read a chunk's fields.
+    """Read the fields of a chunk at a position: return it, and the least length of its record.
 
-    Args:
-        position: Offset of its record in the file.
-        head: Bytes of the record behind opcode and length, at least `LONGEST_HEAD` of them.
-
-    Returns:
-        The chunk, and the least length of its record.
+    The head is the bytes of the record behind opcode and length, `LONGEST_HEAD` or more.
 
     Raises:
         struct.error: There are too few bytes.
@@ -388,12 +376,7 @@ def chunk_at(position: int, head: bytes) -> tuple[Chunk, int]:
 
 
 def chunks_of(catalogue: Catalogue, end: int) -> list[Chunk] | None:
-    """Return the chunks of a file by its summary alone; None if that is incomplete.
-
-    Args:
-        catalogue: Of the summary.
-        end: Offset of the summary.
-    """
+    """Return the chunks of a file by its summary, which begins at `end`; None if incomplete."""
     entries = sorted(catalogue.chunks, key=lambda entry: entry.start)
     starts = [*(entry.start for entry in entries), end]
     apart = all(
@@ -432,11 +415,7 @@ def _of_summary(entry: ChunkIndex) -> Chunk:
 
 
 def grouped(chunks: Sequence[Chunk]) -> list[ChunkGroup]:
-    """Group chunks that are loaded as one.
-
-    Args:
-        chunks: In the order of the file.
-    """
+    """Group chunks, in the order of the file, that are loaded as one."""
     together: list[list[Chunk]] = []
     size = 0
     for chunk in chunks:

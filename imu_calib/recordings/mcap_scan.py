@@ -31,13 +31,9 @@ from .storage import Losses, RecordingError, Times
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-
-    from ..common.stream import Stamps
-    from .cdr import Bytes, Indices
-
-if TYPE_CHECKING:
     from io import BufferedIOBase, FileIO
 
+    from ..common.stream import Stamps
     from .cdr import Bytes, Indices
     from .remote import AnyPath
 
@@ -59,14 +55,7 @@ class Scan:
 
 
 def scan(path: AnyPath, losses: Losses) -> Scan:
-    """Find the chunks, channels and metadata of a file.
-
-    Args:
-        path: The file.
-        losses: Receives sentences on missing or damaged data.
-
-    Returns:
-        The chunks, channels and metadata.
+    """Find the chunks, channels and metadata of a file; `losses` receives what is damaged.
 
     Raises:
         RecordingError: This is not an mcap file.
@@ -327,14 +316,12 @@ def _chunk_of(buffer: Bytes, offsets: Indices, position: int, size: int) -> Chun
     )
 
 
-# Find the messages in unpacked chunks: by valid indexes, otherwise by walking the records.
-
 HEAD = RECORD_HEAD + MESSAGE_HEAD
 _MESSAGE = int(Op.MESSAGE)
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ChunkContent:
     """The content of one chunk in a buffer that may hold more."""
 
     name: str  #: Name of the chunk for messages.
@@ -345,7 +332,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class ChannelMessages:
     """Messages of one channel within a buffer."""
 
     offset: Indices  #: (n,) start of each serialised message.
@@ -353,16 +340,12 @@ class Placed:
     log_ns: int  #: Log time of the first.
 
 
-def located(parts: Sequence[Part], buffer: Bytes, lose: Callable[[str], None]) -> dict[int, Placed]:
-    """Find the messages of chunks.
+def located(
+    parts: Sequence[ChunkContent], buffer: Bytes, lose: Callable[[str], None]
+) -> dict[int, ChannelMessages]:
+    """Find the messages of chunks by their indexes, or by walking the records if these are wrong.
 
-    Args:
-        parts: The chunks, in the order of the buffer.
-        buffer: Holds their records.
-        lose: Receives sentences on invalid records.
-
-    Returns:
-        Messages by channel, in the order of the buffer.
+    The parts are in that order too; `lose` receives sentences on invalid records.
     """
     placed = indexed(parts, buffer)
     if placed is not None:
@@ -372,12 +355,11 @@ def located(parts: Sequence[Part], buffer: Bytes, lose: Callable[[str], None]) -
     return _walked(parts[0], buffer, lose)
 
 
-def indexed(parts: Sequence[Part], buffer: Bytes) -> dict[int, Placed] | None:
-    """Find messages by the indexes alone; arguments as of `located`.
+def indexed(parts: Sequence[ChunkContent], buffer: Bytes) -> dict[int, ChannelMessages] | None:
+    """Find messages as `located`, by the indexes alone.
 
-    Returns:
-        Messages by channel; None if an index contradicts its chunk or is incomplete, or if
-            several chunks must be examined one by one.
+    None if an index contradicts its chunk or is incomplete, or if several chunks must be examined
+    one by one.
     """
     # The tables of a channel are joined, in the order of the buffer.
     channels = dict.fromkeys(channel for part in parts for channel in part.tables)
@@ -427,7 +409,7 @@ def _are_rising(offsets: Indices, begins: list[int]) -> bool:
     return bool(rising.all())
 
 
-def _is_complete(placed: dict[int, Placed], buffer: Bytes, part: Part) -> bool:
+def _is_complete(placed: dict[int, ChannelMessages], buffer: Bytes, part: ChunkContent) -> bool:
     """Return whether messages and other records fill a chunk without overlap."""
     starts = np.sort(np.concatenate([p.offset for p in placed.values()])) - HEAD
     ends = np.sort(np.concatenate([p.offset + p.size for p in placed.values()]))
@@ -440,7 +422,9 @@ def _is_complete(placed: dict[int, Placed], buffer: Bytes, part: Part) -> bool:
     return True
 
 
-def _walked(part: Part, buffer: Bytes, lose: Callable[[str], None]) -> dict[int, Placed]:
+def _walked(
+    part: ChunkContent, buffer: Bytes, lose: Callable[[str], None]
+) -> dict[int, ChannelMessages]:
     """Find the messages of one chunk by walking over its records."""
     records = buffer[part.start : part.end]
     offsets, end = walk(records)
@@ -464,14 +448,14 @@ def _walked(part: Part, buffer: Bytes, lose: Callable[[str], None]) -> dict[int,
     return placed
 
 
-def _joined(several: Sequence[dict[int, Placed]]) -> dict[int, Placed]:
+def _joined(several: Sequence[dict[int, ChannelMessages]]) -> dict[int, ChannelMessages]:
     """Concatenate the messages of chunks."""
     joined = {}
     for channel in dict.fromkeys(channel for placed in several for channel in placed):
         mine = [placed[channel] for placed in several if channel in placed]
         offset = np.concatenate([one.offset for one in mine])
         size = np.concatenate([one.size for one in mine])
-        joined[channel] = Placed(offset, size, mine[0].log_ns)
+        joined[channel] = ChannelMessages(offset, size, mine[0].log_ns)
     return joined
 
 
@@ -491,9 +475,9 @@ def _heads(buffer: Bytes, offsets: Indices) -> tuple[Bytes, Indices, np.ndarray[
     return np.ndarray(shape, np.uint8, gathered, 0, step), length - MESSAGE_HEAD, channel
 
 
-def _placed(buffer: Bytes, offset: Indices, size: Indices) -> Placed:
+def _placed(buffer: Bytes, offset: Indices, size: Indices) -> ChannelMessages:
     (first,) = struct.unpack_from('<Q', buffer.data, int(offset[0]) - 16)
-    return Placed(offset, size, int(first))
+    return ChannelMessages(offset, size, int(first))
 
 
 def log_at(buffer: Bytes, offset: Indices) -> Stamps:

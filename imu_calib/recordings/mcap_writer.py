@@ -22,7 +22,7 @@ _HEAD = RECORD_HEAD + MESSAGE_HEAD
 
 
 @dataclass
-class _Open:
+class _OpenChunk:
     """The chunk being filled."""
 
     parts: list[bytes] = field(default_factory=list)
@@ -42,17 +42,8 @@ class McapWriter:
     """One mcap file being written.
 
     Closed chunks survive a kill of the program: the records are self-contained, and summary and
-    footer only make them faster to find.
-
-    Args:
-        path: File to create.
-        compression: '', 'lz4' or 'zstd'.
-        pack: Compresses a chunk.
-        chunk_bytes: Size at which a chunk is closed.
-        chunk_ns: Span of log time at which a chunk is closed.
-
-    Raises:
-        OSError: The file cannot be created.
+    footer only make them faster to find. A chunk is closed at `chunk_bytes`, or at a span of log
+    time of `chunk_ns`, and compressed by `pack`, the function of its compression.
     """
 
     def __init__(
@@ -69,7 +60,7 @@ class McapWriter:
         self._chunk_ns = chunk_ns
         # Unbuffered: an error of a full disk appears at once, and the data is written again later.
         self._file = path.open('xb', buffering=0)
-        self._chunk = _Open()
+        self._chunk = _OpenChunk()
         self._schemas: dict[tuple[str, str, str], bytes] = {}
         self._channels: list[bytes] = []
         self._chunk_index: list[bytes] = []
@@ -93,14 +84,9 @@ class McapWriter:
     ) -> int:
         """Describe a topic; return the id of its channel.
 
-        Args:
-            topic: Its name.
-            type_name: Message type; empty for a channel without a schema.
-            definition: Of the message; surrogates of Python for bytes that are no text.
-            qos: Offered profiles as YAML.
-            language: Of the definition.
-            encoding: Of the messages.
-            metadata: Of the channel; None: the profiles, as rosbag2 writes them.
+        Without a message type the channel has no schema. Bytes of a definition that are no text are
+        surrogates of Python; profiles are YAML. The channel's metadata are the profiles by default,
+        as rosbag2 writes them.
         """
         schema, key = 0, (type_name, language, definition)
         if type_name or definition:
@@ -224,7 +210,7 @@ class McapWriter:
         self._chunk_index.append(record(Op.CHUNK_INDEX, place))
         self.start_ns = min(self.start_ns, chunk.start_ns)
         self.end_ns = max(self.end_ns, chunk.end_ns)
-        self._chunk = _Open()
+        self._chunk = _OpenChunk()
 
     def close(self) -> None:
         """Write the summary and the footer, and close the file."""

@@ -21,9 +21,6 @@ from ..common.files import require, user_path
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
 
-# Repeat network requests whose connection is lost.
-
-
 Result = TypeVar('Result')
 
 TRIES = 3
@@ -79,13 +76,6 @@ def _is_refusal(error: Exception) -> bool:
     )
 
 
-# Fetch the bytes of a remote file by ranges, each once.
-#
-# Fetched bytes are kept in a sparse local temporary file for the lifetime of the copy: a recording
-# that is read and then hashed is transferred once, and one whose summary is read is hardly
-# transferred at all.
-
-
 BLOCK = 1 << 18
 """Fewest bytes of a request: on a usual line their transfer takes as long as the latency."""
 AHEAD = 1 << 23
@@ -93,8 +83,12 @@ AHEAD = 1 << 23
 then small in comparison, and the memory of a worker suffices easily."""
 
 
-class Copy:
-    """The bytes of a file requested so far, in a temporary file."""
+class FetchedFile:
+    """The bytes of a remote file requested so far, by ranges, each once, in a temporary file.
+
+    It is sparse, and kept for the lifetime of this object: a recording that is read and then hashed
+    is transferred once, and one whose summary is read is hardly transferred at all.
+    """
 
     def __init__(self, url: str, files: AbstractFileSystem, inside: str, size: int | None) -> None:
         self._url = url
@@ -193,10 +187,10 @@ def _discard(file: io.FileIO, folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
 
 
-class Reader(io.BufferedIOBase):
+class RemoteReader(io.BufferedIOBase):
     """An open file: a position in a copy."""
 
-    def __init__(self, copy: Copy) -> None:
+    def __init__(self, copy: FetchedFile) -> None:
         self._copy = copy
         self._position = 0
 
@@ -246,22 +240,14 @@ def located(name: str | AnyPath) -> AnyPath:
 
 
 def local(path: AnyPath) -> Path:
-    """Return a local path for a C library; a remote file is fetched whole.
-
-    Raises:
-        InputError: It cannot be fetched.
-    """
+    """Return a local path for a C library; a remote file is fetched whole."""
     return path.fetched() if isinstance(path, RemotePath) else path
 
 
 class RemotePath:
     """A file or folder read by fsspec, with the methods of `Path` that the readers use.
 
-    Args:
-        url: As given.
-        files: Its file system.
-        inside: Its path there.
-        kind: 'file', 'directory' or '' if there is nothing, and the bytes of a file if known.
+    Its kind is 'file', 'directory' or '' if there is nothing, with the bytes of a file if known.
     """
 
     def __init__(self, url: str, files: AbstractFileSystem, inside: str, kind: _Kind) -> None:
@@ -269,16 +255,12 @@ class RemotePath:
         self._files = files
         self._inside = inside
         self._kind = kind
-        self._copy: Copy | None = None
+        self._copy: FetchedFile | None = None
         self._held: dict[str, RemotePath] | None = None
 
     @classmethod
     def at(cls, url: str) -> RemotePath:
-        """Return the path of a URL.
-
-        Raises:
-            InputError: As in `located`.
-        """
+        """Return the path of a URL."""
         require('fsspec', f'{url} (a URL)', 'remote')
         import fsspec
 
@@ -339,11 +321,7 @@ class RemotePath:
         return self._kind[0] == 'directory'
 
     def iterdir(self) -> Iterator[RemotePath]:
-        """Yield the entries of a folder.
-
-        Raises:
-            InputError: It cannot be listed.
-        """
+        """Yield the entries of a folder."""
         if self._held is None:
             entries = with_retries(self._url, lambda: self._files.ls(self._inside, detail=True))
             # Kept, with their fetched content: a folder is listed more than once.
@@ -351,20 +329,12 @@ class RemotePath:
         yield from self._held.values()
 
     def below(self) -> Iterator[RemotePath]:
-        """Yield all files below a folder at any depth, by one listing.
-
-        Raises:
-            InputError: It cannot be listed.
-        """
+        """Yield all files below a folder at any depth, by one listing."""
         entries = with_retries(self._url, lambda: self._files.find(self._inside, detail=True))
         yield from self._paths(entries.values())
 
     def matching(self) -> Iterator[RemotePath]:
-        """Yield the paths that match this one as a pattern (*, ?, **).
-
-        Raises:
-            InputError: It cannot be listed.
-        """
+        """Yield the paths that match this one as a pattern (*, ?, **)."""
         entries = with_retries(self._url, lambda: self._files.glob(self._inside, detail=True))
         yield from self._paths(entries.values())
 
@@ -383,7 +353,7 @@ class RemotePath:
         """Open a file for reading its bytes."""
         assert mode == 'rb', 'what lies elsewhere is read'
         del buffering  # Bytes are buffered in the temporary file.
-        return Reader(self._opened())
+        return RemoteReader(self._opened())
 
     def read_text(self, encoding: str = 'utf-8') -> str:
         """Read a text."""
@@ -401,12 +371,12 @@ class RemotePath:
         held.fill(0, held.size)
         return held.path
 
-    def _opened(self) -> Copy:
+    def _opened(self) -> FetchedFile:
         if not self.is_file():
             code = errno.EISDIR if self.is_dir() else errno.ENOENT
             raise OSError(code, os.strerror(code), self._url)
         if self._copy is None:
-            self._copy = Copy(self._url, self._files, self._inside, self._kind[1])
+            self._copy = FetchedFile(self._url, self._files, self._inside, self._kind[1])
         return self._copy
 
 

@@ -13,8 +13,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..common.files import refuse_device
-from ..common.other_formats import BAG_OF_ROS_1, bag_of_ros_1, other_encoding, other_format
+from ..common.files import (
+    BAG_OF_ROS_1,
+    bag_of_ros_1,
+    other_encoding,
+    other_format,
+    refuse_device,
+)
 from ..common.stream import SetpointBlock
 from .cdr import Malformed, Messages
 from .cdr_codec import decode_imu, decode_joints, decode_setpoints, decode_skew, decode_temperatures
@@ -40,17 +45,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from ..common.stream import Block, Stamps
-    from .cdr import Malformed, Messages
-
-# Find the storage files of a recording and open them.
-
 
 _STORAGE = ('.mcap', '.db3')
 _PACKED = ('.zstd', '.zst')
 
 
 @dataclass(frozen=True)
-class Found:
+class StorageFiles:
     """The storage files of a recording, in order, and its metadata."""
 
     paths: tuple[AnyPath, ...]
@@ -76,27 +77,19 @@ class Scratch:
             self._folder = None
 
 
-def find_files(path: AnyPath, losses: Losses) -> Found:
-    """Find the storage files of a recording.
-
-    Args:
-        path: Folder of rosbag2, or one storage file.
-        losses: Receives sentences on missing files.
-
-    Returns:
-        The files.
+def find_files(path: AnyPath, losses: Losses) -> StorageFiles:
+    """Find the storage files of a folder of rosbag2, or one; `losses` receives missing ones.
 
     Raises:
         RecordingError: There is nothing to read.
         OSError: The folder cannot be read.
-        InputError: Its connection was lost.
     """
     if path.is_file():
         if (sentence := other_format(path)) is not None:
             raise RecordingError(sentence)
         if path.name == NAME:
             raise RecordingError(f'{path} describes a recording: give the folder that holds it.')
-        return Found((path,), Metadata())
+        return StorageFiles((path,), Metadata())
     if not path.is_dir():
         # A recording is read in several places.
         found = 'found a device or a pipe' if path.exists() else 'no such recording'
@@ -111,8 +104,8 @@ def find_files(path: AnyPath, losses: Losses) -> Found:
     if metadata.files is None:
         names = ', '.join(p.name for p in present)
         losses.add(f'{path.name}: {metadata.problem}; the storage files found are used: {names}.')
-        return Found(tuple(present), metadata)
-    return Found(_listed(metadata.files, present, path.name, losses), metadata)
+        return StorageFiles(tuple(present), metadata)
+    return StorageFiles(_listed(metadata.files, present, path.name, losses), metadata)
 
 
 def _listed(
@@ -156,19 +149,7 @@ def _natural(path: AnyPath) -> list[tuple[int, str]]:
 
 
 def open_storage(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage:
-    """Open one storage file; unpack it first if the whole file is compressed.
-
-    Args:
-        path: The file.
-        scratch: Folder for unpacked files.
-        losses: Receives sentences on unreadable data.
-
-    Returns:
-        The storage.
-
-    Raises:
-        RecordingError: The file is neither mcap nor sqlite3, or not readable.
-    """
+    """Open one storage file; unpack it into `scratch` first if the whole file is compressed."""
     refuse_device(path)
     try:
         with path.open('rb') as file:
@@ -228,9 +209,6 @@ def open_recording(path: str | AnyPath, sha256: str | None = None) -> Recording:
 
     Returns:
         The recording. `losses` describes missing or damaged data.
-
-    Raises:
-        InputError: Nothing of it can be read.
     """
     path = located(path)
     losses = Losses()
@@ -282,7 +260,7 @@ class Recording:
     def __init__(
         self,
         path: AnyPath,
-        found: Found,
+        found: StorageFiles,
         storages: Sequence[Storage],
         losses: Losses,
         scratch: Scratch,
@@ -335,11 +313,7 @@ class Recording:
             yield from storage.attachments()
 
     def sha256(self) -> str:
-        """Return the SHA-256 of the storage files' contents, in the order of their names.
-
-        Raises:
-            RecordingError: A file can no longer be read.
-        """
+        """Return the SHA-256 of the storage files' contents, in the order of their names."""
         if self._sha256 is None:
             try:
                 self._sha256 = content_hash(self.files)
@@ -359,12 +333,7 @@ class Recording:
             progress: Called now and then with the bytes done and their total.
 
         Yields:
-            Topic and block. Within a topic the order is that of the files; the topics are in step
-            with
-                each other, whatever their order in the files.
-
-        Raises:
-            InputError: A topic is missing or of another type, or none has a message.
+            Topic and block, each topic in the order of the files, in step with the others.
         """
         self._check(topics)
         return self._read(topics, progress)
@@ -372,14 +341,10 @@ class Recording:
     def messages(
         self, progress: Callable[[int, int], None] | None = None
     ) -> Iterator[tuple[Topic, Messages, Times]]:
-        """Read all topics as serialised messages, unpacked but otherwise as recorded.
+        """Read all topics as serialised messages with their times, unpacked but as recorded.
 
-        Args:
-            progress: Called now and then with the bytes done and their total.
-
-        Yields:
-            Topic, messages and their times; file after file, the topics of a file in step with each
-                other, each in its own order.
+        File after file, the topics of a file in step with each other, each in its own order.
+        `progress` is called now and then with the bytes done and their total.
         """
         before, total = 0, sum(storage.size for storage in self._storages)
         malformed = {topic.name: Malformed() for topic in self.topics}
@@ -515,7 +480,7 @@ def _decoded(
             log_ns, position = batch.log_ns, base + batch.position
             blocks = kind.decode(_unpacked(batch.messages, malformed), malformed)
             if len(stamps := _stamps(blocks)) == len(batch.messages):
-                clock.take(stamps, batch.log)
+                clock.add(stamps, batch.log)
             # The blocks do not share memory with the messages, which is free for the next ones.
             del batch
             for block in blocks:
@@ -563,9 +528,6 @@ def _unpacked(messages: Messages, malformed: Malformed) -> Messages:
         except CodecError as error:
             malformed.add(f'a message does not unpack (zstd: {error})')
     return Messages.join(plain)
-
-
-# The message types that calibration uses.
 
 
 class Kind(Enum):

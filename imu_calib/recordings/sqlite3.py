@@ -1,17 +1,15 @@
-"""Read sqlite3 storage files: from their pages if these are valid, otherwise through SQLite."""
+"""Read sqlite3 storage files with SQLite, and skip their damaged parts."""
 
 from __future__ import annotations
 
 import sqlite3
 import struct
 from contextlib import closing, suppress
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .cdr import Messages
 from .definitions import custom_data_of
@@ -20,15 +18,10 @@ from .storage import Cache, Described, Losses, MessageBatch, RecordingError, Tim
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
-    from io import FileIO
     from pathlib import Path
 
     from ..common.stream import Stamps
-    from .cdr import Bytes, Indices, Messages
-    from .storage import Losses
-
-# Query SQLite for the messages of a file, skipping damaged parts.
-
+    from .cdr import Indices
 
 LAST_ROW = 2**63 - 1
 """The largest row id (SQLite file format, section 2.1)."""
@@ -62,22 +55,16 @@ class RowQueries:
         self._last, self._losses = last, losses
 
     def read(
-        self, topics: tuple[int, ...], first: int | None, last: int = LAST_ROW
+        self, topics: tuple[int, ...], first: int | None
     ) -> Iterator[tuple[Messages, Stamps, int | None]]:
-        """Read the messages of some topics in windows, wider ones if a topic is rare.
+        """Read the messages of some topics from a row on, in windows, wider if a topic is rare.
 
-        Args:
-            topics: Their numbers.
-            first: The first row id; None without rows.
-            last: The last row id.
-
-        Yields:
-            Messages, their log times in ns, and the row id after them, None at the end.
+        Yield messages, their log times in ns, and the row id after them, None at the end.
         """
         start, width = first, _MIN_ROWS
         with closing(self._connect()) as database:
-            while topics and start is not None and start <= last:
-                rows, following = self._load(database, topics, start, width, last)
+            while topics and start is not None:
+                rows, following = self._load(database, topics, start, width)
                 if rows:
                     yield _messages(rows), _log(rows), following
                 wider = len(rows) < width // 8
@@ -86,15 +73,11 @@ class RowQueries:
 
     def read_by_time(
         self, topics: tuple[int, ...], state: Callable[[], None]
-    ) -> Iterator[tuple[Messages, Stamps]]:
-        """Read the messages of some topics in the order of their log times.
+    ) -> Iterator[tuple[Messages, Stamps, int]]:
+        """Read the messages of some topics in the order of their log times, as `read`.
 
-        Args:
-            topics: Their numbers.
-            state: Called where their row ids are in another order.
-
-        Yields:
-            Messages and their log times in ns.
+        `state` is called where their row ids are in another order. The row id is the least: how
+        much of the file is read is not known.
         """
         query = (
             'SELECT timestamp, data, id FROM messages '
@@ -110,7 +93,7 @@ class RowQueries:
                     if ids != sorted(ids):
                         state()
                     last, row = int(log[-1]), ids[-1]
-                    yield _messages(rows), log
+                    yield _messages(rows), log, -LAST_ROW
             except DAMAGE as error:
                 self._losses.add(
                     f'{self._name}: rows after log time {last / 1e9:.3f} s cannot be read '
@@ -118,15 +101,10 @@ class RowQueries:
                 )
 
     def _load(
-        self,
-        database: sqlite3.Connection,
-        topics: tuple[int, ...],
-        start: int,
-        width: int,
-        end: int,
+        self, database: sqlite3.Connection, topics: tuple[int, ...], start: int, width: int
     ) -> tuple[list[_Row], int | None]:
-        """Return the messages of a window of row ids up to `end`, and the start of the next."""
-        last = min(start + width - 1, end)
+        """Return the messages of a window of row ids, and the start of the next window."""
+        last = min(start + width - 1, LAST_ROW)
         query = (
             'SELECT timestamp, data FROM messages WHERE id >= ? AND id <= ? '
             f'AND topic_id IN ({", ".join("?" * len(topics))}) ORDER BY id'
@@ -135,9 +113,9 @@ class RowQueries:
             rows = database.execute(query, (start, last, *topics)).fetchall()
             if rows:
                 return rows, last + 1 if last < LAST_ROW else None
-            beyond = _first_row(database, last + 1, end)
+            beyond = _first_row(database, last + 1)
         except DAMAGE as error:
-            return self._load_damaged(database, topics, start, end, error)
+            return self._load_damaged(database, topics, start, error)
         return [], beyond[0] if beyond else None
 
     def _load_damaged(
@@ -145,7 +123,6 @@ class RowQueries:
         database: sqlite3.Connection,
         topics: tuple[int, ...],
         start: int,
-        end: int,
         error: Exception,
     ) -> tuple[list[_Row], int | None]:
         """Read row by row up to the damage, state its position, and continue after it."""
@@ -153,30 +130,27 @@ class RowQueries:
         last = start - 1
         # One query per row: a query for many fails as a whole if its last row is damaged.
         with suppress(*DAMAGE):
-            while (row := _first_row(database, last + 1, end)) is not None:
+            while (row := _first_row(database, last + 1)) is not None:
                 last = row[0]
                 if row[1] in topics:
                     rows.append(row[2:])
                 if len(rows) == _MIN_ROWS:
                     return rows, last + 1
             return rows, None
-        following = self._next_readable(database, last + 1, end)
+        following = self._next_readable(database, last + 1)
         where = f'rows {last + 1} to {following - 1}' if following else f'the rows after {last}'
         self._losses.add(f'{self._name}: {where} cannot be read ({damage_text(error)}).')
         return rows, following
 
-    def _next_readable(self, database: sqlite3.Connection, damaged: int, end: int) -> int | None:
+    def _next_readable(self, database: sqlite3.Connection, damaged: int) -> int | None:
         """Return the first readable row id after a damaged one, found in growing steps."""
-        if self._last is None:
-            return None
-        beyond = end + 1 if end < self._last else None
         step = 1
-        while damaged + step <= min(self._last, end):
+        while self._last is not None and damaged + step <= self._last:
             with suppress(*DAMAGE):
-                row = _first_row(database, damaged + step, end)
-                return row[0] if row else beyond
+                row = _first_row(database, damaged + step)
+                return row[0] if row else None
             step *= 2
-        return beyond
+        return None
 
 
 def damage_text(error: Exception) -> str:
@@ -188,17 +162,15 @@ def damage_text(error: Exception) -> str:
     return str(error)
 
 
-def _first_row(
-    database: sqlite3.Connection, start: int, end: int
-) -> tuple[int, int, Any, Any] | None:
-    """Return id, topic, log time and data of the first row from an id on, up to another."""
-    if start > end:
+def _first_row(database: sqlite3.Connection, start: int) -> tuple[int, int, Any, Any] | None:
+    """Return id, topic, log time and data of the first row from an id on."""
+    if start > LAST_ROW:
         return None
     query = 'SELECT id, topic_id, timestamp, data FROM messages WHERE id >= ? ORDER BY id LIMIT 1'
     row: tuple[int, int, Any, Any] | None = database.execute(query, (start,)).fetchone()
     if row is not None and not (isinstance(row[0], int) and row[0] >= start):
         raise sqlite3.DatabaseError('the row ids are out of order')
-    return row if row is not None and row[0] <= end else None
+    return row
 
 
 def _log(rows: list[_Row]) -> Stamps:
@@ -213,240 +185,8 @@ def _messages(rows: list[_Row]) -> Messages:
     return Messages.join([row[1] if isinstance(row[1], bytes) else b'' for row in rows])
 
 
-# Read the rows of rosbag2's table of messages from the pages of an sqlite3 file, in bulk.
-#
-# SQLite returns one row at a time. Here a run of pages is read at once, and NumPy finds the rows in
-# it. Only pages in the form that rosbag2 writes are read; SQLite reads all others, damaged ones
-# included. Sections are those of the SQLite file format, https://www.sqlite.org/fileformat2.html.
-
-
-HEADER = 100
-"""Bytes of the header of a database (section 1.3)."""
-_INTERIOR, _LEAF = 5, 13
-"""Types of the pages of a table (section 1.6)."""
-_HEADS = {_INTERIOR: 12, _LEAF: 8}
-"""Bytes before the cell pointers of a page (section 1.6)."""
-_DEEPEST = 20
-"""Levels of a tree: more than in the largest undamaged file."""
-_WINDOW = 1 << 20
-"""Bytes of pages that are read at once; a choice between memory and calls."""
-_WIDTH = np.array([0, 1, 2, 3, 4, 6, 8, 0, 0, 0])
-"""Bytes of an integer by its serial type (section 2.1); 7 is a float."""
-_BLOB = 12
-"""The first serial type of blobs, which are the even ones (section 2.1)."""
-
-
-class OddPagesError(Exception):
-    """Pages that are damaged, or in a form that rosbag2 does not write."""
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Messages of some topics, in the order of their row ids."""
-
-    messages: Messages  #: The serialised messages, in the memory of their pages.
-    topic: Indices  #: (n,) number of the topic of each.
-    log: Stamps  #: (n,) log time of each, ns.
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of memory."""
-        return int(self.messages.buffer.nbytes + 4 * self.log.nbytes)
-
-
-@dataclass(frozen=True, eq=False)
-class Window:
-    """Some consecutive leaf pages."""
-
-    first: int  #: Their least row id.
-    last: int  #: Their largest.
-    pages: Indices  #: (k,) their numbers, in the order of the row ids.
-
-
-class TablePages:
-    """The pages of a table whose columns are id, topic_id, timestamp and data.
-
-    Args:
-        path: The file, which must not be written to meanwhile.
-        root: Number of the root page of the table.
-        first: The least row id of the table.
-
-    Attributes:
-        windows: Its leaf pages, in the order of the row ids.
-
-    Raises:
-        OddPagesError: The pages above the rows are damaged.
-        OSError: The file cannot be read.
-    """
-
-    def __init__(self, path: Path, root: int, first: int) -> None:
-        self._path = path
-        with path.open('rb', buffering=0) as file:
-            head = file.read(HEADER)
-            if len(head) < HEADER:
-                raise OddPagesError
-            size = struct.unpack_from('>H', head, 16)[0]
-            self._size = 65536 if size == 1 else int(size)
-            self._usable = self._size - head[20]
-            if self._size < 512 or self._usable < 480:
-                raise OddPagesError
-            self._count = path.stat().st_size // self._size
-            self.windows = list(self._cut(*self._walk(file, root), first))
-
-    def _cut(self, pages: Indices, last: Indices, first: int) -> Iterator[Window]:
-        """Divide the table into runs of pages."""
-        count = max(_WINDOW // self._size, 1)
-        for start in range(0, len(pages), count):
-            end = int(last[start : start + count][-1])
-            yield Window(first, end, pages[start : start + count])
-            first = end + 1
-
-    def read_rows(self, window: Window, topics: Indices) -> Rows:
-        """Read the rows of some topics.
-
-        Args:
-            window: Pages of this table.
-            topics: Numbers of the topics.
-
-        Returns:
-            The rows; their messages share the memory of the pages.
-
-        Raises:
-            OddPagesError: SQLite must read these rows.
-            OSError: The file cannot be read.
-        """
-        with self._path.open('rb', buffering=0) as file:
-            buffer, base = self._load(file, window.pages)
-        try:
-            return self._decode_rows(buffer, base, window, topics)
-        except IndexError:
-            # An offset beyond the last page.
-            raise OddPagesError from None
-
-    def _decode_rows(self, buffer: Bytes, base: Indices, window: Window, topics: Indices) -> Rows:
-        cell, count = self._cells(buffer, base, _LEAF)
-        payload, at = _varints(buffer, cell)
-        row, body = _varints(buffer, at)
-        head, at = _varints(buffer, body)
-        id_kind, at = _varints(buffer, at)
-        topic_kind, at = _varints(buffer, at)
-        log_kind, at = _varints(buffer, at)
-        data_kind, at = _varints(buffer, at)
-        # The column id is stored as NULL; its value is the row id (section 2.3).
-        _need(id_kind == 0, at - body == head, data_kind >= _BLOB, data_kind % 2 == 0)
-        _need(row[1:] > row[:-1], row[:1] >= window.first, row[-1:] <= window.last)
-        topic, at = _integers(buffer, topic_kind, at)
-        log, at = _integers(buffer, log_kind, at)
-        size = (data_kind - _BLOB) // 2
-        wanted = np.isin(topic, topics)
-        # Longer payloads continue in overflow pages (section 1.6).
-        end = np.repeat(base, count) + self._usable
-        within = (payload <= self._usable - 35) & (body + payload <= end)
-        _need(at + size == body + payload, within | ~wanted)
-        messages = Messages(buffer, at[wanted], size[wanted])
-        return Rows(messages, topic[wanted], log[wanted])
-
-    def _walk(self, file: FileIO, root: int) -> tuple[Indices, Indices]:
-        """Return the leaf pages in the order of their row ids, and the largest id of each."""
-        pages, last = np.array([root]), np.array([LAST_ROW])
-        for _ in range(_DEEPEST):
-            buffer, _ = self._load(file, pages[:1])
-            # All leaves are equally deep (section 1.6).
-            if buffer[0] == _LEAF:
-                return pages, last
-            pages, last = self._below(*self._load(file, pages), last)
-        raise OddPagesError
-
-    def _below(self, buffer: Bytes, base: Indices, last: Indices) -> tuple[Indices, Indices]:
-        """Return the pages one level down, and the largest row id of each."""
-        try:
-            cell, count = self._cells(buffer, base, _INTERIOR)
-            key, _ = _varints(buffer, cell + 4)
-        except IndexError:
-            raise OddPagesError from None
-        # The rightmost child has no cell: its number is in the page header, and it has the largest
-        # ids.
-        place = np.cumsum(count)
-        child = np.insert(_big(buffer, cell, '>u4'), place, _big(buffer, base + 8, '>u4'))
-        key = np.insert(key, place, last)
-        _need(child > 0, child <= self._count, key[1:] > key[:-1])
-        if len(child) > self._count:
-            raise OddPagesError
-        return child, key
-
-    def _load(self, file: FileIO, pages: Indices) -> tuple[Bytes, Indices]:
-        """Read pages; return their bytes, with others in between, and the start of each."""
-        first, last = int(pages.min()), int(pages.max())
-        if last - first < 2 * len(pages):
-            count = last - first + 1
-            content = self._read(file, first, count)
-            base = (pages - first) * self._size
-        else:
-            count = len(pages)
-            content = b''.join(self._read(file, page, 1) for page in pages.tolist())
-            base = np.arange(count) * self._size
-        if len(content) < count * self._size:
-            raise OddPagesError
-        return np.frombuffer(content, np.uint8), base
-
-    def _read(self, file: FileIO, page: int, count: int) -> bytes:
-        file.seek((page - 1) * self._size)
-        return file.read(count * self._size)
-
-    def _cells(self, buffer: Bytes, base: Indices, kind: int) -> tuple[Indices, Indices]:
-        """Return the offsets of the cells, page after page, and the number of cells per page."""
-        head = _HEADS[kind]
-        count = _big(buffer, base + 3, '>u2')
-        # A tree has no empty pages; an empty table is one and has no rows.
-        _need(buffer[base] == kind, count > 0, head + 2 * count <= self._usable)
-        page = np.repeat(base, count)
-        pointer = head + 2 * (np.arange(len(page)) - np.repeat(np.cumsum(count) - count, count))
-        cell = _big(buffer, page + pointer, '>u2')
-        _need(cell > pointer, cell < self._usable)
-        return page + cell, count
-
-
-def _need(*conditions: NDArray[np.bool_]) -> None:
-    """Refuse pages where a condition is not true everywhere."""
-    if not all(bool(condition.all()) for condition in conditions):
-        raise OddPagesError
-
-
-def _big(buffer: Bytes, at: Indices, kind: str) -> Indices:
-    """Return big-endian numbers at any offsets of a buffer."""
-    last = len(buffer) - np.dtype(kind).itemsize + 1
-    anywhere: NDArray[np.generic] = np.ndarray((last,), kind, buffer, 0, (1,))
-    return anywhere[at].astype(np.int64)
-
-
-def _varints(buffer: Bytes, at: Indices) -> tuple[Indices, Indices]:
-    """Return numbers of variable length (section 1.6), and the offsets after them."""
-    byte = buffer[at]
-    value, after = (byte & 0x7F).astype(np.int64), at + 1
-    longer = np.flatnonzero(byte > 0x7F)
-    # The ninth byte, in the largest row ids alone, holds eight bits.
-    for _ in range(7):
-        if not len(longer):
-            return value, after
-        byte = buffer[after[longer]]
-        value[longer] = value[longer] << 7 | byte & 0x7F
-        after[longer] += 1
-        longer = longer[byte > 0x7F]
-    _need(np.zeros(len(longer), np.bool_))
-    return value, after
-
-
-def _integers(buffer: Bytes, kind: Indices, at: Indices) -> tuple[Indices, Indices]:
-    """Return integers of a record (section 2.1), and the offsets after them."""
-    _need(kind >= 1, kind <= 9, kind != 7)
-    width = _WIDTH[kind]
-    # The last of eight bytes are the integer; a page starts with eight header bytes.
-    shift = 64 - 8 * width
-    value = _big(buffer, at + width - 8, '>i8') << shift >> shift
-    # The types 8 and 9 are the constants 0 and 1.
-    return np.where(width > 0, value, kind - 8), at + width
-
-
+_HEADER = 100
+"""Bytes of the header of a database (SQLite file format, section 1.3)."""
 _MAGIC = b'SQLite format 3\x00'
 # All versions of the schema have these; later ones add columns and tables.
 _EXPECTED = {
@@ -467,29 +207,8 @@ _AS_IT_LIES = np.arange(1)
 """Order of a file that is one piece."""
 
 
-@dataclass(frozen=True)
-class _Loaded:
-    """A window of pages in memory: its rows; None if SQLite must read them."""
-
-    rows: Rows | None
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of memory."""
-        return self.rows.nbytes if self.rows is not None else 0
-
-
 class SqliteStorage:
-    """One sqlite3 file.
-
-    Args:
-        path: The file.
-        losses: Receives sentences on unreadable data.
-
-    Raises:
-        RecordingError: This is not an sqlite3 file of rosbag2.
-        OSError: The file cannot be read.
-    """
+    """One sqlite3 file; `losses` receives sentences on unreadable data."""
 
     def __init__(self, path: Path, losses: Losses) -> None:
         self.path = path
@@ -503,39 +222,26 @@ class SqliteStorage:
         self.start_ns: int | None = None
         self.end_ns: int | None = None
         try:
-            self._open_for_the_first_time()
+            self._open()
         except DAMAGE as error:
             raise RecordingError(
                 f'{path.name} is not a sound sqlite3 file: {damage_text(error)}.'
             ) from None
 
-    def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[MessageBatch]]:
+    def cursors(
+        self, topics: frozenset[str], _cache: Cache, /
+    ) -> dict[str, Iterator[MessageBatch]]:
         """Start reading: one iterator per topic, all independent of each other."""
         ids = {topic: tuple(self._ids.get(topic, ())) for topic in topics}
-        pages = self._pages()
+        rows = RowQueries(self.path.name, self._connect, self._last, self._losses)
+        state = partial(self._losses.add_order, self.path.name)
         order = self._time_order()
         if order is not None and (order[1:] < order[:-1]).any():
-            return {topic: self._by_time(ids[topic]) for topic in topics}
-        found = self._in_file(ids, pages, cache)
+            return {topic: self._batches(rows.read_by_time(ids[topic], state)) for topic in topics}
+        found = {topic: self._batches(rows.read(ids[topic], self._first)) for topic in topics}
         if order is None:
             return found
-        state = partial(self._losses.add_order, self.path.name)
         return {topic: LogOrder(_with_bounds(batches), state) for topic, batches in found.items()}
-
-    def _in_file(
-        self, ids: Mapping[str, tuple[int, ...]], pages: TablePages | None, cache: Cache
-    ) -> dict[str, Iterator[MessageBatch]]:
-        """Start reading in the order of the file."""
-        if pages is None:
-            return {topic: self._query(ids[topic], self._first, LAST_ROW) for topic in ids}
-        wanted = np.array([number for numbers in ids.values() for number in numbers], np.int64)
-        users = sum(map(bool, ids.values()))
-
-        def load(window: Window) -> Rows | None:
-            key = self.path, window.first
-            return cache.get(key, partial(_loaded, pages, window, wanted), users).rows
-
-        return {topic: self._read(ids[topic], pages.windows, load) for topic in ids}
 
     def _time_order(self) -> Indices | None:
         """Return the order of rows spread over the file by their log times, as `time_order`."""
@@ -558,58 +264,22 @@ class SqliteStorage:
         usual = np.median(np.abs(steps)).astype(np.int64)
         return time_order(starts, starts + np.where(steps > 0, np.minimum(steps, usual), usual))
 
-    def _by_time(self, topics: tuple[int, ...]) -> Iterator[MessageBatch]:
-        """Read messages in the order of their log times, by SQLite's index of these."""
-        rows = RowQueries(self.path.name, self._connect, self._last, self._losses)
-        state = partial(self._losses.add_order, self.path.name)
-        for messages, log in rows.read_by_time(topics, state):
-            yield self._batch(messages, log, self._first)
-
-    def _pages(self) -> TablePages | None:
-        """Return the pages of the messages; None if only SQLite can read them correctly."""
-        if self._root is None or self._first is None or self._tolerant or not self._immutable:
-            return None
-        with suppress(OddPagesError, OSError):
-            return TablePages(self.path, self._root, self._first)
-        return None
-
-    def _read(
-        self,
-        topics: tuple[int, ...],
-        windows: Sequence[Window],
-        load: Callable[[Window], Rows | None],
+    def _batches(
+        self, rows: Iterator[tuple[Messages, Stamps, int | None]]
     ) -> Iterator[MessageBatch]:
-        """Read windows of pages, through SQLite where necessary."""
-        for window in windows if topics else ():
-            rows = load(window)
-            if rows is None:
-                yield from self._query(topics, window.first, window.last)
-            elif len(mine := np.flatnonzero(np.isin(rows.topic, topics))):
-                messages, log = rows.messages.select(mine), rows.log[mine]
-                following = window.last + 1 if window.last < LAST_ROW else None
-                yield self._batch(messages, log, following)
-
-    def _query(
-        self, topics: tuple[int, ...], first: int | None, last: int
-    ) -> Iterator[MessageBatch]:
-        """Read messages through SQLite."""
-        rows = RowQueries(self.path.name, self._connect, self._last, self._losses)
-        for messages, log, following in rows.read(topics, first, last):
-            yield self._batch(messages, log, following)
-
-    def _batch(self, messages: Messages, log: Stamps, following: int | None) -> MessageBatch:
-        times = partial(Times, log, log)
-        return MessageBatch(messages, log, int(log[0]), self._position(following), times)
+        for messages, log, following in rows:
+            times = partial(Times, log, log)
+            yield MessageBatch(messages, log, int(log[0]), self._position(following), times)
 
     def _position(self, row: int | None) -> int:
         """Estimate the number of bytes in the file before a row."""
-        if row is None or self._first is None or self._last is None:
+        if row is None or self._first is None or self._last is None or row > self._last:
             return self.size
-        return self.size * (row - self._first) // max(self._last - self._first, 1)
+        return self.size * max(row - self._first, 0) // max(self._last - self._first, 1)
 
     def _check_magic(self) -> None:
         with self.path.open('rb') as file:
-            head = file.read(HEADER)
+            head = file.read(_HEADER)
         magic = head[: len(_MAGIC)]
         if magic != _MAGIC:
             what = f'starts with {magic!r}' if magic else 'is empty'
@@ -643,7 +313,7 @@ class SqliteStorage:
         """Read no attachments: only files of mcap have them."""
         return iter(())
 
-    def _open_for_the_first_time(self) -> None:
+    def _open(self) -> None:
         log = self.path.with_name(f'{self.path.name}-wal')
         self._immutable = not (log.is_file() and log.stat().st_size)
         try:
@@ -685,7 +355,6 @@ class SqliteStorage:
                 before = self.topics.get(topic.name)
                 self.topics[topic.name] = before.merged(topic) if before else topic
             self._find_ranges(database)
-            self._root = _root(database)
             self.custom_data = _custom_data(database) if 'metadata' in tables else {}
 
     def _check_schema(self, database: sqlite3.Connection, tables: Sequence[str]) -> None:
@@ -733,7 +402,7 @@ def _tables(database: sqlite3.Connection) -> list[str]:
 
 def _stated_size(head: bytes) -> int:
     """Return the size stated in the header of a sqlite3 file; 0 if not stated."""
-    if len(head) < HEADER or head[24:28] != head[92:96]:
+    if len(head) < _HEADER or head[24:28] != head[92:96]:
         return 0
     page, count = struct.unpack_from('>H', head, 16)[0], struct.unpack_from('>I', head, 28)[0]
     return int(count) * (65536 if page == 1 else int(page))
@@ -745,25 +414,6 @@ def _extreme(database: sqlite3.Connection, what: str) -> int | None:
     if found is None or isinstance(found, int):
         return found
     raise sqlite3.DatabaseError(f'{what} of its messages is {found!r}, no whole number')
-
-
-def _loaded(pages: TablePages, window: Window, topics: Indices) -> _Loaded:
-    try:
-        return _Loaded(pages.read_rows(window, topics))
-    except (OddPagesError, OSError):
-        return _Loaded(None)
-
-
-def _root(database: sqlite3.Connection) -> int | None:
-    """Return the root page of the messages; None if its columns differ from those of rosbag2."""
-    columns = list(database.execute('PRAGMA table_info(messages)'))
-    # A column with an index is not an alias of the row id.
-    own = any(row[3] == 'pk' for row in database.execute('PRAGMA index_list(messages)'))
-    usual = [row[1] for row in columns] == ['id', 'topic_id', 'timestamp', 'data']
-    query = "SELECT rootpage FROM sqlite_master WHERE type = 'table' AND name = 'messages'"
-    row = database.execute(query).fetchone()
-    alias = usual and columns[0][2].upper() == 'INTEGER' and columns[0][5] and not own
-    return int(row[0]) if alias and row else None
 
 
 def _profiles(database: sqlite3.Connection) -> dict[str, str]:

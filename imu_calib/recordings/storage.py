@@ -19,8 +19,6 @@ from .cdr_codec import part
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from ..common.stream import Block, Floats, Stamps
     from .cdr import Bytes, Indices, Messages
     from .remote import AnyPath
@@ -145,13 +143,7 @@ class Cache:
         self._bytes = 0
 
     def get(self, key: Hashable, load: Callable[[], Content], users: int) -> Content:
-        """Return the content of a key; load it if it is not held.
-
-        Args:
-            key: Name of the content.
-            load: Loads it.
-            users: Expected total number of requests for it.
-        """
+        """Return the content of a key, expected to be requested by `users`; load it if not held."""
         if key in self._held:
             content, remaining = self._held.pop(key)
             self._bytes -= content.nbytes
@@ -217,7 +209,7 @@ class Storage(Protocol):
     def attachments(self) -> Iterator[bytes]:
         """Read the attachment records of mcap, one after the other."""
 
-    def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[MessageBatch]]:
+    def cursors(self, topics: frozenset[str], cache: Cache, /) -> dict[str, Iterator[MessageBatch]]:
         """Start reading: one iterator per topic, all independent of each other."""
 
 
@@ -265,7 +257,7 @@ class _Queue:
         """Return the start time of the head; ties are broken by the position in the file."""
         return int(self.stamps[0]) if by_stamp else self.head.log_ns, self.head.position
 
-    def take(self, limit: int | None) -> Block:
+    def split_head(self, limit: int | None) -> Block:
         """Remove samples from the head up to the first one after a limit, at least one."""
         count = len(self.stamps)
         beyond = self.stamps > limit if limit is not None else np.zeros(1, np.bool_)
@@ -294,13 +286,9 @@ class _Queue:
 
 
 def merge(topics: Iterable[tuple[str, Iterator[Piece]]]) -> Iterator[tuple[str, Block, int]]:
-    """Merge the pieces of several topics.
+    """Merge the non-empty pieces of several topics, each topic in its own order.
 
-    Args:
-        topics: Names and non-empty pieces, each topic in its own order.
-
-    Yields:
-        Topic, block, and the number of bytes of the recording done.
+    Yield topic, block, and the number of bytes of the recording done.
     """
     queues = []
     for topic, pieces in topics:
@@ -315,7 +303,7 @@ def merge(topics: Iterable[tuple[str, Iterator[Piece]]]) -> Iterator[tuple[str, 
         if by_stamp and len(queues) > 1:
             limit = queues[1].first(by_stamp)[0] + SPAN_NS
         done = min(queue.head.position for queue in queues)
-        yield queues[0].topic, queues[0].take(limit), done
+        yield queues[0].topic, queues[0].split_head(limit), done
         if not queues[0].advance():
             del queues[0]
 
@@ -400,13 +388,8 @@ class RecordedClock:
         """Earliest and latest log time; None without messages."""
         return self._log
 
-    def take(self, stamp: Stamps, log: Stamps) -> None:
-        """Take messages.
-
-        Args:
-            stamp: (n,) header stamps, ns.
-            log: (n,) log times, ns.
-        """
+    def add(self, stamp: Stamps, log: Stamps) -> None:
+        """Add messages with header stamps (n,) and log times (n,), ns."""
         if not len(stamp):
             return
         self._stamps, self._log = _extended(self._stamps, stamp), _extended(self._log, log)

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError
-from ..common.files import read_bytes
-from ..common.other_formats import CONVERTIBLE, other_format
+from ..common.files import CONVERTIBLE, other_format, read_bytes
 from ..common.stream import Block, Floats, ImuBlock, Stamps
 from ..common.units import counted
+from .cdr_codec import part
 from .remote import AnyPath
 
 _COMMENTS = ('#', '%', '//')
@@ -49,11 +49,7 @@ class Text:
     broken: int  #: Number of lines with too few fields or no number; they are skipped.
 
     def column(self, name: str, option: str) -> Floats:
-        """Return a column by its name in the heading, or by its place, counted from 1.
-
-        Raises:
-            InputError: There is none; the text names the option and the available columns.
-        """
+        """Return a column by its name in the heading, or by its place, counted from 1."""
         if name in self.names:
             return self.values[:, self.names.index(name)]
         if name.isdigit() and 0 < int(name) <= len(self.names):
@@ -68,32 +64,17 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
 
     Empty lines, lines that begin with #, % or //, and a logger's text above the table are skipped.
     The last line above the rows is the heading, also behind a #, if it has a name for each column.
-    If commas do not separate fields, a comma is a decimal point.
-
-    Args:
-        path: The file.
-        delimiter: Between fields; None detects it.
-
-    Raises:
-        InputError: It cannot be read, or holds no numbers.
+    If commas do not separate fields, a comma is a decimal point. Without a delimiter it is
+    detected.
     """
     return _table(path, _written(path), delimiter)
 
 
 def read_sensors(path: AnyPath, delimiter: str | None = None) -> tuple[Text, Text | None]:
-    """Read a table of numbers, or two whose rows alternate and say which sensor they are of.
+    """Read a table of numbers as `read_text`, or two whose rows alternate and name their sensor.
 
-    A label begins with gyr or acc (GYR, gyroscope; ACC, ACCE, accelerometer), in any letters.
-
-    Args:
-        path: The file.
-        delimiter: As for `read_text`.
-
-    Returns:
-        The table, or that of the gyros, and that of the accelerometers; None without labels.
-
-    Raises:
-        InputError: As for `read_text`.
+    A label begins with gyr or acc (GYR, gyroscope; ACC, ACCE, accelerometer), in any letters. With
+    labels the first table is that of the gyros, the second that of the accelerometers, else None.
     """
     written = _written(path)
     found = _by_label(written)
@@ -288,8 +269,6 @@ def _number(field: str) -> float:
         return float('nan')
 
 
-# Samples that come in another order than their stamps, as over UDP or from two threads: sorted.
-
 HELD = 4096
 """Samples among which is sorted: 0.2 MB."""
 _FARTHEST = 0.1
@@ -301,13 +280,9 @@ comes twice, make few, and have their own treatment."""
 
 
 def places_by_stamp(stamp: Stamps | Floats) -> NDArray[np.intp] | None:
-    """Return the places (n,) of samples in the order of their stamps.
+    """Return the places (n,) of samples, as they arrived, in the order of their stamps.
 
-    Args:
-        stamp: (n,) ns, in the order of arrival.
-
-    Returns:
-        None where they are in order, or too far out of it.
+    None where they are in order, or too far out of it.
     """
     back = np.count_nonzero(np.diff(stamp) < 0)
     if back <= _SHARE * len(stamp):
@@ -317,8 +292,8 @@ def places_by_stamp(stamp: Stamps | Floats) -> NDArray[np.intp] | None:
     return places if farthest <= _FARTHEST * len(stamp) else None
 
 
-class InOrder:
-    """Sorts the samples of one topic by their stamps, in bounded memory.
+class StampSorter:
+    """Sorts the samples of a topic, as over UDP or from two threads, in bounded memory.
 
     The result does not depend on how the stream was cut into blocks.
 
@@ -340,17 +315,17 @@ class InOrder:
             'that order.',
         )
 
-    def passed(self, blocks: Iterable[tuple[str, Block]], topic: str) -> Iterator[Block]:
+    def sorted_blocks(self, blocks: Iterable[tuple[str, Block]], topic: str) -> Iterator[Block]:
         """Pass blocks on, those of a topic of Imu messages in the order of their stamps."""
         for name, block in blocks:
             if name == topic and isinstance(block, ImuBlock):
-                yield from self.take(block)
+                yield from self.add(block)
             else:
                 yield block
         yield from self.finish()
 
-    def take(self, block: ImuBlock) -> list[ImuBlock]:
-        """Take samples; return those that are in order by now."""
+    def add(self, block: ImuBlock) -> list[ImuBlock]:
+        """Add samples; return those that are in order by now."""
         held = self._held
         self._held = ImuBlock(
             np.concatenate([held.stamp, block.stamp]),
@@ -361,14 +336,14 @@ class InOrder:
         done = []
         while len(self._held) >= HELD:
             self._sort(HELD)
-            done.append(_part(self._held, 0, HELD // 2))
-            self._held = _part(self._held, HELD // 2, len(self._held))
+            done.append(part(self._held, 0, HELD // 2))
+            self._held = part(self._held, HELD // 2, len(self._held))
         return done
 
     def finish(self) -> list[ImuBlock]:
         """End the stream: return the remaining samples."""
         self._sort(len(self._held))
-        last, self._held = self._held, _part(self._held, 0, 0)
+        last, self._held = self._held, part(self._held, 0, 0)
         return [last] if len(last) else []
 
     def _sort(self, count: int) -> None:
@@ -383,8 +358,3 @@ class InOrder:
         self._held = ImuBlock(
             held.stamp[places], held.gyro[places], held.accel[places], held.frame_id
         )
-
-
-def _part(block: ImuBlock, first: int, last: int) -> ImuBlock:
-    rows = slice(first, last)
-    return ImuBlock(block.stamp[rows], block.gyro[rows], block.accel[rows], block.frame_id)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from ..common.stream import Block, Stamps
     from .cdr import Messages
-    from .rosbag2 import Kind, Recording
+    from .rosbag2 import Kind
     from .storage import Times
 
 
@@ -70,7 +70,7 @@ class RecordingWriter:
     ) -> None:
         self.path = user_path(path)
         self._custom_data = dict(custom_data or {})
-        self._former: list[_Former] = []
+        self._former: list[_FormerFile] = []
         self._topics: dict[str, tuple[int, str]] = {}
         self._profiles: dict[str, list[dict[str, Any]]] = {}
         self._encodings: dict[str, str] = {}
@@ -81,7 +81,7 @@ class RecordingWriter:
             self._former = _former_files(self.path, progress)
         elif self.path.exists():
             raise RecordingError(f'{self.path} exists already; recordings are not overwritten.')
-        with _in_words(self.path):
+        with _disk_errors_in_words(self.path):
             self.path.mkdir(parents=True, exist_ok=resume)
             self._name = _free_name(self.path)
             self._file = McapWriter(
@@ -104,13 +104,7 @@ class RecordingWriter:
     def add_topic(self, topic: str, type_name: str, *, transient_local: bool = False) -> None:
         """Describe a topic before its first message; `write` does so otherwise.
 
-        Args:
-            topic: Full name of the topic.
-            type_name: Message type, for instance sensor_msgs/msg/Imu.
-            transient_local: The topic is latched: late subscribers get its last message.
-
-        Raises:
-            InputError: The topic already has another type, or the type is not known.
+        Late subscribers get the last message of one that is `transient_local` (latched).
         """
         if topic in self._topics:
             if self._topics[topic][1] != type_name:
@@ -126,38 +120,25 @@ class RecordingWriter:
         self._profiles[topic] = [profile]
 
     def copy_topic(self, topic: Topic) -> None:
-        """Describe a topic with another recorder's description of each channel, of any type.
-
-        Args:
-            topic: As read from a recording.
-        """
+        """Describe a topic with another recorder's description of each channel, of any type."""
         for _, one in topic.channels or ((0, topic),):
             self._copied(one)
 
     def copy(self, topic: Topic, messages: Messages, times: Times) -> None:
-        """Append messages of another recording, each to its own channel.
-
-        Args:
-            topic: As read from a recording.
-            messages: Serialised messages.
-            times: Theirs.
-
-        Raises:
-            InputError: The disk is full.
-        """
+        """Append messages of another recording, with their times, each to its own channel."""
         for number, one in topic.channels or ((0, topic),):
             mine, when = messages, times
             if len(topic.channels) > 1 and times.channel is not None:
                 rows = times.channel == number
                 mine, when = messages.select(rows), times.select(rows)
             if len(mine):
-                with _in_words(self.path):
+                with _disk_errors_in_words(self.path):
                     channel = self._copied(one)
                     self._file.write(channel, mine, when.log, when.publish, when.sequence)
 
     def copy_records(self, recording: Recording) -> None:
         """Copy what a recording contains besides messages: metadata records and attachments."""
-        with _in_words(self.path):
+        with _disk_errors_in_words(self.path):
             for name, pairs in recording.metadata:
                 if name not in (_RECORD, _OF_ROSBAG2):
                     self._file.add_metadata(name, dict(pairs))
@@ -197,35 +178,26 @@ class RecordingWriter:
         log_time: Stamps,
         publish_time: Stamps | None = None,
     ) -> None:
-        """Append messages of one topic.
+        """Append messages of one topic, with (n,) times of arrival and publication, ns.
 
-        Args:
-            topic: Full name of the topic.
-            type_name: Message type, for instance sensor_msgs/msg/Imu.
-            messages: Serialised messages.
-            log_time: (n,) time of each arrival, ns.
-            publish_time: (n,) time of each publication, ns; None: that of the arrival.
-
-        Raises:
-            InputError: The topic already has another type, the type is not known, or the disk is
-                full.
+        Messages are taken as published when they arrive unless stated.
         """
         self.add_topic(topic, type_name)
         times = np.asarray(log_time, np.int64)
         if times.shape != (len(messages),) or (times < 0).any():
             raise ValueError(f'{len(messages)} messages need as many log times, none negative.')
-        with _in_words(self.path):
+        with _disk_errors_in_words(self.path):
             self._file.write(self._topics[topic][0], messages, times, publish_time)
 
     def add_custom_data(self, pairs: Mapping[str, str]) -> None:
         """Add entries to the metadata, for instance a result."""
         self._custom_data.update(pairs)
-        with _in_words(self.path):
+        with _disk_errors_in_words(self.path):
             self._file.add_metadata(_RECORD, dict(pairs))
 
     def flush(self) -> None:
         """Write all data so far to the operating system, so that it survives a killed program."""
-        with _in_words(self.path):
+        with _disk_errors_in_words(self.path):
             self._file.flush()
 
     @property
@@ -237,7 +209,7 @@ class RecordingWriter:
         """Finish the file and write metadata.yaml."""
         if not self._open:
             return
-        with _in_words(self.path):
+        with _disk_errors_in_words(self.path):
             self._finish()
         self._open = False
 
@@ -267,14 +239,14 @@ class RecordingWriter:
 
 
 @dataclass(frozen=True)
-class _Former:
+class _FormerFile:
     """A file of the recording that is resumed."""
 
     span: metadata.FileSpan
     topics: tuple[Topic, ...]
 
 
-def _former_files(path: Path, progress: Callable[[float], None]) -> list[_Former]:
+def _former_files(path: Path, progress: Callable[[float], None]) -> list[_FormerFile]:
     """Count the messages of a recording's files, the damaged ones too."""
     losses, scratch = Losses(), Scratch()
     try:
@@ -300,7 +272,7 @@ def _report_part(
     progress((before + size * share) / total)
 
 
-def _counted(storage: Storage, progress: Callable[[float], None]) -> _Former:
+def _counted(storage: Storage, progress: Callable[[float], None]) -> _FormerFile:
     names = frozenset(storage.topics)
     topics: list[Topic] = []
     starts = []
@@ -311,10 +283,11 @@ def _counted(storage: Storage, progress: Callable[[float], None]) -> _Former:
             progress((len(topics) + batch.position / storage.size) / len(names))
             starts.append(batch.log_ns)
         topics.append(Topic(name, storage.topics[name].type, count))
+        progress(len(topics) / len(names))
     start = min(starts, default=0) if storage.start_ns is None else storage.start_ns
     end = max(starts, default=0) if storage.end_ns is None else storage.end_ns
     held = sum(topic.count or 0 for topic in topics)
-    return _Former(metadata.FileSpan(storage.path.name, start, end, held), tuple(topics))
+    return _FormerFile(metadata.FileSpan(storage.path.name, start, end, held), tuple(topics))
 
 
 def _free_name(path: Path) -> str:
@@ -326,14 +299,12 @@ def _free_name(path: Path) -> str:
 
 
 @contextmanager
-def _in_words(path: Path) -> Iterator[None]:
+def _disk_errors_in_words(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
         raise RecordingError(f'{path}: cannot be written ({error.strerror or error}).') from None
 
-
-# The journal of a live session: a recording that survives a crash of its program.
 
 FINISHED = 'imu_calib.finished'
 """Entry of a journal whose session is complete."""
@@ -343,7 +314,7 @@ _HELD = 512 << 20
 
 
 class Journal:
-    """Write received messages at once, and read them back after a crash.
+    """The recording of a live session, which survives a crash and is read back after it.
 
     Args:
         path: Folder; an unfinished session in it is resumed.
@@ -412,13 +383,9 @@ class Journal:
             self.losses = recording.losses
 
     def write(self, topic: str, type_name: str, messages: Messages, now: int) -> None:
-        """Append messages of a topic.
+        """Append messages of a topic that arrive now, ns; at least one.
 
-        Args:
-            topic: Full name.
-            type_name: Message type.
-            messages: Serialised messages, at least one.
-            now: Time of their arrival, ns; log times never decrease, even if the clock jumps back.
+        Log times never decrease, even if the clock jumps back.
 
         Raises:
             InputError: The disk is full. The messages are held in memory, and the next `flush`
@@ -435,11 +402,7 @@ class Journal:
         self._writer.add_topic(topic, type_name, transient_local=True)
 
     def flush(self) -> None:
-        """Write all data to the operating system, so that it survives a killed program.
-
-        Raises:
-            InputError: The disk is full.
-        """
+        """Write all data to the operating system, so that it survives a killed program."""
         self._writer.flush()
 
     @property
@@ -448,14 +411,7 @@ class Journal:
         return self._writer.held > _HELD
 
     def close(self, *, finished: bool) -> None:
-        """Finish the file.
-
-        Args:
-            finished: Whether the session is complete, so that nothing is to be added.
-
-        Raises:
-            InputError: The disk is full.
-        """
+        """Finish the file; nothing is to be added to a session that is finished."""
         if finished:
             self._writer.add_custom_data({FINISHED: 'true'})
         self._writer.close()

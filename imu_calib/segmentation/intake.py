@@ -280,7 +280,7 @@ class StreamBuffer:
         """
         if self._table is None:
             return self._joint_order.finish()
-        joints = block.of(self._table.names)
+        joints = block.select_joints(self._table.names)
         if joints is None:
             named = ', '.join(block.names) or 'no joint'
             self._strange[named] = self._strange.get(named, 0) + len(block)

@@ -257,7 +257,7 @@ class Encoders:
             FeedbackError: An angle is no number or beyond `FARTHEST`; a stamp jumps back, or is
                 later than a header can state.
         """
-        joints = block.of(self._table.names)
+        joints = block.select_joints(self._table.names)
         if joints is None:
             self.ignored += len(block)
             self.ignored_names = block.names
@@ -280,7 +280,7 @@ class Encoders:
             block: Joint states.
             rest: Where the table stands, and until when.
         """
-        joints = block.of(self._table.names)
+        joints = block.select_joints(self._table.names)
         if joints is None or not self._past:
             return block
         stamp, last = joints.stamp, self._past[-1]

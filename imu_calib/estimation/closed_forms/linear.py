@@ -198,7 +198,7 @@ def shares_of(evidence: Evidence, model: SensorModel, rows: Floats) -> dict[Sour
     state = np.concatenate([model.vector(), np.zeros(equations.nuisances)])
     found = equations.shares(state, rows)
     clock = rows @ equations.jacobian(state)[:, equations.clock_index] * evidence.clock_rate()[1]
-    found[Source.CLOCK] = Share.of_parts([(np.outer(clock, clock), evidence.clock_freedom)])
+    found[Source.CLOCK] = Share.from_parts([(np.outer(clock, clock), evidence.clock_freedom)])
     return found
 
 

@@ -442,7 +442,7 @@ class LiveSession:
     def _of_the_table(self, block: JointBlock) -> bool:
         """Return whether joint states are the table's: other joints may share its topic."""
         table = self.setup.table
-        return table is None or block.of(table.names) is not None
+        return table is None or block.select_joints(table.names) is not None
 
     def _name_the_gap(self, first: int) -> None:
         if self._former is not None and (words := self._former.gap(first)):

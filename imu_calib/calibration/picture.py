@@ -1,4 +1,4 @@
-"""A matplotlib figure that notebooks display; needs matplotlib."""
+"""A matplotlib figure that notebooks display; needs matplotlib, which nothing else loads."""
 
 from __future__ import annotations
 
