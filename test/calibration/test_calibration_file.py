@@ -12,7 +12,7 @@ from imu_calib.common.units import ARCMIN
 from imu_calib.model.sensors import SensorModel
 from imu_calib.reports.tables import angle_table, parameter_table
 
-DOCS = Path(__file__).parents[1] / 'docs'
+DOCS = Path(__file__).parents[2] / 'docs'
 
 
 def example() -> Calibration:

@@ -508,7 +508,7 @@ def test_wrong_usage_ends_with_2() -> None:
     # In a process of its own: what a shell sees.
     command = [sys.executable, '-m', 'imu_calib.cli.main', 'calibrate']
     done = subprocess.run(
-        command, capture_output=True, text=True, check=False, cwd=Path(__file__).parent.parent
+        command, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[2]
     )
     assert done.returncode == 2
     assert 'usage: imu-calib calibrate' in done.stderr

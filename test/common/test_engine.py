@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from dask_cluster import Cluster, first_last, refused
 from extent import again as repeated
-from loopback import CHECKOUT, patience, until
+from loopback import CHECKOUT, SUPPORT, patience, until
 from test_montecarlo import study
 
 from imu_calib.cli.main import main
@@ -30,7 +30,7 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The address of a scheduler with one worker, which finds this file and the studies."""
     pytest.importorskip('distributed')
     cluster = Cluster(tmp_path_factory.mktemp('cluster'))
-    folders = (Path(__file__).parent, CHECKOUT / 'benchmarks', CHECKOUT / 'docs')
+    folders = (Path(__file__).parent, SUPPORT, CHECKOUT / 'benchmarks', CHECKOUT / 'docs')
     with pytest.MonkeyPatch.context() as patched:
         patched.setenv('PYTHONPATH', os.pathsep.join(map(str, folders)))
         cluster.start()

@@ -40,7 +40,7 @@ from imu_calib.session.table import TURN
 from imu_calib.simulation.hand import as_planned
 from imu_calib.simulation.options import ImuOptions
 
-RECORDING = Path(__file__).parent / 'data' / 'hand_session'
+RECORDING = Path(__file__).parents[1] / 'data' / 'hand_session'
 COUNTS_PER_FORCE = [208.5457, 208.0011, 214.7846]  # imucal's K_a, counts per m/s^2
 COUNTS_PER_RATE = [16.67770, 16.18790, 16.25336]  # imucal's K_g, counts per deg/s
 ZERO_FORCE = [-6.0189, -48.2879, -28.9664]  # imucal's b_a, counts

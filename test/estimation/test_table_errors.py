@@ -362,7 +362,7 @@ def test_angles_between_input_axes_are_told_by_sensors_and_moves_on_any_table(se
     assert np.all(widened < 1.2 * std)
 
 
-DOCUMENT = Path(__file__).parents[1] / 'docs' / 'tables.md'
+DOCUMENT = Path(__file__).parents[2] / 'docs' / 'tables.md'
 BOTH = TableErrors(zeros=30 * ARCSEC, orthogonality=30 * ARCSEC)
 
 

@@ -20,7 +20,7 @@ import pytest
 from buckets import put, served
 from dask_cluster import Cluster
 from installed import needs_modules
-from loopback import patience, until
+from loopback import CHECKOUT, SUPPORT, patience, until
 
 import imu_calib
 from imu_calib.api.session import Stated
@@ -33,6 +33,8 @@ from imu_calib.fleet.recordings import COLUMNS, Job, Labels, convertible, find_j
 
 needs_modules('pyarrow', 'duckdb', 'distributed')
 
+IMPORTED = os.pathsep.join([str(Path(__file__).parent), str(SUPPORT)])
+"""Where a worker elsewhere finds the tasks of this file."""
 NOW = datetime(2026, 3, 1, 12, tzinfo=timezone.utc)
 
 
@@ -178,7 +180,7 @@ def test_a_broken_manifest_gets_a_sentence(tmp_path: Path, text: str, sentence: 
 
 
 def test_the_page_names_every_column_of_a_manifest() -> None:
-    page = (Path(__file__).parents[1] / 'docs' / 'fleet.md').read_text(encoding='utf-8')
+    page = (CHECKOUT / 'docs' / 'fleet.md').read_text(encoding='utf-8')
     section = page.partition('## Sources of a batch')[2].partition('\n## ')[0]
     assert not [name for name in COLUMNS if f'`{name}`' not in section]
 
@@ -488,8 +490,7 @@ def slow(job: Job, known: frozenset[str]) -> Done:
 def test_a_scheduler_that_is_started_again_is_gone_on_with(
     tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # A worker elsewhere imports what it runs: here this file.
-    monkeypatch.setenv('PYTHONPATH', str(Path(__file__).parent))
+    monkeypatch.setenv('PYTHONPATH', IMPORTED)
     cluster.start()
     jobs = [Job(str(tmp_path / str(k))) for k in range(3)]
     kept = Catalogue(tmp_path / 'c', create=True)
@@ -507,7 +508,7 @@ def test_a_scheduler_that_is_started_again_is_gone_on_with(
 def test_two_clients_of_one_catalogue_add_each_row_once(
     tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv('PYTHONPATH', str(Path(__file__).parent))
+    monkeypatch.setenv('PYTHONPATH', IMPORTED)
     cluster.start()
     (tmp_path / 'go').touch()
     jobs = [Job(str(tmp_path / str(k))) for k in range(20)]

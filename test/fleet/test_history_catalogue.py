@@ -28,7 +28,7 @@ from imu_calib.session.imu import load_imu
 needs_modules('pyarrow', 'duckdb')
 
 SPECIFICATION = load_imu('fog_navigation').specification
-SCHEMAS = Path(__file__).parents[1] / 'config' / 'schemas'
+SCHEMAS = Path(__file__).parents[2] / 'config' / 'schemas'
 SCHEMA = Draft202012Validator(json.loads((SCHEMAS / 'output.json').read_text('utf-8')))
 
 

@@ -51,7 +51,9 @@ UNDECLARED = {
 """Modules that package.xml leaves out, and why."""
 
 OWN = {
-    path.stem for folder in ('test', 'benchmarks', 'docs') for path in (CHECKOUT / folder).glob('*')
+    path.stem
+    for folder in ('test', 'test/support', 'benchmarks', 'docs')
+    for path in (CHECKOUT / folder).glob('*')
 }
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import processes
 import pytest
-from loopback import until
+from loopback import SUPPORT, until
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith('linux'), reason='looks into /proc')
 
@@ -55,8 +55,8 @@ class Run:
 
     def start(self, *tests, options=()):
         command = [sys.executable, '-m', 'pytest', '-p', 'conftest', '-c', '/dev/null', '-q']
-        here = Path(__file__).resolve().parent
-        path = os.pathsep.join([str(here), os.environ.get('PYTHONPATH', '')])
+        given = os.environ.get('PYTHONPATH', '')
+        path = os.pathsep.join([str(SUPPORT.parent), str(SUPPORT), given])
         return processes.start(
             [*command, *options, *(f'test_inner.py::test_{name}' for name in tests)],
             cwd=self.folder,

@@ -112,6 +112,6 @@ def test_a_robot_needs_no_rviz():
 
 @needs('launch_testing', 'launch_testing_ros', 'launch_pytest')
 def test_the_tests_run_in_a_shell_where_ros_is_sourced():
-    words = f'{sys.executable} -m pytest test/test_rows.py'
+    words = f'{sys.executable} -m pytest test/estimation/test_rows.py'
     ran = run(CHECKOUT, f'env -u PYTEST_DISABLE_PLUGIN_AUTOLOAD -u PYTEST_ADDOPTS {words}')
     assert ran.returncode == 0, ran.stderr

@@ -419,7 +419,7 @@ def test_sound_samples_are_kept(values: Floats, units: Units) -> None:
 
 
 def test_real_and_simulated_sessions_lose_none() -> None:
-    with open_recording(Path(__file__).parent / 'data' / 'hand_session') as recording:
+    with open_recording(Path(__file__).parents[1] / 'data' / 'hand_session') as recording:
         real = columns(one for _, one in recording.read({'/imu/raw': Kind.IMU}))
     sessions = [(real, MEMS), (in_hand(), MEMS)]
     sessions += [(columns(on_table(pulses)), FOG if pulses else MEMS) for pulses in (True, False)]

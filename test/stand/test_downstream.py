@@ -12,7 +12,7 @@ import downstream_peer as robot
 import numpy as np
 import pytest
 from installed import ROS, needs
-from loopback import CHECKOUT, patience, until
+from loopback import CHECKOUT, SUPPORT, patience, until
 from ros_stands import LAUNCHABLE, Network, nothing_left
 from scipy.spatial.transform import Rotation
 
@@ -21,7 +21,7 @@ pytestmark = [
     needs(*PACKAGES, verbs=['launch']),
     pytest.mark.skipif(not LAUNCHABLE, reason='not built: colcon build, source install/setup.bash'),
 ]
-PEER = CHECKOUT / 'test' / 'downstream_peer.py'
+PEER = SUPPORT / 'downstream_peer.py'
 MRAD = 1e-3
 PERIOD = 0.01
 NOISE = 5 * MRAD

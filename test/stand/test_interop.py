@@ -15,11 +15,11 @@ import numpy as np
 import processes
 import pytest
 from installed import ROS, needs
-from loopback import CHECKOUT, environment, patience, until
+from loopback import CHECKOUT, SUPPORT, environment, patience, until
 
 from imu_calib.recordings.rosbag2 import Kind, open_recording
 
-PEER = CHECKOUT / 'test' / 'interop_peer.py'
+PEER = SUPPORT / 'interop_peer.py'
 RMWS = [pytest.param(rmw, marks=needs(rmw)) for rmw in ('rmw_cyclonedds_cpp', 'rmw_fastrtps_cpp')]
 
 

@@ -220,7 +220,7 @@ def test_the_words_for_an_attitude_name_one(words):
 
 
 def test_six_holds_and_three_turns_by_hand_live_are_those_of_the_recording(tmp_path):
-    recording = Path(__file__).parent / 'data' / 'hand_session'
+    recording = Path(__file__).parents[1] / 'data' / 'hand_session'
     setup = Setup(
         SPEC,
         load_plan('six_position_by_hand'),

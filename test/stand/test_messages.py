@@ -30,7 +30,7 @@ try:
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
-# `python3 test/interop_peer.py record`, with rclpy.
+# `python3 test/support/interop_peer.py record`, with rclpy.
 ROS = json.loads((CHECKOUT / 'test' / 'data' / 'messages_of_ros.json').read_text())
 WRITTEN = [name for name, known in ROS.items() if 'bytes' in known]
 

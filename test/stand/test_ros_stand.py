@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from installed import needs
-from loopback import CHECKOUT
+from loopback import SUPPORT
 from ros_stands import (
     BAG,
     CANCEL,
@@ -177,7 +177,7 @@ def test_the_stand_passes_its_launch_test(tmp_path):
     given = {'plan': short_plan(tmp_path), 'frame_port': free_port(), 'latitude': LATITUDE}
     words = [f'{name}:={value}' for name, value in given.items()]
     with nothing_left(net):
-        file = str(CHECKOUT / 'test' / 'stand_launch.py')
+        file = str(SUPPORT / 'stand_launch.py')
         net.start('test', net.ros('launch_test', file, *words))
         assert net.ended('test', 300) == 0, net.log('test')
     assert net.log('test').count('OK') == 2

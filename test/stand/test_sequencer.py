@@ -862,7 +862,7 @@ def test_only_who_is_supervised_can_go_on_with_a_session():
 
 
 def test_phases_have_the_numbers_of_the_message():
-    text = (Path(__file__).parent.parent / 'msg_defs/msg/TurntableState.msg').read_text()
+    text = (Path(__file__).parents[2] / 'msg_defs/msg/TurntableState.msg').read_text()
     stated = dict(re.findall(r'^uint8 ([A-Z]+)=(\d+)', text, re.MULTILINE))
     assert {phase.name: str(phase.value) for phase in Phase} == stated
 

@@ -6,7 +6,6 @@ import os
 import signal
 import time
 from contextlib import contextmanager
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -24,7 +23,6 @@ from imu_calib.stand import middleware as ros
 from imu_calib.stand.middleware import messages
 from imu_calib.stand.nodes import topics as qos
 
-HERE = Path(__file__).resolve().parent
 NODES = ('stand_node', 'imu_node', 'calibrator_node', 'turntable_node')
 LIMIT = 4.5
 # What publishes with keep-all waits for a subscription that was killed until its lease ends: 10 s

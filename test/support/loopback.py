@@ -13,7 +13,8 @@ import processes
 
 from imu_calib.stand.network import LOOPBACK, on_interface, own_domain
 
-CHECKOUT = Path(__file__).resolve().parent.parent
+SUPPORT = Path(__file__).resolve().parent
+CHECKOUT = SUPPORT.parents[1]
 _state = tempfile.TemporaryDirectory(prefix='imu_calib_test_state_', ignore_cleanup_errors=True)
 
 

@@ -1,6 +1,6 @@
 """The simulated stand under launch_testing.
 
-launch_test test/stand_launch.py plan:=twelve_position frame_port:=5760 latitude:=34.65
+launch_test test/support/stand_launch.py plan:=twelve_position frame_port:=5760 latitude:=34.65
 """
 
 import unittest
