@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from evidence import ACCEL_WALK, CLOCK, GYRO_WALK, SECOND, SITE, evidence_of
+from mems_by_hand import result as by_hand
 from rich.console import Console
 from rich.table import Table
 from scipy.signal import lfilter
 from sessions import LATITUDE, at_one_rate, calibrate, quick_plan, session, stand, truth
-from test_free_positions import result as by_hand
-from test_information import ACCEL_WALK, CLOCK, GYRO_WALK, SECOND, SITE, evidence_of
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.thermal import read_calibration

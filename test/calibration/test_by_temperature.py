@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_compensation import known
+from calibrations import BIAS, BRICK, brick_at
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.thermal import (
@@ -23,27 +23,13 @@ from imu_calib.calibration.thermal import (
 )
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Units
-from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.session_terms import Changes, Course, change
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.table_errors import StampingClock
 
-UNIT = ImuSpec('brick', Units.COUNTS, None, TriadSpec(1e-3), TriadSpec(1e-2))
-BIAS = 9
-"""Place of the bias of the gyro x among the parameters."""
-
-
-def point(celsius: float, bias: float = 0.0, std: float = 0.0, **more: Any) -> Calibration:
-    """A unit at a temperature: its first gyro bias, and how well that is known."""
-    model = SensorModel(Triad(bias=np.array([bias, 0.0, 0.0])))
-    square = np.zeros((24, 24))
-    square[BIAS, BIAS] = std**2
-    temperature = {'mean': celsius, 'lowest': celsius - 1.0, 'highest': celsius + 2.0}
-    return replace(known(UNIT, model, temperature=temperature, **more), covariance=square)
-
 
 def points(*celsius: float, order: int | None = None) -> ThermalCalibration:
-    return combine([point(float(t)) for t in celsius], [f'{t:g}.yaml' for t in celsius], order)
+    return combine([brick_at(float(t)) for t in celsius], [f'{t:g}.yaml' for t in celsius], order)
 
 
 @pytest.mark.parametrize(
@@ -70,15 +56,15 @@ def test_what_gravity_does_to_all_of_them_does_not_average_down() -> None:
     square = np.zeros((24, 24))
     square[12:15, 12:15] = 1e-6
     square[12, 12] += 4e-8
-    cold, warm = (replace(point(t, **gravity), covariance=square) for t in (0.0, 10.0))
+    cold, warm = (replace(brick_at(t, **gravity), covariance=square) for t in (0.0, 10.0))
     found = combine([cold, warm], ['a', 'b']).at(5.0)
     assert found.covariance[12, 12] == pytest.approx(1e-6 + (0.25 + 0.25) * 4e-8)
     assert found.covariance[12, 13] == pytest.approx(1e-6)
 
 
 def test_between_two_what_is_known_of_both_is_kept() -> None:
-    cold = point(0.0, 1.0, 0.3, random_walk=[3.0] * 6, highest_rate=2.0, place='here')
-    warm = point(10.0, 2.0, 0.4, random_walk=[4.0] * 6, highest_rate=1.5)
+    cold = brick_at(0.0, 1.0, 0.3, random_walk=[3.0] * 6, highest_rate=2.0, place='here')
+    warm = brick_at(10.0, 2.0, 0.4, random_walk=[4.0] * 6, highest_rate=1.5)
     found = combine([warm, cold], ['a', 'b']).at(7.5)
     assert found.values[BIAS] == pytest.approx(1.75)
     assert found.covariance[BIAS, BIAS] == pytest.approx((0.25 * 0.3) ** 2 + (0.75 * 0.4) ** 2)
@@ -87,7 +73,7 @@ def test_between_two_what_is_known_of_both_is_kept() -> None:
     assert found.provenance['highest_rate'] == 1.5
     assert found.provenance['temperature'] == {'mean': 7.5, 'lowest': 7.5, 'highest': 7.5}
     assert (found.budget, found.residuals, found.changes, found.clock) == (None, (), None, None)
-    one_knows = combine([cold, replace(warm, provenance=point(10.0).provenance)], ['a', 'b'])
+    one_knows = combine([cold, replace(warm, provenance=brick_at(10.0).provenance)], ['a', 'b'])
     assert one_knows.at(0.0).provenance['random_walk'] == pytest.approx([4.5**0.5] * 6)
     assert one_knows.at(0.0).provenance['highest_rate'] == 2.0
     assert points(0, 10).at(5.0).provenance['highest_rate'] is None
@@ -95,7 +81,7 @@ def test_between_two_what_is_known_of_both_is_kept() -> None:
 
 def test_a_session_without_a_clock_goes_by_the_stamps_own() -> None:
     clock = StampingClock('imu', 'table', 4e-5, 3e-6)
-    found = combine([replace(point(0.0), clock=clock), point(10.0)], ['a', 'b']).at(2.5).clock
+    found = combine([replace(brick_at(0.0), clock=clock), brick_at(10.0)], ['a', 'b']).at(2.5).clock
     assert found is not None
     assert found.faster == pytest.approx(0.75 * 4e-5)
     assert found.std == pytest.approx(0.75 * 3e-6)
@@ -115,7 +101,7 @@ def test_a_session_without_a_clock_goes_by_the_stamps_own() -> None:
     ],
 )
 def test_chords_are_doubted_by_the_larger_bend_beside_them(celsius: float, doubt: float) -> None:
-    bends = [point(t, b) for t, b in ((0.0, 0.0), (10.0, 10.0), (20.0, 40.0), (40.0, 60.0))]
+    bends = [brick_at(t, b) for t, b in ((0.0, 0.0), (10.0, 10.0), (20.0, 40.0), (40.0, 60.0))]
     found = combine(bends, list('abcd')).at(celsius)
     assert found.std[BIAS] == pytest.approx(doubt, abs=1e-12)
     # Of two points nobody knows how much they bend.
@@ -127,7 +113,7 @@ def test_a_session_that_follows_its_temperature_is_led_along_its_coefficients() 
     cross = np.zeros((24, 2))
     cross[BIAS, 0] = -0.02
     known_by = Changes(terms, np.array([0.5, 2e-3]), np.diag([0.01, 1e-8]), cross)
-    single = replace(point(20.0, 1.0, 0.3), changes=known_by)
+    single = replace(brick_at(20.0, 1.0, 0.3), changes=known_by)
     thermal = by_temperature(single, 'file')
     assert isinstance(thermal, ThermalCalibration)
     assert thermal.calibrations == (single,)
@@ -142,7 +128,7 @@ def test_a_session_that_follows_its_temperature_is_led_along_its_coefficients() 
     # It saw 19 to 22 degC; beyond, the ends hold.
     assert thermal.at(99.0).values[BIAS] == pytest.approx(1.0 + 2 * 0.5)
     assert thermal.at(-99.0).values[BIAS] == pytest.approx(1.0 - 0.5)
-    plain = point(20.0)
+    plain = brick_at(20.0)
     assert by_temperature(plain, 'file') is plain
     drifting = replace(known_by, changes=tuple(change(Course.TREND, n) for n in ('D_gx', 'K_a')))
     trend = replace(single, changes=drifting)
@@ -150,9 +136,9 @@ def test_a_session_that_follows_its_temperature_is_led_along_its_coefficients() 
 
 
 def test_a_calibration_counts_within_what_it_saw() -> None:
-    assert temperature_range(point(20.0)) == (14.0, 27.0)
-    assert temperature_range(replace(point(20.0), provenance={})) == (-np.inf, np.inf)
-    cold, warm = point(0.0), point(10.0)
+    assert temperature_range(brick_at(20.0)) == (14.0, 27.0)
+    assert temperature_range(replace(brick_at(20.0), provenance={})) == (-np.inf, np.inf)
+    cold, warm = brick_at(0.0), brick_at(10.0)
     cold.provenance['temperature'] = {'mean': 0.0, 'lowest': -1.0, 'highest': 13.0}
     assert temperature_range(combine([cold, warm], ['a', 'b'])) == (-1.0, 13.0)
     assert first_of(combine([warm, cold], ['a', 'b'])) is cold
@@ -188,17 +174,17 @@ def test_a_file_of_several_is_read_as_it_was_written(tmp_path: Any) -> None:
         assert str(refused.value).startswith(sentence), refused.value
 
 
-OTHER = replace(UNIT, id='board')
-WIDER = replace(UNIT, gyro=TriadSpec(1e-3 * (1 + 2e-9)))
-SAME = replace(UNIT, gyro=TriadSpec(1e-3 * (1 + 5e-10)))
-HEAVIER = replace(UNIT, accel=TriadSpec(2e-2))
+OTHER = replace(BRICK, id='board')
+WIDER = replace(BRICK, gyro=TriadSpec(1e-3 * (1 + 2e-9)))
+SAME = replace(BRICK, gyro=TriadSpec(1e-3 * (1 + 5e-10)))
+HEAVIER = replace(BRICK, accel=TriadSpec(2e-2))
 
 
 @pytest.mark.parametrize(
     ('imu', 'sentence'),
     [
         (OTHER, 'a.yaml: imu: found board, expected brick as in b.yaml.'),
-        (replace(UNIT, units=Units.SI), 'a.yaml: units: found si, expected counts as in b.yaml.'),
+        (replace(BRICK, units=Units.SI), 'a.yaml: units: found si, expected counts as in b.yaml.'),
         (
             WIDER,
             'a.yaml: gyro: scale_factor: found 0.001000000002, expected 0.001 as in b.yaml.',
@@ -210,18 +196,18 @@ HEAVIER = replace(UNIT, accel=TriadSpec(2e-2))
     ],
 )
 def test_another_unit_is_refused_by_what_differs(imu: ImuSpec, sentence: str) -> None:
-    mine = replace(point(0.0), imu=imu)
+    mine = replace(brick_at(0.0), imu=imu)
     with pytest.raises(InputError) as refused:
         check_same_unit(mine, 'a.yaml', points(0, 10), 'b.yaml')
     assert str(refused.value) == sentence
-    check_unit(replace(mine, imu=SAME), 'a.yaml', UNIT, 'b.yaml')
+    check_unit(replace(mine, imu=SAME), 'a.yaml', BRICK, 'b.yaml')
 
 
 def test_serial_numbers_are_compared_where_both_state_one() -> None:
-    mine = replace(point(0.0), serial_number='7')
+    mine = replace(brick_at(0.0), serial_number='7')
     for other in ('', '7'):
         check_identity(mine, 'a.yaml', 'brick', 'b.yaml', other)
-    check_identity(point(0.0), 'a.yaml', 'brick', 'b.yaml', '8')
+    check_identity(brick_at(0.0), 'a.yaml', 'brick', 'b.yaml', '8')
     with pytest.raises(InputError) as refused:
         check_identity(mine, 'a.yaml', 'brick', 'b.yaml', '8')
     assert str(refused.value) == 'a.yaml: serial_number: found 7, expected 8 as in b.yaml.'
@@ -231,7 +217,7 @@ def unknown(celsius: float) -> Calibration:
     """A unit of which two parameters only are known."""
     square = np.full((24, 24), np.nan)
     square[BIAS : BIAS + 2, BIAS : BIAS + 2] = 0.0
-    return replace(point(celsius), covariance=square)
+    return replace(brick_at(celsius), covariance=square)
 
 
 MORE = replace(unknown(10.0), covariance=np.diag([*[np.nan] * 9, *[0.0] * 15]))
@@ -239,7 +225,7 @@ MORE = replace(unknown(10.0), covariance=np.diag([*[np.nan] * 9, *[0.0] * 15]))
 
 
 def warm(**temperature: Any) -> Calibration:
-    return replace(point(10.0), provenance={'temperature': temperature})
+    return replace(brick_at(10.0), provenance={'temperature': temperature})
 
 
 ALL_KEYS = (
@@ -251,34 +237,34 @@ ALL_KEYS = (
 @pytest.mark.parametrize(
     ('calibrations', 'order', 'sentence'),
     [
-        ([point(0.0)], None, 'c: Found 1 calibration, expected two or more to combine.'),
+        ([brick_at(0.0)], None, 'c: Found 1 calibration, expected two or more to combine.'),
         (
-            [point(0.0), point(10.0), point(20.0)],
+            [brick_at(0.0), brick_at(10.0), brick_at(20.0)],
             3,
             'c: A polynomial of order 3: found 3 temperatures, expected an order from 1 to 2.',
         ),
         (
-            [point(10.0 * k) for k in range(7)],
+            [brick_at(10.0 * k) for k in range(7)],
             5,
             'c: A polynomial of order 5: found 7 temperatures, expected an order from 1 to 4.',
         ),
         (
-            [point(0.0), point(10.0)],
+            [brick_at(0.0), brick_at(10.0)],
             0,
             'c: A polynomial of order 0: found 2 temperatures, expected an order from 1 to 1.',
         ),
         (
-            [point(30.0), point(0.0), point(9.8), point(10.0)],
+            [brick_at(30.0), brick_at(0.0), brick_at(9.8), brick_at(10.0)],
             None,
             'c: Two calibrations at 9.80 and 10.00 degC: expected at least 0.5 K between them.',
         ),
         (
-            [point(0.0), warm(mean=10.0, lowest=9.0)],
+            [brick_at(0.0), warm(mean=10.0, lowest=9.0)],
             None,
             "1: provenance: temperature: found {'mean': 10.0, 'lowest': 9.0}, " + ALL_KEYS,
         ),
         (
-            [point(0.0), warm(mean=10.0, lowest=9.0, highest=np.inf)],
+            [brick_at(0.0), warm(mean=10.0, lowest=9.0, highest=np.inf)],
             None,
             "1: provenance: temperature: found {'mean': 10.0, 'lowest': 9.0, 'highest': inf}, "
             + ALL_KEYS,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -23,6 +22,7 @@ from sessions import (
     in_parallel,
     paper_imu,
     quick_plan,
+    recut,
     session,
     stand,
     truth,
@@ -30,7 +30,7 @@ from sessions import (
 
 from imu_calib.calibration.results import Result
 from imu_calib.common.config import Section
-from imu_calib.common.stream import Block, Floats, ImuBlock, JointBlock, Mode, SetpointBlock
+from imu_calib.common.stream import Block, Floats, JointBlock, Mode, SetpointBlock
 from imu_calib.common.units import ARCMIN, DEG, DEG_H, MICRO_G, PPM
 from imu_calib.estimation.closed_forms import positions as twelve_position
 from imu_calib.estimation.methods import Setup
@@ -275,33 +275,6 @@ def short_session() -> list[Named]:
 @cache
 def of_short_session() -> str:
     return calibrate(short_session(), short_plan()).calibration.to_yaml()
-
-
-def recut(blocks: list[Named], seed: int) -> list[Named]:
-    """Cut every topic anew at random, and interleave the topics at random."""
-    rng = np.random.default_rng(seed)
-    topics = {name: [b for n, b in blocks if n == name] for name, _ in blocks}
-    queues = {n: [p for b in bs for p in cut(b, rng)] for n, bs in topics.items()}
-    turns = rng.permutation([n for n, q in queues.items() for _ in q])
-    sources = {n: iter(q) for n, q in queues.items()}
-    return [(n, next(sources[n])) for n in turns]
-
-
-def cut(block: Block, rng: np.random.Generator) -> list[Block]:
-    edges = [0, *sorted(rng.integers(0, len(block) + 1, rng.integers(0, 3))), len(block)]
-    return [part(block, slice(a, b)) for a, b in pairwise(edges) if b > a]
-
-
-def part(block: Block, rows: slice) -> Block:
-    if isinstance(block, ImuBlock):
-        return ImuBlock(block.stamp[rows], block.gyro[rows], block.accel[rows], block.frame_id)
-    if isinstance(block, JointBlock):
-        return JointBlock(
-            block.stamp[rows], block.names, block.position[rows], block.velocity[rows]
-        )
-    if isinstance(block, SetpointBlock):
-        return SetpointBlock(block.setpoints[rows])
-    return block
 
 
 def test_memory_is_bounded_by_splitting_a_long_rest() -> None:

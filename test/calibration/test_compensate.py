@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bag_files import IMU, STORE, TEMPERATURES, session, timeline, write_with_rosbags
+from calibrations import point
 from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin
 from sessions import truth
-from test_thermal import point
 
 import imu_calib
 from imu_calib.calibration.calibration import Calibration

@@ -5,14 +5,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from calibrations import known, with_g, with_skew
 from sessions import paper_imu, truth
 
-from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.compensate import Compensation, Mark, concatenated, noise_gains
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Units
 from imu_calib.common.units import DEG, MICRO_G
-from imu_calib.model.sensors import SensorModel, Skewed, Triad, parameters_of
+from imu_calib.model.sensors import SensorModel, Triad, parameters_of
 from imu_calib.model.terms import G_SENSITIVITY, named_terms
 from imu_calib.session.imu import ImuSpec, TriadSpec, load_imu
 
@@ -20,26 +20,9 @@ TAU = 0.01
 PULSE = np.array([7.8 / 3600 * DEG, 0.01])
 
 
-def known(spec=None, model=None, **provenance):
-    """A calibration without doubt."""
-    model = model or truth().model
-    square = np.zeros((len(model.parameters), len(model.parameters)))
-    spec = spec or paper_imu()
-    return Calibration(spec, model, square, provenance=provenance, parameters=model.parameters)
-
-
 def inputs(count, seed=0):
     rng = np.random.default_rng(seed)
     return rng.normal(size=(count, 3)), 9.8 * rng.normal(size=(count, 3))
-
-
-def with_g():
-    g = np.random.default_rng(5).normal(size=(3, 3)) * 1e-5
-    return replace(truth().model, g_sensitivity=g)
-
-
-def with_skew():
-    return replace(with_g(), skewed=Skewed(np.full((1, 3), 3**-0.5), np.array([1e-5])))
 
 
 @pytest.mark.parametrize('units', list(Units))

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibrations import known, with_skew
 from sessions import truth
-from test_compensation import known, with_skew
 
 from imu_calib.calibration.compensate import Mark, concatenated
 from imu_calib.calibration.compensator import Compensator

@@ -6,7 +6,6 @@ The formulas are written out once more here, in plain loops: nothing of the pack
 from __future__ import annotations
 
 import math
-import subprocess
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -17,9 +16,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from c_program import compensated_in_c
+from evidence import CLOCK, SECOND, WALK, statistics
 from sessions import SITE, truth
-from test_exports import PROGRAM
-from test_information import CLOCK, SECOND, WALK, statistics
 
 from imu_calib.calibration.c_header import EXPORTS
 from imu_calib.calibration.calibration import Calibration
@@ -543,19 +542,7 @@ def test_exports_carry_every_parameter_or_refuse_it(terms: tuple[Term, ...]) -> 
 def test_the_c_header_takes_every_term_off(terms: tuple[Term, ...], tmp_path: Path) -> None:
     model, (rate, force) = unit(terms), samples(8)
     text = EXPORTS['c'](ExportSource(known(model), Path('/c.yaml'))).text
-    (tmp_path / 'unit.h').write_text(text)
-    (tmp_path / 'main.c').write_text(PROGRAM)
-    strict = ['-std=c99', '-Wall', '-Wextra', '-Wconversion', '-Wdouble-promotion', '-Werror']
-    try:
-        subprocess.run(['cc', *strict, 'main.c', '-o', 'main'], cwd=tmp_path, check=True)
-    except FileNotFoundError:
-        pytest.skip('no C compiler')
-    read = np.hstack(outputs(named(model), rate, force)).tolist()
-    lines = '\n'.join(' '.join(map(repr, row)) for row in read)
-    run = subprocess.run(
-        [tmp_path / 'main'], input=lines, capture_output=True, text=True, check=True
-    )
-    found = np.array([line.split() for line in run.stdout.splitlines()], dtype=float)
+    found = compensated_in_c(tmp_path, text, np.hstack(outputs(named(model), rate, force)))
     assert found[:, 0::2] == pytest.approx(rate, abs=1e-11)
     assert found[:, 1::2] == pytest.approx(force, abs=1e-11)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from c_program import compensated_in_c
 from installed import needs_modules
 
 from imu_calib.calibration.c_header import EXPORTS
@@ -196,29 +196,6 @@ def test_kalibr_is_refused_what_it_needs_in_words() -> None:
         EXPORTS['kalibr'](ExportSource(replace(calibration, model=mirrored), Path('/c.yaml'), RATE))
 
 
-PROGRAM = """
-#include <stdio.h>
-#include "unit.h"
-
-int main(void)
-{
-    double in[6];
-    while (scanf("%lf %lf %lf %lf %lf %lf", in, in + 1, in + 2, in + 3, in + 4, in + 5) == 6) {
-        imu_calib_real gyro[3], accel[3], rate[3], force[3];
-        for (int i = 0; i < 3; ++i) {
-            gyro[i] = (imu_calib_real)in[i];
-            accel[i] = (imu_calib_real)in[i + 3];
-        }
-        imu_calib_compensate(gyro, accel, (imu_calib_real)0.01, rate, force);
-        for (int i = 0; i < 3; ++i)
-            printf("%.17g %.17g ", (double)rate[i], (double)force[i]);
-        printf("\\n");
-    }
-    return 0;
-}
-"""
-
-
 @pytest.mark.parametrize('name', ['fog_medium', 'mems_counts', 'si'])
 @pytest.mark.parametrize(('define', 'tolerance'), [(None, 1e-12), ('IMU_CALIB_FLOAT', 3e-6)])
 def test_the_c_header_gives_our_values(
@@ -226,19 +203,8 @@ def test_the_c_header_gives_our_values(
 ) -> None:
     calibration = unit(name)
     gyro, accel = samples(calibration)
-    (tmp_path / 'unit.h').write_text(exported('c', calibration))
-    (tmp_path / 'main.c').write_text(PROGRAM)
-    strict = ['-std=c99', '-Wall', '-Wextra', '-Wconversion', '-Wdouble-promotion', '-Werror']
-    defined = [f'-D{define}'] if define else []
-    try:
-        subprocess.run(['cc', *strict, *defined, 'main.c', '-o', 'main'], cwd=tmp_path, check=True)
-    except FileNotFoundError:
-        pytest.skip('no C compiler')
-    lines = '\n'.join(' '.join(map(repr, row)) for row in np.hstack([gyro, accel]).tolist())
-    run = subprocess.run(
-        [tmp_path / 'main'], input=lines, capture_output=True, text=True, check=True
-    )
-    found = np.array([line.split() for line in run.stdout.splitlines()], dtype=float)
+    header = exported('c', calibration)
+    found = compensated_in_c(tmp_path, header, np.hstack([gyro, accel]), define)
     for mine, theirs in zip(
         (found[:, 0::2], found[:, 1::2]), ours(calibration, gyro, accel), strict=True
     ):

@@ -8,9 +8,9 @@ from itertools import cycle
 
 import numpy as np
 import pytest
+from apart_and_late import LATE, PLACES, QUIET, known
+from other_sessions import EPOCH
 from other_world import DEG, Stop, Unit, World, record
-from test_motion_terms import LATE, PLACES, QUIET, known
-from test_other_world import EPOCH
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.compensate import Compensation, concatenated

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_by_temperature import UNIT, point
-from test_compensation import known, with_skew
+from calibrations import BRICK, brick_at, known, with_skew
 
 from imu_calib.calibration import compensator as module
 from imu_calib.calibration.compensate import Compensation, Mark
@@ -45,7 +44,7 @@ def rates(readings: list[Any]) -> list[float]:
 
 def test_a_temperature_counts_for_samples_half_a_second_after_it() -> None:
     # The bias is the temperature; the unit stands still.
-    compensator = Compensator(combine([point(0.0, 0.0), point(100.0, 100.0)], ['a', 'b']))
+    compensator = Compensator(combine([brick_at(0.0, 0.0), brick_at(100.0, 100.0)], ['a', 'b']))
     assert compensator.waits_for_temperature
     assert compensator.take(samples(0, 40)) == []
     assert (compensator.waiting, compensator.dropped) == (40, 0)
@@ -66,7 +65,7 @@ def test_a_temperature_counts_for_samples_half_a_second_after_it() -> None:
 
 
 def test_a_temperature_that_hardly_moves_is_the_one_before() -> None:
-    compensator = Compensator(combine([point(0.0, 0.0), point(100.0, 100.0)], ['a', 'b']))
+    compensator = Compensator(combine([brick_at(0.0, 0.0), brick_at(100.0, 100.0)], ['a', 'b']))
     compensator.take(temperature(0, 10.0))
     # From 10 to 10.0099 nothing is prepared anew; 10.0101 is a hundredth more.
     compensator.take(temperature(50, 10.0099))
@@ -77,7 +76,7 @@ def test_a_temperature_that_hardly_moves_is_the_one_before() -> None:
 
 def test_beyond_what_was_seen_samples_are_marked_until_the_temperature_is_back() -> None:
     # Seen from 19 to 22 degC, and taken to count five kelvin further.
-    compensator = Compensator(point(20.0, 3.0))
+    compensator = Compensator(brick_at(20.0, 3.0))
     for k, celsius in enumerate((27.0, 27.1, 13.9, 14.0)):
         compensator.take(temperature(100.0 * k, celsius))
     readings = compensator.take(samples(0, 1000))
@@ -90,7 +89,7 @@ def test_beyond_what_was_seen_samples_are_marked_until_the_temperature_is_back()
 
 def test_while_no_temperature_comes_the_oldest_make_room(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, '_MOST_WAITING', 50)
-    compensator = Compensator(combine([point(0.0), point(100.0)], ['a', 'b']))
+    compensator = Compensator(combine([brick_at(0.0), brick_at(100.0)], ['a', 'b']))
     for first in (0, 40, 50, 51):
         assert compensator.take(samples(first, first + (40 if not first else 10))) == []
     # Blocks of 40, 10, 10 and 10: at 60 the first is too much.
@@ -100,7 +99,7 @@ def test_while_no_temperature_comes_the_oldest_make_room(monkeypatch: pytest.Mon
 
 
 def test_what_comes_again_and_again_is_dropped_and_the_rest_goes_on() -> None:
-    compensator = Compensator(point(20.0))
+    compensator = Compensator(brick_at(20.0))
     still = replace(samples(0, 33), stamp=np.full(33, START))
     assert compensator.take(still) == []
     assert (compensator.repeats, compensator.dropped, compensator.waiting) == (32, 0, 1)
@@ -113,7 +112,7 @@ def test_what_comes_again_and_again_is_dropped_and_the_rest_goes_on() -> None:
 
 def test_stamps_that_stand_still_wait_for_a_second_at_most() -> None:
     # No repeats: the values go on.
-    compensator = Compensator(point(20.0))
+    compensator = Compensator(brick_at(20.0))
     values = np.arange(5000.0)[:, None] * np.ones(3)
     taken = compensator.take(ImuBlock(np.full(5000, START), values, values, 'imu'))
     assert compensator.repeats == 0
@@ -149,7 +148,7 @@ def test_a_sample_waits_fifty_milliseconds_for_its_skewed_gyro() -> None:
 def test_values_of_the_same_stamp_belong_together() -> None:
     # Four gyros of ideal axes: the fourth sees (x + y + z) / sqrt(3).
     model = SensorModel(skewed=with_skew().skewed)
-    compensator = Compensator(known(UNIT, model))
+    compensator = Compensator(known(BRICK, model))
     stamps = [*range(33), 40.5]
     compensator.take(SkewBlock(at(*stamps), np.full(34, 3**0.5)))
     (out,) = compensator.take(samples(0, 33, 1.0))
@@ -160,24 +159,24 @@ def test_values_of_the_same_stamp_belong_together() -> None:
 
 
 def test_a_calibration_that_cannot_be_applied_leaves_the_one_before() -> None:
-    compensator = Compensator(point(20.0, 3.0))
-    flat = known(UNIT, SensorModel(Triad(np.diag([0.0, 0.0, -1.0]), np.zeros(3))))
+    compensator = Compensator(brick_at(20.0, 3.0))
+    flat = known(BRICK, SensorModel(Triad(np.diag([0.0, 0.0, -1.0]), np.zeros(3))))
     with pytest.raises(NotObservable):
         compensator.replace(flat)
     assert rates(compensator.take(samples(0, 40))) == pytest.approx([-3.0] * 40)
-    compensator.replace(point(20.0, 4.0))
+    compensator.replace(brick_at(20.0, 4.0))
     assert rates(compensator.take(samples(40, 42))) == pytest.approx([-4.0] * 2)
     # The temperature in use is that of the other, too.
     compensator.take(temperature(0, 30.0))
     compensator.take(samples(600, 601))
-    compensator.replace(combine([point(0.0, 0.0), point(100.0, 100.0)], ['a', 'b']))
+    compensator.replace(combine([brick_at(0.0, 0.0), brick_at(100.0, 100.0)], ['a', 'b']))
     assert not compensator.waits_for_temperature
     assert rates(compensator.take(samples(601, 602))) == pytest.approx([-30.0])
 
 
 @pytest.mark.parametrize('interval', [0.0, -0.001])
 def test_a_sample_without_an_interval_is_alone_as_it_is_among_many(interval: float) -> None:
-    spec = replace(UNIT, units=Units.PULSES)
+    spec = replace(BRICK, units=Units.PULSES)
     compensation = Compensation(known(spec, SensorModel(), random_walk=[1e-3] * 6))
     gyro, accel, tau = np.ones((2, 3)), np.ones((2, 3)), np.full(2, interval)
     with np.errstate(divide='ignore', invalid='ignore'):

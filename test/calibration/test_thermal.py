@@ -5,8 +5,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from calibrations import point
 from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand, truth
-from test_compensation import known
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.thermal import (
@@ -120,15 +120,6 @@ def test_beyond_the_ends_the_nearest_calibration_holds():
     assert np.allclose(thermal.at(80.0).covariance, at(55.0).covariance, rtol=1e-12)
     assert temperature_range(thermal) == pytest.approx((-20.0, 55.0))
     assert temperature_range(at(20.0)) == pytest.approx((15.0, 25.0))
-
-
-def point(celsius, bias, doubt=0.0):
-    """A unit whose first gyro bias is known."""
-    model = SensorModel(Triad(bias=np.array([bias, 0.0, 0.0])))
-    square = np.zeros((24, 24))
-    square[9, 9] = doubt**2
-    temperature = {'mean': celsius, 'lowest': celsius, 'highest': celsius}
-    return replace(known(paper_imu(), model, temperature=temperature), covariance=square)
 
 
 def test_weights_and_variances_by_hand():

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from calibrations import known
 from other_world import Damage, Recording, Stop, Unit, World, damaged, joints_of, record
-from test_compensation import known
 
 from imu_calib.api.compensate import compensate
 from imu_calib.calibration.compensator import Compensator, WholeStream

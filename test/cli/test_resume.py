@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from loopback import CHECKOUT, patience, until
-from test_sequencer import Stand as Simulated
+from sequenced_table import Stand as Simulated
 
 from imu_calib.api.calibrate import calibrate
 from imu_calib.calibration.calibration import Calibration

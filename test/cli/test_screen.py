@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from types import SimpleNamespace
 
 import pytest
+from device_frames import frame
 from loopback import CHECKOUT, environment, patience, until
-from test_devices import frame
 
 from imu_calib.cli.main import main
 from imu_calib.cli.processes import Outcome

@@ -14,8 +14,8 @@ from dataclasses import replace
 
 import pytest
 import yaml
+from device_frames import NS, frame
 from loopback import CHECKOUT, until
-from test_devices import NS, frame
 
 from imu_calib.cli import dispatch, main, stand_session
 from imu_calib.cli import stand_session as listening

@@ -17,7 +17,7 @@ import pytest
 from dask_cluster import Cluster, first_last, refused
 from extent import again as repeated
 from loopback import CHECKOUT, SUPPORT, patience, until
-from test_montecarlo import study
+from sessions import study
 
 from imu_calib.cli.main import main
 from imu_calib.common.errors import NotObservable

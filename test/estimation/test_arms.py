@@ -7,10 +7,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from other_sessions import NAVIGATION, segmented, true_vector
 from other_world import World, attitude, place
 from scipy.stats import chi2
 from sessions import SITE
-from test_other_world import NAVIGATION, segmented, true_vector
 
 from imu_calib.common.budget import Source
 from imu_calib.common.units import DEG

@@ -8,8 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from sessions import at_one_rate, quick_plan, stand, truth
-from test_joint import simulated
+from sessions import at_one_rate, quick_plan, simulated, stand, truth
 
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCSEC

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_information import evidence_of
+from evidence import evidence_of
 
 from imu_calib.common.budget import Source, total
 from imu_calib.common.errors import NotObservable

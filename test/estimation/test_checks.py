@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence import evidence_of, statistics
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
-from test_information import evidence_of, statistics
 
 from imu_calib.common.errors import Contradiction, InputError
 from imu_calib.common.stream import Floats

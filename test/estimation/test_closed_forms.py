@@ -6,28 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from evidence import SITE, TRUE, evidence_of, statistics
 from scipy.spatial.transform import Rotation
-from test_information import SITE, evidence_of, statistics
 
 from imu_calib.common.units import DEG_H
 from imu_calib.estimation.closed_forms import positions as six_position
 from imu_calib.estimation.closed_forms import positions as twelve_position
 from imu_calib.estimation.closed_forms.linear import bias_names, response_names
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.model.sensors import SensorModel
 from imu_calib.session.plan import load_plan
 
 LEAN = 2e-3
-TRUE = SensorModel.from_vector(
-    np.concatenate(
-        [
-            np.linspace(-8e-4, 8e-4, 9),
-            np.array([2.0, -3.0, 1.0]) * DEG_H,
-            np.linspace(9e-4, -7e-4, 9),
-            np.array([2e-3, -1e-3, 3e-3]),
-        ]
-    )
-)
 
 
 def leaning(evidence: Evidence, about_up: bool = False) -> Evidence:

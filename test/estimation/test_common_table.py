@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence import SITE, evidence_of
 from scipy.spatial.transform import Rotation
-from test_information import SITE, evidence_of
 
 from imu_calib.common.budget import Source
 from imu_calib.estimation.equations import Equations

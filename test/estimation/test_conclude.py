@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence import ACCEL_WALK, GYRO_WALK, SITE, evidence_of, statistics
 from scipy.spatial.transform import Rotation
-from test_information import ACCEL_WALK, GYRO_WALK, SITE, evidence_of, statistics
 
 from imu_calib.common.budget import Share, Source
 from imu_calib.common.errors import Contradiction, InputError

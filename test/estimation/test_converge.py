@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_information import evidence_of
+from evidence import evidence_of
 
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats

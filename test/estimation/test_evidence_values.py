@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence import SITE, WALK, evidence_of, statistics
 from scipy.spatial.transform import Rotation
-from test_information import SITE, WALK, evidence_of, statistics
 
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats, Units

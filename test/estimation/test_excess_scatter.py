@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence import evidence_of
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
-from test_information import evidence_of
 
 from imu_calib.common.budget import Source
 from imu_calib.estimation import excess_scatter as module

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence import evidence_of
 from scipy.stats import chi2
-from test_information import evidence_of
 
 from imu_calib.common.budget import Source
 from imu_calib.common.errors import NotObservable

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hand_sessions import spread_holds
+from mems_by_hand import calibrator, held, result, unit
 from sessions import SITE
-from test_free_positions import calibrator, held, result, unit
 
 from imu_calib.common.errors import Contradiction, InputError
 from imu_calib.common.stream import Floats

@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 from extent import ALL
+from mpu_by_hand import IMU, UNIT, off
 from shaky import GRAVITY, LATITUDE, shaky
-from test_free_nonlinear import IMU, UNIT, off
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.hand import HandCalibrator

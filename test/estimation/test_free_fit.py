@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mems_by_hand import held, unit
 from scipy.stats import chi2, f
-from test_free_positions import held, unit
 
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats

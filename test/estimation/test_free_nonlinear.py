@@ -7,30 +7,24 @@ from functools import cache
 
 import numpy as np
 from extent import ALL
+from mpu_by_hand import IMU, UNIT, off
 from scipy.spatial.transform import Rotation
 from shaky import GRAVITY, LATITUDE, shaky
 
 from imu_calib.calibration.hand import HandCalibrator
 from imu_calib.calibration.results import Result
 from imu_calib.calibration.verify import Verdict, verify
-from imu_calib.common.stream import Floats, ImuBlock, Units
+from imu_calib.common.stream import ImuBlock
 from imu_calib.common.units import DEG
-from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers
 from imu_calib.estimation.methods import Setup
 from imu_calib.estimation.system import observe
 from imu_calib.model.earth import Site
-from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.model.sensors import SensorModel
 from imu_calib.model.terms import ACCEL_QUADRATIC
 from imu_calib.segmentation.segmenter import Segmenter
-from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.plan import UNPLANNED, load_plan
 
 SITE = Site.at(LATITUDE, gravity=GRAVITY)
-IMU = ImuSpec('mpu', Units.SI, None, TriadSpec(), TriadSpec())
-UNIT = SensorModel(
-    Triad(np.diag([4e-3, -6e-3, 5e-3]), np.array([0.02, -0.01, 0.03])),
-    Triad(np.diag([-5e-3, 3e-3, 6e-3]), np.array([0.1, -0.2, 0.15])),
-)
 NONE = (0.0, 0.0, 0.0)
 SQUARES = (2e-4, -1.5e-4, 1e-4)
 """Of the force, 1/(m/s^2): 2, 1.5 and 1 mg/g^2, as of chips."""
@@ -67,13 +61,6 @@ def recorded(squares: tuple[float, ...], seed: int, on_faces: bool) -> ImuBlock:
     accel = force @ UNIT.accel.response.T + UNIT.accel.bias + np.array(squares) * force**2
     gyro = block.gyro @ UNIT.gyro.response.T + UNIT.gyro.bias
     return replace(block, gyro=gyro, accel=accel)
-
-
-def off(found: Result) -> Floats:
-    """Errors of the 21 parameters in standard deviations."""
-    truth = in_frame_of_accelerometers(UNIT).vector()
-    wrong = found.calibration.values[:24] - truth
-    return np.asarray(wrong[FREE] / found.calibration.std[:24][FREE])
 
 
 def test_squares_of_the_force_are_found_and_estimated() -> None:

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence import GYRO_WALK, SITE, TRUE, evidence_of, statistics
 from scipy.spatial.transform import Rotation
-from test_closed_forms import TRUE
-from test_information import GYRO_WALK, SITE, evidence_of, statistics
 
 from imu_calib.common.budget import Source
 from imu_calib.common.errors import InputError, NotObservable

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence import SITE, evidence_of
 from scipy.spatial.transform import Rotation
-from test_information import SITE, evidence_of
 
 from imu_calib.common.stream import Floats
 from imu_calib.estimation import information as lacking

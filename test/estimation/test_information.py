@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from evidence import ACCEL_WALK, GYRO_WALK, SITE, evidence_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,73 +21,8 @@ from imu_calib.estimation.information import (
     log_determinant,
     unobservable_in_words,
 )
-from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.parameters import PARAMETER_NAMES
-from imu_calib.model.sensors import SensorModel
-from imu_calib.segmentation.clock import ClockFit
-from imu_calib.segmentation.segments import Segment, Statistics, Turn
-from imu_calib.session.plan import Plan, load_plan
 from imu_calib.session.table import TURN
-
-SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG), latitude_std=0.0)
-CLOCK = ClockFit(0.0, 0.0, 1e-6, 0.0, 0.0, 30)
-GYRO_WALK = 0.05 * DEG / 60
-ACCEL_WALK = 0.012 / 60
-WALK = np.repeat([GYRO_WALK, ACCEL_WALK], 3)
-SECOND = 1_000_000_000
-
-
-def statistics(mean: Floats, seconds: float) -> Statistics:
-    """What unquantised samples with a random walk give."""
-    nothing = np.full(6, np.nan)
-    gain = np.full(6, 1 / seconds)
-    blocks = tuple(np.empty((0, 4)) for _ in range(6))
-    return Statistics(
-        int(seconds * 100), 0, seconds, mean, gain, np.zeros(6), mean, blocks, nothing, nothing
-    )
-
-
-def evidence_of(
-    plan: Plan | str = 'twelve_position',
-    model: SensorModel | None = None,
-    *,
-    azimuth: float = 0.0,
-    known: bool = False,
-    noise: np.random.Generator | None = None,
-) -> Evidence:
-    """Run a plan on an ideal table, by the sensor model alone."""
-    plan = load_plan(plan) if isinstance(plan, str) else plan
-    model = model or SensorModel()
-    turned = np.array(
-        [[np.cos(azimuth), -np.sin(azimuth), 0], [np.sin(azimuth), np.cos(azimuth), 0], [0, 0, 1]]
-    )
-    segments, turns, now = [], [], 0
-
-    def noisy(gyro: Floats, accel: Floats, seconds: float) -> Statistics:
-        mean = np.concatenate([gyro, accel])
-        if noise is not None:
-            mean = mean + WALK / np.sqrt(seconds) * noise.standard_normal(6)
-        return statistics(mean, seconds)
-
-    for position in plan.positions:
-        rates = position.rate_test.rates if position.rate_test else ()
-        for rate in rates:
-            spin = position.up * (rate + SITE.up_rate)
-            found = noisy(*model.predict(spin, position.up * SITE.gravity), TURN / abs(rate))
-            angle = float(np.copysign(TURN, rate))
-            seconds = TURN / abs(rate)
-            turns.append(Turn(now, now + 1, found, angle, seconds, position.up, position.id))
-            now += 100 * SECOND
-        true = turned @ position.attitude
-        found = noisy(
-            *model.predict(true.T @ SITE.earth_rate, true.T @ SITE.specific_force), position.dwell
-        )
-        attitude = true if known else position.attitude
-        segments.append(Segment(now, now + 1, found, attitude, position.id))
-        now += 200 * SECOND
-    north = azimuth if known else None
-    return Evidence(tuple(segments), tuple(turns), plan, SITE, CLOCK, north, WALK)
-
 
 WHOLE = evidence_of()
 

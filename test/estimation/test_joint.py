@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from bound import bound
+from evidence import SECOND, evidence_of
 from extent import again
 from scipy.signal import lfilter
 from scipy.stats import chi2, norm
@@ -17,16 +18,14 @@ from sessions import (
     at_one_rate,
     beside_exactness,
     calibrate,
-    fed,
-    gathered,
     in_parallel,
     paper_imu,
     quick_plan,
     session,
+    simulated,
     stand,
     truth,
 )
-from test_information import SECOND, evidence_of
 
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats
@@ -48,11 +47,9 @@ from imu_calib.model.sensors import SensorModel, parameters_of
 from imu_calib.model.terms import G_SENSITIVITY as G_TERM
 from imu_calib.model.terms import TERMS, Term
 from imu_calib.segmentation.segments import Segment, Statistics, Turn
-from imu_calib.session.imu import ImuSpec, load_imu
+from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import Plan, Position, load_plan
-from imu_calib.session.table import TURN, Table, load_table
-from imu_calib.simulation.options import StandOptions
-from imu_calib.simulation.repetition import economical
+from imu_calib.session.table import TURN, load_table
 
 GYRO_BIAS, ACCEL_BIAS = slice(9, 12), slice(21, 24)
 G_SENSITIVITY = 0.1 * DEG_H / 9.80665
@@ -69,21 +66,6 @@ def normalised(solution: Solution) -> Floats:
 def unit_with_g() -> SensorModel:
     g = G_SENSITIVITY * np.array([[1.0, -0.5, 0.3], [0.2, -1.0, 0.7], [-0.4, 0.6, 0.8]])
     return replace(truth().model, g_sensitivity=g)
-
-
-def simulated(
-    plan: Plan,
-    options: StandOptions | None = None,
-    seed: int = 0,
-    *,
-    table: Table | None = None,
-    spec: ImuSpec | None = None,
-) -> Evidence:
-    """What the segmentation makes of a session on the simulated stand."""
-    table, spec = table or load_table('three_axis'), spec or paper_imu()
-    options = economical(options or stand())
-    blocks = session(plan, options, seed, table=table, spec=spec)
-    return gathered(fed(blocks, Setup(spec, plan, table, SITE)))
 
 
 @pytest.mark.parametrize('terms', [(), (G_TERM,), TERMS])

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_information import ACCEL_WALK, GYRO_WALK, SITE, evidence_of, statistics
+from evidence import ACCEL_WALK, GYRO_WALK, SITE, evidence_of, statistics
 
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.stream import Floats

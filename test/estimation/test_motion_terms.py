@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from apart_and_late import TERMS, UNIT, known, true_values
+from other_sessions import fed, true_vector
 from other_world import World
 from sessions import SITE, at_one_rate, gathered, quick_plan, stand, truth
 from sessions import fed as fed_blocks
-from test_other_world import NAVIGATION, fed, true_vector
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.calibration.verify import Verdict, verify
 from imu_calib.common.errors import NotObservable
-from imu_calib.common.stream import Floats, Units
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.joint import solve
@@ -26,33 +26,14 @@ from imu_calib.estimation.term_tests import TermState
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel, parameters_of
 from imu_calib.model.terms import DELAY, SIZE_EFFECT, Term, named_terms
-from imu_calib.session.imu import ImuSpec, TriadSpec, load_imu
+from imu_calib.session.imu import load_imu
 from imu_calib.session.table import load_table
 from imu_calib.simulation.stand import simulate
 
-PLACES = ((0.0, 0.021, -0.013), (-0.017, 0.0, 0.024), (0.015, -0.026, 0.0))
-"""Along its own axis each is where the others say that the unit is."""
-
-LATE = 0.8e-3
 MISSES = (0.002, -0.001, 0.001), (-0.001, 0.002, 0.001)
-UNIT = replace(
-    NAVIGATION,
-    places=tuple(
-        tuple(a + s for a, s in zip(place, (0.11, -0.05, 0.08), strict=True)) for place in PLACES
-    ),
-    late=LATE,
-    rate=50.0,
-)
-"""Its middle is not where the axes cross."""
 
 WORLD = World(azimuth=0.4, dwell=10.0, misses=MISSES)
-TERMS = named_terms('size_effect,delay')
 FAR = 4.5
-
-
-def true_values() -> Floats:
-    apart = [PLACES[i][j] for i in range(3) for j in range(3) if i != j]
-    return np.concatenate([true_vector(UNIT), apart, [LATE]])
 
 
 @pytest.fixture(scope='module')
@@ -169,20 +150,6 @@ def test_derivatives_are_those_of_the_prediction(moved: Evidence) -> None:
         size = np.abs(found[:, k]).max()
         assert size > 0.1
         assert slope == pytest.approx(found[:, k], abs=within * size)
-
-
-QUIET = replace(UNIT, rate=100.0, gyro_walk=0.0, accel_walk=0.0, gyro_pulse=1e-9, accel_pulse=1e-8)
-
-
-def known(terms: bool) -> Calibration:
-    triads = (TriadSpec(pulse, 0.0) for pulse in (QUIET.gyro_pulse, QUIET.accel_pulse))
-    imu = ImuSpec('other', Units.PULSES, QUIET.rate, *triads)
-    model = SensorModel.from_vector(true_vector(UNIT))
-    if terms:
-        model = model.with_values(parameters_of(TERMS), true_values())
-    parameters = model.parameters
-    spread = np.diag((0.1 * np.abs(model.values(parameters))) ** 2)
-    return Calibration(imu, model, spread, parameters=parameters)
 
 
 def test_the_package_simulates_what_other_code_does() -> None:

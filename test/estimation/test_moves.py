@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 from extent import again
+from other_sessions import MEDIUM, NAVIGATION, segmented, true_vector
 from other_world import World
 from scipy.stats import chi2
 from sessions import SITE, at_one_rate, fed, gathered, paper_imu, quick_plan, session, stand, truth
-from test_other_world import MEDIUM, NAVIGATION, segmented, true_vector
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.files import named_file

@@ -5,27 +5,25 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from extent import ALL, again
+from other_sessions import DEG_H, EPOCH, MEDIUM, MICRO_G, NAVIGATION, errors, fed, segmented, stop
 from other_world import (
     COMPASS,
     DEG,
     Damage,
     Flaw,
-    Matrix,
     Shaking,
     Stop,
     Stops,
     Unit,
-    Vector,
     World,
     joints_of,
-    record,
     schedule,
 )
 from sessions import gathered
@@ -34,104 +32,17 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.common.config import Section
 from imu_calib.common.files import named_file
-from imu_calib.common.stream import Floats, ImuBlock, JointBlock, Units
+from imu_calib.common.stream import ImuBlock, JointBlock
 from imu_calib.estimation import search
-from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.methods import Setup
 from imu_calib.estimation.solve import NotConverged
-from imu_calib.model.earth import Site
 from imu_calib.segmentation.segments import Segment
-from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.plan import UNPLANNED, Plan, load_plan
-from imu_calib.session.table import Table, load_table, read_table
+from imu_calib.session.table import Table, read_table
 from imu_calib.session.table_errors import ASSUMED
-
-PPM, ARCMIN, DEG_H, MICRO_G = 1e-6, DEG / 60, DEG / 3600, 9.80665e-6
-EPOCH = 1_700_000_000
-
-
-def matrix(scale: Vector, off: tuple[float, ...]) -> Matrix:
-    a, b, c, d, e, f = off
-    return (scale[0], a, b), (c, scale[1], d), (e, f, scale[2])
-
-
-ERRORS = {
-    'gyro_m': matrix((800 * PPM, -500 * PPM, 300 * PPM), (1e-3, -5e-4, 7e-4, 2e-4, -9e-4, 4e-4)),
-    'accel_m': matrix((-900 * PPM, 400 * PPM, 250 * PPM), (-6e-4, 8e-4, 1e-4, -3e-4, 5e-4, -7e-4)),
-    'gyro_d': (1.2 * DEG_H, -0.7 * DEG_H, 0.4 * DEG_H),
-    'accel_d': (300 * MICRO_G, -450 * MICRO_G, 150 * MICRO_G),
-}
-MEDIUM = Unit(**ERRORS)
-NAVIGATION = Unit(
-    **ERRORS,
-    gyro_walk=0.002 * DEG / 60,
-    accel_walk=5 * MICRO_G,
-    gyro_pulse=0.1 / 3600 * DEG,
-    accel_pulse=1e-5,
-)
-
-
-def true_vector(unit: Unit) -> Floats:
-    """The 24 in the package's order: K, E row by row, D; gyros, then accelerometers."""
-    parts = []
-    for m, d in ((unit.gyro_m, unit.gyro_d), (unit.accel_m, unit.accel_d)):
-        parts += [m[0][0], m[1][1], m[2][2]]
-        parts += [m[i][j] for i in range(3) for j in range(3) if i != j]
-        parts += d
-    return np.array(parts)
 
 
 def calibrated(world: World, unit: Unit, seed: int = 0, plan: Plan | None = None) -> Calibration:
     return fed(world, unit, seed, plan).finish().calibration
-
-
-def segmented(world: World, unit: Unit, seed: int = 0) -> Evidence:
-    """What the segmentation makes of a session."""
-    return gathered(fed(world, unit, seed))
-
-
-# A session is made once for what solves it in several ways, of one unit or of both by turns.
-@lru_cache(maxsize=4)
-def recorded(world: World, unit: Unit, seed: int) -> tuple[JointBlock, ImuBlock]:
-    recording = record(world, unit, seed)
-    stamps = EPOCH * 10**9 + np.rint(np.array(recording.imu_stamps) * 1e9).astype(np.int64)
-    joints = EPOCH * 10**9 + np.rint(np.array(recording.joint_stamps) * 1e9).astype(np.int64)
-    angles = np.array(recording.angles)
-    nothing = np.full_like(angles, np.nan)
-    return (
-        JointBlock(joints, ('outer', 'middle', 'inner'), angles, nothing),
-        ImuBlock(stamps, np.array(recording.gyro), np.array(recording.accel)),
-    )
-
-
-def fed(
-    world: World,
-    unit: Unit,
-    seed: int = 0,
-    plan: Plan | None = None,
-    *,
-    find_terms: bool = False,
-    table: Table | None = None,
-) -> Calibrator:
-    spec = ImuSpec(
-        'other',
-        Units.COUNTS if unit.counts else Units.PULSES,
-        unit.rate,
-        TriadSpec(unit.gyro_pulse, unit.gyro_walk),
-        TriadSpec(unit.accel_pulse, unit.accel_walk),
-    )
-    site = Site.at(world.latitude, 0.0, world.gravity)
-    plan = load_plan('twelve_position') if plan is None else plan
-    table = load_table('three_axis') if table is None else table
-    setup = Setup(spec, plan, table, site, search_terms=find_terms)
-    calibrator = Calibrator(setup)
-    for block in recorded(world, unit, seed):
-        calibrator.feed(block)
-    return calibrator
-
-
-def errors(calibration: Calibration, unit: Unit) -> Floats:
-    return np.asarray((calibration.values[:24] - true_vector(unit)) / calibration.std[:24])
 
 
 WORLDS = {
@@ -376,11 +287,6 @@ def test_a_clock_that_is_set_within_a_dwell_puts_no_parameter_off(
     assert result is not None
     assert np.abs(errors(result.calibration, MEDIUM)).max() < 3.5
     assert any('are offset from the sampling grid' in one for one in result.calibration.findings)
-
-
-def stop(outer: float, middle: float, inner: float, *rates: float, turning: int = 0) -> Stop:
-    angles = (outer * DEG, middle * DEG, inner * DEG)
-    return Stop(angles, tuple(rate * DEG for rate in rates), turning)
 
 
 @pytest.fixture(scope='module')

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_session_slopes import some
+from evidence import four_rests
 
 from imu_calib.common.budget import Source
 from imu_calib.common.stream import Floats
@@ -116,7 +116,7 @@ def test_a_level_rate_from_anywhere_has_half_its_square_along_each_level_axis(
 
 def held() -> Evidence:
     """Four rests and three turns with pulses and encoders that scatter."""
-    evidence, pulse = some(), np.arange(1.0, 7.0) * 1e-16
+    evidence, pulse = four_rests(), np.arange(1.0, 7.0) * 1e-16
     segments = tuple(
         replace(
             s,
@@ -175,7 +175,7 @@ def test_noise_is_as_sure_as_the_walk_of_its_channel() -> None:
 
 
 def test_what_has_no_noise_keeps_the_smallest_variance() -> None:
-    evidence = replace(some(), walk=np.zeros(6))
+    evidence = replace(four_rests(), walk=np.zeros(6))
     np.testing.assert_allclose(summed(evidence, Source.QUANTISATION), 1e-24)
     assert not summed(evidence, Source.NOISE).any()
 

@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 from bound import bound
 from scipy.stats import chi2
-from sessions import LATITUDE, SITE, fed, gathered, paper_imu, quick_plan, session, stand, truth
+from sessions import (
+    LATITUDE,
+    SITE,
+    brisk,
+    fed,
+    gathered,
+    paper_imu,
+    session,
+    stand,
+    truth,
+)
 
 import imu_calib
 from imu_calib.calibration.calibration import Calibration
@@ -37,14 +47,6 @@ K_AX = PARAMETER_NAMES.index('K_ax')
 def setup(plan: Plan | str = 'twelve_position', method: str | None = None) -> Setup:
     plan = load_plan(plan) if isinstance(plan, str) else plan
     return Setup(paper_imu(), plan, load_table('three_axis'), SITE, method)
-
-
-def brisk(dwell: float) -> Plan:
-    """Twelve positions with short dwells and turns at one rate."""
-    plan = quick_plan('twelve_position', dwell)
-    test = RateTest((60 * DEG, -60 * DEG), 1)
-    positions = [replace(p, rate_test=test if p.rate_test else None) for p in plan.positions]
-    return replace(plan, positions=tuple(positions))
 
 
 def test_the_best_is_the_bound_of_the_full_stream() -> None:

@@ -10,9 +10,9 @@ from typing import TypeVar
 import numpy as np
 import pytest
 from extent import ALL
+from other_sessions import MEDIUM, MICRO_G, NAVIGATION, fed, stop, true_vector
 from other_world import DEG, Stop, Terms, Unit, World
 from sessions import SITE, truth
-from test_other_world import MEDIUM, MICRO_G, NAVIGATION, fed, stop, true_vector
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.budget import Source, total

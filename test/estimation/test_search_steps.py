@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence import evidence_of
 from scipy.stats import f as f_distribution
 from scipy.stats import norm, t
-from test_information import evidence_of
 
 from imu_calib.common.budget import Share, Source
 from imu_calib.common.errors import NotObservable

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence import GYRO_WALK, SITE, four_rests
 from scipy.spatial.transform import Rotation
-from test_information import GYRO_WALK, SITE, evidence_of
 
 from imu_calib.common.budget import Source
 from imu_calib.common.stream import Floats, Units
@@ -30,14 +30,6 @@ MODEL = SensorModel(
     1e-5 * np.arange(9.0).reshape(3, 3),
 )
 AZIMUTH, TILT_X, TILT_Y, FASTER = 0.4, 0.02, -0.03, 0.01
-
-
-def some() -> Evidence:
-    """Four rests and three turns of twelve positions, one about each axis."""
-    whole = evidence_of()
-    turns = (whole.turns[0], whole.turns[7], whole.turns[14])
-    clock = replace(whole.clock, rate_std=2e-6)
-    return replace(whole, segments=whole.segments[::3], turns=turns, clock=clock)
 
 
 def at(evidence: Evidence, **other: Any) -> tuple[Equations, Floats]:
@@ -61,7 +53,7 @@ def world() -> tuple[Floats, Floats]:
 
 @pytest.mark.parametrize('units', [Units.PULSES, Units.SI])
 def test_outputs_are_those_of_plain_rotations(units: Units) -> None:
-    evidence = replace(some(), units=units)
+    evidence = replace(four_rests(), units=units)
     equations, state = at(evidence)
     predicted, faster = equations.predict(state), 1 + FASTER * (units is Units.PULSES)
     rate, force = world()
@@ -82,7 +74,7 @@ def test_outputs_are_those_of_plain_rotations(units: Units) -> None:
 
 @pytest.mark.parametrize('units', [Units.PULSES, Units.SI])
 def test_derivatives_are_difference_quotients(units: Units) -> None:
-    equations, state = at(replace(some(), units=units))
+    equations, state = at(replace(four_rests(), units=units))
     jacobian = equations.jacobian(state)
     for k in range(len(state)):
         step = np.zeros(len(state))
@@ -92,7 +84,7 @@ def test_derivatives_are_difference_quotients(units: Units) -> None:
 
 
 def test_clocks_that_nothing_compares_count_in_timed_turns_alone() -> None:
-    held = some()
+    held = four_rests()
     untold = replace(held, clock=replace(held.clock, rate_std=np.nan))
     turns = (replace(held.turns[0], seconds=None), *held.turns[1:])
     equations, state = at(replace(untold, turns=turns))
@@ -103,7 +95,7 @@ def test_clocks_that_nothing_compares_count_in_timed_turns_alone() -> None:
 
 
 def test_the_earth_rate_and_the_latitude_enter_as_they_turn() -> None:
-    evidence = some()
+    evidence = four_rests()
     equations, state = at(evidence)
     by_rate = equations.world_derivatives(state)[:, :3] * (1 + FASTER)
     for rows, segment in zip(equations.layout.dwell, evidence.segments, strict=True):
@@ -126,7 +118,7 @@ def test_the_earth_rate_and_the_latitude_enter_as_they_turn() -> None:
 
 
 def test_a_unit_that_turned_in_its_mount_reads_as_attitudes_the_other_way() -> None:
-    evidence = some()
+    evidence = four_rests()
     equations, state = at(evidence)
     state[equations.arm_slice], state[equations.clock_index] = 0.0, 0.0
     found = equations.mount_derivatives(state)
@@ -167,7 +159,7 @@ def test_surroundings_turn_by_azimuth_and_tilts() -> None:
 
 
 def test_priors_are_those_of_table_and_clocks() -> None:
-    evidence = some()
+    evidence = four_rests()
     equations, state = at(evidence)
     mean, deviation = equations.prior
     assert not mean.any()
@@ -197,7 +189,7 @@ def test_priors_are_those_of_table_and_clocks() -> None:
 
 
 def test_outputs_are_whitened_by_their_covariance() -> None:
-    equations, state = at(some())
+    equations, state = at(four_rests())
     covariance = equations.covariance(state)
     root = np.linalg.cholesky(covariance)
     np.testing.assert_allclose(equations.factor(state), root, rtol=1e-9)
@@ -210,7 +202,7 @@ def test_outputs_are_whitened_by_their_covariance() -> None:
     np.testing.assert_allclose(residuals[:m], np.linalg.solve(root, off), rtol=1e-9, atol=1e-6)
     np.testing.assert_array_equal(columns[m:], equations.prior_rows(state)[:, :-1])
     np.testing.assert_allclose(equations.own_variances[:3], GYRO_WALK**2 / 120)
-    still = Equations(replace(some(), walk=np.zeros(6)), PARAMETERS)
+    still = Equations(replace(four_rests(), walk=np.zeros(6)), PARAMETERS)
     assert still.own_variances.min() == 1e-24
     wider = replace(equations, inflation=np.full(m, 4.0))
     np.testing.assert_allclose(wider.own_variances[:6], 4 * equations.own_variances[:6])
@@ -226,7 +218,7 @@ def part(equations: Equations, state: Floats, *sources: Source) -> Floats:
 
 
 def test_what_outputs_have_in_common_has_its_source() -> None:
-    evidence = some()
+    evidence = four_rests()
     equations, state = at(evidence, positioning=PositioningErrors(3e-6, 7e-6))
     joints, stops = equations.positioning_error_effects(state)
     got = part(equations, state, Source.POSITIONING_FOUND)
@@ -247,7 +239,7 @@ def test_what_outputs_have_in_common_has_its_source() -> None:
 
 def test_parameters_in_doubt_count_with_their_deviations() -> None:
     doubted = PARAMETERS[24:26]
-    equations, state = at(some(), considered=tuple(zip(doubted, (2e-5, 3e-5), strict=True)))
+    equations, state = at(four_rests(), considered=tuple(zip(doubted, (2e-5, 3e-5), strict=True)))
     columns = equations.parameter_derivatives(state, doubted) * [2e-5, 3e-5]
     np.testing.assert_allclose(part(equations, state, Source.TERMS), columns @ columns.T)
 
@@ -256,7 +248,7 @@ def test_a_table_that_leaves_something_open_leans() -> None:
     errors = TableErrors(1e-4, 2e-4, 3e-4, 4e-4)
     table = replace(load_table('three_axis'), errors=errors)
     angles = np.array([0.2, 0.4, 0.6])
-    held = some()
+    held = four_rests()
     segments = tuple(replace(s, angles=angles + k) for k, s in enumerate(held.segments))
     turns = tuple(replace(t, angles=angles, joint=0) for t in held.turns)
     equations, state = at(replace(held, segments=segments, turns=turns, table=table))
@@ -274,13 +266,16 @@ def test_a_table_that_leaves_something_open_leans() -> None:
     # But for the second order of the lean.
     assert np.linalg.norm(lean) > 1e-5
     assert columns[:6, 0] == pytest.approx(seen - clean, abs=SITE.gravity * float(lean @ lean))
-    assert at(some())[0].table_error_effects(state).shape == (len(at(some())[0].outputs), 0)
+    assert at(four_rests())[0].table_error_effects(state).shape == (
+        len(at(four_rests())[0].outputs),
+        0,
+    )
 
 
 @pytest.mark.parametrize(('above', 'least'), [(5e-10, True), (5e-9, False)])
 def test_what_rounds_above_the_smallest_variance_is_it(above: float, least: bool) -> None:
     walk = np.full(6, np.sqrt(1e-24 * (1 + above) * 120))
-    found = Equations(replace(some(), walk=walk)).own_variances[0]
+    found = Equations(replace(four_rests(), walk=walk)).own_variances[0]
     assert bool(found == 1e-24) is least
     assert found == pytest.approx(1e-24, rel=1e-8, abs=0.0)
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import yaml
 from extent import again
+from other_sessions import EPOCH, NAVIGATION, fed, true_vector
 from other_world import DEG, World
 from sessions import SITE, gathered, quick_plan, session, stand, truth
 from sessions import fed as fed_blocks
-from test_other_world import EPOCH, NAVIGATION, fed, true_vector
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 from extent import again
+from mpu_by_hand import NOISE, UNIT, calibrator, result, session
 from shaky import shaky
-from test_noisy_holds import NOISE, UNIT, calibrator, result, session
 
 from imu_calib.calibration.results import Result
 from imu_calib.common.stream import Floats

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evidence import evidence_of
 from sessions import (
     SITE,
     at_one_rate,
@@ -22,7 +23,6 @@ from sessions import (
     stand,
     truth,
 )
-from test_information import evidence_of
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator

@@ -124,7 +124,7 @@ def test_a_file_is_refused_with_its_name(tmp_path):
 
 
 def test_a_combined_file_is_refused(tmp_path):
-    from test_thermal import point
+    from calibrations import point
 
     from imu_calib.calibration.thermal import ThermalCalibration, load_calibration
 

@@ -7,9 +7,8 @@ import sys
 import xml.etree.ElementTree as ET
 
 import pytest
-from installed import ROS, needs
+from installed import ROS, needs, without_ros
 from loopback import CHECKOUT, environment, patience, start
-from test_interop import without_ros
 
 COLCON = shutil.which('colcon')
 in_ros = [

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_files import T0, bag_of_ros_1, imu_recording
 from loopback import CHECKOUT
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
@@ -13,14 +14,11 @@ from rosbags.typesys import Stores, get_typestore
 import imu_calib
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
-from imu_calib.common.stream import Floats, ImuBlock, Stamps
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
-from imu_calib.recordings.cdr_codec import encode_rates
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.metadata import interpolated_from
 
-T0 = 1_700_000_000_000_000_000
 ROW = 't,wx,wy,wz,ax,ay,az\n'
 
 
@@ -311,15 +309,6 @@ def test_other_commands_name_the_way(tmp_path: Path, capsys: pytest.CaptureFixtu
         assert 'imu-calib convert' in errors
 
 
-def recording(folder: Path, topics: dict[str, tuple[Stamps, Floats, Floats]]) -> Path:
-    with RecordingWriter(folder) as writer:
-        for topic, (stamp, gyro, accel) in topics.items():
-            none = np.zeros((len(stamp), 9))
-            encoded = encode_rates(ImuBlock(stamp, gyro, accel), none, none)
-            writer.write(topic, Kind.IMU.type_name, encoded, stamp)
-    return folder
-
-
 @pytest.mark.parametrize(
     ('stated', 'sentence'),
     [
@@ -431,7 +420,7 @@ def test_gyros_and_accelerometers_on_two_topics_become_one(tmp_path: Path) -> No
     # A line in time is read exactly, whatever the stamps.
     seconds = (accel_at - T0) * 1e-9
     forces = np.column_stack([2 * seconds, 1 - seconds, 9.8 + 0 * seconds])
-    bag = recording(
+    bag = imu_recording(
         tmp_path / 'bag',
         {
             '/gyro/sample': (gyro_at, rates, np.zeros((400, 3))),
@@ -458,7 +447,7 @@ def test_two_topics_say_at_which_rates_they_come(tmp_path: Path) -> None:
     zeros = np.zeros((100, 3))
     later = stamp + 1_000_000
     topics = {'/g': (stamp, zeros, zeros), '/a': (later, zeros, zeros)}
-    bag = recording(tmp_path / 'bag', {**topics, '/same': (stamp, zeros, zeros)})
+    bag = imu_recording(tmp_path / 'bag', {**topics, '/same': (stamp, zeros, zeros)})
     done = imu_calib.convert(bag, tmp_path / 'same', gyro_topic='/g', accel_topic='/same')
     assert done.findings == ()
     done = imu_calib.convert(bag, tmp_path / 'out', gyro_topic='/g', accel_topic='/a')
@@ -472,29 +461,6 @@ def test_two_topics_say_at_which_rates_they_come(tmp_path: Path) -> None:
         imu_calib.convert(bag, tmp_path / 'other', gyro_topic='/none', accel_topic='/a')
     with pytest.raises(InputError, match='exists already'):
         imu_calib.convert(bag, tmp_path / 'out', gyro_topic='/g', accel_topic='/a')
-
-
-def bag_of_ros_1(path: Path) -> None:
-    """Write five samples of an IMU, and a topic beside it that no calibration uses."""
-    store = get_typestore(Stores.ROS1_NOETIC)
-    kinds = store.types
-    imu = 'sensor_msgs/msg/Imu'
-    with Writer(path) as writer:
-        at = writer.add_connection('/imu/data', imu, typestore=store)
-        other = writer.add_connection('/chatter', 'std_msgs/msg/String', typestore=store)
-        for k in range(5):
-            stamp = T0 + k * 10_000_000
-            time = kinds['builtin_interfaces/msg/Time'](stamp // 10**9, stamp % 10**9)
-            header = kinds['std_msgs/msg/Header'](k, time, 'imu_link')
-            vector = kinds['geometry_msgs/msg/Vector3']
-            still = kinds['geometry_msgs/msg/Quaternion'](0.0, 0.0, 0.0, 1.0)
-            none = np.zeros(9)
-            message = kinds[imu](
-                header, still, none, vector(0.1, 0.2, 0.3), none, vector(1.0, 2.0, 9.8), none
-            )
-            writer.write(at, stamp, store.serialize_ros1(message, imu))
-            text = kinds['std_msgs/msg/String']('x')
-            writer.write(other, stamp, store.serialize_ros1(text, 'std_msgs/msg/String'))
 
 
 def test_a_bag_of_ros_1_becomes_a_recording(tmp_path: Path) -> None:

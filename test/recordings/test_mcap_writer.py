@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from bag_files import ENCODERS, IMU, KINDS, NS, session, stamps, storage_file
-from test_bags import write_own
+from bag_files import ENCODERS, IMU, KINDS, NS, session, stamps, storage_file, write_own
 
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import part

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_convert import bag_of_ros_1
-from test_convert import recording as recorded
+from bag_files import bag_of_ros_1
+from bag_files import imu_recording as recorded
 
 import imu_calib
 from imu_calib.cli.main import main

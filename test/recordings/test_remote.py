@@ -161,7 +161,7 @@ def test_rows_of_sqlite_come_from_a_copy(
 
 def test_a_bag_of_ros_1_is_converted_from_a_bucket(lab: tuple[Path, str], tmp_path: Path) -> None:
     _, bucket = lab
-    from test_convert import bag_of_ros_1
+    from bag_files import bag_of_ros_1
 
     bag_of_ros_1(tmp_path / 'old.bag')
     url = put(tmp_path / 'old.bag', f'{bucket}/old.bag')

@@ -5,9 +5,9 @@ from contextlib import closing
 
 import numpy as np
 import pytest
+from bag_files import KINDS, SESSION, assert_same, read, write_sqlite
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from test_bags import KINDS, SESSION, assert_same, read, write_sqlite
 
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.sqlite3 import OddPagesError, RowQueries, TablePages

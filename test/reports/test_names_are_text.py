@@ -13,8 +13,8 @@ from typing import Any
 import fleets
 import pytest
 import yaml
+from loopback import CHECKOUT
 from sessions import at_one_rate, calibrate, quick_plan, session, stand
-from test_certificate import EXAMPLE
 
 from imu_calib.calibration.c_header import EXPORTS
 from imu_calib.calibration.calibration import Calibration
@@ -92,7 +92,8 @@ def calibration(result: Result) -> Calibration:
 
 @pytest.fixture(scope='module')
 def certificate(calibration: Calibration) -> Certificate:
-    document = marked(yaml.safe_load(EXAMPLE.read_text()), KEPT)
+    example = CHECKOUT / 'config' / 'certificates' / 'example.yaml'
+    document = marked(yaml.safe_load(example.read_text()), KEPT)
     document |= {'location': 'laboratory'}
     document['conformity']['rule'] = 'guard_band'
     stated = read_fields(Section(document, 'my.yaml'))

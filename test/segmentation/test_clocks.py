@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evidence import evidence_of
 from extent import ALL
+from other_sessions import NAVIGATION, errors, fed
 from other_world import World
 from sessions import gathered, truth
-from test_information import evidence_of
-from test_other_world import NAVIGATION, errors, fed
 
 from imu_calib.calibration.c_header import EXPORTS
 from imu_calib.calibration.calibration import Calibration

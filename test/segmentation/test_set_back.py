@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 from extent import again
+from other_sessions import EPOCH, MEDIUM, NAVIGATION, errors, recorded
 from other_world import Unit, World
 from sessions import quick_plan
-from test_other_world import EPOCH, MEDIUM, NAVIGATION, errors, recorded
 
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.calibration.results import Result

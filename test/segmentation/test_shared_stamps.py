@@ -8,8 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from test_calibration_session import recut
-from test_other_world import MEDIUM, World, errors, fed
+from other_sessions import MEDIUM, errors, fed
+from other_world import World
+from sessions import recut
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator

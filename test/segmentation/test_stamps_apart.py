@@ -9,8 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from extent import ALL, again
-from sessions import Named, at_one_rate, calibrate, paper_imu, quick_plan, session, stand
-from test_calibration_session import recut
+from sessions import Named, at_one_rate, calibrate, paper_imu, quick_plan, recut, session, stand
 
 from imu_calib.common.stream import Floats, ImuBlock, JointBlock, Stamps
 from imu_calib.common.units import DEG

@@ -6,22 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sessions import SITE, paper_imu, stand, truth
-from test_prediction import brisk
+from sessions import study
 
 from imu_calib.api import simulate as repeating
 from imu_calib.cli.main import main
-from imu_calib.estimation.methods import Setup
 from imu_calib.model.parameters import PARAMETERS
-from imu_calib.session.plan import load_plan
-from imu_calib.session.table import load_table
-from imu_calib.simulation.repetition import Outcome, Run, Study, economical, repeat
-
-
-def study(plan: str | None = None) -> Study:
-    chosen = brisk(5.0) if plan is None else load_plan(plan)
-    setup = Setup(paper_imu(), chosen, load_table('three_axis'), SITE, chosen.method)
-    return Study(setup, truth().model, economical(stand()))
+from imu_calib.simulation.repetition import Outcome, Run, repeat
 
 
 def test_the_outcome_depends_on_seeds_and_not_on_processes() -> None:

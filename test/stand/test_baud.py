@@ -6,16 +6,18 @@ import re
 import termios
 import tty
 
+import imu_bench
 import pytest
+from device_frames import SIMULATED, described
 from loopback import CHECKOUT, until
-from test_devices import SIMULATED, described
-from test_imu_node import bench  # noqa: F401 - a fixture
 
 from imu_calib.cli import main, stand_session
 from imu_calib.cli.processes import Outcome
 from imu_calib.common.errors import InputError
 from imu_calib.stand.devices.format import load_format, read_format
 from imu_calib.stand.devices.source import choose_baud, too_slow
+
+bench = imu_bench.bench
 
 
 @pytest.fixture
@@ -146,13 +148,13 @@ def test_a_file_without_a_rate_has_none():
     ('parameters', 'speed'),
     [({}, termios.B921600), ({'baud': 230400}, termios.B230400)],
 )
-def test_the_node_opens_the_port_at_that_rate(bench, port, parameters, speed):  # noqa: F811
+def test_the_node_opens_the_port_at_that_rate(bench, port, parameters, speed):
     bench.open(port=port[1], device='stim300', imu='stim300', sample_rate=500.0, **parameters)
     assert bench.until(lambda: bench.node._source.state.open)
     assert until(lambda: termios.tcgetattr(port[0])[5] == speed)
 
 
-def test_the_node_warns_of_frames_that_do_not_fit(bench, port):  # noqa: F811
+def test_the_node_warns_of_frames_that_do_not_fit(bench, port):
     bench.open(port=port[1], device='stim300', imu='stim300', sample_rate=500.0, baud=115200)
     assert bench.until(lambda: bench.listener.has_status('port', 1, 'frames will be lost'))
 

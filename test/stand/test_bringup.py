@@ -4,11 +4,10 @@ import importlib.util
 import re
 
 import pytest
-from installed import needs
+from installed import has_wheel, needs
 from loopback import CHECKOUT
 from ros_stands import LAUNCHABLE, Network, nothing_left
 from sessions import truth
-from test_interop import has_wheel
 
 from imu_calib.common.errors import ImuCalibError
 

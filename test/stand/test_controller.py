@@ -4,24 +4,25 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import test_turntable_node as stand
+import turntable_bench
 from installed import has_package
 from joint_trajectory_server import ACTION, JointTrajectoryServer
+from turntable_bench import NAMES, PATIENT, FakeTable
 
-from imu_calib.common.stream import JointBlock
+from imu_calib.common.stream import JointBlock, Mode
 from imu_calib.common.units import DEG
 from imu_calib.recordings.cdr_codec import encode_joints
 from imu_calib.stand import middleware as ros
 from imu_calib.stand.plan_steps import Overtaken, Phase
 
-session = stand.session
+session = turntable_bench.session
 pytestmark = pytest.mark.skipif(
     ros.RUNTIME == 'rclpy' and not has_package('control_msgs'),
     reason='control_msgs: not installed',
 )
 
 
-class FollowingTable(stand.FakeTable):
+class FollowingTable(FakeTable):
     """Joints that nobody moves but the controller."""
 
     serves = True
@@ -37,7 +38,7 @@ class FollowingTable(stand.FakeTable):
         self.controller.work()
         stamp = self.stamp()
         angles, rates = self.controller.state(stamp)
-        block = JointBlock(np.array([stamp]), stand.NAMES, angles[None], rates[None])
+        block = JointBlock(np.array([stamp]), NAMES, angles[None], rates[None])
         for payload in encode_joints(block).payloads():
             self.joints.publish(payload)
 
@@ -48,11 +49,11 @@ class FollowingTable(stand.FakeTable):
 @pytest.fixture
 def led(session, monkeypatch):
     """Return a session whose table hangs on a controller, at rest and ready."""
-    monkeypatch.setattr(stand, 'FakeTable', FollowingTable)
+    monkeypatch.setattr(turntable_bench, 'FakeTable', FollowingTable)
 
     def open_it(rate=90, answer_timeout=30.0):
         monkeypatch.setattr('imu_calib.stand.nodes.controller._ANSWER_TIMEOUT', answer_timeout)
-        session.turn_at(rate).open(output='trajectory', **stand.PATIENT)
+        session.turn_at(rate).open(output='trajectory', **PATIENT)
         session.controller = session.table.controller
         session.executor.add_node(session.controller)
         has_report = session.watcher.has_report
@@ -86,7 +87,7 @@ def test_goals_alone_lead_the_table_through_the_plan(led):
     angles = session.controller.state(session.table.stamp())[0]
     np.testing.assert_allclose(angles, 0.0, atol=0.01 * DEG)
     names = {tuple(goal.joint_names) for goal in session.controller.goals}
-    assert names == {stand.NAMES}
+    assert names == {NAMES}
     # A controller whose leader dies brakes at the end of what it has.
     for goal in session.controller.goals:
         assert max(map(abs, goal.points[-1].velocities)) == 0
@@ -95,9 +96,9 @@ def test_goals_alone_lead_the_table_through_the_plan(led):
 
 
 def test_a_plan_that_starts_by_itself_waits_for_its_controller(session, monkeypatch):
-    monkeypatch.setattr(stand, 'FakeTable', FollowingTable)
+    monkeypatch.setattr(turntable_bench, 'FakeTable', FollowingTable)
     monkeypatch.setattr(FollowingTable, 'serves', False)
-    session.open(output='trajectory', autostart=True, **stand.PATIENT)
+    session.open(output='trajectory', autostart=True, **PATIENT)
     controller = session.table.controller
     session.executor.add_node(controller)
     has_report = session.watcher.has_report
@@ -161,7 +162,7 @@ def test_a_piece_that_comes_too_late_ends_the_run(led, monkeypatch):
     piece = lead.piece
 
     def late(setpoint, at, unseen):
-        if setpoint.mode is not stand.Mode.HOLD:
+        if setpoint.mode is not Mode.HOLD:
             raise Overtaken('The table brakes already.')
         return piece(setpoint, at, unseen)
 
@@ -191,7 +192,7 @@ def test_another_client_of_the_controller_stops_the_table(led):
     point = ros.messages.JointTrajectoryPoint(positions=[9.0, 9.0, 9.0], velocities=[0.0] * 3)
     point.time_from_start.sec = 60
     goal = session.controller.kind.Goal()
-    goal.trajectory.joint_names, goal.trajectory.points = list(stand.NAMES), [point]
+    goal.trajectory.joint_names, goal.trajectory.points = list(NAMES), [point]
 
     def stopped():
         asked = client.send_goal_async(goal)
@@ -233,10 +234,10 @@ def test_nothing_starts_without_a_controller(session):
 
 
 def test_a_node_that_ends_leaves_the_table_on_the_way_to_a_stop(session, monkeypatch):
-    monkeypatch.setattr(stand, 'FakeTable', FollowingTable)
+    monkeypatch.setattr(turntable_bench, 'FakeTable', FollowingTable)
     session.turn_at(90).open(with_node=False)
     session.executor.add_node(session.table.controller)
-    process = session.start(output='trajectory', **stand.PATIENT)
+    process = session.start(output='trajectory', **PATIENT)
     # Refused until it has found table and controller.
     assert session.until(lambda: session.press('start')[0])
     session.reaches(Phase.TURNING)

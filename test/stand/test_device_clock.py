@@ -5,8 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from test_devices import NANOSECONDS, frame
-from test_real_devices import kvh, stim
+from device_frames import NANOSECONDS, frame, kvh, stim
 
 from imu_calib.stand.devices.clock import DeviceClock
 from imu_calib.stand.devices.decoder import Decoder

@@ -4,8 +4,7 @@ import struct
 
 import numpy as np
 import pytest
-from test_devices import cut, described
-from test_real_devices import crc32, kvh, mti
+from device_frames import crc32, cut, described, kvh, mti
 
 from imu_calib.common.errors import InputError
 from imu_calib.stand.devices.clock import DeviceClock
@@ -211,7 +210,7 @@ def test_messages_of_a_fixed_length_with_a_crc_are_known():
     ]
     import binascii
 
-    from test_devices import frame
+    from device_frames import frame
 
     body = b'\xaa\x66info'
     message = body + struct.pack('>H', binascii.crc_hqx(body, 0xFFFF))

@@ -1,7 +1,5 @@
 """Frames on a line: formats read from YAML, streams that are cut and damaged, clocks that err."""
 
-import binascii
-import itertools
 import os
 import socket
 import struct
@@ -10,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-import yaml
+from device_frames import NANOSECONDS, NS, SIMULATED, cut, described, frame
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from loopback import until
@@ -36,9 +34,6 @@ from imu_calib.stand.devices.health import Severity
 from imu_calib.stand.devices.source import Chunk, Source
 from imu_calib.stand.nodes.imu_node import Reception
 
-NS = 1_000_000_000
-SIMULATED = load_format('simulated')
-
 FASTCRC = {
     'CRC-8/SMBUS': 'crc8.smbus',
     'CRC-8/MAXIM-DOW': 'crc8.maxim_dow',
@@ -57,12 +52,6 @@ FASTCRC = {
 }
 
 
-def frame(counter, nanoseconds, counts, celsius=2500, status=0):
-    """A frame of the simulated IMU, by its description alone."""
-    body = struct.pack('<HIq6ihH', 0x55AA, counter % 2**32, nanoseconds, *counts, celsius, status)
-    return body + struct.pack('<H', binascii.crc_hqx(body, 0xFFFF))
-
-
 def frames(count, first=0, seed=24):
     counts = np.random.default_rng(seed).integers(-(2**31), 2**31, (count, 6))
     return [frame(first + k, k * NS // 1000, row) for k, row in enumerate(counts.tolist())]
@@ -75,32 +64,6 @@ def decoded(pieces, form=SIMULATED):
 
 def counters(blocks):
     return [int(c) for block in blocks for c in block.counter]
-
-
-def cut(data, places):
-    bounds = [0, *sorted(p % (len(data) + 1) for p in places), len(data)]
-    return [data[a:b] for a, b in itertools.pairwise(bounds)]
-
-
-def described(text=None, **changes):
-    """The simulated format, with keys 'a.b.c' replaced or, by None, removed."""
-    data = yaml.safe_load(text or (load_path('simulated')).read_text())
-    for path, value in changes.items():
-        *folders, key = path.split('__')
-        inner = data
-        for folder in folders:
-            inner = inner[folder]
-        if value is None:
-            del inner[key]
-        else:
-            inner[key] = value
-    return Section(data, 'device.yaml')
-
-
-def load_path(name):
-    from imu_calib.common.files import named_file
-
-    return named_file('devices', name)
 
 
 @settings(max_examples=20)
@@ -439,7 +402,6 @@ def test_a_description_that_cannot_be_is_refused_with_file_key_and_found(changes
 
 # --- the clock ---------------------------------------------------------------------------------
 
-NANOSECONDS = DeviceTime(Number('i', 8, 6, '<'), 1.0, 2**64)
 COUNTER = FrameCounter(Number('u', 4, 2, '<'), 2**32)
 
 

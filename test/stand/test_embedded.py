@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ascii_controller import Servo
 from live import NODES, Stand, State, finishes, short_plan
 from loopback import environment, patience, until
 from processes import start
-from test_ascii_table import Servo
-from test_turntable_node import TABLE as NIMBLE
+from turntable_bench import TABLE as NIMBLE
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.errors import InputError

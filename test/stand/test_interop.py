@@ -1,21 +1,19 @@
 """The DDS runtime and real ROS 2 hear each other: every message, both ways, and the tools."""
 
 import json
-import os
 import re
 import signal
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 import processes
 import pytest
-from installed import ROS, needs
+from installed import ROS, SETUP, has_wheel, needs, without_ros
 from loopback import CHECKOUT, SUPPORT, environment, patience, until
+from ros_stands import LOOK, seen
 
 from imu_calib.recordings.rosbag2 import Kind, open_recording
 
@@ -23,34 +21,6 @@ PEER = SUPPORT / 'interop_peer.py'
 RMWS = [pytest.param(rmw, marks=needs(rmw)) for rmw in ('rmw_cyclonedds_cpp', 'rmw_fastrtps_cpp')]
 
 
-def built_messages():
-    """Return the setup file that knows imu_calib_msgs, None where it is not built."""
-    folders = [Path(p).parent for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
-    for folder in [*folders, CHECKOUT / 'install']:
-        if (folder / 'imu_calib_msgs').is_dir() and (folder / 'setup.bash').is_file():
-            return folder / 'setup.bash'
-    return None
-
-
-def without_ros():
-    """Return the environment as it is where no ROS was sourced."""
-    hidden = {'PYTHONPATH', 'AMENT_PREFIX_PATH', 'LD_LIBRARY_PATH', 'CMAKE_PREFIX_PATH'}
-    # What was sourced last, to be sourced first by what is built now.
-    hidden.add('COLCON_PREFIX_PATH')
-    kept = {k: v for k, v in os.environ.items() if k not in hidden}
-    kept['PATH'] = os.pathsep.join(p for p in kept['PATH'].split(os.pathsep) if '/ros/' not in p)
-    return kept
-
-
-@cache
-def has_wheel():
-    """Tell whether this Python has Cyclone DDS where no ROS is sourced."""
-    probe = [sys.executable, '-c', 'import cyclonedds._clayer']
-    done = subprocess.run(probe, env=without_ros(), capture_output=True, check=False)
-    return done.returncode == 0
-
-
-SETUP = built_messages() if ROS.is_file() else None
 pytestmark = [
     needs('rclpy', 'rmw_cyclonedds_cpp'),
     pytest.mark.skipif(
@@ -166,28 +136,6 @@ def test_a_service_answers_across_runtimes(serves, asks):
 
 def ros2(domain, *words):
     return ask('rclpy', domain, 'ros2', *words)[0]
-
-
-LOOK = ('--no-daemon', '--spin-time', '2')
-
-
-def seen(look, wanted):
-    """Have a tool look around until it writes all the words that are wanted; return its output.
-
-    It looks for two seconds, for which a busy machine may hold up what it is to see.
-
-    Args:
-        look: Runs the tool to its end; returns how that went.
-        wanted: Words.
-    """
-    tries = []
-
-    def all_there():
-        tries[:] = [look()]
-        return tries[0].returncode == 0 and all(word in tries[0].stdout for word in wanted)
-
-    assert until(all_there), tries[0]
-    return tries[0].stdout
 
 
 @needs(verbs=['topic', 'node'])

@@ -1,14 +1,15 @@
 """imu_node and compensator_node as managed nodes: what goes out in which state."""
 
+import compensator_bench
+import imu_bench
 import pytest
-import test_compensator_node as compensation
-import test_imu_node as reading
-from loopback import environment, patience, start
+from compensator_bench import block
+from loopback import CHECKOUT, environment, patience, start
 
 from imu_calib.recordings.cdr_codec import encode_imu
 from imu_calib.stand import middleware as ros
 
-file = compensation.file
+file = compensator_bench.file
 managed = pytest.mark.skipif(
     ros.RUNTIME != 'rclpy', reason='without ROS 2 a node works from its start to its end'
 )
@@ -52,8 +53,8 @@ class Manager:
 
 @managed
 def test_a_compensator_publishes_while_it_is_active_alone(monkeypatch, file):
-    bench = compensation.Bench(monkeypatch, calibration=file, autostart='false')
-    payloads = encode_imu(compensation.block(SAMPLES)).payloads()
+    bench = compensator_bench.Bench(monkeypatch, calibration=file, autostart='false')
+    payloads = encode_imu(block(SAMPLES)).payloads()
     with bench:
         manager = Manager(bench.peer, 'compensator_node', bench.until)
 
@@ -116,7 +117,7 @@ def test_an_imu_node_opens_its_device_while_it_is_active_alone(monkeypatch):
 @managed
 def test_what_cannot_be_configured_stays_unconfigured(monkeypatch, tmp_path):
     path = tmp_path / 'device.yaml'
-    shipped = reading.CHECKOUT / 'config' / 'devices' / 'simulated.yaml'
+    shipped = CHECKOUT / 'config' / 'devices' / 'simulated.yaml'
     path.write_text(shipped.read_text())
     bench = opened(monkeypatch, autostart='false', device=path)
     try:
@@ -133,7 +134,7 @@ def test_what_cannot_be_configured_stays_unconfigured(monkeypatch, tmp_path):
 
 @managed
 def test_by_default_a_node_is_active_at_once(monkeypatch, file):
-    with compensation.Bench(monkeypatch, calibration=file) as bench:
+    with compensator_bench.Bench(monkeypatch, calibration=file) as bench:
         assert Manager(bench.peer, 'compensator_node', bench.until).state == 'active'
 
 
@@ -152,7 +153,7 @@ def test_without_ros_a_node_that_nobody_can_activate_is_refused(name):
 def opened(monkeypatch, **parameters):
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
-    bench = reading.Bench()
+    bench = imu_bench.Bench()
     bench.open(**parameters)
     return bench
 

@@ -6,11 +6,10 @@ from dataclasses import replace
 from datetime import datetime
 
 import pytest
+from board_messages import FOG, SETUP, calibration, diagnostics, progress, state
 from browser import chromium, width
 from installed import needs_modules
 from loopback import patience
-from test_units_board import diagnostics
-from test_web_board import FOG, SETUP, calibration, progress, state
 
 from imu_calib.common.config import Section
 from imu_calib.session.units_file import read_units

@@ -1,11 +1,11 @@
 """The shipped formats of devices that can be bought, on bytes written by the makers' documents."""
 
 import re
-import struct
 from functools import cache
 
 import numpy as np
 import pytest
+from device_frames import kvh, mti, stim
 from loopback import CHECKOUT
 
 from imu_calib.common.config import Section
@@ -24,44 +24,6 @@ NS = 1_000_000_000
 KVH_EARLY = 'FE81FF55 3B041F78 B9B96613 BA234B38 BB7C0410 B8DEF480 3F7F4B7B 70 1F 001D F12FB6EE'
 KVH_VALID = 'FE81FF55 B3D0BBE7 32193EF4 30AC19A5 BA8F78D6 3A290594 3F7ECBD4 77 68 001D ADC5F651'
 KVH_BAD = 'FE81FF55 B46B86C6 B44F5B83 B4106D09 BB713CB7 BBABD914 3F7E319A 77 69 001D 95BBDB4F'
-
-
-def crc32(data):
-    """CRC of both makers: polynomial 0x04C11DB7 from all ones, bit by bit."""
-    register = 0xFFFFFFFF
-    for byte in data:
-        register ^= byte << 24
-        for _ in range(8):
-            register = (register << 1) ^ (0x04C11DB7 if register & 0x80000000 else 0)
-            register &= 0xFFFFFFFF
-    return struct.pack('>I', register)
-
-
-def kvh(counter, rates=(0.5, -0.25, 2.0), g=(0.0, 0.5, -1.0), status=0x77, celsius=29):
-    body = b'\xfe\x81\xff\x55' + struct.pack('>6fBBh', *rates, *g, status, counter % 128, celsius)
-    return body + crc32(body)
-
-
-def stim(counter, angles=(1, -2, 3), velocities=(4, 5, -6), gyro=0, accelerometer=0):
-    """Table 5-20: three clusters of 24 bits, status; temperatures of 16 bits, status."""
-
-    def cluster(values, status):
-        return b''.join((v % 2**24).to_bytes(3, 'big') for v in values) + bytes([status])
-
-    body = b'\xa5' + cluster(angles, gyro) + cluster(velocities, accelerometer)
-    body += struct.pack('>3hB', 0x2380, 0x23C0, 0x2380, 0)  # gyros: 35.5, 35.75, 35.5 degrees
-    body += struct.pack('>3hB', 0x2318, 0x2309, 0x231C, 0)
-    body += struct.pack('>BH', counter % 256, 506)  # latency 506 us
-    return body + crc32(body + bytes(2))
-
-
-def mti(counter, ticks, accel=(0.0, 9.75, -0.5), rate=(0.125, 0.0, -1.0), status=3):
-    data = struct.pack('>HBH', 0x1020, 2, counter % 2**16)
-    data += struct.pack('>HBI', 0x1060, 4, ticks % 2**32)
-    data += struct.pack('>HB3f', 0x4020, 12, *accel) + struct.pack('>HB3f', 0x8020, 12, *rate)
-    data += struct.pack('>HBI', 0xE020, 4, status)
-    message = bytes([0xFF, 0x36, len(data)]) + data
-    return b'\xfa' + message + bytes([-sum(message) % 256])
 
 
 DEVICES = {

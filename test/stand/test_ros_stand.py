@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
-from installed import needs
+from installed import has_wheel, needs
 from loopback import SUPPORT
 from ros_stands import (
     BAG,
@@ -34,7 +34,6 @@ from ros_stands import (
     same,
     short_plan,
 )
-from test_interop import has_wheel
 
 from imu_calib.api.columns import read
 from imu_calib.calibration.calibration import Calibration

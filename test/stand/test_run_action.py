@@ -1,16 +1,19 @@
 """The action of turntable_node, asked by a client of the same runtime."""
 
 import pytest
-import test_turntable_node as stand
+import turntable_bench
 from loopback import patience
+from turntable_bench import PATIENT
 
+from imu_calib.common.stream import Mode
 from imu_calib.stand import middleware as ros
+from imu_calib.stand.nodes import topics as qos
 from imu_calib.stand.plan_steps import Phase
 
-session = stand.session
+session = turntable_bench.session
 ACTION = 'turntable_node/run_calibration'
 Status = ros.GoalStatus
-SUPERVISED = {**stand.PATIENT, 'supervised': True, 'calibrator_timeout': 60.0}
+SUPERVISED = {**PATIENT, 'supervised': True, 'calibrator_timeout': 60.0}
 
 
 class Client:
@@ -58,7 +61,7 @@ class Client:
 
 
 def test_a_goal_runs_the_plan_and_tells_how_far_it_is(session):
-    client = Client(session.open(**stand.PATIENT))
+    client = Client(session.open(**PATIENT))
     _, ended = client.run(plan='tiny')
     status, result = client.end(ended)
     assert status is Status.SUCCEEDED
@@ -78,7 +81,7 @@ def test_a_goal_runs_the_plan_and_tells_how_far_it_is(session):
 
 
 def test_a_cancelled_goal_stops_the_table(session):
-    client = Client(session.turn_at(90).open(**stand.PATIENT))
+    client = Client(session.turn_at(90).open(**PATIENT))
     handle, ended = client.run()
     session.reaches(Phase.TURNING)
     assert session.until(lambda: not session.table.at_rest())
@@ -86,14 +89,14 @@ def test_a_cancelled_goal_stops_the_table(session):
     status, result = client.end(ended)
     assert (status, result.message) == (Status.CANCELED, 'Cancelled; the table stands.')
     assert session.table.at_rest()
-    assert session.table.setpoints[-1].mode is stand.Mode.HOLD
+    assert session.table.setpoints[-1].mode is Mode.HOLD
     session.reaches(Phase.ABORTED)
     assert session.ends_stopped()
     assert client.cancel(handle) == 0
 
 
 def test_a_goal_that_is_cancelled_as_the_table_begins_to_move_ends_when_it_stands(session):
-    client = Client(session.turn_at(90).open(**stand.PATIENT))
+    client = Client(session.turn_at(90).open(**PATIENT))
     handle, ended = client.run()
     # The joint states of this moment are those of a table at rest.
     assert session.until(lambda: session.node._sequencer.state().phase is Phase.TURNING)
@@ -112,14 +115,14 @@ def test_a_goal_that_is_cancelled_as_the_table_begins_to_move_ends_when_it_stand
 
 
 def test_a_second_goal_is_rejected_and_the_first_goes_on(session):
-    client = Client(session.turn_at(90).open(**stand.PATIENT))
+    client = Client(session.turn_at(90).open(**PATIENT))
     handle, _ = client.run()
     session.reaches(Phase.TURNING)
     before = len(session.table.setpoints)
     assert not client.ask().accepted
     # A table that this process holds up for half a second stands until the next setpoint.
     assert session.until(lambda: len(session.table.setpoints) > before + 3)
-    assert {s.mode for s in session.table.setpoints[before:]} == {stand.Mode.RATE}
+    assert {s.mode for s in session.table.setpoints[before:]} == {Mode.RATE}
     assert session.watcher.phase is Phase.TURNING
     assert client.cancel(handle) == 1
 
@@ -132,7 +135,7 @@ def test_a_second_goal_is_rejected_and_the_first_goes_on(session):
     ],
 )
 def test_a_goal_that_cannot_be_run_says_why(session, goal, words):
-    client = Client(session.open(**stand.PATIENT))
+    client = Client(session.open(**PATIENT))
     if not goal:
         session.watcher.estop.publish(ros.messages.Bool(data=True))
         session.reaches(Phase.ABORTED)
@@ -148,8 +151,8 @@ def test_whatever_ends_the_run_ends_the_goal_with_the_table_at_rest(session, way
     # Long enough for a busy machine, on which joint states and setpoints of this process can be
     # held up: the table then stalls before anybody has ended the run.
     monkeypatch.setattr('imu_calib.stand.table_watch._LAG', 30.0)
-    brief = dict.fromkeys(stand.PATIENT, 4.0)
-    patient = brief if way == 'silence' else stand.PATIENT
+    brief = dict.fromkeys(PATIENT, 4.0)
+    patient = brief if way == 'silence' else PATIENT
     client = Client(session.turn_at(90).open(**patient))
     _, ended = client.run()
     session.reaches(Phase.TURNING)
@@ -170,7 +173,7 @@ def test_whatever_ends_the_run_ends_the_goal_with_the_table_at_rest(session, way
 
 
 def test_a_pause_keeps_the_goal_and_a_goal_may_go_on_with_what_was_paused(session):
-    client = Client(session.turn_at(90).open(**stand.PATIENT))
+    client = Client(session.turn_at(90).open(**PATIENT))
     handle, ended = client.run()
     session.reaches(Phase.TURNING)
     assert session.press('pause')[0]
@@ -190,7 +193,7 @@ def test_a_pause_keeps_the_goal_and_a_goal_may_go_on_with_what_was_paused(sessio
 
 
 def test_a_goal_that_is_refused_leaves_what_was_paused(session):
-    client = Client(session.turn_at(90).open(**stand.PATIENT))
+    client = Client(session.turn_at(90).open(**PATIENT))
     assert session.press('start')[0]
     session.reaches(Phase.TURNING)
     assert session.press('pause')[0]
@@ -205,7 +208,7 @@ def test_a_goal_that_is_refused_leaves_what_was_paused(session):
 def finished(session, state, status):
     """Play the calibrator's last words."""
     publisher = session.watcher.create_publisher(
-        ros.messages.ImuCalibration, 'calibration', stand.qos.latched()
+        ros.messages.ImuCalibration, 'calibration', qos.latched()
     )
     assert session.until(lambda: publisher.get_subscription_count() > 0)
     publisher.publish(ros.messages.ImuCalibration(status=status, k_gx=2e-4))
@@ -248,7 +251,7 @@ def test_of_several_units_the_result_has_all_in_their_order(session):
     session.watcher.progress.publish(kinds(**units, state=kinds.COLLECTING))
     _, ended = client.run(plan='tiny')
     session.reaches(Phase.DONE)
-    publisher = session.watcher.create_publisher(calibration, 'calibration', stand.qos.latched(3))
+    publisher = session.watcher.create_publisher(calibration, 'calibration', qos.latched(3))
     assert session.until(lambda: publisher.get_subscription_count() > 0)
     publisher.publish(calibration(status=calibration.VALID, serial_number='C3', k_gx=3e-4))
     publisher.publish(calibration(status=calibration.REFUSED, serial_number='B2'))
@@ -292,7 +295,7 @@ def test_a_result_is_not_waited_for_for_ever(session):
 
 def test_a_node_that_ends_answers_its_client(session):
     session.turn_at(90).open(with_node=False)
-    process = session.start(**stand.PATIENT)
+    process = session.start(**PATIENT)
     client = Client(session)
     _, ended = client.run()
     assert session.until(lambda: session.watcher.phase is Phase.TURNING or ended.done())

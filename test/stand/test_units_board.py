@@ -4,29 +4,18 @@ import io
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
+import board_messages
 import pytest
+from board_messages import NOON, SETUP, calibration, diagnostics, progress, state
 from rich.console import Console
-from test_web_board import NOON, SETUP, calibration, diagnostics, progress, state
 
 from imu_calib.cli.monitor import view_table
-from imu_calib.common.config import Section
-from imu_calib.session.units_file import read_units
 from imu_calib.stand.devices.health import Severity
 from imu_calib.stand.nodes.web_node import units_board
 from imu_calib.stand.web import drawing
 from imu_calib.stand.web.board import Outcome
 
-FILE = """
-units:
-  - {serial_number: A1, imu: fog_medium, place: left}
-  - {serial_number: <B>, imu: mems_counts}
-  - {serial_number: C3, imu: fog_medium}
-"""
-
-
-@pytest.fixture(scope='module')
-def mounted():
-    return read_units(Section.parse(FILE, 'units.yaml'))
+mounted = board_messages.mounted
 
 
 @pytest.fixture

@@ -5,19 +5,20 @@ import subprocess
 import sys
 from pathlib import Path
 
+import board_messages
 import pytest
+from board_messages import SETUP, diagnostics, progress, state
 from browser import chromium, contrasts, width
 from installed import needs_modules
 from loopback import patience
-from test_units_board import diagnostics, progress
-from test_units_board import mounted as mounted  # noqa: PLC0414
-from test_web_board import SETUP, state
 
 from imu_calib.session.imu import load_imu
 from imu_calib.stand.nodes.web_node import units_board
 from imu_calib.stand.web.guard import Token
 from imu_calib.stand.web.samples import Dwells
 from imu_calib.stand.web.shape import table_shape
+
+mounted = board_messages.mounted
 
 needs_modules('nicegui')
 

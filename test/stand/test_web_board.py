@@ -3,12 +3,11 @@
 import io
 import math
 from dataclasses import replace
-from datetime import datetime
-from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from board_messages import FOG, NOON, SETUP, calibration, diagnostics, progress, state
 from browser import browser as browser  # noqa: PLC0414
 from browser import look_at, needs_chromium, opened, overlaps, width
 from rich.console import Console
@@ -17,11 +16,7 @@ from imu_calib.cli.monitor import view_table
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
 from imu_calib.common.units import DEG
-from imu_calib.estimation.methods import Setup
-from imu_calib.model.earth import Site
 from imu_calib.reports.timeline import Courses, Pace, ends_at, in_words
-from imu_calib.session.imu import load_imu
-from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table
 from imu_calib.stand.devices.health import Severity
 from imu_calib.stand.nodes.web_node import expectation
@@ -32,81 +27,10 @@ from imu_calib.stand.web.drawing import STYLE, headline, time_left
 from imu_calib.stand.web.samples import Dwells
 from imu_calib.stand.web.shape import table_shape
 
-FOG = load_imu('fog_medium')
-SETUP = Setup(FOG, load_plan('twelve_position'), load_table('three_axis'), Site.at(0.6))
-NOON = datetime(2026, 3, 1, 12, 0)
-
 
 @pytest.fixture(scope='module')
 def expected():
     return expectation(SETUP)
-
-
-def stamp(seconds):
-    return SimpleNamespace(sec=int(seconds), nanosec=round((seconds % 1) * 1e9))
-
-
-def header(seconds):
-    return SimpleNamespace(stamp=stamp(seconds))
-
-
-def state(seconds, phase=Phase.DWELLING, **changed):
-    given = {
-        'header': header(seconds),
-        'plan': 'twelve_position',
-        'step': 3,
-        'steps': 28,
-        'position_id': '2',
-        'phase': int(phase),
-        'reason': '',
-        'joint_names': ['outer', 'middle', 'inner'],
-        'positions': [0.0, 90 * DEG, 0.0],
-        'rates': [0.0, 0.0, 0.0],
-        'turns_done': 0.0,
-        'seconds_left': 600.0,
-    }
-    return SimpleNamespace(**{**given, **changed})
-
-
-def progress(seconds, std, **changed):
-    names = [parameter.name for parameter in SETUP.parameters]
-    given = {
-        'header': header(seconds),
-        'plan': 'twelve_position',
-        'step': 4,
-        'steps': 28,
-        'state': 1,
-        'text': 'It goes on.',
-        'parameter_names': names,
-        'standard_deviations': [std] * len(names),
-        'seconds_left': 600.0,
-        'repeat_steps': [],
-        'next_attitudes': [],
-    }
-    kinds = {'WAITING': 0, 'COLLECTING': 1, 'DETERMINED': 2, 'FINISHED': 3, 'FAILED': 4}
-    return SimpleNamespace(**{**given, **kinds, **changed})
-
-
-def calibration(status, text='All is well.', **values):
-    names = [parameter.name for parameter in SETUP.parameters]
-    kinds = {'VALID': 0, 'PROVISIONAL': 1, 'REFUSED': 2, 'INCOMPLETE': 3}
-    numbers = {name.lower(): values.get(name, 0.0) for name in names}
-    return SimpleNamespace(
-        status=kinds[status],
-        status_text=text,
-        parameter_names=names,
-        standard_deviations=[1e-6] * len(names),
-        term_parameters=[],
-        term_values=[],
-        **kinds,
-        **numbers,
-    )
-
-
-def diagnostics(source, level, text, **figures):
-    values = [SimpleNamespace(key=key, value=value) for key, value in figures.items()]
-    status = SimpleNamespace(name=source, level=bytes([level]), message=text, values=values)
-    return SimpleNamespace(status=[status])
 
 
 def test_what_happens_now_follows_the_tables_phase(expected):

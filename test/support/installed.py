@@ -1,11 +1,15 @@
 """What is installed: a test asks for those parts that it needs; its skip names what lacks."""
 
 import os
+import subprocess
+import sys
+from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from loopback import CHECKOUT
 
 ROS = Path('/opt/ros/jazzy/setup.bash')
 _INDEX = Path('share', 'ament_index', 'resource_index', 'packages')
@@ -44,3 +48,33 @@ def needs_modules(*names):
     for name in names:
         if find_spec(name) is None:
             pytest.skip(f'{name} is not installed', allow_module_level=True)
+
+
+def built_messages():
+    """Return the setup file that knows imu_calib_msgs, None where it is not built."""
+    folders = [Path(p).parent for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
+    for folder in [*folders, CHECKOUT / 'install']:
+        if (folder / 'imu_calib_msgs').is_dir() and (folder / 'setup.bash').is_file():
+            return folder / 'setup.bash'
+    return None
+
+
+def without_ros():
+    """Return the environment as it is where no ROS was sourced."""
+    hidden = {'PYTHONPATH', 'AMENT_PREFIX_PATH', 'LD_LIBRARY_PATH', 'CMAKE_PREFIX_PATH'}
+    # What was sourced last, to be sourced first by what is built now.
+    hidden.add('COLCON_PREFIX_PATH')
+    kept = {k: v for k, v in os.environ.items() if k not in hidden}
+    kept['PATH'] = os.pathsep.join(p for p in kept['PATH'].split(os.pathsep) if '/ros/' not in p)
+    return kept
+
+
+@cache
+def has_wheel():
+    """Tell whether this Python has Cyclone DDS where no ROS is sourced."""
+    probe = [sys.executable, '-c', 'import cyclonedds._clayer']
+    done = subprocess.run(probe, env=without_ros(), capture_output=True, check=False)
+    return done.returncode == 0
+
+
+SETUP = built_messages() if ROS.is_file() else None

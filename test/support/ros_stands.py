@@ -13,9 +13,8 @@ import processes
 import pytest
 import rich
 import yaml
-from installed import ROS, has_package, needs
+from installed import ROS, SETUP, has_package, needs, without_ros
 from loopback import CHECKOUT, environment, patience, until
-from test_interop import LOOK, SETUP, seen, without_ros
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.processes import free_port, private_network
@@ -237,3 +236,25 @@ def one_joint_state(net):
     echo = ('topic', 'echo', '--no-daemon', '--once', '--full-length', '/turntable/joint_states')
     message = yaml.safe_load(net.ask(*echo, 'sensor_msgs/msg/JointState').split('\n---')[0])
     return message['position'], message['velocity']
+
+
+LOOK = ('--no-daemon', '--spin-time', '2')
+
+
+def seen(look, wanted):
+    """Have a tool look around until it writes all the words that are wanted; return its output.
+
+    It looks for two seconds, for which a busy machine may hold up what it is to see.
+
+    Args:
+        look: Runs the tool to its end; returns how that went.
+        wanted: Words.
+    """
+    tries = []
+
+    def all_there():
+        tries[:] = [look()]
+        return tries[0].returncode == 0 and all(word in tries[0].stdout for word in wanted)
+
+    assert until(all_there), tries[0]
+    return tries[0].stdout

@@ -8,10 +8,12 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from loopback import until
 
 from imu_calib.calibration.calibration import Calibration
@@ -24,11 +26,13 @@ from imu_calib.common.units import DEG
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.methods import Setup
 from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.recordings.cdr_codec import part
 from imu_calib.segmentation.labelling import label
 from imu_calib.session.imu import ImuSpec, load_imu
 from imu_calib.session.plan import Plan, Position, RateTest, load_plan
 from imu_calib.session.table import Table, load_table
 from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.repetition import Study, economical
 from imu_calib.simulation.stand import simulate
 
 LATITUDE = 34.65 * DEG
@@ -181,3 +185,47 @@ def gathered(calibrator: Calibrator) -> Evidence:
     """What the segmentation has made of what was fed."""
     setup, found = calibrator._setup, calibrator._segmenter.finish()
     return calibrator._evidence(label(found, setup.plan, setup.table), found)
+
+
+def recut(blocks: list[Named], seed: int) -> list[Named]:
+    """Cut every topic anew at random, and interleave the topics at random."""
+    rng = np.random.default_rng(seed)
+    topics = {name: [b for n, b in blocks if n == name] for name, _ in blocks}
+    queues = {n: [p for b in bs for p in cut(b, rng)] for n, bs in topics.items()}
+    turns = rng.permutation([n for n, q in queues.items() for _ in q])
+    sources = {n: iter(q) for n, q in queues.items()}
+    return [(n, next(sources[n])) for n in turns]
+
+
+def cut(block: Block, rng: np.random.Generator) -> list[Block]:
+    edges = [0, *sorted(rng.integers(0, len(block) + 1, rng.integers(0, 3))), len(block)]
+    return [part(block, a, b) for a, b in pairwise(edges) if b > a]
+
+
+def simulated(
+    plan: Plan,
+    options: StandOptions | None = None,
+    seed: int = 0,
+    *,
+    table: Table | None = None,
+    spec: ImuSpec | None = None,
+) -> Evidence:
+    """What the segmentation makes of a session on the simulated stand."""
+    table, spec = table or load_table('three_axis'), spec or paper_imu()
+    options = economical(options or stand())
+    blocks = session(plan, options, seed, table=table, spec=spec)
+    return gathered(fed(blocks, Setup(spec, plan, table, SITE)))
+
+
+def brisk(dwell: float) -> Plan:
+    """Twelve positions with short dwells and turns at one rate."""
+    plan = quick_plan('twelve_position', dwell)
+    test = RateTest((60 * DEG, -60 * DEG), 1)
+    positions = [replace(p, rate_test=test if p.rate_test else None) for p in plan.positions]
+    return replace(plan, positions=tuple(positions))
+
+
+def study(plan: str | None = None) -> Study:
+    chosen = brisk(5.0) if plan is None else load_plan(plan)
+    setup = Setup(paper_imu(), chosen, load_table('three_axis'), SITE, chosen.method)
+    return Study(setup, truth().model, economical(stand()))
