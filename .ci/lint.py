@@ -74,9 +74,9 @@ OTHERS = {
     'segmentation/stream_facts.py': 'a whole command',
     'stand/middleware/dds/arguments.py': 'options of ROS',
     'stand/middleware/dds/context.py': 'options of ROS',
+    'stand/middleware/node_life.py': 'options of ROS',
     'stand/middleware/ros.py': 'a command of ROS',
     'stand/network.py': 'a whole command',
-    'stand/nodes/programs.py': 'options of ROS',
     'stand/web/drawing.py': 'variables of CSS',
 }
 """Files outside cli that name options, and whose."""

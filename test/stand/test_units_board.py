@@ -9,11 +9,11 @@ import pytest
 from board_messages import NOON, SETUP, calibration, diagnostics, progress, state
 from rich.console import Console
 
-from imu_calib.cli.monitor import view_table
+from imu_calib.cli.displays import view_table
 from imu_calib.stand.devices.health import Severity
-from imu_calib.stand.nodes.web_node import units_board
 from imu_calib.stand.web import drawing
 from imu_calib.stand.web.board import Outcome
+from imu_calib.stand.web.expectation import units_board
 
 mounted = board_messages.mounted
 

@@ -13,7 +13,7 @@ from installed import needs_modules
 from loopback import patience
 
 from imu_calib.session.imu import load_imu
-from imu_calib.stand.nodes.web_node import units_board
+from imu_calib.stand.web.expectation import units_board
 from imu_calib.stand.web.guard import Token
 from imu_calib.stand.web.samples import Dwells
 from imu_calib.stand.web.shape import table_shape

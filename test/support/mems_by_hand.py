@@ -13,7 +13,7 @@ from imu_calib.calibration.results import Result
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.segmentation.clock import NO_CLOCK

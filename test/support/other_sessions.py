@@ -20,7 +20,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.common.stream import Floats, ImuBlock, JointBlock, Units
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.plan import Plan, load_plan
