@@ -252,7 +252,7 @@ _LOST = 100.0
 is not used: with ten times the std, it has a hundredth of the information of others."""
 
 _NEARLY_NONE = 0.05
-"""Of gravity: as in `segmentation.gravity_removed`."""
+"""Of gravity: as in `segmentation.stream_facts`."""
 _REMEDIES = {
     SATURATED: ': turn more slowly, or set a wider range',
     COARSE: ': turn more slowly, or check the unit of the gyros',

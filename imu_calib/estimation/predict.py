@@ -37,7 +37,7 @@ from .setup import Setup
 # Statistics that counters, ADCs and rates would give for a dwell or for whole turns.
 #
 # A noise-free counter at the expected rate is processed by the same estimators as a session
-# (`segmentation.counter`).
+# (`segmentation.counters`).
 
 
 SPARE = 1.0
