@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from prediction import SITE, judge
 
-sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
+sys.path.insert(0, str(Path(__file__).parents[1] / 'test' / 'support'))
 
 from hand_sessions import shortest_turns
 

@@ -2,8 +2,8 @@
 
     python benchmarks/fleet_page.py [--units 5000] [--sessions 6] [--runs 3]
 
-The page is written from the simulated histories of `test/fleets.py`. Printed are its size, the
-processor time to write it, and from headless Chromium, for the fastest run: wall time from
+The page is written from the simulated histories of `test/support/fleets.py`. Printed are its size,
+the processor time to write it, and from headless Chromium, for the fastest run: wall time from
 navigation to the page's load event, to the table of units, and to the last drawing; and processor
 time of the thread that does it. Exit code 1: the table appears after more than 3 s.
 """
@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
+sys.path.insert(0, str(Path(__file__).parents[1] / 'test' / 'support'))
 
 import fleets
 

@@ -24,11 +24,10 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2, kstest, norm
 
-sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
+sys.path.insert(0, str(Path(__file__).parents[1] / 'test' / 'support'))
 
 from bound import bound
-from sessions import SITE, paper_imu, stand, truth
-from test_joint import simulated
+from sessions import SITE, paper_imu, simulated, stand, truth
 
 from imu_calib.common.parallel import run_all
 from imu_calib.common.stream import Floats

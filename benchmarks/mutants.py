@@ -5,7 +5,7 @@ excluded, because they are not evaluated. Each mutant runs in a fork of a proces
 NumPy and SciPy, in a copy of the tree, up to the first test that fails.
 
     pip install cosmic-ray
-    python benchmarks/mutants.py [--packages cdr compensation] [--draw 40] [--seed 1] [--minutes 5]
+    python benchmarks/mutants.py [--packages recordings] [--draw 40] [--seed 1] [--minutes 5]
 
 A package that runs out of time keeps the mutants tested so far: their order is random.
 """
@@ -38,8 +38,22 @@ from cosmic_ray.plugins import get_operator, operator_names
 ROOT = Path(__file__).resolve().parent.parent
 # The tests of a package, the fastest first; sessions on a stand are excluded.
 TESTS = {
-    'cdr': ['cdr'],
-    'compensation': [
+    'recordings': [
+        'cdr',
+        'merged_topics',
+        'record_walk',
+        'mcap_records',
+        'chunk_summary',
+        'mcap_scan',
+        'mcap_storage',
+        'row_queries',
+        'codec',
+        'journal',
+        'mcap_writer',
+        'bags',
+        'damaged_bags',
+    ],
+    'calibration': [
         'by_temperature',
         'live_queues',
         'sample_clock',
@@ -72,31 +86,17 @@ TESTS = {
         'sample_grid',
         'segmentation',
     ],
-    'sequencing': ['steps', 'encoders', 'watch', 'idle_watch', 'sequencer'],
-    'bags': [
-        'merged_topics',
-        'record_walk',
-        'mcap_records',
-        'chunk_summary',
-        'mcap_scan',
-        'mcap_storage',
-        'row_queries',
-        'codec',
-        'journal',
-        'mcap_writer',
-        'bags',
-        'damaged_bags',
-    ],
-    'methods': [
-        'checks',
-        'conclude',
-        'gains',
-        'rate_equations',
-        'skewed_points',
-        'closed_forms',
-        'joint_words',
-    ],
-    'observation': [
+    'stand': ['steps', 'encoders', 'watch', 'idle_watch', 'sequencer'],
+    'estimation': [
+        'term_sentences',
+        'whitened_residuals',
+        'likelihood',
+        'drift_odds',
+        'search_steps',
+        'excess_scatter',
+        'arrowhead',
+        'converge',
+        'fit_steps',
         'rows',
         'headings',
         'courses',
@@ -112,17 +112,11 @@ TESTS = {
         'information',
         'conclude',
         'closed_forms',
-    ],
-    'estimation': [
-        'term_sentences',
-        'whitened_residuals',
-        'likelihood',
-        'drift_odds',
-        'search_steps',
-        'excess_scatter',
-        'arrowhead',
-        'converge',
-        'fit_steps',
+        'checks',
+        'gains',
+        'rate_equations',
+        'skewed_points',
+        'joint_words',
     ],
 }
 # Tests of certain modules, too slow for every mutant of a package; they run first.
@@ -161,6 +155,12 @@ def mutants(package: str) -> list[tuple[str, str, int, int]]:
     return found
 
 
+def file_of(copy: Path, name: str) -> Path:
+    """Return the file of tests with a name, whichever room it is in."""
+    (file,) = copy.glob(f'test/*/test_{name}.py')
+    return file
+
+
 def run_tests(copy: Path, tests: Sequence[str], limit_s: float) -> tuple[bool, float]:
     """Return whether the tests pass in a fork, and its processor time in s."""
     child = os.fork()
@@ -170,11 +170,11 @@ def run_tests(copy: Path, tests: Sequence[str], limit_s: float) -> tuple[bool, f
         os.dup2(quiet, 1), os.dup2(quiet, 2)
         resource.setrlimit(resource.RLIMIT_CPU, (int(limit_s) + 1, int(limit_s) + 1))
         os.chdir(copy)
-        sys.path[:0] = [str(copy), str(copy / 'test')]
+        sys.path[:0] = [str(copy), str(copy / 'test' / 'support')]
         # Processes started by a test also use the copy.
         others = os.environ.get('PYTHONPATH', '').split(os.pathsep)
         os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, [str(copy), *others]))
-        files = [f'test/test_{name}.py' for name in tests]
+        files = [str(file_of(copy, name)) for name in tests]
         # A waiting test uses no processor time: the session's own limit ends it.
         options = ['-x', '-q', '-p', 'no:cacheprovider', '-o', f'timeout={10 * int(limit_s)}']
         # Failure texts would be created from every test file again for each mutant.
@@ -189,7 +189,7 @@ def run_tests(copy: Path, tests: Sequence[str], limit_s: float) -> tuple[bool, f
 def naming_first(copy: Path, path: str, tests: Sequence[str]) -> list[str]:
     """Return the tests in their order, but those that name a module first."""
     module = path.removesuffix('.py').replace('/', '.')
-    return sorted(tests, key=lambda name: module not in (copy / f'test/test_{name}.py').read_text())
+    return sorted(tests, key=lambda name: module not in file_of(copy, name).read_text())
 
 
 def work(share: list, tests: list[str], ends: float, answers: multiprocessing.Queue) -> None:

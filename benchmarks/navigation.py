@@ -102,8 +102,8 @@ of any flight at any time:
 - *Navigator*: strapdown in east, north and up on the WGS 84 ellipsoid, with Earth rate, transport
   rate, coning and sculling. The vertical channel is fixed: height and vertical velocity are those
   of an altimeter without error. Position, velocity and attitude begin without error. With
-  error-free sensors its error is within {exact:.3f} m in the hour; `test/test_navigation.py`
-  compares it with the known effect of a bias (Schuler).
+  error-free sensors its error is within {exact:.3f} m in the hour;
+  `test/simulation/test_navigation.py` compares it with the known effect of a bias (Schuler).
 """
 
 _PART = 60.0

@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
+sys.path.insert(0, str(Path(__file__).parents[1] / 'test' / 'support'))
 
 from sessions import SITE, fed, gathered, quick_plan, stand
 

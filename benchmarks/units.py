@@ -1,11 +1,12 @@
 """Several units on one table: shared unknowns estimated once, compared with separate solutions.
 
 Sessions of eight units are simulated by plain arrays that share no code with the package
-(test/units_world.py): twelve attitudes, turns about three axes, a tilted base, and positioning
-errors of the joints. Each unit is solved separately, then the first 2, 4 and 8 together. For shared
-unknowns and for parameters the root-mean-square error and the mean stated deviation are compared
-with those of the separate solutions, and the processor time of both. The consistency of errors and
-deviations requires more draws: further sessions of four units.
+(test/support/units_world.py): twelve attitudes, turns about three axes, a tilted base, and
+positioning errors of the joints. Each unit is solved separately, then the first 2, 4 and 8
+together. For shared unknowns and for parameters the root-mean-square error and
+the mean stated deviation are compared with those of the separate solutions, and the processor time
+of both. The consistency of errors and deviations requires more draws: further sessions of four
+units.
 
     python benchmarks/units.py [--seeds 10] [--further 40] [--write]
 
@@ -29,7 +30,7 @@ import numpy as np
 from scipy.stats import chi2, ttest_1samp
 
 CHECKOUT = Path(__file__).parent.parent
-sys.path.insert(0, str(CHECKOUT / 'test'))
+sys.path.insert(0, str(CHECKOUT / 'test' / 'support'))
 
 import units_world as world  # noqa: E402
 from units_sessions import PULSE, TURNED, WALK, solved, tilt, truth  # noqa: E402

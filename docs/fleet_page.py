@@ -16,7 +16,7 @@ from playwright.sync_api import sync_playwright
 
 import imu_calib
 
-sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
+sys.path.insert(0, str(Path(__file__).parents[1] / 'test' / 'support'))
 import fleets
 
 HERE = Path(__file__).parent

@@ -38,7 +38,7 @@ from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import Plan, load_plan
 from imu_calib.session.table import Table
 
-sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
+sys.path.insert(0, str(Path(__file__).parents[1] / 'test' / 'support'))
 from bound_of_stands import Stand, bound_of
 from imperfect_stands import (
     CAUSES,
@@ -355,10 +355,10 @@ drift as the data sheets state.
 
 - worst: the parameter whose error is the largest in its stated standard deviations
 - widened: the largest ratio of the stated standard deviations of K, and of D, to those of the
-  perfect, stated table; in brackets that of the information bound (`test/bound_of_stands.py`) with
-  the true size of the stand's errors. With errors of encoder readings the bound includes motions
-  from rest to rest too, which that of the perfect table does not. It omits shaking, frozen counts,
-  warm-up of biases and terms.
+  perfect, stated table; in brackets that of the information bound
+  (`test/support/bound_of_stands.py`) with the true size of the stand's errors. With errors of
+  encoder readings the bound includes motions from rest to rest too, which that of the perfect table
+  does not. It omits shaking, frozen counts, warm-up of biases and terms.
 - wrong: an error of more than 4.5 standard deviations. It is named if a finding names its cause, or
   if the result states the unobserved term without which the parameter holds; else it is silent.
 - off by the frame alone: the table's zeros, or the right angles between its axes, are off by more

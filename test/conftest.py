@@ -38,12 +38,12 @@ os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 settings.register_profile('fixed', derandomize=True, deadline=None)
 settings.load_profile('fixed')
 
-_NEED_ROSBAGS = ['test_bags.py', 'test_cdr.py', 'test_damaged_bags.py']
+_NEED_ROSBAGS = [f'recordings/test_{name}.py' for name in ('bags', 'cdr', 'damaged_bags')]
 
 _left_out = [] if find_spec('rosbags') else _NEED_ROSBAGS
 
 # A test of launch_testing, which test_ros_stand.py runs.
-collect_ignore = [*_left_out, 'stand_launch.py']
+collect_ignore = [*_left_out, 'support/stand_launch.py']
 
 
 def pytest_report_header() -> str:

@@ -38,7 +38,7 @@ from ..session.metadata import (
     serial_key,
     states_site,
 )
-from ..session.plan import UNPLANNED, Plan, load_plan, read_plan
+from ..session.plan import Plan, load_plan, read_plan
 from ..session.table import Table, load_table, read_table
 from ..session.units_file import MountedUnit, load_units
 
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from ..session.imu import ImuSpec
     from ..session.plan import Plan
     from ..session.table import Table
-    from .streams import Streams
 
 # Arguments given by name, by path or as a value.
 
@@ -264,20 +263,6 @@ def azimuth_of(degrees: float) -> float:
     if not abs(degrees) <= 360:
         raise InputError(f'`azimuth`: found {degrees:g} deg, expected -360 to 360.')
     return degrees * DEG
-
-
-def plan_of(stated: Stated, recording: Recording, streams: Streams) -> Plan | None:
-    """Return the plan of a recording; none is needed if joint states give the attitudes.
-
-    Returns:
-        None without plan and joint states: only a unit that was turned by hand needs no plan then.
-
-    Raises:
-        InputError: The file is broken.
-    """
-    if (plan := stated_plan(stated, recording)) is not None:
-        return plan
-    return None if streams.joints is None else UNPLANNED
 
 
 def stated_plan(stated: Stated, recording: Recording) -> Plan | None:

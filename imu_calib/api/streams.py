@@ -27,7 +27,16 @@ from ..session.imu import ImuSpec, load_imu, read_imu
 from ..session.metadata import LEFT_OUT, described_imu, serial_key
 from ..session.plan import UNPLANNED, Plan, load_plan
 from ..session.units_file import namespace
-from .session import Named, Stated, mounted_on, plan_of, serial_of, site_of, stated_imu, table_of
+from .session import (
+    Named,
+    Stated,
+    mounted_on,
+    serial_of,
+    site_of,
+    stated_imu,
+    stated_plan,
+    table_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -396,7 +405,10 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
     table = mounted_on(described, stated, recording, streams.imu)
     known = stated_imu(stated, recording, streams.imu)
     imu = taken_as_si(recording, streams.imu) if known is None else known[0]
-    plan = plan_of(stated, recording, streams)
+    plan = stated_plan(stated, recording)
+    if plan is None and streams.joints is not None:
+        # Joint states give the attitudes.
+        plan = UNPLANNED
     if plan is not None and table is not described:
         # A unit rotated on the fixture passes other attitudes than those of the plan.
         plan = UNPLANNED

@@ -87,8 +87,8 @@ class SingleSample:
     """The equations of `Compensation` a second time, for one sample of the linear model.
 
     A live stream comes sample by sample, for which arrays take more than twice the processor time
-    (20 us against 8). Both give the same bits, which `test/test_compensation.py` and
-    `test/test_conformance.py` compare: change both together. A sample that would get marks, or
+    (20 us against 8). Both give the same bits, which `test_compensation` and
+    `test_conformance` compare: change both together. A sample that would get marks, or
     needs the checks for them, is left to the arrays.
     """
 

@@ -1,0 +1,593 @@
+"""Holds in the hand as a fit: what scatters, what is wild, clear, shown or left open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from mems_by_hand import held, unit
+from scipy.stats import chi2, f
+
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import DEG, STANDARD_GRAVITY
+from imu_calib.estimation import hand as free_positions
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.hand import (
+    ESTIMATES,
+    FREE,
+    _chance,
+    _check_observable,
+    _largest,
+    _outstanding_turn,
+    _scatter,
+    _scatter_limit,
+    _State,
+    _with_estimated_noise,
+    ellipsoid,
+    in_frame_of_accelerometers,
+    initial_equations,
+    is_clear,
+    refuse,
+    scatter_words,
+    solve,
+    term_words,
+)
+from imu_calib.estimation.hand_findings import Drift, DriftKind
+from imu_calib.estimation.outputs import OutputLayout
+from imu_calib.model.parameters import PARAMETERS, Parameter
+from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.model.terms import G_SENSITIVITY
+
+NAMES = [p.name for p in ESTIMATES]
+RATIOS = [k for k, name in enumerate(NAMES) if name[0] in 'KE']
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Equations of which everything is given: outputs are a matrix times the state."""
+
+    jac: Floats
+    outputs: Floats
+    layout: OutputLayout
+    parameters: tuple[Parameter, ...] = ESTIMATES
+    inflation: Floats | None = None
+    noise: float = 1.0
+    north_slice = slice(21, 23)
+    evidence = SimpleNamespace(segments=(0,) * 12, used_moves=(0,) * 11)
+
+    def model(self, _: Floats) -> SensorModel:
+        return SensorModel()
+
+    def jacobian(self, _: Floats) -> Floats:
+        return self.jac
+
+    def predict(self, values: Floats) -> Floats:
+        return self.jac @ values
+
+    def covariance(self, _: Floats) -> Floats:
+        return np.eye(len(self.outputs)) * self.noise**2
+
+    def prior_rows(self, values: Floats) -> Floats:
+        return np.zeros((0, self.jac.shape[1] + 1))
+
+    def whitened(self, values: Floats) -> tuple[Floats, Floats]:
+        columns = self.jac[:, : len(values)]
+        std = np.ones(len(columns)) if self.inflation is None else np.sqrt(self.inflation)
+        residuals = self.outputs - columns @ values
+        return columns / std[:, None], residuals / std
+
+    def moved(self, values: Floats, step: Floats) -> tuple[Linear, Floats]:
+        return self, values + step
+
+
+LAYOUT = OutputLayout(dwells=2, moves=3)
+
+
+def state(left: Floats, columns: Floats | None = None, layout: OutputLayout = LAYOUT) -> _State:
+    columns = np.zeros((len(left), 0)) if columns is None else columns
+    equations: Any = Linear(columns, left, layout)
+    return _State(equations, np.zeros(columns.shape[1]), np.ones(3))
+
+
+def test_groups_are_accelerometers_gyros_and_turns() -> None:
+    accels, gyros, turns = state(np.zeros(21)).groups
+    assert accels.tolist() == [3, 4, 5, 9, 10, 11]
+    assert gyros.tolist() == [0, 1, 2, 6, 7, 8]
+    assert turns.tolist() == list(range(12, 21))
+
+
+def test_a_group_scatters_by_its_chi_square_over_what_no_unknown_took() -> None:
+    # One unknown of accelerometers, two of a turn: 5, 6 and 7 degrees of freedom.
+    columns = np.zeros((21, 3))
+    columns[3, 0] = columns[12, 1] = columns[13, 2] = 7.0
+    residuals = np.zeros(21)
+    residuals[[4, 5, 9]] = 4.0
+    residuals[[0, 1]] = 0.5
+    residuals[[18, 19, 20]] = 10.0
+    found, freedom, chances = _scatter(state(residuals, columns))
+    assert found == pytest.approx([np.sqrt(48 / 5), 1.0, np.sqrt(300 / 7)])
+    assert freedom == pytest.approx([5, np.inf, 7])
+    assert chances == pytest.approx(chi2.sf([48, 0.5, 300], [5, 6, 7]))
+    # As it is without the factors that were found before.
+    again = state(residuals, columns).scattering(np.array([9.0, 3.0, 2.0]))
+    assert _scatter(again)[0] == pytest.approx(found)
+
+
+def test_scatter_that_few_degrees_of_freedom_tell_may_be_larger() -> None:
+    # Variances that may have left X (inverse chi-square, of the prior 1 / variance).
+    rng = np.random.default_rng(0)
+    likely = 6 / rng.chisquare(6, 400_000)
+    found = _scatter_limit(np.array([6.0, np.inf, 1e6, 0.6]))
+    assert found[0] ** 2 == pytest.approx(likely.mean(), rel=0.02)
+    assert found[1:] == pytest.approx([1.0, 1.0, 1.0], abs=1e-5)
+
+
+def test_what_another_group_lends_by_wrong_weights_is_no_scatter() -> None:
+    """The mean of six gyros of noise 50 and of nine turns of noise 1, all said to have noise 1."""
+    residuals = np.zeros(21)
+    residuals[[0, 1, 2, 6, 7, 8]] = [70, -20, 50, 80, 30, -10]
+    residuals[12:] = [1, -1, 0.5, -0.5, 1, -1, 0.5, -0.5, 0]
+    columns = np.zeros((21, 1))
+    columns[[0, 1, 2, 6, 7, 8]] = columns[12:] = 1.0
+    first = state(residuals, columns).settled()
+    assert _scatter(first)[0][2] > 5
+    found = _with_estimated_noise(first)
+    assert found.scatter[[0, 2]].tolist() == [1.0, 1.0]
+    # 15100 / 6 about nearly nothing, and 6 / 4 of it: six degrees of freedom.
+    assert found.scatter[1] ** 2 == pytest.approx(15200 / 6 * 6 / 4, rel=0.01)
+
+
+@pytest.mark.parametrize(('chance', 'scatters'), [(0.011, False), (0.009, True)])
+def test_it_widens_where_chance_leaves_as_much_once_in_a_hundred(
+    chance: float, scatters: bool
+) -> None:
+    residuals = np.zeros(21)
+    residuals[0] = np.sqrt(chi2.isf(chance, 6))
+    assert (_scatter(state(residuals))[0] > 1).tolist() == [False, scatters, False]
+
+
+@pytest.mark.parametrize(('chance', 'named'), [(1.1e-3, []), (0.9e-3, ['the gyros at rest'])])
+def test_it_is_named_where_chance_does_so_once_in_a_thousand(
+    chance: float, named: list[str]
+) -> None:
+    fit: Any = SimpleNamespace(
+        scatter=np.array([1.0, 2.0, 1.0]), scatter_chances=np.array([0.5, chance, 2e-3])
+    )
+    words = scatter_words(fit)
+    assert len(words) == len(named)
+    assert all(name in word for name, word in zip(named, words, strict=True))
+
+
+def test_one_degree_of_freedom_widens_by_all_that_is_left() -> None:
+    columns = np.zeros((21, 5))
+    columns[[0, 1, 2, 6, 7], range(5)] = 1.0
+    residuals = np.zeros(21)
+    residuals[8] = 50.0
+    found, freedom, _ = _scatter(state(residuals, columns))
+    assert found * _scatter_limit(freedom) == pytest.approx([1.0, 50.0, 1.0])
+
+
+def test_a_group_without_freedom_does_not_scatter() -> None:
+    columns = np.zeros((21, 5))
+    columns[[0, 1, 2, 6, 7], range(5)] = 1.0
+    residuals = np.zeros(21)
+    residuals[8] = 50.0
+    columns = np.column_stack([columns, np.eye(21)[8]])
+    assert _scatter(state(residuals, columns))[0].tolist() == [1.0, 1.0, 1.0]
+
+
+def test_scatter_inflates_the_variances_of_its_group() -> None:
+    found = state(np.zeros(21)).scattering(np.array([2.0, 3.0, 5.0]))
+    inflation = found.equations.inflation
+    assert inflation is not None
+    assert inflation[[0, 3, 8, 11, 12, 20]].tolist() == [9.0, 4.0, 9.0, 4.0, 25.0, 25.0]
+    assert found.scatter.tolist() == [2.0, 3.0, 5.0]
+
+
+def sized(*sizes: float) -> Floats:
+    """Residuals of turns of these sizes."""
+    residuals = np.zeros(12 + 3 * len(sizes))
+    residuals[12::3], residuals[13::3] = 0.6 * np.array(sizes), -0.8 * np.array(sizes)
+    return residuals
+
+
+@pytest.mark.parametrize(
+    ('sizes', 'limit', 'wanted'),
+    [
+        ((1.0, 1.0, 6.1), 6.0, 2),
+        ((1.0, 1.0, 5.9), 6.0, None),
+        ((0.1, 3.1, 0.1), 3.0, 1),
+        # Six times 2 / 1.1774, the median of a Rayleigh distribution: 10.19.
+        ((2.0, 10.3, 2.0, 2.0, 2.0), 6.0, 1),
+        ((2.0, 10.1, 2.0, 2.0, 2.0), 6.0, None),
+        ((), 6.0, None),
+    ],
+)
+def test_a_turn_far_out_of_the_usual_is_found(
+    sizes: tuple[float, ...], limit: float, wanted: int | None
+) -> None:
+    layout = OutputLayout(dwells=2, moves=len(sizes))
+    residuals = sized(*sizes)
+    # Headings are sought: about the vertical nothing is left.
+    basis = np.zeros((len(residuals), len(sizes)))
+    basis[14::3] = np.eye(len(sizes))
+    assert _outstanding_turn(state(residuals, None, layout), basis, residuals, limit) == wanted
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_a_wild_turn_of_a_short_session_is_left_out_though_the_fit_bends_to_it(seed: int) -> None:
+    rng, model = np.random.default_rng([seed, 12]), in_frame_of_accelerometers(unit(seed))
+    ups = rng.standard_normal((12, 3))
+    ups /= np.linalg.norm(ups, axis=1)[:, None]
+    good = held(model, ups, rng)
+    assert solve(good).rejected_moves == ()
+    # Half a degree, 90 times the noise of a turn: 12 unknowns of the gyros take most of it.
+    wild, off = int(rng.integers(11)), rng.standard_normal(3)
+    moves = list(good.moves)
+    off *= 0.5 * DEG / np.linalg.norm(off) / 20
+    moves[wild] = replace(moves[wild], turned=moves[wild].turned + off)
+    found = solve(replace(good, moves=tuple(moves)))
+    assert found.rejected_moves == (wild,)
+    wrong = (found.model.vector() - model.vector())[: len(PARAMETERS)][FREE]
+    covariance = found.covariance[np.ix_(*[FREE.nonzero()[0]] * 2)]
+    assert wrong @ np.linalg.solve(covariance, wrong) < chi2.isf(1e-4, len(wrong))
+
+
+def test_the_largest_change_is_of_ratios_and_rotations() -> None:
+    equations: Any = Linear(np.zeros((1, 26)), np.zeros(1), LAYOUT)
+    step = np.zeros(26)
+    step[[NAMES.index('D_gx'), NAMES.index('D_az'), 21, 22]] = 9.0
+    assert _largest(step, equations) == 0.0
+    step[NAMES.index('E_azy')] = -0.2
+    assert _largest(step, equations) == 0.2
+    step[23] = -0.3
+    assert _largest(step, equations) == 0.3
+
+
+def known_to(**std: float) -> _State:
+    """A state whose parameters are known to a millionth, but for some."""
+    deviations = np.array([std.get(name, 1e-6) for name in NAMES])
+    with np.errstate(divide='ignore'):
+        columns = np.diag(1 / deviations)
+    return state(np.zeros(21), columns, OutputLayout(2, 0, 3))
+
+
+def test_what_is_left_open_is_named_with_what_would_determine_it() -> None:
+    _check_observable(known_to(K_ax=0.049, E_gyx=0.049, D_gx=100.0, D_az=100.0))
+    with pytest.raises(NotObservable) as refused:
+        _check_observable(known_to(K_ax=0.051))
+    assert str(refused.value) == (
+        '12 holds and 11 turns do not determine K_ax: hold the unit in more different attitudes, '
+        'each axis up and down.'
+    )
+    with pytest.raises(NotObservable) as refused:
+        _check_observable(known_to(E_gyx=0.051))
+    assert str(refused.value) == (
+        '12 holds and 11 turns do not determine E_gyx: turn it by a quarter turn or more about '
+        'different axes between holds.'
+    )
+    with pytest.raises(NotObservable, match=r'D_gy, D_ax: hold .* down; turn it'):
+        _check_observable(known_to(D_gy=np.inf, D_ax=np.inf))
+
+
+# Terms
+
+
+def explained(extra: float) -> tuple[_State, Floats, Floats]:
+    """Forty outputs of 21 unknowns, and nine of a term that explain so much more."""
+    rng = np.random.default_rng(7)
+    columns, residuals = 1e3 * rng.standard_normal((40, 30)), rng.standard_normal(40)
+    outputs = residuals + columns[:, 21:] @ rng.standard_normal(9) * extra
+    equations: Any = Linear(columns, outputs, OutputLayout(5, 0, 10 // 3))
+    start = _State(equations, np.zeros(21), np.ones(3)).settled()
+    return start, columns, outputs
+
+
+@pytest.mark.parametrize('extra', [0.0, 1e-3])
+def test_the_chance_of_a_term_is_that_of_an_f_test(extra: float) -> None:
+    start, columns, outputs = explained(extra)
+    before, after = (
+        float(np.linalg.lstsq(columns[:, :count], outputs, rcond=None)[1][0]) for count in (21, 30)
+    )
+    wanted = f.sf((before - after) / 9 / (after / 10), 9, 10)
+    assert _chance(start, G_SENSITIVITY) == pytest.approx(wanted, rel=1e-6)
+
+
+def test_a_term_that_nothing_can_show_is_as_good_as_chance() -> None:
+    start, columns, _ = explained(1e-3)
+    blind: Any = replace(start.equations, jac=np.hstack([columns[:, :29], np.zeros((40, 1))]))
+    assert _chance(replace(start, equations=blind), G_SENSITIVITY) == 1.0
+    # As many outputs as unknowns leave no freedom.
+    rows: Any = Linear(columns[:30], start.equations.outputs[:30], OutputLayout(5))
+    assert _chance(_State(rows, np.zeros(21), np.ones(3)).settled(), G_SENSITIVITY) == 1.0
+
+
+def test_terms_are_told_by_their_largest_coefficient_and_their_chance() -> None:
+    g = np.zeros((3, 3))
+    g[1, 2], g[0, 0] = -0.02 * DEG / STANDARD_GRAVITY, 0.01 * DEG / STANDARD_GRAVITY
+    fit: Any = SimpleNamespace(
+        parameters=(*PARAMETERS, *G_SENSITIVITY.parameters),
+        model=SensorModel(g_sensitivity=g),
+        chance=3e-7,
+        nonlinear=(),
+        drifts=(),
+    )
+    (sentence,) = term_words(fit)
+    assert 'by up to 0.02 deg/s per g: g_sensitivity is estimated besides' in sentence
+    assert sentence.endswith('than chance explains: probability 3e-07).')
+    fit.chance = 0.0
+    assert 'probability 1e-99)' in term_words(fit)[0]
+    fit.parameters = PARAMETERS
+    assert term_words(fit) == []
+
+
+def test_drifts_are_told_by_their_size_and_their_chance() -> None:
+    gyros = Drift('trend:D_g', -30.0, 0.25 * DEG)
+    accels = Drift('trend:D_a', -20.0, 0.03 * STANDARD_GRAVITY)
+    fit: Any = SimpleNamespace(nonlinear=(), parameters=PARAMETERS, drifts=(gyros, accels))
+    (sentence,) = term_words(fit)
+    assert sentence.startswith(
+        'Biases drift evenly during the session, of the gyros by up to 0.25 deg/s (trend:D_g, by '
+        'chance once in 10^13 sessions) and of the accelerometers by up to 30 mg (trend:D_a, by '
+        'chance once in 10^9 sessions): this is estimated, and the biases stated are those of its '
+        'middle. Let the unit run'
+    )
+    fit.drifts = (replace(accels, kind=DriftKind.UNEVEN), replace(gyros, kind=DriftKind.WANDER))
+    wander, uneven = term_words(fit)
+    assert wander.startswith(
+        'Biases wander during the session, of the gyros by up to 0.25 deg/s: the standard '
+        'deviations allow for it. Let the unit run'
+    )
+    assert uneven.startswith(
+        'Biases drift unevenly during the session, of the accelerometers by up to 30 mg (by chance '
+        'once in 10^9 sessions): no term describes this'
+    )
+
+
+# Clear by one step
+
+
+def clear(
+    step: dict[int, float] | None = None,
+    std: float = 1e-3,
+    turn: float = 0.0,
+    at_rest: float = 0.0,
+    noise: float = 1.0,
+    lost: int | None = None,
+    *,
+    doubted: bool = False,
+) -> bool:
+    """Ask of a linear system whose outputs see one unknown each, and the last turn none.
+
+    Args:
+        step: Of which unknowns, from where it starts.
+        std: Of each unknown.
+        turn: Residual of the last turn, in its noise.
+        at_rest: Residual of each of the last hold's accelerometers, likewise.
+        noise: Standard deviation of the outputs.
+        lost: An unknown that nothing sees.
+    """
+    layout = OutputLayout(dwells=10, moves=10)
+    columns = np.zeros((90, 26))
+    # The last hold's accelerometers and the last turn see nothing.
+    for row in range(90):
+        if row not in (57, 58, 59, 87, 88, 89):
+            columns[row, row % 26] = 1.0
+    columns /= np.linalg.norm(columns, axis=0) * std / noise
+    biases = [k for k in range(21) if k not in RATIOS]
+    columns[:, biases] *= 1e-3
+    if lost is not None:
+        columns[:, lost] = 0.0
+    wanted = np.zeros(26)
+    for k, size in (step or {}).items():
+        wanted[k] = size
+    outputs = columns @ wanted
+    outputs[87] += turn * noise
+    outputs[57:60] += at_rest * noise
+    equations: Any = Linear(columns, outputs, layout, noise=noise)
+    given: Any = SimpleNamespace(segments=(0,) * 9)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(free_positions, 'initial_equations', lambda _: (equations, np.zeros(26)))
+        patch.setattr(free_positions, 'contradicts_latitude', lambda _: doubted)
+        return is_clear(given)
+
+
+def test_a_doubted_latitude_is_not_clear() -> None:
+    assert not clear(doubted=True)
+
+
+def test_a_step_that_is_straight_leaves_it_clear() -> None:
+    assert clear()
+    ratio, bias, north, turned = RATIOS[2], NAMES.index('D_gy'), 22, 24
+    assert clear({ratio: 0.099, turned: -0.099, bias: 5.0, north: 5.0})
+    assert not clear({ratio: -0.101})
+    assert not clear({turned: 0.101})
+
+
+def test_a_wild_turn_leaves_doubt() -> None:
+    assert clear(turn=5.9)
+    assert not clear(turn=6.1)
+    assert clear(turn=5.9, noise=0.2)
+
+
+def test_deviations_far_below_what_is_useless_are_clear() -> None:
+    # A tenth of 0.05.
+    assert clear(std=0.0049)
+    assert not clear(std=0.0051)
+    assert not clear(lost=3)
+
+
+def test_deviations_are_those_that_scatter_may_leave() -> None:
+    # 30 outputs of accelerometers, less their share in the 26 unknowns.
+    rows = [r for k in range(9) for r in range(6 * k + 3, 6 * k + 6)]
+    seen = [r for r in range(90) if r not in (57, 58, 59, 87, 88, 89)]
+    taken = sum(1 / sum(1 for other in seen if other % 26 == r % 26) for r in rows)
+    scatter = 3 * 4.0**2 / (30 - taken - 2)
+    limit = 0.005 / np.sqrt(scatter)
+    assert scatter > 2
+    assert clear(std=limit * 0.99, at_rest=4.0)
+    assert not clear(std=limit * 1.01, at_rest=4.0)
+
+
+def test_what_cannot_be_begun_is_not_clear(monkeypatch: pytest.MonkeyPatch) -> None:
+    few: Any = SimpleNamespace(segments=(0,) * 8)
+    assert not is_clear(few)
+
+    def refusing(_: Any) -> None:
+        raise NotObservable('no ellipsoid')
+
+    monkeypatch.setattr(free_positions, 'initial_equations', refusing)
+    assert not is_clear(SimpleNamespace(segments=(0,) * 9))  # type: ignore[arg-type]
+
+
+# Whole fits
+
+
+def ups(count: int) -> Floats:
+    found = np.random.default_rng(12).standard_normal((count, 3))
+    return found / np.linalg.norm(found, axis=1)[:, None]
+
+
+TRUE = in_frame_of_accelerometers(unit(3))
+
+
+def test_fewer_than_nine_holds_are_too_few() -> None:
+    rng = np.random.default_rng(1)
+    with pytest.raises(NotObservable, match=r'^8 holds were found; gravity needs 9 or more in'):
+        solve(held(TRUE, ups(8), rng))
+    with pytest.raises(NotObservable, match=r'^9 holds and 8 turns|do not see'):
+        solve(held(TRUE, np.tile(ups(3), (3, 1)), rng))
+
+
+def test_gyros_begin_with_the_mean_at_rest_and_accelerometers_with_an_ellipsoid() -> None:
+    evidence = held(TRUE, ups(12), np.random.default_rng(2))
+    equations, values = initial_equations(evidence)
+    outputs = evidence.outputs()
+    found = dict(zip(NAMES, values.tolist(), strict=False))
+    for k, axis in enumerate('xyz'):
+        assert found[f'D_g{axis}'] == pytest.approx(np.mean(outputs[:, k]))
+        assert found[f'K_g{axis}'] == 0.0
+    wanted = ellipsoid(outputs[:, 3:], evidence.site.gravity)
+    assert found['E_azx'] == pytest.approx(wanted.error_matrix[2, 0])
+    assert found['D_ay'] == pytest.approx(wanted.bias[1])
+    assert not values[21:].any()
+    # What is up in the attitudes is what the accelerometers felt.
+    true = np.linalg.solve(wanted.response, (outputs[:, 3:] - wanted.bias).T).T
+    true /= np.linalg.norm(true, axis=1)[:, None]
+    np.testing.assert_allclose(equations.evidence.attitudes()[:, 2], true, atol=1e-12)
+    # Of fewer the accelerometers are taken as ideal.
+    few = dict(
+        zip(NAMES, initial_equations(held(TRUE, ups(8), np.random.default_rng(2)))[1], strict=False)
+    )
+    assert few['K_ax'] == few['D_ax'] == 0.0
+
+
+def test_holds_in_a_plane_lie_on_no_ellipsoid() -> None:
+    angles = np.arange(12) * 1.3
+    level = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(12)]) * 9.8
+    with pytest.raises(NotObservable, match='K_ax, K_ay, K_az cannot be separated'):
+        ellipsoid(level, 9.8)
+    # On a hyperboloid neither.
+    t = np.linspace(-1, 1, 12)
+    open_ = np.column_stack([np.cosh(t) * np.cos(5 * t), np.cosh(t) * np.sin(5 * t), np.sinh(t)])
+    with pytest.raises(NotObservable, match='do not see one and the same gravity'):
+        ellipsoid(9.8 * open_, 9.8)
+
+
+def test_a_fit_says_what_it_found_of_all_24() -> None:
+    evidence = held(TRUE, ups(14), np.random.default_rng(3))
+    found = solve(evidence)
+    assert found.parameters == PARAMETERS
+    assert found.chance == 1.0
+    assert found.scatter.tolist() == [1.0, 1.0, 1.0]
+    assert found.rejected_moves == ()
+    kept = [PARAMETERS.index(p) for p in PARAMETERS if p not in ESTIMATES]
+    assert [PARAMETERS[k].name for k in kept] == ['E_axy', 'E_axz', 'E_ayz']
+    assert not found.covariance[kept].any()
+    total = sum(share.covariance for share in found.shares.values())
+    np.testing.assert_allclose(total, found.covariance, atol=1e-3 * found.covariance.max())
+    assert all(np.isinf(s.freedom[kept]).all() for s in found.shares.values())
+    # Of 14 holds' 42 outputs nine parameters and two angles of each hold took their part.
+    assert found.residuals.shape == (14, 6)
+    assert np.sqrt(np.mean(found.residuals[:, 3:] ** 2)) == pytest.approx(
+        1e-3 * np.sqrt((42 - 9 - 28) / 42), rel=0.9
+    )
+    wrong = np.abs(found.model.vector() - TRUE.vector())
+    std = np.sqrt(np.diag(found.covariance))
+    assert (wrong[std > 0] < 4.5 * std[std > 0]).all()
+
+
+def g_sensitive_evidence(g: Floats, seed: int) -> Evidence:
+    """Holds and turns whose gyros feel gravity wherever it is meanwhile."""
+    them = ups(14)
+    evidence = held(TRUE, them, np.random.default_rng(seed))
+    segments, moves = [], []
+    for segment, up in zip(evidence.segments, them, strict=True):
+        mean = segment.statistics.mean + np.append(g @ up * evidence.site.gravity, np.zeros(3))
+        segments.append(replace(segment, statistics=replace(segment.statistics, mean=mean)))
+    for move, first, last in zip(evidence.moves, them, them[1:], strict=False):
+        angle = np.arccos(first @ last)
+        on = (np.arange(20)[:, None] + 0.5) / 20 * angle
+        between = (np.sin(angle - on) * first + np.sin(on) * last) / np.sin(angle)
+        felt = between @ g.T * evidence.site.gravity * move.seconds[:, None]
+        moves.append(replace(move, turned=move.turned + felt))
+    return replace(evidence, segments=tuple(segments), moves=tuple(moves))
+
+
+def test_gyros_that_feel_gravity_get_a_term() -> None:
+    g = np.array([[3e-4, 1e-4, 0.0], [0.0, -2e-4, 1e-4], [-1e-4, 0.0, 1e-4]])
+    found = solve(g_sensitive_evidence(g, 4))
+    assert found.parameters == (*PARAMETERS, *G_SENSITIVITY.parameters)
+    assert found.chance < 1e-3
+    std = np.sqrt(np.diag(found.covariance)[24:]).reshape(3, 3)
+    assert (np.abs(found.model.g_sensitivity - g) < 4.5 * std).all()
+    assert std.max() < 2e-5
+    assert found.covariance.shape == (33, 33)
+
+
+def test_a_wild_turn_parts_a_run_in_two(monkeypatch: pytest.MonkeyPatch) -> None:
+    evidence = held(TRUE, ups(16), np.random.default_rng(5))
+    monkeypatch.setattr(
+        free_positions, '_wild_turn', lambda state: None if state.rejected_moves else 6
+    )
+    assert solve(evidence).rejected_moves == (6,)
+    start = _State(*initial_equations(evidence), np.full(3, 2.0), (9,))
+    start.values[:21] = np.arange(21.0)
+    less = start.without(4)
+    assert less.rejected_moves == (4, 9)
+    assert len(less.equations.evidence.moves) == 14
+    assert less.values[:21].tolist() == list(range(21))
+    assert less.scatter.tolist() == [1.0, 1.0, 1.0]
+    # Two components of north of a second run, and its heading is free to choose.
+    assert len(less.values) == len(start.values) + 2 - 1
+
+
+def test_a_hand_that_trembles_widens_by_what_its_holds_scatter() -> None:
+    evidence = held(TRUE, ups(14), np.random.default_rng(6))
+    rng = np.random.default_rng(7)
+    segments = []
+    for segment in evidence.segments:
+        mean = segment.statistics.mean + np.append(1e-3 * rng.standard_normal(3), np.zeros(3))
+        segments.append(replace(segment, statistics=replace(segment.statistics, mean=mean)))
+    found = solve(replace(evidence, segments=tuple(segments)))
+    # 1e-3 rad/s where 2e-5 are stated, of 42 outputs.
+    assert found.scatter[1] == pytest.approx(50, rel=0.3)
+    assert found.scatter[[0, 2]].tolist() == [1.0, 1.0]
+    # It is new at every hold, which no bias is that drifts.
+    assert found.drifts == ()
+    assert found.changes is None
+
+
+def test_it_needs_what_table_sessions_lack() -> None:
+    with pytest.raises(NotObservable, match='every sample between the holds'):
+        refuse(SimpleNamespace())  # type: ignore[arg-type]
+
+
+def test_an_axis_that_points_backwards_is_turned_round() -> None:
+    accel = Triad(np.diag([-2.0, 0.0, 0.0]), np.zeros(3))
+    found = in_frame_of_accelerometers(SensorModel(accel=accel)).accel
+    np.testing.assert_allclose(found.response, np.eye(3), atol=1e-15)

@@ -1,0 +1,633 @@
+"""Many recordings: what names them, what a task is known by, the catalogue, and what goes wrong."""
+
+import errno
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import datetime, timezone
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from buckets import put, served
+from dask_cluster import Cluster
+from installed import needs_modules
+from loopback import CHECKOUT, SUPPORT, patience, until
+
+import imu_calib
+from imu_calib.api.session import Stated
+from imu_calib.cli.main import main
+from imu_calib.common.errors import InputError
+from imu_calib.common.files import named_file
+from imu_calib.common.parallel import Engine
+from imu_calib.fleet.batch import DEFECT, LOST, Done, content_of, failed, key_of, run
+from imu_calib.fleet.catalogue import Catalogue, run_batch, schema
+from imu_calib.fleet.recordings import COLUMNS, Job, Labels, convertible, find_jobs, read_manifest
+
+needs_modules('pyarrow', 'duckdb', 'distributed')
+
+IMPORTED = os.pathsep.join([str(Path(__file__).parent), str(SUPPORT)])
+"""Where a worker elsewhere finds the tasks of this file."""
+NOW = datetime(2026, 3, 1, 12, tzinfo=timezone.utc)
+
+
+@pytest.fixture(scope='module')
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two short sessions of two units, the first twice under two names, and one that is none."""
+    folder = tmp_path_factory.mktemp('recordings')
+    plan = folder / 'brief.yaml'
+    text = Path(named_file('plans', 'twelve_position')).read_text('utf-8')
+    text = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[')
+    lines = ['dwell: 3.0 s\n' if row.startswith('dwell:') else row for row in text.splitlines(True)]
+    plan.write_text(''.join(lines), encoding='utf-8')
+    for name, seed in (('a', 1), ('b', 2)):
+        imu_calib.simulate(plan, folder / name, seed=seed, latitude=34.65, serial=f'S{seed}')
+    shutil.copytree(folder / 'a', folder / 'deeper' / 'again')
+    (folder / 'broken.mcap').write_bytes(b'no mcap at all')
+    (folder / 'log.csv').write_text('t,x\n0,1\n', encoding='utf-8')
+    return folder
+
+
+@pytest.fixture(scope='module')
+def done(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The catalogue of a batch over all of them."""
+    folder = tmp_path_factory.mktemp('done') / 'catalogue'
+    with pytest.MonkeyPatch.context() as patched:
+        messages: list[str] = []
+        patched.setattr('imu_calib.cli.batch.ERRORS.print', lambda text, **_: messages.append(text))
+        assert main(['batch', str(recordings), '-o', str(folder), '--workers', '2']) == 1
+    # Where to look on, on the screen, whether it is a terminal or not.
+    assert messages[0].startswith('dashboard: http://127.0.0.1:')
+    return folder
+
+
+def rows(folder: Path) -> list[dict]:
+    return Catalogue(folder).table().to_pylist()
+
+
+def a_row(k: int, **values: object) -> Done:
+    """A row without a recording behind it."""
+    row = failed(Job(f'r{k}'), f'{k:032x}', '', 'It failed.', 2)
+    return Done(row['key'], {**row, **values})
+
+
+def test_sources_are_found(recordings: Path) -> None:
+    def names(*sources: str | Path) -> list[str]:
+        jobs = find_jobs([str(s) for s in sources], Stated())
+        return [str(Path(job.recording).relative_to(recordings)) for job in jobs]
+
+    assert names(recordings) == ['broken.mcap', 'a', 'b', 'deeper/again']
+    assert names(recordings / '[ab]') == ['a', 'b']
+    assert names(recordings / 'b', recordings / 'b') == ['b']
+    assert names(recordings / '**' / 'again') == ['deeper/again']
+    with pytest.raises(InputError, match='no such file; expected a recording'):
+        find_jobs([str(recordings / 'c')], Stated())
+    with pytest.raises(InputError, match='holds no recording'):
+        find_jobs([str(recordings / 'x*')], Stated())
+
+
+def test_folders_that_link_to_themselves_are_searched_once(
+    recordings: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(recordings / 'a', tmp_path / 'day' / 'a')
+    shutil.copy(next((recordings / 'a').glob('*.mcap')), tmp_path / 'day' / 'RUN.MCAP')
+    # Two links in each folder double the number of ways at each level.
+    (tmp_path / 'day' / 'up').symlink_to('..')
+    (tmp_path / 'day' / 'here').symlink_to('.')
+    (tmp_path / 'latest').symlink_to('day')
+    (tmp_path / 'day' / 'gone.mcap').symlink_to('unmounted')
+    found = [Path(job.recording).relative_to(tmp_path) for job in find_jobs([tmp_path], Stated())]
+    assert list(map(str, found)) == ['day/RUN.MCAP', 'day/gone.mcap', 'day/a']
+
+
+def test_files_to_convert_are_counted(recordings: Path, tmp_path: Path) -> None:
+    folder = tmp_path / 'folder'
+    shutil.copytree(recordings / 'a', folder / 'a')
+    (folder / 'a' / 'notes.txt').touch()
+    (folder / 'list.csv').write_text('stand, recording\neast, a\n')
+    logs = [folder / name for name in ('log.CSV', 'r.mcap.gz', 'ros1.bag', 'deeper/log.txt')]
+    logs[-1].parent.mkdir()
+    for log in logs:
+        log.write_bytes(b'\xff\x00' * 3)
+    assert convertible([folder]) == logs
+    assert convertible([folder / '*']) == [logs[3], *logs[:3]]
+    assert not convertible([folder / 'list.csv', folder / 'a', 's3://nowhere'])
+
+
+def test_a_manifest_says_what_recordings_do_not(tmp_path: Path) -> None:
+    (tmp_path / 'own.yaml').write_text('{}')
+    csv = tmp_path / 'list.csv'
+    csv.write_text(
+        'recording,serial,imu,latitude,imu_only,stand,date\n'
+        'one,A1,own.yaml,48.1,yes,east,2026-03-01T13:00+01:00\n'
+        's3://b/two,A2,,,,,\n'
+    )
+    first, second = read_manifest(csv, Stated(latitude=10.0, terms='none'))
+    assert first == Job(
+        str(tmp_path / 'one'),
+        Stated(
+            serial='A1',
+            imu=str(tmp_path / 'own.yaml'),
+            latitude=48.1,
+            imu_only=True,
+            terms='none',
+        ),
+        Labels(stand='east', date=NOW),
+    )
+    assert second == Job('s3://b/two', Stated(serial='A2', latitude=10.0, terms='none'))
+    csv.write_text('recording;latitude\none;48.1\n')
+    (only,) = read_manifest(csv, Stated())
+    assert only == Job(str(tmp_path / 'one'), Stated(latitude=48.1))
+    # As spreadsheets write it: names as people type them, empty rows and columns.
+    csv.write_text('Recording,Serial ,,\n,,,\none,007,,\n,,,\n')
+    assert list(read_manifest(csv, Stated())) == [replace(only, stated=Stated(serial='007'))]
+    assert not convertible([tmp_path])
+    listed = tmp_path / 'list.yaml'
+    listed.write_text('- {recording: one, imu: fog_medium, serial: 0012, date: 2026-03-01}\n')
+    (third,) = find_jobs([str(listed)], Stated())
+    # Octal by YAML 1.1: another unit's number.
+    assert (third.stated.imu, third.stated.serial) == ('fog_medium', '0012')
+    assert third.labels.date == datetime(2026, 3, 1, tzinfo=timezone.utc)
+
+
+@pytest.mark.parametrize(
+    ('text', 'sentence'),
+    [
+        ('recording,latitude\nx,north\n', 'row 2: latitude: found .north., expected a number'),
+        ('recording,imu_only\nx,perhaps\n', 'row 2: imu_only: found .perhaps., expected yes or no'),
+        ('recording,date\nx,soon\n', 'row 2: date: found .soon., expected 2026-11-22'),
+        ('recording,colour\nx,red\n', 'row 2: found the column .colour., expected of: recording'),
+        ('recording,mount\nx,y\n', 'row 2: found the column .mount., expected of: recording'),
+        ('recording,serial\n,A1\n', 'row 2: found no recording'),
+        ('bag,serial\nx,A1\n', 'found the column .bag.*The column recording is missing'),
+        ('recording;latitude\nx;48,1\n', 'row 2: latitude: found .48,1.* write 48.1.'),
+        ('recording,serial,serial\nx,A1,B1\n', 'found the column serial more than once'),
+        ('recording,serial\n\nx,A1,B1\n', 'row 3: found 3 entries, expected at most 2'),
+    ],
+)
+def test_a_broken_manifest_gets_a_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+    path = tmp_path / 'list.csv'
+    path.write_text(text)
+    with pytest.raises(InputError, match=sentence):
+        find_jobs([str(path)], Stated())
+
+
+def test_the_page_names_every_column_of_a_manifest() -> None:
+    page = (CHECKOUT / 'docs' / 'fleet.md').read_text(encoding='utf-8')
+    section = page.partition('## Sources of a batch')[2].partition('\n## ')[0]
+    assert not [name for name in COLUMNS if f'`{name}`' not in section]
+
+
+def test_a_copied_part_counts_once_and_hinders_nothing(tmp_path: Path) -> None:
+    catalogue = Catalogue(tmp_path / 'c', create=True)
+    catalogue.add([a_row(1), a_row(2)])
+    (part,) = (tmp_path / 'c' / 'rows').glob('*.parquet')
+    shutil.copy(part, part.with_name('part-000000 (conflicted copy).parquet'))
+    assert Catalogue(tmp_path / 'c').add([a_row(3)]) == 1
+    assert sorted(row['recording'] for row in rows(tmp_path / 'c')) == ['r1', 'r2', 'r3']
+
+
+@pytest.mark.parametrize('serial', ['..', '.', 'A/B', 'ü' * 60, 'M\udce4rz'])
+def test_any_serial_number_has_a_file_of_its_own(serial: str, tmp_path: Path) -> None:
+    values = {'status': 'calibrated', 'imu': '..', 'serial': serial, 'date': NOW}
+    catalogue = Catalogue(tmp_path / 'all', create=True)
+    catalogue.add([replace(a_row(1, **values), calibration='{}')])
+    files = [path.relative_to(tmp_path) for path in tmp_path.rglob('*.yaml')]
+    assert len(files) == 2
+    assert all(file.parts[:3] == ('all', 'calibrations', '%2E%2E') for file in files)
+
+
+def test_a_task_is_known_by_what_counts(recordings: Path, tmp_path: Path) -> None:
+    imu = tmp_path / 'unit.yaml'
+    shutil.copy(named_file('imus', 'fog_medium'), imu)
+    job = Job(str(recordings / 'a'), Stated(imu=str(imu)))
+
+    def key(job: Job) -> str:
+        return key_of(job, content_of(Path(job.recording)))
+
+    known = key(job)
+    moved = tmp_path / 'renamed.yaml'
+    shutil.copy(imu, moved)
+    assert key(replace(job, recording=str(recordings / 'deeper' / 'again'))) == known
+    assert key(replace(job, stated=Stated(imu=str(moved)))) == known
+    assert key(replace(job, recording=str(recordings / 'b'))) != known
+    assert key(replace(job, stated=replace(job.stated, latitude=10.0))) != known
+    assert key(replace(job, labels=Labels(stand='east'))) != known
+    moved.write_text(imu.read_text() + '# changed\n')
+    assert key(replace(job, stated=Stated(imu=str(moved)))) != known
+
+
+def test_a_batch_gives_what_calibrate_gives(recordings: Path, done: Path) -> None:
+    found = {Path(row['recording']).name: row for row in rows(done)}
+    # The same recording under two names is one row, of whichever came first.
+    assert len(found) == 3 and {'b', 'broken.mcap'} < set(found)
+    for name, row in found.items():
+        if name == 'broken.mcap':
+            continue
+        alone = imu_calib.calibrate(recordings / name).calibration
+        assert row['values'] == alone.values.tolist()
+        assert row['covariance'] == alone.covariance.ravel().tolist()
+        assert row['K_gx'] == alone.values[0] and row['std_K_gx'] == alone.std[0]
+        kept = imu_calib.Calibration.load(done / row['calibration'])
+        assert np.array_equal(kept.values, alone.values)
+        assert row['serial'] == alone.serial_number and row['imu'] == 'fog_medium'
+        newest = done / 'calibrations' / 'fog_medium' / f'{row["serial"]}.yaml'
+        assert newest.read_text() == (done / row['calibration']).read_text()
+    lost = found['broken.mcap']
+    assert lost['status'] == 'failed' and lost['exit_code'] == 2
+    assert 'is not a recording of rosbag2' in lost['error']
+    assert np.isnan(lost['K_gx'] or np.nan)
+
+
+def test_what_is_done_is_not_done_again_and_what_failed_is_said(
+    recordings: Path, done: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = rows(done)
+    assert main(['batch', str(recordings), '-o', str(done), '--workers', '1']) == 1
+    out, err = capsys.readouterr()
+    assert '0 calibrated, 0 failed, 4 done before (1 failed)' in out
+    assert '1 file (.csv) is no recording; imu-calib convert' in out
+    assert '1 without a calibration; imu-calib catalogue' in err.replace('\n', ' ')
+    assert '1 failed before and did not change: --retry repeats them.' in err.replace('\n', ' ')
+    assert rows(done) == before
+
+
+def test_what_cannot_be_read_is_one_row_until_it_changes(recordings: Path, tmp_path: Path) -> None:
+    lacking = tmp_path / 'one' / 'rec'
+    shutil.copytree(recordings / 'a', lacking)
+    (storage,) = lacking.glob('*.mcap')
+    storage.unlink()
+    copied = shutil.copytree(lacking, tmp_path / 'two' / 'rec')
+    first = run(Job(str(lacking)))
+    assert first.row is not None and not first.row['sha256']
+    known = frozenset([first.key])
+    # Again, by another path, and copied: none is news.
+    for path in (lacking, tmp_path / 'two' / '..' / 'one' / 'rec', copied):
+        assert run(Job(str(path)), known) == Done(first.key)
+    assert run(Job(str(lacking)), frozenset()).row is not None
+    (copied / 'another.db3').touch()
+    assert run(Job(str(copied)), known).row is not None
+    # Nothing but its path is known of one that is not there.
+    gone = [run(Job(str(tmp_path / name / 'rec'))).key for name in ('three', 'four')]
+    assert len({*gone, first.key}) == 3
+
+
+def test_catalogue_lists_filters_and_exports(
+    done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import pandas as pd
+
+    assert main(['catalogue', str(done)]) == 0
+    out = capsys.readouterr().out
+    assert '3 rows' in out and 'S2' in out
+    csv, json = tmp_path / 'rows.csv', tmp_path / 'rows.json'
+    where = ['--where', "status = 'calibrated'"]
+    assert main(['catalogue', str(done), *where, '-o', str(csv)]) == 0
+    assert main(['catalogue', str(done), *where, '-o', str(json)]) == 0
+    table = pd.read_csv(csv)
+    assert sorted(table['serial']) == ['S1', 'S2']
+    assert pd.read_json(json)['D_ax'].tolist() == pytest.approx(table['D_ax'].tolist(), rel=1e-9)
+    asked = ['--sql', 'select count(*) as n, avg(K_gx) from rows']
+    capsys.readouterr()
+    assert main(['catalogue', str(done), *asked]) == 0
+    assert capsys.readouterr().out.split()[:2] == ['n', 'avg(K_gx)']
+    # A word of SQL is a column, and numbers have their units.
+    assert main(['catalogue', str(done), '--columns', 'serial,at, K_gx,D_gx,temperature']) == 0
+    heading = capsys.readouterr().out.split('\n')[0]
+    expected = ['temperature', '[degC]']
+    assert heading.split() == ['serial', 'at', 'K_gx', '[1]', 'D_gx', '[rad/s]', *expected]
+    # All do not fit on a screen: their names do.
+    assert main(['catalogue', str(done), '--columns', '*']) == 0
+    out = capsys.readouterr().out
+    assert out.startswith('3 rows of 79 columns: key, recording,') and 'K_gx [1], ' in out
+    assert main(['catalogue', str(done), '--sql', 'select nothing']) == 2
+    assert 'nothing' in capsys.readouterr().err
+    assert main(['catalogue', str(done), '--sql', f"select * from '{csv}'"]) == 2
+    assert main(['catalogue', str(tmp_path)]) == 2
+
+
+def test_others_read_it(done: Path) -> None:
+    import duckdb
+    import pandas as pd
+    import pyarrow.parquet as pq
+
+    files = done / 'rows'
+    frame = pd.read_parquet(files)
+    assert len(frame) == 3
+    assert duckdb.sql(f"select count(*) from '{files}/*.parquet'").fetchall() == [(3,)]
+    assert pq.read_schema(next(files.iterdir())).field('K_gx').metadata
+
+
+def test_no_row_is_there_twice(tmp_path: Path) -> None:
+    kept = Catalogue(tmp_path / 'c', create=True)
+    assert kept.add([a_row(1), a_row(2), a_row(1)]) == 2
+    assert Catalogue(tmp_path / 'c').add([a_row(2), a_row(3)]) == 1
+    assert kept.add([a_row(3)]) == 0
+    assert [row['recording'] for row in rows(tmp_path / 'c')] == ['r1', 'r2', 'r3']
+    assert kept.add([a_row(2, error='Again.')], replace=True) == 0
+    assert [row['error'] for row in rows(tmp_path / 'c')] == ['It failed.', 'Again.', 'It failed.']
+
+
+def test_two_clients_and_a_reader_at_a_time(tmp_path: Path) -> None:
+    folder = tmp_path / 'c'
+    Catalogue(folder, create=True)
+    over = threading.Event()
+
+    def client(_: int) -> int:
+        kept = Catalogue(folder)
+        return sum(kept.add([a_row(k)]) for k in range(20))
+
+    def reader() -> list[int]:
+        calls = []
+        while not over.is_set():
+            read = Catalogue(folder).table()
+            assert len(set(read['key'].to_pylist())) == len(read)
+            calls.append(len(read))
+        return calls
+
+    with ThreadPoolExecutor(3) as pool:
+        reading = pool.submit(reader)
+        added = list(pool.map(client, range(2)))
+        over.set()
+        calls = reading.result()
+    assert sum(added) == 20 == len(rows(folder))
+    assert calls == sorted(calls)
+
+
+def test_a_full_disk_loses_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = Catalogue(tmp_path / 'c', create=True)
+    kept.add([a_row(1)])
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, 'fsync', full)
+        with pytest.raises(InputError, match=r'No space left.*run the command again'):
+            kept.add([a_row(2)])
+    assert len(rows(tmp_path / 'c')) == 1
+    assert [p.name for p in (tmp_path / 'c' / 'rows').iterdir()] == ['part-000000.parquet']
+    assert kept.add([a_row(2)]) == 1
+
+
+def test_older_columns_are_filled_in_and_newer_refused(tmp_path: Path) -> None:
+    import pyarrow.parquet as pq
+
+    kept = Catalogue(tmp_path / 'c', create=True)
+    kept.add([a_row(1)])
+    part = tmp_path / 'c' / 'rows' / 'part-000000.parquet'
+    table = pq.read_table(part)
+    pq.write_table(table.drop_columns(['operator', 'lot', 'topic', 'K_gx']), part)
+    assert kept.add([a_row(2, operator='me')]) == 1
+    assert [row['operator'] for row in rows(tmp_path / 'c')] == [None, 'me']
+    assert Catalogue(tmp_path / 'c').table().schema == schema()
+    text = table.set_column(table.column_names.index('seconds'), 'seconds', [['soon']])
+    pq.write_table(text, part)
+    with pytest.raises(InputError, match='its columns are not those of a catalogue'):
+        Catalogue(tmp_path / 'c').table()
+    newer = table.replace_schema_metadata({b'imu_calib.catalogue': b'4'})
+    pq.write_table(newer, part)
+    with pytest.raises(InputError, match=r'found version 4 .* expected 3 or older'):
+        Catalogue(tmp_path / 'c').table()
+    part.write_bytes(b'PAR1 no more')
+    with pytest.raises(InputError, match='is not a part of a catalogue'):
+        Catalogue(tmp_path / 'c').table()
+
+
+def test_what_nobody_foresaw_is_a_row(monkeypatch: pytest.MonkeyPatch, recordings: Path) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError('by zero')
+
+    monkeypatch.setattr('imu_calib.fleet.batch.recording_at', broken)
+    ended = run(Job(str(recordings / 'a')))
+    assert ended.row is not None and ended.row['exit_code'] == DEFECT
+    assert 'ZeroDivisionError: by zero' in ended.row['error'] and ended.row['sha256']
+
+
+def test_a_recording_lies_in_a_bucket(
+    recordings: Path, done: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    s3fs = pytest.importorskip('s3fs', reason='s3fs is not installed')
+    whole, sizes = s3fs.S3FileSystem._cat_file, []
+
+    async def counted(files: object, *arguments: object, **keywords: object) -> bytes:
+        content = await whole(files, *arguments, **keywords)
+        sizes.append(len(content))
+        return content
+
+    monkeypatch.setattr(s3fs.S3FileSystem, '_cat_file', counted)
+    (here,) = (row for row in rows(done) if row['serial'] == 'S1')
+    with served() as bucket:
+        put(recordings / 'a', f'{bucket}/a')
+        there = run(Job(f'{bucket}/a'))
+        assert there.row is not None and there.row['error'] == ''
+        # Hashed, then read: the network brings it once.
+        assert sum(sizes) <= sum(file.stat().st_size for file in (recordings / 'a').iterdir())
+        assert there.key == here['key'] and there.row['values'] == here['values']
+        assert there.calibration == (done / here['calibration']).read_text()
+        # As it is known by its content, it is not done again from where it lies now.
+        assert run(Job(f'{bucket}/a'), frozenset({there.key})).row is None
+        gone = run(Job(f'{bucket}/b')).row
+        assert gone is not None and gone['error'].startswith(f'{bucket}/b: no such recording')
+
+
+def test_a_server_that_does_not_answer_gets_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('imu_calib.recordings.remote.PAUSE', 0.0)
+    pytest.importorskip('aiohttp')
+    row = run(Job('http://127.0.0.1:9/rec.mcap')).row
+    assert row is not None and row['exit_code'] == 2
+    assert 'not read after 3 tries' in row['error'] and 'Check the network' in row['error']
+
+
+def poisonous(job: Job, known: frozenset[str]) -> Done:
+    """A task that kills its worker for one recording, and counts how often it was begun."""
+    path = Path(job.recording)
+    with (path.parent / f'{path.name}.begun').open('a') as file:
+        file.write('.')
+    if path.name == 'poison':
+        os.kill(os.getpid(), signal.SIGKILL)
+    return Done(path.name, a_row(int(path.name)).row)
+
+
+def test_a_recording_that_kills_its_worker_is_a_row(tmp_path: Path) -> None:
+    jobs = [Job(str(tmp_path / name)) for name in ('1', 'poison', '2', '3')]
+    kept = Catalogue(tmp_path / 'c', create=True)
+    import dask
+
+    # As on a machine so busy that a worker starts later than Dask waits for it.
+    with dask.config.set({'distributed.deploy.lost-worker-timeout': 0}):
+        ended = run_batch(jobs, kept, Engine(workers=1), task=poisonous)
+    assert ended.failed == 4
+    found = {Path(row['recording']).name: row for row in rows(tmp_path / 'c')}
+    assert found['poison']['exit_code'] == LOST
+    assert 'Two workers ended while they calibrated this recording' in found['poison']['error']
+    assert (tmp_path / 'poison.begun').read_text() == '..'
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    with_port = Cluster(tmp_path)
+    yield with_port
+    with_port.stop()
+
+
+def slow(job: Job, known: frozenset[str]) -> Done:
+    """A task that waits for a file to be there."""
+    path = Path(job.recording)
+    with (path.parent / f'{path.name}.begun').open('a') as file:
+        file.write('.')
+    until((path.parent / 'go').exists, patience(120))
+    return a_row(int(path.name))
+
+
+def test_a_scheduler_that_is_started_again_is_gone_on_with(
+    tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('PYTHONPATH', IMPORTED)
+    cluster.start()
+    jobs = [Job(str(tmp_path / str(k))) for k in range(3)]
+    kept = Catalogue(tmp_path / 'c', create=True)
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(run_batch, jobs, kept, Engine(scheduler=cluster.address), task=slow)
+        assert until((tmp_path / '0.begun').exists)
+        cluster.stop()
+        (tmp_path / 'go').touch()
+        cluster.start()
+        ended = running.result(patience(120))
+    assert ended.failed == 3
+    assert sorted(row['recording'] for row in rows(tmp_path / 'c')) == ['r0', 'r1', 'r2']
+
+
+def test_two_clients_of_one_catalogue_add_each_row_once(
+    tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('PYTHONPATH', IMPORTED)
+    cluster.start()
+    (tmp_path / 'go').touch()
+    jobs = [Job(str(tmp_path / str(k))) for k in range(20)]
+    folder = tmp_path / 'c'
+    Catalogue(folder, create=True)
+    # Each knows what is done when it begins: nothing.
+    both = threading.Barrier(2, timeout=patience(120))
+
+    def client(_: int) -> int:
+        engine = Engine(scheduler=cluster.address)
+        both.wait()
+        return run_batch(jobs, Catalogue(folder), engine, task=slow).failed
+
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(client, range(2))) == [20, 20]
+    assert sorted(row['recording'] for row in rows(folder)) == sorted(f'r{k}' for k in range(20))
+
+
+@pytest.mark.repeats
+def test_one_corrupt_recording_of_twenty_costs_its_own_row(
+    recordings: Path, tmp_path: Path
+) -> None:
+    damaged = tmp_path / 'damaged'
+    shutil.copytree(recordings / 'a', damaged)
+    storage = next(damaged.glob('*.mcap'))
+    content = bytearray(storage.read_bytes())
+    # All but the beginning, as a disk that lost its blocks gives it.
+    content[4096:] = bytes(len(content) - 4096)
+    storage.write_bytes(content)
+    sound = [Job(str(recordings / 'a'), labels=Labels(operator=str(k))) for k in range(19)]
+    jobs = [*sound[:10], Job(str(damaged)), *sound[10:]]
+    kept = Catalogue(tmp_path / 'c', create=True)
+    ended = run_batch(jobs, kept, Engine(workers=2))
+    assert (ended.calibrated, ended.failed, ended.known) == (19, 1, 0)
+    found = rows(tmp_path / 'c')
+    assert len({row['key'] for row in found}) == len(found) == 20
+    assert {tuple(row['values']) for row in found if row['status'] == 'calibrated'} == {
+        tuple(imu_calib.calibrate(recordings / 'a').calibration.values.tolist())
+    }
+    (lost,) = (row for row in found if row['status'] == 'failed')
+    assert lost['recording'] == str(damaged) and lost['exit_code'] in {1, 2} and lost['sha256']
+    again = run_batch(jobs, kept, Engine(workers=1))
+    assert (again.calibrated, again.failed, again.known) == (0, 0, 20)
+
+
+def test_a_batch_that_is_interrupted_says_at_once_what_becomes_of_it(
+    recordings: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    said_before_the_workers_ended = []
+
+    @contextmanager
+    def workers(_: Engine) -> Iterator[object]:
+        try:
+            yield SimpleNamespace(dashboard_link='')
+        finally:
+            said_before_the_workers_ended.append(capsys.readouterr().err)
+
+    def interrupted(*_: object) -> Iterator[object]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Engine, 'connected', workers)
+    monkeypatch.setattr('imu_calib.fleet.catalogue.outcomes', interrupted)
+    assert main(['batch', str(recordings), '-o', str(tmp_path / 'c')]) == 130
+    assert 'Ending the workers' in said_before_the_workers_ended[0]
+    assert 'What was done is kept.' in said_before_the_workers_ended[0]
+    assert 'imu-calib batch: interrupted' in capsys.readouterr().err
+
+
+def test_no_scheduler_gets_a_sentence(
+    recordings: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr('imu_calib.common.parallel._ANSWER', '1s')
+    command = ['batch', str(recordings / 'a'), '-o', str(tmp_path / 'c')]
+    assert main([*command, '--scheduler', 'tcp://127.0.0.1:1']) == 2
+    assert 'no Dask scheduler answers there' in capsys.readouterr().err
+    assert main([*command, '--workers', '0']) == 2
+    assert main([*command, '--memory', 'much']) == 2
+    assert "--memory: found 'much'" in capsys.readouterr().err
+
+
+def test_where_no_catalogue_can_be_nothing_is_begun(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / 'file'
+    file.touch()
+    for place, words in ((tmp_path / 'none' / 'c', 'does not exist'), (file, 'is a file')):
+        assert main(['batch', str(recordings / 'a'), '-o', str(place)]) == 2
+        errors = capsys.readouterr().err
+        assert words in errors
+        assert 'What was done' not in errors
+    assert not (tmp_path / 'none').exists()
+
+
+@pytest.mark.repeats
+def test_a_client_that_is_killed_goes_on_where_it_was(recordings: Path, tmp_path: Path) -> None:
+    folder = tmp_path / 'c'
+    copies = tmp_path / 'many'
+    command = [sys.executable, '-m', 'imu_calib.cli.main', 'batch', str(copies), '-o', str(folder)]
+    for k in range(4):
+        shutil.copytree(recordings / 'a', copies / str(k))
+    (copies / 'list.csv').write_text(
+        'recording,serial,operator\n' + ''.join(f'{k},S1,o{k}\n' for k in range(4))
+    )
+    command[4] = str(copies / 'list.csv')
+    first = subprocess.Popen([*command, '--workers', '1'], start_new_session=True)
+    try:
+        assert until(lambda: bool(list((folder / 'rows').glob('part-*'))), patience(120))
+    finally:
+        os.killpg(first.pid, signal.SIGKILL)
+        first.wait()
+    before = len(rows(folder))
+    assert before > 0
+    done = subprocess.run([*command, '--workers', '1'], capture_output=True, text=True, check=True)
+    assert f'{before} done before' in done.stdout
+    assert sorted(row['operator'] for row in rows(folder)) == [f'o{k}' for k in range(4)]

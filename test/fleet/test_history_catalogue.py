@@ -1,0 +1,219 @@
+"""A history of a catalogue: which rows count, what the command prints, writes and ends with."""
+
+import csv
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+from histories import index, of, sessions
+from installed import needs_modules
+from jsonschema import Draft202012Validator
+
+import imu_calib
+from imu_calib.cli.main import main
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.files import named_file
+from imu_calib.fleet.batch import CALIBRATED, Done, failed, limits_of
+from imu_calib.fleet.catalogue import Catalogue
+from imu_calib.fleet.recordings import Job, Labels
+from imu_calib.fleet.results import Sessions
+from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS
+from imu_calib.session.imu import load_imu
+
+needs_modules('pyarrow', 'duckdb')
+
+SPECIFICATION = load_imu('fog_navigation').specification
+SCHEMAS = Path(__file__).parents[2] / 'config' / 'schemas'
+SCHEMA = Draft202012Validator(json.loads((SCHEMAS / 'output.json').read_text('utf-8')))
+
+
+def done(made: Sessions, k: int, **values: object) -> Done:
+    """The row of a session, as a batch leaves it."""
+    labels = Labels(stand=made.stand[k], lot=made.lot[k])
+    row = failed(Job(f'r{made.serial[k]}_{k}', labels=labels), f'{k:032x}', f'{k:064x}', '', 0)
+    std = np.sqrt(np.diag(made.covariance[k]))
+    date = datetime.fromisoformat(str(made.date[k])).replace(tzinfo=timezone.utc)
+    row |= {
+        'status': CALIBRATED,
+        'serial': made.serial[k],
+        'imu': made.imu[k],
+        'date': date,
+        'findings': [],
+        **dict(zip(PARAMETER_NAMES, made.values[k].tolist(), strict=True)),
+        **{f'std_{n}': s for n, s in zip(PARAMETER_NAMES, std.tolist(), strict=True)},
+        'parameters': list(PARAMETER_NAMES),
+        'values': made.values[k].tolist(),
+        'covariance': made.covariance[k].ravel().tolist(),
+        'limits': limits_of(SPECIFICATION),
+        **values,
+    }
+    return Done(row['key'], row, '{}')
+
+
+def truth(unit: int, months: float, k: int, stand: str) -> np.ndarray:
+    """Unit 0 goes outside, unit 1 drifts, unit 2 steps, and one stand is off."""
+    changed = {
+        0: of(K_gx=900.0) * (k == 5),
+        1: of(D_gx=0.01 * months),
+        2: of(K_az=60.0) * (k >= 3),
+    }
+    return changed.get(unit, of()) + of(K_ax=9.0, K_ay=9.0, K_az=9.0) * (stand == 'south')
+
+
+@pytest.fixture(scope='module')
+def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Thirty units with six sessions each, one that only failed, and one calibrated twice."""
+    folder = tmp_path_factory.mktemp('laboratory') / 'catalogue'
+    # A navigation grade repeats to ppm, ug, and hundredths of arcmin and deg/h.
+    fine = np.array([1.0 if p.unit.shown in {'ppm', 'ug'} else 0.01 for p in PARAMETERS])
+
+    def scaled(unit: int, months: float, k: int, stand: str) -> np.ndarray:
+        return truth(unit, months, k, stand) / fine
+
+    rng = np.random.default_rng(17)
+    made = sessions(
+        rng, 30, 6, apart=10.0, stands=('east', 'south', 'west'), truth=scaled, imu='fog_navigation'
+    )
+    made = replace(
+        made,
+        values=made.values * fine,
+        covariance=made.covariance * np.outer(fine, fine),
+    )
+    rows = [done(made, k) for k in range(len(made.key))]
+    wrong = dict(
+        rows[7].row or {}, K_gx=1.0, key='f' * 32, at=datetime(2020, 1, 1, tzinfo=timezone.utc)
+    )
+    rows.append(Done('f' * 32, wrong))
+    lost = failed(Job('lost'), 'e' * 32, 'e' * 64, 'It failed.', 2) | {'serial': 'F900'}
+    rows.append(Done('e' * 32, lost))
+    Catalogue(folder, create=True).add(rows)
+    return folder
+
+
+def test_history_from_python(laboratory: Path) -> None:
+    found = imu_calib.history(laboratory)
+    assert len(found.units) == 30 and set(found.populations) == {'fog_navigation'}
+    (shift,) = found.stands.shifts
+    assert (shift.stand, shift.what) == ('south', 'K_a')
+    first, second, third = found.units[:3]
+    assert first.outside == ('K_gx',)
+    assert second.trend.significant[index('D_gx')]
+    assert [step.parameters for step in third.steps] == [('K_az',)]
+    # Limits are those by which it was judged: 500 ppm.
+    assert first.limit[index('K_gx')] == pytest.approx(5e-4)
+    # The same recording calibrated by an older version does not count.
+    assert abs(second.values[:, index('K_gx')]).max() < 1e-3
+    findings = ' '.join(found.findings)
+    assert '1 row of recordings that were calibrated again: the newest counts' in findings
+    assert 'No recording of F900 gave a calibration' in findings
+
+
+def test_one_unit_and_some_rows(laboratory: Path) -> None:
+    (unit,) = imu_calib.history(laboratory, serial='F004').units
+    assert unit.serial == 'F004' and len(unit.key) == 6
+    few = imu_calib.history(laboratory, where="serial in ('F003', 'F004')")
+    assert [u.serial for u in few.units] == ['F003', 'F004']
+    with pytest.raises(InputError, match=r"of a unit .* 'F900', its recordings failed"):
+        imu_calib.history(laboratory, serial='F900')
+    with pytest.raises(NotObservable, match='no row meets serial = '):
+        imu_calib.history(laboratory, where="serial = 'nobody'")
+    with pytest.raises(InputError, match='nothing'):
+        imu_calib.history(laboratory, where='nothing = 1')
+
+
+def test_another_specification_counts_where_it_is_given(laboratory: Path, tmp_path: Path) -> None:
+    own = tmp_path / 'mine.yaml'
+    text = Path(named_file('imus', 'fog_navigation')).read_text('utf-8')
+    own.write_text(text.replace('scale_factor_error: 500 ppm', 'scale_factor_error: 2000 ppm'))
+    found = imu_calib.history(laboratory, imu=own)
+    assert found.outside == () and found.units[0].limit[0] == pytest.approx(2e-3)
+
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    def command(*words: object) -> tuple[int, str, str]:
+        code = main(['history', *map(str, words)])
+        printed = capsys.readouterr()
+        return code, printed.out, printed.err
+
+    return command
+
+
+def test_the_command_says_what_needs_attention(laboratory: Path, run: Run) -> None:
+    code, out, err = run(laboratory, '--on', '2023-01-01')
+    assert code == 3 and 'F000 is outside the specification.' in err
+    lines = out.splitlines()
+    head = next(line for line in lines if line.startswith('serial'))
+    first = lines[lines.index(head) + 1]
+    # The most urgent first, and columns below their heads.
+    assert first.startswith('F000') and first.index('fail') == head.index('specification')
+    assert '5 more, less urgent; -o FILE has all.' in out
+    assert 'Stand south is off: it adds +' in out and 'east and west agree' in out
+    assert re.search(r'Drift: .*F001', out) and re.search(r'Stepped: .*F002', out)
+    for unit in ('ppm', 'arcmin', 'deg/h', 'ug'):
+        assert sum(line.rstrip().endswith(unit) for line in lines) >= 3
+
+
+def test_the_command_says_all_of_one_unit(laboratory: Path, run: Run) -> None:
+    code, out, _ = run(laboratory, '--serial', 'F001')
+    assert code == 0
+    assert 'F001 (fog_navigation): 6 sessions' in out
+    assert 'D_gx drifts: +0.0' in out and 'deg/h/month' in out
+    rows = [line for line in out.splitlines() if line.startswith(('K_', 'E_', 'D_'))]
+    assert len([line for line in rows if 'drifts' not in line]) == 24
+    assert 'T^2' in out and 'Recalibrate ' in out
+
+
+def test_the_command_writes_documents(laboratory: Path, run: Run, tmp_path: Path) -> None:
+    table, whole = tmp_path / 'units.csv', tmp_path / 'history.json'
+    code, out, _ = run(laboratory, '--json', '-o', whole)
+    document = json.loads(out)
+    # Three units have all that any has.
+    some = {**document['result'], 'units': document['result']['units'][:3]}
+    SCHEMA.validate({**document, 'result': some})
+    assert code == document['exit_code'] == 3 and document['command'] == 'history'
+    result = document['result']
+    assert result['stands']['shifts'][0]['stand'] == 'south'
+    assert result['units'][0]['outside'] == ['K_gx']
+    run(laboratory, '-o', table)
+    with table.open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 30 * 24 and rows[0]['name'] == 'K_gx' and float(rows[0]['limit']) == 5e-4
+    assert json.loads(whole.read_text()) == result
+
+
+def test_the_command_refuses_what_it_cannot_do(laboratory: Path, run: Run, tmp_path: Path) -> None:
+    assert run(laboratory, '-o', tmp_path / 'x.txt')[0] == 2
+    assert run(tmp_path)[0] == 2
+    assert run(laboratory, '--on', 'soon')[0] == 2
+    code, _, err = run(laboratory, '--where', "imu = 'none'")
+    assert code == 1 and "no row meets imu = 'none'. It has " in err
+
+
+def test_two_days_make_a_history(tmp_path: Path, run: Run) -> None:
+    """A catalogue as it begins: one unit, two sessions, no specification, nothing stated."""
+    made = sessions(np.random.default_rng(1), 1, 2)
+    rows = [done(made, k, covariance=None, parameters=None, limits=None) for k in range(2)]
+    for one in rows:
+        assert one.row is not None
+        one.row.update({f'std_{name}': None for name in PARAMETER_NAMES})
+        one.row['date'] += timedelta(days=1)
+    folder = tmp_path / 'young'
+    Catalogue(folder, create=True).add(rows)
+    code, out, _ = run(folder, '--serial', 'F000')
+    assert code == 0
+    for sentence in (
+        'No specification is known: when it is due cannot be computed.',
+        'Two sessions: a trend of this unit cannot be distinguished from their scatter.',
+        'No session of fog states a standard deviation',
+        'All sessions were on one stand, east',
+    ):
+        assert sentence in out

@@ -1,0 +1,207 @@
+"""Two clocks: turns that the table's has timed, and how well the two are compared."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from evidence import evidence_of
+from extent import ALL
+from other_sessions import NAVIGATION, errors, fed
+from other_world import World
+from sessions import gathered, truth
+
+from imu_calib.calibration.c_header import EXPORTS
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.compensate import Compensation
+from imu_calib.calibration.exports import ExportSource
+from imu_calib.calibration.thermal import combine
+from imu_calib.calibration.verify import Verdict, verify
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import Units
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.methods import method
+from imu_calib.estimation.system import observe
+from imu_calib.segmentation.clock import ClockFit, ClockSample, fit_clock
+from imu_calib.segmentation.segmenter import clock_jumps
+from imu_calib.segmentation.segments import Segment, Turn
+from imu_calib.session.table_errors import StampingClock
+
+PPM = 1e-6
+
+
+def by_a_clock(evidence: Evidence, faster: float) -> Evidence:
+    """The same session by an IMU whose clock counts (1 + faster) seconds a second.
+
+    It counts the same pulses over more seconds: every mean output is smaller by so much.
+    """
+
+    def slower(part: Segment | Turn) -> Segment | Turn:
+        found = part.statistics
+        return replace(part, statistics=replace(found, mean=found.mean / (1 + faster)))
+
+    return replace(
+        evidence,
+        segments=tuple(slower(s) for s in evidence.segments),
+        turns=tuple(slower(t) for t in evidence.turns),
+        clock=ClockFit(0.0, 0.0, 1e-9, faster, 1e-10, 30),
+    )
+
+
+@pytest.mark.parametrize('faster', [50 * PPM, -50 * PPM])
+@pytest.mark.parametrize('name', ['twelve_position', 'six_position', 'joint'])
+def test_the_clocks_rate_is_no_scale_factor(name: str, faster: float) -> None:
+    plan = 'twelve_position' if name == 'joint' else name
+    evidence = by_a_clock(evidence_of(plan, truth().model, known=True), faster)
+    found = method(name)(evidence).model
+    # 1e-10 of rate_std beside the 50 ppm that quartz may err leaves nothing of this size.
+    assert found.gyro.error_matrix == pytest.approx(truth().model.gyro.error_matrix, abs=1e-2 * PPM)
+    wanted = truth().model.accel.error_matrix
+    assert found.accel.error_matrix == pytest.approx(wanted, abs=1e-2 * PPM)
+
+
+@pytest.mark.parametrize('jump', [0.0, 0.2])
+def test_the_deviations_of_offset_and_rate_are_those_of_their_errors(jump: float) -> None:
+    rng = np.random.default_rng(4)
+    motions, runs, scatter, rate = 14, 1000, 1e-4, 20 * PPM
+    seconds = 50.0 * np.arange(motions)
+    after = seconds > seconds.mean()
+    ratios = []
+    for _ in range(runs):
+        true = 0.01 + rate * seconds + jump * after
+        seen = true + scatter * rng.standard_normal(motions)
+        fit = fit_clock([ClockSample(1e9 * t, o) for t, o in zip(seconds, seen, strict=True)])
+        assert len(fit.jumps) == (jump > 0)
+        ratios.append(
+            [(fit.rate - rate) / fit.rate_std, (fit.offset - true.mean()) / fit.offset_std]
+        )
+    # Student's t, for the scatter is estimated too: its variance is f / (f - 2).
+    freedom = motions - 2 - (jump > 0)
+    square = np.mean(np.square(ratios), axis=0)
+    # A thousand of them: 5 %, four deviations of that.
+    assert square == pytest.approx([freedom / (freedom - 2)] * 2, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ('jump', 'words'),
+    [(0.0, ''), (2e-5, ''), (1e-3, 'jump by +0.0010 s'), (-0.2, 'jump by -0.2000 s')],
+)
+def test_a_jump_is_said_where_the_stamps_resolve_it(jump: float, words: str) -> None:
+    """A stream that was interrupted may have been stamped anew, or only have frozen."""
+    rng = np.random.default_rng(6)
+    seconds = 50.0 * np.arange(12)
+    for _ in range(200):
+        # Two samples a hundredth apart tell an offset to some ten microseconds.
+        seen = 0.01 + jump * (seconds > 275) + 1e-5 * rng.standard_normal(12)
+        motions = [ClockSample(1e9 * t, o) for t, o in zip(seconds, seen, strict=True)]
+        fit = fit_clock(motions, [275_000_000_000])
+        assert fit.jumps == pytest.approx((jump,), abs=6e-5)
+        message = clock_jumps(fit)
+        assert len(message) == bool(words)
+        assert not words or words[:-3] in message[0]
+
+
+NAMED = {
+    'pulses 500 ppm': (NAVIGATION, 500 * PPM),
+    'counts 50 ppm': (
+        replace(NAVIGATION, counts=True, gyro_pulse=1e-6, accel_pulse=1e-5),
+        50 * PPM,
+    ),
+    'counts 500 ppm': (
+        replace(NAVIGATION, counts=True, gyro_pulse=1e-6, accel_pulse=1e-5),
+        500 * PPM,
+    ),
+}
+
+
+SOME = list(NAMED)[:: 1 if ALL else 2]
+
+
+@pytest.mark.parametrize('name', SOME)
+def test_parameters_are_by_the_clock_of_the_table(name: str) -> None:
+    unit, faster = NAMED[name]
+    world = World(dwell=15.0, clock=faster, offset=0.02)
+    calibrator = fed(world, unit)
+    found = calibrator.finish().calibration
+    off = errors(found, unit)
+    assert np.abs(off).max() < 4.5, np.round(off, 1)
+    # It would show: the scale factors are known to a tenth of what the clocks differ by.
+    of_clock = found.std[:3] if unit.counts else found.std[12:15]
+    assert of_clock.max() < 0.1 * faster
+    clock = found.clock
+    assert clock is not None
+    assert clock.name == 'stamps of other'
+    assert abs(clock.faster - faster) < 4.5 * clock.std < 2 * PPM
+    read = Calibration.from_yaml(found.to_yaml(), 'calibration.yaml')
+    assert read.clock == clock
+    # Compensated by the intervals between its stamps a unit at rest feels gravity.
+    evidence = gathered(fed(world, unit))
+    rest = evidence.segments[-1].statistics
+    per = 1.0 if unit.counts else 0.01 * (1 + faster)
+    pulses = np.array([unit.gyro_pulse] * 3 + [unit.accel_pulse] * 3)
+    raw = (rest.mean * per / pulses)[None]
+    felt = Compensation(read).apply(raw[:, :3], raw[:, 3:], np.array([0.01 * (1 + faster)]))
+    size = float(np.linalg.norm(felt.force))
+    noise = np.sqrt(rest.variance(evidence.walk)[3:].max())
+    assert abs(size - world.gravity) < 4.5 * np.hypot(noise, world.gravity * found.std[12:15].max())
+
+
+def test_numbers_that_no_clock_has_are_refused() -> None:
+    for faster, std, words in ((0.2, 1e-6, 'faster: found 0.2'), (1e-6, -1.0, 'faster_std: found')):
+        wrong = replace(truth(), clock=StampingClock('stamps', 'table', faster, std))
+        with pytest.raises(InputError, match=words):
+            Calibration.from_yaml(wrong.to_yaml(), 'calibration.yaml')
+
+
+def test_firmware_is_told_by_which_clock_its_interval_is() -> None:
+    known = replace(truth(), clock=StampingClock('stamps of A', 'clock of B', 40 * PPM, PPM))
+    exported = EXPORTS['c'](ExportSource(known, Path('calibration.yaml')))
+    assert 'divide an interval between them by 1.000040000' in exported.text
+    assert any('40.0 ppm fast' in sentence for sentence in exported.findings)
+    slow = replace(known, clock=replace(known.clock, faster=-40 * PPM))
+    exported = EXPORTS['c'](ExportSource(slow, Path('calibration.yaml')))
+    assert 'of a clock that is 40.00 ppm slow;' in exported.text
+    assert any('that is 40.0 ppm slow:' in sentence for sentence in exported.findings)
+    even = replace(known, clock=replace(known.clock, faster=-0.002 * PPM))
+    exported = EXPORTS['c'](ExportSource(even, Path('calibration.yaml')))
+    # Nobody corrects an interval by that.
+    assert 'clock' not in exported.text
+    assert not any('clock' in sentence for sentence in exported.findings)
+    counts = replace(known, imu=replace(known.imu, units=Units.COUNTS))
+    exported = EXPORTS['c'](ExportSource(counts, Path('calibration.yaml')))
+    assert 'fast' not in ' '.join([exported.text, *exported.findings])
+
+
+def test_intervals_of_sessions_that_are_combined_are_those_of_each() -> None:
+    # One by the table's clock, 40 ppm slower than the stamps', one by the stamps' own.
+    points = [
+        replace(
+            truth(),
+            provenance={'temperature': {'mean': t, 'lowest': t, 'highest': t}},
+            clock=clock,
+        )
+        for t, clock in (
+            (0.0, StampingClock('stamps', 'table', 40 * PPM, 1 * PPM)),
+            (10.0, None),
+        )
+    ]
+    clock = combine(points, ['a', 'b']).at(2.5).clock
+    assert clock is not None
+    assert clock.faster == pytest.approx(30 * PPM)
+    assert clock.std == pytest.approx(0.75 * PPM)
+
+
+def test_a_recording_by_another_clock_bears_a_calibration_out() -> None:
+    made, seen = World(dwell=15.0, clock=500 * PPM), World(dwell=15.0, clock=-300 * PPM)
+    calibrator = fed(made, NAVIGATION)
+    found = calibrator.finish().calibration
+    other = fed(seen, NAVIGATION, seed=5)
+    setup = other._setup
+    session = other._segmenter.finish()
+    observed = observe(session, setup.imu, setup.site, setup.plan, setup.table, found.clock)
+    assert verify(found, observed).verdict is Verdict.PASS
+    # By the stamps' own seconds its pulses would be 300 ppm too many.
+    stamped = observe(session, setup.imu, setup.site, setup.plan, setup.table)
+    assert verify(found, stamped).verdict is Verdict.FAIL

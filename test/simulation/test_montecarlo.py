@@ -1,0 +1,86 @@
+"""Repeated sessions: seeds decide, and the table says what they came to."""
+
+import sys
+from importlib.metadata import requires
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sessions import study
+
+from imu_calib.api import simulate as repeating
+from imu_calib.cli.main import main
+from imu_calib.model.parameters import PARAMETERS
+from imu_calib.simulation.repetition import Outcome, Run, repeat
+
+
+def test_the_outcome_depends_on_seeds_and_not_on_processes() -> None:
+    shown: list[tuple[int, int]] = []
+    alone = repeat(study(), 4, seed=7, jobs=1, show=lambda *at: shown.append(at))
+    together = repeat(study(), 4, seed=7, jobs=2)
+    np.testing.assert_array_equal(alone.errors, together.errors)
+    assert [run.seed for run in together.runs] == [7, 8, 9, 10]
+    assert shown == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert len(np.unique(alone.errors[:, 0])) == 4
+
+
+def test_what_is_refused_is_counted_and_left_out() -> None:
+    outcome = repeat(study('six_position'), 1, jobs=1)
+    assert 'north' in outcome.refused[0].refusal
+    assert len(outcome.errors) == 0
+
+
+def test_figures_are_those_of_the_errors() -> None:
+    rng = np.random.default_rng(1)
+    errors = 2.0 + 3.0 * rng.standard_normal((2000, 24))
+    runs = tuple(Run(k, PARAMETERS, row, np.full(24, 6.0)) for k, row in enumerate(errors))
+    outcome = Outcome(runs)
+    # Five deviations of the mean and of the spread of 2000 normal numbers.
+    assert outcome.bias == pytest.approx(2.0, abs=5 * 3 / np.sqrt(2000))
+    assert outcome.spread == pytest.approx(3.0, abs=5 * 3 / np.sqrt(4000))
+    assert outcome.mean_stated == pytest.approx(6.0)
+    assert outcome.normalised == pytest.approx(errors / 6)
+
+
+def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    target = tmp_path / 'study.png'
+    arguments = ['montecarlo', 'twelve_position', '--runs', '2', '--jobs', '1', '-o', str(target)]
+    assert main(arguments) == 0
+    shown = capsys.readouterr().out
+    assert 'spread/stated' in shown
+    assert '2 runs of plan twelve_position' in shown
+    assert target.read_bytes().startswith(b'\x89PNG')
+    assert main(['montecarlo', 'six_position', '--method', 'six_position', '--runs', '1']) == 1
+    assert main(['montecarlo', 'six_position_by_hand', '--runs', '1']) == 2
+    assert main(['montecarlo', 'twelve_position', '--runs', '0']) == 2
+    assert main(['montecarlo', 'twelve_position', '--runs', f'{10**30}']) == 2
+
+
+@pytest.mark.parametrize(
+    ('installed', 'name', 'words'),
+    [
+        (False, 'study.png', [f"{sys.executable} -m pip install 'imu_calib[plot]'", '--output']),
+        (True, 'study.xyz', ["found the ending '.xyz'", 'png', 'svg']),
+    ],
+)
+def test_a_plot_that_cannot_be_drawn_is_refused_before_the_first_run(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    installed: bool,
+    name: str,
+    words: list[str],
+) -> None:
+    if not installed:
+        monkeypatch.setitem(sys.modules, 'matplotlib', None)
+    monkeypatch.setattr(repeating, 'repeat', lambda *_: pytest.fail('it runs'))
+    arguments = ['montecarlo', 'twelve_position', '--runs', '1', '-o', str(tmp_path / name)]
+    assert main(arguments) == 2
+    errors = ' '.join(capsys.readouterr().err.split())
+    assert all(word in errors for word in words), errors
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_draws_is_an_extra_of_its_own() -> None:
+    extras = [r for r in requires('imu_calib') or [] if r.startswith('matplotlib')]
+    assert {r.split('extra ==')[1].strip(' "\'') for r in extras} == {'plot', 'test', 'dev'}
