@@ -268,16 +268,15 @@ def _trends(lines: Lines, rules: Rules) -> tuple[Any, ...]:
     reach = quantile(lines.freedom, rules.confidence) * std
     t = np.divide(slope, std, out=np.zeros_like(slope), where=std > 0)
     chance = chance_of(np.nan_to_num(t), lines.freedom)
-    level = np.where(lines.known, lines.coefficients[..., 0], np.nan)
     return (
+        np.where(lines.known, lines.coefficients[..., 0], np.nan),
+        np.sqrt(lines.covariance[..., 0, 0]),
         np.where(np.isfinite(std), slope, np.nan),
         std,
         slope - reach,
         slope + reach,
         np.where(np.isfinite(std), chance, np.nan),
         chance * SIZE < rules.false_alarm,
-        level,
-        np.sqrt(lines.covariance[..., 0, 0]),
     )
 
 
