@@ -377,8 +377,6 @@ def remarks(fleet: Fleet) -> str:
     return tag('h3', 'On the catalogue') + rest if rest else ''
 
 
-# Distributions of the units of each type, and recordings by stand and by type.
-
 _BINS = 24
 """Bins of a small distribution: 5 px each."""
 _WIDTH, _HEIGHT = 120.0, 18.0

@@ -374,8 +374,6 @@ def rows_of(table: pa.Table) -> Iterable[dict[str, Any]]:
         yield from batch.to_pylist()
 
 
-# A batch: process recordings with Dask workers, and add their rows to a catalogue.
-
 Task: TypeAlias = Callable[[Job, frozenset[str]], Done]
 
 _FLUSH, _FLUSH_SHARE, _LATEST_FLUSH = 1.0, 0.05, 60.0

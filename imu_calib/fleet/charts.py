@@ -25,11 +25,8 @@ from ..model.parameters import PARAMETERS
 from .results import MONTH_DAYS, Chart, ChartLimits, Rules, Sessions, Signal
 from .scatter import Fit, Prior, fit, line_design, sampled
 
-# Mean run length of an EWMA chart of standard normal scores, and the limit for a given one.
-#
 # Source: the integral equation of Crowder 1987; Lucas & Saccucci 1990 tabulate its solutions;
 # docs/history.md, 'Control charts'.
-
 
 _NODES = 64
 """Nodes of the quadrature: run lengths to five digits for smoothings from 0.05 on."""
@@ -79,8 +76,6 @@ def ewma_limit(smoothing: float, run: float) -> float:
             high = middle
     return (low + high) / 2
 
-
-# Sort sessions into units by date, and group units with equal numbers of sessions.
 
 SIZE = len(PARAMETERS)
 _CELLS = 20_000
@@ -322,11 +317,8 @@ def signals_of(
     return tuple(sorted(found, key=lambda one: one.index))
 
 
-# Steps between two sessions of a unit that no trend explains.
-#
 # Source: partial t test of a step in addition to line and steps, at every place and in every
 # parameter, the probability multiplied by their number (Bonferroni); docs/history.md, 'Steps'.
-
 
 _MOST = 5
 """Most steps of one parameter: more are not steps but another course."""

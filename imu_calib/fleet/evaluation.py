@@ -57,10 +57,7 @@ from .sentences import listed, stand_sentence, unit_sentences
 from .stands import corrections, judge_stands, turned
 from .trends import Due, Lines, Slopes, fit_lines, forecast, quantile, slopes_of
 
-# The cause of a step: a mount shift rotates all sensors together.
-#
 # Source: docs/history.md, 'Steps'; the rotation as in docs/mathematics.md, 'Free of frame'.
-
 
 _TURNS = np.column_stack([turned(axis) for axis in range(3)])
 """(24, 3) changes of the parameters by rotations about X, Y and Z."""
@@ -425,9 +422,6 @@ def _turn_on(units: Sequence[UnitHistory], prior: Prior) -> Floats:
     """Return the typical standard deviation between sessions; NaN if no unit determines it."""
     determined = np.any([np.isfinite(unit.scatter.std) for unit in units], axis=0)
     return np.where(determined, np.sqrt(prior.between), np.nan)
-
-
-# Evaluate all sessions: first stands, then units corrected for their effects, then types.
 
 
 def backtest(sessions: Sessions, limits: Mapping[str, Floats], rules: Rules = USUAL) -> History:

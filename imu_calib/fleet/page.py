@@ -35,8 +35,6 @@ from .results import USUAL, History, Rules, Sessions
 if TYPE_CHECKING:
     import pyarrow as pa
 
-# The script of Bokeh from its wheel.
-
 
 def bokeh_script() -> str:
     """Return the script in a form that an HTML file can contain.
@@ -55,9 +53,6 @@ def bokeh_script() -> str:
 
 _STYLE = STYLE + '\n' + files(__package__).joinpath('page.css').read_text(encoding='utf-8')
 """The report's style, with a wide table, controls and drawings."""
-
-
-# The page: one HTML file with script, data and drawing library; it needs no network.
 
 
 def page(fleet: Fleet) -> str:

@@ -210,8 +210,6 @@ def _later(one: np.datetime64, other: np.datetime64) -> bool:
     return bool(np.isnat(other) or one > other)
 
 
-# Dates, numbers and counts of the page as text.
-
 NO_DATE = 'no date'
 PLACE_OF = {p.name: k for k, p in enumerate(PARAMETERS)}
 
@@ -368,8 +366,6 @@ def packed_differences(values: Floats, std: Floats) -> tuple[NDArray[np.int32], 
         found[k] = np.diff(held, prepend=0).astype(np.int64).astype(np.uint32).view(np.int32)
     return found, steps
 
-
-# Data for the page's script: units for the table, sessions for the drawings.
 
 _NUMBER = len(PARAMETERS)
 _NONE = np.full(_NUMBER, np.nan)

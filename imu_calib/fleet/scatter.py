@@ -345,11 +345,8 @@ def _scale(each: Floats, freedom: Floats, d0: float) -> float:
     return float(np.median(each / scipy.special.fdtri(freedom, d0, _MIDDLE)))
 
 
-# The units of a type compared with each other: distributions, outliers, lots.
-#
 # Sources: Rosner 1983 (generalised extreme Studentized deviate); t test of a lot against the rest
 # with the scatter within lots, Bonferroni; docs/history.md, 'The population'.
-
 
 FEWEST = 15
 """Smallest number of units for the outlier test: with fewer the levels of Rosner's test do not hold

@@ -170,8 +170,6 @@ def _day(date: np.datetime64) -> str:
     return str(date.astype('datetime64[D]'))
 
 
-# Tables of a history: units by urgency, the parameters of one, the population of a type.
-
 _NEVER = np.datetime64('9999-12-31', 'D')
 _UNKNOWN = '-'
 _OF_UNITS = (

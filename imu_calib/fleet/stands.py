@@ -172,8 +172,6 @@ def _solved(columns: Floats, weight: Floats, values: Floats) -> tuple[Floats, Fl
     return np.asarray(inverse @ (columns.T @ (weight * values))), np.asarray(inverse)
 
 
-# Patterns in the 24 parameters: possible shifts by a stand, and by a rotation of the mount.
-#
 # Source: docs/history.md, 'Unit or stand?'.
 
 

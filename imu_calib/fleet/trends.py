@@ -144,10 +144,7 @@ def quantile(freedom: Floats, confidence: float) -> Floats:
     return np.where(some, found, np.nan)
 
 
-# When units leave their specification: line, its uncertainty, and scatter of the next session.
-#
 # Source: Boole's inequality over the parameters of a unit; docs/history.md, 'When it is due'.
-
 
 _GRID = np.array([0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0])
 """Shares of the horizon that bound the search for the first date."""

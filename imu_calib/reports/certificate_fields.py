@@ -16,8 +16,6 @@ from itertools import pairwise
 from ..common.config import Section
 from ..common.errors import InputError
 
-# Statements of conformity by a decision rule stated in the certificate.
-#
 # Source: ILAC-G8:09/2019, 4.2; JCGM 106:2012, 8; ISO/IEC 17025:2017, 7.8.6.
 
 

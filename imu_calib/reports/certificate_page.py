@@ -300,8 +300,6 @@ def _signatures(certificate: Certificate) -> str:
     return section('Authorization', issued + tag('div', inside, class_='signatures'))
 
 
-# Convert HTML to PDF, by WeasyPrint if installed, else by Chromium.
-
 _BROWSERS = ('chromium', 'chromium-browser', 'google-chrome', 'chrome')
 _OLDEST = 131
 """First version of Chromium that prints the margin boxes of @page."""

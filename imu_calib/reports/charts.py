@@ -260,8 +260,6 @@ def drawing(parts: Sequence[str], width: float, height: float, title: str) -> st
     )
 
 
-# Small drawings, one for each parameter: its course over time or temperature.
-
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP = 182.0, 74.0, 44.0, 12.0, 22.0
 """px, the margins around the plot included; layout."""
 

@@ -24,9 +24,6 @@ from .budget import MANY
 from .certificate import OUTPUT, Certificate, Stated, groups
 from .certificate_fields import CONDITIONS, Contact, Equipment, Fields
 
-# The elements of a Digital Calibration Certificate.
-
-
 DCC, SI = 'https://ptb.de/dcc', 'https://ptb.de/si'
 
 
@@ -150,8 +147,6 @@ def digital(parameter: Parameter) -> Digital:
     """Return the unit of a parameter."""
     return _BY_SHOWN[parameter.unit.shown]
 
-
-# The results of a Digital Calibration Certificate: methods, references, quantities, budget.
 
 _UNITS = {
     'temperature': r'\degreecelsius',

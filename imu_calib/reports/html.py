@@ -124,8 +124,6 @@ STYLE = '\n' + files(__package__).joinpath('report.css').read_text(encoding='utf
 """On a screen, light or dark, on a phone, and on A4 paper."""
 
 
-# Attitudes of the unit: a small cube for every position, seen from the south-west and above.
-
 _SIDE, _HALF = 104.0, 21.0
 """px: of a drawing, and half of the cube's edge."""
 _AZIMUTH, _ELEVATION = -32 * DEG, 26 * DEG

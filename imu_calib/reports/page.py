@@ -26,9 +26,6 @@ from .html import STYLE, bullets, document, facts, paragraph, scrolling, section
 from .provenance import LIMITS, angles_table, assess, badge, summary, tables, worst, written
 from .tables import FREE_OF_FRAME, change_note, decimals, three_digits
 
-# Residuals of each static dwell, in units and in standard deviations.
-
-
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
 """px; layout."""
 _LABELS = 24
@@ -168,8 +165,6 @@ def residual_notes(residuals: Residuals, rms: Sequence[object] | None) -> str:
     return ''.join(parts)
 
 
-# The terms of a calibration for the report: on, off, and upper limits of those that are off.
-
 _NOTE = (
     'A term that is "off" was tested and is not significant: a single coefficient of the stated '
     'size would have been found nine times in ten. A term that the session does not show may still '
@@ -247,8 +242,6 @@ def _moved(
     by = abs(entry['by']) * scale / other.unit.scale
     return escape(f'{other.name}: {significant(by)} {other.unit.shown} for 1 {unit}')
 
-
-# The Allan deviation of a session's static dwells, and the noise read from it.
 
 _ALLAN_WIDTH, _ALLAN_HEIGHT, _ALLAN_LEFT, _ALLAN_TOP = 372.0, 250.0, 56.0, 52.0
 """px; layout."""

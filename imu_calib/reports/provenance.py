@@ -324,9 +324,6 @@ def _word(value: object) -> str:
     return '-' if value is None else str(value)
 
 
-# The noise of a session in the units of data sheets.
-
-
 def noise_lines(calibration: Calibration) -> list[str]:
     """Return a line per triad: measured noise, and that of the IMU's file."""
     seen = calibration.noise
@@ -368,8 +365,6 @@ def written(coefficient: Coefficient, scale: float) -> str:
 def _stated(value: float, scale: float) -> str:
     return f' (data sheet {value / scale:.3g})' if value > 0 else ''
 
-
-# The parameters compared with the unit's specification: numbers, error bars, verdicts.
 
 LIMITS = (
     'Pass and fail are given where the value and its error bar of two standard deviations lie '

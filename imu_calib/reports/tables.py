@@ -21,8 +21,6 @@ from ..model.parameters import AXES, Parameter, ParameterKind
 from ..model.sensors import OF_MOTION
 from ..model.terms import TERMS
 
-# Tables on a terminal: without lines, with headings in bold.
-
 
 def plain_table(headings: Sequence[str], sides: str, *, no_wrap: bool = False) -> Table:
     """Return a table, to which rows are then added.
@@ -191,8 +189,6 @@ def section_of(parameter: Parameter) -> tuple[object, ...]:
     return parameter.triad, parameter.row >= len(AXES), kind
 
 
-# Calibrations of several units side by side: a column for each unit.
-
 _COARSE = 60 * ARCSEC
 """Standard deviation from which an angle is shown in degrees."""
 _ANY = 90 * DEG
@@ -250,8 +246,6 @@ def _cell(parameter: Parameter, found: tuple[float, float] | None) -> str:
     places = decimals(std)
     return f'{value:.{places}f}\u00b1{std:.{places}f}'
 
-
-# Calibrations of one unit side by side.
 
 _MORE = 2
 """Most further decimals for a difference: a hundredth of the last digit is nothing."""
@@ -421,8 +415,6 @@ def _factor_of(parameter: Parameter, triads: Mapping[str, float], askew: float) 
         return 1.0
     return askew if parameter.row >= len(AXES) else triads[parameter.triad]
 
-
-# A verification for the terminal: dwells and turns, worst first, in engineering units.
 
 _SHOWN = {
     Quantity.GRAVITY: Shown('ug', MICRO_G),

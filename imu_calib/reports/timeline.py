@@ -189,8 +189,6 @@ def rejected_table(found: Sequence[Interval], start: int | None) -> str:
     return table(headings, rows, '', 'lrrrl')
 
 
-# Standard deviations of a running session over time, and the plan's prediction.
-
 _MOST_POINTS = 120
 """Most points of a course: more than a drawing of 120 px can show."""
 _NEWS = 0.01
@@ -300,8 +298,6 @@ class Courses:
             for name, parameter in self._parameters.items()
         )
 
-
-# Remaining time of a session by the wall clock, and what it waits for, as texts.
 
 READING = 'The journal is read: '
 """Beginning of the report while the session before an interruption is read."""
