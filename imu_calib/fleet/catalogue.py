@@ -32,7 +32,7 @@ from ..common.parallel import MEMORY, Engine, Progress, WorkerDied, outcomes, si
 from ..common.units import counted
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from ..session.units_file import load_units
-from .batch import CALIBRATED, Done, lost, run
+from .batch import CALIBRATED, TaskResult, lost, run
 from .recordings import OF_ONE, Job, convertible, find_jobs
 from .sentences import listed
 
@@ -136,7 +136,7 @@ class Catalogue:
         kept = (keys if failed else keys - lost for _, _, keys, lost in self._seen.values())
         return frozenset().union(*kept)
 
-    def add(self, done: Sequence[Done], *, replace: bool = False) -> int:
+    def add(self, done: Sequence[TaskResult], *, replace: bool = False) -> int:
         """Add rows with their calibration files; return the number of new ones.
 
         Args:
@@ -215,7 +215,7 @@ class Catalogue:
             raise NotObservable(f'{self.folder}: no row meets {where}. {_contents(self, where)}')
         return found
 
-    def _with_file(self, one: Done, newest: dict[Path, str]) -> dict[str, Any]:
+    def _with_file(self, one: TaskResult, newest: dict[Path, str]) -> dict[str, Any]:
         """Write a calibration's files; return its row with the path of the first.
 
         Args:
@@ -374,7 +374,7 @@ def rows_of(table: pa.Table) -> Iterable[dict[str, Any]]:
         yield from batch.to_pylist()
 
 
-Task: TypeAlias = Callable[[Job, frozenset[str]], Done]
+Task: TypeAlias = Callable[[Job, frozenset[str]], TaskResult]
 
 _FLUSH, _FLUSH_SHARE, _LATEST_FLUSH = 1.0, 0.05, 60.0
 """Time between additions to the catalogue: at least 1 s, 5 % of the batch's time, at most 60 s.
@@ -500,7 +500,7 @@ def run_batch(
     """
     begun = time.monotonic()
     count = {'calibrated': 0, 'failed': 0, 'known': 0, 'known_failed': 0}
-    unsaved: list[Done] = []
+    unsaved: list[TaskResult] = []
     with engine.connected() as client, progress('calibrating') as show:
         connected(client.dashboard_link)
         show(0, len(jobs))
@@ -533,11 +533,11 @@ def run_batch(
 
 def _each(
     client: Client, jobs: Sequence[Job], known: frozenset[str], task: Task
-) -> Iterator[list[Done]]:
+) -> Iterator[list[TaskResult]]:
     """Yield the results of the jobs, unit by unit, in the order of completion."""
     seen: set[str] = set()
     for number, outcome in outcomes(client, task, jobs, known):
         done = lost(jobs[number]) if isinstance(outcome, WorkerDied) else outcome
         # The same recording under two names is one row.
-        yield [Done(one.key) if one.key in seen else one for one in done.results]
+        yield [TaskResult(one.key) if one.key in seen else one for one in done.results]
         seen.update(one.key for one in done.results)

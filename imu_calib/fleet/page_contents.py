@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..common.stream import Floats
 from ..model.parameters import PARAMETERS, Parameter
-from ..reports.tables import decimals, engineering
+from ..reports.tables import decimals, engineering, fixed
 from ..session.imu import Verdict
 from .results import Dates, Flags, History, UnitHistory
 
@@ -235,16 +235,11 @@ def count(number: int, noun: str, nouns: str = '') -> str:
     return f'{written} {noun if number == 1 else nouns or noun + "s"}'.replace('\u202f', ' ')
 
 
-def unit_of(parameter: Parameter) -> str:
-    """Return the display unit of a parameter."""
-    return engineering(parameter).unit.replace('ug', '\u00b5g')
-
-
 def amount(parameter: Parameter, value: float, std: float) -> str:
     """Return an SI value with its standard deviation in the parameter's display unit."""
     scale = engineering(parameter).scale
     places = decimals(std / scale)
-    return f'{value / scale:.{places}f} \u00b1 {std / scale:.{places}f}'.replace('-', '\u2212')
+    return f'{fixed(value / scale, places)} \u00b1 {fixed(std / scale, places)}'
 
 
 # Arrays and texts as one compressed text for the page's script.
@@ -405,12 +400,7 @@ def units_data(fleet: Fleet) -> str:
         'verdicts': verdicts,
         'flags': [[f.name, f.value.words, f.value.kind, f.value.meaning] for f in Flag],
         'parameters': [
-            [
-                p.name,
-                p.kind.value.words,
-                unit_of(p),
-                engineering(p).scale,
-            ]
+            [p.name, p.kind.value.words, engineering(p).symbol, engineering(p).scale]
             for p in PARAMETERS
         ],
         'today': day(fleet.today),

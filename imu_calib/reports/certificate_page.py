@@ -25,7 +25,7 @@ from .certificate import OUTPUT, Certificate, Stated, groups
 from .certificate_fields import CONDITIONS, Contact, Equipment
 from .charts import tag
 from .html import bullets, document, named_rows, paragraph, section, table
-from .tables import decimals, engineering
+from .tables import decimals, engineering, fixed
 
 _PAGES = """
 @page {{ size: A4; margin: 20mm 16mm 18mm 20mm;
@@ -248,9 +248,9 @@ def _row(result: Stated, *, limits: bool, verdicts: bool) -> list[str]:
     cells = [
         tag('b', result.parameter.name),
         f'{result.parameter.kind.value.words}',
-        f'{result.value / shown.scale:.{places}f}'.replace('-', '\u2212'),
+        fixed(result.value / shown.scale, places),
         f'{expanded:.{places}f}',
-        escape(shown.unit.replace('ug', '\u00b5g')),
+        escape(shown.symbol),
         f'{result.factor:.2f}',
         escape(freedom_words(result.freedom).replace('inf', '\u221e')),
     ]

@@ -16,7 +16,7 @@ from ..common.stream import Floats, utc
 from ..common.units import DEG
 from ..segmentation.labelling import attitude_words, up_words
 from ..segmentation.segments import Segment
-from .charts import drawing, joined, label, tag
+from .charts import CLASSES, drawing, joined, label, segment, tag
 
 _STATIC = "default-src 'none'; style-src 'unsafe-inline'"
 """Policy of a static page: only its own style."""
@@ -139,7 +139,6 @@ _ALIGNED = np.cos(1 * DEG)
 """Cosine of the largest angle between an axis and the direction that its text names; texts are in
 whole degrees."""
 _AXES = 'XYZ'
-_CLASSES = ('of-x', 'of-y', 'of-z')
 _WHERE = ('east', 'north', 'up')
 _OPPOSITE = ('west', 'south', 'down')
 _NOTE = (
@@ -192,8 +191,8 @@ def _pointing(axis: Floats) -> str | None:
 def stands(result: Result) -> list[Stand]:
     """Return the positions of a session in the order of their first dwells."""
     found: dict[str, list[Segment]] = {}
-    for segment in result.labelled.segments:
-        found.setdefault(segment.position or '?', []).append(segment)
+    for dwell in result.labelled.segments:
+        found.setdefault(dwell.position or '?', []).append(dwell)
     return [_stand(name, tuple(dwells)) for name, dwells in found.items()]
 
 
@@ -271,15 +270,14 @@ def _face(attitude: Floats, k: int, sign: int) -> str:
     first, second = (attitude[:, (k + step) % 3] for step in (1, 2))
     middle = sign * attitude[:, k]
     corners = [middle + a * first + b * second for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
-    kind = f'face {_CLASSES[k]}' + ('' if sign > 0 else ' back')
+    kind = f'face {CLASSES[k]}' + ('' if sign > 0 else ' back')
     return tag('polygon', points=joined([_screen(c) for c in corners]), class_=kind)
 
 
 def _arrow(axis: Floats, k: int) -> str:
-    (x1, y1), (x2, y2) = _screen(axis), _screen((_REACH - 0.42) * axis)
-    return tag('line', x1=x1, y1=y1, x2=x2, y2=y2, class_=f'line axis-line {_CLASSES[k]}') + tag(
-        'circle', cx=x2, cy=y2, r=2.2, class_=_CLASSES[k]
-    )
+    tip = _screen((_REACH - 0.42) * axis)
+    shaft = segment(_screen(axis), tip, f'line axis-line {CLASSES[k]}')
+    return shaft + tag('circle', cx=tip[0], cy=tip[1], r=2.2, class_=CLASSES[k])
 
 
 def _letters(places: Sequence[tuple[bool, int, tuple[float, float]]]) -> list[str]:
@@ -291,6 +289,6 @@ def _letters(places: Sequence[tuple[bool, int, tuple[float, float]]]) -> list[st
         while any(abs(x - a) < _ROOM and abs(y - b) < _ROOM for a, b in taken):
             y += _ROOM / 2
         taken.append((x, y))
-        kind = f'letter {_CLASSES[k]}'
+        kind = f'letter {CLASSES[k]}'
         parts.append(label(_AXES[k], x, y + 4, class_=kind, text_anchor='middle'))
     return parts

@@ -26,9 +26,9 @@ from ..session.imu import (
     Verdict,
     judge,
 )
-from .charts import drawing, joined, tag
+from .charts import drawing, joined, segment, tag
 from .html import named_rows, table
-from .tables import decimals, engineering, three_digits
+from .tables import decimals, engineering, fixed, three_digits
 
 Facts = Mapping[str, object]
 
@@ -465,7 +465,7 @@ def angles_table(calibration: Calibration) -> str:
             rows.append(
                 [
                     tag('b', f'{angles.group.words} {name}'),
-                    f'{value / SCALE:.{places}f}'.replace('-', '\u2212'),
+                    fixed(value / SCALE, places),
                     f'{COVERAGE * std / SCALE:.{places}f}',
                     SHOWN,
                 ]
@@ -487,9 +487,9 @@ def _row(assessed: Assessed) -> list[str]:
     return [
         tag('b', assessed.parameter.name),
         assessed.parameter.kind.value.words,
-        f'{value:.{places}f}'.replace('-', '\u2212'),
+        fixed(value, places),
         f'{COVERAGE * std:.{places}f}',
-        escape(shown.unit.replace('ug', '\u00b5g')),
+        escape(shown.symbol),
         limit,
         bar,
         verdict,
@@ -518,8 +518,8 @@ def _bar(assessed: Assessed) -> str:
     tip = mark + (5 if assessed.value > 0 else -5) * beyond
     parts = [
         tag('rect', x=low, y=1.0, width=high - low, height=_HEIGHT - 2, class_='allowed'),
-        tag('line', x1=_WIDTH / 2, y1=1.0, x2=_WIDTH / 2, y2=_HEIGHT - 1, class_='zero'),
-        tag('line', x1=ends[0], y1=middle, x2=ends[1], y2=middle, class_='bar'),
+        segment((_WIDTH / 2, 1.0), (_WIDTH / 2, _HEIGHT - 1), 'zero'),
+        segment((ends[0], middle), (ends[1], middle), 'bar'),
     ]
     if beyond:
         back = mark + (-7 if assessed.value > 0 else 7)

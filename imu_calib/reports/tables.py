@@ -46,6 +46,11 @@ class Shown:
     unit: str
     scale: float
 
+    @property
+    def symbol(self) -> str:
+        """The unit on a page, where micro has its letter."""
+        return self.unit.replace('ug', '\u00b5g')
+
 
 def engineering(parameter: Parameter) -> Shown:
     """Return the unit that engineers use for a parameter."""
@@ -57,6 +62,11 @@ def decimals(deviation: float) -> int:
     if not np.isfinite(deviation) or deviation <= 0:
         return 4
     return int(np.clip(1 - np.floor(np.log10(deviation)), 0, 9))
+
+
+def fixed(value: float, places: int) -> str:
+    """Return a number with some decimals, for a page: with a minus sign, not a hyphen."""
+    return f'{value:.{places}f}'.replace('-', '\u2212')
 
 
 def three_digits(value: float) -> str:

@@ -13,7 +13,7 @@ from . import provenance
 from .charts import panels, small, tag
 from .html import STYLE, bullets, document, facts, paragraph, section, table
 from .provenance import LIMITS, Assessed, assess, badge, worst
-from .tables import decimals, engineering
+from .tables import decimals, engineering, fixed
 
 _SIDE_BY_SIDE = 4
 """Temperatures of one table: as many as fit side by side on A4."""
@@ -84,7 +84,7 @@ def _ends(first: str, last: provenance.Facts) -> str:
 
 
 def _celsius(combined: ThermalCalibration, k: int) -> str:
-    return f'{combined.temperatures[k]:.1f}\u00a0\u00b0C'.replace('-', '\u2212')
+    return f'{fixed(combined.temperatures[k], 1)}\u00a0\u00b0C'
 
 
 def _values(combined: ThermalCalibration, each: Sequence[Sequence[Assessed]]) -> list[str]:
@@ -107,12 +107,12 @@ def _table(each: Sequence[Sequence[Assessed]], temperatures: Sequence[str]) -> s
             tag('b', across[0].parameter.name),
             badge(worst(across)),
             '' if limit is None else f'\u00b1{limit / shown.scale:g}',
-            escape(shown.unit.replace('ug', '\u00b5g')),
+            escape(shown.symbol),
         ]
         for one in across:
             places = decimals(one.std / shown.scale)
-            value = f'{one.value / shown.scale:.{places}f}'.replace('-', '\u2212')
-            cells.append(f'{value} \u00b1 {2 * one.std / shown.scale:.{places}f}')
+            value, error = one.value / shown.scale, 2 * one.std / shown.scale
+            cells.append(f'{fixed(value, places)} \u00b1 {error:.{places}f}')
         rows.append(cells)
     headings, columns = ['', '', 'limit', 'unit', *temperatures], 'llrl' + 'r' * len(each)
     if not any(row[1] for row in rows):

@@ -16,7 +16,7 @@ from ..common.units import DEG
 from ..estimation.hand import NAME as FREE_POSITIONS
 from ..model.parameters import Parameter
 from ..session.imu import Specification, Verdict, judge
-from .charts import Axis, Panel, drawing, label, tag
+from .charts import Axis, Panel, drawing, label, segment, tag
 from .html import scrolling, table
 from .tables import engineering, three_digits
 
@@ -114,7 +114,7 @@ def time_line(found: Sequence[Interval], duration: float) -> str:
         blocks += [_block(panel, s, y, scale) for s in sorted(longest, key=lambda s: s.start)]
     for value, text in panel.x.ticks():
         x = panel.across(value)
-        parts.append(tag('line', x1=x, y1=_TOP, x2=x, y2=bottom, class_='grid'))
+        parts.append(segment((x, _TOP), (x, bottom), 'grid'))
         parts.append(label(text, x, bottom + 14, class_='tick', text_anchor='middle'))
     # Names are drawn on the blocks, above the lines of the grid.
     parts += blocks
@@ -231,7 +231,7 @@ class Converging:
     @property
     def unit(self) -> str:
         """The unit used by engineers."""
-        return engineering(self.parameter).unit.replace('ug', '\u00b5g')
+        return engineering(self.parameter).symbol
 
     def shown(self, amount: float) -> str:
         """Return an amount in that unit with three digits; a dash if it is unknown."""
