@@ -136,7 +136,7 @@ class Judged:
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class FittedUnits:
     """Some units of a type with their results."""
 
     block: Block
@@ -169,7 +169,7 @@ def judge_type(
     rows = np.concatenate([np.array(one) for one in units])
     typical = typical_variance(recorded.covariance[rows])
     parts = [
-        _part(block.part(which), prior, rules)
+        _fitted(block.part(which), prior, rules)
         for block in blocks(units, corrected, typical)
         for which in block.parts()
     ]
@@ -188,12 +188,12 @@ def judge_type(
     return Judged(tuple(sorted(found, key=lambda u: u.serial)), prior, slopes)
 
 
-def _part(block: Block, prior: Prior, rules: Rules) -> _Part:
+def _fitted(block: Block, prior: Prior, rules: Rules) -> FittedUnits:
     variance = block.stated + np.maximum(prior.between, np.finfo(float).tiny)[:, None]
     weights = np.where(np.isfinite(variance), 1 / variance, 0.0)
     places = find_steps(block, weights, prior, rules.false_alarm)
     lines = fit_lines(block, weights, places, prior)
-    return _Part(block, weights, places, lines, scores_of(block, prior))
+    return FittedUnits(block, weights, places, lines, scores_of(block, prior))
 
 
 def _slope_variance(lines: Lines) -> Floats:
@@ -206,7 +206,7 @@ _NO_VARIANCE = 2
 
 
 def _units(
-    part: _Part,
+    part: FittedUnits,
     recorded: Sessions,
     corrected: Sessions,
     prior: Prior,

@@ -40,13 +40,7 @@ _SHEET = '\n' + files(__package__).joinpath('certificate.css').read_text(encodin
 
 
 def style(title: str, laboratory: str, mark: str) -> str:
-    """Return the style of a certificate.
-
-    Args:
-        title: On top of every printed page; contains the number.
-        laboratory: At the bottom of every printed page.
-        mark: On top of every printed page of a draft, else empty.
-    """
+    """Return the style of a certificate, with texts for the margins of every printed page."""
     texts = {'title': title, 'laboratory': laboratory, 'mark': mark}
     quoted = {name: _quoted(text) for name, text in texts.items()}
     return _PAGES.format(font=_FONT, **quoted) + _SHEET

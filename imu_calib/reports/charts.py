@@ -222,14 +222,7 @@ def legend(names: Sequence[str], x: float, y: float) -> str:
 
 
 def drawing(parts: Sequence[str], width: float, height: float, title: str) -> str:
-    """Return a separate drawing that scales with the page.
-
-    Args:
-        parts: Its elements.
-        width: px.
-        height: px.
-        title: Alternative text.
-    """
+    """Return a separate drawing, px, that scales with the page; the title is read aloud."""
     return tag(
         'svg',
         tag('title', escape(title)) + ''.join(parts),

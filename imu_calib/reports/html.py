@@ -23,14 +23,7 @@ _STATIC = "default-src 'none'; style-src 'unsafe-inline'"
 
 
 def document(title: str, body: str, style: str, policy: str = _STATIC) -> str:
-    """Return a complete HTML file.
-
-    Args:
-        title: Plain text.
-        body: HTML.
-        style: CSS.
-        policy: Its Content-Security-Policy.
-    """
+    """Return a complete HTML file: its title is plain text, its body HTML, its style CSS."""
     head = ''.join(
         [
             tag('meta', charset='utf-8'),
@@ -228,12 +221,7 @@ def _figure(stand: Stand) -> str:
 
 
 def cube(attitude: Floats, title: str) -> str:
-    """Draw a cube with the axes of a unit.
-
-    Args:
-        attitude: (3, 3) R_nb: columns are the body axes in east, north, up.
-        title: Alternative text.
-    """
+    """Draw a cube with the axes of a unit: the columns of R_nb (3, 3) in east, north, up."""
     toward = _toward_eye()
     faces, axes, letters = [], [], []
     for k in range(3):

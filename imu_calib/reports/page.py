@@ -23,7 +23,7 @@ from . import provenance, repeatability, timeline
 from .budget import budget_section
 from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, scrolling, section, table
-from .provenance import LIMITS, angles_table, assess, badge, summary, tables, worst, written
+from .provenance import LIMITS, angles_table, assess, outcome, summary, tables, worst, written
 from .tables import FREE_OF_FRAME, change_note, decimals, three_digits
 
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
@@ -348,12 +348,7 @@ def _both(coefficient: Coefficient, stated: float, scale: float) -> tuple[str, s
 
 
 def noise_notes(noise: Mapping[str, ChannelNoise], accel_rate: float | None = None) -> str:
-    """Return sentences on how the curves were computed.
-
-    Args:
-        noise: By name of the channel.
-        accel_rate: Sample rate of interpolated accelerometers, Hz; None without interpolation.
-    """
+    """Return sentences on the curves; interpolated accelerometers have a sample rate, Hz."""
     if not noise:
         return ''
     text = (
@@ -421,12 +416,7 @@ def _head(contents: Contents) -> str:
     where = contents.calibration.provenance
     specification = contents.imu.specification if contents.imu is not None else None
     assessed = assess(contents.calibration, specification)
-    verdict = worst(assessed)
-    outcome = tag(
-        'div',
-        badge(verdict) + tag('span', escape(summary(assessed))),
-        class_=f'outcome {verdict.value if verdict else ""}'.strip(),
-    )
+    shown = outcome(worst(assessed), summary(assessed))
     pairs = [
         ('recorded', provenance.date(where)),
         ('recording', str(where.get('recording') or '-')),
@@ -438,7 +428,7 @@ def _head(contents: Contents) -> str:
         ('dwells, turns', f'{where.get("segments", "-")}, {where.get("turns", "-")}'),
         ('samples used', provenance.count(where.get('samples'))),
     ]
-    return paragraph(f'from {contents.name}', 'subtitle') + outcome + facts(pairs)
+    return paragraph(f'from {contents.name}', 'subtitle') + shown + facts(pairs)
 
 
 def _parameters(contents: Contents) -> str:

@@ -501,6 +501,12 @@ def badge(verdict: Verdict | None) -> str:
     return '' if verdict is None else tag('span', verdict.value, class_=f'badge {verdict.value}')
 
 
+def outcome(verdict: Verdict | None, text: str) -> str:
+    """Return the verdict on a unit with a sentence, at the head of a report."""
+    kind = f'outcome {"" if verdict is None else verdict.value}'.strip()
+    return tag('div', badge(verdict) + tag('span', escape(text)), class_=kind)
+
+
 def _bar(assessed: Assessed) -> str:
     """Draw the value with its error bar between the limits on both sides of zero."""
     limit, middle = assessed.limit or 1.0, _HEIGHT / 2

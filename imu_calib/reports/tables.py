@@ -23,13 +23,7 @@ from ..model.terms import TERMS
 
 
 def plain_table(headings: Sequence[str], sides: str, *, no_wrap: bool = False) -> Table:
-    """Return a table, to which rows are then added.
-
-    Args:
-        headings: Of the columns.
-        sides: 'r' for each right-aligned column, else 'l'.
-        no_wrap: Whether cells stay on one line.
-    """
+    """Return a table without rows; a side is 'r' for a right-aligned column, else 'l'."""
     table = Table(box=None, pad_edge=False, header_style='bold')
     for heading, side in zip(headings, sides, strict=True):
         table.add_column(heading, justify='right' if side == 'r' else 'left', no_wrap=no_wrap)
@@ -115,9 +109,7 @@ def change_note(calibration: Calibration) -> str:
 def parameter_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
     """Return the estimated parameters: value, standard deviation, unit.
 
-    Args:
-        calibration: The calibration.
-        truth: True parameters of a simulation; adds the error in standard deviations.
+    The truth of a simulation adds the errors in standard deviations.
     """
     table = _headed('parameter', against_truth=truth is not None)
     parameters, deviations = calibration.parameters, calibration.std
@@ -163,23 +155,13 @@ FREE_OF_FRAME = (
 def parameter_tables(
     calibration: Calibration, truth: Calibration | None = None
 ) -> list[Table | str]:
-    """Return the tables of a calibration for a terminal: parameters and angles.
-
-    Args:
-        calibration: The calibration.
-        truth: True parameters of a simulation; adds the errors in standard deviations.
-    """
+    """Return the tables of a calibration for a terminal: parameters and angles."""
     angles = angle_table(calibration, truth)
     return [parameter_table(calibration, truth), '', angles, FREE_OF_FRAME]
 
 
 def angle_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
-    """Return the angles between input axes: value, standard deviation, unit.
-
-    Args:
-        calibration: The calibration.
-        truth: True parameters of a simulation; adds the error in standard deviations.
-    """
+    """Return the angles between input axes: value, standard deviation, unit."""
     table = _headed('free of frame', against_truth=truth is not None)
     true = {} if truth is None else {a.group: a.values for a in truth.free_of_frame}
     for angles in calibration.free_of_frame:
@@ -208,11 +190,7 @@ _AT_ONCE = 8
 
 
 def comparison_tables(units: Sequence[tuple[str, Calibration]]) -> Iterator[Table]:
-    """Yield tables of all parameters that any unit has, with eight units in each.
-
-    Args:
-        units: Serial numbers with calibrations.
-    """
+    """Yield tables of all parameters that any unit has, with eight serial numbers in each."""
     parameters: list[Parameter] = []
     for _, calibration in units:
         parameters += [p for p in calibration.parameters if p not in parameters]
@@ -293,12 +271,7 @@ def side_by_side(calibrations: Sequence[Calibration]) -> SideBySide:
 
 
 def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
-    """Return calibrations side by side, with the names, units and order of `parameter_table`.
-
-    Args:
-        compared: The calibrations.
-        names: Their names.
-    """
+    """Return calibrations side by side, with the names, units and order of `parameter_table`."""
     calibrations, found, std = compared.calibrations, compared.agreement, compared.std
     two = len(calibrations) == 2
     numbers = (*names, *(('difference', 'in std') if two else ('chi-square',)))
@@ -359,12 +332,7 @@ def _places(compared: SideBySide) -> dict[tuple[object, ...], int]:
 
 
 def agreement_lines(found: Agreement, count: int) -> list[str]:
-    """Return sentences on significant differences of calibrations, with the rule.
-
-    Args:
-        found: Their agreement.
-        count: Number of calibrations.
-    """
+    """Return sentences on significant differences of so many calibrations, with the rule."""
     if not found.total_freedom:
         return ['None of them states standard deviations: significance cannot be tested.']
     rule = (

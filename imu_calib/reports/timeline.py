@@ -158,12 +158,7 @@ def when(result: Result) -> str:
 
 
 def rejected_table(found: Sequence[Interval], start: int | None) -> str:
-    """Return the rejected intervals with reasons; empty without any.
-
-    Args:
-        found: All intervals of the session.
-        start: First stamp of the session, ns.
-    """
+    """Return the rejected intervals with reasons; empty without any. The start is in ns."""
     zero = utc(start)
 
     def clock(seconds: float) -> str:
