@@ -104,6 +104,13 @@ class Block:
         months = np.where(enough[..., None], self.months[:, None], 0.0)
         return np.stack([np.ones(self.values.shape), months], axis=-1)
 
+    @property
+    def mean_stated(self) -> Floats:
+        """Return the mean stated variance of a session, (u, 24); zero without a session."""
+        there = np.isfinite(self.stated)
+        total = np.sum(np.where(there, self.stated, 0.0), axis=-1)
+        return np.asarray(total / np.maximum(there.sum(axis=-1), 1))
+
     def parts(self) -> Iterator[slice]:
         """Yield slices of units to be processed together."""
         step = max(1, _CELLS // self.months.shape[1])
@@ -144,9 +151,8 @@ def block(rows: NDArray[np.int64], found: Sessions, typical: Floats) -> Block:
     newest = np.max(np.where(none, -np.inf, date), axis=1, keepdims=True)
     months = np.where(none, 0.0, (date - newest) / MONTH_DAYS)
     values = np.moveaxis(np.where(none[..., None], np.nan, found.values[rows]), 1, 2)
-    stated = np.diagonal(found.covariance[rows], axis1=-2, axis2=-1)
-    stated = np.moveaxis(stated, 1, 2)
-    stated = np.where(np.isfinite(stated) & (stated >= 0), stated, typical[:, None])
+    stated = np.moveaxis(stated_variance(found.covariance[rows]), 1, 2)
+    stated = np.where(np.isnan(stated), typical[:, None], stated)
     return Block(rows, months, values, np.where(np.isfinite(values), stated, np.inf))
 
 
@@ -168,10 +174,16 @@ def sample(units: Sequence[Sequence[int]], found: Sessions, typical: Floats) -> 
     return block(rows, found, typical)
 
 
+def stated_variance(covariance: Floats) -> Floats:
+    """Return the diagonals of covariances (..., p, p); NaN where none is stated."""
+    stated = np.diagonal(covariance, axis1=-2, axis2=-1)
+    return np.where(np.isfinite(stated) & (stated >= 0), stated, np.nan)
+
+
 def typical_variance(covariance: Floats) -> Floats:
     """Return the median of the stated variances, (24,); zero without any."""
-    stated = np.diagonal(covariance, axis1=-2, axis2=-1)
-    known = np.isfinite(stated) & (stated >= 0)
+    stated = stated_variance(covariance)
+    known = np.isfinite(stated)
     some = known.any(axis=0)
     median = np.nanmedian(np.where(known | ~some, np.where(some, stated, 0.0), np.nan), axis=0)
     return np.asarray(np.where(some, median, 0.0))
@@ -327,23 +339,23 @@ _DISTINCT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class StepPlaces:
     """Steps of the units of a block: for each parameter, the first sessions after them."""
 
     #: Sessions by (unit, parameter), indices in the block; without steps there is no entry.
-    of: dict[tuple[int, int], tuple[int, ...]]
+    by_parameter: dict[tuple[int, int], tuple[int, ...]]
 
     def of_unit(self, unit: int) -> dict[int, list[int]]:
         """Return the parameters that step, by the first session after the step."""
         found: dict[int, list[int]] = {}
-        for (u, p), places in self.of.items():
+        for (u, p), places in self.by_parameter.items():
             if u == unit:
                 for k in places:
                     found.setdefault(k, []).append(p)
         return dict(sorted(found.items()))
 
 
-def find_steps(block: Block, weights: Floats, prior: Prior, false_alarm: float) -> Places:
+def find_steps(block: Block, weights: Floats, prior: Prior, false_alarm: float) -> StepPlaces:
     """Return the steps of units, with a false step in at most one unit of 1 / false_alarm.
 
     Args:
@@ -354,7 +366,7 @@ def find_steps(block: Block, weights: Floats, prior: Prior, false_alarm: float) 
     """
     count = block.months.shape[1]
     if count < FEWEST_FOR_A_STEP:
-        return Places({})
+        return StepPlaces({})
     level = false_alarm / (SIZE * (count - 1))
     design = line_design(block.months)[:, None]
     at = fit(design, weights, block.values)
@@ -369,7 +381,7 @@ def find_steps(block: Block, weights: Floats, prior: Prior, false_alarm: float) 
         while len(places) < _MOST and (more := _next(places, *own, one, level)) is not None:
             places = tuple(sorted((*places, more)))
         found[int(u), int(p)] = places
-    return Places(found)
+    return StepPlaces(found)
 
 
 def step_design(months: Floats, places: tuple[int, ...]) -> Floats:

@@ -18,7 +18,7 @@ from .charts import (
     SIZE,
     Block,
     Correlations,
-    Places,
+    StepPlaces,
     blocks,
     chance_of,
     chart_limits,
@@ -27,6 +27,7 @@ from .charts import (
     sample,
     scores_of,
     signals_of,
+    stated_variance,
     step_design,
     typical_variance,
     units_of,
@@ -66,22 +67,17 @@ _LEAST = 2
 
 
 def steps_of(
-    unit: int, places: Places, lines: Lines, date: Dates, rules: Rules
+    unit: int, places: StepPlaces, lines: Lines, date: Dates, rules: Rules
 ) -> tuple[Step, ...]:
-    """Return the steps of one unit; parameters that step at the same session are combined.
+    """Return the steps of the unit at an index of a block, with dates (n,) of its sessions.
 
-    Args:
-        unit: Its index in the block.
-        places: Steps of the units.
-        lines: With the sizes of their steps.
-        date: (n,) of its sessions.
-        rules: Rules of the evaluation.
+    Parameters that step at the same session are combined.
     """
     found = []
     for place, parameters in places.of_unit(unit).items():
         size, std, reach = (np.zeros(len(parameters)) for _ in range(3))
         for k, p in enumerate(parameters):
-            which = places.of[unit, p].index(place)
+            which = places.by_parameter[unit, p].index(place)
             sizes, deviations = lines.steps[unit, p]
             size[k], std[k] = sizes[which], deviations[which]
             freedom = np.array(lines.freedom[unit, p])
@@ -141,7 +137,7 @@ class FittedUnits:
 
     block: Block
     weights: Floats
-    places: Places
+    places: StepPlaces
     lines: Lines
     scores: Floats
 
@@ -277,25 +273,24 @@ def _trends(lines: Lines, rules: Rules) -> tuple[Any, ...]:
     )
 
 
-def _scatters(block: Block, places: Places, rules: Rules) -> tuple[Any, ...]:
+def _scatters(block: Block, places: StepPlaces, rules: Rules) -> tuple[Any, ...]:
     """Return the fields of `Scatter`, (u, 24) each."""
     design = block.design
     found = between(design, block.stated, block.values)
     low, high, over = interval(design, block.stated, block.values, rules.confidence)
     freedom = np.isfinite(block.stated).sum(axis=-1) - (1 + (np.ptp(design[..., 1], axis=-1) > 0))
-    for (u, p), places_of in places.of.items():
+    for (u, p), places_of in places.by_parameter.items():
         columns = step_design(block.months[u], places_of)
         own = (columns, block.stated[u, p], block.values[u, p])
         found[u, p] = between(*own)
         low[u, p], high[u, p], over[u, p] = interval(*own, rules.confidence)
         freedom[u, p] = np.isfinite(block.stated[u, p]).sum() - columns.shape[1]
-    there = np.isfinite(block.stated)
-    stated = np.sum(np.where(there, block.stated, 0.0), axis=-1) / np.maximum(there.sum(-1), 1)
+    known = np.isfinite(block.stated).any(axis=-1)
     return (
         np.sqrt(found),
         np.sqrt(low),
         np.sqrt(high),
-        np.where(there.any(axis=-1), np.sqrt(stated), np.nan),
+        np.where(known, np.sqrt(block.mean_stated), np.nan),
         np.maximum(freedom, 0).astype(float),
         over,
     )
@@ -513,8 +508,8 @@ def _stands(
             kinds.append(np.full(len(own), kind))
         mine = np.concatenate(rows[len(rows) - len(units) :])
         typical = typical_variance(sessions.covariance[mine])
-        stated = np.diagonal(sessions.covariance[mine], axis1=-2, axis2=-1)
-        stated = np.where(np.isfinite(stated) & (stated >= 0), stated, typical)
+        stated = stated_variance(sessions.covariance[mine])
+        stated = np.where(np.isnan(stated), typical, stated)
         variance.append(stated + priors[imu].between)
     if not rows:
         empty = np.zeros((0, len(PARAMETERS)))
@@ -557,8 +552,8 @@ def _of_covariances(by_type: Mapping[str, list[list[int]]], sessions: Sessions) 
     for imu, units in by_type.items():
         rows = np.concatenate([np.array(rows) for rows in units])
         values = np.isfinite(sessions.values[rows])
-        stated = np.diagonal(sessions.covariance[rows], axis1=-2, axis2=-1)
-        lacking = int(np.sum((values & ~(np.isfinite(stated) & (stated >= 0))).any(axis=1)))
+        stated = stated_variance(sessions.covariance[rows])
+        lacking = int(np.sum((values & np.isnan(stated)).any(axis=1)))
         if lacking == len(rows):
             found.append(
                 f'No session of {imu} states a standard deviation: all scatter is attributed to '

@@ -86,9 +86,11 @@ def page(fleet: Fleet) -> str:
             _DETAIL,
             _population(fleet),
             tag('section', _UNITS, id='units', class_='page'),
-            section('Recordings', _MONTHS, counts(fleet), kind='screen'),
-            _data('units-data', units_data(fleet)),
-            _data('sessions-data', sessions_data(fleet)),
+            section('Recordings', _plot('months-plot'), counts(fleet), kind='screen'),
+            *(
+                tag('script', data(fleet), type='application/octet-stream', id=name)
+                for name, data in (('units-data', units_data), ('sessions-data', sessions_data))
+            ),
             # Runs only when a drawing is needed: the table of units appears sooner.
             tag('script', library, type='text/plain', id='library'),
             tag('script', script),
@@ -104,10 +106,6 @@ def _policy(*scripts: str) -> str:
     return (
         f"default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; script-src {allowed}"
     )
-
-
-def _data(name: str, text: str) -> str:
-    return tag('script', text, type='application/octet-stream', id=name)
 
 
 def _outcome(fleet: Fleet) -> str:
@@ -164,12 +162,16 @@ def _population(fleet: Fleet) -> str:
     if not inside:
         return ''
     chosen = tag('label', 'Type ' + tag('select', ' ', id='type-shown'))
-    drawn = tag('div', ' ', id='population-plot', class_='plot')
-    lots = tag('div', ' ', id='lots-plot', class_='plot')
+    drawn = _plot('population-plot') + _plot('lots-plot')
     controls = tag('div', chosen, class_='controls')
     note = paragraph('Choose a parameter in the table to draw it.', 'note')
     title = tag('h3', ' ', id='population-title')
-    return section('Types', controls, title, drawn, lots, note, inside, kind='screen types')
+    return section('Types', controls, title, drawn, note, inside, kind='screen types')
+
+
+def _plot(name: str) -> str:
+    """Return the place of a drawing by the script."""
+    return tag('div', ' ', id=name, class_='plot')
 
 
 def _controls() -> Iterator[str]:
@@ -206,9 +208,6 @@ _UNITS = (
     )
     + tag('nav', ' ', id='pages', class_='controls', aria_label='Pages of the table')
 )
-
-_MONTHS = tag('div', ' ', id='months-plot', class_='plot')
-
 
 _STEPS = 3
 """Steps of the progress: read, evaluate, write."""

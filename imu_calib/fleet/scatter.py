@@ -412,17 +412,18 @@ def lot_shifts(values: Floats, lots: Sequence[str]) -> list[tuple[str, int, floa
         lots: Lot of each; empty if unknown.
     """
     names = sorted({lot for lot in lots if lot})
-    of = np.array(lots)
-    known = of != ''
-    counts = {name: int(np.sum(of == name)) for name in names}
+    lot_of = np.array(lots)
+    known = lot_of != ''
+    counts = {name: int(np.sum(lot_of == name)) for name in names}
     freedom = int(known.sum()) - len(names)
     judged = [n for n in names if _OF_A_LOT <= counts[n] <= known.sum() - _OF_A_LOT]
     if len(names) < 2 or freedom < 1 or not judged:
         return []
-    within = sum(np.sum((values[of == n] - values[of == n].mean()) ** 2) for n in names) / freedom
+    each = [values[lot_of == name] for name in names]
+    within = sum(np.sum((one - one.mean()) ** 2) for one in each) / freedom
     found = []
     for name in judged:
-        own, rest = values[of == name], values[known & (of != name)]
+        own, rest = values[lot_of == name], values[known & (lot_of != name)]
         shift = float(own.mean() - rest.mean())
         std = float(np.sqrt(within * (1 / len(own) + 1 / len(rest))))
         chance = 2 * float(scipy.special.stdtr(freedom, -abs(shift) / std)) if std > 0 else 1.0

@@ -14,7 +14,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..common.stream import Floats
-from .charts import Block, Places, step_design
+from .charts import Block, StepPlaces, step_design
 from .results import Rules
 from .scatter import FEWEST_UNITS, Prior, fit, line_design
 
@@ -46,7 +46,7 @@ class Slopes:
 
 
 def fit_lines(
-    block: Block, weights: Floats, places: Places, prior: Prior, slopes: Slopes | None = None
+    block: Block, weights: Floats, places: StepPlaces, prior: Prior, slopes: Slopes | None = None
 ) -> Lines:
     """Fit the lines of units.
 
@@ -68,7 +68,7 @@ def fit_lines(
     covariance = scale[..., None, None] * plain.inverse
     known = plain.known.copy()
     steps = {}
-    for (u, p), found in places.of.items():
+    for (u, p), found in places.by_parameter.items():
         columns = step_design(block.months[u], found)
         alone = fit(columns, weights[u, p], block.values[u, p])
         one = Prior(prior.between[p], prior.scale[p], prior.freedom[p])
@@ -178,7 +178,7 @@ def forecast(block: Block, lines: Lines, prior: Prior, limit: Floats, rules: Rul
         rules: Horizon and probability.
     """
     horizon = 12 * rules.horizon
-    stated = _mean_stated(block)
+    stated = block.mean_stated
     between = np.abs(lines.scale * (stated + prior.between) - stated)
     determined = np.isfinite(lines.covariance[..., 0, 0]) & np.isfinite(limit)
 
@@ -234,9 +234,3 @@ def _crossing(lines: Lines, limit: Floats, horizon: float) -> Floats:
     months = np.divide(way, np.abs(slope), out=np.full(level.shape, np.inf), where=slope != 0)
     months = np.where(np.abs(level) >= limit, 0.0, months)
     return np.where(months <= horizon, months, np.inf)
-
-
-def _mean_stated(block: Block) -> Floats:
-    there = np.isfinite(block.stated)
-    total = np.sum(np.where(there, block.stated, 0.0), axis=-1)
-    return np.asarray(total / np.maximum(there.sum(axis=-1), 1))

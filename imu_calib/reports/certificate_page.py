@@ -22,7 +22,7 @@ from ..common.units import ARCSEC
 from . import provenance
 from .budget import budget_parts, freedom_words
 from .certificate import OUTPUT, Certificate, Stated, groups
-from .certificate_fields import CONDITIONS, Contact, Equipment
+from .certificate_fields import CONDITIONS, Equipment
 from .charts import tag
 from .html import bullets, document, named_rows, paragraph, section, table
 from .tables import decimals, engineering, fixed
@@ -58,6 +58,7 @@ _UNCERTAINTY = (
     f"which for Student's t with \u03bd effective degrees of freedom (Welch-Satterthwaite) gives a "
     f'coverage probability of {PROBABILITY:.0%}. It was evaluated by JCGM 100:2008 (GUM).'
 )
+_SHARES = 'The shares of the sources in the variance of each parameter, in percent.'
 _DEFINITION = (
     'input = (I + M)\u207b\u00b9 (output \u00d7 scale factor {per} \u2212 D). M holds the '
     'scale-factor errors K on its diagonal and the misalignments E beside it (row: channel, '
@@ -73,7 +74,7 @@ _STATEMENTS = (
 
 def certificate_page(certificate: Certificate) -> str:
     """Return a certificate as HTML; equal contents give equal text."""
-    fields = certificate.fields
+    fields, calibration = certificate.fields, certificate.calibration
     title = f'Calibration certificate {fields.number or _MISSING}'
     laboratory = fields.laboratory.name or _MISSING
     mark = 'DRAFT, not a certificate' if certificate.draft else ''
@@ -85,7 +86,7 @@ def certificate_page(certificate: Certificate) -> str:
             section('Procedure and traceability', _procedure(certificate)),
             section('Results', *_results(certificate)),
             _conformity(certificate),
-            section('Uncertainty budget', *_budget(certificate)),
+            section('Uncertainty budget', *budget_parts(calibration, certificate.budget, _SHARES)),
             section('Remarks', bullets(certificate.remarks)),
             section('Statements', bullets(_STATEMENTS)),
             _signatures(certificate),
@@ -121,10 +122,6 @@ def _draft(certificate: Certificate) -> str:
     return tag('div', escape(words), class_='draft')
 
 
-def _address(contact: Contact) -> str:
-    return _or_dash(', '.join(contact.lines))
-
-
 def _parties(certificate: Certificate) -> str:
     fields, calibration = certificate.fields, certificate.calibration
     item = fields.item
@@ -134,9 +131,9 @@ def _parties(certificate: Certificate) -> str:
         period = f'{first}' if first == last else f'{first} to {last}'
     site = {'laboratory': "the laboratory's premises", 'customer': "the customer's premises"}
     rows = [
-        ('laboratory', _address(fields.laboratory)),
+        ('laboratory', _or_dash(', '.join(fields.laboratory.lines))),
         ('calibrated at', site.get(fields.location, fields.location)),
-        ('customer', _address(fields.customer)),
+        ('customer', _or_dash(', '.join(fields.customer.lines))),
         ('item', _or_dash(item.description)),
         ('manufacturer, model', f'{_or_dash(item.manufacturer)}, {_or_dash(item.model)}'),
         ('serial number', _or_dash(item.serial_number)),
@@ -217,11 +214,6 @@ def _results(certificate: Certificate) -> list[str]:
         parts.append(tag('h3', title) + table(headings, rows, '', columns))
     parts.append(paragraph(_UNCERTAINTY, 'note'))
     return parts
-
-
-def _budget(certificate: Certificate) -> list[str]:
-    words = 'The shares of the sources in the variance of each parameter, in percent.'
-    return budget_parts(certificate.calibration, certificate.budget, words)
 
 
 def _scale(value: float, units: Units, triad: str) -> str:

@@ -260,14 +260,14 @@ def noise_plots(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
     drawings = []
     for units in shown:
         channels = {c: noise[c] for c in units.channels if c in noise}
-        spec = None if imu is None else _of(units, imu)
+        spec = None if imu is None else _spec_of(units, imu)
         parts = [legend('XYZ', _ALLAN_WIDTH - 216, 14), *_allan_panel(units, channels, spec).parts]
         title = f'Allan deviation of the {units.name}s'
         drawings.append(drawing(parts, _ALLAN_WIDTH, _ALLAN_TOP + _ALLAN_HEIGHT + 42, title))
     return tag('div', ''.join(drawings), class_='panels halves')
 
 
-def _of(units: TriadUnits, imu: ImuSpec) -> TriadSpec:
+def _spec_of(units: TriadUnits, imu: ImuSpec) -> TriadSpec:
     return imu.gyro if units.name == 'gyro' else imu.accel
 
 
@@ -324,7 +324,7 @@ def noise_table(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
     """Return a table of the coefficients of all channels and those of the data sheet."""
     rows = []
     for units in TRIAD_NAMES:
-        spec = TriadSpec() if imu is None else _of(units, imu)
+        spec = TriadSpec() if imu is None else _spec_of(units, imu)
         for axis, name in zip(_CHANNELS, units.channels, strict=True):
             if name not in noise:
                 continue
