@@ -122,12 +122,7 @@ def content_of(path: AnyPath) -> str:
 
 
 def run(job: Job, known: frozenset[str] = frozenset()) -> TaskResult:
-    """Calibrate from one recording; a failure is a row too.
-
-    Args:
-        job: The recording.
-        known: Keys of finished tasks, which are not repeated.
-    """
+    """Calibrate from one recording, unless its key is known; a failure is a row too."""
     begun = time.process_time()
     key, sha256 = '', ''
     try:
@@ -155,7 +150,7 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> TaskResult:
         sentence = f'Unforeseen error ({type(error).__name__}: {error}): please report it.'
         code = DEFECT
     ended = _none_of(job, key, sha256, sentence, code, time.process_time() - begun)
-    # What still cannot be read is no news; that of several units has their keys, not one.
+    # Do not add a second row for the same failure; several units have a key each.
     return _as_one(TaskResult(one.key) if one.key in known else one for one in ended.results)
 
 
@@ -258,10 +253,6 @@ def unread_key(job: Job, sha256: str = '') -> str:
 
     A recording without a hash is identified by its files, so that a copy in another folder has the
     same key, and one that has changed another; by its path if it has none.
-
-    Args:
-        job: The task.
-        sha256: Of the recording's content; empty if it cannot be read.
     """
     path = job.recording if is_url(job.recording) else str(Path(job.recording).resolve())
     content = sha256 or _files_of(job.recording) or path

@@ -137,11 +137,10 @@ class Catalogue:
         return frozenset().union(*kept)
 
     def add(self, done: Sequence[TaskResult], *, replace: bool = False) -> int:
-        """Add rows with their calibration files; return the number of new ones.
+        """Add rows with their calibration files, or replace those of the same keys.
 
-        Args:
-            done: With rows.
-            replace: Replace the row with the same key.
+        Returns:
+            The number of new ones.
 
         Raises:
             InputError: It cannot be written; no partial row remains.
@@ -482,21 +481,9 @@ def run_batch(
     connected: Callable[[str], None] = lambda _: None,
     task: Task = run,
 ) -> Batch:
-    """Run jobs and add their rows; as `batch`.
+    """Run jobs and add their rows; as `batch`, with another task if one is given.
 
     After an interruption the finished tasks are in the catalogue.
-
-    Args:
-        jobs: Recordings.
-        catalogue: Receives the rows.
-        engine: Runs the jobs.
-        retry: Repeat failed tasks.
-        progress: Shows the progress.
-        connected: As of `batch`.
-        task: Creates a row from a recording, unless its key is known.
-
-    Raises:
-        InputError: As `batch`.
     """
     begun = time.monotonic()
     count = {'calibrated': 0, 'failed': 0, 'known': 0, 'known_failed': 0}

@@ -141,10 +141,8 @@ def units_of(sessions: Sequence[int], found: Sessions) -> dict[tuple[str, str], 
 def block(rows: NDArray[np.int64], found: Sessions, typical: Floats) -> Block:
     """Return a block of units with their sessions.
 
-    Args:
-        rows: (u, n) by date; negative: none.
-        found: All sessions.
-        typical: (24,) variance of sessions that state none.
+    Rows (u, n) are by date, negative without a session; sessions that state no variance have the
+    typical one, (24,).
     """
     none = rows < 0
     date = found.date[rows].astype('datetime64[s]').astype(np.int64) / 86400.0
@@ -387,9 +385,7 @@ def find_steps(block: Block, weights: Floats, prior: Prior, false_alarm: float) 
 def step_design(months: Floats, places: tuple[int, ...]) -> Floats:
     """Return the columns of a line with steps, (n, 2 + s): its level is that after the last step.
 
-    Args:
-        months: (n,).
-        places: First sessions after each step.
+    A place is the first session after a step.
     """
     before = np.arange(len(months))[:, None] < np.array(places, dtype=int)
     return np.column_stack([line_design(months), -before.astype(float)])

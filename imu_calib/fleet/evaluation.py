@@ -346,11 +346,7 @@ def _dates(day: np.datetime64, months: Floats) -> np.ndarray[tuple[int], np.dtyp
 def population_of(imu: str, judged: Judged, false_alarm: float) -> Population:
     """Return the evaluation of the units of a type together.
 
-    Args:
-        imu: Type.
-        judged: Its units.
-        false_alarm: Probability that any unit is called an outlier, or any lot different, without
-            cause.
+    A false alarm calls any unit an outlier, or any lot different, without cause.
     """
     units = judged.units
     newest = np.array([_newest(unit.corrected) for unit in units])

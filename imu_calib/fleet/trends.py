@@ -168,14 +168,7 @@ def forecast(block: Block, lines: Lines, prior: Prior, limit: Floats, rules: Rul
 
     The prediction is for the parameter in a future session: on the line, with the scatter between
     sessions. If the stated deviations exceed the scatter, the excess is an uncertainty common
-    to all sessions.
-
-    Args:
-        block: u units.
-        lines: Of the units.
-        prior: Of their type.
-        limit: (24,) SI units; NaN without one.
-        rules: Horizon and probability.
+    to all sessions. Limits (24,) are in SI units, NaN without one.
     """
     horizon = 12 * rules.horizon
     stated = block.mean_stated

@@ -154,11 +154,7 @@ def date_of(calibration: Calibration) -> datetime | None:
 
 
 def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[RepeatedParameter]:
-    """Collect the parameters that all calibrations have.
-
-    Args:
-        calibrations: At least two, of one unit.
-        names: Of their files, for messages.
+    """Collect the parameters that all calibrations of a unit have; messages name their files.
 
     Raises:
         InputError: They are of different units, have no parameter in common, or one is there twice.

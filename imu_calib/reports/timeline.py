@@ -236,13 +236,7 @@ class Converging:
 
 
 class Courses:
-    """Collects the standard deviations that a calibrator reports in succession.
-
-    Args:
-        parameters: Parameters that the session's method estimates.
-        predicted: Standard deviations by name, SI; NaN or absent without a prediction.
-        specification: The limits of the unit; None without.
-    """
+    """Collects the standard deviations, SI, that a calibrator reports in succession."""
 
     def __init__(
         self,
