@@ -19,6 +19,7 @@ from ..common.stream import Floats
 from ..model.parameters import PARAMETERS, Parameter
 from ..reports.tables import decimals, engineering, fixed
 from ..session.imu import Verdict
+from . import results
 from .results import Dates, Flags, History, UnitHistory
 
 AHEAD = 90.0
@@ -210,7 +211,6 @@ def _later(one: np.datetime64, other: np.datetime64) -> bool:
     return bool(np.isnat(other) or one > other)
 
 
-NO_DATE = 'no date'
 PLACE_OF = {p.name: k for k, p in enumerate(PARAMETERS)}
 
 
@@ -221,7 +221,7 @@ def day(date: np.datetime64) -> str:
         >>> day(np.datetime64('2026-03-02T14:30')), day(np.datetime64('NaT', 's'))
         ('2026-03-02', 'no date')
     """
-    return NO_DATE if np.isnat(date) else str(date.astype('M8[D]'))
+    return results.day(date) or 'no date'
 
 
 def count(number: int, noun: str, nouns: str = '') -> str:

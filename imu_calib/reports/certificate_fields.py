@@ -53,7 +53,7 @@ _WORDS = {
 
 
 class Conformity(Enum):
-    """The statement on a value, in the terms of the DCC."""
+    """The statement on a value, in the terms of the DCC; the worst last."""
 
     PASS = 'pass'
     CONDITIONAL_PASS = 'conditionalPass'
@@ -63,17 +63,7 @@ class Conformity(Enum):
     @property
     def words(self) -> str:
         """The statement as text."""
-        return {'conditionalPass': 'conditional pass', 'conditionalFail': 'conditional fail'}.get(
-            self.value, self.value
-        )
-
-
-WORST_LAST = (
-    Conformity.PASS,
-    Conformity.CONDITIONAL_PASS,
-    Conformity.CONDITIONAL_FAIL,
-    Conformity.FAIL,
-)
+        return self.name.lower().replace('_', ' ')
 
 
 def decide(value: float, expanded: float, limit: float, rule: Rule) -> Conformity:

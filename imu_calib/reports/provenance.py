@@ -336,17 +336,13 @@ def noise_lines(calibration: Calibration) -> list[str]:
 
 
 def _line(units: TriadUnits, found: Sequence[ChannelNoise], spec: TriadSpec) -> str:
-    walk = _listed_noise([c.random_walk for c in found], units.walk_scale)
-    bias = _listed_noise([c.bias_instability for c in found], units.rate_scale)
+    walk = ' '.join(written(c.random_walk, units.walk_scale) for c in found)
+    bias = ' '.join(written(c.bias_instability, units.rate_scale) for c in found)
     return (
         f'noise of the {units.name}s: random walk {walk} {units.walk}'
         f'{_stated(spec.random_walk, units.walk_scale)}, '
         f'bias instability {bias} {units.rate}{_stated(spec.bias_instability, units.rate_scale)}'
     )
-
-
-def _listed_noise(coefficients: Sequence[Coefficient], scale: float) -> str:
-    return ' '.join(written(c, scale) for c in coefficients)
 
 
 def written(coefficient: Coefficient, scale: float) -> str:
