@@ -64,7 +64,7 @@ def stands_of(rng: np.random.Generator, cell: Cell) -> NDArray[np.int64]:
 
 def pattern(what: str) -> NDArray[np.float64]:
     """Return what a shift of one scatter adds to the 24 parameters, in scatters."""
-    return next(one.of for one in PATTERNS if one.name == what)
+    return next(one.shifts for one in PATTERNS if one.name == what)
 
 
 def run(rng: np.random.Generator, cell: Cell) -> tuple[StandShift, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 from urllib.parse import quote
@@ -14,9 +14,9 @@ from ..common.stream import Floats
 from ..model.parameters import PARAMETERS
 from ..reports.charts import drawing, tag
 from ..reports.html import bullets, paragraph, table
-from ..reports.tables import decimals, engineering
+from ..reports.tables import decimals, engineering, fixed
 from ..session.imu import COVERAGE
-from .page_contents import PLACE_OF, Flag, Fleet, Unit, amount, count, day, unit_of
+from .page_contents import PLACE_OF, Flag, Fleet, Unit, amount, count, day
 from .results import Outlier, Population, Signal, UnitHistory
 from .sentences import listed, percent, quantity, stand_sentence, step_sentence
 
@@ -56,17 +56,8 @@ class Issue:
 
 def issues(fleet: Fleet) -> list[Issue]:
     """Return all matters, the worst first."""
-    found = (
-        *_stands(fleet),
-        *_outside(fleet),
-        *_due(fleet),
-        *_failed(fleet),
-        *_control(fleet),
-        *_steps(fleet),
-        *_drifts(fleet),
-        *_outliers(fleet),
-    )
-    return list(found)
+    kinds = (_stands, _outside, _due, _failed, _control, _steps, _drifts, _outliers)
+    return [issue for find in kinds for issue in find(fleet)]
 
 
 def dated(date: np.datetime64) -> str:
@@ -76,11 +67,8 @@ def dated(date: np.datetime64) -> str:
 
 def link(unit: Unit) -> str:
     """Return a unit's name as a link that opens it."""
-    return tag(
-        'a',
-        escape(unit.name),
-        href=f'#unit={quote(unit.imu, safe="")}/{quote(unit.serial, safe="")}',
-    )
+    address = f'#unit={quote(unit.imu, safe="")}/{quote(unit.serial, safe="")}'
+    return tag('a', escape(unit.name), href=address)
 
 
 def _stands(fleet: Fleet) -> Iterator[Issue]:
@@ -130,57 +118,30 @@ def _newest(unit: Unit) -> str:
 
 
 def _due(fleet: Fleet) -> Iterator[Issue]:
-    late, soon = fleet.flagged(Flag.OVERDUE), fleet.flagged(Flag.DUE)
-    if not late and not soon:
-        return
-    inside = fleet.history.rules.inside
-    for units, flag in ((late, Flag.OVERDUE), (soon, Flag.DUE)):
-        if not units:
+    inside = percent(fleet.history.rules.inside)
+    for flag in (Flag.OVERDUE, Flag.DUE):
+        known = [(u, u.history) for u in fleet.flagged(flag) if u.history is not None]
+        if not known:
             continue
-        ordered = _by(units, lambda u: float(_date_of(u).astype(np.int64)))
+        known = sorted(known, key=lambda pair: pair[1].forecast.recalibrate.astype('M8[s]'))
         cells = [
-            [
-                link(u),
-                _newest(u),
-                dated(_date_of(u)),
-                escape(u.history.forecast.parameter) if u.history is not None else '',
-            ]
-            for u in ordered
+            [link(u), _newest(u), dated(h.forecast.recalibrate), escape(h.forecast.parameter)]
+            for u, h in known
         ]
-        what = _overdue(ordered, inside) if flag is Flag.OVERDUE else _soon(ordered, fleet.ahead)
-        title = 'Overdue for recalibration' if flag is Flag.OVERDUE else 'Due for recalibration'
+        first, last = (day(h.forecast.recalibrate) for _, h in (known[0], known[-1]))
+        when = f'on {first}' if first == last else f'from {first} to {last}'
+        if flag is Flag.OVERDUE:
+            title = 'Overdue for recalibration'
+            what = (
+                f'{count(len(known), "unit was", "units were")} to be recalibrated {when}: from '
+                f'then on the forecast gives less than {inside} probability that all parameters '
+                'are inside the specification. Calibrate before further use.'
+            )
+        else:
+            title, words = 'Due for recalibration', count(len(known), 'unit is', 'units are')
+            what = f'{words} to be recalibrated within {fleet.ahead:g} days, {when}.'
         headings = ['unit', 'newest session', 'due', 'because of']
         yield Issue(title, flag.value.kind, [what], headings, cells, flag)
-
-
-def _overdue(units: Sequence[Unit], inside: float) -> str:
-    """Return a sentence on units by their due dates, which have passed."""
-    words = count(len(units), 'unit was', 'units were')
-    return (
-        f'{words} to be recalibrated {_when(units)}: from then on the forecast gives less than '
-        f'{percent(inside)} probability that all parameters are inside the specification. '
-        'Calibrate before further use.'
-    )
-
-
-def _soon(units: Sequence[Unit], ahead: float) -> str:
-    """Return a sentence on units by their due dates, which come soon."""
-    words = count(len(units), 'unit is', 'units are')
-    return f'{words} to be recalibrated within {ahead:g} days, {_when(units)}.'
-
-
-def _when(units: Sequence[Unit]) -> str:
-    first, last = day(_date_of(units[0])), day(_date_of(units[-1]))
-    return f'on {first}' if first == last else f'from {first} to {last}'
-
-
-def _date_of(unit: Unit) -> np.datetime64:
-    none = np.datetime64('NaT', 's')
-    return none if unit.history is None else unit.history.forecast.recalibrate.astype('M8[s]')
-
-
-def _by(units: Sequence[Unit], key: Callable[[Unit], float]) -> list[Unit]:
-    return sorted(units, key=key)
 
 
 def _failed(fleet: Fleet) -> Iterator[Issue]:
@@ -228,11 +189,9 @@ def _control(fleet: Fleet) -> Iterator[Issue]:
     units = fleet.flagged(Flag.CONTROL)
     if not units:
         return
-    signals = {u.serial + '\0' + u.imu: _signals(u) for u in units}
-    ordered = _by(units, lambda u: -max(map(_excess, signals[u.serial + '\0' + u.imu])))
+    found = sorted([(u, _signals(u)) for u in units], key=lambda pair: -_excess(pair[1][0]))
     cells = [
-        [link(u), _newest(u), escape('; '.join(_signal(s) for s in _signals(u)[:3]))]
-        for u in ordered
+        [link(u), _newest(u), escape('; '.join(map(_signal, signals[:3])))] for u, signals in found
     ]
     rate = fleet.history.rules.false_alarm
     tested = sum(unit.history is not None for unit in fleet.units)
@@ -302,7 +261,7 @@ def _drifts(fleet: Fleet) -> Iterator[Issue]:
         known = history.forecast.leaves[~np.isnat(history.forecast.leaves)]
         return known.min().astype('M8[s]') if len(known) else np.datetime64('9999-01-01', 's')
 
-    ordered = _by(units, lambda u: float(leaving(u).astype(np.int64)))
+    ordered = sorted(units, key=leaving)
     going = [u for u in ordered if leaving(u) < np.datetime64('9999-01-01', 's')]
     cells = [
         [link(u), escape(_slopes(u)), dated(leaving(u)) if u in going else 'not foreseen']
@@ -333,7 +292,7 @@ def _slopes(unit: Unit) -> str:
     words = []
     for k in chosen:
         shown = amount(PARAMETERS[k], float(trend.slope[k]), float(trend.std[k]))
-        words.append(f'{PARAMETERS[k].name} {shown} {unit_of(PARAMETERS[k])}')
+        words.append(f'{PARAMETERS[k].name} {shown} {engineering(PARAMETERS[k]).symbol}')
     return listed(words, 2)
 
 
@@ -351,9 +310,8 @@ def _outliers(fleet: Fleet) -> Iterator[Issue]:
     cells = []
     for name, outlier in seen.items():
         value = f'{outlier.parameter} {quantity(outlier.value, outlier.parameter)}'
-        score = f'{outlier.score:.1f}'.replace('-', '\u2212')
         named = link(unit_of_name[name]) if name in unit_of_name else escape(' '.join(name))
-        cells.append([named, escape(value), score])
+        cells.append([named, escape(value), fixed(outlier.score, 1)])
     sentences = []
     if seen:
         sentences.append(
@@ -376,8 +334,6 @@ def remarks(fleet: Fleet) -> str:
     rest = bullets([sentence for sentence in fleet.history.findings if sentence not in shown])
     return tag('h3', 'On the catalogue') + rest if rest else ''
 
-
-# Distributions of the units of each type, and recordings by stand and by type.
 
 _BINS = 24
 """Bins of a small distribution: 5 px each."""
@@ -433,7 +389,7 @@ def _row(
         _number(spread, places),
         _number(turn_on, decimals(turn_on)),
         _number(slope, decimals(slope_std) if slope_std > 0 else 3),
-        escape(unit_of(parameter)),
+        escape(engineering(parameter).symbol),
         _distribution(
             parameter.name, newest, limits, population.median[k], population.robust_std[k]
         ),
@@ -443,7 +399,7 @@ def _row(
 
 
 def _number(value: float, places: int) -> str:
-    return f'{value:.{places}f}'.replace('-', '\u2212') if np.isfinite(value) else '\u2013'
+    return fixed(value, places) if np.isfinite(value) else '\u2013'
 
 
 def _distribution(name: str, values: Floats, limits: Floats, median: float, spread: float) -> str:
@@ -459,21 +415,13 @@ def _distribution(name: str, values: Floats, limits: Floats, median: float, spre
     if len(stated):
         ends = np.clip([-stated[0], stated[0]], low, high)
         left, right = (ends - low) / (high - low) * _WIDTH
-        parts.append(
-            tag(
-                'rect', x=float(left), y=0.0, width=float(right - left), height=_HEIGHT,
-                class_='within',
-            )
-        )  # fmt: skip
+        size = {'width': float(right - left), 'height': _HEIGHT}
+        parts.append(tag('rect', x=float(left), y=0.0, **size, class_='within'))
     for place, number in enumerate(counts):
         if number:
             height = max(1.0, _HEIGHT * number / counts.max())
-            parts.append(
-                tag(
-                    'rect', x=place * width, y=_HEIGHT - height, width=width - 0.6, height=height,
-                    class_='count',
-                )
-            )  # fmt: skip
+            size = {'width': width - 0.6, 'height': height}
+            parts.append(tag('rect', x=place * width, y=_HEIGHT - height, **size, class_='count'))
     return drawing(parts, _WIDTH, _HEIGHT, f'distribution of {name}')
 
 

@@ -40,16 +40,16 @@ _FOLDERS = {'imu': 'imus', 'plan': 'plans', 'table': 'tables'}
 
 
 @dataclass(frozen=True)
-class Done:
+class TaskResult:
     """Result of a task."""
 
     key: str  #: Key of the task.
     row: dict[str, Any] | None = None  #: For the catalogue; None if the catalogue has it.
     calibration: str = ''  #: Text of calibration.yaml; empty without one.
-    others: tuple[Done, ...] = ()  #: Results for the other units of the recording.
+    others: tuple[TaskResult, ...] = ()  #: Results for the other units of the recording.
 
     @property
-    def results(self) -> tuple[Done, ...]:
+    def results(self) -> tuple[TaskResult, ...]:
         """Return the result for each unit."""
         return (self, *self.others)
 
@@ -80,11 +80,14 @@ def key_of(job: Job, sha256: str) -> str:
 
 def key_of_unit(key: str, serial_number: str) -> str:
     """Return the key of one of several units, from that of all: they share unknowns."""
-    return hashlib.sha256(f'{key} {serial_number}'.encode()).hexdigest()[:32]
+    return _digest(f'{key} {serial_number}')
 
 
 def _hashed(whole: list[Any]) -> str:
-    text = json.dumps(whole, sort_keys=True, default=str)
+    return _digest(json.dumps(whole, sort_keys=True, default=str))
+
+
+def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
@@ -95,8 +98,7 @@ def _texts_of(imus: str) -> list[str]:
         InputError: The first is broken. An unreadable type concerns only its units.
     """
     units = load_units(imus)
-    own = read_text(user_path(imus))
-    return [own, *(_text_of_type(unit) for unit in units)]
+    return [read_text(user_path(imus)), *(_text_of_type(unit) for unit in units)]
 
 
 def _text_of_type(unit: MountedUnit) -> str:
@@ -119,13 +121,8 @@ def content_of(path: AnyPath) -> str:
         raise InputError(f'{path}: cannot be read ({error.strerror or error}).') from None
 
 
-def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
-    """Calibrate from one recording; a failure is a row too.
-
-    Args:
-        job: The recording.
-        known: Keys of finished tasks, which are not repeated.
-    """
+def run(job: Job, known: frozenset[str] = frozenset()) -> TaskResult:
+    """Calibrate from one recording, unless its key is known; a failure is a row too."""
     begun = time.process_time()
     key, sha256 = '', ''
     try:
@@ -133,7 +130,7 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
         sha256 = content_of(path)
         key = key_of(job, sha256)
         if key in known:
-            return Done(key)
+            return TaskResult(key)
         with recording_at(path, sha256) as recording:
             if _is_of_several(job, recording):
                 return _several(job, recording, key, known, begun)
@@ -143,7 +140,7 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
         row = {**_common(job, key, sha256), **_calibrated(result), **_when(job, start)}
         row['topic'] = opened.streams.imu
         row['seconds'] = time.process_time() - begun
-        return Done(key, row, result.calibration.to_yaml())
+        return TaskResult(key, row, result.calibration.to_yaml())
     except ImuCalibError as error:
         sentence, code = str(error), error.exit_code
     except MemoryError:
@@ -153,8 +150,8 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
         sentence = f'Unforeseen error ({type(error).__name__}: {error}): please report it.'
         code = DEFECT
     ended = _none_of(job, key, sha256, sentence, code, time.process_time() - begun)
-    # What still cannot be read is no news; that of several units has their keys, not one.
-    return _as_one(Done(one.key) if one.key in known else one for one in ended.results)
+    # Do not add a second row for the same failure; several units have a key each.
+    return _as_one(TaskResult(one.key) if one.key in known else one for one in ended.results)
 
 
 def _is_of_several(job: Job, recording: Recording) -> bool:
@@ -165,12 +162,14 @@ def _is_of_several(job: Job, recording: Recording) -> bool:
     return not chosen and bool(units_of(recording))
 
 
-def _several(job: Job, recording: Recording, key: str, known: frozenset[str], begun: float) -> Done:
+def _several(
+    job: Job, recording: Recording, key: str, known: frozenset[str], begun: float
+) -> TaskResult:
     """Calibrate all units of a recording, unless finished; a failed one is a row too."""
     imus = job.imus or None
     keys = [key_of_unit(key, serial) for serial in serials_in(recording, imus)]
     if known.issuperset(keys):
-        return _as_one(Done(one) for one in keys)
+        return _as_one(TaskResult(one) for one in keys)
     found = units_of_recording(recording, imus, job.stated)
     start, sha256 = recording.start_ns, recording.sha256()
     # The common work is done once: each unit gets its share of the time.
@@ -178,7 +177,7 @@ def _several(job: Job, recording: Recording, key: str, known: frozenset[str], be
     ended = []
     for own, unit in zip(keys, found.units, strict=True):
         if own in known:
-            ended.append(Done(own))
+            ended.append(TaskResult(own))
             continue
         text = ''
         if unit.result is None:
@@ -189,18 +188,18 @@ def _several(job: Job, recording: Recording, key: str, known: frozenset[str], be
             row = {**_common(job, own, sha256), **_calibrated(unit.result)}
             text = unit.result.calibration.to_yaml()
         row |= {**_when(job, start), 'topic': unit.topic, 'seconds': seconds}
-        ended.append(Done(own, row, text))
+        ended.append(TaskResult(own, row, text))
     return _as_one(ended)
 
 
-def _as_one(ended: Iterable[Done]) -> Done:
+def _as_one(ended: Iterable[TaskResult]) -> TaskResult:
     first, *others = ended
     return replace(first, others=tuple(others))
 
 
 def _none_of(
     job: Job, key: str, sha256: str, sentence: str, code: int, seconds: float = math.nan
-) -> Done:
+) -> TaskResult:
     """Return the row of a failed recording, or of each unit if a file lists them."""
     session = key or unread_key(job, sha256)
     try:
@@ -209,13 +208,13 @@ def _none_of(
         units = ()
     if not units:
         row = failed(job, session, sha256, sentence, code) | {'seconds': seconds}
-        return Done(session, row)
+        return TaskResult(session, row)
     ended = []
     for unit in units:
         own = key_of_unit(session, unit.serial_number)
         row = failed(job, own, sha256, sentence, code) | {'seconds': seconds / len(units)}
         row |= {'serial': unit.serial_number, 'imu': _type_of(unit), 'topic': unit.topic}
-        ended.append(Done(own, row))
+        ended.append(TaskResult(own, row))
     return _as_one(ended)
 
 
@@ -233,7 +232,7 @@ def failed(job: Job, key: str, sha256: str, sentence: str, code: int) -> dict[st
     return {**row, **_when(job, None), 'status': FAILED, 'error': sentence, 'exit_code': code}
 
 
-def lost(job: Job) -> Done:
+def lost(job: Job) -> TaskResult:
     """Return the row of a recording that killed its workers, one after the other."""
     key, sha256 = '', ''
     try:
@@ -254,12 +253,9 @@ def unread_key(job: Job, sha256: str = '') -> str:
 
     A recording without a hash is identified by its files, so that a copy in another folder has the
     same key, and one that has changed another; by its path if it has none.
-
-    Args:
-        job: The task.
-        sha256: Of the recording's content; empty if it cannot be read.
     """
-    content = sha256 or _files_of(job.recording) or _whole_path(job.recording)
+    path = job.recording if is_url(job.recording) else str(Path(job.recording).resolve())
+    content = sha256 or _files_of(job.recording) or path
     return _hashed(['unread', content, asdict(job.stated), asdict(job.labels), job.imus])
 
 
@@ -270,19 +266,13 @@ def _files_of(recording: str) -> list[tuple[str, int, str]]:
         return []
     try:
         files = sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
-        return [(one.name, one.stat().st_size, _text_of(one)) for one in files]
+        found = []
+        for file in files:
+            text = file.read_bytes().decode(errors='replace') if file.name == METADATA else ''
+            found.append((file.name, file.stat().st_size, text))
+        return found
     except OSError:
         return []
-
-
-def _text_of(file: Path) -> str:
-    if file.name != METADATA:
-        return ''
-    return file.read_bytes().decode(errors='replace')
-
-
-def _whole_path(recording: str) -> str:
-    return recording if is_url(recording) else str(Path(recording).resolve())
 
 
 def limits_of(specification: Specification | None) -> list[float] | None:
@@ -295,6 +285,7 @@ def limits_of(specification: Specification | None) -> list[float] | None:
 
 def _common(job: Job, key: str, sha256: str) -> dict[str, Any]:
     stated, labels = job.stated, job.labels
+    texts = {name: getattr(stated, name) for name in ('serial', 'imu', 'table', 'plan', 'method')}
     return {
         'key': key,
         'recording': job.recording,
@@ -302,16 +293,9 @@ def _common(job: Job, key: str, sha256: str) -> dict[str, Any]:
         'status': CALIBRATED,
         'error': '',
         'exit_code': 0,
-        'serial': stated.serial or '',
-        'imu': '' if stated.imu is None else str(stated.imu),
+        **{name: '' if value is None else str(value) for name, value in texts.items()},
         'topic': stated.imu_topic or '',
-        'table': '' if stated.table is None else str(stated.table),
-        'plan': '' if stated.plan is None else str(stated.plan),
-        'method': stated.method or '',
-        'site': labels.site,
-        'stand': labels.stand,
-        'operator': labels.operator,
-        'lot': labels.lot,
+        **{name: getattr(labels, name) for name in ('site', 'stand', 'operator', 'lot')},
         'version': version(),
         'at': datetime.now(timezone.utc),
     }

@@ -31,7 +31,7 @@ from ..common.parallel import MEMORY, Engine, Progress, WorkerDied, outcomes, si
 from ..common.units import counted
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from ..session.units_file import load_units
-from .batch import CALIBRATED, Done, lost, run
+from .batch import CALIBRATED, TaskResult, lost, run
 from .recordings import OF_ONE, Job, convertible, find_jobs
 from .sentences import listed
 
@@ -135,12 +135,11 @@ class Catalogue:
         kept = (keys if failed else keys - lost for _, _, keys, lost in self._seen.values())
         return frozenset().union(*kept)
 
-    def add(self, done: Sequence[Done], *, replace: bool = False) -> int:
-        """Add rows with their calibration files; return the number of new ones.
+    def add(self, done: Sequence[TaskResult], *, replace: bool = False) -> int:
+        """Add rows with their calibration files, or replace those of the same keys.
 
-        Args:
-            done: With rows.
-            replace: Replace the row with the same key.
+        Returns:
+            The number of new ones.
 
         Raises:
             InputError: It cannot be written; no partial row remains.
@@ -214,7 +213,7 @@ class Catalogue:
             raise NotObservable(f'{self.folder}: no row meets {where}. {_contents(self, where)}')
         return found
 
-    def _with_file(self, one: Done, newest: dict[Path, str]) -> dict[str, Any]:
+    def _with_file(self, one: TaskResult, newest: dict[Path, str]) -> dict[str, Any]:
         """Write a calibration's files; return its row with the path of the first.
 
         Args:
@@ -373,9 +372,7 @@ def rows_of(table: pa.Table) -> Iterable[dict[str, Any]]:
         yield from batch.to_pylist()
 
 
-# A batch: process recordings with Dask workers, and add their rows to a catalogue.
-
-Task: TypeAlias = Callable[[Job, frozenset[str]], Done]
+Task: TypeAlias = Callable[[Job, frozenset[str]], TaskResult]
 
 _FLUSH, _FLUSH_SHARE, _LATEST_FLUSH = 1.0, 0.05, 60.0
 """Time between additions to the catalogue: at least 1 s, 5 % of the batch's time, at most 60 s.
@@ -483,25 +480,13 @@ def run_batch(
     connected: Callable[[str], None] = lambda _: None,
     task: Task = run,
 ) -> Batch:
-    """Run jobs and add their rows; as `batch`.
+    """Run jobs and add their rows; as `batch`, with another task if one is given.
 
     After an interruption the finished tasks are in the catalogue.
-
-    Args:
-        jobs: Recordings.
-        catalogue: Receives the rows.
-        engine: Runs the jobs.
-        retry: Repeat failed tasks.
-        progress: Shows the progress.
-        connected: As of `batch`.
-        task: Creates a row from a recording, unless its key is known.
-
-    Raises:
-        InputError: As `batch`.
     """
     begun = time.monotonic()
     count = {'calibrated': 0, 'failed': 0, 'known': 0, 'known_failed': 0}
-    unsaved: list[Done] = []
+    unsaved: list[TaskResult] = []
     with engine.connected() as client, progress('calibrating') as show:
         connected(client.dashboard_link)
         show(0, len(jobs))
@@ -534,11 +519,11 @@ def run_batch(
 
 def _each(
     client: Client, jobs: Sequence[Job], known: frozenset[str], task: Task
-) -> Iterator[list[Done]]:
+) -> Iterator[list[TaskResult]]:
     """Yield the results of the jobs, unit by unit, in the order of completion."""
     seen: set[str] = set()
     for number, outcome in outcomes(client, task, jobs, known):
         done = lost(jobs[number]) if isinstance(outcome, WorkerDied) else outcome
         # The same recording under two names is one row.
-        yield [Done(one.key) if one.key in seen else one for one in done.results]
+        yield [TaskResult(one.key) if one.key in seen else one for one in done.results]
         seen.update(one.key for one in done.results)

@@ -25,11 +25,8 @@ from ..model.parameters import PARAMETERS
 from .results import MONTH_DAYS, Chart, ChartLimits, Rules, Sessions, Signal
 from .scatter import Fit, Prior, fit, line_design, sampled
 
-# Mean run length of an EWMA chart of standard normal scores, and the limit for a given one.
-#
 # Source: the integral equation of Crowder 1987; Lucas & Saccucci 1990 tabulate its solutions;
 # docs/history.md, 'Control charts'.
-
 
 _NODES = 64
 """Nodes of the quadrature: run lengths to five digits for smoothings from 0.05 on."""
@@ -80,8 +77,6 @@ def ewma_limit(smoothing: float, run: float) -> float:
     return (low + high) / 2
 
 
-# Sort sessions into units by date, and group units with equal numbers of sessions.
-
 SIZE = len(PARAMETERS)
 _CELLS = 20_000
 """Sessions processed together: their arrays take some 100 MB."""
@@ -108,6 +103,13 @@ class Block:
         enough = np.isfinite(self.stated).sum(axis=-1) > _NO_SLOPE
         months = np.where(enough[..., None], self.months[:, None], 0.0)
         return np.stack([np.ones(self.values.shape), months], axis=-1)
+
+    @property
+    def mean_stated(self) -> Floats:
+        """Return the mean stated variance of a session, (u, 24); zero without a session."""
+        there = np.isfinite(self.stated)
+        total = np.sum(np.where(there, self.stated, 0.0), axis=-1)
+        return np.asarray(total / np.maximum(there.sum(axis=-1), 1))
 
     def parts(self) -> Iterator[slice]:
         """Yield slices of units to be processed together."""
@@ -139,19 +141,16 @@ def units_of(sessions: Sequence[int], found: Sessions) -> dict[tuple[str, str], 
 def block(rows: NDArray[np.int64], found: Sessions, typical: Floats) -> Block:
     """Return a block of units with their sessions.
 
-    Args:
-        rows: (u, n) by date; negative: none.
-        found: All sessions.
-        typical: (24,) variance of sessions that state none.
+    Rows (u, n) are by date, negative without a session; sessions that state no variance have the
+    typical one, (24,).
     """
     none = rows < 0
     date = found.date[rows].astype('datetime64[s]').astype(np.int64) / 86400.0
     newest = np.max(np.where(none, -np.inf, date), axis=1, keepdims=True)
     months = np.where(none, 0.0, (date - newest) / MONTH_DAYS)
     values = np.moveaxis(np.where(none[..., None], np.nan, found.values[rows]), 1, 2)
-    stated = np.diagonal(found.covariance[rows], axis1=-2, axis2=-1)
-    stated = np.moveaxis(stated, 1, 2)
-    stated = np.where(np.isfinite(stated) & (stated >= 0), stated, typical[:, None])
+    stated = np.moveaxis(stated_variance(found.covariance[rows]), 1, 2)
+    stated = np.where(np.isnan(stated), typical[:, None], stated)
     return Block(rows, months, values, np.where(np.isfinite(values), stated, np.inf))
 
 
@@ -173,10 +172,16 @@ def sample(units: Sequence[Sequence[int]], found: Sessions, typical: Floats) -> 
     return block(rows, found, typical)
 
 
+def stated_variance(covariance: Floats) -> Floats:
+    """Return the diagonals of covariances (..., p, p); NaN where none is stated."""
+    stated = np.diagonal(covariance, axis1=-2, axis2=-1)
+    return np.where(np.isfinite(stated) & (stated >= 0), stated, np.nan)
+
+
 def typical_variance(covariance: Floats) -> Floats:
     """Return the median of the stated variances, (24,); zero without any."""
-    stated = np.diagonal(covariance, axis1=-2, axis2=-1)
-    known = np.isfinite(stated) & (stated >= 0)
+    stated = stated_variance(covariance)
+    known = np.isfinite(stated)
     some = known.any(axis=0)
     median = np.nanmedian(np.where(known | ~some, np.where(some, stated, 0.0), np.nan), axis=0)
     return np.asarray(np.where(some, median, 0.0))
@@ -322,11 +327,8 @@ def signals_of(
     return tuple(sorted(found, key=lambda one: one.index))
 
 
-# Steps between two sessions of a unit that no trend explains.
-#
 # Source: partial t test of a step in addition to line and steps, at every place and in every
 # parameter, the probability multiplied by their number (Bonferroni); docs/history.md, 'Steps'.
-
 
 _MOST = 5
 """Most steps of one parameter: more are not steps but another course."""
@@ -335,23 +337,23 @@ _DISTINCT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class StepPlaces:
     """Steps of the units of a block: for each parameter, the first sessions after them."""
 
     #: Sessions by (unit, parameter), indices in the block; without steps there is no entry.
-    of: dict[tuple[int, int], tuple[int, ...]]
+    by_parameter: dict[tuple[int, int], tuple[int, ...]]
 
     def of_unit(self, unit: int) -> dict[int, list[int]]:
         """Return the parameters that step, by the first session after the step."""
         found: dict[int, list[int]] = {}
-        for (u, p), places in self.of.items():
+        for (u, p), places in self.by_parameter.items():
             if u == unit:
                 for k in places:
                     found.setdefault(k, []).append(p)
         return dict(sorted(found.items()))
 
 
-def find_steps(block: Block, weights: Floats, prior: Prior, false_alarm: float) -> Places:
+def find_steps(block: Block, weights: Floats, prior: Prior, false_alarm: float) -> StepPlaces:
     """Return the steps of units, with a false step in at most one unit of 1 / false_alarm.
 
     Args:
@@ -362,7 +364,7 @@ def find_steps(block: Block, weights: Floats, prior: Prior, false_alarm: float) 
     """
     count = block.months.shape[1]
     if count < FEWEST_FOR_A_STEP:
-        return Places({})
+        return StepPlaces({})
     level = false_alarm / (SIZE * (count - 1))
     design = line_design(block.months)[:, None]
     at = fit(design, weights, block.values)
@@ -377,15 +379,13 @@ def find_steps(block: Block, weights: Floats, prior: Prior, false_alarm: float) 
         while len(places) < _MOST and (more := _next(places, *own, one, level)) is not None:
             places = tuple(sorted((*places, more)))
         found[int(u), int(p)] = places
-    return Places(found)
+    return StepPlaces(found)
 
 
 def step_design(months: Floats, places: tuple[int, ...]) -> Floats:
     """Return the columns of a line with steps, (n, 2 + s): its level is that after the last step.
 
-    Args:
-        months: (n,).
-        places: First sessions after each step.
+    A place is the first session after a step.
     """
     before = np.arange(len(months))[:, None] < np.array(places, dtype=int)
     return np.column_stack([line_design(months), -before.astype(float)])

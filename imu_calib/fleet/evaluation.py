@@ -18,7 +18,7 @@ from .charts import (
     SIZE,
     Block,
     Correlations,
-    Places,
+    StepPlaces,
     blocks,
     chance_of,
     chart_limits,
@@ -27,6 +27,7 @@ from .charts import (
     sample,
     scores_of,
     signals_of,
+    stated_variance,
     step_design,
     typical_variance,
     units_of,
@@ -57,10 +58,7 @@ from .sentences import listed, stand_sentence, unit_sentences
 from .stands import corrections, judge_stands, turned
 from .trends import Due, Lines, Slopes, fit_lines, forecast, quantile, slopes_of
 
-# The cause of a step: a mount shift rotates all sensors together.
-#
 # Source: docs/history.md, 'Steps'; the rotation as in docs/mathematics.md, 'Free of frame'.
-
 
 _TURNS = np.column_stack([turned(axis) for axis in range(3)])
 """(24, 3) changes of the parameters by rotations about X, Y and Z."""
@@ -69,22 +67,17 @@ _LEAST = 2
 
 
 def steps_of(
-    unit: int, places: Places, lines: Lines, date: Dates, rules: Rules
+    unit: int, places: StepPlaces, lines: Lines, date: Dates, rules: Rules
 ) -> tuple[Step, ...]:
-    """Return the steps of one unit; parameters that step at the same session are combined.
+    """Return the steps of the unit at an index of a block, with dates (n,) of its sessions.
 
-    Args:
-        unit: Its index in the block.
-        places: Steps of the units.
-        lines: With the sizes of their steps.
-        date: (n,) of its sessions.
-        rules: Rules of the evaluation.
+    Parameters that step at the same session are combined.
     """
     found = []
     for place, parameters in places.of_unit(unit).items():
         size, std, reach = (np.zeros(len(parameters)) for _ in range(3))
         for k, p in enumerate(parameters):
-            which = places.of[unit, p].index(place)
+            which = places.by_parameter[unit, p].index(place)
             sizes, deviations = lines.steps[unit, p]
             size[k], std[k] = sizes[which], deviations[which]
             freedom = np.array(lines.freedom[unit, p])
@@ -139,12 +132,12 @@ class Judged:
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class FittedUnits:
     """Some units of a type with their results."""
 
     block: Block
     weights: Floats
-    places: Places
+    places: StepPlaces
     lines: Lines
     scores: Floats
 
@@ -172,7 +165,7 @@ def judge_type(
     rows = np.concatenate([np.array(one) for one in units])
     typical = typical_variance(recorded.covariance[rows])
     parts = [
-        _part(block.part(which), prior, rules)
+        _fitted(block.part(which), prior, rules)
         for block in blocks(units, corrected, typical)
         for which in block.parts()
     ]
@@ -191,12 +184,12 @@ def judge_type(
     return Judged(tuple(sorted(found, key=lambda u: u.serial)), prior, slopes)
 
 
-def _part(block: Block, prior: Prior, rules: Rules) -> _Part:
+def _fitted(block: Block, prior: Prior, rules: Rules) -> FittedUnits:
     variance = block.stated + np.maximum(prior.between, np.finfo(float).tiny)[:, None]
     weights = np.where(np.isfinite(variance), 1 / variance, 0.0)
     places = find_steps(block, weights, prior, rules.false_alarm)
     lines = fit_lines(block, weights, places, prior)
-    return _Part(block, weights, places, lines, scores_of(block, prior))
+    return FittedUnits(block, weights, places, lines, scores_of(block, prior))
 
 
 def _slope_variance(lines: Lines) -> Floats:
@@ -209,7 +202,7 @@ _NO_VARIANCE = 2
 
 
 def _units(
-    part: _Part,
+    part: FittedUnits,
     recorded: Sessions,
     corrected: Sessions,
     prior: Prior,
@@ -268,38 +261,36 @@ def _trends(lines: Lines, rules: Rules) -> tuple[Any, ...]:
     reach = quantile(lines.freedom, rules.confidence) * std
     t = np.divide(slope, std, out=np.zeros_like(slope), where=std > 0)
     chance = chance_of(np.nan_to_num(t), lines.freedom)
-    level = np.where(lines.known, lines.coefficients[..., 0], np.nan)
     return (
+        np.where(lines.known, lines.coefficients[..., 0], np.nan),
+        np.sqrt(lines.covariance[..., 0, 0]),
         np.where(np.isfinite(std), slope, np.nan),
         std,
         slope - reach,
         slope + reach,
         np.where(np.isfinite(std), chance, np.nan),
         chance * SIZE < rules.false_alarm,
-        level,
-        np.sqrt(lines.covariance[..., 0, 0]),
     )
 
 
-def _scatters(block: Block, places: Places, rules: Rules) -> tuple[Any, ...]:
+def _scatters(block: Block, places: StepPlaces, rules: Rules) -> tuple[Any, ...]:
     """Return the fields of `Scatter`, (u, 24) each."""
     design = block.design
     found = between(design, block.stated, block.values)
     low, high, over = interval(design, block.stated, block.values, rules.confidence)
     freedom = np.isfinite(block.stated).sum(axis=-1) - (1 + (np.ptp(design[..., 1], axis=-1) > 0))
-    for (u, p), places_of in places.of.items():
+    for (u, p), places_of in places.by_parameter.items():
         columns = step_design(block.months[u], places_of)
         own = (columns, block.stated[u, p], block.values[u, p])
         found[u, p] = between(*own)
         low[u, p], high[u, p], over[u, p] = interval(*own, rules.confidence)
         freedom[u, p] = np.isfinite(block.stated[u, p]).sum() - columns.shape[1]
-    there = np.isfinite(block.stated)
-    stated = np.sum(np.where(there, block.stated, 0.0), axis=-1) / np.maximum(there.sum(-1), 1)
+    known = np.isfinite(block.stated).any(axis=-1)
     return (
         np.sqrt(found),
         np.sqrt(low),
         np.sqrt(high),
-        np.where(there.any(axis=-1), np.sqrt(stated), np.nan),
+        np.where(known, np.sqrt(block.mean_stated), np.nan),
         np.maximum(freedom, 0).astype(float),
         over,
     )
@@ -355,11 +346,7 @@ def _dates(day: np.datetime64, months: Floats) -> np.ndarray[tuple[int], np.dtyp
 def population_of(imu: str, judged: Judged, false_alarm: float) -> Population:
     """Return the evaluation of the units of a type together.
 
-    Args:
-        imu: Type.
-        judged: Its units.
-        false_alarm: Probability that any unit is called an outlier, or any lot different, without
-            cause.
+    A false alarm calls any unit an outlier, or any lot different, without cause.
     """
     units = judged.units
     newest = np.array([_newest(unit.corrected) for unit in units])
@@ -426,9 +413,6 @@ def _turn_on(units: Sequence[UnitHistory], prior: Prior) -> Floats:
     """Return the typical standard deviation between sessions; NaN if no unit determines it."""
     determined = np.any([np.isfinite(unit.scatter.std) for unit in units], axis=0)
     return np.where(determined, np.sqrt(prior.between), np.nan)
-
-
-# Evaluate all sessions: first stands, then units corrected for their effects, then types.
 
 
 def backtest(sessions: Sessions, limits: Mapping[str, Floats], rules: Rules = USUAL) -> History:
@@ -520,8 +504,8 @@ def _stands(
             kinds.append(np.full(len(own), kind))
         mine = np.concatenate(rows[len(rows) - len(units) :])
         typical = typical_variance(sessions.covariance[mine])
-        stated = np.diagonal(sessions.covariance[mine], axis1=-2, axis2=-1)
-        stated = np.where(np.isfinite(stated) & (stated >= 0), stated, typical)
+        stated = stated_variance(sessions.covariance[mine])
+        stated = np.where(np.isnan(stated), typical, stated)
         variance.append(stated + priors[imu].between)
     if not rows:
         empty = np.zeros((0, len(PARAMETERS)))
@@ -564,8 +548,8 @@ def _of_covariances(by_type: Mapping[str, list[list[int]]], sessions: Sessions) 
     for imu, units in by_type.items():
         rows = np.concatenate([np.array(rows) for rows in units])
         values = np.isfinite(sessions.values[rows])
-        stated = np.diagonal(sessions.covariance[rows], axis1=-2, axis2=-1)
-        lacking = int(np.sum((values & ~(np.isfinite(stated) & (stated >= 0))).any(axis=1)))
+        stated = stated_variance(sessions.covariance[rows])
+        lacking = int(np.sum((values & np.isnan(stated)).any(axis=1)))
         if lacking == len(rows):
             found.append(
                 f'No session of {imu} states a standard deviation: all scatter is attributed to '

@@ -70,9 +70,10 @@ def history(
         return whole
     units = tuple(unit for unit in whole.units if unit.serial == serial)
     if not units:
+        failed = ', its recordings failed' if serial in table['serial'].to_pylist() else ''
         raise InputError(
             f'{found.folder}: no calibration is of a unit with the serial number {serial!r}'
-            f'{_only_failed(table, serial)}.'
+            f'{failed}.'
         )
     return replace(whole, units=units)
 
@@ -91,7 +92,8 @@ def sessions_of(table: pa.Table) -> tuple[Sessions, list[str], dict[str, Floats]
     done = [k for k, status in enumerate(columns['status']) if status == CALIBRATED]
     last: dict[tuple[str, str, str], int] = {}
     for k in sorted(done, key=lambda k: at[k]):
-        last[_of_recording(columns, k)] = k
+        recording = columns['sha256'][k] or columns['recording'][k] or columns['key'][k]
+        last[recording, columns['imu'][k], columns['serial'][k]] = k
     rows = sorted(last.values())
     findings = _left_out(columns, len(done) - len(rows))
     date = times_of(table['date'].to_pylist())
@@ -120,11 +122,6 @@ def sessions_of(table: pa.Table) -> tuple[Sessions, list[str], dict[str, Floats]
     return sessions, findings, {**_limits_of(shipped), **limits}
 
 
-def _of_recording(columns: Mapping[str, list[str]], k: int) -> tuple[str, str, str]:
-    name = columns['sha256'][k] or columns['recording'][k] or columns['key'][k]
-    return name, columns['imu'][k], columns['serial'][k]
-
-
 def times_of(stamps: list[datetime | None]) -> np.ndarray[tuple[int], np.dtype[np.datetime64]]:
     """Return dates without their zone, which is UTC."""
     plain = [None if one is None else one.replace(tzinfo=None) for one in stamps]
@@ -150,11 +147,6 @@ def _left_out(columns: Mapping[str, list[str]], again: int) -> list[str]:
             'counts.'
         )
     return found
-
-
-def _only_failed(table: pa.Table, serial: str) -> str:
-    there = serial in table['serial'].to_pylist()
-    return ', its recordings failed' if there else ''
 
 
 def _numbers(table: pa.Table) -> tuple[Floats, Floats]:

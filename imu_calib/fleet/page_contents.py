@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from ..common.stream import Floats
 from ..model.parameters import PARAMETERS, Parameter
-from ..reports.tables import decimals, engineering
+from ..reports.tables import decimals, engineering, fixed
 from ..session.imu import Verdict
+from . import results
 from .results import Dates, Flags, History, UnitHistory
 
 AHEAD = 90.0
@@ -210,9 +211,6 @@ def _later(one: np.datetime64, other: np.datetime64) -> bool:
     return bool(np.isnat(other) or one > other)
 
 
-# Dates, numbers and counts of the page as text.
-
-NO_DATE = 'no date'
 PLACE_OF = {p.name: k for k, p in enumerate(PARAMETERS)}
 
 
@@ -223,7 +221,7 @@ def day(date: np.datetime64) -> str:
         >>> day(np.datetime64('2026-03-02T14:30')), day(np.datetime64('NaT', 's'))
         ('2026-03-02', 'no date')
     """
-    return NO_DATE if np.isnat(date) else str(date.astype('M8[D]'))
+    return results.day(date) or 'no date'
 
 
 def count(number: int, noun: str, nouns: str = '') -> str:
@@ -237,16 +235,11 @@ def count(number: int, noun: str, nouns: str = '') -> str:
     return f'{written} {noun if number == 1 else nouns or noun + "s"}'.replace('\u202f', ' ')
 
 
-def unit_of(parameter: Parameter) -> str:
-    """Return the display unit of a parameter."""
-    return engineering(parameter).unit.replace('ug', '\u00b5g')
-
-
 def amount(parameter: Parameter, value: float, std: float) -> str:
     """Return an SI value with its standard deviation in the parameter's display unit."""
     scale = engineering(parameter).scale
     places = decimals(std / scale)
-    return f'{value / scale:.{places}f} \u00b1 {std / scale:.{places}f}'.replace('-', '\u2212')
+    return f'{fixed(value / scale, places)} \u00b1 {fixed(std / scale, places)}'
 
 
 # Arrays and texts as one compressed text for the page's script.
@@ -369,10 +362,7 @@ def packed_differences(values: Floats, std: Floats) -> tuple[NDArray[np.int32], 
     return found, steps
 
 
-# Data for the page's script: units for the table, sessions for the drawings.
-
 _NUMBER = len(PARAMETERS)
-_NONE = np.full(_NUMBER, np.nan)
 
 
 def units_data(fleet: Fleet) -> str:
@@ -380,19 +370,17 @@ def units_data(fleet: Fleet) -> str:
     units, rows = fleet.units, fleet.recordings
     newest = [_newest_row(fleet, unit) for unit in units]
     histories = [unit.history for unit in units]
-    imus, imu = distinct([unit.imu for unit in units])
-    lots, lot = distinct([h.lot if h is not None else '' for h in histories])
-    stands, stand = distinct([rows.stand[k] if k >= 0 else '' for k in newest])
-    verdicts, verdict = distinct([_verdict(fleet, unit) for unit in units])
-    none = np.datetime64('NaT', 's')
-    last = np.array([rows.date[k] if k >= 0 else none for k in newest], 'M8[s]')
-    due = [h.forecast.recalibrate if h is not None else none for h in histories]
+    indices, texts_of = _indexed(
+        imu=[unit.imu for unit in units],
+        lot=[h.lot if h is not None else '' for h in histories],
+        stand=[rows.stand[k] if k >= 0 else '' for k in newest],
+        verdict=[_verdict(fleet, unit) for unit in units],
+    )
+    last = np.array([rows.date[k] if k >= 0 else _NO_DATE for k in newest], 'M8[s]')
+    due = [h.forecast.recalibrate if h is not None else _NO_DATE for h in histories]
     places = {flag: k for k, flag in enumerate(Flag)}
     arrays: dict[str, NDArray[np.generic]] = {
-        'imu': imu,
-        'lot': lot,
-        'stand': stand,
-        'verdict': verdict,
+        **indices,
         'last': minutes(last),
         'due': minutes(np.array(due, 'M8[s]')),
         'because': np.array([_because(h) for h in histories], np.int8),
@@ -403,18 +391,10 @@ def units_data(fleet: Fleet) -> str:
     }
     texts = {
         'serials': [unit.serial for unit in units],
-        'imus': imus,
-        'lots': lots,
-        'stands': stands,
-        'verdicts': verdicts,
+        **texts_of,
         'flags': [[f.name, f.value.words, f.value.kind, f.value.meaning] for f in Flag],
         'parameters': [
-            [
-                p.name,
-                p.kind.value.words,
-                unit_of(p),
-                engineering(p).scale,
-            ]
+            [p.name, p.kind.value.words, engineering(p).symbol, engineering(p).scale]
             for p in PARAMETERS
         ],
         'today': day(fleet.today),
@@ -427,20 +407,20 @@ def sessions_data(fleet: Fleet) -> str:
     rows, units = fleet.recordings, fleet.units
     chosen = [k for unit in units for k in unit.rows]
     sessions = [k for unit in units for k in unit.sessions]
-    stands, stand = distinct([rows.stand[k] for k in chosen])
-    errors, error = distinct([rows.error[k] for k in chosen])
-    remarks, remark = distinct(['\n'.join(rows.findings[k]) for k in chosen])
-    verdicts, verdict = distinct([rows.verdict[k] for k in chosen])
+    histories = [unit.history for unit in units]
+    indices, texts_of = _indexed(
+        stand=[rows.stand[k] for k in chosen],
+        error=[rows.error[k] for k in chosen],
+        remark=['\n'.join(rows.findings[k]) for k in chosen],
+        verdict=[rows.verdict[k] for k in chosen],
+    )
     values, std = rows.values[sessions], rows.std[sessions]
     differences, steps = packed_differences(values, std)
     codes, scales = deviations(std)
     shift = _of_sessions(units, lambda h: h.values - h.corrected)
     arrays: dict[str, NDArray[np.generic]] = {
         'date': minutes(rows.date[chosen]),
-        'stand': stand,
-        'error': error,
-        'remark': remark,
-        'verdict': verdict,
+        **indices,
         'fine': rows.calibrated[chosen].astype(np.uint8),
         'value': differences,
         'known': np.isfinite(values).T.astype(np.uint8),
@@ -450,24 +430,13 @@ def sessions_data(fleet: Fleet) -> str:
         'ewma': scores(_of_sessions(units, lambda h: h.charts.ewma)).T,
         't2': short(_of_sessions(units, lambda h: h.charts.t2[:, None], 1)),
         't2_limit': short(_of_sessions(units, lambda h: h.charts.t2_limit[:, None], 1)),
-        'slope': _of_units(units, lambda h: h.trend.slope),
-        'slope_std': _of_units(units, lambda h: h.trend.std),
-        'level': _of_units(units, lambda h: h.trend.level),
-        'scatter': _of_units(units, lambda h: h.scatter.std),
-        'limit': _of_units(units, lambda h: h.limit),
-        'leaves': minutes(
-            np.array([h.forecast.leaves if h else [_NO_DATE] * _NUMBER for h in _histories(units)])
-            .astype('M8[s]')
-            .T
-        ),
-        'significant': np.array(
-            [
-                h.trend.significant if h is not None else np.zeros(_NUMBER, bool)
-                for h in _histories(units)
-            ]
-        )
-        .reshape(-1, _NUMBER)
-        .T.astype(np.uint8),
+        'slope': short(_by_parameter(histories, lambda h: h.trend.slope)),
+        'slope_std': short(_by_parameter(histories, lambda h: h.trend.std)),
+        'level': short(_by_parameter(histories, lambda h: h.trend.level)),
+        'scatter': short(_by_parameter(histories, lambda h: h.scatter.std)),
+        'limit': short(_by_parameter(histories, lambda h: h.limit)),
+        'leaves': minutes(_by_parameter(histories, lambda h: h.forecast.leaves, _NO_DATE)),
+        'significant': _by_parameter(histories, lambda h: h.trend.significant, False).astype('u1'),
     }
     limits = fleet.history.limits
     texts = {
@@ -475,17 +444,14 @@ def sessions_data(fleet: Fleet) -> str:
         'recordings': [rows.recording[k] for k in chosen],
         'calibrations': [rows.calibration[k] for k in chosen],
         'reports': [rows.report[k] for k in chosen],
-        'stands': stands,
-        'errors': errors,
-        'remarks': remarks,
-        'verdicts': verdicts,
+        **texts_of,
         'valueSteps': steps,
         'stdScales': scales,
         'scoreStep': STEP,
         'individualsLimit': limits.individuals,
         'ewmaLimit': limits.ewma,
-        'findings': [list(h.findings) if h is not None else [] for h in _histories(units)],
-        'reasons': [h.forecast.reason if h is not None else '' for h in _histories(units)],
+        'findings': [list(h.findings) if h is not None else [] for h in histories],
+        'reasons': [h.forecast.reason if h is not None else '' for h in histories],
         'steps': [_steps(unit) for unit in units],
     }
     return pack(arrays, texts)
@@ -494,8 +460,11 @@ def sessions_data(fleet: Fleet) -> str:
 _NO_DATE = np.datetime64('NaT', 's')
 
 
-def _histories(units: Sequence[Unit]) -> list[UnitHistory | None]:
-    return [unit.history for unit in units]
+def _indexed(**columns: Sequence[str]) -> tuple[dict[str, NDArray[np.int32]], dict[str, Any]]:
+    """Return the indices of texts by column, and the distinct texts by its plural."""
+    found = {name: distinct(texts) for name, texts in columns.items()}
+    indices = {name: index for name, (_, index) in found.items()}
+    return indices, {f'{name}s': texts for name, (texts, _) in found.items()}
 
 
 def _newest_row(fleet: Fleet, unit: Unit) -> int:
@@ -540,10 +509,14 @@ def _sessions_in_history(unit: Unit) -> int:
     return 0 if unit.history is None else len(unit.history.key)
 
 
-def _of_units(units: Sequence[Unit], what: Callable[[UnitHistory], Floats]) -> NDArray[np.float32]:
+def _by_parameter(
+    histories: Sequence[UnitHistory | None],
+    what: Callable[[UnitHistory], NDArray[Any]],
+    none: object = np.nan,
+) -> NDArray[Any]:
     """Return (24, m) values of all units."""
-    rows = [_NONE if u.history is None else what(u.history) for u in units]
-    return short(np.reshape(np.array(rows, np.float64), (-1, _NUMBER)).T)
+    rows = [[none] * _NUMBER if one is None else what(one) for one in histories]
+    return np.reshape(np.array(rows), (-1, _NUMBER)).T
 
 
 def _steps(unit: Unit) -> list[list[object]]:

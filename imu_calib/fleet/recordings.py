@@ -169,11 +169,7 @@ def _between_links(folder: Path, seen: set[Path], links: list[Path]) -> Iterator
 
 
 def convertible(sources: Iterable[str | Path]) -> list[Path]:
-    """Return the files in local folders that are no recordings until converted or unpacked.
-
-    Args:
-        sources: As of `find_jobs`.
-    """
+    """Return the files in local folders that are no recordings until converted or unpacked."""
     found: dict[Path, None] = {}
     for source in map(str, sources):
         if is_url(source):

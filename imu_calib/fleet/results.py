@@ -1,13 +1,14 @@
-"""Inputs and results of a history as values, without formulae.
+"""Inputs and results of a history as values, without formulae, and their plain form.
 
-Arrays of parameters are in the order of `parameters.PARAMETERS`, SI units; NaN if unknown. Dates are
-numpy's datetime64 in UTC; NaT if missing.
+Arrays of parameters are in the order of `PARAMETERS`, SI units; NaN if unknown. Dates are
+numpy's datetime64 in UTC; NaT if missing. In the plain form (docs/files/output.md) a field has its
+own name, or the `key` of its metadata.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
 from enum import Enum
 from typing import Any
 
@@ -90,11 +91,11 @@ class Scatter:
     """Scatter of a unit's parameters between sessions: turn-on repeatability, (24,) each."""
 
     #: Standard deviation between sessions beyond the stated ones, by restricted maximum likelihood.
-    std: Floats
-    low: Floats  #: Lower end of its interval.
-    high: Floats  #: Upper end.
+    std: Floats = field(metadata={'key': 'turn_on'})
+    low: Floats = field(metadata={'key': 'turn_on_low'})  #: Lower end of its interval.
+    high: Floats = field(metadata={'key': 'turn_on_high'})  #: Upper end.
     stated: Floats  #: Standard deviation stated by a session, root mean square.
-    freedom: Floats  #: Degrees of freedom of the scatter.
+    freedom: Floats = field(metadata={'key': 'degrees_of_freedom'})  #: Of the scatter.
     #: Whether the scatter is smaller than stated: the sessions have a common error, or their stated
     #: deviations are too large. `high` is then the limit for all scatter as that between sessions.
     overstated: Flags
@@ -104,14 +105,16 @@ class Scatter:
 class Trend:
     """A unit's line through its sessions, with its steps; (24,) each."""
 
-    slope: Floats  #: SI units per month.
-    std: Floats  #: Its standard deviation.
-    low: Floats  #: Lower end of its interval.
-    high: Floats  #: Upper end.
-    chance: Floats  #: Probability of at least this slope in a unit without a trend.
-    significant: Flags  #: Whether it differs from zero, corrected for all parameters of the unit.
     level: Floats  #: Of the line at the newest session, SI units.
     level_std: Floats  #: Its standard deviation.
+    slope: Floats  #: SI units per month.
+    std: Floats = field(metadata={'key': 'slope_std'})  #: Its standard deviation.
+    low: Floats = field(metadata={'key': 'slope_low'})  #: Lower end of its interval.
+    high: Floats = field(metadata={'key': 'slope_high'})  #: Upper end.
+    #: Probability of at least this slope in a unit without a trend.
+    chance: Floats = field(metadata={'key': 'slope_chance'})
+    #: Whether it differs from zero, corrected for all parameters of the unit.
+    significant: Flags = field(metadata={'key': 'drifts'})
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,11 +124,12 @@ class Forecast:
     limit: Floats  #: (24,) largest amount allowed, SI units; NaN without one.
     leaves: Dates  #: (24,) date at which the line crosses the limit; NaT: after the horizon.
     #: (24,) date until which the parameter is inside with the probability `inside`.
-    earliest: Dates
+    earliest: Dates = field(metadata={'key': 'inside_until'})
     #: Date until which all parameters together are inside with that probability; NaT: after the
     #: horizon, or unknown (`reason`).
     recalibrate: np.datetime64
-    parameter: str  #: Name of the one that is most likely outside then; empty without a date.
+    #: Name of the one that is most likely outside then; empty without a date.
+    parameter: str = field(metadata={'key': 'first_in_doubt'})
     #: Whether trends of the type are used where the unit's own sessions are insufficient.
     borrowed: bool
     reason: str  #: Why there is no date, a sentence; else empty.
@@ -144,7 +148,8 @@ class Cause(Enum):
 class Step:
     """A change between two sessions that no trend explains."""
 
-    index: int  #: Of the first session after it, in the unit's course.
+    #: Of the first session after it, in the unit's course.
+    index: int = field(metadata={'key': 'session'})
     after: np.datetime64  #: Date of the last session before it.
     before: np.datetime64  #: Date of the first session after it.
     parameters: tuple[str, ...]  #: Names of the k that changed significantly.
@@ -168,8 +173,10 @@ class Chart(Enum):
 class ChartLimits:
     """Limits of the charts, and their run lengths for a unit in control."""
 
-    individuals: float  #: Of the normal scores, on both sides.
-    ewma: float  #: Of the EWMA of normal scores, on both sides.
+    #: Of the normal scores, on both sides.
+    individuals: float = field(metadata={'key': 'individuals_limit'})
+    #: Of the EWMA of normal scores, on both sides.
+    ewma: float = field(metadata={'key': 'ewma_limit'})
     #: Mean number of sessions between false alarms of one parameter on one chart.
     parameter_run: float
     unit_run: float  #: The same for any of the 24 on one chart, a lower bound; and for T^2.
@@ -180,7 +187,7 @@ class Signal:
     """A session at which a chart leaves its limits."""
 
     chart: Chart  #: Kind of the chart.
-    index: int  #: Of the session, in the unit's course.
+    index: int = field(metadata={'key': 'session'})  #: Of the session, in the unit's course.
     parameter: str  #: Name; empty for T^2.
     value: float  #: Value on the chart.
     limit: float  #: Its limit.
@@ -335,78 +342,35 @@ class History:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units, with the keys of docs/files/output.md."""
-        return plain_history(self)
-
-
-# A history as plain values, SI units, with the keys of docs/files/output.md.
-
-
-def plain_history(history: History) -> dict[str, Any]:
-    """Return the complete history."""
-    rules, limits, stands = history.rules, history.limits, history.stands
-    return {
-        'rules': {
-            **asdict(rules),
-            'individuals_limit': limits.individuals,
-            'ewma_limit': limits.ewma,
-            'parameter_run': limits.parameter_run,
-            'unit_run': limits.unit_run,
-        },
-        'units': [_unit(unit) for unit in history.units],
-        'populations': [_population(one) for one in history.populations.values()],
-        'stands': {
-            'names': list(stands.names),
-            'sessions': stands.sessions.tolist(),
-            'units': stands.units.tolist(),
-            'groups': [list(group) for group in stands.groups],
-            'effects': [
-                {
-                    'stand': name,
-                    'effect': stands.effect[k].tolist(),
-                    'std': stands.std[k].tolist(),
-                }
-                for k, name in enumerate(stands.names)
-            ],
-            'reproducibility': stands.reproducibility.tolist(),
-            'shifts': [
-                {**asdict(one), 'others': list(one.others), 'parameters': list(one.parameters)}
-                for one in stands.shifts
-            ],
-        },
-        'findings': list(history.findings),
-    }
+        stands = self.stands
+        effects = {'stand': stands.names, **_some(stands, 'effect', 'std')}
+        return {
+            'rules': {**_plain(self.rules), **_plain(self.limits)},
+            'units': [_unit(unit) for unit in self.units],
+            'populations': [_population(one) for one in self.populations.values()],
+            'stands': {
+                **_some(stands, 'names', 'sessions', 'units', 'groups'),
+                'effects': _rows(effects),
+                **_some(stands, 'reproducibility', 'shifts'),
+            },
+            'findings': list(self.findings),
+        }
 
 
 def unit_rows(unit: UnitHistory) -> list[dict[str, Any]]:
     """Return the results on each parameter of a unit."""
-    trend, scatter, due = unit.trend, unit.scatter, unit.forecast
-    return [
+    return _rows(
         {
-            'name': name,
-            'unit': PARAMETERS[k].unit.si,
-            'value': float(unit.values[-1, k]),
-            'std': float(unit.std[-1, k]),
-            'limit': float(unit.limit[k]),
-            'outside': name in unit.outside,
-            'level': float(trend.level[k]),
-            'level_std': float(trend.level_std[k]),
-            'slope': float(trend.slope[k]),
-            'slope_std': float(trend.std[k]),
-            'slope_low': float(trend.low[k]),
-            'slope_high': float(trend.high[k]),
-            'slope_chance': float(trend.chance[k]),
-            'drifts': bool(trend.significant[k]),
-            'turn_on': float(scatter.std[k]),
-            'turn_on_low': float(scatter.low[k]),
-            'turn_on_high': float(scatter.high[k]),
-            'stated': float(scatter.stated[k]),
-            'degrees_of_freedom': float(scatter.freedom[k]),
-            'overstated': bool(scatter.overstated[k]),
-            'leaves': day(due.leaves[k]),
-            'inside_until': day(due.earliest[k]),
+            **_OF_PARAMETERS,
+            'value': _plain(unit.values[-1]),
+            'std': _plain(unit.std[-1]),
+            'limit': _plain(unit.limit),
+            'outside': [name in unit.outside for name in PARAMETER_NAMES],
+            **_arrays(unit.trend),
+            **_arrays(unit.scatter),
+            **_arrays(unit.forecast),
         }
-        for k, name in enumerate(PARAMETER_NAMES)
-    ]
+    )
 
 
 def day(date: np.datetime64) -> str | None:
@@ -414,96 +378,81 @@ def day(date: np.datetime64) -> str | None:
     return None if np.isnat(date) else str(date.astype('datetime64[D]'))
 
 
-def _unit(unit: UnitHistory) -> dict[str, Any]:
-    charts = unit.charts
+_SI = {parameter.name: parameter.unit.si for parameter in PARAMETERS}
+_OF_PARAMETERS = {'name': list(_SI), 'unit': list(_SI.values())}
+
+
+def _plain(value: Any) -> Any:
+    """Return a value in its plain form."""
+    if isinstance(value, (np.ndarray, np.generic)) and value.dtype.kind != 'M':
+        return value.tolist()
+    if isinstance(value, np.datetime64):
+        return day(value)
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, (tuple, np.ndarray)):
+        return [_plain(one) for one in value]
+    if is_dataclass(value):
+        return _some(value, *(one.name for one in fields(value)))
+    return value
+
+
+def _some(value: Any, *names: str) -> dict[str, Any]:
+    """Return some fields of a dataclass by their keys."""
     return {
-        'serial': unit.serial,
-        'imu': unit.imu,
-        'lot': unit.lot,
-        'verdict': None if unit.verdict is None else unit.verdict.value,
-        'outside': list(unit.outside),
-        'recalibrate': day(unit.forecast.recalibrate),
-        'first_in_doubt': unit.forecast.parameter,
-        'borrowed': unit.forecast.borrowed,
-        'reason': unit.forecast.reason,
+        one.metadata.get('key', one.name): _plain(getattr(value, one.name))
+        for one in fields(value)
+        if one.name in names
+    }
+
+
+def _arrays(value: Any) -> dict[str, Any]:
+    """Return the fields that are arrays."""
+    names = [one.name for one in fields(value)]
+    return _some(value, *(n for n in names if isinstance(getattr(value, n), np.ndarray)))
+
+
+def _rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+    """Return columns of equal length as rows."""
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
+def _unit(unit: UnitHistory) -> dict[str, Any]:
+    sessions = {
+        'key': unit.key,
+        'date': [f'{date.astype("datetime64[s]")}Z' for date in unit.date],
+        'stand': unit.stand,
+        **_some(unit, 'values', 'std', 'corrected'),
+        **_arrays(unit.charts),
+    }
+    return {
+        **_some(unit, 'serial', 'imu', 'lot', 'verdict', 'outside'),
+        **_some(unit.forecast, 'recalibrate', 'parameter', 'borrowed', 'reason'),
         'parameters': unit_rows(unit),
-        'sessions': [
-            {
-                'key': unit.key[i],
-                'date': f'{unit.date[i].astype("datetime64[s]")}Z',
-                'stand': unit.stand[i],
-                'values': unit.values[i].tolist(),
-                'std': unit.std[i].tolist(),
-                'corrected': unit.corrected[i].tolist(),
-                'score': charts.score[i].tolist(),
-                'ewma': charts.ewma[i].tolist(),
-                't2': float(charts.t2[i]),
-                't2_limit': float(charts.t2_limit[i]),
-                't2_chance': float(charts.t2_chance[i]),
-            }
-            for i in range(len(unit.key))
-        ],
+        'sessions': _rows(sessions),
         'steps': [_step(one) for one in unit.steps],
-        'signals': [_signal(one) for one in charts.signals],
+        **_some(unit.charts, 'signals'),
         'findings': list(unit.findings),
     }
 
 
 def _step(step: Step) -> dict[str, Any]:
-    return {
-        'session': step.index,
-        'after': day(step.after),
-        'before': day(step.before),
-        'cause': step.cause.value,
-        'rotation': step.rotation.tolist(),
-        'parameters': [
-            {
-                'name': name,
-                'unit': PARAMETERS[PARAMETER_NAMES.index(name)].unit.si,
-                'size': float(step.size[k]),
-                'std': float(step.std[k]),
-                'low': float(step.low[k]),
-                'high': float(step.high[k]),
-            }
-            for k, name in enumerate(step.parameters)
-        ],
+    columns = {
+        'name': step.parameters,
+        'unit': [_SI[name] for name in step.parameters],
+        **_some(step, 'size', 'std', 'low', 'high'),
     }
-
-
-def _signal(signal: Signal) -> dict[str, Any]:
     return {
-        'chart': signal.chart.value,
-        'session': signal.index,
-        'parameter': signal.parameter,
-        'value': signal.value,
-        'limit': signal.limit,
+        **_some(step, 'index', 'after', 'before', 'cause', 'rotation'),
+        'parameters': _rows(columns),
     }
 
 
 def _population(one: Population) -> dict[str, Any]:
+    names = [f'{share:g}' for share in QUANTILES]
+    quantiles = [dict(zip(names, each, strict=True)) for each in one.quantiles.T.tolist()]
     return {
-        'imu': one.imu,
-        'units': one.units,
-        'sessions': one.sessions,
-        'parameters': [
-            {
-                'name': name,
-                'unit': PARAMETERS[k].unit.si,
-                'count': int(one.count[k]),
-                'mean': float(one.mean[k]),
-                'std': float(one.std[k]),
-                'median': float(one.median[k]),
-                'robust_std': float(one.robust_std[k]),
-                'quantiles': {
-                    f'{q:g}': float(one.quantiles[i, k]) for i, q in enumerate(QUANTILES)
-                },
-                'turn_on': float(one.turn_on[k]),
-                'trend': float(one.trend[k]),
-                'trend_std': float(one.trend_std[k]),
-                'outside': int(one.outside[k]),
-            }
-            for k, name in enumerate(PARAMETER_NAMES)
-        ],
-        'outliers': [asdict(outlier) for outlier in one.outliers],
-        'lots': [asdict(lot) for lot in one.lots],
+        **_some(one, 'imu', 'units', 'sessions'),
+        'parameters': _rows({**_OF_PARAMETERS, **_arrays(one), 'quantiles': quantiles}),
+        **_some(one, 'outliers', 'lots'),
     }

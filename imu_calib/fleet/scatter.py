@@ -345,11 +345,8 @@ def _scale(each: Floats, freedom: Floats, d0: float) -> float:
     return float(np.median(each / scipy.special.fdtri(freedom, d0, _MIDDLE)))
 
 
-# The units of a type compared with each other: distributions, outliers, lots.
-#
 # Sources: Rosner 1983 (generalised extreme Studentized deviate); t test of a lot against the rest
 # with the scatter within lots, Bonferroni; docs/history.md, 'The population'.
-
 
 FEWEST = 15
 """Smallest number of units for the outlier test: with fewer the levels of Rosner's test do not hold
@@ -415,17 +412,18 @@ def lot_shifts(values: Floats, lots: Sequence[str]) -> list[tuple[str, int, floa
         lots: Lot of each; empty if unknown.
     """
     names = sorted({lot for lot in lots if lot})
-    of = np.array(lots)
-    known = of != ''
-    counts = {name: int(np.sum(of == name)) for name in names}
+    lot_of = np.array(lots)
+    known = lot_of != ''
+    counts = {name: int(np.sum(lot_of == name)) for name in names}
     freedom = int(known.sum()) - len(names)
     judged = [n for n in names if _OF_A_LOT <= counts[n] <= known.sum() - _OF_A_LOT]
     if len(names) < 2 or freedom < 1 or not judged:
         return []
-    within = sum(np.sum((values[of == n] - values[of == n].mean()) ** 2) for n in names) / freedom
+    each = [values[lot_of == name] for name in names]
+    within = sum(np.sum((one - one.mean()) ** 2) for one in each) / freedom
     found = []
     for name in judged:
-        own, rest = values[of == name], values[known & (of != name)]
+        own, rest = values[lot_of == name], values[known & (lot_of != name)]
         shift = float(own.mean() - rest.mean())
         std = float(np.sqrt(within * (1 / len(own) + 1 / len(rest))))
         chance = 2 * float(scipy.special.stdtr(freedom, -abs(shift) / std)) if std > 0 else 1.0

@@ -10,9 +10,9 @@ from rich.table import Table
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from ..reports.plain_table import plain_table
 from ..reports.tables import decimals, engineering
-from .results import Cause, Chart, Population, Rules, Signal, StandShift, Step, UnitHistory
+from .results import Cause, Chart, Population, Rules, Signal, StandShift, Step, UnitHistory, day
 
-_BY_NAME = dict(zip(PARAMETER_NAMES, PARAMETERS, strict=True))
+_BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
 _NAMED = 6
 """Number of parameters that a sentence names; of further ones it states the number."""
 
@@ -121,7 +121,7 @@ def step_sentence(step: Step) -> str:
         if step.cause is Cause.MOUNT
         else 'the unit itself changed (a repair, a shock)'
     )
-    return f'Step between {_day(step.after)} and {_day(step.before)}: {listed(parts)}; {looks}.'
+    return f'Step between {day(step.after)} and {day(step.before)}: {listed(parts)}; {looks}.'
 
 
 def _signals(unit: UnitHistory) -> Iterator[str]:
@@ -135,7 +135,7 @@ def _signals(unit: UnitHistory) -> Iterator[str]:
             names = [s.parameter for s in mine if s.parameter]
             if mine:
                 parts.append(f'{chart.value} ({listed(names)})' if names else chart.value)
-        yield f'Out of control on {_day(unit.date[index])}: {"; ".join(parts)}.'
+        yield f'Out of control on {day(unit.date[index])}: {"; ".join(parts)}.'
 
 
 def _few(unit: UnitHistory) -> Iterator[str]:
@@ -167,12 +167,6 @@ def stand_sentence(shift: StandShift) -> str:
     )
 
 
-def _day(date: np.datetime64) -> str:
-    return str(date.astype('datetime64[D]'))
-
-
-# Tables of a history: units by urgency, the parameters of one, the population of a type.
-
 _NEVER = np.datetime64('9999-12-31', 'D')
 _UNKNOWN = '-'
 _OF_UNITS = (
@@ -203,9 +197,9 @@ def unit_table(units: Sequence[UnitHistory]) -> Table:
             unit.serial,
             unit.imu,
             str(len(unit.key)),
-            _urgent_day(unit.date[-1]),
+            day(unit.date[-1]) or _UNKNOWN,
             _UNKNOWN if unit.verdict is None else unit.verdict.value,
-            _urgent_day(due.recalibrate),
+            day(due.recalibrate) or _UNKNOWN,
             due.parameter or _UNKNOWN,
             str(int(unit.trend.significant.sum())),
             str(len(unit.steps)),
@@ -224,7 +218,7 @@ def course_table(unit: UnitHistory) -> Table:
         k = int(np.argmax(np.abs(score)))
         charted = bool(np.isfinite(charts.score[i]).any())
         table.add_row(
-            _urgent_day(date),
+            day(date) or _UNKNOWN,
             unit.stand[i] or _UNKNOWN,
             f'{score[k]:+.2f}' if charted else _UNKNOWN,
             PARAMETER_NAMES[k] if charted else _UNKNOWN,
@@ -263,8 +257,8 @@ def parameter_course_table(unit: UnitHistory, confidence: float) -> Table:
             text(trend.slope[k], finer),
             _interval(text(trend.low[k], finer), text(trend.high[k], finer)),
             shown.unit,
-            _urgent_day(due.leaves[k]),
-            _urgent_day(due.earliest[k]),
+            day(due.leaves[k]) or _UNKNOWN,
+            day(due.earliest[k]) or _UNKNOWN,
         )
     return table
 
@@ -305,7 +299,3 @@ def _interval(low: str, high: str) -> str:
 
 def _number(value: float, places: int) -> str:
     return f'{value:.{places}f}' if np.isfinite(value) else _UNKNOWN
-
-
-def _urgent_day(date: np.datetime64) -> str:
-    return _UNKNOWN if np.isnat(date) else str(date.astype('datetime64[D]'))

@@ -175,8 +175,6 @@ def _solved(columns: Floats, weight: Floats, values: Floats) -> tuple[Floats, Fl
     return np.asarray(inverse @ (columns.T @ (weight * values))), np.asarray(inverse)
 
 
-# Patterns in the 24 parameters: possible shifts by a stand, and by a rotation of the mount.
-#
 # Source: docs/history.md, 'Unit or stand?'.
 
 
@@ -185,12 +183,12 @@ class Pattern:
     """A possible shift by a stand: of one parameter, or of several together."""
 
     name: str  #: For display.
-    of: Floats  #: (24,) shift of each parameter for a size of one.
+    shifts: Floats  #: (24,) shift of each parameter for a size of one.
 
     @property
     def parameters(self) -> tuple[int, ...]:
         """Return the parameters that it shifts."""
-        return tuple(int(k) for k in np.flatnonzero(self.of))
+        return tuple(int(k) for k in np.flatnonzero(self.shifts))
 
     @property
     def unit(self) -> str:
@@ -273,22 +271,22 @@ def judge_stands(
     """
     known = np.array([bool(name) for name in names], dtype=bool)
     every = sorted({name for name in names if name})
-    of = np.array([every.index(name) if name else -1 for name in names], dtype=np.int64)
-    groups = linked(units[known], of[known], len(every))
+    stand_of = np.array([every.index(name) if name else -1 for name in names], dtype=np.int64)
+    groups = linked(units[known], stand_of[known], len(every))
     effect, std = (np.full((len(every), len(PARAMETERS)), np.nan) for _ in range(2))
     spread = np.full(len(PARAMETERS), np.nan)
     found: list[StandShift] = []
     findings: list[str] = []
     judged = [g for g in groups if len(g) > 1]
     for mine in judged:
-        rows = np.flatnonzero(np.isin(of, mine))
-        group = _group(np.array(mine), rows, units, of, trends, values, variance)
+        rows = np.flatnonzero(np.isin(stand_of, mine))
+        group = _group(np.array(mine), rows, units, stand_of, trends, values, variance)
         for p, one in enumerate(group.effects):
             effect[mine, p] = one.effect
             std[mine, p] = np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
         if len(mine) == max(map(len, judged)):
             spread = np.array([reproducibility(one) for one in group.effects])
-        found += _shifts(group, every, units, of, rules, len(judged))
+        found += _shifts(group, every, units, stand_of, rules, len(judged))
         if not all(one.comparable for one in group.effects if one.freedom):
             findings.append(
                 f'Stands {listed([every[k] for k in mine])}: they were used one after the other, '
@@ -298,8 +296,10 @@ def judge_stands(
     findings += _apart([[every[k] for k in g] for g in groups], int(np.sum(~known)), len(names))
     return Stands(
         names=tuple(every),
-        sessions=np.bincount(of[known], minlength=len(every)),
-        units=np.array([len(np.unique(units[of == k])) for k in range(len(every))], dtype=np.int64),
+        sessions=np.bincount(stand_of[known], minlength=len(every)),
+        units=np.array(
+            [len(np.unique(units[stand_of == k])) for k in range(len(every))], dtype=np.int64
+        ),
         groups=tuple(tuple(every[k] for k in g) for g in groups),
         effect=effect,
         std=std,
@@ -327,12 +327,12 @@ def _group(
     mine: NDArray[np.int64],
     rows: NDArray[np.int64],
     units: NDArray[np.int64],
-    of: NDArray[np.int64],
+    stand_of: NDArray[np.int64],
     trends: Floats,
     values: Floats,
     variance: Floats,
 ) -> _Group:
-    own = np.searchsorted(mine, of[rows])
+    own = np.searchsorted(mine, stand_of[rows])
     columns = trends[rows]
     columns = columns[:, np.ptp(columns, axis=0) > 0]
     columns = columns / np.maximum(np.std(columns, axis=0), np.finfo(float).tiny)
@@ -402,7 +402,7 @@ class _Block:
         effect = np.concatenate([one.effect for one in effects])
         shift = np.eye(s) - 1 / s
         # Columns (pattern, stand), each on all effects (parameter, stand).
-        columns = np.hstack([np.kron(p.of[parameters][:, None], shift) for p in block])
+        columns = np.hstack([np.kron(p.shifts[parameters][:, None], shift) for p in block])
         correlation = group.correlation[np.ix_(parameters, parameters)]
         stands = _white(np.sum([one.covariance for one in effects], axis=0))
         equal: Floats = np.asarray(np.kron(np.eye(k), stands), dtype=np.float64)
@@ -469,7 +469,7 @@ def _shifts(
     group: _Group,
     every: Sequence[str],
     units: NDArray[np.int64],
-    of: NDArray[np.int64],
+    stand_of: NDArray[np.int64],
     rules: Rules,
     groups: int,
 ) -> Iterator[StandShift]:
@@ -491,7 +491,7 @@ def _shifts(
         for (i, k), size, std in zip(block.places(), *block.sizes(), strict=True):
             pattern = block.patterns[i]
             shift = k, float(size), float(std), alternatives[pattern.name, k]
-            yield _shift(group, pattern, block.freedom, shift, every, units, of, tests, rules)
+            yield _shift(group, pattern, block.freedom, shift, every, units, stand_of, tests, rules)
 
 
 def _next_shift(
@@ -528,7 +528,7 @@ def _shift(
     found: tuple[int, float, float, NDArray[np.bool_]],
     every: Sequence[str],
     units: NDArray[np.int64],
-    of: NDArray[np.int64],
+    stand_of: NDArray[np.int64],
     tests: int,
     rules: Rules,
 ) -> StandShift:
@@ -550,22 +550,22 @@ def _shift(
         low=float(size - reach),
         high=float(size + reach),
         chance=min(1.0, chance),
-        units=_shared(units[group.rows], of[group.rows], int(group.stands[k])),
+        units=_shared(units[group.rows], stand_of[group.rows], int(group.stands[k])),
     )
 
 
-def _shared(units: NDArray[np.int64], of: NDArray[np.int64], stand: int) -> int:
+def _shared(units: NDArray[np.int64], stand_of: NDArray[np.int64], stand: int) -> int:
     """Return the number of units that were on a stand and on another."""
-    return len(np.intersect1d(units[of == stand], units[of != stand]))
+    return len(np.intersect1d(units[stand_of == stand], units[stand_of != stand]))
 
 
 def corrections(stands: Stands, names: Sequence[str]) -> Floats:
     """Return the correction of each session (n, 24), SI units: the shift of its stand."""
-    by_name = {pattern.name: pattern.of for pattern in PATTERNS}
+    by_name = {pattern.name: pattern.shifts for pattern in PATTERNS}
     found = np.zeros((len(names), len(PARAMETERS)))
-    of = np.array(names)
+    stand_of = np.array(names)
     for one in stands.shifts:
-        found[of == one.stand] += one.shift * by_name[one.what]
+        found[stand_of == one.stand] += one.shift * by_name[one.what]
     return found
 
 

@@ -14,7 +14,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..common.stream import Floats
-from .charts import Block, Places, step_design
+from .charts import Block, StepPlaces, step_design
 from .results import Rules
 from .scatter import FEWEST_UNITS, Prior, fit, line_design
 
@@ -46,7 +46,7 @@ class Slopes:
 
 
 def fit_lines(
-    block: Block, weights: Floats, places: Places, prior: Prior, slopes: Slopes | None = None
+    block: Block, weights: Floats, places: StepPlaces, prior: Prior, slopes: Slopes | None = None
 ) -> Lines:
     """Fit the lines of units.
 
@@ -68,7 +68,7 @@ def fit_lines(
     covariance = scale[..., None, None] * plain.inverse
     known = plain.known.copy()
     steps = {}
-    for (u, p), found in places.of.items():
+    for (u, p), found in places.by_parameter.items():
         columns = step_design(block.months[u], found)
         alone = fit(columns, weights[u, p], block.values[u, p])
         one = Prior(prior.between[p], prior.scale[p], prior.freedom[p])
@@ -144,10 +144,7 @@ def quantile(freedom: Floats, confidence: float) -> Floats:
     return np.where(some, found, np.nan)
 
 
-# When units leave their specification: line, its uncertainty, and scatter of the next session.
-#
 # Source: Boole's inequality over the parameters of a unit; docs/history.md, 'When it is due'.
-
 
 _GRID = np.array([0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0])
 """Shares of the horizon that bound the search for the first date."""
@@ -171,17 +168,10 @@ def forecast(block: Block, lines: Lines, prior: Prior, limit: Floats, rules: Rul
 
     The prediction is for the parameter in a future session: on the line, with the scatter between
     sessions. If the stated deviations exceed the scatter, the excess is an uncertainty common
-    to all sessions.
-
-    Args:
-        block: u units.
-        lines: Of the units.
-        prior: Of their type.
-        limit: (24,) SI units; NaN without one.
-        rules: Horizon and probability.
+    to all sessions. Limits (24,) are in SI units, NaN without one.
     """
     horizon = 12 * rules.horizon
-    stated = _mean_stated(block)
+    stated = block.mean_stated
     between = np.abs(lines.scale * (stated + prior.between) - stated)
     determined = np.isfinite(lines.covariance[..., 0, 0]) & np.isfinite(limit)
 
@@ -237,9 +227,3 @@ def _crossing(lines: Lines, limit: Floats, horizon: float) -> Floats:
     months = np.divide(way, np.abs(slope), out=np.full(level.shape, np.inf), where=slope != 0)
     months = np.where(np.abs(level) >= limit, 0.0, months)
     return np.where(months <= horizon, months, np.inf)
-
-
-def _mean_stated(block: Block) -> Floats:
-    there = np.isfinite(block.stated)
-    total = np.sum(np.where(there, block.stated, 0.0), axis=-1)
-    return np.asarray(total / np.maximum(there.sum(axis=-1), 1))

@@ -82,7 +82,7 @@ class _Shown:
     wide: NDArray[np.bool_]  #: (k,) which sources have a separate column.
 
     @classmethod
-    def of(cls, calibration: Calibration, budget: Budget) -> _Shown:
+    def select(cls, calibration: Calibration, budget: Budget) -> _Shown:
         rows = np.flatnonzero(np.isfinite(calibration.std))
         parameters = tuple(calibration.parameters[k] for k in rows)
         concerned = [line for line in budget.lines if np.any(line.std[rows] > 0)]
@@ -156,7 +156,7 @@ def budget_tables(calibration: Calibration) -> list[Table | str]:
     """
     if calibration.budget is None:
         return [_NONE]
-    shown = _Shown.of(calibration, calibration.budget)
+    shown = _Shown.select(calibration, calibration.budget)
     expanded = plain_table(_EXPANDED, 'lrrrrl')
     for row in shown.expanded_rows():
         expanded.add_row(*row)
@@ -205,7 +205,7 @@ def budget_section(calibration: Calibration) -> list[str]:
     if calibration.budget is None or not np.nanmax(calibration.std) > 0:
         # Exact parameters, as those of a truth, have no variance to divide.
         return []
-    shown = _Shown.of(calibration, calibration.budget)
+    shown = _Shown.select(calibration, calibration.budget)
     words = 'Each bar is the variance of a parameter, divided among its sources.'
     pictures = [
         tag('div', _picture(shown, width), class_=kind)
@@ -216,7 +216,7 @@ def budget_section(calibration: Calibration) -> list[str]:
 
 def budget_parts(calibration: Calibration, budget: Budget, words: str) -> list[str]:
     """Return a note that begins with `words`, the sources, and their shares in percent."""
-    shown = _Shown.of(calibration, budget)
+    shown = _Shown.select(calibration, budget)
     rows = [
         [
             escape(expanded[0]),

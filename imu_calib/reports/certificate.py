@@ -10,13 +10,13 @@ from datetime import date, datetime, timedelta
 import numpy as np
 
 from ..calibration.calibration import Calibration
-from ..common.budget import PROBABILITY, Budget
+from ..common.budget import Budget
 from ..common.errors import InputError
 from ..common.stream import Units
 from ..common.units import counted
 from ..model.parameters import Parameter
 from ..session.imu import Specification
-from .certificate_fields import WORST_LAST, Conformity, Fields, decide, missing
+from .certificate_fields import Conformity, Fields, decide, missing
 
 OUTPUT = {
     Units.PULSES: 'pulse',
@@ -78,7 +78,7 @@ class Certificate:
     def conformity(self) -> Conformity | None:
         """The worst statement on any parameter; None without statements."""
         found = [r.conformity for r in self.results if r.conformity is not None]
-        return max(found, key=WORST_LAST.index) if found else None
+        return max(found, key=list(Conformity).index) if found else None
 
 
 def certificate_of(
@@ -201,6 +201,3 @@ def groups(results: Sequence[Stated]) -> list[tuple[str, list[Stated]]]:
         (title, [r for r in results if r.parameter.triad == letter]) for title, letter in named
     ]
     return [(title, some) for title, some in found if some]
-
-
-__all__ = ['PROBABILITY', 'Certificate', 'Stated', 'certificate_of', 'groups', 'recorded']

@@ -16,8 +16,6 @@ from itertools import pairwise
 from ..common.config import Section
 from ..common.errors import InputError
 
-# Statements of conformity by a decision rule stated in the certificate.
-#
 # Source: ILAC-G8:09/2019, 4.2; JCGM 106:2012, 8; ISO/IEC 17025:2017, 7.8.6.
 
 
@@ -55,7 +53,7 @@ _WORDS = {
 
 
 class Conformity(Enum):
-    """The statement on a value, in the terms of the DCC."""
+    """The statement on a value, in the terms of the DCC; the worst last."""
 
     PASS = 'pass'
     CONDITIONAL_PASS = 'conditionalPass'
@@ -65,17 +63,7 @@ class Conformity(Enum):
     @property
     def words(self) -> str:
         """The statement as text."""
-        return {'conditionalPass': 'conditional pass', 'conditionalFail': 'conditional fail'}.get(
-            self.value, self.value
-        )
-
-
-WORST_LAST = (
-    Conformity.PASS,
-    Conformity.CONDITIONAL_PASS,
-    Conformity.CONDITIONAL_FAIL,
-    Conformity.FAIL,
-)
+        return self.name.lower().replace('_', ' ')
 
 
 def decide(value: float, expanded: float, limit: float, rule: Rule) -> Conformity:

@@ -10,6 +10,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from html import escape
+from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -21,13 +22,10 @@ from ..common.units import ARCSEC
 from . import provenance
 from .budget import budget_parts, freedom_words
 from .certificate import OUTPUT, Certificate, Stated, groups
-from .certificate_fields import CONDITIONS, Contact, Equipment
+from .certificate_fields import CONDITIONS, Equipment
 from .charts import tag
 from .html import bullets, document, named_rows, paragraph, section, table
-from .tables import decimals, engineering
-
-# The style of a certificate: A4 pages with number and page count, and a sheet on the screen.
-
+from .tables import decimals, engineering, fixed
 
 _PAGES = """
 @page {{ size: A4; margin: 20mm 16mm 18mm 20mm;
@@ -38,58 +36,11 @@ _PAGES = """
     font: 8.5pt {font}; color: #333; }} }}
 """
 _FONT = '"DejaVu Sans", Arial, sans-serif'
-_SHEET = """
-* { box-sizing: border-box; }
-html { background: #e9ebee; }
-body { font: 10pt/1.4 "DejaVu Sans", Arial, sans-serif; color: #111; background: #fff;
-  max-width: 190mm; margin: 8mm auto; padding: 16mm 18mm; }
-h1 { font-size: 19pt; margin: 0; }
-h2 { font-size: 12pt; margin: 16pt 0 5pt; border-bottom: 1px solid #111; break-after: avoid; }
-h3 { font-size: 10pt; margin: 9pt 0 2pt; break-after: avoid; }
-p { margin: 4pt 0; overflow-wrap: anywhere; }
-ul { margin: 4pt 0; padding-left: 14pt; }
-.head { display: flex; flex-wrap: wrap; justify-content: space-between; gap: 6pt 20pt;
-  border-bottom: 2px solid #111; padding-bottom: 8pt; margin-bottom: 8pt; }
-.head .number { font-size: 13pt; font-weight: bold; }
-.draft { border: 2px solid #b3261e; color: #b3261e; padding: 6pt 9pt; margin: 8pt 0; }
-.missing { color: #b3261e; font-weight: bold; }
-table { border-collapse: collapse; width: 100%; margin: 3pt 0;
-  font-variant-numeric: tabular-nums; }
-th, td { padding: 1.5pt 5pt; text-align: left; vertical-align: top; }
-th { font-size: 8.5pt; border-bottom: 1px solid #888; }
-td { border-bottom: 1px solid #ddd; }
-th.r, td.r { text-align: right; white-space: nowrap; }
-.facts th { width: 30%; font-weight: normal; color: #333; border-bottom: 1px solid #ddd; }
-.facts td { overflow-wrap: anywhere; }
-.budget th, .budget td { padding: 0 3pt; font-size: 7.4pt; }
-.note { font-size: 8.5pt; color: #333; }
-.wide { overflow-x: auto; }
-.signatures { display: flex; flex-wrap: wrap; gap: 20pt; margin-top: 34pt; break-inside: avoid; }
-.signatures div { flex: 1 1 55mm; border-top: 1px solid #111; padding-top: 3pt; }
-tr, .whole { break-inside: avoid; }
-@media print {
-  html, body { background: #fff; }
-  body { max-width: none; margin: 0; padding: 0; font-size: 9.2pt; }
-  .wide { overflow: visible; }
-}
-@media screen and (max-width: 700px) {
-  body { margin: 0; padding: 14px; }
-  .facts th { width: 38%; }
-  .wide table { font-size: 7.6pt; }
-  .wide th { font-size: 7pt; }
-  .wide th, .wide td { padding: 1.5pt 2pt; }
-}
-"""
+_SHEET = '\n' + files(__package__).joinpath('certificate.css').read_text(encoding='utf-8')
 
 
 def style(title: str, laboratory: str, mark: str) -> str:
-    """Return the style of a certificate.
-
-    Args:
-        title: On top of every printed page; contains the number.
-        laboratory: At the bottom of every printed page.
-        mark: On top of every printed page of a draft, else empty.
-    """
+    """Return the style of a certificate, with texts for the margins of every printed page."""
     texts = {'title': title, 'laboratory': laboratory, 'mark': mark}
     quoted = {name: _quoted(text) for name, text in texts.items()}
     return _PAGES.format(font=_FONT, **quoted) + _SHEET
@@ -107,6 +58,7 @@ _UNCERTAINTY = (
     f"which for Student's t with \u03bd effective degrees of freedom (Welch-Satterthwaite) gives a "
     f'coverage probability of {PROBABILITY:.0%}. It was evaluated by JCGM 100:2008 (GUM).'
 )
+_SHARES = 'The shares of the sources in the variance of each parameter, in percent.'
 _DEFINITION = (
     'input = (I + M)\u207b\u00b9 (output \u00d7 scale factor {per} \u2212 D). M holds the '
     'scale-factor errors K on its diagonal and the misalignments E beside it (row: channel, '
@@ -122,7 +74,7 @@ _STATEMENTS = (
 
 def certificate_page(certificate: Certificate) -> str:
     """Return a certificate as HTML; equal contents give equal text."""
-    fields = certificate.fields
+    fields, calibration = certificate.fields, certificate.calibration
     title = f'Calibration certificate {fields.number or _MISSING}'
     laboratory = fields.laboratory.name or _MISSING
     mark = 'DRAFT, not a certificate' if certificate.draft else ''
@@ -134,7 +86,7 @@ def certificate_page(certificate: Certificate) -> str:
             section('Procedure and traceability', _procedure(certificate)),
             section('Results', *_results(certificate)),
             _conformity(certificate),
-            section('Uncertainty budget', *_budget(certificate)),
+            section('Uncertainty budget', *budget_parts(calibration, certificate.budget, _SHARES)),
             section('Remarks', bullets(certificate.remarks)),
             section('Statements', bullets(_STATEMENTS)),
             _signatures(certificate),
@@ -170,10 +122,6 @@ def _draft(certificate: Certificate) -> str:
     return tag('div', escape(words), class_='draft')
 
 
-def _address(contact: Contact) -> str:
-    return _or_dash(', '.join(contact.lines))
-
-
 def _parties(certificate: Certificate) -> str:
     fields, calibration = certificate.fields, certificate.calibration
     item = fields.item
@@ -183,9 +131,9 @@ def _parties(certificate: Certificate) -> str:
         period = f'{first}' if first == last else f'{first} to {last}'
     site = {'laboratory': "the laboratory's premises", 'customer': "the customer's premises"}
     rows = [
-        ('laboratory', _address(fields.laboratory)),
+        ('laboratory', _or_dash(', '.join(fields.laboratory.lines))),
         ('calibrated at', site.get(fields.location, fields.location)),
-        ('customer', _address(fields.customer)),
+        ('customer', _or_dash(', '.join(fields.customer.lines))),
         ('item', _or_dash(item.description)),
         ('manufacturer, model', f'{_or_dash(item.manufacturer)}, {_or_dash(item.model)}'),
         ('serial number', _or_dash(item.serial_number)),
@@ -268,11 +216,6 @@ def _results(certificate: Certificate) -> list[str]:
     return parts
 
 
-def _budget(certificate: Certificate) -> list[str]:
-    words = 'The shares of the sources in the variance of each parameter, in percent.'
-    return budget_parts(certificate.calibration, certificate.budget, words)
-
-
 def _scale(value: float, units: Units, triad: str) -> str:
     if units is Units.SI:
         return '1: the output is in SI units'
@@ -291,9 +234,9 @@ def _row(result: Stated, *, limits: bool, verdicts: bool) -> list[str]:
     cells = [
         tag('b', result.parameter.name),
         f'{result.parameter.kind.value.words}',
-        f'{result.value / shown.scale:.{places}f}'.replace('-', '\u2212'),
+        fixed(result.value / shown.scale, places),
         f'{expanded:.{places}f}',
-        escape(shown.unit.replace('ug', '\u00b5g')),
+        escape(shown.symbol),
         f'{result.factor:.2f}',
         escape(freedom_words(result.freedom).replace('inf', '\u221e')),
     ]
@@ -342,8 +285,6 @@ def _signatures(certificate: Certificate) -> str:
     issued = paragraph(f'Issued on {_or_dash(certificate.fields.issued)}, authorized by:')
     return section('Authorization', issued + tag('div', inside, class_='signatures'))
 
-
-# Convert HTML to PDF, by WeasyPrint if installed, else by Chromium.
 
 _BROWSERS = ('chromium', 'chromium-browser', 'google-chrome', 'chrome')
 _OLDEST = 131

@@ -11,13 +11,13 @@ import numpy as np
 
 from ..common.stream import Floats
 from ..model.parameters import Parameter
-from .tables import engineering
+from .tables import engineering, fixed
 
 COLOURS = ('#0072b2', '#d55e00', '#00805c')
 """Of X, Y, Z: colours of Okabe and Ito, distinct for colour-blind readers; the green is
 darkened."""
 
-_CLASSES = dict(zip(COLOURS, ('of-x', 'of-y', 'of-z'), strict=True))
+CLASSES = ('of-x', 'of-y', 'of-z')
 """Their names in the page's style, which makes them lighter in dark mode."""
 
 _FEWEST_TICKS = 4
@@ -50,6 +50,14 @@ def _text(value: object) -> str:
 def label(text: str, x: float, y: float, **attributes: object) -> str:
     """Return a text at a position."""
     return tag('text', escape(text), x=x, y=y, **attributes)
+
+
+def segment(
+    first: tuple[float, float], last: tuple[float, float], kind: str, stroke: str | None = None
+) -> str:
+    """Return a straight line between two positions."""
+    (x1, y1), (x2, y2) = first, last
+    return tag('line', x1=x1, y1=y1, x2=x2, y2=y2, stroke=stroke, class_=kind)
 
 
 @dataclass(frozen=True)
@@ -96,17 +104,13 @@ class Axis:
         places = max(0, -math.floor(math.log10(step) + 1e-9))
         first = math.ceil(self.low / step - 1e-9)
         last = math.floor(self.high / step + 1e-9)
-        return [(k * step, _signed(k * step, places)) for k in range(first, last + 1)]
+        return [(k * step, fixed(k * step, places) if k else '0') for k in range(first, last + 1)]
 
 
 def _step(rough: float) -> float:
     """Return 1, 2 or 5 times a power of ten, at most `rough`."""
     decade = 10.0 ** math.floor(math.log10(rough))
     return decade * max(m for m in (1, 2, 5) if m * decade <= rough * (1 + 1e-9))
-
-
-def _signed(value: float, places: int) -> str:
-    return f'{value:.{places}f}'.replace('-', '\u2212') if value else '0'
 
 
 def _power(exponent: int) -> str:
@@ -144,40 +148,28 @@ class Panel:
         bottom = self.top + self.height
         for value, text in self.y.ticks(fewest):
             y = self.down(value)
-            self.parts.append(self._line(self.left, y, self.left + self.width, y, 'grid'))
+            self.parts.append(segment((self.left, y), (self.left + self.width, y), 'grid'))
             self.parts.append(label(text, self.left - 6, y + 4, class_='tick', text_anchor='end'))
         for value, text in self.x.ticks() if x_ticks else []:
             x = self.across(value)
-            self.parts.append(self._line(x, self.top, x, bottom, 'grid'))
+            self.parts.append(segment((x, self.top), (x, bottom), 'grid'))
             self.parts.append(label(text, x, bottom + 16, class_='tick', text_anchor='middle'))
-        self.parts.append(
-            tag(
-                'rect',
-                x=self.left,
-                y=self.top,
-                width=self.width,
-                height=self.height,
-                class_='frame',
-            )
-        )
+        box = {'x': self.left, 'y': self.top, 'width': self.width, 'height': self.height}
+        self.parts.append(tag('rect', **box, class_='frame'))
         if x_title:
-            middle = self.left + self.width / 2
-            self.parts.append(
-                label(x_title, middle, bottom + 34, class_='axis', text_anchor='middle')
-            )
+            at = self.left + self.width / 2, bottom + 34
+            self.parts.append(label(x_title, *at, class_='axis', text_anchor='middle'))
         self.parts.append(label(y_title, self.left, self.top - 8, class_='axis'))
-
-    def _line(self, x1: float, y1: float, x2: float, y2: float, kind: str) -> str:
-        return tag('line', x1=x1, y1=y1, x2=x2, y2=y2, class_=kind)
 
     def level(self, value: float, kind: str = 'level') -> None:
         """Draw a horizontal line across the frame."""
         y = self.down(value)
-        self.parts.append(self._line(self.left, y, self.left + self.width, y, kind))
+        self.parts.append(segment((self.left, y), (self.left + self.width, y), kind))
 
     def curve(self, points: Sequence[tuple[float, float]], colour: str, dash: str = '') -> None:
         """Draw a line through points."""
         path = joined([(self.across(x), self.down(y)) for x, y in points])
+        kind = CLASSES[COLOURS.index(colour)] if colour in COLOURS else ''
         self.parts.append(
             tag(
                 'polyline',
@@ -186,7 +178,7 @@ class Panel:
                 fill='none',
                 stroke_width=1.5,
                 stroke_dasharray=dash or None,
-                class_=f'line {_CLASSES.get(colour, "")}'.strip(),
+                class_=f'line {kind}'.strip(),
             )
         )
 
@@ -195,39 +187,25 @@ class Panel:
     ) -> None:
         """Draw a value with its error bar (from, to), in colour and shape of a channel."""
         across, down = self.across(x), self.down(y)
-        colour = COLOURS[channel % len(COLOURS)]
+        k = channel % len(COLOURS)
         if spread is not None:
-            ends = [self.down(v) for v in spread]
-            self.parts.append(
-                tag(
-                    'line',
-                    x1=across,
-                    y1=ends[0],
-                    x2=across,
-                    y2=ends[1],
-                    stroke=colour,
-                    class_=f'line {_CLASSES[colour]}',
-                )
-            )
+            low, high = ((across, self.down(v)) for v in spread)
+            self.parts.append(segment(low, high, f'line {CLASSES[k]}', COLOURS[k]))
         self.parts.append(marker(across, down, channel))
 
 
 def marker(x: float, y: float, channel: int, size: float = 3.5) -> str:
     """Return the mark of a channel: disc, square and triangle for X, Y and Z."""
-    colour = COLOURS[channel % len(COLOURS)]
-    kind = _CLASSES[colour]
-    if channel % len(COLOURS) == 0:
-        return tag('circle', cx=x, cy=y, r=size, fill=colour, class_=kind)
-    if channel % len(COLOURS) == 1:
+    k = channel % len(COLOURS)
+    shape = {'fill': COLOURS[k], 'class_': CLASSES[k]}
+    if k == 0:
+        return tag('circle', cx=x, cy=y, r=size, **shape)
+    if k == 1:
         side = 1.8 * size
-        left, top = x - side / 2, y - side / 2
-        return tag('rect', x=left, y=top, width=side, height=side, fill=colour, class_=kind)
-    corners = [
-        (x, y - 1.2 * size),
-        (x - 1.1 * size, y + 0.8 * size),
-        (x + 1.1 * size, y + 0.8 * size),
-    ]
-    return tag('polygon', points=joined(corners), fill=colour, class_=kind)
+        return tag('rect', x=x - side / 2, y=y - side / 2, width=side, height=side, **shape)
+    foot, half = y + 0.8 * size, 1.1 * size
+    corners = [(x, y - 1.2 * size), (x - half, foot), (x + half, foot)]
+    return tag('polygon', points=joined(corners), **shape)
 
 
 def joined(points: Sequence[tuple[float, float]]) -> str:
@@ -244,14 +222,7 @@ def legend(names: Sequence[str], x: float, y: float) -> str:
 
 
 def drawing(parts: Sequence[str], width: float, height: float, title: str) -> str:
-    """Return a separate drawing that scales with the page.
-
-    Args:
-        parts: Its elements.
-        width: px.
-        height: px.
-        title: Alternative text.
-    """
+    """Return a separate drawing, px, that scales with the page; the title is read aloud."""
     return tag(
         'svg',
         tag('title', escape(title)) + ''.join(parts),
@@ -259,8 +230,6 @@ def drawing(parts: Sequence[str], width: float, height: float, title: str) -> st
         role='img',
     )
 
-
-# Small drawings, one for each parameter: its course over time or temperature.
 
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP = 182.0, 74.0, 44.0, 12.0, 22.0
 """px, the margins around the plot included; layout."""
@@ -307,8 +276,8 @@ def small(
     )
     panel.frame('', '', x_ticks=False, fewest=2)
     panel.level(0.0, 'zero')
-    unit = f', {shown.unit}' if shown.unit else ''
-    heading = f'{parameter.name} \u2212 mean{unit}'.replace('ug', '\u00b5g')
+    unit = f', {shown.symbol}' if shown.unit else ''
+    heading = f'{parameter.name} \u2212 mean{unit}'
     panel.parts.append(label(heading, _LEFT - 32, _TOP - 6, class_='tick'))
     if course:
         panel.curve(course, COLOURS[1], '4 3')

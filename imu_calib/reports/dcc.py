@@ -9,7 +9,6 @@ import base64
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from datetime import date
 
 import numpy as np
 
@@ -23,9 +22,6 @@ from . import provenance
 from .budget import MANY
 from .certificate import OUTPUT, Certificate, Stated, groups
 from .certificate_fields import CONDITIONS, Contact, Equipment, Fields
-
-# The elements of a Digital Calibration Certificate.
-
 
 DCC, SI = 'https://ptb.de/dcc', 'https://ptb.de/si'
 
@@ -151,18 +147,12 @@ def digital(parameter: Parameter) -> Digital:
     return _BY_SHOWN[parameter.unit.shown]
 
 
-# The results of a Digital Calibration Certificate: methods, references, quantities, budget.
-
-_UNITS = {
-    'temperature': r'\degreecelsius',
-    'relative_humidity': r'\percent',
-    'air_pressure': r'\hecto\pascal',
+_CONDITIONS = {
+    'temperature': (r'\degreecelsius', 'basic_temperature'),
+    'relative_humidity': (r'\percent', 'basic_humidityRelative'),
+    'air_pressure': (r'\hecto\pascal', 'basic_pressure'),
 }
-_REF_TYPES = {
-    'temperature': 'basic_temperature',
-    'relative_humidity': 'basic_humidityRelative',
-    'air_pressure': 'basic_pressure',
-}
+"""Units and types of the conditions."""
 _UNIFORM = float(np.sqrt(3.0))
 """Half the width of a uniform distribution over its standard deviation (GUM 4.3.7)."""
 _TWO, _OF_TWO = 2.0, 0.9545
@@ -246,10 +236,10 @@ def _equipment(equipment: Equipment) -> ET.Element:
 def _conditions(certificate: Certificate) -> Iterable[ET.Element]:
     for condition in certificate.fields.environment:
         uncertainty = expanded(condition.within, _UNIFORM, 1.0, 'uniform')
-        real = number_with_unit(condition.value, _UNITS[condition.key], uncertainty)
+        unit, kind = _CONDITIONS[condition.key]
+        real = number_with_unit(condition.value, unit, uncertainty)
         words = CONDITIONS[condition.key][0]
         data = element('data', element('quantity', content('name', words), real))
-        kind = _REF_TYPES[condition.key]
         yield element('influenceCondition', content('name', words), data, refType=kind)
     facts = certificate.calibration.provenance
     value, std = (provenance.number(facts, key) for key in ('gravity', 'gravity_std'))
@@ -268,9 +258,8 @@ def _result(title: str, quantities: Sequence[ET.Element]) -> ET.Element:
 
 def _quantity(result: Stated) -> ET.Element:
     parameter, unit = result.parameter, digital(result.parameter)
-    uncertainty = expanded(
-        result.expanded / unit.scale, result.factor, PROBABILITY, _shape(result.freedom)
-    )
+    shape = 'student-t' if result.freedom < MANY else 'normal'
+    uncertainty = expanded(result.expanded / unit.scale, result.factor, PROBABILITY, shape)
     metadata = []
     if result.freedom < MANY:
         real = number_with_unit(result.freedom, ONE.unit)
@@ -295,10 +284,6 @@ def _quantity(result: Stated) -> ET.Element:
         element('measurementMetaData', *metadata) if metadata else None,
         refType='basic_measuredValue',
     )
-
-
-def _shape(freedom: float) -> str:
-    return 'student-t' if freedom < MANY else 'normal'
 
 
 def _scales(calibration: Calibration) -> list[ET.Element]:
@@ -327,8 +312,13 @@ def _budget(certificate: Certificate) -> ET.Element:
     lists = []
     for result in certificate.results:
         k = calibration.parameters.index(result.parameter)
+        unit = digital(result.parameter)
         quantities = [
-            _contribution(result.parameter, line.source.words, line.source.evaluation, line.std[k])
+            element(
+                'quantity',
+                content('name', f'{line.source.words} (type {line.source.evaluation})'),
+                number_with_unit(float(line.std[k]) / unit.scale, unit.unit),
+            )
             for line in budget.lines
             if line.std[k] > 0
         ]
@@ -337,12 +327,6 @@ def _budget(certificate: Certificate) -> ET.Element:
             lists.append(element('list', name, *quantities))
     inside = element('data', element('list', *lists))
     return element('result', content('name', 'Uncertainty budget'), inside)
-
-
-def _contribution(parameter: Parameter, words: str, kind: str, std: float) -> ET.Element:
-    unit = digital(parameter)
-    name = content('name', f'{words} (type {kind})')
-    return element('quantity', name, number_with_unit(float(std) / unit.scale, unit.unit))
 
 
 def _file(calibration: Calibration) -> ET.Element:
@@ -468,9 +452,7 @@ def _persons(fields: Fields) -> Iterable[ET.Element]:
 def _statements(certificate: Certificate) -> list[ET.Element]:
     fields, worst = certificate.fields, certificate.conformity
     found = [
-        statement(
-            'Date of issue.', 'basic_dateOfIssue', date=text_element('date', _day(fields.issued))
-        ),
+        statement('Date of issue.', 'basic_dateOfIssue', date=text_element('date', fields.issued)),
         statement(
             f"Coverage probability {PROBABILITY:.0%}; coverage factors by Student's t for the "
             'effective degrees of freedom (Welch-Satterthwaite).',
@@ -497,7 +479,3 @@ def _statements(certificate: Certificate) -> list[ET.Element]:
         )
     found += [statement(remark, 'basic_remark') for remark in certificate.remarks]
     return found
-
-
-def _day(day: date | None) -> str:
-    return '' if day is None else day.isoformat()

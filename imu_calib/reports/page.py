@@ -23,11 +23,8 @@ from . import provenance, repeatability, timeline
 from .budget import budget_section
 from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, scrolling, section, table
-from .provenance import LIMITS, angles_table, assess, badge, summary, tables, worst, written
+from .provenance import LIMITS, angles_table, assess, outcome, summary, tables, worst, written
 from .tables import FREE_OF_FRAME, change_note, decimals, three_digits
-
-# Residuals of each static dwell, in units and in standard deviations.
-
 
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
 """px; layout."""
@@ -168,8 +165,6 @@ def residual_notes(residuals: Residuals, rms: Sequence[object] | None) -> str:
     return ''.join(parts)
 
 
-# The terms of a calibration for the report: on, off, and upper limits of those that are off.
-
 _NOTE = (
     'A term that is "off" was tested and is not significant: a single coefficient of the stated '
     'size would have been found nine times in ten. A term that the session does not show may still '
@@ -248,8 +243,6 @@ def _moved(
     return escape(f'{other.name}: {significant(by)} {other.unit.shown} for 1 {unit}')
 
 
-# The Allan deviation of a session's static dwells, and the noise read from it.
-
 _ALLAN_WIDTH, _ALLAN_HEIGHT, _ALLAN_LEFT, _ALLAN_TOP = 372.0, 250.0, 56.0, 52.0
 """px; layout."""
 _FRAME = 300.0
@@ -267,14 +260,14 @@ def noise_plots(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
     drawings = []
     for units in shown:
         channels = {c: noise[c] for c in units.channels if c in noise}
-        spec = None if imu is None else _of(units, imu)
+        spec = None if imu is None else _spec_of(units, imu)
         parts = [legend('XYZ', _ALLAN_WIDTH - 216, 14), *_allan_panel(units, channels, spec).parts]
         title = f'Allan deviation of the {units.name}s'
         drawings.append(drawing(parts, _ALLAN_WIDTH, _ALLAN_TOP + _ALLAN_HEIGHT + 42, title))
     return tag('div', ''.join(drawings), class_='panels halves')
 
 
-def _of(units: TriadUnits, imu: ImuSpec) -> TriadSpec:
+def _spec_of(units: TriadUnits, imu: ImuSpec) -> TriadSpec:
     return imu.gyro if units.name == 'gyro' else imu.accel
 
 
@@ -331,7 +324,7 @@ def noise_table(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
     """Return a table of the coefficients of all channels and those of the data sheet."""
     rows = []
     for units in TRIAD_NAMES:
-        spec = TriadSpec() if imu is None else _of(units, imu)
+        spec = TriadSpec() if imu is None else _spec_of(units, imu)
         for axis, name in zip(_CHANNELS, units.channels, strict=True):
             if name not in noise:
                 continue
@@ -355,12 +348,7 @@ def _both(coefficient: Coefficient, stated: float, scale: float) -> tuple[str, s
 
 
 def noise_notes(noise: Mapping[str, ChannelNoise], accel_rate: float | None = None) -> str:
-    """Return sentences on how the curves were computed.
-
-    Args:
-        noise: By name of the channel.
-        accel_rate: Sample rate of interpolated accelerometers, Hz; None without interpolation.
-    """
+    """Return sentences on the curves; interpolated accelerometers have a sample rate, Hz."""
     if not noise:
         return ''
     text = (
@@ -428,12 +416,7 @@ def _head(contents: Contents) -> str:
     where = contents.calibration.provenance
     specification = contents.imu.specification if contents.imu is not None else None
     assessed = assess(contents.calibration, specification)
-    verdict = worst(assessed)
-    outcome = tag(
-        'div',
-        badge(verdict) + tag('span', escape(summary(assessed))),
-        class_=f'outcome {verdict.value if verdict else ""}'.strip(),
-    )
+    shown = outcome(worst(assessed), summary(assessed))
     pairs = [
         ('recorded', provenance.date(where)),
         ('recording', str(where.get('recording') or '-')),
@@ -445,7 +428,7 @@ def _head(contents: Contents) -> str:
         ('dwells, turns', f'{where.get("segments", "-")}, {where.get("turns", "-")}'),
         ('samples used', provenance.count(where.get('samples'))),
     ]
-    return paragraph(f'from {contents.name}', 'subtitle') + outcome + facts(pairs)
+    return paragraph(f'from {contents.name}', 'subtitle') + shown + facts(pairs)
 
 
 def _parameters(contents: Contents) -> str:

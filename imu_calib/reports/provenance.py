@@ -26,9 +26,9 @@ from ..session.imu import (
     Verdict,
     judge,
 )
-from .charts import drawing, joined, tag
+from .charts import drawing, joined, segment, tag
 from .html import named_rows, table
-from .tables import decimals, engineering, three_digits
+from .tables import decimals, engineering, fixed, three_digits
 
 Facts = Mapping[str, object]
 
@@ -324,9 +324,6 @@ def _word(value: object) -> str:
     return '-' if value is None else str(value)
 
 
-# The noise of a session in the units of data sheets.
-
-
 def noise_lines(calibration: Calibration) -> list[str]:
     """Return a line per triad: measured noise, and that of the IMU's file."""
     seen = calibration.noise
@@ -339,17 +336,13 @@ def noise_lines(calibration: Calibration) -> list[str]:
 
 
 def _line(units: TriadUnits, found: Sequence[ChannelNoise], spec: TriadSpec) -> str:
-    walk = _listed_noise([c.random_walk for c in found], units.walk_scale)
-    bias = _listed_noise([c.bias_instability for c in found], units.rate_scale)
+    walk = ' '.join(written(c.random_walk, units.walk_scale) for c in found)
+    bias = ' '.join(written(c.bias_instability, units.rate_scale) for c in found)
     return (
         f'noise of the {units.name}s: random walk {walk} {units.walk}'
         f'{_stated(spec.random_walk, units.walk_scale)}, '
         f'bias instability {bias} {units.rate}{_stated(spec.bias_instability, units.rate_scale)}'
     )
-
-
-def _listed_noise(coefficients: Sequence[Coefficient], scale: float) -> str:
-    return ' '.join(written(c, scale) for c in coefficients)
 
 
 def written(coefficient: Coefficient, scale: float) -> str:
@@ -368,8 +361,6 @@ def written(coefficient: Coefficient, scale: float) -> str:
 def _stated(value: float, scale: float) -> str:
     return f' (data sheet {value / scale:.3g})' if value > 0 else ''
 
-
-# The parameters compared with the unit's specification: numbers, error bars, verdicts.
 
 LIMITS = (
     'Pass and fail are given where the value and its error bar of two standard deviations lie '
@@ -470,7 +461,7 @@ def angles_table(calibration: Calibration) -> str:
             rows.append(
                 [
                     tag('b', f'{angles.group.words} {name}'),
-                    f'{value / SCALE:.{places}f}'.replace('-', '\u2212'),
+                    fixed(value / SCALE, places),
                     f'{COVERAGE * std / SCALE:.{places}f}',
                     SHOWN,
                 ]
@@ -492,9 +483,9 @@ def _row(assessed: Assessed) -> list[str]:
     return [
         tag('b', assessed.parameter.name),
         assessed.parameter.kind.value.words,
-        f'{value:.{places}f}'.replace('-', '\u2212'),
+        fixed(value, places),
         f'{COVERAGE * std:.{places}f}',
-        escape(shown.unit.replace('ug', '\u00b5g')),
+        escape(shown.symbol),
         limit,
         bar,
         verdict,
@@ -504,6 +495,12 @@ def _row(assessed: Assessed) -> list[str]:
 def badge(verdict: Verdict | None) -> str:
     """Return a verdict as a coloured label."""
     return '' if verdict is None else tag('span', verdict.value, class_=f'badge {verdict.value}')
+
+
+def outcome(verdict: Verdict | None, text: str) -> str:
+    """Return the verdict on a unit with a sentence, at the head of a report."""
+    kind = f'outcome {"" if verdict is None else verdict.value}'.strip()
+    return tag('div', badge(verdict) + tag('span', escape(text)), class_=kind)
 
 
 def _bar(assessed: Assessed) -> str:
@@ -523,8 +520,8 @@ def _bar(assessed: Assessed) -> str:
     tip = mark + (5 if assessed.value > 0 else -5) * beyond
     parts = [
         tag('rect', x=low, y=1.0, width=high - low, height=_HEIGHT - 2, class_='allowed'),
-        tag('line', x1=_WIDTH / 2, y1=1.0, x2=_WIDTH / 2, y2=_HEIGHT - 1, class_='zero'),
-        tag('line', x1=ends[0], y1=middle, x2=ends[1], y2=middle, class_='bar'),
+        segment((_WIDTH / 2, 1.0), (_WIDTH / 2, _HEIGHT - 1), 'zero'),
+        segment((ends[0], middle), (ends[1], middle), 'bar'),
     ]
     if beyond:
         back = mark + (-7 if assessed.value > 0 else 7)

@@ -21,7 +21,7 @@ from ..common.stream import Floats
 from ..model.parameters import Parameter
 from .charts import panels, small, tag
 from .html import named_rows, paragraph, table
-from .tables import decimals, engineering
+from .tables import decimals, engineering, fixed
 
 _SURPRISING = 0.001
 """Probability of chance below which the scatter of sessions is significant."""
@@ -154,11 +154,7 @@ def date_of(calibration: Calibration) -> datetime | None:
 
 
 def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[RepeatedParameter]:
-    """Collect the parameters that all calibrations have.
-
-    Args:
-        calibrations: At least two, of one unit.
-        names: Of their files, for messages.
+    """Collect the parameters that all calibrations of a unit have; messages name their files.
 
     Raises:
         InputError: They are of different units, have no parameter in common, or one is there twice.
@@ -251,12 +247,12 @@ def repeatability_table(rows: Sequence[RepeatedParameter]) -> str:
         cells.append(
             [
                 tag('b', row.parameter.name),
-                _written(float(row.value.mean()) / shown.scale, places),
+                fixed(float(row.value.mean()) / shown.scale, places),
                 f'{row.spread / shown.scale:.{places}f}',
                 f'{row.stated / shown.scale:.{places}f}',
                 f'{ratio:.1f}' if np.isfinite(ratio) else '-',
                 '-' if drift is None else _drift(drift, shown.scale),
-                escape(shown.unit.replace('ug', '\u00b5g')),
+                escape(shown.symbol),
                 _verdict(row),
             ]
         )
@@ -267,11 +263,7 @@ def repeatability_table(rows: Sequence[RepeatedParameter]) -> str:
 def _drift(drift: tuple[float, float], scale: float) -> str:
     slope, std = drift[0] / scale, drift[1] / scale
     places = decimals(std)
-    return f'{_written(slope, places)} \u00b1 {std:.{places}f}'
-
-
-def _written(value: float, places: int) -> str:
-    return f'{value:.{places}f}'.replace('-', '\u2212')
+    return f'{fixed(slope, places)} \u00b1 {std:.{places}f}'
 
 
 def _verdict(row: RepeatedParameter) -> str:

@@ -32,6 +32,11 @@ class Shown:
     unit: str
     scale: float
 
+    @property
+    def symbol(self) -> str:
+        """The unit on a page, where micro has its letter."""
+        return self.unit.replace('ug', '\u00b5g')
+
 
 def engineering(parameter: Parameter) -> Shown:
     """Return the unit that engineers use for a parameter."""
@@ -43,6 +48,11 @@ def decimals(deviation: float) -> int:
     if not np.isfinite(deviation) or deviation <= 0:
         return 4
     return int(np.clip(1 - np.floor(np.log10(deviation)), 0, 9))
+
+
+def fixed(value: float, places: int) -> str:
+    """Return a number with some decimals, for a page: with a minus sign, not a hyphen."""
+    return f'{value:.{places}f}'.replace('-', '\u2212')
 
 
 def three_digits(value: float) -> str:
@@ -91,9 +101,7 @@ def change_note(calibration: Calibration) -> str:
 def parameter_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
     """Return the estimated parameters: value, standard deviation, unit.
 
-    Args:
-        calibration: The calibration.
-        truth: True parameters of a simulation; adds the error in standard deviations.
+    The truth of a simulation adds the errors in standard deviations.
     """
     table = _headed('parameter', against_truth=truth is not None)
     parameters, deviations = calibration.parameters, calibration.std
@@ -139,23 +147,13 @@ FREE_OF_FRAME = (
 def parameter_tables(
     calibration: Calibration, truth: Calibration | None = None
 ) -> list[Table | str]:
-    """Return the tables of a calibration for a terminal: parameters and angles.
-
-    Args:
-        calibration: The calibration.
-        truth: True parameters of a simulation; adds the errors in standard deviations.
-    """
+    """Return the tables of a calibration for a terminal: parameters and angles."""
     angles = angle_table(calibration, truth)
     return [parameter_table(calibration, truth), '', angles, FREE_OF_FRAME]
 
 
 def angle_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
-    """Return the angles between input axes: value, standard deviation, unit.
-
-    Args:
-        calibration: The calibration.
-        truth: True parameters of a simulation; adds the error in standard deviations.
-    """
+    """Return the angles between input axes: value, standard deviation, unit."""
     table = _headed('free of frame', against_truth=truth is not None)
     true = {} if truth is None else {a.group: a.values for a in truth.free_of_frame}
     for angles in calibration.free_of_frame:
@@ -175,8 +173,6 @@ def section_of(parameter: Parameter) -> tuple[object, ...]:
     return parameter.triad, parameter.row >= len(AXES), kind
 
 
-# Calibrations of several units side by side: a column for each unit.
-
 _COARSE = 60 * ARCSEC
 """Standard deviation from which an angle is shown in degrees."""
 _ANY = 90 * DEG
@@ -186,11 +182,7 @@ _AT_ONCE = 8
 
 
 def comparison_tables(units: Sequence[tuple[str, Calibration]]) -> Iterator[Table]:
-    """Yield tables of all parameters that any unit has, with eight units in each.
-
-    Args:
-        units: Serial numbers with calibrations.
-    """
+    """Yield tables of all parameters that any unit has, with eight serial numbers in each."""
     parameters: list[Parameter] = []
     for _, calibration in units:
         parameters += [p for p in calibration.parameters if p not in parameters]
@@ -235,8 +227,6 @@ def _cell(parameter: Parameter, found: tuple[float, float] | None) -> str:
     return f'{value:.{places}f}\u00b1{std:.{places}f}'
 
 
-# Calibrations of one unit side by side.
-
 _MORE = 2
 """Most further decimals for a difference: a hundredth of the last digit is nothing."""
 
@@ -273,12 +263,7 @@ def side_by_side(calibrations: Sequence[Calibration]) -> SideBySide:
 
 
 def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
-    """Return calibrations side by side, with the names, units and order of `parameter_table`.
-
-    Args:
-        compared: The calibrations.
-        names: Their names.
-    """
+    """Return calibrations side by side, with the names, units and order of `parameter_table`."""
     calibrations, found, std = compared.calibrations, compared.agreement, compared.std
     two = len(calibrations) == 2
     numbers = (*names, *(('difference', 'in std') if two else ('chi-square',)))
@@ -339,12 +324,7 @@ def _places(compared: SideBySide) -> dict[tuple[object, ...], int]:
 
 
 def agreement_lines(found: Agreement, count: int) -> list[str]:
-    """Return sentences on significant differences of calibrations, with the rule.
-
-    Args:
-        found: Their agreement.
-        count: Number of calibrations.
-    """
+    """Return sentences on significant differences of so many calibrations, with the rule."""
     if not found.total_freedom:
         return ['None of them states standard deviations: significance cannot be tested.']
     rule = (
@@ -405,8 +385,6 @@ def _factor_of(parameter: Parameter, triads: Mapping[str, float], askew: float) 
         return 1.0
     return askew if parameter.row >= len(AXES) else triads[parameter.triad]
 
-
-# A verification for the terminal: dwells and turns, worst first, in engineering units.
 
 _SHOWN = {
     Quantity.GRAVITY: Shown('ug', MICRO_G),

@@ -12,8 +12,8 @@ from ..session.imu import ImuSpec
 from . import provenance
 from .charts import panels, small, tag
 from .html import STYLE, bullets, document, facts, paragraph, section, table
-from .provenance import LIMITS, Assessed, assess, badge, worst
-from .tables import decimals, engineering
+from .provenance import LIMITS, Assessed, assess, badge, outcome, worst
+from .tables import decimals, engineering, fixed
 
 _SIDE_BY_SIDE = 4
 """Temperatures of one table: as many as fit side by side on A4."""
@@ -26,13 +26,7 @@ _NOTE = (
 
 
 def thermal_page(combined: ThermalCalibration, name: str, imu: ImuSpec | None = None) -> str:
-    """Return the report of a combined file as HTML; the same file gives the same text.
-
-    Args:
-        combined: Calibrations at two or more temperatures.
-        name: Of its file.
-        imu: The unit's description with its specification; None if not given.
-    """
+    """Return the report of a combined file as HTML; the same file gives the same text."""
     first = combined.calibrations[0]
     specification = None if imu is None else imu.specification
     each = [assess(c, specification) for c in combined.calibrations]
@@ -62,7 +56,6 @@ def _head(combined: ThermalCalibration, name: str, each: Sequence[Sequence[Asses
     else:
         passed = sum(all(a.verdict is None or a.verdict.value == 'pass' for a in s) for s in each)
         text = f'Within the specification at {passed} of {len(each)} temperatures.'
-    kind = f'outcome {"" if verdict is None else verdict.value}'.strip()
     low, high = temperature_range(combined)
     between = 'straight lines'
     if combined.order is not None:
@@ -75,8 +68,7 @@ def _head(combined: ThermalCalibration, name: str, each: Sequence[Sequence[Asses
         ('serial number', first.serial_number or '-'),
         ('recorded at the ends', _ends(provenance.date(first.provenance), last.provenance)),
     ]
-    outcome = tag('div', badge(verdict) + tag('span', escape(text)), class_=kind)
-    return paragraph(f'from {name}', 'subtitle') + outcome + facts(pairs)
+    return paragraph(f'from {name}', 'subtitle') + outcome(verdict, text) + facts(pairs)
 
 
 def _ends(first: str, last: provenance.Facts) -> str:
@@ -84,7 +76,7 @@ def _ends(first: str, last: provenance.Facts) -> str:
 
 
 def _celsius(combined: ThermalCalibration, k: int) -> str:
-    return f'{combined.temperatures[k]:.1f}\u00a0\u00b0C'.replace('-', '\u2212')
+    return f'{fixed(combined.temperatures[k], 1)}\u00a0\u00b0C'
 
 
 def _values(combined: ThermalCalibration, each: Sequence[Sequence[Assessed]]) -> list[str]:
@@ -107,12 +99,12 @@ def _table(each: Sequence[Sequence[Assessed]], temperatures: Sequence[str]) -> s
             tag('b', across[0].parameter.name),
             badge(worst(across)),
             '' if limit is None else f'\u00b1{limit / shown.scale:g}',
-            escape(shown.unit.replace('ug', '\u00b5g')),
+            escape(shown.symbol),
         ]
         for one in across:
             places = decimals(one.std / shown.scale)
-            value = f'{one.value / shown.scale:.{places}f}'.replace('-', '\u2212')
-            cells.append(f'{value} \u00b1 {2 * one.std / shown.scale:.{places}f}')
+            value, error = one.value / shown.scale, 2 * one.std / shown.scale
+            cells.append(f'{fixed(value, places)} \u00b1 {error:.{places}f}')
         rows.append(cells)
     headings, columns = ['', '', 'limit', 'unit', *temperatures], 'llrl' + 'r' * len(each)
     if not any(row[1] for row in rows):

@@ -16,7 +16,7 @@ from ..common.units import DEG
 from ..estimation.hand import NAME as FREE_POSITIONS
 from ..model.parameters import Parameter
 from ..session.imu import Specification, Verdict, judge
-from .charts import Axis, Panel, drawing, label, tag
+from .charts import Axis, Panel, drawing, label, segment, tag
 from .html import scrolling, table
 from .tables import engineering, three_digits
 
@@ -114,7 +114,7 @@ def time_line(found: Sequence[Interval], duration: float) -> str:
         blocks += [_block(panel, s, y, scale) for s in sorted(longest, key=lambda s: s.start)]
     for value, text in panel.x.ticks():
         x = panel.across(value)
-        parts.append(tag('line', x1=x, y1=_TOP, x2=x, y2=bottom, class_='grid'))
+        parts.append(segment((x, _TOP), (x, bottom), 'grid'))
         parts.append(label(text, x, bottom + 14, class_='tick', text_anchor='middle'))
     # Names are drawn on the blocks, above the lines of the grid.
     parts += blocks
@@ -158,12 +158,7 @@ def when(result: Result) -> str:
 
 
 def rejected_table(found: Sequence[Interval], start: int | None) -> str:
-    """Return the rejected intervals with reasons; empty without any.
-
-    Args:
-        found: All intervals of the session.
-        start: First stamp of the session, ns.
-    """
+    """Return the rejected intervals with reasons; empty without any. The start is in ns."""
     zero = utc(start)
 
     def clock(seconds: float) -> str:
@@ -188,8 +183,6 @@ def rejected_table(found: Sequence[Interval], start: int | None) -> str:
     headings = ['position', 'UTC', 'at, s', 'for, s', 'why it was not used']
     return table(headings, rows, '', 'lrrrl')
 
-
-# Standard deviations of a running session over time, and the plan's prediction.
 
 _MOST_POINTS = 120
 """Most points of a course: more than a drawing of 120 px can show."""
@@ -233,7 +226,7 @@ class Converging:
     @property
     def unit(self) -> str:
         """The unit used by engineers."""
-        return engineering(self.parameter).unit.replace('ug', '\u00b5g')
+        return engineering(self.parameter).symbol
 
     def shown(self, amount: float) -> str:
         """Return an amount in that unit with three digits; a dash if it is unknown."""
@@ -243,13 +236,7 @@ class Converging:
 
 
 class Courses:
-    """Collects the standard deviations that a calibrator reports in succession.
-
-    Args:
-        parameters: Parameters that the session's method estimates.
-        predicted: Standard deviations by name, SI; NaN or absent without a prediction.
-        specification: The limits of the unit; None without.
-    """
+    """Collects the standard deviations, SI, that a calibrator reports in succession."""
 
     def __init__(
         self,
@@ -300,8 +287,6 @@ class Courses:
             for name, parameter in self._parameters.items()
         )
 
-
-# Remaining time of a session by the wall clock, and what it waits for, as texts.
 
 READING = 'The journal is read: '
 """Beginning of the report while the session before an interruption is read."""

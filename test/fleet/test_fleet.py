@@ -28,7 +28,7 @@ from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.parallel import Engine
-from imu_calib.fleet.batch import DEFECT, LOST, Done, content_of, failed, key_of, run
+from imu_calib.fleet.batch import DEFECT, LOST, TaskResult, content_of, failed, key_of, run
 from imu_calib.fleet.catalogue import Catalogue, run_batch, schema
 from imu_calib.fleet.recordings import COLUMNS, Job, Labels, convertible, find_jobs, read_manifest
 
@@ -73,10 +73,10 @@ def rows(folder: Path) -> list[dict]:
     return Catalogue(folder).table().to_pylist()
 
 
-def a_row(k: int, **values: object) -> Done:
+def a_row(k: int, **values: object) -> TaskResult:
     """A row without a recording behind it."""
     row = failed(Job(f'r{k}'), f'{k:032x}', '', 'It failed.', 2)
-    return Done(row['key'], {**row, **values})
+    return TaskResult(row['key'], {**row, **values})
 
 
 def test_sources_are_found(recordings: Path) -> None:
@@ -271,7 +271,7 @@ def test_what_cannot_be_read_is_one_row_until_it_changes(recordings: Path, tmp_p
     known = frozenset([first.key])
     # Again, by another path, and copied: none is news.
     for path in (lacking, tmp_path / 'two' / '..' / 'one' / 'rec', copied):
-        assert run(Job(str(path)), known) == Done(first.key)
+        assert run(Job(str(path)), known) == TaskResult(first.key)
     assert run(Job(str(lacking)), frozenset()).row is not None
     (copied / 'another.db3').touch()
     assert run(Job(str(copied)), known).row is not None
@@ -447,14 +447,14 @@ def test_a_server_that_does_not_answer_gets_a_sentence(monkeypatch: pytest.Monke
     assert 'not read after 3 tries' in row['error'] and 'Check the network' in row['error']
 
 
-def poisonous(job: Job, known: frozenset[str]) -> Done:
+def poisonous(job: Job, known: frozenset[str]) -> TaskResult:
     """A task that kills its worker for one recording, and counts how often it was begun."""
     path = Path(job.recording)
     with (path.parent / f'{path.name}.begun').open('a') as file:
         file.write('.')
     if path.name == 'poison':
         os.kill(os.getpid(), signal.SIGKILL)
-    return Done(path.name, a_row(int(path.name)).row)
+    return TaskResult(path.name, a_row(int(path.name)).row)
 
 
 def test_a_recording_that_kills_its_worker_is_a_row(tmp_path: Path) -> None:
@@ -479,7 +479,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
     with_port.stop()
 
 
-def slow(job: Job, known: frozenset[str]) -> Done:
+def slow(job: Job, known: frozenset[str]) -> TaskResult:
     """A task that waits for a file to be there."""
     path = Path(job.recording)
     with (path.parent / f'{path.name}.begun').open('a') as file:

@@ -31,7 +31,7 @@ from fleets import STD
 
 from imu_calib.fleet import page_contents as packed
 from imu_calib.fleet.attention import issues
-from imu_calib.fleet.batch import Done, failed
+from imu_calib.fleet.batch import TaskResult, failed
 from imu_calib.fleet.catalogue import Catalogue
 from imu_calib.fleet.page import page, summary
 from imu_calib.fleet.page_contents import Flag, Fleet
@@ -55,7 +55,7 @@ def add(catalogue: Path, key: int, **values: Any) -> None:
         row |= {'covariance': np.diag(STD**2).ravel().tolist(), 'findings': [EVIL], 'verdict': ''}
     row |= values
     text = 'id: unit\n' if row['status'] == 'calibrated' else ''
-    assert Catalogue(catalogue).add([Done(row['key'], row, text)]) == 1
+    assert Catalogue(catalogue).add([TaskResult(row['key'], row, text)]) == 1
 
 
 @pytest.fixture(scope='module')

@@ -18,7 +18,7 @@ import imu_calib
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.files import named_file
-from imu_calib.fleet.batch import CALIBRATED, Done, failed, limits_of
+from imu_calib.fleet.batch import CALIBRATED, TaskResult, failed, limits_of
 from imu_calib.fleet.catalogue import Catalogue
 from imu_calib.fleet.recordings import Job, Labels
 from imu_calib.fleet.results import Sessions
@@ -32,7 +32,7 @@ SCHEMAS = Path(__file__).parents[2] / 'config' / 'schemas'
 SCHEMA = Draft202012Validator(json.loads((SCHEMAS / 'output.json').read_text('utf-8')))
 
 
-def done(made: Sessions, k: int, **values: object) -> Done:
+def done(made: Sessions, k: int, **values: object) -> TaskResult:
     """The row of a session, as a batch leaves it."""
     labels = Labels(stand=made.stand[k], lot=made.lot[k])
     row = failed(Job(f'r{made.serial[k]}_{k}', labels=labels), f'{k:032x}', f'{k:064x}', '', 0)
@@ -52,7 +52,7 @@ def done(made: Sessions, k: int, **values: object) -> Done:
         'limits': limits_of(SPECIFICATION),
         **values,
     }
-    return Done(row['key'], row, '{}')
+    return TaskResult(row['key'], row, '{}')
 
 
 def truth(unit: int, months: float, k: int, stand: str) -> np.ndarray:
@@ -88,9 +88,9 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
     wrong = dict(
         rows[7].row or {}, K_gx=1.0, key='f' * 32, at=datetime(2020, 1, 1, tzinfo=timezone.utc)
     )
-    rows.append(Done('f' * 32, wrong))
+    rows.append(TaskResult('f' * 32, wrong))
     lost = failed(Job('lost'), 'e' * 32, 'e' * 64, 'It failed.', 2) | {'serial': 'F900'}
-    rows.append(Done('e' * 32, lost))
+    rows.append(TaskResult('e' * 32, lost))
     Catalogue(folder, create=True).add(rows)
     return folder
 
