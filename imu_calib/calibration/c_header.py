@@ -21,10 +21,8 @@ from . import exports as ros
 from .calibration import Calibration
 from .exports import Exported, ExportSource, common_omissions
 
-_EXACT = 1e-17
-"""Remaining relative error: that of a double."""
-_CONTRACTION = 0.5
-"""Factor by which each iteration of an inversion must reduce the error."""
+_EXACT = 1e-17  #: Remaining relative error: that of a double.
+_CONTRACTION = 0.5  #: Factor by which each iteration of an inversion must reduce the error.
 _WIDEST_RATE, _WIDEST_FORCE = 2000 * DEG, 16 * STANDARD_GRAVITY
 """Largest range assumed for a unit, also if it states none: that of common MEMS units."""
 
@@ -263,9 +261,6 @@ _REPEATED = """\
 {body}        imu_calib_terms(rate, force, gyro_terms, accel_terms);
     }}
 """
-
-
-# Formats of other software for a calibration: one module per format.
 
 EXPORTS: dict[str, Callable[[ExportSource], Exported]] = {
     'ros': ros.export_ros,

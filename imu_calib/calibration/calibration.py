@@ -40,8 +40,7 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-_FORMAT = 1
-"""Version of calibration.yaml; others are refused."""
+_FORMAT = 1  #: Version of calibration.yaml; others are refused.
 
 BY_ACCELEROMETERS = 'accelerometers'
 """Value of `frame` in the provenance: the axes of a session in the hand."""

@@ -46,9 +46,6 @@ if TYPE_CHECKING:
     from .hand import HandCalibrator
     from .results import Result, Review
 
-# Find steps of a plan that were run but have too little usable data.
-
-
 _ENOUGH = 0.5
 """Share of a dwell that must be usable: less increases its noise by more than a factor 1.4."""
 
@@ -303,8 +300,6 @@ class Calibrator:
         return found.concluded(solution)
 
 
-# Combine several units on one table: estimate shared unknowns once, from all of them.
-
 _NOBODY = (
     'What it says of the table contradicts the other unit (chi-square {square:.0f} with {freedom} '
     'degrees of freedom): it is unknown which of the two is right, and each is calibrated by '
@@ -415,8 +410,6 @@ def _noted(
             found[place] = replace(result, calibration=noted)
     return tuple(found)
 
-
-# The calibrator: blocks of columns in, a calibration out. The same object live and offline.
 
 _WHERE = {
     'Calibrator': 'on_table',

@@ -23,27 +23,19 @@ from ..model.sensors import PRODUCTS, SensorModel, has_motion_terms, inverted, t
 from ..session.imu import FULL_SCALES, GRAVITY_FACTOR, NEARLY, SCALE_LIMIT, ImuSpec, TriadSpec
 from .calibration import Calibration
 
-# Compensated samples and their marks.
-
-
 Marks = NDArray[np.uint8]
 
 
 class Mark(IntFlag):
     """Condition of a sample that its user must know; any number of them."""
 
-    GYRO_RANGE = 1
-    """A gyro is at the end of its range, so that the rate is unknown."""
+    GYRO_RANGE = 1  #: A gyro is at the end of its range, so that the rate is unknown.
     ACCEL_RANGE = 2
     """An accelerometer is at the end of its range, so that the specific force is unknown."""
-    RATE = 4
-    """Faster than the unit was rotated in its calibration."""
-    TEMPERATURE = 8
-    """Colder or warmer than in the calibration; the nearest calibration is used."""
-    PARITY = 16
-    """The parity of four gyros exceeds its noise."""
-    NO_NUMBER = 32
-    """A value is not finite, or too large to compute with."""
+    RATE = 4  #: Faster than the unit was rotated in its calibration.
+    TEMPERATURE = 8  #: Colder or warmer than in the calibration; the nearest calibration is used.
+    PARITY = 16  #: The parity of four gyros exceeds its noise.
+    NO_NUMBER = 32  #: A value is not finite, or too large to compute with.
 
 
 # Not frozen: one is made for each live sample, and freezing would cost a microsecond.
@@ -77,9 +69,6 @@ def concatenated(parts: list[CompensatedSamples]) -> CompensatedSamples:
         np.concatenate([p.marks for p in parts]),
         np.concatenate(parities) if len(parities) == len(parts) else None,
     )
-
-
-# Compensate one sample of a live stream in plain Python numbers.
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +127,7 @@ class SingleSample:
         )
 
 
-_AXES = 3
-"""X, Y, Z."""
+_AXES = 3  #: X, Y, Z.
 _LINEAR = tuple(Product(factors) for factors in ((0,), (1,), (2,), (), (3,), (4,), (5,)))
 """Factors on the errors of the linear model's parameters: rate, one, specific force."""
 
@@ -151,8 +139,7 @@ _LARGEST = 1e100
 """SI: no sensor reads it, and sums of squares and cubes of larger values overflow. A judgement."""
 _PARITY = 6.0
 """Standard deviations of the parity of four gyros: false in 2e-9 of Gaussian samples."""
-_AT_ONCE = 512
-"""Samples at once: their intermediate arrays fit into a processor's cache."""
+_AT_ONCE = 512  #: Samples at once: their intermediate arrays fit into a processor's cache.
 
 _BITS = {mark: np.uint8(mark) for mark in Mark}
 _RATE_UNKNOWN = np.uint8(Mark.GYRO_RANGE | Mark.NO_NUMBER)
@@ -482,8 +469,6 @@ def _random_walk(calibration: Calibration, gyros: int) -> Floats:
     return np.concatenate([walk[:3], np.full(gyros - _AXES, walk[:3].mean()), walk[3:]])
 
 
-# Whether compensated forces are about gravity: else the samples are in other units.
-
 _UNKNOWN = np.uint8(Mark.ACCEL_RANGE | Mark.NO_NUMBER)
 
 
@@ -536,15 +521,12 @@ class GravitySeen:
         )
 
 
-# Whether compensated rates turn gravity as the accelerometers see it turn: else other units.
-
 _WINDOW = 0.2
 """s: of a turn by 1 rad/s, gravity moves by 2 m/s^2, far above the noise of any accelerometer."""
 _ALIKE = 0.95
 """Correlation above which the two tell of one motion: other accelerations make it smaller. A
 judgement: the other tenth of the squares changes the ratio by 5 %."""
-_FEWEST = 10
-"""Windows of 3 axes each; by chance so many are alike once in 10^14."""
+_FEWEST = 10  #: Windows of 3 axes each; by chance so many are alike once in 10^14.
 
 
 @dataclass

@@ -28,8 +28,7 @@ from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_r
 # Source: docs/mathematics.md, 'Terms of motion'.
 
 
-_NEXT = 1.5
-"""Sample intervals to the next sample, at most: beyond, one is missing."""
+_NEXT = 1.5  #: Sample intervals to the next sample, at most: beyond, one is missing.
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,14 +151,10 @@ def _parameter_covariance(samples: Applied, by_each: Floats, seconds: Floats) ->
 class _Changes:
     """Samples and their neighbours."""
 
-    all: list[Applied]
-    """Samples before, these samples, samples after."""
-    earlier: NDArray[np.intp]
-    """(n,) index of the first sample of each difference."""
-    later: NDArray[np.intp]
-    """(n,) index of the second."""
-    seconds: Floats
-    """(n,) s between them; 0 without a neighbour."""
+    all: list[Applied]  #: Samples before, these samples, samples after.
+    earlier: NDArray[np.intp]  #: (n,) index of the first sample of each difference.
+    later: NDArray[np.intp]  #: (n,) index of the second.
+    seconds: Floats  #: (n,) s between them; 0 without a neighbour.
 
     @classmethod
     def of(cls, before: Applied | None, samples: Applied, after: Applied | None) -> _Changes:
@@ -191,12 +186,10 @@ class _Changes:
 
 _LAG = 500_000_000
 """ns after its stamp from which a temperature is used: it has arrived by then, live as in bulk."""
-_PATIENCE = 50_000_000
-"""ns that a sample waits for the skewed gyro's: fifty samples at 1 kHz."""
+_PATIENCE = 50_000_000  #: ns that a sample waits for the skewed gyro's: fifty samples at 1 kHz.
 _MOST_WAITING = 1 << 16
 """Samples held while waiting for a temperature or a skewed gyro: a minute at 1 kHz."""
-_STEP = 0.01
-"""K: smaller changes of temperature are ignored."""
+_STEP = 0.01  #: K: smaller changes of temperature are ignored.
 _NO_NUMBER = np.uint8(Mark.NO_NUMBER)
 
 
@@ -550,12 +543,10 @@ def _rows(block: ImuBlock, start: int, stop: int) -> ImuBlock:
 # stamps.
 
 
-_LONG = 1.5
-"""Of the median step: a longer one is followed by a late sample, or samples were lost."""
+_LONG = 1.5  #: Of the median step: a longer one is followed by a late sample, or samples were lost.
 _AROUND = 512
 """Samples on either side of irregular steps that determine the interval (`bunches`, `_AHEAD`)."""
-_FEWEST = 32
-"""Samples that determine an interval (`sample_clock`)."""
+_FEWEST = 32  #: Samples that determine an interval (`sample_clock`).
 
 
 class WholeStream:

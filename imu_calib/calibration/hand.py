@@ -250,8 +250,7 @@ _LOST = 100.0
 """Ratio of the variance from lost samples in a turn to all its other variance above which the turn
 is not used: with ten times the std, it has a hundredth of the information of others."""
 
-_NEARLY_NONE = 0.05
-"""Of gravity: as in `segmentation.gravity_removed`."""
+_NEARLY_NONE = 0.05  #: Of gravity: as in `segmentation.gravity_removed`.
 _REMEDIES = {
     SATURATED: ': turn more slowly, or set a wider range',
     COARSE: ': turn more slowly, or check the unit of the gyros',

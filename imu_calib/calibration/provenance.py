@@ -35,8 +35,7 @@ from ..segmentation.stream_facts import Segmented
 from ..session.imu import COEFFICIENTS, CURVE
 from ..session.table_errors import StampingClock
 
-_CHANNELS = 6
-"""Channels of an IMU, gx to az."""
+_CHANNELS = 6  #: Channels of an IMU, gx to az.
 _TEXTS = ('recording', 'sha256', 'recorded', 'method', 'plan', 'table', 'gravity_source', 'frame')
 _LISTS_OF_TEXTS = ('topics', 'terms', 'missing_positions', 'shared_with')
 _FLAGS = ('terms_looked_for', 'height_assumed')
@@ -227,9 +226,6 @@ def _channel(section: Section) -> dict[str, Any]:
     return {**found, **curve, 'timed': timed}
 
 
-# Provenance of a calibration: its session, software and method.
-
-
 def provenance(
     setup: Setup,
     evidence: Evidence,
@@ -319,8 +315,6 @@ def _or_none(value: float) -> float | None:
     """Return a number, or None if it is not known."""
     return float(value) if np.isfinite(value) else None
 
-
-# The uncertainty budget as `uncertainty_budget` of calibration.yaml: SI units, named.
 
 _NOTHING = 1e-24
 """Variance in SI of what is held at its value: what rounding leaves of it is no contradiction."""
@@ -431,9 +425,6 @@ def _row(entry: Section, key: str, known: NDArray[np.bool_]) -> Floats:
     row = np.full(len(known), np.nan)
     row[known] = values
     return row
-
-
-# Sentences on unused data of a session and on missing steps of its plan.
 
 
 def losses_of_all_segments(session: Segmented, labelled: Labelled, setup: Setup) -> str:

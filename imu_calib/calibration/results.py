@@ -137,8 +137,6 @@ class Review:
     refusal: str  #: Why there is none, else empty.
 
 
-# Make a result from a solution and its session.
-
 _LATER = (
     'Provisional: terms are looked for when the session ends (`terms` auto); a scale factor that '
     'differs between the senses, say, is not in this estimate.',
@@ -184,8 +182,7 @@ class Basis:
 # They are looked for in refused sessions alone: what is seen in a sound one may have another cause.
 
 
-_FEWEST_MEANS = 2
-"""Means of static dwells and turns: one cannot change."""
+_FEWEST_MEANS = 2  #: Means of static dwells and turns: one cannot change.
 _ROUNDING = 1e-12
 """Relative difference of the means of equal numbers: double precision gives some 1e-14."""
 _ROTATED = 0.02

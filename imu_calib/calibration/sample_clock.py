@@ -13,14 +13,10 @@ from ..common.stream import Floats, Stamps
 from ..segmentation.stamp_faults import JITTER
 from ..segmentation.stamps import MANY, SHORT, Pattern, pattern, sampling_times, usual_interval
 
-_LEARNT = 32
-"""Intervals that determine the usual one: their median holds with ten of them late."""
-INTERVAL_KNOWN_AFTER = _LEARNT + 1
-"""Samples that show the interval, unless they come in bunches."""
-_WINDOW = 1024
-"""Intervals averaged: the jitter of one stamp is reduced to a thousandth."""
-_FEW = 4
-"""Samples up to which processing one at a time is faster than arrays."""
+_LEARNT = 32  #: Intervals that determine the usual one: their median holds with ten of them late.
+INTERVAL_KNOWN_AFTER = _LEARNT + 1  #: Samples that show the interval, unless they come in bunches.
+_WINDOW = 1024  #: Intervals averaged: the jitter of one stamp is reduced to a thousandth.
+_FEW = 4  #: Samples up to which processing one at a time is faster than arrays.
 _TYPICAL = 0.5
 """Of the usual interval: after a step longer by more, samples were lost or are late."""
 _GAINS = 0.05
@@ -31,10 +27,8 @@ LONGEST = 5_000_000_000
 are timed anew, and may have another rate."""
 _FASTEST = 1000.0
 """ns: no IMU samples at a megahertz; samples that share a stamp are separated by less."""
-_PACKETS = 240
-"""Samples that contain several packets (`segmentation/bunches`)."""
-_MOST_HELD = 4096
-"""Most samples that wait for the interval: a transfer of a second at 4 kHz."""
+_PACKETS = 240  #: Samples that contain several packets (`segmentation/bunches`).
+_MOST_HELD = 4096  #: Most samples that wait for the interval: a transfer of a second at 4 kHz.
 _SLACK_PACKETS, _SLACK_POLLED = 0.5, 1.5
 """Intervals by which a complete bunch may be off: a polled one has one sample more or less in
 alternation (`segmentation/bunches`)."""
@@ -107,10 +101,8 @@ class SampleClock:
         self._recent: deque[int] = deque(maxlen=_WINDOW)
         self._sums: Stamps = np.zeros((2 * _WINDOW, 2), np.int64)
         self._known = 1
-        self._behind = 0
-        """Samples that were held up in a silence, if they make up for it."""
-        self._passed = 0
-        """ns from the sample before them to the last of them."""
+        self._behind = 0  #: Samples that were held up in a silence, if they make up for it.
+        self._passed = 0  #: ns from the sample before them to the last of them.
         self._bunch: _Bunch | None = None
 
     @property

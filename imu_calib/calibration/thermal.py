@@ -20,14 +20,11 @@ from ..session.table_errors import StampingClock
 from .agreement import gravity_deviation, without_gravity
 from .calibration import Calibration, calibration_section
 
-_FORMAT = 1
-"""Version of the format of combined calibrations; others are refused."""
-_APART = 0.5
-"""K: closer ones count as one temperature: a slope between them would be noise."""
+_FORMAT = 1  #: Version of the format of combined calibrations; others are refused.
+_APART = 0.5  #: K: closer ones count as one temperature: a slope between them would be noise.
 _MARGIN = 5.0
 """K beyond the range of a calibration at one temperature in which it is valid; a choice."""
-MOST = 4
-"""Highest order of polynomials: higher ones oscillate between the points (Runge)."""
+MOST = 4  #: Highest order of polynomials: higher ones oscillate between the points (Runge).
 _WRITTEN = 1e-9
 """Relative tolerance for numbers that were written as text. A judgement, between the rounding of a
 double and any difference that matters."""

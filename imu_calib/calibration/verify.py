@@ -29,8 +29,6 @@ from .agreement import same_place, without_gravity
 from .calibration import Calibration
 from .diagnosis import Diagnosis, diagnose, with_true_noise
 
-# Compare the compensated outputs with gravity, Earth rate and turned angles.
-
 
 class Quantity(Enum):
     """What is compared."""
@@ -206,11 +204,8 @@ DOUBT, REJECTION = 1e-2, 1e-6
 hundred, and practically no false rejection."""
 
 
-_Considered = tuple[tuple[Parameter, float], ...]
-"""Parameters and standard deviations."""
-
-_TOO_WIDE = 5.0
-"""Times the stated scatter: wider limits would accept a wrong latitude."""
+_Considered = tuple[tuple[Parameter, float], ...]  #: Parameters and standard deviations.
+_TOO_WIDE = 5.0  #: Times the stated scatter: wider limits would accept a wrong latitude.
 
 
 class Verdict(IntEnum):

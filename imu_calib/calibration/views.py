@@ -21,20 +21,12 @@ if TYPE_CHECKING:
     from ..common.files import Picture
 
 _TRIADS = {'g': 'gyros', 'a': 'accelerometers'}
-_BAR = 2.0
-"""Standard deviations of a bar to either side: 95 percent."""
-
-_WHISKERS_95 = (2.5, 97.5)
-"""Percentiles that contain 95 %."""
-_NORMAL_95 = 1.96
-"""Standard deviations that contain 95 % of a normal law."""
-_POINTS = 1000
-"""Most points of a line: the width of a picture in pixels."""
-
-_NAMES = 30
-"""Most names below an axis: more would overlap."""
-_HEIGHT = 4.2
-"""Height of a row of panels, and width of a panel, inches."""
+_BAR = 2.0  #: Standard deviations of a bar to either side: 95 percent.
+_WHISKERS_95 = (2.5, 97.5)  #: Percentiles that contain 95 %.
+_NORMAL_95 = 1.96  #: Standard deviations that contain 95 % of a normal law.
+_POINTS = 1000  #: Most points of a line: the width of a picture in pixels.
+_NAMES = 30  #: Most names below an axis: more would overlap.
+_HEIGHT = 4.2  #: Height of a row of panels, and width of a panel, inches.
 
 
 def compared_frame(

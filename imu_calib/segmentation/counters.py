@@ -32,16 +32,11 @@ from ..common.stream import Floats
 # random walk N (-1/2), bias instability B (flat, at 0.664 B) and rate random walk K (+1/2).
 
 
-_OVERLAP = 16
-"""Clusters overlap by 15 of 16 parts."""
-_LEAST_CLUSTERS = 3
-"""A second difference takes three."""
-_FAR_TIME = 4
-"""Octaves: the covariance of variances further apart is negligible."""
-_REACH = 4
-"""Cluster lengths: the covariance of second differences further apart is negligible."""
-HARMONICS = 64
-"""Harmonics of a counter's sawtooth: the others hold one percent of its variance."""
+_OVERLAP = 16  #: Clusters overlap by 15 of 16 parts.
+_LEAST_CLUSTERS = 3  #: A second difference takes three.
+_FAR_TIME = 4  #: Octaves: the covariance of variances further apart is negligible.
+_REACH = 4  #: Cluster lengths: the covariance of second differences further apart is negligible.
+HARMONICS = 64  #: Harmonics of a counter's sawtooth: the others hold one percent of its variance.
 
 
 class Term(IntEnum):
@@ -254,24 +249,16 @@ over phases."""
 
 READING_VARIANCE = 1 / 12
 """Variance of a reading in whole pulses, pulses squared: uniform over one."""
-_PASSAGES_NEEDED = 3
-"""Of levels: two ends and one to check them."""
-_LEVELS_NEEDED = 4.0
-"""Levels between the ends: fewer are within the noise of a counter at rest."""
-_FAR = 5.0
-"""Standard deviations of the walk before the first and after the last passage."""
+_PASSAGES_NEEDED = 3  #: Of levels: two ends and one to check them.
+_LEVELS_NEEDED = 4.0  #: Levels between the ends: fewer are within the noise of a counter at rest.
+_FAR = 5.0  #: Standard deviations of the walk before the first and after the last passage.
 _DRIFT_SIGNIFICANCE = 6.0
 """Standard deviations: slower drifts are reversed by the walk and have no passages."""
-_ORDERS = np.arange(1, HARMONICS + 1)
-"""Of the harmonics."""
-_POWERS = 1 / (2 * np.pi**2 * _ORDERS**2)
-"""Of the harmonics, pulses squared."""
-_FADED_OUT = 37.0
-"""Exponent: e^-37 is the resolution of a double."""
-_FADED_AWAY = 12.0
-"""Exponent: e^-12 is 6e-6 of a weight."""
-_WIDEST_WINDOW = 256.0
-"""Samples at each end: wider windows do not reduce the walk between."""
+_ORDERS = np.arange(1, HARMONICS + 1)  #: Of the harmonics.
+_POWERS = 1 / (2 * np.pi**2 * _ORDERS**2)  #: Of the harmonics, pulses squared.
+_FADED_OUT = 37.0  #: Exponent: e^-37 is the resolution of a double.
+_FADED_AWAY = 12.0  #: Exponent: e^-12 is 6e-6 of a weight.
+_WIDEST_WINDOW = 256.0  #: Samples at each end: wider windows do not reduce the walk between.
 
 
 @dataclass(frozen=True)
@@ -537,12 +524,9 @@ def rate_between(pulses: Floats, period: float, first: float, last: float, walk:
 class _BothEnds:
     """Weights by which counts at two instants are read from the samples around them."""
 
-    windows: tuple[Floats, Floats]
-    """The weights around each instant."""
-    on_increments: Floats
-    """(n,) weights of the samples."""
-    samples: float
-    """Sample intervals between the instants on which the weights are centred."""
+    windows: tuple[Floats, Floats]  #: The weights around each instant.
+    on_increments: Floats  #: (n,) weights of the samples.
+    samples: float  #: Sample intervals between the instants on which the weights are centred.
 
 
 # Channels of a triad follow each other, with the same random walk and cuts.

@@ -16,13 +16,8 @@ from .segments import CHANNELS, Segment, Statistics
 from .statistics import Samples, Sensor, gap_free, statistics_at_rest
 from .stream_facts import MountShift, Rejected
 
-# Detect and mask settling, shocks and steps in a static dwell.
-
-
-_WINDOW_SECONDS = 0.5
-"""s: long enough to average noise, short compared with a dwell."""
-_OUTLIER = 7.0
-"""Times the scatter of the windows' means: exceeded by 3e-12 of Gaussian ones."""
+_WINDOW_SECONDS = 0.5  #: s: long enough to average noise, short compared with a dwell.
+_OUTLIER = 7.0  #: Times the scatter of the windows' means: exceeded by 3e-12 of Gaussian ones.
 _LEAST_SHIFT = 0.005 * DEG
 """rad: 18 arcsec, three times the assumed positioning error of a table (table_errors)."""
 _ONE_SIDED = FIVE_SIGMA**2
@@ -36,23 +31,16 @@ by one at most."""
 _SPREAD_RATIO = 3.0
 """Times the usual spread within a window. A judgement: windows of fifty samples know theirs to a
 tenth."""
-_FLIPPING = 0.5
-"""Pulses: spread of a counter that flips at every sample."""
+_FLIPPING = 0.5  #: Pulses: spread of a counter that flips at every sample.
 _STEP_SIGNIFICANCE = 8.0
 """Standard deviations: exceeded in 1e-15 at each of hundreds of cuts; larger than chance requires,
 since drifts look like steps."""
-_FEWEST_WINDOWS = 4
-"""Fewer have no useful median."""
-_QUIET_WINDOWS = 3
-"""In a row: one window between two swings of a ringing table may be quiet."""
-_FEWEST_BLOCKS = 5
-"""Fewer have no scatter to compare a step with."""
-_WITHOUT_LARGEST = 0.7
-"""Mean square of a few Gaussian values without the largest one, about."""
-_TINY = 1e-15
-"""Prevents division by zero for a noise-free row."""
-_AT_ONCE = 16
-"""Windows whose spread is computed at once: 16 000 samples at 2 kHz, a megabyte."""
+_FEWEST_WINDOWS = 4  #: Fewer have no useful median.
+_QUIET_WINDOWS = 3  #: In a row: one window between two swings of a ringing table may be quiet.
+_FEWEST_BLOCKS = 5  #: Fewer have no scatter to compare a step with.
+_WITHOUT_LARGEST = 0.7  #: Mean square of a few Gaussian values without the largest one, about.
+_TINY = 1e-15  #: Prevents division by zero for a noise-free row.
+_AT_ONCE = 16  #: Windows whose spread is computed at once: 16 000 samples at 2 kHz, a megabyte.
 _FAR_BETTER = 0.25
 """Of the residual variance of a drift: a step has to explain four times as much as a drift."""
 
@@ -290,16 +278,11 @@ def find_step(statistics: Statistics, walk: Floats) -> tuple[tuple[float, float]
 class _Step:
     """The largest step of a row of blocks."""
 
-    score: float
-    """Its size in standard deviations."""
-    cut: int
-    """Index of the first block after it."""
-    size: float
-    """rad/s or m/s^2."""
-    square_about_levels: float
-    """Weighted sum of squares about the two levels."""
-    square_about_line: float
-    """The same about a line."""
+    score: float  #: Its size in standard deviations.
+    cut: int  #: Index of the first block after it.
+    size: float  #: rad/s or m/s^2.
+    square_about_levels: float  #: Weighted sum of squares about the two levels.
+    square_about_line: float  #: The same about a line.
 
 
 def _largest_step(blocks: Floats, walk: float) -> _Step | None:
@@ -338,10 +321,8 @@ def _amount(step: float, channel: int) -> str:
     return f'{significant(step / MICRO_G, 3)} ug'
 
 
-_SHORTEST_DWELL = 1.0
-"""s: the settling of a shorter dwell costs more than the dwell gives."""
-_MOSTLY = 0.5
-"""Share of saturated samples. A judgement: of a shock few samples are."""
+_SHORTEST_DWELL = 1.0  #: s: the settling of a shorter dwell costs more than the dwell gives.
+_MOSTLY = 0.5  #: Share of saturated samples. A judgement: of a shock few samples are.
 _NOTHING: Stamps = np.empty(0, dtype=np.int64)
 
 _Found: TypeAlias = Segment | Rejected | MountShift

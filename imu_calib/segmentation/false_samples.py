@@ -22,9 +22,6 @@ from ..common.units import DEG, STANDARD_GRAVITY, counted
 from .counters import all_in_row, any_in_row
 from .stamps import LAG, SHORT
 
-# Find where the IMU's stream begins anew: silences that no later samples make up for.
-
-
 INTERRUPTION = NS
 """A stream that is silent for so long, ns, may come from a program that was started again. A
 judgement: nodes take longer to start, and a line rarely fails for longer."""
@@ -36,11 +33,8 @@ _OVER = 32
 """Samples without gain on the clock after which a queue is over: a reader with other work returns
 to the queue within a few. A judgement."""
 
-_GAINS = 0.5
-"""Of an interval: less is jitter."""
-
-_LISTED = 3
-"""Interruptions with a sentence each; more are only counted."""
+_GAINS = 0.5  #: Of an interval: less is jitter.
+_LISTED = 3  #: Interruptions with a sentence each; more are only counted.
 
 
 class Interruptions:
@@ -176,17 +170,13 @@ _BESIDE = 8
 """Samples on either side that are looked at: a knock rings for longer, and a hand moves little in a
 tenth of a second."""
 
-_FEWEST = 4
-"""Fewest samples on either side: they show two second differences."""
-
-_WITHIN = 12
-"""Rows on either side within which these samples lie, others being left out between."""
+_FEWEST = 4  #: Fewest samples on either side: they show two second differences.
+_WITHIN = 12  #: Rows on either side within which these samples lie, others being left out between.
 
 _APART = 2
 """Rows from a second difference to the next one that has not the middle of it in common."""
 
-_NEXT = _APART + 1
-"""Rows from a spike to the last one by which it is told from the next."""
+_NEXT = _APART + 1  #: Rows from a spike to the last one by which it is told from the next.
 
 _RADIUS = 2 * _WITHIN + _SEEN_WITHIN + _LONGEST + _SUCCESSION + 1
 """Rows on either side that decide on one. A spike is judged by those around it, which must not be
@@ -205,11 +195,8 @@ _COARSEST = np.repeat([10 * DEG, STANDARD_GRAVITY], 3)
 """rad/s and m/s^2: coarsest steps of such values, a few times those of eight bits over 250 deg/s
 and 16 g. Assumed where the values around are all equal, as in a dead band or without noise."""
 
-SCALE_OF_SI = np.ones(6)
-"""Scale factors of values in SI."""
-
-_FEW = 4096
-"""Samples in question that are compared at once: some 2 MB."""
+SCALE_OF_SI = np.ones(6)  #: Scale factors of values in SI.
+_FEW = 4096  #: Samples in question that are compared at once: some 2 MB.
 
 _LARGE = 1e-3
 """Share of false samples from which on a session may be refused for others that are not found. A
@@ -254,8 +241,7 @@ class FalseSamples:
         ]
 
 
-NONE_FALSE = FalseSamples()
-"""Of a stream without samples."""
+NONE_FALSE = FalseSamples()  #: Of a stream without samples.
 
 
 class Rows(NamedTuple):

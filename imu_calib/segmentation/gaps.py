@@ -54,8 +54,7 @@ _SETTLED = 0.05
 """Change of a gap's count, pulses, below which reading it again is useless. A judgement: a tenth of
 half a pulse, at which it is rounded."""
 
-_LEAST_VARIANCE = 1e-4
-"""Pulses squared: less is rounding."""
+_LEAST_VARIANCE = 1e-4  #: Pulses squared: less is rounding.
 _SURE = 0.01
 """Variance of a gap's count, pulses squared, from which on its whole number is sure: half a pulse
 is five standard deviations."""
@@ -64,8 +63,7 @@ _WIDE = 2.0
 """Standard deviation of a gap's count, pulses, from which on whole numbers are as good as any:
 their sum is then the integral, and the seventeen that are tried would hold only four deviations."""
 
-_NEVER = 1e-9
-"""Least weight of any whole number: rates may change."""
+_NEVER = 1e-9  #: Least weight of any whole number: rates may change.
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,17 +298,11 @@ def _quadrature() -> tuple[Floats, Floats]:
     return np.polynomial.hermite_e.hermegauss(7)
 
 
-# Detect repeated samples: a device that sends on without measuring.
-
 _FEWEST = 8
 """Fewest repeated samples in a row that count as frozen: a judgement, fewer cost nothing."""
 
-_CHANCE = 1e-9
-"""Probability of so long a repetition anywhere in a segment of sound samples."""
-
-
-_AROUND = 32
-"""Samples before and after a repetition that show whether codes are noisy."""
+_CHANCE = 1e-9  #: Probability of so long a repetition anywhere in a segment of sound samples.
+_AROUND = 32  #: Samples before and after a repetition that show whether codes are noisy.
 
 _SAME = 1e-3
 """Relative difference of a dwell's mean from one sample: a choice, far above that of two estimates

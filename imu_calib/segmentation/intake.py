@@ -25,8 +25,6 @@ from .stamp_faults import SetBackClock, SharedStamps, set_back_sentences
 from .stamps import RowBuffer
 from .stream_facts import StreamFacts
 
-# Stamps in order: drop samples whose stamps jump.
-
 
 @dataclass(frozen=True, eq=False)
 class Ordered:

@@ -27,22 +27,17 @@ from .stream_facts import MountShift, Move, Rejected, VelocitySteps
 STEP_ANGLE = 1 * DEG
 """Angle of a step, rad: the second order leaves out a twelfth of its cube at most, 0.1 arcsec."""
 
-STEP_SECONDS = 0.1
-"""Length of a step at low rates, s: the Earth turns by 1.5 arcsec in it."""
+STEP_SECONDS = 0.1  #: Length of a step at low rates, s: the Earth turns by 1.5 arcsec in it.
 
 SATURATED = 'a sensor is at the end of its range'
 COARSE = 'it turns too far from one sample to the next'
 MISSING = 'samples are missing'
-JERK = 'a jerk, too short to be read'
-"""Reason why a motion does not become a move."""
-
-_SHORTEST = 4
-"""Steps: a shorter motion is a jerk."""
+JERK = 'a jerk, too short to be read'  #: Reason why a motion does not become a move.
+_SHORTEST = 4  #: Steps: a shorter motion is a jerk.
 _BESIDE = 5
 """Samples next to a gap whose second differences show the curvature of the rate: three of them."""
 
-_GYROS, _ACCELEROMETERS = slice(3), slice(3, 6)
-"""Their columns among the six channels."""
+_GYROS, _ACCELEROMETERS = slice(3), slice(3, 6)  #: Their columns among the six channels.
 
 COARSEST = 5 * DEG
 """Largest angle of one sample on a table, rad: a direction that changes by a tenth of it between

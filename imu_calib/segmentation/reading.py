@@ -30,8 +30,7 @@ NEAR = 0.5
 _ALONE = 0.01
 """Of the largest travel of a joint: where another turns by more, the clocks are not compared, since
 the gyros' measured angle is compared with that of one joint. A judgement."""
-_SIGNIFICANT = 10 * DEG
-"""rad: longer motions determine the offset of the clocks."""
+_SIGNIFICANT = 10 * DEG  #: rad: longer motions determine the offset of the clocks.
 
 
 class Comparison(NamedTuple):
@@ -132,8 +131,7 @@ class IntervalReader:
         self.sensor = sensor
         self._table = table
         self._intake = intake
-        self._reference_ns = offset_ns
-        """The offset about which the next motion is compared."""
+        self._reference_ns = offset_ns  #: The offset about which the next motion is compared.
         self._silences_judged = 0
         self.found = Found()
         self.moves = MoveReader(sensor, by_hand=table is None)

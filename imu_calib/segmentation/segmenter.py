@@ -36,13 +36,8 @@ from .stream_facts import Move, Segmented, Thermometer
 from .table_motion import JointTracker, Motion, Rest
 from .turns import MARGIN_NS
 
-# Reject what clocks that are apart, or frozen samples, spoil: at the end of a session.
-
-
-SEEN = 0.75
-"""Of a motion: less seen means that some was lost or beyond the range."""
-_ALIKE = 1.5
-"""Ratio: where the seen shares of motions are this close, the scale factor is wrong."""
+SEEN = 0.75  #: Of a motion: less seen means that some was lost or beyond the range.
+_ALIKE = 1.5  #: Ratio: where the seen shares of motions are this close, the scale factor is wrong.
 
 
 def reject_untimed(reader: IntervalReader, intake: StreamBuffer) -> None:
@@ -137,8 +132,7 @@ def reject_all(reader: IntervalReader) -> None:
     reader.moves = MoveReader(reader.sensor)
 
 
-_LONGEST_REST = 1 << 20
-"""Most samples held: a longer dwell is cut, so that memory stays bounded."""
+_LONGEST_REST = 1 << 20  #: Most samples held: a longer dwell is cut, so that memory stays bounded.
 _SAMPLES_FOR_PERIOD = 256
 """Samples whose median step is the interval. A choice: a quarter of a second at 1 kHz."""
 _SURELY_SEEN = 3
@@ -465,8 +459,7 @@ class Segmenter:
         return (*lost, *self._thermometer.losses)
 
 
-_SHOWN = 1e-4
-"""Resolution of a reported jump, s: smaller ones do not matter to a user."""
+_SHOWN = 1e-4  #: Resolution of a reported jump, s: smaller ones do not matter to a user.
 
 
 def clock_jumps(clock: ClockFit) -> list[str]:

@@ -15,8 +15,7 @@ from .false_samples import INTERRUPTION, sample_interval, steps_since
 from .plateaus import FARTHEST
 from .stamps import SHORT, SampleGrid, read_grid
 
-_STAMPS = 3
-"""Last stamps whose samples are counted: an early transfer follows a late one."""
+_STAMPS = 3  #: Last stamps whose samples are counted: an early transfer follows a late one.
 
 _MORE = 1.25
 """Times as many samples as the time since those stamps has intervals are too many. A judgement,
@@ -157,8 +156,6 @@ class SharedStamps:
         if self._first is None:
             self._first = stamp
 
-
-# Stamps of a clock that was set back within a session: moved on, so that they increase again.
 
 _SURE = 32
 """Samples in a row, all stamped before the last one, that show a clock that was set back. A
@@ -382,8 +379,6 @@ def set_back_sentences(found: Sequence[SetBack], whose: str, then: str) -> list[
     ]
 
 
-# Count samples that are stamped late by chance, and by how much: a sign of a busy line.
-
 JITTER = 6 * MAD_TO_STD
 """Times the median absolute deviation: six standard deviations of Gaussian jitter."""
 
@@ -465,8 +460,7 @@ _SURE_PACE = 0.1
 _FEWEST_FREE = 2
 """Degrees of freedom from which on the scatter of segments about their line is used."""
 
-_LEAST_STD = 1e-10
-"""Of the level of a segment, s: stamps in ns, averaged."""
+_LEAST_STD = 1e-10  #: Of the level of a segment, s: stamps in ns, averaged.
 
 
 @dataclass(frozen=True)
@@ -497,8 +491,7 @@ class Pace:
         self._pieces = np.zeros(4)
         """Sums of a line (`_line`) through the pieces between jumps, each with its own level."""
         self._knots: list[_Knot] = []
-        self._known: tuple[float, float] | None = None
-        """Result of `_long` since the last segment."""
+        self._known: tuple[float, float] | None = None  #: Result of `_long` since the last segment.
 
     def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
         """Return the grid of a segment, (n,) stamps in ns, and its timing by all so far."""

@@ -284,8 +284,7 @@ _TICKS = 4
 """Ticks of an interval from which on its clock is coarse: its stamps advance by one tick more or
 less now and then. A judgement: milliseconds at 250 Hz and less."""
 
-_ON_TICK = 0.05
-"""Of a tick: tolerance of a stamp about a whole number of them."""
+_ON_TICK = 0.05  #: Of a tick: tolerance of a stamp about a whole number of them.
 _ON_TICKS = 0.9
 """Share of the steps that are whole ticks: of 20 steps so many are by chance once in 10^16."""
 
@@ -300,8 +299,7 @@ sample in twelve is missing, and enough for jitter to be small against it."""
 _CLOSE = 0.05
 """Of an interval: where eight differ by more from eight single ones, most spans hold gaps."""
 
-_HASTE = 0.5
-"""Of the interval: where a quarter of the steps are shorter, samples come in bunches."""
+_HASTE = 0.5  #: Of the interval: where a quarter of the steps are shorter, samples come in bunches.
 
 _QUEUED = 0.5
 """Share of short steps up to the end from which on they belong to a queue. A judgement: more than
@@ -311,43 +309,32 @@ _LAG = 240
 """Most samples over which the interval is then taken, in whole bunches: short enough that some of
 these spans have no gap."""
 
-_LAGS = 4
-"""Fewest lags of a segment: their lower quantile is then within it."""
-
-_WITHOUT_GAP = 0.1
-"""Share of the lags without a gap: the interval is taken from the lowest ones."""
+_LAGS = 4  #: Fewest lags of a segment: their lower quantile is then within it.
+_WITHOUT_GAP = 0.1  #: Share of the lags without a gap: the interval is taken from the lowest ones.
 
 _WINDOW = 128
 """Samples on either side of a step that show whether stamps stay late: more than a line is held up,
 a tenth of a second at 1 kHz; and so few that their interval need not be known to a thousandth."""
 
-_NARROW = 16
-"""The same in the first round of bunches, whose interval is known to a percent."""
-
-_LAYINGS = 3
-"""Most rounds of fitting a line and counting the missing samples by it. A cap."""
+_NARROW = 16  #: The same in the first round of bunches, whose interval is known to a percent.
+_LAYINGS = 3  #: Most rounds of fitting a line and counting the missing samples by it. A cap.
 
 _TAIL = 32
 """Samples at the end of a segment in bunches: the last bunch is cut off, and late samples cannot be
 distinguished there from missing ones."""
 
-_FEWEST = 3
-"""Fewest stamps of a line whose scatter is known."""
+_FEWEST = 3  #: Fewest stamps of a line whose scatter is known.
 
 _OUTLYING = 4.0
 """Robust standard deviations off the line beyond which a stamp gets zero weight. Normal ones exceed
 them once in 16 000."""
 
-_ROUNDS = 5
-"""A cap."""
+_ROUNDS = 5  #: A cap.
 _BLOCKS = 16
 """Blocks of a segment of stamps, whose means show correlated errors: a queue, a coarse clock."""
 
-_CLEAN = 1e-3
-"""Of an interval: stamps nearer than this to their line are left as they are."""
-
-_ROUNDING = 1e-9
-"""Resolution of a stamp, s."""
+_CLEAN = 1e-3  #: Of an interval: stamps nearer than this to their line are left as they are.
+_ROUNDING = 1e-9  #: Resolution of a stamp, s.
 
 
 @dataclass(frozen=True, eq=False)
@@ -560,10 +547,7 @@ def _in_common(residuals: Floats) -> float:
     return max(own, length * float(np.mean(means**2)))
 
 
-# A first-in first-out buffer of rows, cheap to append to and to drop from.
-
-_FIRST_CAPACITY = 1024
-"""Rows. A choice: it doubles when it is full."""
+_FIRST_CAPACITY = 1024  #: Rows. A choice: it doubles when it is full.
 
 
 class RowBuffer:

@@ -33,19 +33,14 @@ BLOCK_SECONDS = 10.0
 Source: docs/mathematics.md, 'Noise of a mean'.
 """
 
-_GAP = 1.5
-"""Sample intervals: a longer step lacks a sample, half way between none and one."""
+_GAP = 1.5  #: Sample intervals: a longer step lacks a sample, half way between none and one.
 _JITTERS = 6
 """Standard deviations of jitter by which a step without a gap may be longer besides: normal ones
 exceed them twice in 10^9."""
-_TOGGLES = 1.5
-"""Steps of a grid: values within fewer are of two codes."""
-_MINIMUM_BLOCKS = 4
-"""For a variance between blocks. It then has three degrees of freedom."""
-_SCORING_STEPS = 20
-"""A cap."""
-_SMALLEST_VARIANCE = 1e-100
-"""Prevents division by zero for noise-free blocks."""
+_TOGGLES = 1.5  #: Steps of a grid: values within fewer are of two codes.
+_MINIMUM_BLOCKS = 4  #: For a variance between blocks. It then has three degrees of freedom.
+_SCORING_STEPS = 20  #: A cap.
+_SMALLEST_VARIANCE = 1e-100  #: Prevents division by zero for noise-free blocks.
 _SAMPLES_FOR_GRID = 4096
 """Samples whose values are searched for the smallest difference. A choice."""
 _ORDER = 8
@@ -404,14 +399,11 @@ def _channel_walk(segments: list[Floats]) -> tuple[float, float]:
     return square, float(np.sqrt(2 / information))
 
 
-# Properties of samples from an IMU's description: noise, and the ends of the range.
-
 _WALK_GUESS = 0.05
 """Pulses per root of a sample: first weights; the walk is then estimated from the session."""
 _FEW_PULSES = 10.0
 """Pulses at the end of a range: with fewer one reading does not resolve it to a tenth."""
-_ENOUGH_PULSES = 100.0
-"""Pulses by which it is resolved to a hundredth. A judgement."""
+_ENOUGH_PULSES = 100.0  #: Pulses by which it is resolved to a hundredth. A judgement.
 
 
 @dataclass(frozen=True, eq=False)
@@ -522,10 +514,8 @@ def _at_its_end(increments: Floats, limit: float, pulse: float) -> NDArray[np.bo
 # taken (the theory: Widrow and Kollar, Quantization Noise, 2008).
 
 
-_SAMPLES = 1000
-"""Of a static dwell that are looked at."""
-_FEWEST = 100
-"""Samples that show the noise."""
+_SAMPLES = 1000  #: Of a static dwell that are looked at.
+_FEWEST = 100  #: Samples that show the noise.
 _VALUES = 2
 """Values of which a channel takes no more at rest if its noise is below some 0.15 to 0.3 steps,
 since 1000 samples lie within 3.3 deviations of their mean. With 0.2 steps the mean is off by up to

@@ -16,9 +16,6 @@ from .clock import ClockFit
 from .false_samples import NONE_FALSE, FalseSamples
 from .segments import Segment, Statistics, Turn
 
-# Gyros and accelerometers that come in rows or messages of their own, in one table or topic.
-
-
 _LEAST = 0.05
 """Share of rows that each sensor has of its own. A judgement: a unit whose gyros read 0 at rest
 (dead band), or whose samples are lost one sensor at a time, has none of the other kind."""
@@ -78,8 +75,7 @@ def halves(gyro: Floats, accel: Floats) -> Halves | None:
 
 _SHOWN = 0.01
 """Least share of samples that is stated: fewer do not make a session fail. A judgement."""
-_INTERVALS = 4096
-"""First stamps by which the sample interval is judged. A choice."""
+_INTERVALS = 4096  #: First stamps by which the sample interval is judged. A choice.
 _CHANNELS = tuple(f'{triad} {axis}' for triad in ('gyro', 'accelerometer') for axis in 'xyz')
 
 
@@ -189,8 +185,6 @@ class StreamFacts:
         ]
 
 
-# Accelerations from which another program has removed gravity: near 0 where the unit is quiet.
-
 _NEAR_ZERO = 0.05 * STANDARD_GRAVITY
 """m/s^2. A judgement: what phones and fusion chips leave at rest is a tenth of that, and an
 accelerometer with gravity never reads so little on a table or in a hand."""
@@ -200,8 +194,7 @@ other units keeps its length to some percent, what is left of it does not."""
 _TURNED = 0.9
 """Length of the mean vector over the mean length below which the vector turns with the unit: two
 attitudes 50 degrees apart. A bias does not turn."""
-_WINDOW = 50
-"""Samples whose scatter shows how quiet a unit is: half a second at 100 Hz. A choice."""
+_WINDOW = 50  #: Samples whose scatter shows how quiet a unit is: half a second at 100 Hz. A choice.
 _QUIET = 0.2
 """Share of the windows that count as quiet. A judgement: half of most sessions is at rest."""
 
@@ -242,10 +235,7 @@ def quiet_means(force: Floats) -> Floats:
     return np.asarray(windows[scatter <= np.quantile(scatter, _QUIET)].mean(axis=2))
 
 
-# The temperature of a session: course, mean and ends, the same for any cut into blocks.
-
-_STEP = 1e-6
-"""K: less is rounding."""
+_STEP = 1e-6  #: K: less is rounding.
 _COLDEST, _HOTTEST = -273.15, 1000.0
 """Range of a thermometer, degrees Celsius: absolute zero, and more than electronics survives."""
 _CELL = 10 * NS
@@ -338,9 +328,6 @@ class Thermometer:
         course = [(k * _CELL + c[1] / c[2], c[0] / c[2] * _STEP) for k, c in cells]
         mean = total / count * _STEP
         return Temperature(mean, float(self._lowest), float(self._highest), np.array(course))
-
-
-# Contents of a session's streams: the values returned by segmentation.
 
 
 @dataclass(frozen=True, eq=False)

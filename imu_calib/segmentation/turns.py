@@ -20,21 +20,13 @@ from .statistics import Samples, Sensor, gap_free, statistics_between
 from .stream_facts import FreeMotion, Rejected
 from .table_motion import Motion, averaged
 
-MARGIN_NS = NS
-"""Time read before and after a motion, ns."""
-
-_VERTICAL = 1e-4
-"""An axis leans when its cosine is below one by more: 0.8 deg."""
-
-_TURN_AND_RUN_UP = 1.25 * TURN
-"""rad: a whole turn with its run-ups."""
+MARGIN_NS = NS  #: Time read before and after a motion, ns.
+_VERTICAL = 1e-4  #: An axis leans when its cosine is below one by more: 0.8 deg.
+_TURN_AND_RUN_UP = 1.25 * TURN  #: rad: a whole turn with its run-ups.
 _SATURATED = 'the sensor is saturated during it'
-_STEADY = 0.05
-"""Of the rate: the ends of a steady turn are as fast as its middle."""
-_ENDS = 20
-"""Of the samples: a twentieth is an end."""
-_LEAST_TURNED = TURN / 72
-"""rad: 5 degrees; less does not determine a scale factor."""
+_STEADY = 0.05  #: Of the rate: the ends of a steady turn are as fast as its middle.
+_ENDS = 20  #: Of the samples: a twentieth is an end.
+_LEAST_TURNED = TURN / 72  #: rad: 5 degrees; less does not determine a scale factor.
 
 
 _BESIDE = 0.5
