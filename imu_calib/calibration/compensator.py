@@ -14,10 +14,10 @@ from ..common.stream import Block, Floats, ImuBlock, SkewBlock, Stamps, Temperat
 from ..model.parameters import AXES
 from ..model.sensors import MOTION, delay, motion_parameters, places, slopes
 from ..segmentation.stamp_faults import SharedStamps, late_samples
-from ..segmentation.stamps import SHORT, read_grid, sampling_times
+from ..segmentation.stamps import AHEAD, MISSES_ONE, SHORT, read_grid, sampling_times
 from .calibration import Calibration
 from .compensate import CompensatedSamples, Compensation, GravitySeen, Mark, concatenated
-from .sample_clock import LONGEST, SampleClock, Times
+from .sample_clock import INTERVAL_KNOWN_AFTER, LONGEST, SampleClock, Times
 from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_range
 
 # Subtract the effect of places and delay of the accelerometers from samples.
@@ -26,9 +26,6 @@ from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_r
 # waits for the next one, and at a gap one side is used.
 #
 # Source: docs/mathematics.md, 'Terms of motion'.
-
-
-_NEXT = 1.5  #: Sample intervals to the next sample, at most: beyond, one is missing.
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,22 +41,11 @@ class Applied:
     def __len__(self) -> int:
         return len(self.stamp)
 
-    @property
-    def moving(self) -> bool:
-        """Whether the calibration has motion terms."""
-        return self.ready.moving
-
     def cut(self, start: int, stop: int) -> Applied:
         """Return some of the samples."""
-        part, v = slice(start, stop), self.values
-        values = CompensatedSamples(
-            v.rate[part],
-            v.force[part],
-            v.rate_covariance[part],
-            v.force_covariance[part],
-            v.marks[part],
-            None if v.parity is None else v.parity[part],
-        )
+        part = slice(start, stop)
+        columns = {name: v if v is None else v[part] for name, v in vars(self.values).items()}
+        values = CompensatedSamples(**columns)
         return replace(self, stamp=self.stamp[part], values=values, interval=self.interval[part])
 
 
@@ -82,8 +68,8 @@ class InMotion:
         """Take samples; return those that are ready."""
         if not len(samples):
             return []
-        ended = [] if self._held is None else self._end(samples.cut(0, 1))
-        if not samples.moving:
+        ended = self._end(samples.cut(0, 1))
+        if not samples.ready.moving:
             self._before = None
             return [*ended, samples]
         count = len(samples)
@@ -169,7 +155,7 @@ class _Changes:
         for which in ('rate_covariance', 'force_covariance'):
             known = np.concatenate([getattr(part.values, which)[:, 0] for part in parts])
             sound &= known >= 0
-        near = np.diff(stamp) <= _NEXT * interval[1:] * 1e9
+        near = np.diff(stamp) <= MISSES_ONE * interval[1:] * 1e9
         adjacent = np.concatenate([[False], near & sound[1:] & sound[:-1], [False]])
         own = np.arange(len(samples)) + (0 if before is None else 1)
         earlier, later = adjacent[own].astype(np.intp), adjacent[own + 1].astype(np.intp)
@@ -244,22 +230,15 @@ class Compensator:
 
     Raises:
         NotObservable: It cannot be inverted.
-
-    Attributes:
-        celsius: The latest temperature, degrees Celsius; NaN before the first.
-        counts: Number of samples with each `Mark`.
-        gravity: What the accelerometers read.
-        dropped: Samples that waited too long for the first temperature, or could not be timed.
-        alone: Samples compensated without the expected value of a skewed gyro.
-        repeats: Repeated samples.
-        kept: Mask of samples of the last block that are no repeats, (n,); None if all.
     """
 
     def __init__(self, calibration: AnyCalibration, instants: Stamps | None = None) -> None:
-        self.celsius = float('nan')
-        self.counts: Counter[Mark] = Counter()
-        self.gravity = GravitySeen()
-        self.alone = self.repeats = 0
+        self.celsius = float('nan')  #: The latest temperature; NaN before the first.
+        self.counts: Counter[Mark] = Counter()  #: Number of samples with each mark.
+        self.gravity = GravitySeen()  #: What the accelerometers read.
+        self.alone = 0  #: Samples compensated without the expected value of a skewed gyro.
+        self.repeats = 0  #: Repeated samples.
+        #: Mask of samples of the last block that are no repeats, (n,); None if all.
         self.kept: NDArray[np.bool_] | None = None
         self._instants, self._used_instants = instants, 0
         self._dropped = 0
@@ -312,7 +291,7 @@ class Compensator:
 
     @property
     def dropped(self) -> int:
-        """Number of samples that will not be returned."""
+        """Samples that waited too long for the first temperature, or could not be timed."""
         return self._dropped + self._clock.lost
 
     @property
@@ -333,7 +312,12 @@ class Compensator:
     def take(self, block: Block) -> list[Reading]:
         """Take a block of any topic; return the samples that are ready."""
         if isinstance(block, TemperatureBlock):
-            self._take_temperature(block)
+            # It counts for samples half a second younger.
+            sound = np.isfinite(block.celsius)
+            later = (block.stamp[sound] + _LAG).tolist()
+            new = list(zip(later, block.celsius[sound].tolist(), strict=True))
+            self._temperatures += new
+            self.celsius = new[-1][1] if new else self.celsius
         elif isinstance(block, SkewBlock):
             if self._takes_skewed and len(block):
                 stamp, gyro, _ = self._skew_shared.take(block.stamp, block.gyro[:, None])
@@ -403,15 +387,6 @@ class Compensator:
         self._mark, self._used = mark, celsius
         self._ready = {s: Compensation(single, skewed=s, mark=mark) for s in _ways(single)}
 
-    def _take_temperature(self, block: TemperatureBlock) -> None:
-        """Keep a temperature until samples half a second younger come."""
-        sound = np.isfinite(block.celsius)
-        for stamp, celsius in zip(
-            block.stamp[sound].tolist(), block.celsius[sound].tolist(), strict=True
-        ):
-            self.celsius = celsius
-            self._temperatures.append((stamp + _LAG, celsius))
-
     def _time(self, times: Times, lost: int) -> None:
         """Assign times to the oldest samples; drop the lost ones before them."""
         intervals, instants = times
@@ -430,7 +405,8 @@ class Compensator:
     def _release(self, *, last: bool) -> list[Reading]:
         """Return the samples for which all other topics have arrived; all of them at the `last`."""
         if self.waits_for_temperature and not self._temperatures:
-            self._hold(last=last)
+            while self._timed and (last or self.waiting > _MOST_WAITING):
+                self._dropped += len(self._timed.pop(0).interval)
             return []
         if self._used is None and self._temperatures:
             self._use(self._temperatures.pop(0)[1])
@@ -448,11 +424,6 @@ class Compensator:
         if last:
             applied += self._in_motion.finish()
         return [Reading(one.stamp, one.values, one.frame_id) for one in applied]
-
-    def _hold(self, *, last: bool) -> None:
-        """Hold the latest samples until a temperature comes; drop the oldest beyond the limit."""
-        while self._timed and (last or self.waiting > _MOST_WAITING):
-            self._dropped += len(self._timed.pop(0).interval)
 
     def _ready_count(self, stamp: Stamps) -> int:
         """Return the number of oldest samples for which all other topics have arrived."""
@@ -543,12 +514,6 @@ def _rows(block: ImuBlock, start: int, stop: int) -> ImuBlock:
 # stamps.
 
 
-_LONG = 1.5  #: Of the median step: a longer one is followed by a late sample, or samples were lost.
-_AROUND = 512
-"""Samples on either side of irregular steps that determine the interval (`bunches`, `_AHEAD`)."""
-_FEWEST = 32  #: Samples that determine an interval (`sample_clock`).
-
-
 class WholeStream:
     """Collect the stamps of a recording's samples without repeats; 8 bytes each.
 
@@ -587,15 +552,15 @@ def made_at(stamp: Stamps) -> Stamps:
 def _made(stamp: Stamps) -> Stamps:
     """Return sampling times for increasing stamps without a long silence, (n,) ns."""
     steps = np.diff(stamp)
-    if len(steps) < _FEWEST:
+    if len(stamp) < INTERVAL_KNOWN_AFTER:
         return stamp
     middle = float(np.median(steps))
-    irregular = np.flatnonzero((steps < SHORT * middle) | (steps > _LONG * middle))
+    irregular = np.flatnonzero((steps < SHORT * middle) | (steps > MISSES_ONE * middle))
     if not len(irregular):
         return stamp
     made = stamp.copy()
-    for part in np.split(irregular, np.flatnonzero(np.diff(irregular) > _AROUND) + 1):
-        first, end = max(0, int(part[0]) - _AROUND), int(part[-1]) + 2 + _AROUND
+    for part in np.split(irregular, np.flatnonzero(np.diff(irregular) > AHEAD) + 1):
+        first, end = max(0, int(part[0]) - AHEAD), int(part[-1]) + 2 + AHEAD
         last = len(stamp) if end >= len(stamp) else int(part[-1]) + 2
         own = slice(int(part[0]) + 1 if first else 0, last)
         made[own] = _around(stamp[first:end])[own.start - first : own.stop - first]

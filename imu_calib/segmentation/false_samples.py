@@ -288,13 +288,10 @@ class FalseSampleFilter:
         units: Of the values.
         scale: (6,) nominal scale factors of the values, SI.
         of: The sensor in sentences; empty for the IMU.
-
-    Attributes:
-        found: What was removed.
     """
 
     def __init__(self, units: Units, scale: Floats = SCALE_OF_SI, of: str = '') -> None:
-        self.found = FalseSamples(of=of)
+        self.found = FalseSamples(of=of)  #: What was removed.
         self._units, self._scale = units, scale
         self._limits: tuple[_Limits, _Limits] | None = None
         """For rows of one number, and for spikes; None before the first rows."""

@@ -119,14 +119,6 @@ class _Samples:
         scale: (6,) nominal scale factors of the values, SI.
         losses: Counts what is dropped.
         of: The sensor in sentences; empty for the IMU.
-
-    Attributes:
-        clock: Where its stamps go back; it takes the samples first.
-        shared: Counts the stamps that samples share.
-        false: Removes false samples, and counts them.
-        first: Stamp of the first one, ns; None before it.
-        last: Stamp of the last one, likewise.
-        certain: Stamp up to which they are certain and buffered, likewise.
     """
 
     def __init__(
@@ -138,12 +130,12 @@ class _Samples:
         losses: _Losses,
         of: str = '',
     ) -> None:
-        self.clock = SetBackClock(6)
+        self.clock = SetBackClock(6)  #: It has the samples first.
         self.shared = SharedStamps(rate)
         self.false = FalseSampleFilter(units, scale, of)
-        self.first: int | None = None
-        self.last: int | None = None
-        self.certain: int | None = None
+        self.first: int | None = None  #: Stamp of the first sample, ns; None before it.
+        self.last: int | None = None  #: Stamp of the last one, likewise.
+        self.certain: int | None = None  #: Stamp up to which they are buffered, likewise.
         self._rows, self._losses, self._of = rows, losses, of
         self._order = StampOrder(6)
 
@@ -184,14 +176,6 @@ class StreamBuffer:
         units: Of the samples.
         scale: (6,) nominal scale factors of the IMU, SI.
         skew_scale: (6,) those of the skewed gyro, in the first of six columns.
-
-    Attributes:
-        imu: Buffered samples, six columns.
-        skew: Those of the skewed gyro, in the first of six columns; None without one.
-        interruptions: Of the IMU's stream.
-        imu_clock: Where the stamps of the IMU go back.
-        joint_clock: Where those of the joint states do.
-        facts: Of the IMU's stream, as it came in.
     """
 
     def __init__(
@@ -205,9 +189,9 @@ class StreamBuffer:
         skew_scale: Floats = SCALE_OF_SI,
     ) -> None:
         self.imu = RowBuffer(6)
-        self.skew = RowBuffer(6) if skewed else None
-        self.interruptions = Interruptions()
-        self.facts = StreamFacts(units)
+        self.skew = RowBuffer(6) if skewed else None  #: The gyro in the first column.
+        self.interruptions = Interruptions()  #: Of the IMU's stream.
+        self.facts = StreamFacts(units)  #: Of the IMU's stream, as it came in.
         self._table = table
         self._losses = _Losses()
         self._imu = _Samples(self.imu, rate, units, scale, self._losses)

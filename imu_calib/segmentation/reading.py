@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -50,7 +50,7 @@ class SeenMotion(NamedTuple):
 
 
 @dataclass
-class Found:
+class ReadParts:
     """What the samples contain, in order; as the lists of `Segmented`."""
 
     segments: list[Segment] = field(default_factory=list)
@@ -61,27 +61,25 @@ class Found:
 
     def store(self, found: Sequence[Segment | Turn | FreeMotion | MountShift | Rejected]) -> None:
         """Add each to the list of its kind."""
+        lists: dict[type, list[Any]] = {
+            Segment: self.segments,
+            Turn: self.turns,
+            FreeMotion: self.motions,
+            MountShift: self.mount_shifts,
+            Rejected: self.rejected,
+        }
         for one in found:
-            if isinstance(one, Segment):
-                self.segments.append(one)
-            elif isinstance(one, Turn):
-                self.turns.append(one)
-            elif isinstance(one, FreeMotion):
-                self.motions.append(one)
-            elif isinstance(one, MountShift):
-                self.mount_shifts.append(one)
-            else:
-                self.rejected.append(one)
+            lists[type(one)].append(one)
 
     def reject(
-        self, reason: str, are_spoiled: Callable[[Segment | Turn], bool], *, turns: bool = True
+        self, reason: str, is_rejected: Callable[[Segment | Turn], bool], *, turns: bool = True
     ) -> None:
-        """Reject the spoiled dwells, and turns if asked for, for a reason."""
-        for one in filter(are_spoiled, [*self.segments, *(self.turns if turns else ())]):
+        """Reject some of the dwells, and of the turns if asked for, for a reason."""
+        for one in filter(is_rejected, [*self.segments, *(self.turns if turns else ())]):
             of_turn = isinstance(one, Turn)
             self.rejected.append(Rejected(one.start, one.end, reason, turn=of_turn))
-        self.segments = [one for one in self.segments if not are_spoiled(one)]
-        self.turns = [one for one in self.turns if not (turns and are_spoiled(one))]
+        self.segments = [one for one in self.segments if not is_rejected(one)]
+        self.turns = [one for one in self.turns if not (turns and is_rejected(one))]
 
     def retime(self, pace: Pace) -> None:
         """Retime everything with the sample interval of the whole session."""
@@ -101,22 +99,6 @@ class IntervalReader:
         intake: The buffered streams.
         offset_ns: IMU clock minus table clock at the first interval, ns.
         offset_known: Whether a motion has given an offset already.
-
-    Attributes:
-        found: Segments, turns, motions, mount shifts and rejected parts.
-        moves: Reader of the moves between the segments.
-        pace: The sample interval by all that was read.
-        late: Counts of late samples.
-        rounding: Static dwells in which samples in SI units take few values.
-        offset_ns: IMU clock minus table clock by the last motion, ns.
-        offset_known: Whether a motion has given it.
-        large_offset_ns: The one at the first interval if it is more than half a second, ns; else 0.
-        clock: Comparisons of the clocks.
-        comparisons: The motions at which they were compared.
-        seen_motions: The motions looked at for what the gyros saw.
-        set_on: Last stamp before and first after each silence that was a clock set on, ns.
-        bridged: Number of lost samples that are interpolated.
-        off_grid: Stamps before which the clock of the IMU was set, ns.
     """
 
     def __init__(
@@ -133,20 +115,22 @@ class IntervalReader:
         self._intake = intake
         self._reference_ns = offset_ns  #: The offset about which the next motion is compared.
         self._silences_judged = 0
-        self.found = Found()
+        self.found = ReadParts()
         self.moves = MoveReader(sensor, by_hand=table is None)
         self.pace = Pace()
         self.late = Lateness()
         self.rounding = Rounding(sensor.spec)
-        self.offset_ns = offset_ns
-        self.offset_known = offset_known
+        self.offset_ns = offset_ns  #: IMU clock minus table clock by the last motion.
+        self.offset_known = offset_known  #: Whether a motion has given it.
+        #: The one at the first interval if it is more than half a second; else 0.
         self.large_offset_ns = offset_ns if abs(offset_ns) > NEAR * 1e9 else 0
         self.clock: list[ClockSample] = []
         self.comparisons: list[Comparison] = []
         self.seen_motions: list[SeenMotion] = []
+        #: Last stamp before and first after each silence that was a clock set on, ns.
         self.set_on: list[tuple[int, int]] = []
-        self.bridged = 0
-        self.off_grid: set[int] = set()
+        self.bridged = 0  #: Lost samples that are interpolated.
+        self.off_grid: set[int] = set()  #: Stamps before which the clock of the IMU was set, ns.
 
     def dwell(self, rest: Rest, longest: int) -> None:
         """Read the samples of a dwell: segments, or the reasons for rejecting it."""

@@ -33,13 +33,10 @@ class SharedStamps:
 
     Args:
         rate: Samples per second as stated; None to take it from the stream.
-
-    Attributes:
-        count: Number of samples set apart.
     """
 
     def __init__(self, rate: float | None) -> None:
-        self.count = 0
+        self.count = 0  #: Samples set apart.
         self._interval = 1e9 / rate if rate else 0.0
         self._most = 0
         self._first: int | None = None
@@ -195,13 +192,10 @@ class SetBackClock:
     that come twice repeat values: both keep their stamps, and `order` drops them.
 
     Source: docs/mathematics.md, 'Stamps and lost samples'.
-
-    Attributes:
-        found: In order.
     """
 
     def __init__(self, columns: int) -> None:
-        self.found: list[SetBack] = []
+        self.found: list[SetBack] = []  #: In order.
         self._shift = 0
         self._last: int | None = None
         self._recent = [(np.empty(0, dtype=np.int64), np.empty((0, columns)))]
@@ -259,7 +253,9 @@ class SetBackClock:
                 continue
             if count == _SURE:
                 # Those before were ahead: the stream goes on without them.
-                self._forget_after(int(stamp[first]))
+                known, before = self._known()
+                kept = known <= int(stamp[first])
+                self._recent, self._recent_rows = [(known[kept], before[kept])], int(kept.sum())
                 self._know(stamp[rows], values[rows])
             done = beyond
         self._stamp, self._values = stamp[done:], values[done:]
@@ -310,7 +306,10 @@ class SetBackClock:
             lacking = (known[-1] - known[place - 1]) / sample_interval(known) - after
             if lacking > _ROOM * len(stamp):
                 return False
-        return not _are_repeated(known, before, stamp, values)
+        # Rows that came before with these stamps are repeated; those that are all alike may not be.
+        places = np.minimum(np.searchsorted(known, stamp), len(known) - 1)
+        repeated = (known[places] == stamp).all() and (before[places] == values).all()
+        return bool((values == values[0]).all() or not repeated)
 
     def _interval(self, stamp: Stamps) -> int:
         """Return the time from the last row to these, ns: that of all that are stamped together."""
@@ -333,27 +332,6 @@ class SetBackClock:
         """Return the last rows: (n,) stamps, ns, and (n, columns) values."""
         stamp, values = (np.concatenate(parts) for parts in zip(*self._recent, strict=True))
         return stamp[-_KNOWN:].copy(), values[-_KNOWN:].copy()
-
-    def _forget_after(self, instant: int) -> None:
-        """Forget rows that are stamped after an instant, ns."""
-        stamp, values = self._known()
-        kept = stamp <= instant
-        self._recent, self._recent_rows = [(stamp[kept], values[kept])], int(kept.sum())
-
-
-def _are_repeated(known: Stamps, before: Floats, stamp: Stamps, values: Floats) -> bool:
-    """Return whether all rows came before, with these stamps; those that are alike may not.
-
-    Args:
-        known: (m,) stamps so far, ns, increasing.
-        before: (m, columns) their values.
-        stamp: (n,) ns.
-        values: (n, columns).
-    """
-    if (values == values[0]).all():
-        return False
-    places = np.minimum(np.searchsorted(known, stamp), len(known) - 1)
-    return bool((known[places] == stamp).all() and (before[places] == values).all())
 
 
 def set_back_sentences(found: Sequence[SetBack], whose: str, then: str) -> list[str]:
@@ -491,7 +469,7 @@ class Pace:
         self._pieces = np.zeros(4)
         """Sums of a line (`_line`) through the pieces between jumps, each with its own level."""
         self._knots: list[_Knot] = []
-        self._known: tuple[float, float] | None = None  #: Result of `_long` since the last segment.
+        self._known: tuple[float, float] | None = None  #: Cache of `_long`.
 
     def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
         """Return the grid of a segment, (n,) stamps in ns, and its timing by all so far."""
@@ -523,18 +501,16 @@ class Pace:
 
     def _long(self) -> tuple[float, float]:
         """Return the interval by the line through all segments, and its std, s; 0 without one."""
-        if self._known is None:
-            self._known = self._through_all()
-        return self._known
-
-    def _through_all(self) -> tuple[float, float]:
+        if self._known is not None:
+            return self._known
         points, xx, xy, yy = (self._pieces + _line(self._knots, self._reference)).tolist()
-        freedom = points - 1
-        if freedom < _FEWEST_FREE or not xx > 0:
-            return 0.0, float('inf')
-        change = xy / xx
-        squares = max(0.0, yy - change * xy) / freedom
-        return self._reference + change, float(np.sqrt(max(1.0, squares) / xx))
+        freedom, self._known = points - 1, (0.0, float('inf'))
+        if freedom >= _FEWEST_FREE and xx > 0:
+            change = xy / xx
+            squares = max(0.0, yy - change * xy) / freedom
+            std = float(np.sqrt(max(1.0, squares) / xx))
+            self._known = self._reference + change, std
+        return self._known
 
     def _note(self, start: float, grid: SampleGrid) -> None:
         """Add a segment to the line, or begin another if it does not lie on it."""

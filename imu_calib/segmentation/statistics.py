@@ -25,7 +25,7 @@ from .counters import (
 )
 from .segments import Statistics
 from .stamp_faults import Pace, Timing
-from .stamps import read_grid
+from .stamps import MISSES_ONE, read_grid
 
 BLOCK_SECONDS = 10.0
 """Shortest block whose mean shows the random walk of a quantised counter.
@@ -33,7 +33,6 @@ BLOCK_SECONDS = 10.0
 Source: docs/mathematics.md, 'Noise of a mean'.
 """
 
-_GAP = 1.5  #: Sample intervals: a longer step lacks a sample, half way between none and one.
 _JITTERS = 6
 """Standard deviations of jitter by which a step without a gap may be longer besides: normal ones
 exceed them twice in 10^9."""
@@ -151,11 +150,11 @@ def gap_free(stamp: Stamps, period: float) -> list[tuple[int, int]]:
         Half-open index ranges.
     """
     steps = np.diff(stamp) * 1e-9
-    if float(steps.max(initial=0.0)) <= _GAP * period:
+    if float(steps.max(initial=0.0)) <= MISSES_ONE * period:
         return [(0, len(stamp))]
     jitter = MAD_TO_STD * float(np.median(np.abs(steps - np.median(steps))))
     # Half of a few steps may be gaps: stamps with jitter beyond an interval have no order.
-    cuts = np.flatnonzero(steps > _GAP * period + _JITTERS * min(jitter, period)) + 1
+    cuts = np.flatnonzero(steps > MISSES_ONE * period + _JITTERS * min(jitter, period)) + 1
     edges = [0, *cuts.tolist(), len(stamp)]
     return list(pairwise(edges))
 

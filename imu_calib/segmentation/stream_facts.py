@@ -84,15 +84,11 @@ class StreamFacts:
 
     Args:
         units: Of the samples.
-
-    Attributes:
-        units: Of the samples.
-        samples: Number of samples.
     """
 
     def __init__(self, units: Units = Units.SI) -> None:
         self.units = units
-        self.samples = 0
+        self.samples = 0  #: Samples received.
         self._stamps: Stamps = np.empty(0, np.int64)
         self._first = self._last = self._previous = 0
         self._back = self._same = self._no_number = 0
@@ -358,11 +354,6 @@ class FreeMotion:
     statistics: Statistics  #: Of its samples.
     turned: Floats  #: (3,) integral of the rates, rad.
     mean_phase: complex  #: Mean over the motion of exp(i angle), the angle turned since its start.
-
-    @property
-    def level(self) -> complex:
-        """`mean_phase`, by its former name."""
-        return self.mean_phase
 
 
 @dataclass(frozen=True, eq=False)
