@@ -28,7 +28,7 @@ NONE = np.zeros(6)
 
 
 def reader() -> IntervalReader:
-    return IntervalReader(Sensor.of(SPEC), TABLE, StreamBuffer(TABLE, skewed=False))
+    return IntervalReader(Sensor.from_spec(SPEC), TABLE, StreamBuffer(TABLE, skewed=False))
 
 
 def seen(middle: float, share: MeasuredShare, repetition: Repetition) -> SeenMotion:
@@ -114,7 +114,7 @@ def test_a_dwell_that_repeats_the_sample_of_a_frozen_motion_is_frozen_itself() -
     values[:, 3] = 9.0
     sound = np.random.default_rng(0).normal(size=(60, 6))
     held = reader()
-    whole, frozen = Repetition.of(sound, sound), Repetition.of(values, values)
+    whole, frozen = Repetition.count_in(sound, sound), Repetition.count_in(values, values)
     held.seen_motions = [seen(10.0 * k, MeasuredShare(1.0, 1.0), whole) for k in (1, 2, 3)]
     held.seen_motions.append(seen(40.0, MeasuredShare(0.1, 0.1), frozen))
     assert np.array_equal(frozen.sample, values[0])

@@ -15,11 +15,15 @@ from ..common.units import DEG, STANDARD_GRAVITY
 from ..model.parameters import AXES, Product
 from ..model.sensors import SensorModel, terms_of
 from ..session.imu import ImuSpec
-from . import exports as imucal
-from . import exports as kalibr
-from . import exports as ros
 from .calibration import Calibration
-from .exports import Exported, ExportSource, common_omissions
+from .exports import (
+    Exported,
+    ExportSource,
+    common_omissions,
+    export_imucal,
+    export_kalibr,
+    export_ros,
+)
 
 _EXACT = 1e-17  #: Remaining relative error: that of a double.
 _CONTRACTION = 0.5  #: Factor by which each iteration of an inversion must reduce the error.
@@ -263,8 +267,8 @@ _REPEATED = """\
 """
 
 EXPORTS: dict[str, Callable[[ExportSource], Exported]] = {
-    'ros': ros.export_ros,
-    'kalibr': kalibr.export_kalibr,
-    'imucal': imucal.export_imucal,
+    'ros': export_ros,
+    'kalibr': export_kalibr,
+    'imucal': export_imucal,
     'c': export_c_header,
 }

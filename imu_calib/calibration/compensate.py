@@ -60,15 +60,10 @@ def concatenated(parts: list[CompensatedSamples]) -> CompensatedSamples:
     """Join consecutive samples; at least one part."""
     if len(parts) == 1:
         return parts[0]
-    parities = [p.parity for p in parts if p.parity is not None]
-    return CompensatedSamples(
-        np.concatenate([p.rate for p in parts]),
-        np.concatenate([p.force for p in parts]),
-        np.concatenate([p.rate_covariance for p in parts]),
-        np.concatenate([p.force_covariance for p in parts]),
-        np.concatenate([p.marks for p in parts]),
-        np.concatenate(parities) if len(parities) == len(parts) else None,
-    )
+    columns = {name: [getattr(p, name) for p in parts] for name in vars(parts[0])}
+    if any(parity is None for parity in columns['parity']):
+        del columns['parity']
+    return CompensatedSamples(**{name: np.concatenate(all_) for name, all_ in columns.items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,10 +163,6 @@ class Compensation:
         skewed: Whether samples come with the skewed gyros' values.
         mark: Added to every sample.
 
-    Attributes:
-        calibration: What is applied.
-        moving: Whether motion terms apply (`in_motion`).
-
     Raises:
         NotObservable: I + M is singular.
     """
@@ -204,6 +195,7 @@ class Compensation:
         self._to_inputs = np.block([[rate, through], [nothing, force]]).T.copy()
         self._known_force = calibration.has_accelerometers
         self._model, self._linear = model, model.linear
+        #: Whether motion terms apply.
         self.moving = has_motion_terms(terms_of(model.parameters))
         # Without skewed gyros: those to which nonlinear terms apply.
         six = [*range(_AXES), *range(len(specs), len(specs) + _AXES)]
@@ -474,12 +466,12 @@ _UNKNOWN = np.uint8(Mark.ACCEL_RANGE | Mark.NO_NUMBER)
 
 @dataclass
 class GravitySeen:
-    """Root mean square of the specific force of samples that state one."""
+    """Root mean square of the specific force, where it is known."""
 
     count: int = 0  #: Number of these samples.
     squares: float = 0.0  #: Sum of the squares of their specific forces, (m/s^2)^2.
 
-    def take(self, values: CompensatedSamples) -> None:
+    def add_samples(self, values: CompensatedSamples) -> None:
         """Add samples."""
         force = values.force
         if np.count_nonzero(values.marks):
@@ -508,7 +500,7 @@ class GravitySeen:
         return math.sqrt(max(self.squares, 0.0) / self.count)
 
     def contradiction(self, imu: ImuSpec) -> str:
-        """Return why the samples are not those that a calibration is for; there is at least one.
+        """Return a sentence that the samples, at least one, do not match the calibration.
 
         Args:
             imu: As the calibration describes it.
@@ -538,7 +530,7 @@ class TurnsSeen:
     by_forces: float = 0.0  #: The same of the changes themselves.
     common: float = 0.0  #: Sum of their products.
 
-    def take(self, stamp: Stamps, rate: Floats, force: Floats) -> None:
+    def add_samples(self, stamp: Stamps, rate: Floats, force: Floats) -> None:
         """Add consecutive samples: (n,) stamps, ns, (n, 3) rates and forces, SI."""
         step = np.diff(stamp) * 1e-9
         if not len(step) or not (typical := float(np.median(step))) > 0:
@@ -573,7 +565,7 @@ class TurnsSeen:
         return scale is not None and not 1 / SCALE_LIMIT < scale < SCALE_LIMIT
 
     def contradiction(self, imu: ImuSpec) -> str:
-        """Return why the samples are not those that a calibration is for, where they contradict.
+        """Return a sentence that the samples do not match the calibration.
 
         Args:
             imu: As the calibration describes it.

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_r
 
 
 @dataclass(frozen=True, eq=False)
-class Applied:
+class BlockWithMotion:
     """Consecutive samples with one frame, compensated without motion terms."""
 
     stamp: Stamps  #: (n,) ns.
@@ -41,11 +42,11 @@ class Applied:
     def __len__(self) -> int:
         return len(self.stamp)
 
-    def cut(self, start: int, stop: int) -> Applied:
+    def cut(self, start: int, stop: int) -> BlockWithMotion:
         """Return some of the samples."""
         part = slice(start, stop)
-        columns = {name: v if v is None else v[part] for name, v in vars(self.values).items()}
-        values = CompensatedSamples(**columns)
+        columns: dict[str, Any] = {k: v for k, v in vars(self.values).items() if v is not None}
+        values = CompensatedSamples(**{name: v[part] for name, v in columns.items()})
         return replace(self, stamp=self.stamp[part], values=values, interval=self.interval[part])
 
 
@@ -56,19 +57,19 @@ class InMotion:
     """
 
     def __init__(self) -> None:
-        self._before: Applied | None = None
-        self._held: Applied | None = None
+        self._before: BlockWithMotion | None = None
+        self._held: BlockWithMotion | None = None
 
     @property
     def waiting(self) -> int:
         """Number of samples that wait for the next."""
         return 0 if self._held is None else 1
 
-    def take(self, samples: Applied) -> list[Applied]:
-        """Take samples; return those that are ready."""
+    def subtract(self, samples: BlockWithMotion) -> list[BlockWithMotion]:
+        """Add samples; return those that are ready."""
         if not len(samples):
             return []
-        ended = self._end(samples.cut(0, 1))
+        ended = self.finish(samples.cut(0, 1))
         if not samples.ready.moving:
             self._before = None
             return [*ended, samples]
@@ -80,12 +81,8 @@ class InMotion:
             self._before = sound.cut(count - 2, count - 1)
         return ended
 
-    def finish(self) -> list[Applied]:
-        """Return the waiting samples at the end of the stream."""
-        return self._end(None)
-
-    def _end(self, after: Applied | None) -> list[Applied]:
-        """Release the waiting sample."""
+    def finish(self, after: BlockWithMotion | None = None) -> list[BlockWithMotion]:
+        """Return the waiting sample, if any: at the end of the stream there is none after it."""
         held, self._held = self._held, None
         if held is None:
             return []
@@ -94,11 +91,16 @@ class InMotion:
         return [freed]
 
 
-def _freed(before: Applied | None, samples: Applied, after: Applied | None) -> Applied:
+def _freed(
+    before: BlockWithMotion | None, samples: BlockWithMotion, after: BlockWithMotion | None
+) -> BlockWithMotion:
     """Subtract the motion terms by means of the samples before and after, if any."""
     values, model = samples.values, samples.ready.calibration.model
-    changes = _Changes.of(before, samples, after)
-    spin, change = changes.of_each(lambda v: v.rate), changes.of_each(lambda v: v.force)
+    changes = _Changes.between(before, samples, after)
+    spin, change = (
+        changes.rates_of_change(lambda v: v.rate),
+        changes.rates_of_change(lambda v: v.force),
+    )
     by_each = slopes(model, values.rate, spin, change)
     force = values.force - (by_each * model.values(MOTION)).sum(axis=-1)
     covariance = values.force_covariance + _parameter_covariance(samples, by_each, changes.seconds)
@@ -110,7 +112,7 @@ def _freed(before: Applied | None, samples: Applied, after: Applied | None) -> A
     return replace(samples, values=replace(values, force=force, force_covariance=covariance))
 
 
-def _parameter_covariance(samples: Applied, by_each: Floats, seconds: Floats) -> Floats:
+def _parameter_covariance(samples: BlockWithMotion, by_each: Floats, seconds: Floats) -> Floats:
     """Return the addition to the covariance of forces, (n, 9): from parameters and noise.
 
     The noise is that of a difference of two independent samples; correlations of these parameters
@@ -137,13 +139,15 @@ def _parameter_covariance(samples: Applied, by_each: Floats, seconds: Floats) ->
 class _Changes:
     """Samples and their neighbours."""
 
-    all: list[Applied]  #: Samples before, these samples, samples after.
+    all: list[BlockWithMotion]  #: Samples before, these samples, samples after.
     earlier: NDArray[np.intp]  #: (n,) index of the first sample of each difference.
     later: NDArray[np.intp]  #: (n,) index of the second.
     seconds: Floats  #: (n,) s between them; 0 without a neighbour.
 
     @classmethod
-    def of(cls, before: Applied | None, samples: Applied, after: Applied | None) -> _Changes:
+    def between(
+        cls, before: BlockWithMotion | None, samples: BlockWithMotion, after: BlockWithMotion | None
+    ) -> _Changes:
         """Find the neighbours of samples."""
         parts = [part for part in (before, samples, after) if part is not None]
         stamp = np.concatenate([part.stamp for part in parts])
@@ -161,7 +165,7 @@ class _Changes:
         earlier, later = adjacent[own].astype(np.intp), adjacent[own + 1].astype(np.intp)
         return cls(parts, own - earlier, own + later, (earlier + later) * samples.interval)
 
-    def of_each(self, which: Callable[[CompensatedSamples], Floats]) -> Floats:
+    def rates_of_change(self, which: Callable[[CompensatedSamples], Floats]) -> Floats:
         """Return the rates of change of rates or forces, (n, 3) per s."""
         values = np.concatenate([which(part.values) for part in self.all])
         known = self.seconds > 0
@@ -200,16 +204,18 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
-class _Timed:
+class _TimedSamples:
     """Samples whose intervals are known."""
 
     block: ImuBlock
     interval: Floats
     instant: Stamps
 
-    def cut(self, start: int, stop: int) -> _Timed:
+    def cut(self, start: int, stop: int) -> _TimedSamples:
         part = slice(start, stop)
-        return _Timed(_rows(self.block, start, stop), self.interval[part], self.instant[part])
+        return _TimedSamples(
+            _rows(self.block, start, stop), self.interval[part], self.instant[part]
+        )
 
 
 class Compensator:
@@ -246,7 +252,7 @@ class Compensator:
         self._clock = SampleClock(rate)
         self._shared, self._skew_shared = SharedStamps(rate), SharedStamps(rate)
         self._untimed: list[ImuBlock] = []
-        self._timed: list[_Timed] = []
+        self._timed: list[_TimedSamples] = []
         self._skewed: list[SkewBlock] = []
         self._temperatures: list[tuple[int, float]] = []
         self._used: float | None = None
@@ -320,13 +326,13 @@ class Compensator:
             self.celsius = new[-1][1] if new else self.celsius
         elif isinstance(block, SkewBlock):
             if self._takes_skewed and len(block):
-                stamp, gyro, _ = self._skew_shared.take(block.stamp, block.gyro[:, None])
+                stamp, gyro, _ = self._skew_shared.separate(block.stamp, block.gyro[:, None])
                 self._skewed.append(SkewBlock(stamp, gyro[:, 0]))
                 del self._skewed[:-_MOST_WAITING]
         elif isinstance(block, ImuBlock) and len(block):
             block = self._without_repeats(block)
             lost = self._clock.lost
-            times = self._clock.take(self._made(block.stamp))
+            times = self._clock.time_samples(self._made(block.stamp))
             if len(times.interval) == len(block) and self._nothing_waits:
                 values = self._compensated(block, times.interval)
                 return [Reading(times.instant, values, block.frame_id)] if len(block) else []
@@ -397,7 +403,7 @@ class Compensator:
             lost -= skip
             if count:
                 rows = _rows(block, skip, skip + count)
-                self._timed.append(_Timed(rows, intervals[:count], instants[:count]))
+                self._timed.append(_TimedSamples(rows, intervals[:count], instants[:count]))
                 intervals, instants = intervals[count:], instants[count:]
             if skip + count < len(block):
                 self._untimed.insert(0, _rows(block, skip + count, len(block)))
@@ -410,7 +416,7 @@ class Compensator:
             return []
         if self._used is None and self._temperatures:
             self._use(self._temperatures.pop(0)[1])
-        applied: list[Applied] = []
+        applied: list[BlockWithMotion] = []
         while self._timed:
             timed = self._timed[0]
             count = len(timed.interval) if last else self._ready_count(timed.block.stamp)
@@ -420,7 +426,7 @@ class Compensator:
             if count < len(timed.interval):
                 self._timed.insert(0, timed.cut(count, len(timed.interval)))
             for one in self._by_temperature(timed.cut(0, count)):
-                applied += self._in_motion.take(one)
+                applied += self._in_motion.subtract(one)
         if last:
             applied += self._in_motion.finish()
         return [Reading(one.stamp, one.values, one.frame_id) for one in applied]
@@ -435,7 +441,7 @@ class Compensator:
         late = np.flatnonzero(stamp > newest)
         return int(late[0]) if len(late) else len(stamp)
 
-    def _by_temperature(self, timed: _Timed) -> list[Applied]:
+    def _by_temperature(self, timed: _TimedSamples) -> list[BlockWithMotion]:
         """Compensate samples, each at its temperature."""
         applied = []
         while self._temperatures and len(timed.interval):
@@ -451,17 +457,17 @@ class Compensator:
         applied.append(self._applied(timed))
         return applied
 
-    def _applied(self, timed: _Timed) -> Applied:
+    def _applied(self, timed: _TimedSamples) -> BlockWithMotion:
         block, interval = timed.block, timed.interval
         values = self._compensated(block, interval)
-        return Applied(timed.instant, values, block.frame_id, interval, self._ready[False])
+        return BlockWithMotion(timed.instant, values, block.frame_id, interval, self._ready[False])
 
     def _compensated(self, block: ImuBlock, interval: Floats) -> CompensatedSamples:
         if not self._takes_skewed or not len(block):
             values = self._ready[False].apply(block.gyro, block.accel, interval)
         else:
             values = self._with_skewed(block, interval)
-        self.gravity.take(values)
+        self.gravity.add_samples(values)
         if np.count_nonzero(values.marks):
             for mark in Mark:
                 self.counts[mark] += int(np.count_nonzero(values.marks & mark))
@@ -525,8 +531,8 @@ class WholeStream:
         self._shared = SharedStamps(rate)
         self._stamps: list[Stamps] = []
 
-    def take(self, block: ImuBlock) -> None:
-        """Take the stamps of samples."""
+    def add_stamps(self, block: ImuBlock) -> None:
+        """Collect the stamps of samples."""
         values = np.concatenate([block.gyro, block.accel], axis=1)
         stamp, kept = self._shared.separate_stamps(block.stamp, values)
         self._stamps.append(stamp.copy() if kept is None else stamp[kept])

@@ -301,7 +301,7 @@ class Diagnosis:
 
 
 @dataclass(frozen=True, eq=False)
-class _Tried:
+class _FittedHypothesis:
     """A fitted hypothesis; the number of freed parameters counts against it."""
 
     diagnosis: Diagnosis
@@ -444,7 +444,7 @@ def _fit(
         return None
 
 
-def _mistaken(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tried]:
+def _mistaken(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_FittedHypothesis]:
     """Fit mistakes in the calibration file and in the reading of the outputs."""
     likely = system.likely(values, factor, _EXPLAINED)
     for mistake in (*mistakes(system.sensors, values), *_readings(system, values)):
@@ -457,7 +457,7 @@ def _mistaken(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_
         elif not likely(mistake.values):
             continue
         if fit := _fit(read, mistake.values, factor):
-            yield _Tried(Diagnosis(mistake.why), mistake.when, fit)
+            yield _FittedHypothesis(Diagnosis(mistake.why), mistake.when, fit)
 
 
 def _readings(system: TriadSystem, values: Floats) -> Iterator[Hypothesis]:
@@ -495,7 +495,7 @@ def _of_scale(system: TriadSystem, share: float) -> tuple[str, str]:
     )
 
 
-def _freed(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tried]:
+def _freed(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_FittedHypothesis]:
     """Free parameters of one kind, of a missing term, or of the mount, and fit."""
     mine = system.sensors.parameters
     for kind in dict.fromkeys((*_FREED, *(p.kind for p in mine))):
@@ -518,19 +518,19 @@ def _freed(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tri
         )
         why = 'It sits otherwise in its mount than when it was calibrated.'
         if np.linalg.norm(mounted) < _LARGEST_ROTATION:
-            yield _Tried(Diagnosis(why), f'the unit is turned by {about}', fit, 3)
+            yield _FittedHypothesis(Diagnosis(why), f'the unit is turned by {about}', fit, 3)
 
 
 def _without(
     system: TriadSystem, values: Floats, factor: Floats, columns: list[int], when: str, why: str
-) -> Iterator[_Tried]:
+) -> Iterator[_FittedHypothesis]:
     """Free the parameters of some columns; those that the calibration lacks come last."""
     more = len(system.sensors.parameters) - len(values)
     freed = np.hstack([np.pad(factor, ((0, more), (0, 0))), _wide(system)[:, columns]])
     # Lengths are nonlinear in freed parameters: their minimum is always searched for.
     if fit := _fit(system, np.pad(values, (0, more)), freed, 0.0 if system.up else _EXPLAINED):
         far = _shifted_parameters(system.sensors.parameters, fit, columns)
-        yield _Tried(Diagnosis(why, far), when, fit, len(columns))
+        yield _FittedHypothesis(Diagnosis(why, far), when, fit, len(columns))
 
 
 def _shifted_parameters(

@@ -43,7 +43,15 @@ from ..segmentation.stream_facts import Move, Segmented
 from ..session.imu import SCALE_LIMIT
 from .calibration import BY_ACCELEROMETERS
 from .provenance import false_samples_first, provenance
-from .results import Result, Review, calibrated, dead_channels, explained, refuse_apart, with_facts
+from .results import (
+    Result,
+    Review,
+    calibrated,
+    dead_channels,
+    explained,
+    refuse_separate_messages,
+    with_facts,
+)
 
 # Guide a user with the unit in hand: what to do next, and the gain of each further hold.
 #
@@ -180,11 +188,8 @@ def _gains(
 ) -> list[float]:
     """Return the gain by a further hold with each of k (3,) `ups`, and the turn to it, (k,).
 
-    Args:
-        base: (m, n) rows of the session in standard deviations, priors included.
-        equations: Of the session.
-        values: (n,) its state.
-        ups: In body axes, unit vectors.
+    `base` has the (m, n) rows of the session in standard deviations, priors included; `values` is
+    its state, (n,). Up is a unit vector in body axes.
     """
     # A further hold adds to the sensors and to the tilt of the last hold: the rest is eliminated.
     state = np.arange(equations.size)
@@ -297,7 +302,7 @@ class HandCalibrator:
             NotObservable: The data does not determine all parameters; names them and the reason.
         """
         session = self._segmenter.finish()
-        refuse_apart(session)
+        refuse_separate_messages(session)
         with with_facts(session):
             return self._solve(session)
 

@@ -111,8 +111,8 @@ class SampleClock:
         """Sample interval, s; 0 before it is known."""
         return self._typical * 1e-9
 
-    def take(self, stamp: Stamps) -> Times:
-        """Take stamps (n,), ns; return the timing of the samples that are timed now.
+    def time_samples(self, stamp: Stamps) -> Times:
+        """Add stamps (n,), ns; return the timing of the samples that are timed now.
 
         These are the oldest not timed before; `lost` counts those skipped at the front of them.
         """

@@ -184,7 +184,13 @@ def combine(
         )
     for calibration, name in zip(calibrations, names, strict=True):
         _check_temperature(calibration, name)
-        _check_alike(calibration, name, calibrations[0], names[0])
+        check_same_unit(calibration, name, calibrations[0], names[0])
+        found, expected = _known(calibration), _known(calibrations[0])
+        if found != expected:
+            raise InputError(
+                f'{name}: covariance: parameters: found {found}, expected {expected} as in '
+                f'{names[0]}.'
+            )
     if order is not None and not 1 <= order <= min(MOST, len(calibrations) - 1):
         raise InputError(
             f'{where}A polynomial of order {order}: found {len(calibrations)} temperatures, '
@@ -376,16 +382,6 @@ def _check_same(
             same = math.isclose(found, expected, rel_tol=_WRITTEN)
         if not same:
             raise InputError(f'{name}: {key}: found {found}, expected {expected} as in {where}.')
-
-
-def _check_alike(calibration: Calibration, name: str, first: Calibration, other: str) -> None:
-    """Refuse calibrations of another unit or with other parameters."""
-    check_same_unit(calibration, name, first, other)
-    found, expected = _known(calibration), _known(first)
-    if found != expected:
-        raise InputError(
-            f'{name}: covariance: parameters: found {found}, expected {expected} as in {other}.'
-        )
 
 
 def _known(calibration: Calibration) -> str:

@@ -334,11 +334,11 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
     """
     # Refuse a model without an inverse here, with a message.
     calibration.model.compensate(np.zeros((1, 3)), np.zeros((1, 3)))
-    gyros = _Trial.of(calibration, observed, gyros=True)
+    gyros = _Trial.fit_triad(calibration, observed, gyros=True)
     trials = [gyros]
     if calibration.has_accelerometers and observed.evidence.segments:
         carried, considered = _carried(calibration, observed, gyros)
-        trials.append(_Trial.of(calibration, carried, gyros=False, considered=considered))
+        trials.append(_Trial.fit_triad(calibration, carried, gyros=False, considered=considered))
     compared = [c for t in trials for c in compare(t.system, t.values, t.factor, t.fit)]
     limits = (_limit(DOUBT, len(compared)), _limit(REJECTION, len(compared)))
     judged = tuple(trial.judge(compared, limits) for trial in trials)
@@ -421,7 +421,7 @@ class _Trial:
     fit: Fit
 
     @classmethod
-    def of(
+    def fit_triad(
         cls,
         calibration: Calibration,
         observed: Observed,

@@ -206,8 +206,7 @@ def fit_clock(
         samples: One per motion, in order.
         interruptions: Instants, ns, at which the IMU's stream begins anew: its clock may have been
             restarted, so that the offset may change there by any amount.
-        set_back: Instants, ns, at which stamps go back: the offset may change as well, and is known
-            to.
+        set_back: Instants, ns, at which stamps go back: the offset is known to change.
     """
     if not samples:
         return NO_CLOCK

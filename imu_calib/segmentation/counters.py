@@ -305,34 +305,27 @@ def _mean_and_passages(
     remainder = pulses - whole
     other = _by_all_samples(remainder, period, walk)
     found = passages(remainder, period, walk)
-    best = found and _if_best(_from_end_to_end(found, period), remainder, period, walk, other)
+    best = found and best_passages(found.rate(period), remainder, period, walk, other)
     mean = best or other
     return replace(mean, rate=mean.rate + whole / period), found if best else None
 
 
 def best_passages(
-    pulses: Floats, period: float, walk: float, other: MeanRate | None = None
+    passed: MeanRate, pulses: Floats, period: float, walk: float, other: MeanRate | None = None
 ) -> MeanRate | None:
-    """Return the estimate from first passages where they are the best at such a rate, else None.
+    """Return the estimate from first passages where it is the best at such a rate, else None.
 
     The choice depends on the rate that passages give and on their mean variance at that rate, not
     on how many passages there were. Their number depends on the phase at the segment's start:
     switching to another estimator where it is small would bias the choice.
 
     Args:
+        passed: The estimate from first passages.
         pulses: (n,) pulses per sample.
         period: Sample interval, s.
         walk: Random walk, pulses/sqrt(s).
         other: The estimate from all samples; computed if not given.
     """
-    passed = first_passages(pulses, period, walk)
-    return None if passed is None else _if_best(passed, pulses, period, walk, other)
-
-
-def _if_best(
-    passed: MeanRate, pulses: Floats, period: float, walk: float, other: MeanRate | None = None
-) -> MeanRate | None:
-    """Return the estimate from first passages by the criterion of `best_passages`."""
     whole = len(pulses) * period
     levels = abs(passed.rate) * whole
     # Ringing passes levels and counts back. Otherwise the two ends give the passages' rate, but for
@@ -370,11 +363,24 @@ def end_points(pulses: Floats, period: float) -> MeanRate:
 
 @dataclass(frozen=True, eq=False)
 class Passages:
-    """When a counter first reached new values: sample indices, and unsigned values."""
+    """When a counter first reached new values."""
 
-    index: NDArray[np.intp]
-    level: Floats
-    drift: float
+    index: NDArray[np.intp]  #: Of the samples.
+    level: Floats  #: The values, without sign.
+    drift: float  #: Pulses per sample.
+
+    def rate(self, period: float, first: int = 0, last: int = -1) -> MeanRate:
+        """Estimate the mean rate from one passage to another.
+
+        At a first passage the true count is a whole number, known to the fraction of a pulse that
+        one sample adds. Passage times of a drifting Brownian motion have independent increments, so
+        levels passed over time elapsed is the maximum-likelihood drift (the inverse Gaussian law:
+        Folks and Chhikara 1978, J. R. Statist. Soc. B 40, 263), with the walk's variance alone.
+        """
+        duration = float(self.index[last] - self.index[first]) * period
+        passed = float(self.level[last] - self.level[first])
+        timing = 2 * self.drift**2 * READING_VARIANCE / duration**2
+        return MeanRate(math.copysign(passed / duration, self.drift), 1 / duration, timing)
 
 
 def passages(pulses: Floats, period: float, walk: float) -> Passages | None:
@@ -392,36 +398,6 @@ def passages(pulses: Floats, period: float, walk: float) -> Passages | None:
     record = np.maximum.accumulate(count * math.copysign(1.0, drift))
     index = np.flatnonzero(np.append(record[:1] > 0, record[1:] > record[:-1]))
     return Passages(index, record[index], drift) if len(index) >= _PASSAGES_NEEDED else None
-
-
-def first_passages(pulses: Floats, period: float, walk: float) -> MeanRate | None:
-    """Estimate from the moments when the counter first reached a new value.
-
-    At a first passage the true count is a whole number, known to the fraction of a pulse that one
-    sample adds. Passage times of a drifting Brownian motion have independent increments, so levels
-    passed over time elapsed is the maximum-likelihood drift (the inverse Gaussian law: Folks and
-    Chhikara 1978, J. R. Statist. Soc. B 40, 263), with the walk's variance alone.
-
-    Args:
-        pulses: (n,) pulses per sample.
-        period: Sample interval, s.
-        walk: Random walk, pulses/sqrt(s).
-
-    Returns:
-        None where the drift does not clearly exceed the walk, or passes too few levels.
-    """
-    found = passages(pulses, period, walk)
-    return None if found is None else _from_end_to_end(found, period)
-
-
-def _from_end_to_end(found: Passages, period: float) -> MeanRate:
-    return _between(found, 0, len(found.index) - 1, period)
-
-
-def _between(found: Passages, first: int, last: int, period: float) -> MeanRate:
-    duration = float(found.index[last] - found.index[first]) * period
-    rate = math.copysign(float(found.level[last] - found.level[first]) / duration, found.drift)
-    return MeanRate(rate, 1 / duration, 2 * found.drift**2 * READING_VARIANCE / duration**2)
 
 
 def smoothed_ends(pulses: Floats, period: float, walk: float) -> MeanRate | None:
@@ -600,7 +576,7 @@ def mean_and_blocks(
     for k in range(1, len(found.index)):
         if (found.index[k] - found.index[cuts[-1]]) * period >= seconds:
             cuts.append(k)
-    parts = [_between(found, a, b, period) for a, b in pairwise(cuts)]
+    parts = [found.rate(period, a, b) for a, b in pairwise(cuts)]
     middles = [(found.index[a] + found.index[b]) / 2 + 1 for a, b in pairwise(cuts)]
     return mean, [
         (m * period, replace(p, rate=p.rate + whole / period))
@@ -625,3 +601,8 @@ def any_in_row(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def all_in_row(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return `flags.all(axis=1)` of (n, columns) flags, columns at least 1."""
     return reduce(np.logical_and, flags.T)
+
+
+def runs_of(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return where runs of set flags begin and end, (k, 2)."""
+    return np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)

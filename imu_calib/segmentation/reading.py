@@ -23,7 +23,7 @@ from .stamps import RowBuffer, clock_steps, sampling_times
 from .statistics import Rounding, Samples, Sensor
 from .stream_facts import FreeMotion, MountShift, Rejected
 from .table_motion import Motion, Rest
-from .turns import MARGIN_NS, Around, read_free_motion, read_turns
+from .turns import MARGIN_NS, MotionReadings, read_free_motion, read_turns
 
 NEAR = 0.5
 """s: clocks this close are compared motion by motion, in a second of rest on either side."""
@@ -34,7 +34,7 @@ _SIGNIFICANT = 10 * DEG  #: rad: longer motions determine the offset of the cloc
 
 
 class Comparison(NamedTuple):
-    """A longer motion at `instant`, ns: whether it gave an offset of the clocks, and a near one."""
+    """Whether a longer motion at `instant`, ns, gave a clock offset, and one below `NEAR`."""
 
     instant: int
     gave_offset: bool
@@ -91,7 +91,7 @@ class ReadParts:
 class IntervalReader:
     """Reads dwells and motions, in order, from the buffered samples.
 
-    Where the clocks prove to be apart by another offset, a new reader reads them again.
+    If the clock offset proves to be another, a new reader reads them again.
 
     Args:
         sensor: The IMU.
@@ -153,11 +153,11 @@ class IntervalReader:
             if piece.start in set_back:
                 self.pace.begin_line()
             came = self.sensor.samples(stamp[piece], values[piece], self.pace)
-            self.late.note(came.stamp, late[piece] + (stamp[piece] - came.stamp), came.period)
+            self.late.count_late(came.stamp, late[piece] + (stamp[piece] - came.stamp), came.period)
             whole = bridged(came, self.sensor.walk)
             self._note_lost(whole, start, end)
             delivered = whole.values(values[piece])
-            self.rounding.take(delivered)
+            self.rounding.check_dwell(delivered)
             found = read_dwell(
                 self.sensor, whole.samples, delivered, rest.angles, attitude, rest.angle_error
             )
@@ -166,7 +166,7 @@ class IntervalReader:
 
     @property
     def silent_ns(self) -> int:
-        """Silences of the IMU's stream, ns, of which it is open whether its clock was set on."""
+        """Silence of the IMU's stream, ns, that may be lost samples or a clock set forward."""
         if self._table is None or not self.offset_known:
             return 0
         open_ones = self._intake.interruptions.found[self._silences_judged :]
@@ -214,13 +214,13 @@ class IntervalReader:
         # Of the rest beside the motion what is timed by the same line is read.
         start = max([start, *(one - 1 for one in set_back if one <= begins)])
         end = min([end, *(one - 1 for one in set_back if one > ends_at)])
-        stamp, values, late = self._apart_at_steps(*made_between(self._intake.imu, start, end))
+        stamp, values, late = self._without_clock_steps(*made_between(self._intake.imu, start, end))
         if len(stamp) < 2:
             return
         came = self.sensor.samples(stamp, values, self.pace)
         inside = slice(*np.searchsorted(came.stamp, [begins, ends_at], side='right').tolist())
         late = late + (stamp - came.stamp)
-        self.late.note(came.stamp[inside], late[inside], came.period)
+        self.late.count_late(came.stamp[inside], late[inside], came.period)
         # The rate changes here: only samples next to a lost one are used for it.
         whole = bridged(came, self.sensor.walk, 1)
         self._note_lost(whole, begins, ends_at)
@@ -232,7 +232,7 @@ class IntervalReader:
         self.moves.motion(samples.part(0, ends), values[:ends])
         skew = self._intake.skew
         skewed = None if skew is None else made_between(skew, start, end)[:2]
-        around = Around(self.sensor, values, samples, skewed)
+        around = MotionReadings(self.sensor, values, samples, skewed)
         if self._table is None or not len(motion.stamp):
             self.found.store(read_free_motion(around, motion))
             return
@@ -258,7 +258,7 @@ class IntervalReader:
         seen = measured_share(samples, shown[some], table.attitude(motion.position[some]))
         if seen is not None:
             middle = (motion.start + motion.end) / 2 + self.offset_ns
-            repetition = Repetition.of(values, samples.increments / samples.period)
+            repetition = Repetition.count_in(values, samples.increments / samples.period)
             self.seen_motions.append(SeenMotion(middle, seen, repetition))
 
     def _set_back(self, start: int, end: int) -> list[int]:
@@ -290,10 +290,10 @@ class IntervalReader:
         if abs(self.offset_ns - shift) > NEAR * 1e9:
             self._reference_ns = self.offset_ns
 
-    def _apart_at_steps(
+    def _without_clock_steps(
         self, stamp: Stamps, values: Floats, late: Stamps
     ) -> tuple[Stamps, Floats, Stamps]:
-        """Leave out samples of a motion where the clock was set: a gap that is not filled."""
+        """Drop samples of a motion around instants at which the clock was set."""
         steps = clock_steps(stamp, self.pace.interval)
         if not steps:
             return stamp, values, late

@@ -23,7 +23,7 @@ between one and the four thirds of a single sample too many among three."""
 
 
 class SharedStamps:
-    """Sets samples that share a stamp a nanosecond apart, a bunch (`bunches`); drops repeats.
+    """Separate samples that share a stamp by a nanosecond, as a bunch; drop repeats.
 
     A driver that stamps a transfer gives all its samples one stamp. They are samples if no more
     have come than the time since the last stamps has intervals: two devices on one topic bring
@@ -49,12 +49,12 @@ class SharedStamps:
         self._same = self._same_alike = 0
         self._next = self._next_alike = 0
 
-    def take(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats, Stamps]:
-        """Take (n,) stamps, ns, and (n, columns) values; return those kept, and repeats' stamps."""
-        apart, kept = self.separate_stamps(stamp, values)
+    def separate(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats, Stamps]:
+        """Add (n,) stamps, ns, and (n, columns) values; return those kept, and repeats' stamps."""
+        separated, kept = self.separate_stamps(stamp, values)
         if kept is None:
-            return apart, values, stamp[:0]
-        return apart[kept], values[kept], stamp[~kept]
+            return separated, values, stamp[:0]
+        return separated[kept], values[kept], stamp[~kept]
 
     def separate_stamps(
         self, stamp: Stamps, values: Floats
@@ -208,8 +208,8 @@ class SetBackClock:
         """By how much stamps are moved on after none of the times, after the first, ..., ns."""
         return tuple(np.cumsum([0, *(one.by for one in self.found)]).tolist())
 
-    def take(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
-        """Take (n,) stamps, ns, with (n, columns) values; return the rows that are certain."""
+    def continue_stamps(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
+        """Add (n,) stamps, ns, with (n, columns) values; return the rows that are certain."""
         if not len(stamp):
             return stamp, values
         if self._shift:
@@ -282,10 +282,7 @@ class SetBackClock:
     def _is_set_back(self, stamp: Stamps, values: Floats, following: Stamps) -> bool:
         """Return whether rows that are stamped before the last one show a clock that was set back.
 
-        Args:
-            stamp: (n,) ns, increasing.
-            values: (n, columns).
-            following: The next stamp, if there is one.
+        Their stamps (n,), ns, increase; `following` has the next stamp, if there is one.
         """
         known, before = self._known()
         if len(stamp) < _FEWEST or len(known) < _SURE:
@@ -391,7 +388,7 @@ class Lateness:
         self.longest = 0.0
         self.first: int | None = None
 
-    def note(self, stamp: Stamps, late: Stamps, period: float) -> None:
+    def count_late(self, stamp: Stamps, late: Stamps, period: float) -> None:
         """Add samples.
 
         Args:

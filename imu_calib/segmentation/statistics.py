@@ -413,7 +413,7 @@ class Sensor:
     walk: Floats  #: (6,) random walk to choose weights by, rad/sqrt(s) and (m/s)/sqrt(s).
 
     @classmethod
-    def of(cls, spec: ImuSpec) -> Sensor:
+    def from_spec(cls, spec: ImuSpec) -> Sensor:
         """Take the data sheet's random walk, or a fraction of a pulse.
 
         Values that are not pulses need no weights, and outliers are found by their own scatter.
@@ -449,7 +449,7 @@ class Sensor:
         """The skewed gyro as an IMU whose first channel it is; None without one."""
         if self.spec.skewed is None:
             return None
-        return Sensor.of(replace(self.spec, gyro=self.spec.skewed, accel=TriadSpec()))
+        return Sensor.from_spec(replace(self.spec, gyro=self.spec.skewed, accel=TriadSpec()))
 
     def samples(self, stamp: Stamps, values: Floats, pace: Pace | None = None) -> Samples:
         """Return values as increments in SI units, at the instants of a line through their stamps.
@@ -543,7 +543,7 @@ class Rounding:
         self._units = spec.units
         self._has_fractions = False
 
-    def take(self, values: Floats) -> None:
+    def check_dwell(self, values: Floats) -> None:
         """Add the samples of a static dwell.
 
         Args:
@@ -569,7 +569,7 @@ class Rounding:
 
     @property
     def sentences(self) -> list[str]:
-        """What was seen, without a full stop: of one value alone the step is not known."""
+        """The findings, without full stops; the step is unknown if only one value occurs."""
         found = []
         if self._has_fractions:
             kind = Units.INCREMENTS if self._units.per_interval else Units.RATES

@@ -147,7 +147,7 @@ class GyroOffset:
         found = [one for one in self._levels if len(one.ups) >= enough]
         return [(one.rate, len(one.ups)) for one in found if one is not self._level]
 
-    def feed(self, mean: Floats) -> None:
+    def add_window(self, mean: Floats) -> None:
         """Add the mean (6,) of a window of a tenth of a second, rad/s and m/s^2."""
         self._sum += mean
         self._windows += 1
@@ -206,7 +206,7 @@ class RestTolerance:
     usual: float = 0.0  #: Deviation of rates in nine windows of ten from the second around, rad/s.
 
     @classmethod
-    def of(
+    def estimate(
         cls,
         means: Floats,
         offset: Floats,
@@ -342,7 +342,7 @@ class StillnessTracker:
         """Start of the current rest, ns; None in motion."""
         return None if self._reference is None else self._start
 
-    def feed(self, stamp: Stamps, rates: Floats) -> list[Rest | Motion]:
+    def track(self, stamp: Stamps, rates: Floats) -> list[Rest | Motion]:
         """Add samples; return the rests and motions that have ended.
 
         Args:
@@ -361,7 +361,7 @@ class StillnessTracker:
         self._to_come = len(means)
         ends = zip(windows[:, 0].tolist(), windows[:, -1].tolist(), means.tolist(), strict=True)
         for mean, window in zip(means, ends, strict=True):
-            self._offset.feed(mean)
+            self._offset.add_window(mean)
             self._ahead.append(window)
             self._to_come -= 1
             self._count += 1
@@ -406,7 +406,7 @@ class StillnessTracker:
         if self._count // _WINDOWS_TO_LEARN != self._learnt_at:
             self._learnt_at = self._count // _WINDOWS_TO_LEARN
             came = len(self._means) - self._to_come
-            self._tolerance = RestTolerance.of(
+            self._tolerance = RestTolerance.estimate(
                 self._means.values[max(0, came - 4 * _WINDOWS_AHEAD) : came],
                 self._offset.value,
                 self._offset.spread,

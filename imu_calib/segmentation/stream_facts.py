@@ -22,7 +22,7 @@ _LEAST = 0.05
 _MOST = 0.9
 """Share of rows with one sensor alone. A judgement: a driver writes no or nearly all rows so."""
 
-ROWS_APART = (
+SEPARATE_ROWS = (
     'Rows of the gyros have no accelerations and the reverse: they are joined as two sensors.'
 )
 
@@ -42,12 +42,12 @@ def of_one_sensor(gyro: Floats, accel: Floats) -> Halves:
     return has_gyro & ~has_accel, has_accel & ~has_gyro
 
 
-def are_apart(gyro: int, accel: int, rows: int) -> bool:
+def are_separate(gyro: int, accel: int, rows: int) -> bool:
     """Return whether each sensor has rows of its own, by the numbers of such rows and of all."""
     return min(gyro, accel) > _LEAST * rows and gyro + accel > _MOST * rows
 
 
-def messages_apart(topic: str, units: Units) -> str:
+def separate_messages_sentence(topic: str, units: Units) -> str:
     """Return the sentence on a topic whose messages hold one sensor each, with what to do.
 
     Args:
@@ -70,7 +70,7 @@ def halves(gyro: Floats, accel: Floats) -> Halves | None:
     """Return `of_one_sensor` if each sensor has rows of its own; None if rows hold both."""
     found = of_one_sensor(gyro, accel)
     alone = [int(rows.sum()) for rows in found]
-    return found if are_apart(alone[0], alone[1], len(gyro)) else None
+    return found if are_separate(alone[0], alone[1], len(gyro)) else None
 
 
 _SHOWN = 0.01
@@ -98,11 +98,11 @@ class StreamFacts:
         self._at_largest = np.zeros(6, np.int64)
 
     @property
-    def apart(self) -> bool:
+    def sensors_separate(self) -> bool:
         """Whether gyros and accelerometers come in messages of their own."""
-        return are_apart(int(self._alone[0]), int(self._alone[1]), self.samples)
+        return are_separate(int(self._alone[0]), int(self._alone[1]), self.samples)
 
-    def take(self, stamp: Stamps, values: Floats) -> None:
+    def count_samples(self, stamp: Stamps, values: Floats) -> None:
         """Count samples of (n,) stamps, ns, with (n, 6) values as delivered."""
         if not len(stamp):
             return
@@ -280,7 +280,7 @@ class Thermometer:
         self._left_out = 0
         self._first_left_out = 0.0
 
-    def feed(self, block: TemperatureBlock) -> None:
+    def add_temperatures(self, block: TemperatureBlock) -> None:
         """Add temperatures; values outside the valid range are left out."""
         with np.errstate(invalid='ignore'):
             sound = (block.celsius >= _COLDEST) & (block.celsius <= _HOTTEST)

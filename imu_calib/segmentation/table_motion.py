@@ -98,7 +98,7 @@ class JointTracker:
         """Start of the current rest, ns; None in motion."""
         return None if self._moving else self._start
 
-    def feed(self, stamp: Stamps, position: Floats) -> list[Rest | Motion]:
+    def track(self, stamp: Stamps, position: Floats) -> list[Rest | Motion]:
         """Add joint states; return the rests and motions that have ended.
 
         Args:
