@@ -58,7 +58,7 @@ def test_lost_samples_are_told_by_their_share() -> None:
     held = Segmenter(SPEC, TABLE)
     held._intake.facts.samples, held._reader.bridged = 17, 3
     held._reader.off_grid = {START + 9 * NS, START + 2 * NS}
-    held._intake.interruptions.feed(np.array([START, START + 2 * NS]))
+    held._intake.interruptions.add_stamps(np.array([START, START + 2 * NS]))
     assert held._loss_sentences() == (
         '3 IMU samples are missing (15 %), a few at a time: what they counted is interpolated from '
         'those around them',
@@ -164,7 +164,7 @@ def left_out(period_ms: int, at: int, count: int = 100) -> list[int]:
     stamp = START + np.rint((np.arange(count) + late) * period_ms * 1e6).astype(np.int64)
     held = reader()
     rows = np.arange(6.0 * count).reshape(count, 6)
-    kept, values, late = held._apart_at_steps(stamp, rows, np.arange(count))
+    kept, values, late = held._without_clock_steps(stamp, rows, np.arange(count))
     assert late.tolist() == (values[:, 0] / 6).tolist()
     gone = np.flatnonzero(~np.isin(stamp, kept)).tolist()
     assert values[:, 0].tolist() == [6.0 * k for k in range(count) if k not in gone]
