@@ -205,7 +205,7 @@ class _Stream:
         self._dropped = self.compensator.dropped
         for reading in readings:
             values, frame_id = reading.values, self._frame_id or reading.frame_id
-            self.turns.take(reading.stamp, values.rate, values.force)
+            self.turns.add_samples(reading.stamp, values.rate, values.force)
             block = ImuBlock(reading.stamp, values.rate, values.force, frame_id)
             encoded = encode_rates(block, values.rate_covariance, values.force_covariance)
             times = self._next_times(len(reading))[reading.numbers]
@@ -295,7 +295,7 @@ def _all_stamps(
     with progress('reading') as show:
         for _, block in recording.read({topic.name: Kind.IMU}, show):
             if isinstance(block, ImuBlock):
-                stamps.take(block)
+                stamps.add_stamps(block)
     return stamps
 
 

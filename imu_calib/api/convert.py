@@ -18,7 +18,7 @@ from ..recordings.cdr_codec import encode_imu, encode_rates
 from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Kind, Recording, open_recording
 from ..recordings.writer import RecordingWriter
-from ..segmentation.stream_facts import ROWS_APART, gravity_removed, halves, quiet_means
+from ..segmentation.stream_facts import SEPARATE_ROWS, gravity_removed, halves, quiet_means
 from ..session.imu import ImuSpec, load_imu
 from ..session.metadata import interpolation_description
 from .columns import columns_of
@@ -148,7 +148,7 @@ def joined(
     if rates.topic == forces.topic and (apart := halves(gyro, accel)) is not None:
         gyro, gyro_at = gyro[apart[0]], gyro_at[apart[0]]
         accel, accel_at = accel[apart[1]], accel_at[apart[1]]
-        findings.append(ROWS_APART)
+        findings.append(SEPARATE_ROWS)
     if len(gyro_at) < 2 or len(accel_at) < 2:
         raise InputError(
             f'{path}: {gyro_topic} and {accel_topic} hold {len(gyro_at)} and '

@@ -30,7 +30,7 @@ from ..recordings.rosbag2 import Kind, is_storage, open_recording
 from ..recordings.storage import RecordingError
 from ..recordings.text import Text, places_by_stamp, read_sensors, read_text
 from ..recordings.writer import RecordingWriter
-from ..segmentation.stream_facts import ROWS_APART, gravity_removed, halves, quiet_means
+from ..segmentation.stream_facts import SEPARATE_ROWS, gravity_removed, halves, quiet_means
 from ..session.imu import COLDEST, HOTTEST
 from ..session.metadata import interpolation_description
 from .convert import (
@@ -103,7 +103,7 @@ def from_text(
     topic = SI if spec.units is Units.SI else RAW
     if accel_text is None and (apart := halves(rates, forces)) is not None:
         of_gyro, of_accel = apart
-        sentences.append(ROWS_APART)
+        sentences.append(SEPARATE_ROWS)
         gyros = _of_sensor(text, stamps[of_gyro], rates[of_gyro], sentences)
         accels = _of_sensor(None, stamps[of_accel], forces[of_accel], sentences)
     elif accel_text is not None:

@@ -278,14 +278,19 @@ def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
         InputError: Gravity was removed from them, or rates and accelerations come apart.
     """
     # Loaded here, as the rest of segmentation is: most commands do not need it.
-    from ..segmentation.stream_facts import gravity_removed, halves, messages_apart, quiet_means
+    from ..segmentation.stream_facts import (
+        gravity_removed,
+        halves,
+        quiet_means,
+        separate_messages_sentence,
+    )
 
     blocks = [b for _, b in islice(recording.read({topic: Kind.IMU}), _BLOCKS)]
     samples = [b for b in blocks if isinstance(b, ImuBlock)]
     force = np.vstack([np.zeros((0, 3)), *(b.accel for b in samples)])
     rate = np.vstack([np.zeros((0, 3)), *(b.gyro for b in samples)])
     if halves(rate, force) is not None:
-        raise InputError(f'{recording.path}: {messages_apart(topic, Units.SI)}')
+        raise InputError(f'{recording.path}: {separate_messages_sentence(topic, Units.SI)}')
     if removed := gravity_removed(quiet_means(force)):
         raise InputError(f'{recording.path}: {topic}: {removed}')
     if seen := against_si(force, rate):

@@ -18,9 +18,6 @@ from ..model.parameters import Parameter, indices_of
 from ..model.sensors import gravity_covariance, gravity_slope
 from .calibration import Calibration
 
-# Effect of the uncertainty of the assumed gravity on the parameters of a calibration.
-
-
 _ANOMALY = 0.003
 """Largest plausible relative difference of a measured gravity from normal gravity: 10 km of height,
 above any laboratory, make 0.3 %, and gravity anomalies a tenth of that (EGM2008)."""

@@ -15,16 +15,18 @@ from ..common.units import DEG, STANDARD_GRAVITY
 from ..model.parameters import AXES, Product
 from ..model.sensors import SensorModel, terms_of
 from ..session.imu import ImuSpec
-from . import exports as imucal
-from . import exports as kalibr
-from . import exports as ros
 from .calibration import Calibration
-from .exports import Exported, ExportSource, common_omissions
+from .exports import (
+    Exported,
+    ExportSource,
+    common_omissions,
+    export_imucal,
+    export_kalibr,
+    export_ros,
+)
 
-_EXACT = 1e-17
-"""Remaining relative error: that of a double."""
-_CONTRACTION = 0.5
-"""Factor by which each iteration of an inversion must reduce the error."""
+_EXACT = 1e-17  #: Remaining relative error: that of a double.
+_CONTRACTION = 0.5  #: Factor by which each iteration of an inversion must reduce the error.
 _WIDEST_RATE, _WIDEST_FORCE = 2000 * DEG, 16 * STANDARD_GRAVITY
 """Largest range assumed for a unit, also if it states none: that of common MEMS units."""
 
@@ -264,12 +266,9 @@ _REPEATED = """\
     }}
 """
 
-
-# Formats of other software for a calibration: one module per format.
-
 EXPORTS: dict[str, Callable[[ExportSource], Exported]] = {
-    'ros': ros.export_ros,
-    'kalibr': kalibr.export_kalibr,
-    'imucal': imucal.export_imucal,
+    'ros': export_ros,
+    'kalibr': export_kalibr,
+    'imucal': export_imucal,
     'c': export_c_header,
 }

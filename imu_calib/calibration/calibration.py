@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from ..common.budget import Budget, Share, Source
 from ..common.config import SafeDumper, Section, checked, dump
@@ -40,8 +39,7 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-_FORMAT = 1
-"""Version of calibration.yaml; others are refused."""
+_FORMAT = 1  #: Version of calibration.yaml; others are refused.
 
 BY_ACCELEROMETERS = 'accelerometers'
 """Value of `frame` in the provenance: the axes of a session in the hand."""
@@ -193,6 +191,7 @@ class Calibration:
             raise InputError(
                 f'The calibration cannot be written: {", ".join(names)} is not a number.'
             )
+        free = self.free_of_frame
         return {
             'format': _FORMAT,
             'imu': self.imu.id,
@@ -205,12 +204,20 @@ class Calibration:
                 else _spec_document(self.imu.accel)
             ),
             **self._skewed_document(),
-            'free_of_frame': self._free_document(),
+            # For people: `read` recomputes these angles.
+            'free_of_frame': {
+                **{angles.group.key: angles.values.tolist() for angles in free},
+                'std': {angles.group.key: angles.std.tolist() for angles in free},
+            },
             'covariance': {
                 'parameters': [p.name for p, k in zip(self.parameters, known, strict=True) if k],
-                'matrix': _nested_lists(self.covariance[np.ix_(known, known)]),
+                'matrix': self.covariance[np.ix_(known, known)].tolist(),
             },
-            **self._budget_document(known),
+            **(
+                {}
+                if self.budget is None
+                else {'uncertainty_budget': budget_document(self.budget, self.parameters, known)}
+            ),
             **({} if self.changes is None else {CHANGES: self.changes.document()}),
             **({} if self.clock is None else {CLOCK: self.clock.document()}),
             'residuals': [_residual_document(r) for r in self.residuals],
@@ -227,38 +234,19 @@ class Calibration:
         head = (
             '# Calibration of an IMU, SI units: rad, m, s.\n'
             '# Outputs times scale_factor = (I + error_matrix) input + bias.\n'
-            + self._head_of_further()
         )
-        return head + dump(self.to_dict(), _Dumper, width=200)
-
-    def _free_document(self) -> dict[str, Any]:
-        """Return the angles between input axes, for people: `read` recomputes them."""
-        found = self.free_of_frame
-        return {
-            **{angles.group.key: _row(angles.values) for angles in found},
-            'std': {angles.group.key: _row(angles.std) for angles in found},
-        }
-
-    def _budget_document(self, known: NDArray[np.bool_]) -> dict[str, Any]:
-        if self.budget is None:
-            return {}
-        return {'uncertainty_budget': budget_document(self.budget, self.parameters, known)}
-
-    def _head_of_further(self) -> str:
-        further = ''.join(
-            f'# To channel i of the {TRIADS[term.triad]} add {term.formula}.\n'
-            for term in terms_of(self.parameters)
-        )
+        for term in terms_of(self.parameters):
+            head += f'# To channel i of the {TRIADS[term.triad]} add {term.formula}.\n'
         if not self.has_accelerometers:
-            further += '# The accelerometers were not calibrated.\n'
-        return further
+            head += '# The accelerometers were not calibrated.\n'
+        return head + dump(self.to_dict(), _Dumper, width=200)
 
     def _triad_document(self, letter: str, spec: TriadSpec, triad: Triad) -> dict[str, Any]:
         """Return a triad's section: the linear part, and its terms."""
         return {
             **_spec_document(spec),
-            'error_matrix': _nested_lists(triad.error_matrix),
-            'bias': _row(triad.bias),
+            'error_matrix': triad.error_matrix.tolist(),
+            'bias': triad.bias.tolist(),
             **self._term_documents(letter, self.values),
             'std': self._std_document(letter),
         }
@@ -276,8 +264,8 @@ class Calibration:
         std = SensorModel.from_vector(self.std[indices_of(PARAMETERS, self.parameters)])
         triad = std.gyro if letter == 'g' else std.accel
         return {
-            'error_matrix': _nested_lists(triad.error_matrix),
-            'bias': _row(triad.bias),
+            'error_matrix': triad.error_matrix.tolist(),
+            'bias': triad.bias.tolist(),
             **self._term_documents(letter, self.std),
         }
 
@@ -288,8 +276,8 @@ class Calibration:
         return {
             'skewed_gyro': {
                 **_spec_document(self.imu.skewed or self.imu.gyro),
-                'response': _nested_lists(skewed.response),
-                'bias': _row(skewed.bias),
+                'response': skewed.response.tolist(),
+                'bias': skewed.bias.tolist(),
                 'std': self._skewed_std_document(len(skewed.bias)),
             }
         }
@@ -298,7 +286,7 @@ class Calibration:
         """Return the standard deviations in the section of the skewed gyros."""
         mine = indices_of(skewed_parameters(channels), self.parameters)
         std = self.std[mine].reshape(-1, 4)
-        return {'response': _nested_lists(std[:, :3]), 'bias': _row(std[:, 3])}
+        return {'response': std[:, :3].tolist(), 'bias': std[:, 3].tolist()}
 
     def _check_stated_std(self, section: Section) -> None:
         """Refuse standard deviations in a file that are not those of its covariance."""
@@ -422,7 +410,9 @@ class Calibration:
         model = SensorModel(gyro, accel or Triad(), skewed=skewed)
         for term, values in terms.items():
             model = model.with_values(term.parameters, values)
-        residuals = _read_residuals(section)
+        residuals: tuple[ResidualRow, ...] = ()
+        if section.has('residuals') and section.raw('residuals') != []:
+            residuals = tuple(_read_residual(row) for row in section.sections('residuals'))
         findings = section.texts('findings')
         section.skip('free_of_frame')
         provenance = read_origin(section)
@@ -465,14 +455,6 @@ def _flow_list(dumper: SafeDumper, data: list[Any]) -> yaml.Node:
 _Dumper.add_representer(list, _flow_list)
 
 
-def _row(values: Floats) -> list[float]:
-    return [float(v) for v in values]
-
-
-def _nested_lists(matrix: Floats) -> list[list[float]]:
-    return [_row(row) for row in matrix]
-
-
 def _spec_document(spec: TriadSpec) -> dict[str, Any]:
     """Return the description of a triad; a range that is not stated is left out."""
     document = {'scale_factor': float(spec.scale_factor)}
@@ -493,16 +475,16 @@ def _shaped(values: Floats) -> list[Any] | float:
     """Return coefficients in the shape of a file."""
     if len(values) == 1:
         return float(values[0])
-    return (
-        _row(values) if len(values) == len(AXES) else _nested_lists(values.reshape(len(AXES), -1))
-    )
+    shape = (-1,) if len(values) == len(AXES) else (len(AXES), -1)
+    shaped: list[Any] = values.reshape(shape).tolist()
+    return shaped
 
 
 def _residual_document(row: ResidualRow) -> dict[str, Any]:
     document: dict[str, Any] = {'position': row.position, 'time': float(row.time)}
     for name, values in (('gyro', row.gyro), ('accelerometer', row.accel)):
         if np.isfinite(values).all():
-            document[name] = _row(values)
+            document[name] = values.tolist()
     return document
 
 
@@ -590,12 +572,6 @@ def _check_std(section: Section, expected: Mapping[str, Any]) -> None:
                     f'{section.key(key)}: not the square roots of the variances in covariance.'
                 )
     section.finish()
-
-
-def _read_residuals(section: Section) -> tuple[ResidualRow, ...]:
-    if not section.has('residuals') or section.raw('residuals') == []:
-        return ()
-    return tuple(_read_residual(row) for row in section.sections('residuals'))
 
 
 def _read_residual(row: Section) -> ResidualRow:

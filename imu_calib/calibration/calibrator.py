@@ -5,8 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,7 +25,6 @@ from ..model.parameters import AXES, Parameter
 from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms
 from ..segmentation.labelling import Labelled, label
 from ..segmentation.segmenter import Segmenter
-from ..segmentation.segments import Turn
 from ..segmentation.stream_facts import Segmented
 from ..session.plan import Plan, Step
 from ..session.table_errors import clock_share
@@ -38,17 +36,13 @@ from .results import (
     dead_channels,
     explained,
     joints_in_degrees,
-    refuse_apart,
+    refuse_separate_messages,
     with_facts,
 )
 
 if TYPE_CHECKING:
     from ..estimation.setup import Setup
     from .hand import HandCalibrator
-    from .results import Result, Review
-
-# Find steps of a plan that were run but have too little usable data.
-
 
 _ENOUGH = 0.5
 """Share of a dwell that must be usable: less increases its noise by more than a factor 1.4."""
@@ -75,18 +69,22 @@ def unsupported_steps(
     seen = [s.step for s in session.setpoints if s.plan == plan.name and s.mode is not Mode.HOLD]
     # Steps are run in order: one whose setpoints were lost with all else was run as well.
     last = max(seen, default=-1)
-    rates = _rates_about_up(plan, steps)
-    lost = [
+    # The signed rate about up of every step with turns: those of its position, in order.
+    tests = {p.id: list(p.rate_test.rates) for p in plan.positions if p.rate_test is not None}
+    rates = {step.index: tests[step.position].pop(0) for step in steps if step.mode is Mode.RATE}
+    return tuple(
         step.index
         for step in steps
         if step.index <= last and not _is_supported(step, labelled, rates.get(step.index))
-    ]
-    return tuple(lost)
+    )
 
 
 def _is_supported(step: Step, labelled: Labelled, rate: float | None) -> bool:
     if step.mode is Mode.RATE:
-        return any(_is_turn_of(turn, step.position, rate) for turn in labelled.turns)
+        return rate is not None and any(
+            turn.position == step.position and abs(turn.rate() - rate) < _SAME_RATE * abs(rate)
+            for turn in labelled.turns
+        )
     if not step.dwell:
         return True
     quiet = sum(
@@ -95,18 +93,6 @@ def _is_supported(step: Step, labelled: Labelled, rate: float | None) -> bool:
         if segment.position == step.position
     )
     return quiet >= _ENOUGH * step.dwell
-
-
-def _is_turn_of(turn: Turn, position: str, rate: float | None) -> bool:
-    if turn.position != position or rate is None:
-        return False
-    return abs(turn.rate() - rate) < _SAME_RATE * abs(rate)
-
-
-def _rates_about_up(plan: Plan, steps: tuple[Step, ...]) -> dict[int, float]:
-    """Return the signed rate about up of every RATE step: those of its position, in order."""
-    rates = {p.id: list(p.rate_test.rates) for p in plan.positions if p.rate_test is not None}
-    return {step.index: rates[step.position].pop(0) for step in steps if step.mode is Mode.RATE}
 
 
 class Calibrator:
@@ -141,7 +127,7 @@ class Calibrator:
             NotObservable: The data does not determine all parameters; names them and the reason.
         """
         session = self._segmenter.finish()
-        refuse_apart(session)
+        refuse_separate_messages(session)
         with with_facts(session):
             if session.foreign_joints:
                 raise InputError(session.foreign_joints)
@@ -304,8 +290,6 @@ class Calibrator:
         return found.concluded(solution)
 
 
-# Combine several units on one table: estimate shared unknowns once, from all of them.
-
 _NOBODY = (
     'What it says of the table contradicts the other unit (chi-square {square:.0f} with {freedom} '
     'degrees of freedom): it is unknown which of the two is right, and each is calibrated by '
@@ -371,7 +355,12 @@ def estimate_together(alone: Sequence[Result | None], names: Sequence[str]) -> S
         shared.append(place)
     for place in shared:
         others = [names[other] for other in shared if other != place]
-        results[place] = _with_others(results[place], others)
+        if (result := results[place]) is not None and others:
+            calibration = result.calibration
+            provenance = {**calibration.provenance, 'shared_with': others}
+            results[place] = replace(
+                result, calibration=replace(calibration, provenance=provenance)
+            )
     for i, seen, of_all in joined.partial:
         left_out[places[i]] = _PARTIAL.format(seen=seen, of_all=of_all)
     for odd in joined.contradicting:
@@ -381,15 +370,6 @@ def estimate_together(alone: Sequence[Result | None], names: Sequence[str]) -> S
         last = [p for p in places if p not in left_out]
         left_out |= {p: _words(joined.contradicting[-1], others=0) for p in last}
     return SharedResults(_noted(results, left_out), joined.table, tuple(shared), left_out)
-
-
-def _with_others(result: Result | None, others: Sequence[str]) -> Result | None:
-    """Return a result whose provenance names the units that share its estimate of the table."""
-    if result is None or not others:
-        return result
-    calibration = result.calibration
-    provenance = {**calibration.provenance, 'shared_with': list(others)}
-    return replace(result, calibration=replace(calibration, provenance=provenance))
 
 
 def _basis_and_search(result: Result) -> tuple[Basis, Search] | None:
@@ -417,19 +397,6 @@ def _noted(
     return tuple(found)
 
 
-# The calibrator: blocks of columns in, a calibration out. The same object live and offline.
-
-_WHERE = {
-    'Calibrator': 'on_table',
-    'HandCalibrator': 'by_hand',
-    'Result': 'results',
-    'Review': 'results',
-    'Setup': 'setup',
-}
-"""Loaded on first use: a session in the hand does not need the solvers of one on a table, and
-inspecting a recording needs few."""
-
-
 def calibrator_of(setup: Setup) -> Calibrator | HandCalibrator:
     """Return the calibrator for a set-up: with a table, or in free positions.
 
@@ -437,15 +404,9 @@ def calibrator_of(setup: Setup) -> Calibrator | HandCalibrator:
         InputError: The method does not exist.
         NotObservable: No session of the plan can determine the method's parameters.
     """
-    if setup.method_name == 'free_positions':
-        from .hand import HandCalibrator
+    if setup.method_name != 'free_positions':
+        return Calibrator(setup)
+    # On first use: a session on a table does not need it.
+    from .hand import HandCalibrator
 
-        return HandCalibrator(setup)
-
-    return Calibrator(setup)
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _WHERE:
-        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    return getattr(import_module(f'.{_WHERE[name]}', __name__), name)
+    return HandCalibrator(setup)

@@ -23,27 +23,19 @@ from ..model.sensors import PRODUCTS, SensorModel, has_motion_terms, inverted, t
 from ..session.imu import FULL_SCALES, GRAVITY_FACTOR, NEARLY, SCALE_LIMIT, ImuSpec, TriadSpec
 from .calibration import Calibration
 
-# Compensated samples and their marks.
-
-
 Marks = NDArray[np.uint8]
 
 
 class Mark(IntFlag):
     """Condition of a sample that its user must know; any number of them."""
 
-    GYRO_RANGE = 1
-    """A gyro is at the end of its range, so that the rate is unknown."""
+    GYRO_RANGE = 1  #: A gyro is at the end of its range, so that the rate is unknown.
     ACCEL_RANGE = 2
     """An accelerometer is at the end of its range, so that the specific force is unknown."""
-    RATE = 4
-    """Faster than the unit was rotated in its calibration."""
-    TEMPERATURE = 8
-    """Colder or warmer than in the calibration; the nearest calibration is used."""
-    PARITY = 16
-    """The parity of four gyros exceeds its noise."""
-    NO_NUMBER = 32
-    """A value is not finite, or too large to compute with."""
+    RATE = 4  #: Faster than the unit was rotated in its calibration.
+    TEMPERATURE = 8  #: Colder or warmer than in the calibration; the nearest calibration is used.
+    PARITY = 16  #: The parity of four gyros exceeds its noise.
+    NO_NUMBER = 32  #: A value is not finite, or too large to compute with.
 
 
 # Not frozen: one is made for each live sample, and freezing would cost a microsecond.
@@ -68,18 +60,10 @@ def concatenated(parts: list[CompensatedSamples]) -> CompensatedSamples:
     """Join consecutive samples; at least one part."""
     if len(parts) == 1:
         return parts[0]
-    parities = [p.parity for p in parts if p.parity is not None]
-    return CompensatedSamples(
-        np.concatenate([p.rate for p in parts]),
-        np.concatenate([p.force for p in parts]),
-        np.concatenate([p.rate_covariance for p in parts]),
-        np.concatenate([p.force_covariance for p in parts]),
-        np.concatenate([p.marks for p in parts]),
-        np.concatenate(parities) if len(parities) == len(parts) else None,
-    )
-
-
-# Compensate one sample of a live stream in plain Python numbers.
+    columns = {name: [getattr(p, name) for p in parts] for name in vars(parts[0])}
+    if any(parity is None for parity in columns['parity']):
+        del columns['parity']
+    return CompensatedSamples(**{name: np.concatenate(all_) for name, all_ in columns.items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +122,7 @@ class SingleSample:
         )
 
 
-_AXES = 3
-"""X, Y, Z."""
+_AXES = 3  #: X, Y, Z.
 _LINEAR = tuple(Product(factors) for factors in ((0,), (1,), (2,), (), (3,), (4,), (5,)))
 """Factors on the errors of the linear model's parameters: rate, one, specific force."""
 
@@ -151,8 +134,7 @@ _LARGEST = 1e100
 """SI: no sensor reads it, and sums of squares and cubes of larger values overflow. A judgement."""
 _PARITY = 6.0
 """Standard deviations of the parity of four gyros: false in 2e-9 of Gaussian samples."""
-_AT_ONCE = 512
-"""Samples at once: their intermediate arrays fit into a processor's cache."""
+_AT_ONCE = 512  #: Samples at once: their intermediate arrays fit into a processor's cache.
 
 _BITS = {mark: np.uint8(mark) for mark in Mark}
 _RATE_UNKNOWN = np.uint8(Mark.GYRO_RANGE | Mark.NO_NUMBER)
@@ -180,10 +162,6 @@ class Compensation:
         calibration: What to apply.
         skewed: Whether samples come with the skewed gyros' values.
         mark: Added to every sample.
-
-    Attributes:
-        calibration: What is applied.
-        moving: Whether motion terms apply (`in_motion`).
 
     Raises:
         NotObservable: I + M is singular.
@@ -217,6 +195,7 @@ class Compensation:
         self._to_inputs = np.block([[rate, through], [nothing, force]]).T.copy()
         self._known_force = calibration.has_accelerometers
         self._model, self._linear = model, model.linear
+        #: Whether motion terms apply.
         self.moving = has_motion_terms(terms_of(model.parameters))
         # Without skewed gyros: those to which nonlinear terms apply.
         six = [*range(_AXES), *range(len(specs), len(specs) + _AXES)]
@@ -482,19 +461,17 @@ def _random_walk(calibration: Calibration, gyros: int) -> Floats:
     return np.concatenate([walk[:3], np.full(gyros - _AXES, walk[:3].mean()), walk[3:]])
 
 
-# Whether compensated forces are about gravity: else the samples are in other units.
-
 _UNKNOWN = np.uint8(Mark.ACCEL_RANGE | Mark.NO_NUMBER)
 
 
 @dataclass
 class GravitySeen:
-    """Root mean square of the specific force of samples that state one."""
+    """Root mean square of the specific force, where it is known."""
 
     count: int = 0  #: Number of these samples.
     squares: float = 0.0  #: Sum of the squares of their specific forces, (m/s^2)^2.
 
-    def take(self, values: CompensatedSamples) -> None:
+    def add_samples(self, values: CompensatedSamples) -> None:
         """Add samples."""
         force = values.force
         if np.count_nonzero(values.marks):
@@ -523,7 +500,7 @@ class GravitySeen:
         return math.sqrt(max(self.squares, 0.0) / self.count)
 
     def contradiction(self, imu: ImuSpec) -> str:
-        """Return why the samples are not those that a calibration is for; there is at least one.
+        """Return a sentence that the samples, at least one, do not match the calibration.
 
         Args:
             imu: As the calibration describes it.
@@ -536,15 +513,12 @@ class GravitySeen:
         )
 
 
-# Whether compensated rates turn gravity as the accelerometers see it turn: else other units.
-
 _WINDOW = 0.2
 """s: of a turn by 1 rad/s, gravity moves by 2 m/s^2, far above the noise of any accelerometer."""
 _ALIKE = 0.95
 """Correlation above which the two tell of one motion: other accelerations make it smaller. A
 judgement: the other tenth of the squares changes the ratio by 5 %."""
-_FEWEST = 10
-"""Windows of 3 axes each; by chance so many are alike once in 10^14."""
+_FEWEST = 10  #: Windows of 3 axes each; by chance so many are alike once in 10^14.
 
 
 @dataclass
@@ -556,7 +530,7 @@ class TurnsSeen:
     by_forces: float = 0.0  #: The same of the changes themselves.
     common: float = 0.0  #: Sum of their products.
 
-    def take(self, stamp: Stamps, rate: Floats, force: Floats) -> None:
+    def add_samples(self, stamp: Stamps, rate: Floats, force: Floats) -> None:
         """Add consecutive samples: (n,) stamps, ns, (n, 3) rates and forces, SI."""
         step = np.diff(stamp) * 1e-9
         if not len(step) or not (typical := float(np.median(step))) > 0:
@@ -591,7 +565,7 @@ class TurnsSeen:
         return scale is not None and not 1 / SCALE_LIMIT < scale < SCALE_LIMIT
 
     def contradiction(self, imu: ImuSpec) -> str:
-        """Return why the samples are not those that a calibration is for, where they contradict.
+        """Return a sentence that the samples do not match the calibration.
 
         Args:
             imu: As the calibration describes it.

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,10 @@ from ..common.stream import Block, Floats, ImuBlock, SkewBlock, Stamps, Temperat
 from ..model.parameters import AXES
 from ..model.sensors import MOTION, delay, motion_parameters, places, slopes
 from ..segmentation.stamp_faults import SharedStamps, late_samples
-from ..segmentation.stamps import SHORT, read_grid, sampling_times
+from ..segmentation.stamps import AHEAD, MISSES_ONE, SHORT, read_grid, sampling_times
 from .calibration import Calibration
 from .compensate import CompensatedSamples, Compensation, GravitySeen, Mark, concatenated
-from .sample_clock import LONGEST, SampleClock, Times
+from .sample_clock import INTERVAL_KNOWN_AFTER, LONGEST, SampleClock, Times
 from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_range
 
 # Subtract the effect of places and delay of the accelerometers from samples.
@@ -28,12 +29,8 @@ from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_r
 # Source: docs/mathematics.md, 'Terms of motion'.
 
 
-_NEXT = 1.5
-"""Sample intervals to the next sample, at most: beyond, one is missing."""
-
-
 @dataclass(frozen=True, eq=False)
-class Applied:
+class BlockWithMotion:
     """Consecutive samples with one frame, compensated without motion terms."""
 
     stamp: Stamps  #: (n,) ns.
@@ -45,22 +42,11 @@ class Applied:
     def __len__(self) -> int:
         return len(self.stamp)
 
-    @property
-    def moving(self) -> bool:
-        """Whether the calibration has motion terms."""
-        return self.ready.moving
-
-    def cut(self, start: int, stop: int) -> Applied:
+    def cut(self, start: int, stop: int) -> BlockWithMotion:
         """Return some of the samples."""
-        part, v = slice(start, stop), self.values
-        values = CompensatedSamples(
-            v.rate[part],
-            v.force[part],
-            v.rate_covariance[part],
-            v.force_covariance[part],
-            v.marks[part],
-            None if v.parity is None else v.parity[part],
-        )
+        part = slice(start, stop)
+        columns: dict[str, Any] = {k: v for k, v in vars(self.values).items() if v is not None}
+        values = CompensatedSamples(**{name: v[part] for name, v in columns.items()})
         return replace(self, stamp=self.stamp[part], values=values, interval=self.interval[part])
 
 
@@ -71,20 +57,20 @@ class InMotion:
     """
 
     def __init__(self) -> None:
-        self._before: Applied | None = None
-        self._held: Applied | None = None
+        self._before: BlockWithMotion | None = None
+        self._held: BlockWithMotion | None = None
 
     @property
     def waiting(self) -> int:
         """Number of samples that wait for the next."""
         return 0 if self._held is None else 1
 
-    def take(self, samples: Applied) -> list[Applied]:
-        """Take samples; return those that are ready."""
+    def subtract(self, samples: BlockWithMotion) -> list[BlockWithMotion]:
+        """Add samples; return those that are ready."""
         if not len(samples):
             return []
-        ended = [] if self._held is None else self._end(samples.cut(0, 1))
-        if not samples.moving:
+        ended = self.finish(samples.cut(0, 1))
+        if not samples.ready.moving:
             self._before = None
             return [*ended, samples]
         count = len(samples)
@@ -95,12 +81,8 @@ class InMotion:
             self._before = sound.cut(count - 2, count - 1)
         return ended
 
-    def finish(self) -> list[Applied]:
-        """Return the waiting samples at the end of the stream."""
-        return self._end(None)
-
-    def _end(self, after: Applied | None) -> list[Applied]:
-        """Release the waiting sample."""
+    def finish(self, after: BlockWithMotion | None = None) -> list[BlockWithMotion]:
+        """Return the waiting sample, if any: at the end of the stream there is none after it."""
         held, self._held = self._held, None
         if held is None:
             return []
@@ -109,11 +91,16 @@ class InMotion:
         return [freed]
 
 
-def _freed(before: Applied | None, samples: Applied, after: Applied | None) -> Applied:
+def _freed(
+    before: BlockWithMotion | None, samples: BlockWithMotion, after: BlockWithMotion | None
+) -> BlockWithMotion:
     """Subtract the motion terms by means of the samples before and after, if any."""
     values, model = samples.values, samples.ready.calibration.model
-    changes = _Changes.of(before, samples, after)
-    spin, change = changes.of_each(lambda v: v.rate), changes.of_each(lambda v: v.force)
+    changes = _Changes.between(before, samples, after)
+    spin, change = (
+        changes.rates_of_change(lambda v: v.rate),
+        changes.rates_of_change(lambda v: v.force),
+    )
     by_each = slopes(model, values.rate, spin, change)
     force = values.force - (by_each * model.values(MOTION)).sum(axis=-1)
     covariance = values.force_covariance + _parameter_covariance(samples, by_each, changes.seconds)
@@ -125,7 +112,7 @@ def _freed(before: Applied | None, samples: Applied, after: Applied | None) -> A
     return replace(samples, values=replace(values, force=force, force_covariance=covariance))
 
 
-def _parameter_covariance(samples: Applied, by_each: Floats, seconds: Floats) -> Floats:
+def _parameter_covariance(samples: BlockWithMotion, by_each: Floats, seconds: Floats) -> Floats:
     """Return the addition to the covariance of forces, (n, 9): from parameters and noise.
 
     The noise is that of a difference of two independent samples; correlations of these parameters
@@ -152,17 +139,15 @@ def _parameter_covariance(samples: Applied, by_each: Floats, seconds: Floats) ->
 class _Changes:
     """Samples and their neighbours."""
 
-    all: list[Applied]
-    """Samples before, these samples, samples after."""
-    earlier: NDArray[np.intp]
-    """(n,) index of the first sample of each difference."""
-    later: NDArray[np.intp]
-    """(n,) index of the second."""
-    seconds: Floats
-    """(n,) s between them; 0 without a neighbour."""
+    all: list[BlockWithMotion]  #: Samples before, these samples, samples after.
+    earlier: NDArray[np.intp]  #: (n,) index of the first sample of each difference.
+    later: NDArray[np.intp]  #: (n,) index of the second.
+    seconds: Floats  #: (n,) s between them; 0 without a neighbour.
 
     @classmethod
-    def of(cls, before: Applied | None, samples: Applied, after: Applied | None) -> _Changes:
+    def between(
+        cls, before: BlockWithMotion | None, samples: BlockWithMotion, after: BlockWithMotion | None
+    ) -> _Changes:
         """Find the neighbours of samples."""
         parts = [part for part in (before, samples, after) if part is not None]
         stamp = np.concatenate([part.stamp for part in parts])
@@ -174,13 +159,13 @@ class _Changes:
         for which in ('rate_covariance', 'force_covariance'):
             known = np.concatenate([getattr(part.values, which)[:, 0] for part in parts])
             sound &= known >= 0
-        near = np.diff(stamp) <= _NEXT * interval[1:] * 1e9
+        near = np.diff(stamp) <= MISSES_ONE * interval[1:] * 1e9
         adjacent = np.concatenate([[False], near & sound[1:] & sound[:-1], [False]])
         own = np.arange(len(samples)) + (0 if before is None else 1)
         earlier, later = adjacent[own].astype(np.intp), adjacent[own + 1].astype(np.intp)
         return cls(parts, own - earlier, own + later, (earlier + later) * samples.interval)
 
-    def of_each(self, which: Callable[[CompensatedSamples], Floats]) -> Floats:
+    def rates_of_change(self, which: Callable[[CompensatedSamples], Floats]) -> Floats:
         """Return the rates of change of rates or forces, (n, 3) per s."""
         values = np.concatenate([which(part.values) for part in self.all])
         known = self.seconds > 0
@@ -191,12 +176,10 @@ class _Changes:
 
 _LAG = 500_000_000
 """ns after its stamp from which a temperature is used: it has arrived by then, live as in bulk."""
-_PATIENCE = 50_000_000
-"""ns that a sample waits for the skewed gyro's: fifty samples at 1 kHz."""
+_PATIENCE = 50_000_000  #: ns that a sample waits for the skewed gyro's: fifty samples at 1 kHz.
 _MOST_WAITING = 1 << 16
 """Samples held while waiting for a temperature or a skewed gyro: a minute at 1 kHz."""
-_STEP = 0.01
-"""K: smaller changes of temperature are ignored."""
+_STEP = 0.01  #: K: smaller changes of temperature are ignored.
 _NO_NUMBER = np.uint8(Mark.NO_NUMBER)
 
 
@@ -221,16 +204,18 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
-class _Timed:
+class _TimedSamples:
     """Samples whose intervals are known."""
 
     block: ImuBlock
     interval: Floats
     instant: Stamps
 
-    def cut(self, start: int, stop: int) -> _Timed:
+    def cut(self, start: int, stop: int) -> _TimedSamples:
         part = slice(start, stop)
-        return _Timed(_rows(self.block, start, stop), self.interval[part], self.instant[part])
+        return _TimedSamples(
+            _rows(self.block, start, stop), self.interval[part], self.instant[part]
+        )
 
 
 class Compensator:
@@ -251,22 +236,15 @@ class Compensator:
 
     Raises:
         NotObservable: It cannot be inverted.
-
-    Attributes:
-        celsius: The latest temperature, degrees Celsius; NaN before the first.
-        counts: Number of samples with each `Mark`.
-        gravity: What the accelerometers read.
-        dropped: Samples that waited too long for the first temperature, or could not be timed.
-        alone: Samples compensated without the expected value of a skewed gyro.
-        repeats: Repeated samples.
-        kept: Mask of samples of the last block that are no repeats, (n,); None if all.
     """
 
     def __init__(self, calibration: AnyCalibration, instants: Stamps | None = None) -> None:
-        self.celsius = float('nan')
-        self.counts: Counter[Mark] = Counter()
-        self.gravity = GravitySeen()
-        self.alone = self.repeats = 0
+        self.celsius = float('nan')  #: The latest temperature; NaN before the first.
+        self.counts: Counter[Mark] = Counter()  #: Number of samples with each mark.
+        self.gravity = GravitySeen()  #: What the accelerometers read.
+        self.alone = 0  #: Samples compensated without the expected value of a skewed gyro.
+        self.repeats = 0  #: Repeated samples.
+        #: Mask of samples of the last block that are no repeats, (n,); None if all.
         self.kept: NDArray[np.bool_] | None = None
         self._instants, self._used_instants = instants, 0
         self._dropped = 0
@@ -274,7 +252,7 @@ class Compensator:
         self._clock = SampleClock(rate)
         self._shared, self._skew_shared = SharedStamps(rate), SharedStamps(rate)
         self._untimed: list[ImuBlock] = []
-        self._timed: list[_Timed] = []
+        self._timed: list[_TimedSamples] = []
         self._skewed: list[SkewBlock] = []
         self._temperatures: list[tuple[int, float]] = []
         self._used: float | None = None
@@ -319,7 +297,7 @@ class Compensator:
 
     @property
     def dropped(self) -> int:
-        """Number of samples that will not be returned."""
+        """Samples that waited too long for the first temperature, or could not be timed."""
         return self._dropped + self._clock.lost
 
     @property
@@ -340,16 +318,21 @@ class Compensator:
     def take(self, block: Block) -> list[Reading]:
         """Take a block of any topic; return the samples that are ready."""
         if isinstance(block, TemperatureBlock):
-            self._take_temperature(block)
+            # It counts for samples half a second younger.
+            sound = np.isfinite(block.celsius)
+            later = (block.stamp[sound] + _LAG).tolist()
+            new = list(zip(later, block.celsius[sound].tolist(), strict=True))
+            self._temperatures += new
+            self.celsius = new[-1][1] if new else self.celsius
         elif isinstance(block, SkewBlock):
             if self._takes_skewed and len(block):
-                stamp, gyro, _ = self._skew_shared.take(block.stamp, block.gyro[:, None])
+                stamp, gyro, _ = self._skew_shared.separate(block.stamp, block.gyro[:, None])
                 self._skewed.append(SkewBlock(stamp, gyro[:, 0]))
                 del self._skewed[:-_MOST_WAITING]
         elif isinstance(block, ImuBlock) and len(block):
             block = self._without_repeats(block)
             lost = self._clock.lost
-            times = self._clock.take(self._made(block.stamp))
+            times = self._clock.time_samples(self._made(block.stamp))
             if len(times.interval) == len(block) and self._nothing_waits:
                 values = self._compensated(block, times.interval)
                 return [Reading(times.instant, values, block.frame_id)] if len(block) else []
@@ -410,15 +393,6 @@ class Compensator:
         self._mark, self._used = mark, celsius
         self._ready = {s: Compensation(single, skewed=s, mark=mark) for s in _ways(single)}
 
-    def _take_temperature(self, block: TemperatureBlock) -> None:
-        """Keep a temperature until samples half a second younger come."""
-        sound = np.isfinite(block.celsius)
-        for stamp, celsius in zip(
-            block.stamp[sound].tolist(), block.celsius[sound].tolist(), strict=True
-        ):
-            self.celsius = celsius
-            self._temperatures.append((stamp + _LAG, celsius))
-
     def _time(self, times: Times, lost: int) -> None:
         """Assign times to the oldest samples; drop the lost ones before them."""
         intervals, instants = times
@@ -429,7 +403,7 @@ class Compensator:
             lost -= skip
             if count:
                 rows = _rows(block, skip, skip + count)
-                self._timed.append(_Timed(rows, intervals[:count], instants[:count]))
+                self._timed.append(_TimedSamples(rows, intervals[:count], instants[:count]))
                 intervals, instants = intervals[count:], instants[count:]
             if skip + count < len(block):
                 self._untimed.insert(0, _rows(block, skip + count, len(block)))
@@ -437,11 +411,12 @@ class Compensator:
     def _release(self, *, last: bool) -> list[Reading]:
         """Return the samples for which all other topics have arrived; all of them at the `last`."""
         if self.waits_for_temperature and not self._temperatures:
-            self._hold(last=last)
+            while self._timed and (last or self.waiting > _MOST_WAITING):
+                self._dropped += len(self._timed.pop(0).interval)
             return []
         if self._used is None and self._temperatures:
             self._use(self._temperatures.pop(0)[1])
-        applied: list[Applied] = []
+        applied: list[BlockWithMotion] = []
         while self._timed:
             timed = self._timed[0]
             count = len(timed.interval) if last else self._ready_count(timed.block.stamp)
@@ -451,15 +426,10 @@ class Compensator:
             if count < len(timed.interval):
                 self._timed.insert(0, timed.cut(count, len(timed.interval)))
             for one in self._by_temperature(timed.cut(0, count)):
-                applied += self._in_motion.take(one)
+                applied += self._in_motion.subtract(one)
         if last:
             applied += self._in_motion.finish()
         return [Reading(one.stamp, one.values, one.frame_id) for one in applied]
-
-    def _hold(self, *, last: bool) -> None:
-        """Hold the latest samples until a temperature comes; drop the oldest beyond the limit."""
-        while self._timed and (last or self.waiting > _MOST_WAITING):
-            self._dropped += len(self._timed.pop(0).interval)
 
     def _ready_count(self, stamp: Stamps) -> int:
         """Return the number of oldest samples for which all other topics have arrived."""
@@ -471,7 +441,7 @@ class Compensator:
         late = np.flatnonzero(stamp > newest)
         return int(late[0]) if len(late) else len(stamp)
 
-    def _by_temperature(self, timed: _Timed) -> list[Applied]:
+    def _by_temperature(self, timed: _TimedSamples) -> list[BlockWithMotion]:
         """Compensate samples, each at its temperature."""
         applied = []
         while self._temperatures and len(timed.interval):
@@ -487,17 +457,17 @@ class Compensator:
         applied.append(self._applied(timed))
         return applied
 
-    def _applied(self, timed: _Timed) -> Applied:
+    def _applied(self, timed: _TimedSamples) -> BlockWithMotion:
         block, interval = timed.block, timed.interval
         values = self._compensated(block, interval)
-        return Applied(timed.instant, values, block.frame_id, interval, self._ready[False])
+        return BlockWithMotion(timed.instant, values, block.frame_id, interval, self._ready[False])
 
     def _compensated(self, block: ImuBlock, interval: Floats) -> CompensatedSamples:
         if not self._takes_skewed or not len(block):
             values = self._ready[False].apply(block.gyro, block.accel, interval)
         else:
             values = self._with_skewed(block, interval)
-        self.gravity.take(values)
+        self.gravity.add_samples(values)
         if np.count_nonzero(values.marks):
             for mark in Mark:
                 self.counts[mark] += int(np.count_nonzero(values.marks & mark))
@@ -550,14 +520,6 @@ def _rows(block: ImuBlock, start: int, stop: int) -> ImuBlock:
 # stamps.
 
 
-_LONG = 1.5
-"""Of the median step: a longer one is followed by a late sample, or samples were lost."""
-_AROUND = 512
-"""Samples on either side of irregular steps that determine the interval (`bunches`, `_AHEAD`)."""
-_FEWEST = 32
-"""Samples that determine an interval (`sample_clock`)."""
-
-
 class WholeStream:
     """Collect the stamps of a recording's samples without repeats; 8 bytes each.
 
@@ -569,8 +531,8 @@ class WholeStream:
         self._shared = SharedStamps(rate)
         self._stamps: list[Stamps] = []
 
-    def take(self, block: ImuBlock) -> None:
-        """Take the stamps of samples."""
+    def add_stamps(self, block: ImuBlock) -> None:
+        """Collect the stamps of samples."""
         values = np.concatenate([block.gyro, block.accel], axis=1)
         stamp, kept = self._shared.separate_stamps(block.stamp, values)
         self._stamps.append(stamp.copy() if kept is None else stamp[kept])
@@ -596,15 +558,15 @@ def made_at(stamp: Stamps) -> Stamps:
 def _made(stamp: Stamps) -> Stamps:
     """Return sampling times for increasing stamps without a long silence, (n,) ns."""
     steps = np.diff(stamp)
-    if len(steps) < _FEWEST:
+    if len(stamp) < INTERVAL_KNOWN_AFTER:
         return stamp
     middle = float(np.median(steps))
-    irregular = np.flatnonzero((steps < SHORT * middle) | (steps > _LONG * middle))
+    irregular = np.flatnonzero((steps < SHORT * middle) | (steps > MISSES_ONE * middle))
     if not len(irregular):
         return stamp
     made = stamp.copy()
-    for part in np.split(irregular, np.flatnonzero(np.diff(irregular) > _AROUND) + 1):
-        first, end = max(0, int(part[0]) - _AROUND), int(part[-1]) + 2 + _AROUND
+    for part in np.split(irregular, np.flatnonzero(np.diff(irregular) > AHEAD) + 1):
+        first, end = max(0, int(part[0]) - AHEAD), int(part[-1]) + 2 + AHEAD
         last = len(stamp) if end >= len(stamp) else int(part[-1]) + 2
         own = slice(int(part[0]) + 1 if first else 0, last)
         made[own] = _around(stamp[first:end])[own.start - first : own.stop - first]

@@ -21,17 +21,13 @@ from ..model.sensors import Triad, terms_of
 from ..model.terms import G_SENSITIVITY, TERMS, Term
 from ..session.imu import is_of_strapdown
 
-# List hypotheses about what is wrong with a calibration, each with its corrected model.
-
-
 _BIAS_UNITS = {
     True: {'deg/s': DEG, 'deg/h': DEG_H, 'rad/h': 1 / 3600},
     False: {'g': STANDARD_GRAVITY, 'mg': MICRO_G * 1e3, 'micro-g': MICRO_G},
 }
 """Units that biases of gyros and accelerometers are written in by mistake, rad/s and m/s^2."""
 _ANGLE_UNITS = {'degrees': DEG, 'arc minutes': ARCMIN, 'arc seconds': ARCSEC}
-_RATIO_UNITS = {'ppm': PPM, 'per cent': 0.01}
-"""The same for ratios."""
+_RATIO_UNITS = {'ppm': PPM, 'per cent': 0.01}  #: The same for ratios.
 _ALIKE_HYPOTHESES = 0.01
 """Relative difference from a known factor below. A judgement: scale factors change by less, and the
 factors differ by more."""
@@ -241,34 +237,27 @@ are tried only after the session failed."""
 _AS_GOOD = 6.0
 """Difference in Schwarz's criterion: strong evidence (Kass and Raftery 1995). Hypotheses nearer to
 the best are named too."""
-_ODDS = 12.0
-"""In Schwarz's criterion: prior odds of 400 to 1 for a plain mistake; a judgement."""
+_ODDS = 12.0  #: In Schwarz's criterion: prior odds of 400 to 1 for a plain mistake; a judgement.
 _EXCESS = 1e-3
 """Chi-square probability below which residuals show excess scatter. A choice: in one sound session
 of a thousand."""
-_ENOUGH = 8.0
-"""Fewest degrees of freedom left by new parameters: with fewer, any fit succeeds."""
+_ENOUGH = 8.0  #: Fewest degrees of freedom left by new parameters: with fewer, any fit succeeds.
 _HALF = 0.5
 """Share of the determined parameters that must have changed to name another unit. A judgement."""
 _FAR = 0.05
 """Relative scale change that indicates another unit of measurement; sensors drift far less."""
 _DETERMINED = 0.3
 """Ratio of std to prior std below which the session determines a parameter: a tenth in variance."""
-_LARGEST_ROTATION = 3 * DEG
-"""rad: linear equations neglect half its square, a thousandth."""
-_NO_SENSE = 1.0 * DEG
-"""Noise-to-signal ratio above which accelerometers determine no direction."""
+_LARGEST_ROTATION = 3 * DEG  #: rad: linear equations neglect half its square, a thousandth.
+_NO_SENSE = 1.0 * DEG  #: Noise-to-signal ratio above which accelerometers determine no direction.
 _WIDE = {ParameterKind.SCALE_FACTOR_ERROR: 0.2, ParameterKind.MISALIGNMENT: 0.2}
 """Prior standard deviations, ratios and rad, of an unknown unit: for kinds without a largest
 plausible amount."""
 _WIDE_BIAS = {'g': 0.05, 'a': 0.5}
 """The same of biases, rad/s and m/s^2: 3 deg/s and 50 mg. A choice."""
-_WIDE_G = 1e-3
-"""s/m: prior standard deviation of g-sensitivity of an unknown unit."""
-_OF_TERMS = {term.kind for term in TERMS}
-"""Kinds that belong to terms."""
-_ALL_BUT_ZERO = 1e-9
-"""Tolerance on a factor of one: far above rounding, far below any wrong unit."""
+_WIDE_G = 1e-3  #: s/m: prior standard deviation of g-sensitivity of an unknown unit.
+_OF_TERMS = {term.kind for term in TERMS}  #: Kinds that belong to terms.
+_ALL_BUT_ZERO = 1e-9  #: Tolerance on a factor of one: far above rounding, far below any wrong unit.
 _FREED = {
     ParameterKind.BIAS: ('the biases are others', 'They have moved: another temperature, or time.'),
     ParameterKind.SCALE_FACTOR_ERROR: (
@@ -312,7 +301,7 @@ class Diagnosis:
 
 
 @dataclass(frozen=True, eq=False)
-class _Tried:
+class _FittedHypothesis:
     """A fitted hypothesis; the number of freed parameters counts against it."""
 
     diagnosis: Diagnosis
@@ -455,7 +444,7 @@ def _fit(
         return None
 
 
-def _mistaken(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tried]:
+def _mistaken(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_FittedHypothesis]:
     """Fit mistakes in the calibration file and in the reading of the outputs."""
     likely = system.likely(values, factor, _EXPLAINED)
     for mistake in (*mistakes(system.sensors, values), *_readings(system, values)):
@@ -468,7 +457,7 @@ def _mistaken(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_
         elif not likely(mistake.values):
             continue
         if fit := _fit(read, mistake.values, factor):
-            yield _Tried(Diagnosis(mistake.why), mistake.when, fit)
+            yield _FittedHypothesis(Diagnosis(mistake.why), mistake.when, fit)
 
 
 def _readings(system: TriadSystem, values: Floats) -> Iterator[Hypothesis]:
@@ -506,7 +495,7 @@ def _of_scale(system: TriadSystem, share: float) -> tuple[str, str]:
     )
 
 
-def _freed(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tried]:
+def _freed(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_FittedHypothesis]:
     """Free parameters of one kind, of a missing term, or of the mount, and fit."""
     mine = system.sensors.parameters
     for kind in dict.fromkeys((*_FREED, *(p.kind for p in mine))):
@@ -529,19 +518,19 @@ def _freed(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tri
         )
         why = 'It sits otherwise in its mount than when it was calibrated.'
         if np.linalg.norm(mounted) < _LARGEST_ROTATION:
-            yield _Tried(Diagnosis(why), f'the unit is turned by {about}', fit, 3)
+            yield _FittedHypothesis(Diagnosis(why), f'the unit is turned by {about}', fit, 3)
 
 
 def _without(
     system: TriadSystem, values: Floats, factor: Floats, columns: list[int], when: str, why: str
-) -> Iterator[_Tried]:
+) -> Iterator[_FittedHypothesis]:
     """Free the parameters of some columns; those that the calibration lacks come last."""
     more = len(system.sensors.parameters) - len(values)
     freed = np.hstack([np.pad(factor, ((0, more), (0, 0))), _wide(system)[:, columns]])
     # Lengths are nonlinear in freed parameters: their minimum is always searched for.
     if fit := _fit(system, np.pad(values, (0, more)), freed, 0.0 if system.up else _EXPLAINED):
         far = _shifted_parameters(system.sensors.parameters, fit, columns)
-        yield _Tried(Diagnosis(why, far), when, fit, len(columns))
+        yield _FittedHypothesis(Diagnosis(why, far), when, fit, len(columns))
 
 
 def _shifted_parameters(

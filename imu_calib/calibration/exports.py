@@ -316,9 +316,6 @@ def _drift(drifts: list[Coefficient], spec: TriadSpec | None) -> tuple[float, st
     return 0.0, ''
 
 
-# A parameter file for compensator_node: `ros2 run imu_calib compensator_node --ros-args ...`.
-
-
 def export_ros(source: ExportSource) -> Exported:
     """Return parameters that name the calibration file for the node.
 

@@ -38,6 +38,10 @@ def provenance(
     if solution.bias_drift is not None:
         special['bias_drift'] = [float(v) for v in solution.bias_drift]
     changes = () if solution.changes is None else solution.changes.changes
+    # About any axis of the unit. Turns by hand are faster in their middle than on average, and
+    # moves between positions turn several joints at once: the session itself is within this rate.
+    rates = [abs(float(turn.rate())) for turn in evidence.turns]
+    rates += [move.fastest for move in session.moves]
     if comparison is not None:
         special['closed_form'] = comparison.document()
     if solution.tests:
@@ -66,7 +70,7 @@ def provenance(
         'random_walk': [float(v) for v in evidence.walk],
         'residual_rms': [_or_none(v) for v in rms],
         'condition_number': solution.condition,
-        'highest_rate': _highest_rate(evidence, session),
+        'highest_rate': max(rates, default=None),
         'temperature': seen and {'mean': seen.mean, 'lowest': seen.lowest, 'highest': seen.highest},
         **special,
         'clock': {
@@ -93,17 +97,6 @@ def stamping(setup: Setup, evidence: Evidence) -> StampingClock | None:
     unit = ' '.join([setup.imu.id, setup.serial_number]).strip()
     faster, std = evidence.clock_rate()
     return StampingClock(f'stamps of {unit}', f'clock of table {setup.table.name}', faster, std)
-
-
-def _highest_rate(evidence: Evidence, session: Segmented) -> float | None:
-    """Return the highest rate of the unit about any of its axes, rad/s; None if not rotated.
-
-    Turns by hand are faster in their middle than on average, and moves between positions turn
-    several joints at once: they are included, so that the session itself is within this rate.
-    """
-    rates = [abs(float(turn.rate())) for turn in evidence.turns]
-    rates += [move.fastest for move in session.moves]
-    return max(rates, default=None)
 
 
 def _or_none(value: float) -> float | None:

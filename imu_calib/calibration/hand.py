@@ -44,7 +44,15 @@ from ..segmentation.stream_facts import Move, Segmented
 from ..session.imu import SCALE_LIMIT
 from .calibration import BY_ACCELEROMETERS
 from .findings import false_samples_first, provenance
-from .results import Result, Review, calibrated, dead_channels, explained, refuse_apart, with_facts
+from .results import (
+    Result,
+    Review,
+    calibrated,
+    dead_channels,
+    explained,
+    refuse_separate_messages,
+    with_facts,
+)
 
 # Guide a user with the unit in hand: what to do next, and the gain of each further hold.
 #
@@ -181,11 +189,8 @@ def _gains(
 ) -> list[float]:
     """Return the gain by a further hold with each of k (3,) `ups`, and the turn to it, (k,).
 
-    Args:
-        base: (m, n) rows of the session in standard deviations, priors included.
-        equations: Of the session.
-        values: (n,) its state.
-        ups: In body axes, unit vectors.
+    `base` has the (m, n) rows of the session in standard deviations, priors included; `values` is
+    its state, (n,). Up is a unit vector in body axes.
     """
     # A further hold adds to the sensors and to the tilt of the last hold: the rest is eliminated.
     state = np.arange(equations.size)
@@ -251,8 +256,7 @@ _LOST = 100.0
 """Ratio of the variance from lost samples in a turn to all its other variance above which the turn
 is not used: with ten times the std, it has a hundredth of the information of others."""
 
-_NEARLY_NONE = 0.05
-"""Of gravity: as in `segmentation.stream_facts`."""
+_NEARLY_NONE = 0.05  #: Of gravity: as in `segmentation.stream_facts`.
 _REMEDIES = {
     SATURATED: ': turn more slowly, or set a wider range',
     COARSE: ': turn more slowly, or check the unit of the gyros',
@@ -299,7 +303,7 @@ class HandCalibrator:
             NotObservable: The data does not determine all parameters; names them and the reason.
         """
         session = self._segmenter.finish()
-        refuse_apart(session)
+        refuse_separate_messages(session)
         with with_facts(session):
             return self._solve(session)
 

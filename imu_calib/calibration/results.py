@@ -24,7 +24,7 @@ from ..model.parameters import Parameter
 from ..model.sensors import terms_of
 from ..segmentation.labelling import Labelled
 from ..segmentation.segments import Segment
-from ..segmentation.stream_facts import Move, Segmented, gravity_removed, messages_apart
+from ..segmentation.stream_facts import Move, Segmented, gravity_removed, separate_messages_sentence
 from ..session.imu import check_plausible
 from ..session.table_errors import StampingClock, clock_share
 from .agreement import with_gravity
@@ -137,8 +137,6 @@ class Review:
     refusal: str  #: Why there is none, else empty.
 
 
-# Make a result from a solution and its session.
-
 _LATER = (
     'Provisional: terms are looked for when the session ends (`terms` auto); a scale factor that '
     'differs between the senses, say, is not in this estimate.',
@@ -184,8 +182,7 @@ class Basis:
 # They are looked for in refused sessions alone: what is seen in a sound one may have another cause.
 
 
-_FEWEST_MEANS = 2
-"""Means of static dwells and turns: one cannot change."""
+_FEWEST_MEANS = 2  #: Means of static dwells and turns: one cannot change.
 _ROUNDING = 1e-12
 """Relative difference of the means of equal numbers: double precision gives some 1e-14."""
 _ROTATED = 0.02
@@ -204,14 +201,14 @@ _NO_BIAS = 1.0
 _AnyReview = TypeVar('_AnyReview', bound=Review)
 
 
-def refuse_apart(session: Segmented) -> None:
+def refuse_separate_messages(session: Segmented) -> None:
     """Refuse a session whose gyros and accelerometers come in messages of their own.
 
     Raises:
         InputError: They do.
     """
-    if session.facts.apart:
-        raise InputError(messages_apart('TOPIC', session.facts.units))
+    if session.facts.sensors_separate:
+        raise InputError(separate_messages_sentence('TOPIC', session.facts.units))
 
 
 @contextmanager
@@ -237,8 +234,8 @@ def explained(review: _AnyReview) -> _AnyReview:
 
 
 def _explained(refusal: str, session: Segmented) -> str:
-    if session.facts.apart:
-        return messages_apart('TOPIC', session.facts.units)
+    if session.facts.sensors_separate:
+        return separate_messages_sentence('TOPIC', session.facts.units)
     return f'{_without_gravity(session) or refusal} {session.facts.sentence}'.strip()
 
 

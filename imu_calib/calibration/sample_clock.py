@@ -11,30 +11,23 @@ from numpy.typing import NDArray
 
 from ..common.stream import Floats, Stamps
 from ..segmentation.stamp_faults import JITTER
-from ..segmentation.stamps import MANY, SHORT, Pattern, pattern, sampling_times, usual_interval
+from ..segmentation.stamps import LAG, MANY, SHORT, Pattern, pattern, sampling_times, usual_interval
 
-_LEARNT = 32
-"""Intervals that determine the usual one: their median holds with ten of them late."""
-INTERVAL_KNOWN_AFTER = _LEARNT + 1
-"""Samples that show the interval, unless they come in bunches."""
-_WINDOW = 1024
-"""Intervals averaged: the jitter of one stamp is reduced to a thousandth."""
-_FEW = 4
-"""Samples up to which processing one at a time is faster than arrays."""
+_LEARNT = 32  #: Intervals that determine the usual one: their median holds with ten of them late.
+INTERVAL_KNOWN_AFTER = _LEARNT + 1  #: Samples that show the interval, unless they come in bunches.
+_WINDOW = 1024  #: Intervals averaged: the jitter of one stamp is reduced to a thousandth.
+_FEW = 4  #: Samples up to which processing one at a time is faster than arrays.
 _TYPICAL = 0.5
 """Of the usual interval: after a step longer by more, samples were lost or are late."""
 _GAINS = 0.05
 """Of the interval: a step after a long one that is shorter by more shows a queue catching up. A
 judgement: with a queue that catches up more slowly, the interval is wrong by less than this."""
 LONGEST = 5_000_000_000
-"""ns: longer than a line holds samples up (`segmentation/stamps`); samples after such a silence
-are timed anew, and may have another rate."""
+"""ns: longer than a line holds samples up (`segmentation/stamps`); samples after such a silence are
+timed anew, and may have another rate."""
 _FASTEST = 1000.0
 """ns: no IMU samples at a megahertz; samples that share a stamp are separated by less."""
-_PACKETS = 240
-"""Samples that contain several packets (`segmentation/stamps`)."""
-_MOST_HELD = 4096
-"""Most samples that wait for the interval: a transfer of a second at 4 kHz."""
+_MOST_HELD = 4096  #: Most samples that wait for the interval: a transfer of a second at 4 kHz.
 _SLACK_PACKETS, _SLACK_POLLED = 0.5, 1.5
 """Intervals by which a complete bunch may be off: a polled one has one sample more or less in
 alternation (`segmentation/stamps`)."""
@@ -81,20 +74,17 @@ class SampleClock:
     Args:
         rate: Samples per second as stated; None if not stated. Samples that come twice as fast
             wait for others: they may belong to one packet.
-
-    Attributes:
-        lost: Samples that could not be timed.
-        untimed: Samples that could not be timed and were returned all the same.
-        required: Whether samples have to be timed. Those that could not be have the stated
-            interval, infinite if there is none, and keep their stamps.
     """
 
     def __init__(self, rate: float | None = None) -> None:
-        self.lost = self.untimed = 0
+        self.lost = 0  #: Samples that could not be timed.
+        self.untimed = 0  #: Samples that could not be timed and were returned all the same.
+        #: Whether samples have to be timed. Those that could not be have the stated interval,
+        #: infinite if there is none, and keep their stamps.
         self.required = True
+        self.irregular_steps = 0  #: Steps skipped so far.
         self._stated = 1 / rate if rate else math.inf
         self._least = SHORT * 1e9 / rate if rate else _FASTEST
-        self._odd = 0
         self._held: Stamps = np.empty(0, np.int64)
         self._looked = 0
         self._last = 0
@@ -107,16 +97,9 @@ class SampleClock:
         self._recent: deque[int] = deque(maxlen=_WINDOW)
         self._sums: Stamps = np.zeros((2 * _WINDOW, 2), np.int64)
         self._known = 1
-        self._behind = 0
-        """Samples that were held up in a silence, if they make up for it."""
-        self._passed = 0
-        """ns from the sample before them to the last of them."""
+        self._behind = 0  #: Samples that were held up in a silence, if they make up for it.
+        self._passed = 0  #: ns from the sample before them to the last of them.
         self._bunch: _Bunch | None = None
-
-    @property
-    def irregular_steps(self) -> int:
-        """Number of steps skipped so far."""
-        return self._odd
 
     @property
     def waiting(self) -> int:
@@ -128,8 +111,8 @@ class SampleClock:
         """Sample interval, s; 0 before it is known."""
         return self._typical * 1e-9
 
-    def take(self, stamp: Stamps) -> Times:
-        """Take stamps (n,), ns; return the timing of the samples that are timed now.
+    def time_samples(self, stamp: Stamps) -> Times:
+        """Add stamps (n,), ns; return the timing of the samples that are timed now.
 
         These are the oldest not timed before; `lost` counts those skipped at the front of them.
         """
@@ -172,7 +155,7 @@ class SampleClock:
         """Infer the interval from stamps (n,), ns; return whether they show one."""
         steps = np.diff(stamp)
         interval, short = usual_interval(stamp)
-        least = _FASTEST if last or len(stamp) > _PACKETS else self._least
+        least = _FASTEST if last or len(stamp) > LAG else self._least
         if short < MANY and np.median(steps) > least:
             self._set_typical(steps)
             return True
@@ -219,8 +202,8 @@ class SampleClock:
         middle = float(np.median(steps))
         self._set_pace(middle, float(np.median(np.abs(steps - middle))))
         regular = self._is_regular(steps)
-        self._odd += int((~regular).sum())
-        sums = _sums(steps, regular)
+        self.irregular_steps += int((~regular).sum())
+        sums = np.stack([np.cumsum(np.where(regular, steps, 0)), np.cumsum(regular)], axis=1)
         self._interval = float(sums[-1, 0]) / float(sums[-1, 1]) * 1e-9
         latest = np.vstack([self._sums[:1], sums])[-_WINDOW - 1 :]
         self._sums[: len(latest)], self._known = latest, len(latest)
@@ -234,8 +217,9 @@ class SampleClock:
         intervals, instants = np.empty(len(stamp)), stamp.copy()
         done = 0
         while done < len(stamp):
-            # After one irregular step, others often follow.
-            count = len(stamp) if len(stamp) <= _FEW or self._apart else 0
+            # After one irregular step others often follow, and are timed by more than the last one.
+            one_by_one = self._behind or self._run or self._bunch is not None
+            count = len(stamp) if len(stamp) <= _FEW or one_by_one else 0
             part = stamp[done : done + min(count, _LEARNT)].tolist()
             for k, one in enumerate(part, start=done):
                 instants[k] = self._follow_one(one)
@@ -255,11 +239,6 @@ class SampleClock:
                     done += 1
         return Times(intervals, instants)
 
-    @property
-    def _apart(self) -> bool:
-        """Whether the timing depends on more than the last step."""
-        return bool(self._behind or self._run or self._bunch is not None)
-
     def _follow_one(self, stamp: int) -> int:
         """Time one sample, in plain Python numbers for live streams, with the same result."""
         step, before, self._last = stamp - self._last, self._last, stamp
@@ -272,7 +251,7 @@ class SampleClock:
             else:
                 self._recent.append(step)
                 self._run += 1
-                self._odd += 1
+                self.irregular_steps += 1
                 if self._typical < step <= LONGEST:
                     self._behind, self._passed = 1, step
         self._add(elapsed, count)
@@ -285,7 +264,7 @@ class SampleClock:
         return instant
 
     def _caught_up(self, step: int) -> tuple[int, int]:
-        """Take a step of held-up samples; return time, ns, and number of its regular ones.
+        """Follow held-up samples by a step; return time, ns, and number of the regular steps.
 
         More samples than elapsed intervals, or equal intervals again, end the queue.
         """
@@ -302,7 +281,7 @@ class SampleClock:
             return 0, 0
         self._run = 0
         self._recent.clear()
-        self._odd -= 1
+        self.irregular_steps -= 1
         return passed, behind
 
     def _add(self, elapsed: int, count: int) -> None:
@@ -319,7 +298,7 @@ class SampleClock:
             self._interval = (elapsed - sums.item(first, 0)) / known * 1e-9
 
     def _learn_anew(self) -> None:
-        """Take the odd steps for the new interval, if they are regular."""
+        """Infer a new interval from the irregular steps, if these are alike."""
         self._run, recent = 0, np.array(self._recent)
         latest = recent[-_LEARNT:]
         interval = self._interval
@@ -386,8 +365,3 @@ class _Bunch:
     def follow(self, instant: int) -> None:
         """Continue after a sample made at an instant, ns."""
         self._instant = max(self._instant, instant)
-
-
-def _sums(steps: Stamps, regular: NDArray[np.bool_]) -> Stamps:
-    """Return (n, 2): time elapsed in regular steps, ns, and their number."""
-    return np.stack([np.cumsum(np.where(regular, steps, 0)), np.cumsum(regular)], axis=1)

@@ -20,14 +20,11 @@ from ..session.table_errors import StampingClock
 from .agreement import gravity_deviation, without_gravity
 from .calibration import Calibration, calibration_section
 
-_FORMAT = 1
-"""Version of the format of combined calibrations; others are refused."""
-_APART = 0.5
-"""K: closer ones count as one temperature: a slope between them would be noise."""
+_FORMAT = 1  #: Version of the format of combined calibrations; others are refused.
+_APART = 0.5  #: K: closer ones count as one temperature: a slope between them would be noise.
 _MARGIN = 5.0
 """K beyond the range of a calibration at one temperature in which it is valid; a choice."""
-MOST = 4
-"""Highest order of polynomials: higher ones oscillate between the points (Runge)."""
+MOST = 4  #: Highest order of polynomials: higher ones oscillate between the points (Runge).
 _WRITTEN = 1e-9
 """Relative tolerance for numbers that were written as text. A judgement, between the rounding of a
 double and any difference that matters."""
@@ -187,7 +184,13 @@ def combine(
         )
     for calibration, name in zip(calibrations, names, strict=True):
         _check_temperature(calibration, name)
-        _check_alike(calibration, name, calibrations[0], names[0])
+        check_same_unit(calibration, name, calibrations[0], names[0])
+        found, expected = _known(calibration), _known(calibrations[0])
+        if found != expected:
+            raise InputError(
+                f'{name}: covariance: parameters: found {found}, expected {expected} as in '
+                f'{names[0]}.'
+            )
     if order is not None and not 1 <= order <= min(MOST, len(calibrations) - 1):
         raise InputError(
             f'{where}A polynomial of order {order}: found {len(calibrations)} temperatures, '
@@ -379,16 +382,6 @@ def _check_same(
             same = math.isclose(found, expected, rel_tol=_WRITTEN)
         if not same:
             raise InputError(f'{name}: {key}: found {found}, expected {expected} as in {where}.')
-
-
-def _check_alike(calibration: Calibration, name: str, first: Calibration, other: str) -> None:
-    """Refuse calibrations of another unit or with other parameters."""
-    check_same_unit(calibration, name, first, other)
-    found, expected = _known(calibration), _known(first)
-    if found != expected:
-        raise InputError(
-            f'{name}: covariance: parameters: found {found}, expected {expected} as in {other}.'
-        )
 
 
 def _known(calibration: Calibration) -> str:

@@ -29,8 +29,6 @@ from .agreement import same_place, without_gravity
 from .calibration import Calibration
 from .diagnosis import Diagnosis, diagnose, with_true_noise
 
-# Compare the compensated outputs with gravity, Earth rate and turned angles.
-
 
 class Quantity(Enum):
     """What is compared."""
@@ -206,11 +204,8 @@ DOUBT, REJECTION = 1e-2, 1e-6
 hundred, and practically no false rejection."""
 
 
-_Considered = tuple[tuple[Parameter, float], ...]
-"""Parameters and standard deviations."""
-
-_TOO_WIDE = 5.0
-"""Times the stated scatter: wider limits would accept a wrong latitude."""
+_Considered = tuple[tuple[Parameter, float], ...]  #: Parameters and standard deviations.
+_TOO_WIDE = 5.0  #: Times the stated scatter: wider limits would accept a wrong latitude.
 
 
 class Verdict(IntEnum):
@@ -339,11 +334,11 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
     """
     # Refuse a model without an inverse here, with a message.
     calibration.model.compensate(np.zeros((1, 3)), np.zeros((1, 3)))
-    gyros = _Trial.of(calibration, observed, gyros=True)
+    gyros = _Trial.fit_triad(calibration, observed, gyros=True)
     trials = [gyros]
     if calibration.has_accelerometers and observed.evidence.segments:
         carried, considered = _carried(calibration, observed, gyros)
-        trials.append(_Trial.of(calibration, carried, gyros=False, considered=considered))
+        trials.append(_Trial.fit_triad(calibration, carried, gyros=False, considered=considered))
     compared = [c for t in trials for c in compare(t.system, t.values, t.factor, t.fit)]
     limits = (_limit(DOUBT, len(compared)), _limit(REJECTION, len(compared)))
     judged = tuple(trial.judge(compared, limits) for trial in trials)
@@ -426,7 +421,7 @@ class _Trial:
     fit: Fit
 
     @classmethod
-    def of(
+    def fit_triad(
         cls,
         calibration: Calibration,
         observed: Observed,

@@ -1,4 +1,7 @@
-"""Calibrations, and their comparisons, as data frames and pictures."""
+"""Calibrations, and their comparisons, as data frames and pictures.
+
+Every function that makes one raises InputError where pandas or matplotlib is not installed.
+"""
 
 from __future__ import annotations
 
@@ -21,20 +24,12 @@ if TYPE_CHECKING:
     from .picture import Picture
 
 _TRIADS = {'g': 'gyros', 'a': 'accelerometers'}
-_BAR = 2.0
-"""Standard deviations of a bar to either side: 95 percent."""
-
-_WHISKERS_95 = (2.5, 97.5)
-"""Percentiles that contain 95 %."""
-_NORMAL_95 = 1.96
-"""Standard deviations that contain 95 % of a normal law."""
-_POINTS = 1000
-"""Most points of a line: the width of a picture in pixels."""
-
-_NAMES = 30
-"""Most names below an axis: more would overlap."""
-_HEIGHT = 4.2
-"""Height of a row of panels, and width of a panel, inches."""
+_BAR = 2.0  #: Standard deviations of a bar to either side: 95 percent.
+_WHISKERS_95 = (2.5, 97.5)  #: Percentiles that contain 95 %.
+_NORMAL_95 = 1.96  #: Standard deviations that contain 95 % of a normal law.
+_POINTS = 1000  #: Most points of a line: the width of a picture in pixels.
+_NAMES = 30  #: Most names below an axis: more would overlap.
+_HEIGHT = 4.2  #: Height of a row of panels, and width of a panel, inches.
 
 
 def compared_frame(
@@ -46,9 +41,6 @@ def compared_frame(
         parameters: n of them.
         shown: (n,) by the heading of the column, SI units.
         plain: (n,) without a unit.
-
-    Raises:
-        InputError: pandas is not installed.
     """
     require('pandas', 'A data frame', 'dataframe')
     import pandas as pd
@@ -61,22 +53,14 @@ def compared_frame(
 
 
 def predicted_frame(parameters: Sequence[Parameter], std: Floats, best: Floats) -> pandas.DataFrame:
-    """Return predicted standard deviations, and the least possible ones, by parameter.
-
-    Raises:
-        InputError: pandas is not installed.
-    """
+    """Return predicted standard deviations, and the least possible ones, by parameter."""
     return compared_frame(parameters, {'std': std, 'best': best}, {})
 
 
 def draw_parameters(
     unit_name: str, parameters: tuple[Parameter, ...], values: Floats, std: Floats
 ) -> Picture:
-    """Draw parameters, (n,) in SI, with bars of two standard deviations, grouped by unit.
-
-    Raises:
-        InputError: matplotlib is not installed.
-    """
+    """Draw parameters, (n,) in SI, with bars of two standard deviations, grouped by unit."""
     groups = _groups(parameters)
     columns = max(sum(triad == letter for triad, _ in groups) for letter in _TRIADS)
     figure = empty_figure(3.2 * columns, 6.0)
@@ -97,11 +81,7 @@ def draw_parameters(
 
 
 def draw_residuals(unit_name: str, positions: Sequence[str], residuals: list[Floats]) -> Picture:
-    """Draw the residuals of each static dwell by position: gyros (n, 3), accelerometers (n, 3), SI.
-
-    Raises:
-        InputError: matplotlib is not installed.
-    """
+    """Draw the residuals of each static dwell by position: (n, 3) of each triad, SI."""
     figure = empty_figure(2 * _HEIGHT, _HEIGHT)
     for triad, own, axes in zip(TRIAD_NAMES, residuals, figure.subplots(1, 2), strict=True):
         axes.axhline(0.0, color='0.7', linewidth=0.8)
@@ -120,7 +100,7 @@ def draw_noise(unit_name: str, seen: Mapping[str, ChannelNoise]) -> Picture:
     """Draw the Allan deviation of the session, with the estimated random walk.
 
     Raises:
-        InputError: matplotlib is not installed, or the calibration contains no noise.
+        InputError: The calibration contains no noise.
     """
     if not any(len(noise.tau) for noise in seen.values()):
         raise InputError(
@@ -155,9 +135,6 @@ def draw_differences(title: str, parameters: Sequence[Parameter], normalised: Fl
         title: Above the axes.
         parameters: n of them.
         normalised: (n,); NaN is not drawn.
-
-    Raises:
-        InputError: matplotlib is not installed.
     """
     names = [p.name for p in parameters]
     figure = empty_figure(0.3 * len(names) + 2, _HEIGHT)
@@ -180,9 +157,6 @@ def draw_columns(
         stamp: (n,) ns.
         columns: (n,) each, by name.
         units: By name, if there is one.
-
-    Raises:
-        InputError: matplotlib is not installed.
     """
     quantities: dict[str, list[str]] = {}
     for name in columns:
@@ -210,11 +184,7 @@ def _means(values: Floats, few: int) -> Floats:
 
 
 def draw_normalised(title: str, names: Sequence[str], normalised: Floats) -> Picture:
-    """Draw normalised errors (runs, n) of repeated sessions beside those of a normal law.
-
-    Raises:
-        InputError: matplotlib is not installed.
-    """
+    """Draw normalised errors (runs, n) of repeated sessions beside those of a normal law."""
     figure = empty_figure(0.4 * len(names) + 2, _HEIGHT)
     axes = figure.subplots()
     _beside_normal(axes)

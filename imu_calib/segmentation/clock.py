@@ -14,47 +14,32 @@ from ..common.stream import Floats, Stamps
 from ..common.units import DEG
 from .statistics import Samples, gap_free
 
-_ITERATIONS = 12
-"""A cap."""
-_LEAST_TRAVEL = 0.1
-"""rad: shorter motions do not resolve milliseconds."""
-_LARGEST_OFFSET = 1.0
-"""s: clocks further apart do not belong to one session."""
-_LONGEST_STEP = 0.25
-"""Longest step of the iteration, s, to keep it from diverging. A judgement."""
-_CONVERGED = 1e-9
-"""s. The resolution of stamps."""
+_ITERATIONS = 12  #: A cap.
+_LEAST_TRAVEL = 0.1  #: rad: shorter motions do not resolve milliseconds.
+_LARGEST_OFFSET = 1.0  #: s: clocks further apart do not belong to one session.
+_LONGEST_STEP = 0.25  #: Longest step of the iteration, s, to keep it from diverging. A judgement.
+_CONVERGED = 1e-9  #: s. The resolution of stamps.
 _NEAR = 1e-6
 """s of the last step where noise keeps the iteration from a nanosecond: a thousandth of the
 uncertainty of a motion. A longer one has not converged."""
 _MISFIT = 0.02
 """Of the motion: residual from which on gyros and joints describe different motions."""
-_FEWEST_STATES = 4
-"""For a motion: begin, end and two between."""
-_END_SECONDS = 2.0
-"""s of each end of a long motion: acceleration determines the offset."""
+_FEWEST_STATES = 4  #: For a motion: begin, end and two between.
+_END_SECONDS = 2.0  #: s of each end of a long motion: acceleration determines the offset.
 _MARGIN_SECONDS = 0.8
 """s at rest on either side. A judgement: within the second that is read (`turns`, `MARGIN_NS`)."""
-_MOTIONS_FOR_RATE = 3
-"""A line and one to check it."""
-_SAMPLES_NEEDED = 20
-"""Fewer do not show the shape of a motion. A judgement."""
-_CELLS = 4000
-"""Samples of a motion that are used: more do not resolve milliseconds better."""
-_OUTLIER = 12.0
-"""Standard deviations of the usual step, by its median: a jump, not noise."""
-_LEAST_JUMP = 5e-3
-"""s: half a sample of 100 Hz; smaller ones are not jumps of a clock."""
-_NO_JUMP = 1e-3
-"""Chance of a false jump by scatter, at which a jump is still reported."""
+_MOTIONS_FOR_RATE = 3  #: A line and one to check it.
+_SAMPLES_NEEDED = 20  #: Fewer do not show the shape of a motion. A judgement.
+_CELLS = 4000  #: Samples of a motion that are used: more do not resolve milliseconds better.
+_OUTLIER = 12.0  #: Standard deviations of the usual step, by its median: a jump, not noise.
+_LEAST_JUMP = 5e-3  #: s: half a sample of 100 Hz; smaller ones are not jumps of a clock.
+_NO_JUMP = 1e-3  #: Chance of a false jump by scatter, at which a jump is still reported.
 
 _CELL_SECONDS = 0.1
 """s in which the angle of a joint is compared with the gyros'. A judgement, as `_CELL` of
 `apart`."""
-_MOVING = 0.25
-"""Of the largest angle in a cell. A judgement."""
-_SURELY_MOVING = 1.0 * DEG
-"""rad/s: more than any table at rest shows."""
+_MOVING = 0.25  #: Of the largest angle in a cell. A judgement.
+_SURELY_MOVING = 1.0 * DEG  #: rad/s: more than any table at rest shows.
 
 
 @dataclass(frozen=True)
@@ -221,8 +206,7 @@ def fit_clock(
         samples: One per motion, in order.
         interruptions: Instants, ns, at which the IMU's stream begins anew: its clock may have been
             restarted, so that the offset may change there by any amount.
-        set_back: Instants, ns, at which stamps go back: the offset may change as well, and is known
-            to.
+        set_back: Instants, ns, at which stamps go back: the offset is known to change.
     """
     if not samples:
         return NO_CLOCK

@@ -32,16 +32,11 @@ from ..common.stream import Floats
 # random walk N (-1/2), bias instability B (flat, at 0.664 B) and rate random walk K (+1/2).
 
 
-_OVERLAP = 16
-"""Clusters overlap by 15 of 16 parts."""
-_LEAST_CLUSTERS = 3
-"""A second difference takes three."""
-_FAR_TIME = 4
-"""Octaves: the covariance of variances further apart is negligible."""
-_REACH = 4
-"""Cluster lengths: the covariance of second differences further apart is negligible."""
-HARMONICS = 64
-"""Harmonics of a counter's sawtooth: the others hold one percent of its variance."""
+_OVERLAP = 16  #: Clusters overlap by 15 of 16 parts.
+_LEAST_CLUSTERS = 3  #: A second difference takes three.
+_FAR_TIME = 4  #: Octaves: the covariance of variances further apart is negligible.
+_REACH = 4  #: Cluster lengths: the covariance of second differences further apart is negligible.
+HARMONICS = 64  #: Harmonics of a counter's sawtooth: the others hold one percent of its variance.
 
 
 class Term(IntEnum):
@@ -254,24 +249,16 @@ over phases."""
 
 READING_VARIANCE = 1 / 12
 """Variance of a reading in whole pulses, pulses squared: uniform over one."""
-_PASSAGES_NEEDED = 3
-"""Of levels: two ends and one to check them."""
-_LEVELS_NEEDED = 4.0
-"""Levels between the ends: fewer are within the noise of a counter at rest."""
-_FAR = 5.0
-"""Standard deviations of the walk before the first and after the last passage."""
+_PASSAGES_NEEDED = 3  #: Of levels: two ends and one to check them.
+_LEVELS_NEEDED = 4.0  #: Levels between the ends: fewer are within the noise of a counter at rest.
+_FAR = 5.0  #: Standard deviations of the walk before the first and after the last passage.
 _DRIFT_SIGNIFICANCE = 6.0
 """Standard deviations: slower drifts are reversed by the walk and have no passages."""
-_ORDERS = np.arange(1, HARMONICS + 1)
-"""Of the harmonics."""
-_POWERS = 1 / (2 * np.pi**2 * _ORDERS**2)
-"""Of the harmonics, pulses squared."""
-_FADED_OUT = 37.0
-"""Exponent: e^-37 is the resolution of a double."""
-_FADED_AWAY = 12.0
-"""Exponent: e^-12 is 6e-6 of a weight."""
-_WIDEST_WINDOW = 256.0
-"""Samples at each end: wider windows do not reduce the walk between."""
+_ORDERS = np.arange(1, HARMONICS + 1)  #: Of the harmonics.
+_POWERS = 1 / (2 * np.pi**2 * _ORDERS**2)  #: Of the harmonics, pulses squared.
+_FADED_OUT = 37.0  #: Exponent: e^-37 is the resolution of a double.
+_FADED_AWAY = 12.0  #: Exponent: e^-12 is 6e-6 of a weight.
+_WIDEST_WINDOW = 256.0  #: Samples at each end: wider windows do not reduce the walk between.
 
 
 @dataclass(frozen=True)
@@ -318,34 +305,27 @@ def _mean_and_passages(
     remainder = pulses - whole
     other = _by_all_samples(remainder, period, walk)
     found = passages(remainder, period, walk)
-    best = found and _if_best(_from_end_to_end(found, period), remainder, period, walk, other)
+    best = found and best_passages(found.rate(period), remainder, period, walk, other)
     mean = best or other
     return replace(mean, rate=mean.rate + whole / period), found if best else None
 
 
 def best_passages(
-    pulses: Floats, period: float, walk: float, other: MeanRate | None = None
+    passed: MeanRate, pulses: Floats, period: float, walk: float, other: MeanRate | None = None
 ) -> MeanRate | None:
-    """Return the estimate from first passages where they are the best at such a rate, else None.
+    """Return the estimate from first passages where it is the best at such a rate, else None.
 
     The choice depends on the rate that passages give and on their mean variance at that rate, not
     on how many passages there were. Their number depends on the phase at the segment's start:
     switching to another estimator where it is small would bias the choice.
 
     Args:
+        passed: The estimate from first passages.
         pulses: (n,) pulses per sample.
         period: Sample interval, s.
         walk: Random walk, pulses/sqrt(s).
         other: The estimate from all samples; computed if not given.
     """
-    passed = first_passages(pulses, period, walk)
-    return None if passed is None else _if_best(passed, pulses, period, walk, other)
-
-
-def _if_best(
-    passed: MeanRate, pulses: Floats, period: float, walk: float, other: MeanRate | None = None
-) -> MeanRate | None:
-    """Return the estimate from first passages by the criterion of `best_passages`."""
     whole = len(pulses) * period
     levels = abs(passed.rate) * whole
     # Ringing passes levels and counts back. Otherwise the two ends give the passages' rate, but for
@@ -383,11 +363,24 @@ def end_points(pulses: Floats, period: float) -> MeanRate:
 
 @dataclass(frozen=True, eq=False)
 class Passages:
-    """When a counter first reached new values: sample indices, and unsigned values."""
+    """When a counter first reached new values."""
 
-    index: NDArray[np.intp]
-    level: Floats
-    drift: float
+    index: NDArray[np.intp]  #: Of the samples.
+    level: Floats  #: The values, without sign.
+    drift: float  #: Pulses per sample.
+
+    def rate(self, period: float, first: int = 0, last: int = -1) -> MeanRate:
+        """Estimate the mean rate from one passage to another.
+
+        At a first passage the true count is a whole number, known to the fraction of a pulse that
+        one sample adds. Passage times of a drifting Brownian motion have independent increments, so
+        levels passed over time elapsed is the maximum-likelihood drift (the inverse Gaussian law:
+        Folks and Chhikara 1978, J. R. Statist. Soc. B 40, 263), with the walk's variance alone.
+        """
+        duration = float(self.index[last] - self.index[first]) * period
+        passed = float(self.level[last] - self.level[first])
+        timing = 2 * self.drift**2 * READING_VARIANCE / duration**2
+        return MeanRate(math.copysign(passed / duration, self.drift), 1 / duration, timing)
 
 
 def passages(pulses: Floats, period: float, walk: float) -> Passages | None:
@@ -405,36 +398,6 @@ def passages(pulses: Floats, period: float, walk: float) -> Passages | None:
     record = np.maximum.accumulate(count * math.copysign(1.0, drift))
     index = np.flatnonzero(np.append(record[:1] > 0, record[1:] > record[:-1]))
     return Passages(index, record[index], drift) if len(index) >= _PASSAGES_NEEDED else None
-
-
-def first_passages(pulses: Floats, period: float, walk: float) -> MeanRate | None:
-    """Estimate from the moments when the counter first reached a new value.
-
-    At a first passage the true count is a whole number, known to the fraction of a pulse that one
-    sample adds. Passage times of a drifting Brownian motion have independent increments, so levels
-    passed over time elapsed is the maximum-likelihood drift (the inverse Gaussian law: Folks and
-    Chhikara 1978, J. R. Statist. Soc. B 40, 263), with the walk's variance alone.
-
-    Args:
-        pulses: (n,) pulses per sample.
-        period: Sample interval, s.
-        walk: Random walk, pulses/sqrt(s).
-
-    Returns:
-        None where the drift does not clearly exceed the walk, or passes too few levels.
-    """
-    found = passages(pulses, period, walk)
-    return None if found is None else _from_end_to_end(found, period)
-
-
-def _from_end_to_end(found: Passages, period: float) -> MeanRate:
-    return _between(found, 0, len(found.index) - 1, period)
-
-
-def _between(found: Passages, first: int, last: int, period: float) -> MeanRate:
-    duration = float(found.index[last] - found.index[first]) * period
-    rate = math.copysign(float(found.level[last] - found.level[first]) / duration, found.drift)
-    return MeanRate(rate, 1 / duration, 2 * found.drift**2 * READING_VARIANCE / duration**2)
 
 
 def smoothed_ends(pulses: Floats, period: float, walk: float) -> MeanRate | None:
@@ -537,12 +500,9 @@ def rate_between(pulses: Floats, period: float, first: float, last: float, walk:
 class _BothEnds:
     """Weights by which counts at two instants are read from the samples around them."""
 
-    windows: tuple[Floats, Floats]
-    """The weights around each instant."""
-    on_increments: Floats
-    """(n,) weights of the samples."""
-    samples: float
-    """Sample intervals between the instants on which the weights are centred."""
+    windows: tuple[Floats, Floats]  #: The weights around each instant.
+    on_increments: Floats  #: (n,) weights of the samples.
+    samples: float  #: Sample intervals between the instants on which the weights are centred.
 
 
 # Channels of a triad follow each other, with the same random walk and cuts.
@@ -616,7 +576,7 @@ def mean_and_blocks(
     for k in range(1, len(found.index)):
         if (found.index[k] - found.index[cuts[-1]]) * period >= seconds:
             cuts.append(k)
-    parts = [_between(found, a, b, period) for a, b in pairwise(cuts)]
+    parts = [found.rate(period, a, b) for a, b in pairwise(cuts)]
     middles = [(found.index[a] + found.index[b]) / 2 + 1 for a, b in pairwise(cuts)]
     return mean, [
         (m * period, replace(p, rate=p.rate + whole / period))
@@ -641,3 +601,8 @@ def any_in_row(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def all_in_row(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return `flags.all(axis=1)` of (n, columns) flags, columns at least 1."""
     return reduce(np.logical_and, flags.T)
+
+
+def runs_of(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return where runs of set flags begin and end, (k, 2)."""
+    return np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)

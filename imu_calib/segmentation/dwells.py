@@ -16,13 +16,8 @@ from .segments import CHANNELS, Segment, Statistics
 from .statistics import Samples, Sensor, gap_free, statistics_at_rest
 from .stream_facts import MountShift, Rejected
 
-# Detect and mask settling, shocks and steps in a static dwell.
-
-
-_WINDOW_SECONDS = 0.5
-"""s: long enough to average noise, short compared with a dwell."""
-_OUTLIER = 7.0
-"""Times the scatter of the windows' means: exceeded by 3e-12 of Gaussian ones."""
+_WINDOW_SECONDS = 0.5  #: s: long enough to average noise, short compared with a dwell.
+_OUTLIER = 7.0  #: Times the scatter of the windows' means: exceeded by 3e-12 of Gaussian ones.
 _LEAST_SHIFT = 0.005 * DEG
 """rad: 18 arcsec, three times the assumed positioning error of a table (table_errors)."""
 _ONE_SIDED = FIVE_SIGMA**2
@@ -36,23 +31,16 @@ by one at most."""
 _SPREAD_RATIO = 3.0
 """Times the usual spread within a window. A judgement: windows of fifty samples know theirs to a
 tenth."""
-_FLIPPING = 0.5
-"""Pulses: spread of a counter that flips at every sample."""
+_FLIPPING = 0.5  #: Pulses: spread of a counter that flips at every sample.
 _STEP_SIGNIFICANCE = 8.0
 """Standard deviations: exceeded in 1e-15 at each of hundreds of cuts; larger than chance requires,
 since drifts look like steps."""
-_FEWEST_WINDOWS = 4
-"""Fewer have no useful median."""
-_QUIET_WINDOWS = 3
-"""In a row: one window between two swings of a ringing table may be quiet."""
-_FEWEST_BLOCKS = 5
-"""Fewer have no scatter to compare a step with."""
-_WITHOUT_LARGEST = 0.7
-"""Mean square of a few Gaussian values without the largest one, about."""
-_TINY = 1e-15
-"""Prevents division by zero for a noise-free row."""
-_AT_ONCE = 16
-"""Windows whose spread is computed at once: 16 000 samples at 2 kHz, a megabyte."""
+_FEWEST_WINDOWS = 4  #: Fewer have no useful median.
+_QUIET_WINDOWS = 3  #: In a row: one window between two swings of a ringing table may be quiet.
+_FEWEST_BLOCKS = 5  #: Fewer have no scatter to compare a step with.
+_WITHOUT_LARGEST = 0.7  #: Mean square of a few Gaussian values without the largest one, about.
+_TINY = 1e-15  #: Prevents division by zero for a noise-free row.
+_AT_ONCE = 16  #: Windows whose spread is computed at once: 16 000 samples at 2 kHz, a megabyte.
 _FAR_BETTER = 0.25
 """Of the residual variance of a drift: a step has to explain four times as much as a drift."""
 
@@ -76,7 +64,9 @@ class ShiftingDisturbance:
     angle: float  #: By which the unit turned, rad.
 
 
-def sound_samples(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None = None) -> Sound:
+def sound_samples(
+    samples: Samples, walk: Floats, invalid: NDArray[np.bool_] | None = None
+) -> Sound:
     """Detect and mask settling at both ends and disturbances within a static dwell.
 
     Windows of half a second whose mean or spread differs from the others' are masked. A drift of
@@ -85,17 +75,17 @@ def sound_samples(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | No
     Args:
         samples: A static dwell during which the table stood still.
         walk: (6,) random-walk coefficients expected, rad/sqrt(s) and (m/s)/sqrt(s).
-        spoilt: (n,) samples that are known to be invalid, for instance saturated.
+        invalid: (n,) known to be invalid, for instance saturated.
     """
     length = max(1, round(_WINDOW_SECONDS / samples.period))
     count = len(samples.stamp) // length
     everything = np.ones(len(samples.stamp), dtype=bool)
-    if spoilt is not None:
-        everything &= ~spoilt
+    if invalid is not None:
+        everything &= ~invalid
     if count < _FEWEST_WINDOWS:
         return Sound(everything, ())
     used = samples.increments[: count * length].reshape(count, length, 6)
-    means = _Means.of(used.sum(axis=1), walk * np.sqrt(length * samples.period))
+    means = _Means.about_line(used.sum(axis=1), walk * np.sqrt(length * samples.period))
     # A channel of low noise may drift from one ADC step to the next within a dwell.
     pulses = samples.pulse + samples.carried
     bad = means.outlying(_PULSES * pulses + samples.grid * length)
@@ -138,7 +128,7 @@ class _Means:
     tolerance: Floats  #: (6,) largest error of a sum by rounding.
 
     @classmethod
-    def of(cls, sums: Floats, expected: Floats) -> _Means:
+    def about_line(cls, sums: Floats, expected: Floats) -> _Means:
         """Take the sums (w, 6) of windows, and the noise (6,) expected of one."""
         residuals = sums - _robust_line(sums)
         scatter = np.maximum(MAD_TO_STD * np.median(np.abs(residuals), axis=0), expected)
@@ -283,23 +273,21 @@ def find_step(statistics: Statistics, walk: Floats) -> tuple[tuple[float, float]
     # The step may lie anywhere in the two blocks next to the cut.
     half = (after - before) / 2
     between = before - half, after + half
-    return between, f'the mean of {CHANNELS[channel]} steps by {_amount(step.size, channel)}'
+    size = f'{significant(step.size / MICRO_G, 3)} ug'
+    if channel < 3:
+        size = f'{significant(np.degrees(step.size) * 3600, 3)} deg/h'
+    return between, f'the mean of {CHANNELS[channel]} steps by {size}'
 
 
 @dataclass(frozen=True)
 class _Step:
     """The largest step of a row of blocks."""
 
-    score: float
-    """Its size in standard deviations."""
-    cut: int
-    """Index of the first block after it."""
-    size: float
-    """rad/s or m/s^2."""
-    square_about_levels: float
-    """Weighted sum of squares about the two levels."""
-    square_about_line: float
-    """The same about a line."""
+    score: float  #: Its size in standard deviations.
+    cut: int  #: Index of the first block after it.
+    size: float  #: rad/s or m/s^2.
+    square_about_levels: float  #: Weighted sum of squares about the two levels.
+    square_about_line: float  #: The same about a line.
 
 
 def _largest_step(blocks: Floats, walk: float) -> _Step | None:
@@ -332,19 +320,11 @@ def _largest_step(blocks: Floats, walk: float) -> _Step | None:
     )
 
 
-def _amount(step: float, channel: int) -> str:
-    if channel < 3:
-        return f'{significant(np.degrees(step) * 3600, 3)} deg/h'
-    return f'{significant(step / MICRO_G, 3)} ug'
-
-
-_SHORTEST_DWELL = 1.0
-"""s: the settling of a shorter dwell costs more than the dwell gives."""
-_MOSTLY = 0.5
-"""Share of saturated samples. A judgement: of a shock few samples are."""
+_SHORTEST_DWELL = 1.0  #: s: the settling of a shorter dwell costs more than the dwell gives.
+_MOSTLY = 0.5  #: Share of saturated samples. A judgement: of a shock few samples are.
 _NOTHING: Stamps = np.empty(0, dtype=np.int64)
 
-_Found: TypeAlias = Segment | Rejected | MountShift
+_DwellPart: TypeAlias = Segment | Rejected | MountShift
 
 
 def read_dwell(  # noqa: PLR0911 (each names another reason)
@@ -356,7 +336,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
     attitude_error: float = 0.0,
     *,
     left_out: Stamps = _NOTHING,
-) -> list[_Found]:
+) -> list[_DwellPart]:
     """Turn samples at rest into segments, or return the reasons for rejecting them.
 
     A shock that turned the unit splits the dwell in two where the table's angles give its attitude;
@@ -378,7 +358,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
     if len(stamp) < 2 or (stamp[-1] - stamp[0]) * 1e-9 < _SHORTEST_DWELL:
         return []
 
-    def again(part: slice | NDArray[np.bool_], left_out: Stamps) -> list[_Found]:
+    def again(part: slice | NDArray[np.bool_], left_out: Stamps) -> list[_DwellPart]:
         arguments = samples.at(part), values[part], angles, attitude, attitude_error
         return read_dwell(sensor, *arguments, left_out=left_out)
 
@@ -421,7 +401,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
     ]
 
 
-def _with_note(note: str, found: _Found) -> _Found:
+def _with_note(note: str, found: _DwellPart) -> _DwellPart:
     """Prepend a note to what was found."""
     if isinstance(found, Segment):
         return replace(found, notes=(note, *found.notes))
@@ -449,7 +429,11 @@ def _sound_statistics(
     step = find_step(statistics, walk)
     if step is not None:
         between, what = step
-        kept = _longer_part(kept, between)
+        first, last = np.searchsorted(
+            kept.stamp, kept.stamp[0] + np.multiply(between, 1e9), side='right'
+        ).tolist()
+        n = len(kept.stamp)
+        kept = kept.part(0, first) if first >= n - last else kept.part(last, n)
         if len(kept.stamp) * samples.period < _SHORTEST_DWELL:
             return f'the unit was moved: {what}'
         statistics = statistics_at_rest(kept, walk)
@@ -464,12 +448,3 @@ def _missing(samples: Samples, gaps: list[tuple[int, int]], left_out: Stamps) ->
     holes = np.rint((after - before) * 1e-9 / samples.period).astype(np.int64) - 1
     holes -= np.searchsorted(left_out, after) - np.searchsorted(left_out, before)
     return np.asarray(holes[holes > 0])
-
-
-def _longer_part(samples: Samples, between: tuple[float, float]) -> Samples:
-    """Return the longer part: before or after a step between two instants."""
-    n = len(samples.stamp)
-    first, last = np.searchsorted(
-        samples.stamp, samples.stamp[0] + np.multiply(between, 1e9), side='right'
-    ).tolist()
-    return samples.part(0, first) if first >= n - last else samples.part(last, n)

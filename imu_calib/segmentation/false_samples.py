@@ -22,9 +22,6 @@ from ..common.units import DEG, STANDARD_GRAVITY, counted
 from .counters import all_in_row, any_in_row
 from .stamps import LAG, SHORT
 
-# Find where the IMU's stream begins anew: silences that no later samples make up for.
-
-
 INTERRUPTION = NS
 """A stream that is silent for so long, ns, may come from a program that was started again. A
 judgement: nodes take longer to start, and a line rarely fails for longer."""
@@ -36,11 +33,8 @@ _OVER = 32
 """Samples without gain on the clock after which a queue is over: a reader with other work returns
 to the queue within a few. A judgement."""
 
-_GAINS = 0.5
-"""Of an interval: less is jitter."""
-
-_LISTED = 3
-"""Interruptions with a sentence each; more are only counted."""
+_GAINS = 0.5  #: Of an interval: less is jitter.
+_LISTED = 3  #: Interruptions with a sentence each; more are only counted.
 
 
 class Interruptions:
@@ -64,7 +58,7 @@ class Interruptions:
         """From the last stamp to the instant of the next sample, ns, in order."""
         return [(last, next_) for last, next_ in self._silences if next_ - last > INTERRUPTION]
 
-    def feed(self, stamp: Stamps) -> None:
+    def add_stamps(self, stamp: Stamps) -> None:
         """Add (n,) stamps of the IMU, ns, as they come."""
         if not len(stamp):
             return
@@ -176,17 +170,13 @@ _BESIDE = 8
 """Samples on either side that are looked at: a knock rings for longer, and a hand moves little in a
 tenth of a second."""
 
-_FEWEST = 4
-"""Fewest samples on either side: they show two second differences."""
-
-_WITHIN = 12
-"""Rows on either side within which these samples lie, others being left out between."""
+_FEWEST = 4  #: Fewest samples on either side: they show two second differences.
+_WITHIN = 12  #: Rows on either side within which these samples lie, others being left out between.
 
 _APART = 2
 """Rows from a second difference to the next one that has not the middle of it in common."""
 
-_NEXT = _APART + 1
-"""Rows from a spike to the last one by which it is told from the next."""
+_NEXT = _APART + 1  #: Rows from a spike to the last one by which it is told from the next.
 
 _RADIUS = 2 * _WITHIN + _SEEN_WITHIN + _LONGEST + _SUCCESSION + 1
 """Rows on either side that decide on one. A spike is judged by those around it, which must not be
@@ -205,11 +195,8 @@ _COARSEST = np.repeat([10 * DEG, STANDARD_GRAVITY], 3)
 """rad/s and m/s^2: coarsest steps of such values, a few times those of eight bits over 250 deg/s
 and 16 g. Assumed where the values around are all equal, as in a dead band or without noise."""
 
-SCALE_OF_SI = np.ones(6)
-"""Scale factors of values in SI."""
-
-_FEW = 4096
-"""Samples in question that are compared at once: some 2 MB."""
+SCALE_OF_SI = np.ones(6)  #: Scale factors of values in SI.
+_FEW = 4096  #: Samples in question that are compared at once: some 2 MB.
 
 _LARGE = 1e-3
 """Share of false samples from which on a session may be refused for others that are not found. A
@@ -254,8 +241,7 @@ class FalseSamples:
         ]
 
 
-NONE_FALSE = FalseSamples()
-"""Of a stream without samples."""
+NONE_FALSE = FalseSamples()  #: Of a stream without samples.
 
 
 class Rows(NamedTuple):
@@ -263,6 +249,14 @@ class Rows(NamedTuple):
 
     stamp: Stamps
     values: Floats
+
+
+class _PlacedRows(NamedTuple):
+    """Rows of a stream in order, without those that were found false already."""
+
+    stamp: Stamps  #: (n,) ns.
+    values: Floats  #: (n, 6).
+    places: NDArray[np.intp]  #: (n,) which rows of the stream they are.
 
 
 class _Limits(NamedTuple):
@@ -302,13 +296,10 @@ class FalseSampleFilter:
         units: Of the values.
         scale: (6,) nominal scale factors of the values, SI.
         of: The sensor in sentences; empty for the IMU.
-
-    Attributes:
-        found: What was removed.
     """
 
     def __init__(self, units: Units, scale: Floats = SCALE_OF_SI, of: str = '') -> None:
-        self.found = FalseSamples(of=of)
+        self.found = FalseSamples(of=of)  #: What was removed.
         self._units, self._scale = units, scale
         self._limits: tuple[_Limits, _Limits] | None = None
         """For rows of one number, and for spikes; None before the first rows."""
@@ -316,8 +307,8 @@ class FalseSampleFilter:
         self._judged = 0
         """The number of these, the first ones, that are kept for those after them alone."""
 
-    def take(self, stamp: Stamps, values: Floats) -> Rows:
-        """Take (n,) stamps, ns, with (n, 6) values; return the rows that are certain."""
+    def remove(self, stamp: Stamps, values: Floats) -> Rows:
+        """Add (n,) stamps, ns, with (n, 6) values; return the rows that are certain."""
         if len(self._rows.stamp):
             stamp = np.concatenate([self._rows.stamp, stamp])
             values = np.concatenate([self._rows.values, values])
@@ -372,26 +363,23 @@ def _false_samples(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which rows (n,) read one number on all axes without cause, and which are spikes."""
     alike = np.zeros(len(rows.stamp), dtype=bool)
+    placed = _PlacedRows(*rows, np.arange(len(alike)))
     with np.errstate(over='ignore', invalid='ignore'):
         for triad in (0, 3):
-            alike[_on_all_axes(rows, triad, on_all_axes)] = True
-        alike[_without_gravity(rows, on_all_axes)] = True
+            alike[_on_all_axes(placed, triad, on_all_axes)] = True
+        alike[_without_gravity(placed, on_all_axes)] = True
         spikes = np.zeros_like(alike)
-        places = np.arange(len(alike))
         if alike.any():
-            places = places[~alike]
-            rows = Rows(rows.stamp[places], rows.values[places])
-        spikes[places[_spikes(rows, places, of_spikes)]] = True
+            sound = np.flatnonzero(~alike)
+            placed = _PlacedRows(rows.stamp[sound], rows.values[sound], sound)
+        spikes[placed.places[_spikes(placed, of_spikes)]] = True
     return alike, spikes
 
 
-def _on_all_axes(rows: Rows, triad: int, limits: _Limits) -> NDArray[np.intp]:
-    """Return the rows on which the axes of a triad read one number, unlike those around.
+def _on_all_axes(rows: _PlacedRows, triad: int, limits: _Limits) -> NDArray[np.intp]:
+    """Return the rows on which a triad, by its first column, reads one number unlike those around.
 
-    Args:
-        rows: In order.
-        triad: Its first column.
-        limits: For rows of one number.
+    The limits are those for rows of one number.
     """
     channels = slice(triad, triad + 3)
     values = rows.values[:, channels]
@@ -411,18 +399,13 @@ def _on_all_axes(rows: Rows, triad: int, limits: _Limits) -> NDArray[np.intp]:
     others = np.ones(len(x), dtype=bool)
     others[alike[np.repeat(short, lengths)]] = False
     asked = alike[np.repeat(short & jumps, lengths)]
-    ratios = _ratios(rows, np.arange(len(x)), asked, np.flatnonzero(others), channels, limits)
+    ratios = _ratios(rows, asked, np.flatnonzero(others), channels, limits)
     x, y, z = ratios.beyond.T
     return np.asarray(asked[x * x + y * y + z * z > limits.ratio**2])
 
 
-def _without_gravity(rows: Rows, limits: _Limits) -> NDArray[np.intp]:
-    """Return the rows of one number on all six axes where gravity is seen around.
-
-    Args:
-        rows: In order.
-        limits: For rows of one number.
-    """
+def _without_gravity(rows: _PlacedRows, limits: _Limits) -> NDArray[np.intp]:
+    """Return the rows of one number on all six axes where gravity is seen around."""
     values = rows.values
     alike = np.flatnonzero(np.abs(values[:, 4]) == np.abs(values[:, 5]))
     sizes = np.abs(values[alike])
@@ -442,9 +425,7 @@ def _without_gravity(rows: Rows, limits: _Limits) -> NDArray[np.intp]:
     every = np.arange(len(asked))
     for part in np.split(every, range(_FEW, len(asked), _FEW)) if len(asked) else ():
         own = values[asked[part], 3:]
-        window, near = _window(
-            np.arange(len(values)), asked[part], others, after[part], _SEEN, _SEEN_WITHIN
-        )
+        window, near = _window(rows.places, asked[part], others, after[part], _SEEN, _SEEN_WITHIN)
         around = values[window, 3:]
         lowest, highest = around.min(axis=1), around.max(axis=1)
         scale = np.maximum(highest - lowest, limits.step)
@@ -456,14 +437,9 @@ def _without_gravity(rows: Rows, limits: _Limits) -> NDArray[np.intp]:
     return np.concatenate(found)
 
 
-def _spikes(rows: Rows, places: NDArray[np.intp], limits: _Limits) -> NDArray[np.intp]:
-    """Return the rows on which a single sensor jumps and is back soon after.
-
-    Args:
-        rows: In order.
-        places: (n,) of the rows in the stream.
-        limits: For spikes.
-    """
+def _spikes(rows: _PlacedRows, limits: _Limits) -> NDArray[np.intp]:
+    """Return the rows on which a single sensor jumps and is back soon after."""
+    places = rows.places
     if len(places) <= 2 * _NEXT:
         return places[:0]
     values, width = np.ascontiguousarray(rows.values).ravel(), 6 * _APART
@@ -487,35 +463,28 @@ def _spikes(rows: Rows, places: NDArray[np.intp], limits: _Limits) -> NDArray[np
     starts = np.cumsum(lengths) - lengths
     within = np.arange(lengths.sum()) + np.repeat(begin - starts, lengths)
     others = np.delete(np.arange(len(places)), np.union1d(asked, within))
-    jumps, alone = _jumps(rows, places, asked, others, limits, _ALONE)
+    jumps, alone = _jumps(rows, asked, others, limits, _ALONE)
     # All of a succession are looked at closer: what is between is as sound as what is beside.
     closer = limits._replace(least=np.full(6, -1.0))
     # Of a motion that bends, the k-th of n - 1 rows is k (n - k) times as far off as a single one.
     bent = (within - np.repeat(begin - 1, lengths)) * (np.repeat(end, lengths) - within)
-    beyond, sound = _jumps(rows, places, within, others, closer, _ALONE * bent[:, None])
+    beyond, sound = _jumps(rows, within, others, closer, _ALONE * bent[:, None])
     whole = np.repeat(np.logical_and.reduceat(sound, starts), lengths) if len(begin) else sound
     return np.union1d(asked[jumps & alone], within[beyond & whole])
 
 
 def _jumps(
-    rows: Rows,
-    places: NDArray[np.intp],
+    rows: _PlacedRows,
     asked: NDArray[np.intp],
     others: NDArray[np.intp],
     limits: _Limits,
     alone: float | Floats,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return on which rows sensors jump, (m,), and on which the other sensors do not move.
+    """Return on which of (m,) rows sensors jump, and on which the other sensors do not move.
 
-    Args:
-        rows: In order.
-        places: (n,) of the rows in the stream.
-        asked: (m,) which rows.
-        others: Which rows may be those around them.
-        limits: For spikes.
-        alone: `_ALONE`, or one for each row (m, 1).
+    `others` are the rows that may be around, and `alone` is `_ALONE` or one for each row (m, 1).
     """
-    ratios = _ratios(rows, places, asked, others, slice(0, 6), limits)
+    ratios = _ratios(rows, asked, others, slice(0, 6), limits)
     spikes = ratios.beyond > limits.ratio
     # A knock moves the other sensors, too.
     return any_in_row(spikes), all_in_row(spikes | (ratios.off <= alone))
@@ -550,22 +519,15 @@ class _Ratios(NamedTuple):
 
 
 def _ratios(
-    rows: Rows,
-    places: NDArray[np.intp],
+    rows: _PlacedRows,
     asked: NDArray[np.intp],
     others: NDArray[np.intp],
     channels: slice,
     limits: _Limits,
 ) -> _Ratios:
-    """Compare rows with those around.
+    """Compare (m,) of the rows with others around, in the channels of one triad or both.
 
-    Args:
-        rows: n of them, in order.
-        places: (n,) of the rows in the stream.
-        asked: (m,) which rows.
-        others: Which rows may be those around them, without these.
-        channels: One triad, or both.
-        limits: Rows that are not beyond both neighbours by the least are not looked at closer.
+    Rows that are not beyond both neighbours by the least limit are not looked at closer.
     """
     values = rows.values[:, channels]
     found = _Ratios(*np.zeros((2, len(asked), values.shape[1])))
@@ -577,7 +539,7 @@ def _ratios(
     some = some[any_in_row(beyond > limits.least[channels]) & (silence < INTERRUPTION)]
     for part in np.split(some, range(_FEW, len(some), _FEW)) if len(some) else ():
         own, k = asked[part], after[part]
-        window, near = _window(places, own, others, k, _BESIDE, _WITHIN)
+        window, near = _window(rows.places, own, others, k, _BESIDE, _WITHIN)
         around = values[window]
         scale = np.maximum(_roughness(around, near), limits.step)
         if not limits.step:

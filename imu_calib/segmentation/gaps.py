@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..common.stream import Floats
 from ..common.units import DEG
-from .counters import READING_VARIANCE, all_in_row
+from .counters import READING_VARIANCE, all_in_row, runs_of
 from .statistics import Samples, gap_free
 
 LONGEST = 0.1
@@ -54,8 +54,7 @@ _SETTLED = 0.05
 """Change of a gap's count, pulses, below which reading it again is useless. A judgement: a tenth of
 half a pulse, at which it is rounded."""
 
-_LEAST_VARIANCE = 1e-4
-"""Pulses squared: less is rounding."""
+_LEAST_VARIANCE = 1e-4  #: Pulses squared: less is rounding.
 _SURE = 0.01
 """Variance of a gap's count, pulses squared, from which on its whole number is sure: half a pulse
 is five standard deviations."""
@@ -64,8 +63,7 @@ _WIDE = 2.0
 """Standard deviation of a gap's count, pulses, from which on whole numbers are as good as any:
 their sum is then the integral, and the seventeen that are tried would hold only four deviations."""
 
-_NEVER = 1e-9
-"""Least weight of any whole number: rates may change."""
+_NEVER = 1e-9  #: Least weight of any whole number: rates may change.
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +157,7 @@ def _with_gaps(runs: list[tuple[int, int]], gaps: list[int], short: list[bool]) 
 
 def _holes(rows: NDArray[np.intp], runs: list[tuple[int, int]], short: list[bool]) -> list[_Hole]:
     """List the rows to be filled, in order."""
-    edges = np.diff(np.concatenate([[0], (rows < 0).astype(np.int8), [0]]))
-    starts, stops = np.flatnonzero(edges > 0).tolist(), np.flatnonzero(edges < 0).tolist()
+    starts, stops = runs_of(rows < 0).T.tolist()
     # Long gaps are where one run ends and the next begins, with nothing between to be filled.
     begins = [run[0] for run, fits in zip(runs[1:], short, strict=True) if not fits]
     walls = [0, *np.flatnonzero(np.isin(rows, begins)).tolist(), len(rows)]
@@ -300,17 +297,11 @@ def _quadrature() -> tuple[Floats, Floats]:
     return np.polynomial.hermite_e.hermegauss(7)
 
 
-# Detect repeated samples: a device that sends on without measuring.
-
 _FEWEST = 8
 """Fewest repeated samples in a row that count as frozen: a judgement, fewer cost nothing."""
 
-_CHANCE = 1e-9
-"""Probability of so long a repetition anywhere in a segment of sound samples."""
-
-
-_AROUND = 32
-"""Samples before and after a repetition that show whether codes are noisy."""
+_CHANCE = 1e-9  #: Probability of so long a repetition anywhere in a segment of sound samples.
+_AROUND = 32  #: Samples before and after a repetition that show whether codes are noisy.
 
 _SAME = 1e-3
 """Relative difference of a dwell's mean from one sample: a choice, far above that of two estimates
@@ -340,8 +331,7 @@ def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
     if n < 2 * _FEWEST:
         return found
     same = all_in_row(values[1:] == values[:-1])
-    edges = np.diff(np.concatenate([[0], same.astype(np.int8), [0]]))
-    first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+    first, last = runs_of(same).T
     others, alike = n - 1, int(same.sum())
     for k in np.argsort(first - last, kind='stable').tolist():
         length = int(last[k] - first[k])
@@ -366,7 +356,7 @@ class Repetition:
     sample: Floats = field(default_factory=lambda: np.full(6, np.nan))
 
     @classmethod
-    def of(cls, values: Floats, rates: Floats) -> Repetition:
+    def count_in(cls, values: Floats, rates: Floats) -> Repetition:
         """Count the repetitions in (n, 6) values as delivered; at least 2.
 
         Args:
@@ -374,13 +364,13 @@ class Repetition:
             rates: (n, 6) the same, rad/s and m/s^2.
         """
         same = all_in_row(values[1:] == values[:-1])
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
-        lengths = np.diff(edges)[::2]
-        if not len(lengths):
+        runs = runs_of(same)
+        if not len(runs):
             return cls(len(values), 0.0, 0)
+        lengths = runs[:, 1] - runs[:, 0]
         most = int(lengths.argmax())
         # A copy: a view would keep all samples of the motion.
-        repeated = rates[edges[2 * most]].copy()
+        repeated = rates[runs[most, 0]].copy()
         return cls(len(values), float(same.mean()), int(lengths[most]), repeated)
 
     def continues_in(self, mean: Floats) -> bool:

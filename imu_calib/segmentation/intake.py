@@ -25,8 +25,6 @@ from .stamp_faults import SetBackClock, SharedStamps, set_back_sentences
 from .stamps import RowBuffer
 from .stream_facts import StreamFacts
 
-# Stamps in order: drop samples whose stamps jump.
-
 
 @dataclass(frozen=True, eq=False)
 class Ordered:
@@ -50,8 +48,8 @@ class StampOrder:
         self._stamp: Stamps = np.empty(0, dtype=np.int64)
         self._values: Floats = np.empty((0, columns))
 
-    def take(self, stamp: Stamps, values: Floats) -> Ordered:
-        """Take (n,) stamps with (n, columns) values; return the rows that are certain by now."""
+    def drop_disordered(self, stamp: Stamps, values: Floats) -> Ordered:
+        """Add (n,) stamps with (n, columns) values; return the rows that are certain by now."""
         stamp = np.concatenate([self._stamp, stamp])
         values = np.concatenate([self._values, values])
         self._stamp, self._values = stamp[-1:], values[-1:]
@@ -83,7 +81,7 @@ both recordings within seconds."""
 
 
 class _Losses:
-    """Counts the samples that are not used, of each kind, and when the first was."""
+    """Counts unused samples by kind, with the stamp of the first."""
 
     def __init__(self) -> None:
         self._found: dict[str, tuple[int, int]] = {}
@@ -121,14 +119,6 @@ class _Samples:
         scale: (6,) nominal scale factors of the values, SI.
         losses: Counts what is dropped.
         of: The sensor in sentences; empty for the IMU.
-
-    Attributes:
-        clock: Where its stamps go back; it takes the samples first.
-        shared: Counts the stamps that samples share.
-        false: Removes false samples, and counts them.
-        first: Stamp of the first one, ns; None before it.
-        last: Stamp of the last one, likewise.
-        certain: Stamp up to which they are certain and buffered, likewise.
     """
 
     def __init__(
@@ -140,22 +130,22 @@ class _Samples:
         losses: _Losses,
         of: str = '',
     ) -> None:
-        self.clock = SetBackClock(6)
+        self.clock = SetBackClock(6)  #: It has the samples first.
         self.shared = SharedStamps(rate)
         self.false = FalseSampleFilter(units, scale, of)
-        self.first: int | None = None
-        self.last: int | None = None
-        self.certain: int | None = None
+        self.first: int | None = None  #: Stamp of the first sample, ns; None before it.
+        self.last: int | None = None  #: Stamp of the last one, likewise.
+        self.certain: int | None = None  #: Stamp up to which they are buffered, likewise.
         self._rows, self._losses, self._of = rows, losses, of
         self._order = StampOrder(6)
 
-    def take(self, stamp: Stamps, values: Floats) -> None:
-        """Take (n,) stamps as `clock` returns them with (n, 6) values."""
+    def clean(self, stamp: Stamps, values: Floats) -> None:
+        """Buffer the sound ones of samples: (n,) stamps as `clock` returns them, (n, 6) values."""
         what = f'left out for values{self._of} that are not numbers'
         what += '' if self._of else ' (NaN or infinite)'
-        rows = self.shared.take(*self._losses.without_nan(what, stamp, values))
+        rows = self.shared.separate(*self._losses.without_nan(what, stamp, values))
         self._losses.note(f'{self._of} dropped as duplicates'.strip(), rows[2])
-        self._append(self._order.take(*rows[:2]))
+        self._append(self._order.drop_disordered(*rows[:2]))
 
     def finish(self) -> None:
         """End the stream: buffer the samples that wait."""
@@ -168,7 +158,7 @@ class _Samples:
         if self._rows is not None and len(ordered.stamp):
             self.first = int(ordered.stamp[0]) if self.first is None else self.first
             self.last = int(ordered.stamp[-1])
-            self._buffer(self.false.take(ordered.stamp, ordered.values))
+            self._buffer(self.false.remove(ordered.stamp, ordered.values))
 
     def _buffer(self, rows: Rows) -> None:
         if self._rows is not None and len(rows.stamp):
@@ -186,14 +176,6 @@ class StreamBuffer:
         units: Of the samples.
         scale: (6,) nominal scale factors of the IMU, SI.
         skew_scale: (6,) those of the skewed gyro, in the first of six columns.
-
-    Attributes:
-        imu: Buffered samples, six columns.
-        skew: Those of the skewed gyro, in the first of six columns; None without one.
-        interruptions: Of the IMU's stream.
-        imu_clock: Where the stamps of the IMU go back.
-        joint_clock: Where those of the joint states do.
-        facts: Of the IMU's stream, as it came in.
     """
 
     def __init__(
@@ -207,9 +189,9 @@ class StreamBuffer:
         skew_scale: Floats = SCALE_OF_SI,
     ) -> None:
         self.imu = RowBuffer(6)
-        self.skew = RowBuffer(6) if skewed else None
-        self.interruptions = Interruptions()
-        self.facts = StreamFacts(units)
+        self.skew = RowBuffer(6) if skewed else None  #: The gyro in the first column.
+        self.interruptions = Interruptions()  #: Of the IMU's stream.
+        self.facts = StreamFacts(units)  #: Of the IMU's stream, as it came in.
         self._table = table
         self._losses = _Losses()
         self._imu = _Samples(self.imu, rate, units, scale, self._losses)
@@ -220,7 +202,7 @@ class StreamBuffer:
         self._joint_order = StampOrder(len(table.names) if table else 0)
         self.joint_clock = SetBackClock(len(table.names) if table else 0)
         self._setpoints: list[tuple[Setpoint, int]] = []
-        """The first of every run of equal ones, and how often their stamps had gone back."""
+        """First setpoint of each run, with the number of clock resets before it."""
         self._last_setpoint: int | None = None
         self._setpoints_back = 0
         self._of_the_table = 0
@@ -259,19 +241,19 @@ class StreamBuffer:
     def take_imu(self, block: ImuBlock) -> None:
         """Add samples."""
         values = np.concatenate([block.gyro, block.accel], axis=1)
-        self.facts.take(block.stamp, values)
-        self._take_imu(*self.imu_clock.take(block.stamp, values))
+        self.facts.count_samples(block.stamp, values)
+        self._clean_imu(*self.imu_clock.continue_stamps(block.stamp, values))
 
-    def _take_imu(self, stamp: Stamps, values: Floats) -> None:
-        self.interruptions.feed(stamp)
-        self._imu.take(stamp, values)
+    def _clean_imu(self, stamp: Stamps, values: Floats) -> None:
+        self.interruptions.add_stamps(stamp)
+        self._imu.clean(stamp, values)
 
     def take_skew(self, block: SkewBlock) -> None:
         """Add the skewed gyro's samples."""
         # It is handled as the first channel of an IMU.
         imu = block.as_imu()
         values = np.hstack([imu.gyro, imu.accel])
-        self._skew.take(*self._skew.clock.take(block.stamp, values))
+        self._skew.clean(*self._skew.clock.continue_stamps(block.stamp, values))
 
     def take_joints(self, block: JointBlock) -> Ordered:
         """Add joint states; return those in final order, columns as the table's.
@@ -284,13 +266,15 @@ class StreamBuffer:
         if joints is None:
             named = ', '.join(block.names) or 'no joint'
             self._strange[named] = self._strange.get(named, 0) + len(block)
-            return self._joint_order.take(block.stamp[:0], np.empty((0, len(self._table.names))))
+            return self._joint_order.drop_disordered(
+                block.stamp[:0], np.empty((0, len(self._table.names)))
+            )
         self._of_the_table += len(joints)
         self._further_joints.update(set(block.names) - set(joints.names))
         what = 'left out for joint positions that are not numbers'
         rows = self._losses.without_nan(what, joints.stamp, joints.position)
-        rows = self.joint_clock.take(*rows)
-        return self._counted(self._joint_order.take(*rows))
+        rows = self.joint_clock.continue_stamps(*rows)
+        return self._counted(self._joint_order.drop_disordered(*rows))
 
     @property
     def foreign_joints(self) -> str:
@@ -328,11 +312,11 @@ class StreamBuffer:
 
     def finish(self) -> Ordered:
         """End of all streams; return the last joint states."""
-        self._take_imu(*self.imu_clock.finish())
+        self._clean_imu(*self.imu_clock.finish())
         self._imu.finish()
-        self._skew.take(*self._skew.clock.finish())
+        self._skew.clean(*self._skew.clock.finish())
         self._skew.finish()
-        waiting = self._counted(self._joint_order.take(*self.joint_clock.finish()))
+        waiting = self._counted(self._joint_order.drop_disordered(*self.joint_clock.finish()))
         ends = self._counted(self._joint_order.finish())
         return Ordered(
             np.concatenate([waiting.stamp, ends.stamp]),
@@ -375,9 +359,9 @@ class StreamBuffer:
                 f'The joint states name further joints ({further}), which are not of table '
                 f'{self._table.name}: they are ignored'
             )
-        return lost + self._apart(ahead)
+        return lost + self._clock_sentences(ahead)
 
-    def _apart(self, ahead: int) -> list[str]:
+    def _clock_sentences(self, ahead: int) -> list[str]:
         """Return sentences on times with joint states but without IMU samples."""
         begin, end = self.first_stamp, self.last_stamp
         first, last = self._first_joint, self._last_joint

@@ -22,12 +22,8 @@ from .segments import Segment, Turn
 from .statistics import BLOCK_SECONDS
 from .stream_facts import FreeMotion, MountShift, Rejected, Segmented
 
-# Attitudes in words: names of dwells and turns at no position of a plan.
-
-
 _AXES = 'XYZ'
-_VERTICAL = 1 * DEG
-"""An axis that leans by less is called vertical: names are in whole degrees."""
+_VERTICAL = 1 * DEG  #: An axis that leans by less is called vertical: names are in whole degrees.
 
 _UPRIGHT = np.cos(10 * DEG)
 """Beyond it the level part of the Z axis is too short to define a heading. A judgement: the heading
@@ -83,10 +79,7 @@ def unique(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
     return result
 
 
-# Name segments of the IMU alone: dwells by the plan's order, whole turns by the gyros.
-
-SHORT_DWELL = 0.25
-"""Share of a dwell below which it is not one of the plan's. A judgement."""
+SHORT_DWELL = 0.25  #: Share of a dwell below which it is not one of the plan's. A judgement.
 
 UP_TOLERANCE = 20 * DEG
 """Largest angle of up by raw accelerometers from its expected direction: biases and misalignments
@@ -94,10 +87,8 @@ of the worst units are some degrees."""
 
 _WHOLE_TURN = 0.15
 """Of a turn: gyros' scale factors are known far better; a larger deviation is not a whole turn."""
-_BY_HAND_TURN = 0.3
-"""Of a turn: a turn by hand ends 100 degrees off at the worst."""
-_ALONG_UP = 0.8
-"""Cosine: 37 degrees; parts of one motion turn about one axis."""
+_BY_HAND_TURN = 0.3  #: Of a turn: a turn by hand ends 100 degrees off at the worst.
+_ALONG_UP = 0.8  #: Cosine: 37 degrees; parts of one motion turn about one axis.
 
 
 def label_by_order(segments: Sequence[Segment], plan: Plan) -> tuple[list[Segment], list[Rejected]]:
@@ -237,8 +228,7 @@ def turn_without_encoder(motion: FreeMotion, plan: Plan) -> Turn | None:
 _ARRIVAL_TOLERANCE = 0.2 * DEG
 """rad: far above tables' positioning errors (table_errors); other positions are tens of degrees
 off."""
-_ATTITUDE_TOLERANCE = 1.0 * DEG
-"""rad: positions of plans are further apart."""
+_ATTITUDE_TOLERANCE = 1.0 * DEG  #: rad: positions of plans are further apart.
 _SAME_UP = 1e-3
 """One less the cosine: axes within 2.6 deg are one. A judgement: rate tests are 90 deg apart."""
 _OUTAGE = 10_000_000_000

@@ -20,6 +20,7 @@ import numpy as np
 from ..common.rotations import cross
 from ..common.stream import Floats
 from ..common.units import DEG
+from .counters import runs_of
 from .segments import Segment
 from .statistics import Samples, Sensor, gap_free
 from .stream_facts import MountShift, Move, Rejected, VelocitySteps
@@ -27,22 +28,17 @@ from .stream_facts import MountShift, Move, Rejected, VelocitySteps
 STEP_ANGLE = 1 * DEG
 """Angle of a step, rad: the second order leaves out a twelfth of its cube at most, 0.1 arcsec."""
 
-STEP_SECONDS = 0.1
-"""Length of a step at low rates, s: the Earth turns by 1.5 arcsec in it."""
+STEP_SECONDS = 0.1  #: Length of a step at low rates, s: the Earth turns by 1.5 arcsec in it.
 
 SATURATED = 'a sensor is at the end of its range'
 COARSE = 'it turns too far from one sample to the next'
 MISSING = 'samples are missing'
-JERK = 'a jerk, too short to be read'
-"""Reason why a motion does not become a move."""
-
-_SHORTEST = 4
-"""Steps: a shorter motion is a jerk."""
+JERK = 'a jerk, too short to be read'  #: Reason why a motion does not become a move.
+_SHORTEST = 4  #: Steps: a shorter motion is a jerk.
 _BESIDE = 5
 """Samples next to a gap whose second differences show the curvature of the rate: three of them."""
 
-_GYROS, _ACCELEROMETERS = slice(3), slice(3, 6)
-"""Their columns among the six channels."""
+_GYROS, _ACCELEROMETERS = slice(3), slice(3, 6)  #: Their columns among the six channels.
 
 COARSEST = 5 * DEG
 """Largest angle of one sample on a table, rad: a direction that changes by a tenth of it between
@@ -180,15 +176,9 @@ class _Steps:
 
 
 def _concatenated(parts: Sequence[_Steps]) -> _Steps:
-    return _Steps(
-        np.vstack([p.turned for p in parts]),
-        np.vstack([p.velocity for p in parts]),
-        np.vstack([p.mean for p in parts]),
-        np.concatenate([p.counts for p in parts]),
-        np.concatenate([p.period for p in parts]),
-        parts[0].pulse,
-        np.sum([p.filled for p in parts], axis=0),
-    )
+    names = ('turned', 'velocity', 'mean', 'counts', 'period')
+    columns = {name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
+    return _Steps(**columns, pulse=parts[0].pulse, filled=np.sum([p.filled for p in parts], axis=0))
 
 
 def joined(samples: Samples) -> _Steps:
@@ -250,9 +240,8 @@ def _filling_variance(samples: Samples, triad: slice) -> float:
     if samples.filled is None or not samples.filled.any():
         return 0.0
     sums, lost = samples.increments[:, triad], samples.filled
-    edges = np.flatnonzero(np.diff(lost.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
     total = 0.0
-    for start, stop in edges.tolist():
+    for start, stop in runs_of(lost).tolist():
         neighbours = [
             sums[a:b] for a, b in ((start - _BESIDE, start), (stop, stop + _BESIDE)) if a >= 0
         ]

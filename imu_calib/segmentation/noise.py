@@ -25,19 +25,15 @@ from .counters import (
 )
 from .segments import CHANNELS, Statistics
 
-_STEPS = 12
-"""Most steps of the reweighting."""
+_STEPS = 12  #: Most steps of the reweighting.
 _MOSTLY = 0.5
 """Share of a variance: with more of it from the counter, a point does not determine the sensor's
 noise."""
 _SETTLED = 1e-4
 """Relative change of variances at which the reweighting ends: far below what they are known to."""
-_TINY = 1e-300
-"""Prevents division by zero for values without noise."""
-_FEWEST_POINTS = 2
-"""A slope needs two."""
-_ALIKE = 0.2
-"""Relative: blocks whose lengths differ by more are not compared."""
+_TINY = 1e-300  #: Prevents division by zero for values without noise.
+_FEWEST_POINTS = 2  #: A slope needs two.
+_ALIKE = 0.2  #: Relative: blocks whose lengths differ by more are not compared.
 _SMALLEST_EIGENVALUE = 1e-10
 """Of the largest: smaller eigenvalues of a correlation are rounding. A judgement: rounding gives
 some 1e-16 times the number of points, and estimated variances considerably more."""

@@ -24,11 +24,6 @@ from ..common.units import DEG
 from ..session.table import TURN, Table
 from .table_motion import Motion
 
-# Angles of an encoder at constant rate: a line through them, and the size of their steps.
-#
-# Source: docs/mathematics.md, 'Rate test'.
-
-
 FEWEST = 6
 """Fewest angles of a line: four coefficients are fitted to a seed, and two degrees of freedom
 remain for the scatter."""
@@ -67,8 +62,7 @@ an encoder of 32 bits steps by 1.5e-9."""
 _NEAR = 20.0
 """Differences up to so many times the least are compared with whole steps: half a percent of error
 of the least difference makes a tenth of a step of it there, which is `_WHOLE`."""
-_SHARES = (1, 2, 3)
-"""The smallest difference seen may be so many steps."""
+_SHARES = (1, 2, 3)  #: The smallest difference seen may be so many steps.
 _WHOLE = 0.1
 """Of a step: tolerance for a difference to be a whole number of them. Six differences are so by
 chance with a probability of 0.2^6 = 6e-5."""
@@ -479,8 +473,6 @@ def _whole_turns(plateau: Plateau, joint: int, origin: float) -> WholeTurns | No
     )
 
 
-# Estimate the offset between the clocks of table and IMU from the pattern of the first motions.
-
 FARTHEST = 60.0
 """s: clocks of GPS, of UTC and of TAI are up to 37 s apart, a clock that is never set is within a
 minute for weeks."""
@@ -488,15 +480,13 @@ minute for weeks."""
 _CELL = 0.1
 """s in which table and gyros turn by the same angle: the rest is found motion by motion."""
 
-_MOVING = 1.0 * DEG
-"""rad/s: more than a table at rest shows, or gyros by their bias."""
+_MOVING = 1.0 * DEG  #: rad/s: more than a table at rest shows, or gyros by their bias.
 
 _ALIKE = 0.75
 """Share in which two patterns of the same motions agree: gyros may be a percent off, and a cell of
 each ramp falls to the next. A judgement."""
 
-_CLEARLY = 0.9
-"""Of the highest likeness: another offset that reaches more of it may be as good."""
+_CLEARLY = 0.9  #: Of the highest likeness: another offset that reaches more of it may be as good.
 
 _TIMES_LESS = 3.0
 """By which the share that is unlike is smaller there nevertheless: turns of minutes are alike at

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,19 +23,18 @@ from .stamps import RowBuffer, clock_steps, sampling_times
 from .statistics import Rounding, Samples, Sensor
 from .stream_facts import FreeMotion, MountShift, Rejected
 from .table_motion import Motion, Rest
-from .turns import MARGIN_NS, Around, read_free_motion, read_turns
+from .turns import MARGIN_NS, MotionReadings, read_free_motion, read_turns
 
 NEAR = 0.5
 """s: clocks this close are compared motion by motion, in a second of rest on either side."""
 _ALONE = 0.01
 """Of the largest travel of a joint: where another turns by more, the clocks are not compared, since
 the gyros' measured angle is compared with that of one joint. A judgement."""
-_SIGNIFICANT = 10 * DEG
-"""rad: longer motions determine the offset of the clocks."""
+_SIGNIFICANT = 10 * DEG  #: rad: longer motions determine the offset of the clocks.
 
 
 class Comparison(NamedTuple):
-    """A longer motion at `instant`, ns: whether it gave an offset of the clocks, and a near one."""
+    """Whether a longer motion at `instant`, ns, gave a clock offset, and one below `NEAR`."""
 
     instant: int
     gave_offset: bool
@@ -51,7 +50,7 @@ class SeenMotion(NamedTuple):
 
 
 @dataclass
-class Found:
+class ReadParts:
     """What the samples contain, in order; as the lists of `Segmented`."""
 
     segments: list[Segment] = field(default_factory=list)
@@ -62,27 +61,25 @@ class Found:
 
     def store(self, found: Sequence[Segment | Turn | FreeMotion | MountShift | Rejected]) -> None:
         """Add each to the list of its kind."""
+        lists: dict[type, list[Any]] = {
+            Segment: self.segments,
+            Turn: self.turns,
+            FreeMotion: self.motions,
+            MountShift: self.mount_shifts,
+            Rejected: self.rejected,
+        }
         for one in found:
-            if isinstance(one, Segment):
-                self.segments.append(one)
-            elif isinstance(one, Turn):
-                self.turns.append(one)
-            elif isinstance(one, FreeMotion):
-                self.motions.append(one)
-            elif isinstance(one, MountShift):
-                self.mount_shifts.append(one)
-            else:
-                self.rejected.append(one)
+            lists[type(one)].append(one)
 
     def reject(
-        self, reason: str, are_spoiled: Callable[[Segment | Turn], bool], *, turns: bool = True
+        self, reason: str, is_rejected: Callable[[Segment | Turn], bool], *, turns: bool = True
     ) -> None:
-        """Reject the spoiled dwells, and turns if asked for, for a reason."""
-        for one in filter(are_spoiled, [*self.segments, *(self.turns if turns else ())]):
+        """Reject some of the dwells, and of the turns if asked for, for a reason."""
+        for one in filter(is_rejected, [*self.segments, *(self.turns if turns else ())]):
             of_turn = isinstance(one, Turn)
             self.rejected.append(Rejected(one.start, one.end, reason, turn=of_turn))
-        self.segments = [one for one in self.segments if not are_spoiled(one)]
-        self.turns = [one for one in self.turns if not (turns and are_spoiled(one))]
+        self.segments = [one for one in self.segments if not is_rejected(one)]
+        self.turns = [one for one in self.turns if not (turns and is_rejected(one))]
 
     def retime(self, pace: Pace) -> None:
         """Retime everything with the sample interval of the whole session."""
@@ -94,7 +91,7 @@ class Found:
 class IntervalReader:
     """Reads dwells and motions, in order, from the buffered samples.
 
-    Where the clocks prove to be apart by another offset, a new reader reads them again.
+    If the clock offset proves to be another, a new reader reads them again.
 
     Args:
         sensor: The IMU.
@@ -102,22 +99,6 @@ class IntervalReader:
         intake: The buffered streams.
         offset_ns: IMU clock minus table clock at the first interval, ns.
         offset_known: Whether a motion has given an offset already.
-
-    Attributes:
-        found: Segments, turns, motions, mount shifts and rejected parts.
-        moves: Reader of the moves between the segments.
-        pace: The sample interval by all that was read.
-        late: Counts of late samples.
-        rounding: Static dwells in which samples in SI units take few values.
-        offset_ns: IMU clock minus table clock by the last motion, ns.
-        offset_known: Whether a motion has given it.
-        large_offset_ns: The one at the first interval if it is more than half a second, ns; else 0.
-        clock: Comparisons of the clocks.
-        comparisons: The motions at which they were compared.
-        seen_motions: The motions looked at for what the gyros saw.
-        set_on: Last stamp before and first after each silence that was a clock set on, ns.
-        bridged: Number of lost samples that are interpolated.
-        off_grid: Stamps before which the clock of the IMU was set, ns.
     """
 
     def __init__(
@@ -132,23 +113,24 @@ class IntervalReader:
         self.sensor = sensor
         self._table = table
         self._intake = intake
-        self._reference_ns = offset_ns
-        """The offset about which the next motion is compared."""
+        self._reference_ns = offset_ns  #: The offset about which the next motion is compared.
         self._silences_judged = 0
-        self.found = Found()
+        self.found = ReadParts()
         self.moves = MoveReader(sensor, by_hand=table is None)
         self.pace = Pace()
         self.late = Lateness()
         self.rounding = Rounding(sensor.spec)
-        self.offset_ns = offset_ns
-        self.offset_known = offset_known
+        self.offset_ns = offset_ns  #: IMU clock minus table clock by the last motion.
+        self.offset_known = offset_known  #: Whether a motion has given it.
+        #: The one at the first interval if it is more than half a second; else 0.
         self.large_offset_ns = offset_ns if abs(offset_ns) > NEAR * 1e9 else 0
         self.clock: list[ClockSample] = []
         self.comparisons: list[Comparison] = []
         self.seen_motions: list[SeenMotion] = []
+        #: Last stamp before and first after each silence that was a clock set on, ns.
         self.set_on: list[tuple[int, int]] = []
-        self.bridged = 0
-        self.off_grid: set[int] = set()
+        self.bridged = 0  #: Lost samples that are interpolated.
+        self.off_grid: set[int] = set()  #: Stamps before which the clock of the IMU was set, ns.
 
     def dwell(self, rest: Rest, longest: int) -> None:
         """Read the samples of a dwell: segments, or the reasons for rejecting it."""
@@ -171,11 +153,11 @@ class IntervalReader:
             if piece.start in set_back:
                 self.pace.begin_line()
             came = self.sensor.samples(stamp[piece], values[piece], self.pace)
-            self.late.note(came.stamp, late[piece] + (stamp[piece] - came.stamp), came.period)
+            self.late.count_late(came.stamp, late[piece] + (stamp[piece] - came.stamp), came.period)
             whole = bridged(came, self.sensor.walk)
             self._note_lost(whole, start, end)
             delivered = whole.values(values[piece])
-            self.rounding.take(delivered)
+            self.rounding.check_dwell(delivered)
             found = read_dwell(
                 self.sensor, whole.samples, delivered, rest.angles, attitude, rest.angle_error
             )
@@ -184,7 +166,7 @@ class IntervalReader:
 
     @property
     def silent_ns(self) -> int:
-        """Silences of the IMU's stream, ns, of which it is open whether its clock was set on."""
+        """Silence of the IMU's stream, ns, that may be lost samples or a clock set forward."""
         if self._table is None or not self.offset_known:
             return 0
         open_ones = self._intake.interruptions.found[self._silences_judged :]
@@ -232,13 +214,13 @@ class IntervalReader:
         # Of the rest beside the motion what is timed by the same line is read.
         start = max([start, *(one - 1 for one in set_back if one <= begins)])
         end = min([end, *(one - 1 for one in set_back if one > ends_at)])
-        stamp, values, late = self._apart_at_steps(*made_between(self._intake.imu, start, end))
+        stamp, values, late = self._without_clock_steps(*made_between(self._intake.imu, start, end))
         if len(stamp) < 2:
             return
         came = self.sensor.samples(stamp, values, self.pace)
         inside = slice(*np.searchsorted(came.stamp, [begins, ends_at], side='right').tolist())
         late = late + (stamp - came.stamp)
-        self.late.note(came.stamp[inside], late[inside], came.period)
+        self.late.count_late(came.stamp[inside], late[inside], came.period)
         # The rate changes here: only samples next to a lost one are used for it.
         whole = bridged(came, self.sensor.walk, 1)
         self._note_lost(whole, begins, ends_at)
@@ -250,7 +232,7 @@ class IntervalReader:
         self.moves.motion(samples.part(0, ends), values[:ends])
         skew = self._intake.skew
         skewed = None if skew is None else made_between(skew, start, end)[:2]
-        around = Around(self.sensor, values, samples, skewed)
+        around = MotionReadings(self.sensor, values, samples, skewed)
         if self._table is None or not len(motion.stamp):
             self.found.store(read_free_motion(around, motion))
             return
@@ -276,7 +258,7 @@ class IntervalReader:
         seen = measured_share(samples, shown[some], table.attitude(motion.position[some]))
         if seen is not None:
             middle = (motion.start + motion.end) / 2 + self.offset_ns
-            repetition = Repetition.of(values, samples.increments / samples.period)
+            repetition = Repetition.count_in(values, samples.increments / samples.period)
             self.seen_motions.append(SeenMotion(middle, seen, repetition))
 
     def _set_back(self, start: int, end: int) -> list[int]:
@@ -308,10 +290,10 @@ class IntervalReader:
         if abs(self.offset_ns - shift) > NEAR * 1e9:
             self._reference_ns = self.offset_ns
 
-    def _apart_at_steps(
+    def _without_clock_steps(
         self, stamp: Stamps, values: Floats, late: Stamps
     ) -> tuple[Stamps, Floats, Stamps]:
-        """Leave out samples of a motion where the clock was set: a gap that is not filled."""
+        """Drop samples of a motion around instants at which the clock was set."""
         steps = clock_steps(stamp, self.pace.interval)
         if not steps:
             return stamp, values, late

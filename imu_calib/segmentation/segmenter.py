@@ -7,7 +7,6 @@ from collections import deque
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..common.stream import (
     Block,
@@ -24,7 +23,6 @@ from ..session.imu import ImuSpec
 from ..session.table import Table
 from .clock import ClockFit, fit_clock
 from .false_samples import interruptions
-from .gaps import Repetition
 from .intake import Ordered, StreamBuffer
 from .moves import MoveReader
 from .plateaus import FARTHEST, offset_by_pattern
@@ -36,20 +34,15 @@ from .stream_facts import Move, Segmented, Thermometer
 from .table_motion import JointTracker, Motion, Rest
 from .turns import MARGIN_NS
 
-# Reject what clocks that are apart, or frozen samples, spoil: at the end of a session.
-
-
-SEEN = 0.75
-"""Of a motion: less seen means that some was lost or beyond the range."""
-_ALIKE = 1.5
-"""Ratio: where the seen shares of motions are this close, the scale factor is wrong."""
+SEEN = 0.75  #: Of a motion: less seen means that some was lost or beyond the range.
+_ALIKE = 1.5  #: Ratio: where the seen shares of motions are this close, the scale factor is wrong.
 
 
 def reject_untimed(reader: IntervalReader, intake: StreamBuffer) -> None:
-    """Reject what follows an interruption after which no motion gives the offset of the clocks.
+    """Reject data after an interruption if no motion after it gives the clock offset.
 
-    A clock that was set on looks like samples that are missing. Where it was set by more than is
-    searched, dwells and turns are cut at other times than the table's.
+    A clock that was set forward looks like missing samples. Beyond the range of the search for the
+    offset, dwells and turns would be cut at wrong times.
     """
     if not any(one.gave_offset for one in reader.comparisons):
         return
@@ -73,7 +66,7 @@ def reject_untimed(reader: IntervalReader, intake: StreamBuffer) -> None:
 
 
 def reject_hidden(reader: IntervalReader) -> tuple[int, int]:
-    """Reject dwells next to a motion that the gyros did not see: clocks are apart.
+    """Reject dwells next to a motion that the gyros did not see: the clock offset is wrong.
 
     Returns:
         Number of motions in which the device repeated one sample, and when the first was, ns.
@@ -88,7 +81,11 @@ def reject_hidden(reader: IntervalReader) -> tuple[int, int]:
     # A motion beyond the range looks small, but is seen from beginning to end.
     repetitions = [one.repetition for one in motions]
     unseen = np.maximum(angles, times) < SEEN
-    frozen = _repeat_one_sample(repetitions) & unseen
+    # The chance that two samples are equal is estimated from the motions of the session, most of
+    # which are sound: where most repeat themselves the unit has no noise, and it is unknown.
+    usual = float(np.median([one.share for one in repetitions]))
+    frozen = np.array([one.is_significant(usual) for one in repetitions])
+    frozen &= unseen & (2 * int(frozen.sum()) < len(frozen))
 
     def is_frozen(dwell: Segment | Turn) -> bool:
         """Return whether a dwell repeats the sample of a frozen motion next to it.
@@ -118,27 +115,7 @@ def reject_hidden(reader: IntervalReader) -> tuple[int, int]:
     return int(frozen.sum()), round(float(instants[frozen][0])) if frozen.any() else 0
 
 
-def _repeat_one_sample(repetitions: list[Repetition]) -> NDArray[np.bool_]:
-    """Return the motions looked at in which the device repeated one sample.
-
-    The chance that two samples are equal is estimated from the motions of the session, most of
-    which are sound: where most repeat themselves the unit has no noise, and the chance is unknown.
-    """
-    usual = float(np.median([one.share for one in repetitions]))
-    found = np.array([one.is_significant(usual) for one in repetitions])
-    return found & (2 * int(found.sum()) < len(found))
-
-
-def reject_all(reader: IntervalReader) -> None:
-    """Reject all that was cut by clocks of unknown offset: its positions and rates are wrong."""
-    reason = 'no clock offset brings the motions by the gyros and by the table into agreement'
-    reader.found.reject(reason, lambda _: True)
-    reader.found.mount_shifts = []
-    reader.moves = MoveReader(reader.sensor)
-
-
-_LONGEST_REST = 1 << 20
-"""Most samples held: a longer dwell is cut, so that memory stays bounded."""
+_LONGEST_REST = 1 << 20  #: Most samples held: a longer dwell is cut, so that memory stays bounded.
 _SAMPLES_FOR_PERIOD = 256
 """Samples whose median step is the interval. A choice: a quarter of a second at 1 kHz."""
 _SURELY_SEEN = 3
@@ -163,7 +140,7 @@ class Segmenter:
     def __init__(self, spec: ImuSpec, table: Table | None) -> None:
         self._spec = spec
         self._table = table
-        self._sensor = Sensor.of(spec)
+        self._sensor = Sensor.from_spec(spec)
         skewed = self._sensor.skewed
         self._intake = StreamBuffer(
             table,
@@ -229,7 +206,7 @@ class Segmenter:
         elif isinstance(block, SkewBlock):
             self._intake.take_skew(block)
         elif isinstance(block, TemperatureBlock):
-            self._thermometer.feed(block)
+            self._thermometer.add_temperatures(block)
         self._process()
 
     def snapshot(self) -> Segmenter:
@@ -245,7 +222,7 @@ class Segmenter:
         return self._ended
 
     def _end_of_streams(self) -> Segmented:
-        """Read what is left, drop what clocks or frozen samples spoil, and time the rest anew."""
+        """Read the remaining samples, reject mistimed and frozen data, and time the rest anew."""
         self._follow_joints(self._intake.finish())
         if self._joints is None:
             self._watch_stillness(last=True)
@@ -257,7 +234,13 @@ class Segmenter:
         reject_untimed(reader, self._intake)
         self._frozen = reject_hidden(reader)
         if self._clocks_unknown:
-            reject_all(reader)
+            # All was cut by clocks of unknown offset: its positions and rates are wrong.
+            reason = (
+                'no clock offset brings the motions by the gyros and by the table into agreement'
+            )
+            found.reject(reason, lambda _: True)
+            found.mount_shifts = []
+            reader.moves = MoveReader(reader.sensor)
         found.retime(reader.pace)
         restarts = [begins for _, begins in self._intake.interruptions.found]
         of_imu, of_table = self._intake.imu_clock.found, self._intake.joint_clock.found
@@ -291,7 +274,7 @@ class Segmenter:
     def _follow_joints(self, joints: Ordered) -> None:
         """Detect dwells and motions from joint states."""
         if self._joints is not None and len(joints.stamp):
-            self._pending.extend(self._joints.feed(joints.stamp, joints.values))
+            self._pending.extend(self._joints.track(joints.stamp, joints.values))
 
     def _process(self, *, last: bool = False) -> None:
         """Process every interval whose samples have all come in."""
@@ -385,7 +368,7 @@ class Segmenter:
             return
         self._watched_until = int(stamp[-1])
         rates = to_samples(stamp, values, self._spec, self._period).increments / self._period
-        self._pending.extend(self._stillness.feed(stamp, rates))
+        self._pending.extend(self._stillness.track(stamp, rates))
 
     def _split_long_rest(self) -> None:
         """Close a dwell after so many samples, so that memory stays bounded."""
@@ -465,8 +448,7 @@ class Segmenter:
         return (*lost, *self._thermometer.losses)
 
 
-_SHOWN = 1e-4
-"""Resolution of a reported jump, s: smaller ones do not matter to a user."""
+_SHOWN = 1e-4  #: Resolution of a reported jump, s: smaller ones do not matter to a user.
 
 
 def clock_jumps(clock: ClockFit) -> list[str]:

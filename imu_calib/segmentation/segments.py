@@ -163,11 +163,6 @@ class Turn:
     #: accurate.
     whole_way: RestToRest | None = None
 
-    @property
-    def level(self) -> float:
-        """`level_share`, by its former name."""
-        return self.level_share
-
     def encoder_variance(self) -> Floats:
         """Return the variances of the gyros' means by the encoders' noise, (3,)."""
         return np.asarray((self.up_error * self.rate()) ** 2 * (1 - self.up**2))

@@ -15,8 +15,7 @@ from .false_samples import INTERRUPTION, sample_interval, steps_since
 from .plateaus import FARTHEST
 from .stamps import SHORT, SampleGrid, read_grid
 
-_STAMPS = 3
-"""Last stamps whose samples are counted: an early transfer follows a late one."""
+_STAMPS = 3  #: Last stamps whose samples are counted: an early transfer follows a late one.
 
 _MORE = 1.25
 """Times as many samples as the time since those stamps has intervals are too many. A judgement,
@@ -24,7 +23,7 @@ between one and the four thirds of a single sample too many among three."""
 
 
 class SharedStamps:
-    """Sets samples that share a stamp a nanosecond apart, a bunch (`bunches`); drops repeats.
+    """Separate samples that share a stamp by a nanosecond, as a bunch; drop repeats.
 
     A driver that stamps a transfer gives all its samples one stamp. They are samples if no more
     have come than the time since the last stamps has intervals: two devices on one topic bring
@@ -34,13 +33,10 @@ class SharedStamps:
 
     Args:
         rate: Samples per second as stated; None to take it from the stream.
-
-    Attributes:
-        count: Number of samples set apart.
     """
 
     def __init__(self, rate: float | None) -> None:
-        self.count = 0
+        self.count = 0  #: Samples set apart.
         self._interval = 1e9 / rate if rate else 0.0
         self._most = 0
         self._first: int | None = None
@@ -53,12 +49,12 @@ class SharedStamps:
         self._same = self._same_alike = 0
         self._next = self._next_alike = 0
 
-    def take(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats, Stamps]:
-        """Take (n,) stamps, ns, and (n, columns) values; return those kept, and repeats' stamps."""
-        apart, kept = self.separate_stamps(stamp, values)
+    def separate(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats, Stamps]:
+        """Add (n,) stamps, ns, and (n, columns) values; return those kept, and repeats' stamps."""
+        separated, kept = self.separate_stamps(stamp, values)
         if kept is None:
-            return apart, values, stamp[:0]
-        return apart[kept], values[kept], stamp[~kept]
+            return separated, values, stamp[:0]
+        return separated[kept], values[kept], stamp[~kept]
 
     def separate_stamps(
         self, stamp: Stamps, values: Floats
@@ -158,8 +154,6 @@ class SharedStamps:
             self._first = stamp
 
 
-# Stamps of a clock that was set back within a session: moved on, so that they increase again.
-
 _SURE = 32
 """Samples in a row, all stamped before the last one, that show a clock that was set back. A
 judgement: a third of a second at 100 Hz; fewer, if stamps then continue beyond the last one."""
@@ -198,13 +192,10 @@ class SetBackClock:
     that come twice repeat values: both keep their stamps, and `order` drops them.
 
     Source: docs/mathematics.md, 'Stamps and lost samples'.
-
-    Attributes:
-        found: In order.
     """
 
     def __init__(self, columns: int) -> None:
-        self.found: list[SetBack] = []
+        self.found: list[SetBack] = []  #: In order.
         self._shift = 0
         self._last: int | None = None
         self._recent = [(np.empty(0, dtype=np.int64), np.empty((0, columns)))]
@@ -217,8 +208,8 @@ class SetBackClock:
         """By how much stamps are moved on after none of the times, after the first, ..., ns."""
         return tuple(np.cumsum([0, *(one.by for one in self.found)]).tolist())
 
-    def take(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
-        """Take (n,) stamps, ns, with (n, columns) values; return the rows that are certain."""
+    def continue_stamps(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
+        """Add (n,) stamps, ns, with (n, columns) values; return the rows that are certain."""
         if not len(stamp):
             return stamp, values
         if self._shift:
@@ -262,7 +253,9 @@ class SetBackClock:
                 continue
             if count == _SURE:
                 # Those before were ahead: the stream goes on without them.
-                self._forget_after(int(stamp[first]))
+                known, before = self._known()
+                kept = known <= int(stamp[first])
+                self._recent, self._recent_rows = [(known[kept], before[kept])], int(kept.sum())
                 self._know(stamp[rows], values[rows])
             done = beyond
         self._stamp, self._values = stamp[done:], values[done:]
@@ -289,10 +282,7 @@ class SetBackClock:
     def _is_set_back(self, stamp: Stamps, values: Floats, following: Stamps) -> bool:
         """Return whether rows that are stamped before the last one show a clock that was set back.
 
-        Args:
-            stamp: (n,) ns, increasing.
-            values: (n, columns).
-            following: The next stamp, if there is one.
+        Their stamps (n,), ns, increase; `following` has the next stamp, if there is one.
         """
         known, before = self._known()
         if len(stamp) < _FEWEST or len(known) < _SURE:
@@ -313,7 +303,10 @@ class SetBackClock:
             lacking = (known[-1] - known[place - 1]) / sample_interval(known) - after
             if lacking > _ROOM * len(stamp):
                 return False
-        return not _are_repeated(known, before, stamp, values)
+        # Rows that came before with these stamps are repeated; those that are all alike may not be.
+        places = np.minimum(np.searchsorted(known, stamp), len(known) - 1)
+        repeated = (known[places] == stamp).all() and (before[places] == values).all()
+        return bool((values == values[0]).all() or not repeated)
 
     def _interval(self, stamp: Stamps) -> int:
         """Return the time from the last row to these, ns: that of all that are stamped together."""
@@ -336,27 +329,6 @@ class SetBackClock:
         """Return the last rows: (n,) stamps, ns, and (n, columns) values."""
         stamp, values = (np.concatenate(parts) for parts in zip(*self._recent, strict=True))
         return stamp[-_KNOWN:].copy(), values[-_KNOWN:].copy()
-
-    def _forget_after(self, instant: int) -> None:
-        """Forget rows that are stamped after an instant, ns."""
-        stamp, values = self._known()
-        kept = stamp <= instant
-        self._recent, self._recent_rows = [(stamp[kept], values[kept])], int(kept.sum())
-
-
-def _are_repeated(known: Stamps, before: Floats, stamp: Stamps, values: Floats) -> bool:
-    """Return whether all rows came before, with these stamps; those that are alike may not.
-
-    Args:
-        known: (m,) stamps so far, ns, increasing.
-        before: (m, columns) their values.
-        stamp: (n,) ns.
-        values: (n, columns).
-    """
-    if (values == values[0]).all():
-        return False
-    places = np.minimum(np.searchsorted(known, stamp), len(known) - 1)
-    return bool((known[places] == stamp).all() and (before[places] == values).all())
 
 
 def set_back_sentences(found: Sequence[SetBack], whose: str, then: str) -> list[str]:
@@ -381,8 +353,6 @@ def set_back_sentences(found: Sequence[SetBack], whose: str, then: str) -> list[
         f'so that they go on an interval after the one before; {then}'
     ]
 
-
-# Count samples that are stamped late by chance, and by how much: a sign of a busy line.
 
 JITTER = 6 * MAD_TO_STD
 """Times the median absolute deviation: six standard deviations of Gaussian jitter."""
@@ -418,7 +388,7 @@ class Lateness:
         self.longest = 0.0
         self.first: int | None = None
 
-    def note(self, stamp: Stamps, late: Stamps, period: float) -> None:
+    def count_late(self, stamp: Stamps, late: Stamps, period: float) -> None:
         """Add samples.
 
         Args:
@@ -465,8 +435,7 @@ _SURE_PACE = 0.1
 _FEWEST_FREE = 2
 """Degrees of freedom from which on the scatter of segments about their line is used."""
 
-_LEAST_STD = 1e-10
-"""Of the level of a segment, s: stamps in ns, averaged."""
+_LEAST_STD = 1e-10  #: Of the level of a segment, s: stamps in ns, averaged.
 
 
 @dataclass(frozen=True)
@@ -497,8 +466,7 @@ class Pace:
         self._pieces = np.zeros(4)
         """Sums of a line (`_line`) through the pieces between jumps, each with its own level."""
         self._knots: list[_Knot] = []
-        self._known: tuple[float, float] | None = None
-        """Result of `_long` since the last segment."""
+        self._known: tuple[float, float] | None = None  #: Cache of `_long`.
 
     def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
         """Return the grid of a segment, (n,) stamps in ns, and its timing by all so far."""
@@ -530,18 +498,16 @@ class Pace:
 
     def _long(self) -> tuple[float, float]:
         """Return the interval by the line through all segments, and its std, s; 0 without one."""
-        if self._known is None:
-            self._known = self._through_all()
-        return self._known
-
-    def _through_all(self) -> tuple[float, float]:
+        if self._known is not None:
+            return self._known
         points, xx, xy, yy = (self._pieces + _line(self._knots, self._reference)).tolist()
-        freedom = points - 1
-        if freedom < _FEWEST_FREE or not xx > 0:
-            return 0.0, float('inf')
-        change = xy / xx
-        squares = max(0.0, yy - change * xy) / freedom
-        return self._reference + change, float(np.sqrt(max(1.0, squares) / xx))
+        freedom, self._known = points - 1, (0.0, float('inf'))
+        if freedom >= _FEWEST_FREE and xx > 0:
+            change = xy / xx
+            squares = max(0.0, yy - change * xy) / freedom
+            std = float(np.sqrt(max(1.0, squares) / xx))
+            self._known = self._reference + change, std
+        return self._known
 
     def _note(self, start: float, grid: SampleGrid) -> None:
         """Add a segment to the line, or begin another if it does not lie on it."""

@@ -27,7 +27,7 @@ from ..common.stream import Floats, Stamps
 
 LAG = 240
 """Most samples over which the mean step is taken: several bunches, and short enough that half of
-such spans are without a long gap."""
+such spans are without a long gap, and some without any."""
 
 SHORT = 0.5
 """Of the mean step: shorter ones are within a bunch. A judgement: jitter of a fifth of an interval
@@ -56,14 +56,14 @@ _IN_ROW = 0.5
 in a row where a stamp is a whole interval nearer to the last but one, which is rare."""
 
 _DRIFT = 0.1
-"""Of the interval: largest error of stamps after `_AHEAD` samples due to the interval's error. It
+"""Of the interval: largest error of stamps after `AHEAD` samples due to the interval's error. It
 is a tenth of what distinguishes one sample from the next."""
 
 _NEARLY = 0.2
 """Of the mean step: the interval is within this of it, unless samples come in bunches or one in six
 is missing."""
 
-_AHEAD = 512
+AHEAD = 512
 """Samples of which the earliest is taken: longer than a line is usually held up, five seconds at
 100 Hz, and so few that an interval known to a ten-thousandth errs by a twentieth of one over them.
 Of 40 simulated streams of 75 s, one sample in twenty late by 100 ms, three were late for longer
@@ -167,11 +167,11 @@ def _out_of_queue(stamp: Stamps) -> Stamps:
         return stamp
     line = np.arange(len(stamp)) * interval
     late = (stamp - stamp[0]) - line
-    earliest = scipy.ndimage.minimum_filter1d(late, _AHEAD, mode='nearest', origin=-(_AHEAD // 2))
+    earliest = scipy.ndimage.minimum_filter1d(late, AHEAD, mode='nearest', origin=-(AHEAD // 2))
     # In a longer queue samples gain on the clock until its end.
-    falls = np.flatnonzero(late[: 1 - _AHEAD] - late[_AHEAD - 1 :] > _AHEAD / 2 * interval)
+    falls = np.flatnonzero(late[: 1 - AHEAD] - late[AHEAD - 1 :] > AHEAD / 2 * interval)
     for k in falls[::-1].tolist():
-        earliest[k] = min(earliest[k], earliest[k + _AHEAD - 1])
+        earliest[k] = min(earliest[k], earliest[k + AHEAD - 1])
     # Where a queue ends beyond the samples looked at, the instants follow from the samples before.
     in_time = np.flatnonzero(late - earliest <= _DRIFT * interval)
     level = late[in_time]
@@ -196,7 +196,7 @@ def _interval_in_queue(steps: Stamps) -> float | None:
     apart = steps[~short]
     interval = float(np.median(apart))
     error = _BY_MEDIANS * float(np.median(np.abs(apart - interval))) / len(apart) ** 0.5
-    known = abs(interval - mean) <= _NEARLY * mean and error * _AHEAD <= _DRIFT * interval
+    known = abs(interval - mean) <= _NEARLY * mean and error * AHEAD <= _DRIFT * interval
     return interval if known else None
 
 
@@ -254,9 +254,9 @@ def _places(counts: NDArray[np.intp], slots: NDArray[np.intp]) -> Floats:
     return np.asarray(place + np.repeat(lacking, counts) * (place > np.repeat(before, counts)))
 
 
-_LATE = 1.5
-"""Intervals between two stamps from which on a sample between them may be missing. Half way between
-none and one."""
+MISSES_ONE = 1.5
+"""Sample intervals between two stamps from which on a sample between them may be missing: half way
+between none and one."""
 
 _OFF_GRID = 0.03
 """Of an interval: smaller steps are not set clocks, or have no effect: missing samples shift the
@@ -284,8 +284,7 @@ _TICKS = 4
 """Ticks of an interval from which on its clock is coarse: its stamps advance by one tick more or
 less now and then. A judgement: milliseconds at 250 Hz and less."""
 
-_ON_TICK = 0.05
-"""Of a tick: tolerance of a stamp about a whole number of them."""
+_ON_TICK = 0.05  #: Of a tick: tolerance of a stamp about a whole number of them.
 _ON_TICKS = 0.9
 """Share of the steps that are whole ticks: of 20 steps so many are by chance once in 10^16."""
 
@@ -300,54 +299,37 @@ sample in twelve is missing, and enough for jitter to be small against it."""
 _CLOSE = 0.05
 """Of an interval: where eight differ by more from eight single ones, most spans hold gaps."""
 
-_HASTE = 0.5
-"""Of the interval: where a quarter of the steps are shorter, samples come in bunches."""
 
 _QUEUED = 0.5
 """Share of short steps up to the end from which on they belong to a queue. A judgement: more than
 are short by jitter."""
 
-_LAG = 240
-"""Most samples over which the interval is then taken, in whole bunches: short enough that some of
-these spans have no gap."""
-
-_LAGS = 4
-"""Fewest lags of a segment: their lower quantile is then within it."""
-
-_WITHOUT_GAP = 0.1
-"""Share of the lags without a gap: the interval is taken from the lowest ones."""
+_LAGS = 4  #: Fewest lags of a segment: their lower quantile is then within it.
+_WITHOUT_GAP = 0.1  #: Share of the lags without a gap: the interval is taken from the lowest ones.
 
 _WINDOW = 128
 """Samples on either side of a step that show whether stamps stay late: more than a line is held up,
 a tenth of a second at 1 kHz; and so few that their interval need not be known to a thousandth."""
 
-_NARROW = 16
-"""The same in the first round of bunches, whose interval is known to a percent."""
-
-_LAYINGS = 3
-"""Most rounds of fitting a line and counting the missing samples by it. A cap."""
+_NARROW = 16  #: The same in the first round of bunches, whose interval is known to a percent.
+_LAYINGS = 3  #: Most rounds of fitting a line and counting the missing samples by it. A cap.
 
 _TAIL = 32
 """Samples at the end of a segment in bunches: the last bunch is cut off, and late samples cannot be
 distinguished there from missing ones."""
 
-_FEWEST = 3
-"""Fewest stamps of a line whose scatter is known."""
+_FEWEST = 3  #: Fewest stamps of a line whose scatter is known.
 
 _OUTLYING = 4.0
 """Robust standard deviations off the line beyond which a stamp gets zero weight. Normal ones exceed
 them once in 16 000."""
 
-_ROUNDS = 5
-"""A cap."""
+_ROUNDS = 5  #: A cap.
 _BLOCKS = 16
 """Blocks of a segment of stamps, whose means show correlated errors: a queue, a coarse clock."""
 
-_CLEAN = 1e-3
-"""Of an interval: stamps nearer than this to their line are left as they are."""
-
-_ROUNDING = 1e-9
-"""Resolution of a stamp, s."""
+_CLEAN = 1e-3  #: Of an interval: stamps nearer than this to their line are left as they are.
+_ROUNDING = 1e-9  #: Resolution of a stamp, s.
 
 
 @dataclass(frozen=True, eq=False)
@@ -465,7 +447,7 @@ def _is_tick(step: float, stamp: Stamps, period: float) -> bool:
 
 def _hasty(steps: Floats, interval: float) -> bool:
     """Return whether a quarter of the steps, s, is far shorter than an interval, s."""
-    limit = _HASTE * interval
+    limit = SHORT * interval
     return float(steps.min()) < limit and float(np.quantile(steps, 0.25)) < limit
 
 
@@ -476,9 +458,9 @@ def _first_period(time: Floats) -> tuple[float, bool]:
     typical, single = float(np.median(time[few:] - time[:-few])) / few, float(np.median(steps))
     if not _hasty(steps, typical):
         return typical if abs(typical - single) < _CLOSE * single else single, False
-    waits = np.flatnonzero(steps > _HASTE * typical)
+    waits = np.flatnonzero(steps > SHORT * typical)
     bunch = max(1, int(np.median(np.diff(waits)))) if len(waits) > 1 else 1
-    lag = max(bunch, min(_LAG, len(steps) // _LAGS) // bunch * bunch)
+    lag = max(bunch, min(LAG, len(steps) // _LAGS) // bunch * bunch)
     return float(np.quantile(time[lag:] - time[:-lag], _WITHOUT_GAP)) / lag, True
 
 
@@ -494,12 +476,12 @@ def _missing_before(
     late = time - np.arange(len(time)) * period
     found = np.zeros(len(time), dtype=np.int64)
     missing = 0
-    for k in (np.flatnonzero(np.diff(time) > _LATE * period) + 1).tolist():
+    for k in (np.flatnonzero(np.diff(time) > MISSES_ONE * period) + 1).tolist():
         first = max(0, k - window)
         if bunched and len(time) - k < _TAIL:
             break
         after = late[k : k + window]
-        behind = np.diff(time[k:]) < _HASTE * period
+        behind = np.diff(time[k:]) < SHORT * period
         if k + int(after.argmin()) == len(time) - 1 and len(behind) and behind.mean() > _QUEUED:
             # A queue that lasts beyond the end: the lateness of its samples is unknown.
             break
@@ -560,10 +542,7 @@ def _in_common(residuals: Floats) -> float:
     return max(own, length * float(np.mean(means**2)))
 
 
-# A first-in first-out buffer of rows, cheap to append to and to drop from.
-
-_FIRST_CAPACITY = 1024
-"""Rows. A choice: it doubles when it is full."""
+_FIRST_CAPACITY = 1024  #: Rows. A choice: it doubles when it is full.
 
 
 class RowBuffer:

@@ -25,7 +25,7 @@ from .counters import (
 )
 from .segments import Statistics
 from .stamp_faults import Pace, Timing
-from .stamps import read_grid
+from .stamps import MISSES_ONE, read_grid
 
 BLOCK_SECONDS = 10.0
 """Shortest block whose mean shows the random walk of a quantised counter.
@@ -33,19 +33,13 @@ BLOCK_SECONDS = 10.0
 Source: docs/mathematics.md, 'Noise of a mean'.
 """
 
-_GAP = 1.5
-"""Sample intervals: a longer step lacks a sample, half way between none and one."""
 _JITTERS = 6
 """Standard deviations of jitter by which a step without a gap may be longer besides: normal ones
 exceed them twice in 10^9."""
-_TOGGLES = 1.5
-"""Steps of a grid: values within fewer are of two codes."""
-_MINIMUM_BLOCKS = 4
-"""For a variance between blocks. It then has three degrees of freedom."""
-_SCORING_STEPS = 20
-"""A cap."""
-_SMALLEST_VARIANCE = 1e-100
-"""Prevents division by zero for noise-free blocks."""
+_TOGGLES = 1.5  #: Steps of a grid: values within fewer are of two codes.
+_MINIMUM_BLOCKS = 4  #: For a variance between blocks. It then has three degrees of freedom.
+_SCORING_STEPS = 20  #: A cap.
+_SMALLEST_VARIANCE = 1e-100  #: Prevents division by zero for noise-free blocks.
 _SAMPLES_FOR_GRID = 4096
 """Samples whose values are searched for the smallest difference. A choice."""
 _ORDER = 8
@@ -156,11 +150,11 @@ def gap_free(stamp: Stamps, period: float) -> list[tuple[int, int]]:
         Half-open index ranges.
     """
     steps = np.diff(stamp) * 1e-9
-    if float(steps.max(initial=0.0)) <= _GAP * period:
+    if float(steps.max(initial=0.0)) <= MISSES_ONE * period:
         return [(0, len(stamp))]
     jitter = MAD_TO_STD * float(np.median(np.abs(steps - np.median(steps))))
     # Half of a few steps may be gaps: stamps with jitter beyond an interval have no order.
-    cuts = np.flatnonzero(steps > _GAP * period + _JITTERS * min(jitter, period)) + 1
+    cuts = np.flatnonzero(steps > MISSES_ONE * period + _JITTERS * min(jitter, period)) + 1
     edges = [0, *cuts.tolist(), len(stamp)]
     return list(pairwise(edges))
 
@@ -404,14 +398,11 @@ def _channel_walk(segments: list[Floats]) -> tuple[float, float]:
     return square, float(np.sqrt(2 / information))
 
 
-# Properties of samples from an IMU's description: noise, and the ends of the range.
-
 _WALK_GUESS = 0.05
 """Pulses per root of a sample: first weights; the walk is then estimated from the session."""
 _FEW_PULSES = 10.0
 """Pulses at the end of a range: with fewer one reading does not resolve it to a tenth."""
-_ENOUGH_PULSES = 100.0
-"""Pulses by which it is resolved to a hundredth. A judgement."""
+_ENOUGH_PULSES = 100.0  #: Pulses by which it is resolved to a hundredth. A judgement.
 
 
 @dataclass(frozen=True, eq=False)
@@ -422,7 +413,7 @@ class Sensor:
     walk: Floats  #: (6,) random walk to choose weights by, rad/sqrt(s) and (m/s)/sqrt(s).
 
     @classmethod
-    def of(cls, spec: ImuSpec) -> Sensor:
+    def from_spec(cls, spec: ImuSpec) -> Sensor:
         """Take the data sheet's random walk, or a fraction of a pulse.
 
         Values that are not pulses need no weights, and outliers are found by their own scatter.
@@ -458,7 +449,7 @@ class Sensor:
         """The skewed gyro as an IMU whose first channel it is; None without one."""
         if self.spec.skewed is None:
             return None
-        return Sensor.of(replace(self.spec, gyro=self.spec.skewed, accel=TriadSpec()))
+        return Sensor.from_spec(replace(self.spec, gyro=self.spec.skewed, accel=TriadSpec()))
 
     def samples(self, stamp: Stamps, values: Floats, pace: Pace | None = None) -> Samples:
         """Return values as increments in SI units, at the instants of a line through their stamps.
@@ -522,10 +513,8 @@ def _at_its_end(increments: Floats, limit: float, pulse: float) -> NDArray[np.bo
 # taken (the theory: Widrow and Kollar, Quantization Noise, 2008).
 
 
-_SAMPLES = 1000
-"""Of a static dwell that are looked at."""
-_FEWEST = 100
-"""Samples that show the noise."""
+_SAMPLES = 1000  #: Of a static dwell that are looked at.
+_FEWEST = 100  #: Samples that show the noise.
 _VALUES = 2
 """Values of which a channel takes no more at rest if its noise is below some 0.15 to 0.3 steps,
 since 1000 samples lie within 3.3 deviations of their mean. With 0.2 steps the mean is off by up to
@@ -554,7 +543,7 @@ class Rounding:
         self._units = spec.units
         self._has_fractions = False
 
-    def take(self, values: Floats) -> None:
+    def check_dwell(self, values: Floats) -> None:
         """Add the samples of a static dwell.
 
         Args:
@@ -580,7 +569,7 @@ class Rounding:
 
     @property
     def sentences(self) -> list[str]:
-        """What was seen, without a full stop: of one value alone the step is not known."""
+        """The findings, without full stops; the step is unknown if only one value occurs."""
         found = []
         if self._has_fractions:
             kind = Units.INCREMENTS if self._units.per_interval else Units.RATES

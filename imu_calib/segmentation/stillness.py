@@ -18,15 +18,11 @@ from ..model.earth import EARTH_RATE
 from .stamps import RowBuffer
 from .table_motion import Motion, Rest
 
-# The output of the gyros at rest, estimated from the session.
-
-
 _CHUNK_WINDOWS = 5
 """Windows of a tenth of a second that are averaged: a hand trembles at 8 to 12 Hz (Stiles 1976, J.
 Appl. Physiol. 40), which half a second averages out."""
 
-_STEADY_RATE = 1.0 * DEG
-"""rad/s, with `_STEADY_FORCE`."""
+_STEADY_RATE = 1.0 * DEG  #: rad/s, with `_STEADY_FORCE`.
 _STEADY_FORCE = 0.05 * STANDARD_GRAVITY
 """Agreement of the means of two half seconds in a hand that holds still: 0.6 deg/s and 0.02 g in
 published sessions of five MPU-9150 (mikoff/imu-calib), with a margin for shakier hands."""
@@ -151,7 +147,7 @@ class GyroOffset:
         found = [one for one in self._levels if len(one.ups) >= enough]
         return [(one.rate, len(one.ups)) for one in found if one is not self._level]
 
-    def feed(self, mean: Floats) -> None:
+    def add_window(self, mean: Floats) -> None:
         """Add the mean (6,) of a window of a tenth of a second, rad/s and m/s^2."""
         self._sum += mean
         self._windows += 1
@@ -178,10 +174,7 @@ class GyroOffset:
         self._levels.append(_Level([_Attitude(up, rate)]))
 
 
-# Estimate tolerances for detecting dwells: the deviations while a unit is held still.
-
-_BESIDE = 5
-"""Windows before and after each window: a second in all."""
+_BESIDE = 5  #: Windows before and after each window: a second in all.
 
 _USUAL = 0.9
 """Share of the quiet windows that count as still: the rest may be shocks, or turns too slow to be
@@ -198,8 +191,7 @@ _TURN_RATE = 5.0 * DEG
 """Mean over a second from which on it is a turn, rad/s: five degrees exceed the lean of any hold,
 with tremor. Published sessions by hand exceed it within 0.2 s of the beginning of turns."""
 
-_MOST_RATE = 20.0 * DEG
-"""rad/s: a stronger tremor is not a hold."""
+_MOST_RATE = 20.0 * DEG  #: rad/s: a stronger tremor is not a hold.
 _MOST_FORCE = 0.3 * STANDARD_GRAVITY
 """A larger swing is not a hold: two degrees in a tenth of a second, of which the mean no longer
 resolves a tenth."""
@@ -214,7 +206,7 @@ class RestTolerance:
     usual: float = 0.0  #: Deviation of rates in nine windows of ten from the second around, rad/s.
 
     @classmethod
-    def of(
+    def estimate(
         cls,
         means: Floats,
         offset: Floats,
@@ -261,8 +253,7 @@ class RestTolerance:
         )
 
 
-WINDOW_SECONDS = 0.1
-"""s: shorter than any hold, and about one period of a tremor."""
+WINDOW_SECONDS = 0.1  #: s: shorter than any hold, and about one period of a tremor.
 _WINDOWS_TO_SETTLE = 3
 """Windows in a row that begin a dwell: the first may hold the end of the motion, and a single one
 between two swings of a hand may agree by chance."""
@@ -274,13 +265,9 @@ _WINDOWS_TO_LEARN = 50
 """Five seconds between two updates of the tolerance. A judgement: it uses up to two minutes, which
 change little in five seconds."""
 
-_NO_JOINTS = np.empty((0, 0))
-"""Angles of a unit without a table."""
-_NO_STAMPS: Stamps = np.empty(0, dtype=np.int64)
-"""Their stamps."""
-
-_WINDOWS_OF_SPAN = 20
-"""Two seconds, the shortest hold accepted. A choice."""
+_NO_JOINTS = np.empty((0, 0))  #: Angles of a unit without a table.
+_NO_STAMPS: Stamps = np.empty(0, dtype=np.int64)  #: Their stamps.
+_WINDOWS_OF_SPAN = 20  #: Two seconds, the shortest hold accepted. A choice.
 
 _Window: TypeAlias = tuple[int, int, list[float]]
 """First and last stamp, ns, and the mean of each channel: for so few, lists are faster than
@@ -324,8 +311,7 @@ class StillnessTracker:
         self._offset = GyroOffset()
         self._tolerance = RestTolerance()
         self._means = RowBuffer(6)
-        self._to_come = 0
-        """The number of these, the last ones, that are not judged yet."""
+        self._to_come = 0  #: The number of these, the last ones, that are not judged yet.
         self._ahead: deque[_Window] = deque()
         self._count = 0
         self._learnt_at = -1
@@ -356,7 +342,7 @@ class StillnessTracker:
         """Start of the current rest, ns; None in motion."""
         return None if self._reference is None else self._start
 
-    def feed(self, stamp: Stamps, rates: Floats) -> list[Rest | Motion]:
+    def track(self, stamp: Stamps, rates: Floats) -> list[Rest | Motion]:
         """Add samples; return the rests and motions that have ended.
 
         Args:
@@ -375,7 +361,7 @@ class StillnessTracker:
         self._to_come = len(means)
         ends = zip(windows[:, 0].tolist(), windows[:, -1].tolist(), means.tolist(), strict=True)
         for mean, window in zip(means, ends, strict=True):
-            self._offset.feed(mean)
+            self._offset.add_window(mean)
             self._ahead.append(window)
             self._to_come -= 1
             self._count += 1
@@ -420,7 +406,7 @@ class StillnessTracker:
         if self._count // _WINDOWS_TO_LEARN != self._learnt_at:
             self._learnt_at = self._count // _WINDOWS_TO_LEARN
             came = len(self._means) - self._to_come
-            self._tolerance = RestTolerance.of(
+            self._tolerance = RestTolerance.estimate(
                 self._means.values[max(0, came - 4 * _WINDOWS_AHEAD) : came],
                 self._offset.value,
                 self._offset.spread,

@@ -16,16 +16,13 @@ from .clock import ClockFit
 from .false_samples import NONE_FALSE, FalseSamples
 from .segments import Segment, Statistics, Turn
 
-# Gyros and accelerometers that come in rows or messages of their own, in one table or topic.
-
-
 _LEAST = 0.05
 """Share of rows that each sensor has of its own. A judgement: a unit whose gyros read 0 at rest
 (dead band), or whose samples are lost one sensor at a time, has none of the other kind."""
 _MOST = 0.9
 """Share of rows with one sensor alone. A judgement: a driver writes no or nearly all rows so."""
 
-ROWS_APART = (
+SEPARATE_ROWS = (
     'Rows of the gyros have no accelerations and the reverse: they are joined as two sensors.'
 )
 
@@ -45,12 +42,12 @@ def of_one_sensor(gyro: Floats, accel: Floats) -> Halves:
     return has_gyro & ~has_accel, has_accel & ~has_gyro
 
 
-def are_apart(gyro: int, accel: int, rows: int) -> bool:
+def are_separate(gyro: int, accel: int, rows: int) -> bool:
     """Return whether each sensor has rows of its own, by the numbers of such rows and of all."""
     return min(gyro, accel) > _LEAST * rows and gyro + accel > _MOST * rows
 
 
-def messages_apart(topic: str, units: Units) -> str:
+def separate_messages_sentence(topic: str, units: Units) -> str:
     """Return the sentence on a topic whose messages hold one sensor each, with what to do.
 
     Args:
@@ -73,13 +70,12 @@ def halves(gyro: Floats, accel: Floats) -> Halves | None:
     """Return `of_one_sensor` if each sensor has rows of its own; None if rows hold both."""
     found = of_one_sensor(gyro, accel)
     alone = [int(rows.sum()) for rows in found]
-    return found if are_apart(alone[0], alone[1], len(gyro)) else None
+    return found if are_separate(alone[0], alone[1], len(gyro)) else None
 
 
 _SHOWN = 0.01
 """Least share of samples that is stated: fewer do not make a session fail. A judgement."""
-_INTERVALS = 4096
-"""First stamps by which the sample interval is judged. A choice."""
+_INTERVALS = 4096  #: First stamps by which the sample interval is judged. A choice.
 _CHANNELS = tuple(f'{triad} {axis}' for triad in ('gyro', 'accelerometer') for axis in 'xyz')
 
 
@@ -88,15 +84,11 @@ class StreamFacts:
 
     Args:
         units: Of the samples.
-
-    Attributes:
-        units: Of the samples.
-        samples: Number of samples.
     """
 
     def __init__(self, units: Units = Units.SI) -> None:
         self.units = units
-        self.samples = 0
+        self.samples = 0  #: Samples received.
         self._stamps: Stamps = np.empty(0, np.int64)
         self._first = self._last = self._previous = 0
         self._back = self._same = self._no_number = 0
@@ -106,11 +98,11 @@ class StreamFacts:
         self._at_largest = np.zeros(6, np.int64)
 
     @property
-    def apart(self) -> bool:
+    def sensors_separate(self) -> bool:
         """Whether gyros and accelerometers come in messages of their own."""
-        return are_apart(int(self._alone[0]), int(self._alone[1]), self.samples)
+        return are_separate(int(self._alone[0]), int(self._alone[1]), self.samples)
 
-    def take(self, stamp: Stamps, values: Floats) -> None:
+    def count_samples(self, stamp: Stamps, values: Floats) -> None:
         """Count samples of (n,) stamps, ns, with (n, 6) values as delivered."""
         if not len(stamp):
             return
@@ -189,8 +181,6 @@ class StreamFacts:
         ]
 
 
-# Accelerations from which another program has removed gravity: near 0 where the unit is quiet.
-
 _NEAR_ZERO = 0.05 * STANDARD_GRAVITY
 """m/s^2. A judgement: what phones and fusion chips leave at rest is a tenth of that, and an
 accelerometer with gravity never reads so little on a table or in a hand."""
@@ -200,8 +190,7 @@ other units keeps its length to some percent, what is left of it does not."""
 _TURNED = 0.9
 """Length of the mean vector over the mean length below which the vector turns with the unit: two
 attitudes 50 degrees apart. A bias does not turn."""
-_WINDOW = 50
-"""Samples whose scatter shows how quiet a unit is: half a second at 100 Hz. A choice."""
+_WINDOW = 50  #: Samples whose scatter shows how quiet a unit is: half a second at 100 Hz. A choice.
 _QUIET = 0.2
 """Share of the windows that count as quiet. A judgement: half of most sessions is at rest."""
 
@@ -242,10 +231,7 @@ def quiet_means(force: Floats) -> Floats:
     return np.asarray(windows[scatter <= np.quantile(scatter, _QUIET)].mean(axis=2))
 
 
-# The temperature of a session: course, mean and ends, the same for any cut into blocks.
-
-_STEP = 1e-6
-"""K: less is rounding."""
+_STEP = 1e-6  #: K: less is rounding.
 _COLDEST, _HOTTEST = -273.15, 1000.0
 """Range of a thermometer, degrees Celsius: absolute zero, and more than electronics survives."""
 _CELL = 10 * NS
@@ -294,7 +280,7 @@ class Thermometer:
         self._left_out = 0
         self._first_left_out = 0.0
 
-    def feed(self, block: TemperatureBlock) -> None:
+    def add_temperatures(self, block: TemperatureBlock) -> None:
         """Add temperatures; values outside the valid range are left out."""
         with np.errstate(invalid='ignore'):
             sound = (block.celsius >= _COLDEST) & (block.celsius <= _HOTTEST)
@@ -340,9 +326,6 @@ class Thermometer:
         return Temperature(mean, float(self._lowest), float(self._highest), np.array(course))
 
 
-# Contents of a session's streams: the values returned by segmentation.
-
-
 @dataclass(frozen=True, eq=False)
 class Rejected:
     """A dwell, turn or move that was not used."""
@@ -371,11 +354,6 @@ class FreeMotion:
     statistics: Statistics  #: Of its samples.
     turned: Floats  #: (3,) integral of the rates, rad.
     mean_phase: complex  #: Mean over the motion of exp(i angle), the angle turned since its start.
-
-    @property
-    def level(self) -> complex:
-        """`mean_phase`, by its former name."""
-        return self.mean_phase
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,7 @@ from ..session.table import TURN
 from .counters import any_in_row
 from .stamps import RowBuffer
 
-_WINDOW_NS = 250_000_000
-"""ns over which a rate is taken: encoders' noise has little effect in it."""
+_WINDOW_NS = 250_000_000  #: ns over which a rate is taken: encoders' noise has little effect in it.
 _STILL_RATE = 0.05 * DEG
 """rad/s: 0.0125 degrees in the window, more than encoder noise and less than any motion."""
 _LONGEST_LOOK = 1.0
@@ -99,7 +98,7 @@ class JointTracker:
         """Start of the current rest, ns; None in motion."""
         return None if self._moving else self._start
 
-    def feed(self, stamp: Stamps, position: Floats) -> list[Rest | Motion]:
+    def track(self, stamp: Stamps, position: Floats) -> list[Rest | Motion]:
         """Add joint states; return the rests and motions that have ended.
 
         Args:

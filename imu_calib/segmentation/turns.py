@@ -20,21 +20,13 @@ from .statistics import Samples, Sensor, gap_free, statistics_between
 from .stream_facts import FreeMotion, Rejected
 from .table_motion import Motion, averaged
 
-MARGIN_NS = NS
-"""Time read before and after a motion, ns."""
-
-_VERTICAL = 1e-4
-"""An axis leans when its cosine is below one by more: 0.8 deg."""
-
-_TURN_AND_RUN_UP = 1.25 * TURN
-"""rad: a whole turn with its run-ups."""
+MARGIN_NS = NS  #: Time read before and after a motion, ns.
+_VERTICAL = 1e-4  #: An axis leans when its cosine is below one by more: 0.8 deg.
+_TURN_AND_RUN_UP = 1.25 * TURN  #: rad: a whole turn with its run-ups.
 _SATURATED = 'the sensor is saturated during it'
-_STEADY = 0.05
-"""Of the rate: the ends of a steady turn are as fast as its middle."""
-_ENDS = 20
-"""Of the samples: a twentieth is an end."""
-_LEAST_TURNED = TURN / 72
-"""rad: 5 degrees; less does not determine a scale factor."""
+_STEADY = 0.05  #: Of the rate: the ends of a steady turn are as fast as its middle.
+_ENDS = 20  #: Of the samples: a twentieth is an end.
+_LEAST_TURNED = TURN / 72  #: rad: 5 degrees; less does not determine a scale factor.
 
 
 _BESIDE = 0.5
@@ -56,7 +48,7 @@ encoders that show its rates."""
 
 
 @dataclass(frozen=True, eq=False)
-class Around:
+class MotionReadings:
     """Outputs of the sensors around a motion."""
 
     sensor: Sensor  #: The IMU.
@@ -67,7 +59,7 @@ class Around:
 
 
 def read_turns(
-    readings: Around, motion: Motion, table: Table, offset_ns: int
+    readings: MotionReadings, motion: Motion, table: Table, offset_ns: int
 ) -> list[Turn | Rejected]:
     """Measure the whole turns of a motion about the vertical.
 
@@ -83,7 +75,7 @@ def read_turns(
     ]
 
 
-def read_free_motion(readings: Around, motion: Motion) -> list[FreeMotion | Rejected]:
+def read_free_motion(readings: MotionReadings, motion: Motion) -> list[FreeMotion | Rejected]:
     """Measure a motion without an encoder."""
     bounds = np.searchsorted(readings.samples.stamp, [motion.start, motion.end], side='right')
     inside = slice(*bounds.tolist())
@@ -110,7 +102,7 @@ def _mean_phase(samples: Samples, turned: Floats) -> complex:
 
 
 def _read_turn(
-    readings: Around,
+    readings: MotionReadings,
     turns: WholeTurns,
     motion: Motion,
     table: Table,
@@ -120,13 +112,7 @@ def _read_turn(
 ) -> Turn | Rejected:
     """Measure the whole turns of one plateau, or return why they cannot be used.
 
-    Args:
-        readings: Outputs around the motion.
-        turns: Where they are cut, by the encoder.
-        motion: In which they were made.
-        table: The table.
-        offset_ns: IMU clock minus table clock, ns.
-        alone: Whether the motion has no other whole turns.
+    The offset is IMU clock minus table clock; `alone` states that the motion has no other turns.
     """
     angles, up_error = _mean_angles(motion, turns)
     up = table.attitude(angles).T @ np.array([0.0, 0.0, 1.0])
@@ -191,7 +177,7 @@ def _whole_way(motion: Motion, turns: WholeTurns) -> float:
 
 
 def _compare_whole_way(
-    readings: Around, rests: Floats, way: float, cut: float, up: Floats, seconds: float
+    readings: MotionReadings, rests: Floats, way: float, cut: float, up: Floats, seconds: float
 ) -> RestToRest | None:
     """Compare the gyros' angle about up between cuts, `cut` rad in `seconds`, with the whole `way`.
 
@@ -240,7 +226,7 @@ def _mean_angles(motion: Motion, turns: WholeTurns) -> tuple[Floats, float]:
 
 
 def _off_vertical(cosine: float) -> str:
-    """Return why turns about an axis measure nothing, by its cosine with up; empty if they do."""
+    """Return why turns about an axis are not used, by its cosine with up; else empty."""
     if cosine >= 1 - _VERTICAL:
         return ''
     leans = float(np.arccos(cosine)) / DEG
@@ -250,7 +236,7 @@ def _off_vertical(cosine: float) -> str:
     )
 
 
-def _unusable(readings: Around, inside: slice, start: float, end: float) -> str:
+def _unusable(readings: MotionReadings, inside: slice, start: float, end: float) -> str:
     """Return why the samples between two instants (ns) measure no turn; empty where they do."""
     part = readings.samples.at(inside)
     if len(part.stamp) < 2 or part.stamp[0] > start or part.stamp[-1] < end:
@@ -263,9 +249,9 @@ def _unusable(readings: Around, inside: slice, start: float, end: float) -> str:
 
 
 def _other_units(samples: Samples, rate: float) -> str:
-    """Return why gyros exceed their range if a table's rate, rad/s, does not; empty if it does.
+    """Return a sentence if saturated gyros read far more than the table's rate, rad/s; else empty.
 
-    A saturated gyro states less than its rate, never more, apart from few samples.
+    A saturated gyro reads less than its rate: in few samples only it may read more.
     """
     lengths = np.linalg.norm(samples.increments[:, :3], axis=1)
     shown = float(np.median(lengths)) / samples.period
@@ -278,7 +264,7 @@ def _other_units(samples: Samples, rate: float) -> str:
     )
 
 
-def _unreadable(readings: Around, where: slice) -> str:
+def _unreadable(readings: MotionReadings, where: slice) -> str:
     """Return why samples do not give the sensors' counts; empty where they do."""
     part = readings.samples.at(where)
     if not _gap_free(part):
@@ -291,7 +277,7 @@ def _unreadable(readings: Around, where: slice) -> str:
 
 
 def _skewed_between(
-    readings: Around, start: float, turns: WholeTurns, count: int
+    readings: MotionReadings, start: float, turns: WholeTurns, count: int
 ) -> tuple[Statistics, Floats] | None:
     """Return statistics of the skewed gyro over whole turns; None without one or with gaps."""
     sensor = readings.sensor.skewed

@@ -253,7 +253,7 @@ def test_intervals_are_those_of_the_rules(size: int) -> None:
     if size == 1:
         stamps = stamps[:1300]
     clock = SampleClock()
-    parts = [clock.take(stamps[k : k + size]).interval for k in range(0, len(stamps), size)]
+    parts = [clock.time_samples(stamps[k : k + size]).interval for k in range(0, len(stamps), size)]
     found = np.concatenate([*parts, clock.finish().interval])
     wanted, odd, lost = plainly(stamps)
     assert found == pytest.approx(np.array(wanted), rel=1e-12)
@@ -264,24 +264,24 @@ def test_intervals_are_those_of_the_rules(size: int) -> None:
 @pytest.mark.parametrize(('late', 'odd'), [(0.49, 0), (0.51, 1)])
 def test_a_step_is_odd_that_is_half_an_interval_longer(late: float, odd: int) -> None:
     clock = SampleClock()
-    clock.take(at(*range(40)))
-    clock.take(at(40 + late))
+    clock.time_samples(at(*range(40)))
+    clock.time_samples(at(40 + late))
     assert clock.irregular_steps == odd
     assert clock.typical == pytest.approx(1e-3)
 
 
 def test_few_samples_are_timed_at_the_end_by_all_of_their_steps() -> None:
     clock = SampleClock()
-    assert len(clock.take(at(0.0, 1.0, 2.1)).interval) == 0
+    assert len(clock.time_samples(at(0.0, 1.0, 2.1)).interval) == 0
     assert clock.waiting == 3
     # Steps of 1.0 and 1.1 ms; of two stamps alike, or of one, nothing is told.
     assert clock.finish().interval == pytest.approx([1.05e-3] * 3)
     for stamps in ((0.0,), (1.0, 1.0), (2.0, 1.0)):
         clock = SampleClock()
-        clock.take(at(*stamps))
+        clock.time_samples(at(*stamps))
         assert len(clock.finish().interval) == 0
         assert clock.lost == len(stamps)
     # Thirty-three are enough, and thirty-two are not.
     clock = SampleClock()
-    assert len(clock.take(at(*range(32))).interval) == 0
-    assert len(clock.take(at(32.0)).interval) == 33
+    assert len(clock.time_samples(at(*range(32))).interval) == 0
+    assert len(clock.time_samples(at(32.0)).interval) == 33

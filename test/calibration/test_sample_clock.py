@@ -16,7 +16,7 @@ START = 1_700_000_000 * NS
 def timed(stamps, cuts=()):
     clock = SampleClock()
     edges = [0, *sorted(cuts), len(stamps)]
-    parts = [clock.take(stamps[a:b]).interval for a, b in pairwise(edges)]
+    parts = [clock.time_samples(stamps[a:b]).interval for a, b in pairwise(edges)]
     return np.concatenate([*parts, clock.finish().interval]), clock
 
 
@@ -79,7 +79,7 @@ def test_samples_wait_until_the_interval_is_known():
     clock, stamps = SampleClock(), regular(100, 0.01 * NS)
     waiting = []
     for part in np.split(stamps, [20, 60]):
-        clock.take(part)
+        clock.time_samples(part)
         waiting.append(clock.waiting)
     assert waiting == [20, 0, 0]
 

@@ -88,12 +88,12 @@ def test_a_temperature_is_the_same_however_it_came_in():
     celsius = np.append(rng.normal(20.0, 3.0, 1000), [np.nan, 1e9])
     stamp = 10**9 * np.arange(len(celsius)) + 7
     whole = Thermometer()
-    whole.feed(TemperatureBlock(stamp, celsius))
+    whole.add_temperatures(TemperatureBlock(stamp, celsius))
     for seed in range(5):
         order = np.random.default_rng(seed).permutation(len(celsius))
         parts = Thermometer()
         for piece in np.array_split(order, 17):
-            parts.feed(TemperatureBlock(stamp[piece], celsius[piece]))
+            parts.add_temperatures(TemperatureBlock(stamp[piece], celsius[piece]))
         assert parts.temperature == whole.temperature
         assert (parts.temperature.course == whole.temperature.course).all()
     assert whole.temperature.mean == pytest.approx(celsius[:1000].mean(), abs=1e-6)
@@ -102,7 +102,7 @@ def test_a_temperature_is_the_same_however_it_came_in():
 def test_a_mean_over_a_stretch_follows_the_course():
     seconds = np.arange(600)
     thermometer = Thermometer()
-    thermometer.feed(TemperatureBlock(10**9 * seconds, 20.0 + 0.01 * seconds))
+    thermometer.add_temperatures(TemperatureBlock(10**9 * seconds, 20.0 + 0.01 * seconds))
     temperature = thermometer.temperature
     # Of a straight line it is the middle, wherever the stretch begins and however short it is.
     starts, ends = np.array([33, 120, 301]) * 10**9, np.array([153, 121, 555]) * 10**9

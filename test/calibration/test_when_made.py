@@ -68,7 +68,7 @@ def out_of(block: ImuBlock, size: int, instants: Any = None) -> tuple[Any, Any, 
 
 def in_whole(block: ImuBlock) -> Any:
     whole = WholeStream(None)
-    whole.take(block)
+    whole.add_stamps(block)
     return whole.instants()
 
 

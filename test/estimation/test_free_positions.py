@@ -415,7 +415,7 @@ def test_a_steady_turn_is_no_rest_however_the_stream_begins() -> None:
     rates[:, 5] = SITE.gravity
     rates[100:, 2] = 30 * DEG
     stamp = np.arange(1, len(rates) + 1) * 10_000_000
-    done = [*tracker.feed(stamp, rates), *tracker.finish()]
+    done = [*tracker.track(stamp, rates), *tracker.finish()]
     rests = [part for part in done if isinstance(part, Rest)]
     assert len(rests) == 1
     assert rests[0].end == pytest.approx(1e9, abs=2e8)
@@ -423,7 +423,7 @@ def test_a_steady_turn_is_no_rest_however_the_stream_begins() -> None:
     assert done[-1].end == stamp[-1]
     # Cut as it may be, the answer is the same.
     again = StillnessTracker(0.01)
-    parts = [again.feed(stamp[k : k + 7], rates[k : k + 7]) for k in range(0, len(stamp), 7)]
+    parts = [again.track(stamp[k : k + 7], rates[k : k + 7]) for k in range(0, len(stamp), 7)]
     assert [(p.start, p.end) for part in [*parts, again.finish()] for p in part] == [
         (p.start, p.end) for p in done
     ]

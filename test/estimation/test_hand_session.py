@@ -33,7 +33,7 @@ from imu_calib.recordings.rosbag2 import Kind, open_recording
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.statistics import Sensor
 from imu_calib.segmentation.table_motion import Motion
-from imu_calib.segmentation.turns import Around, read_free_motion
+from imu_calib.segmentation.turns import MotionReadings, read_free_motion
 from imu_calib.session.imu import ImuSpec, TriadSpec, load_imu
 from imu_calib.session.plan import load_plan
 from imu_calib.session.table import TURN
@@ -154,9 +154,9 @@ def test_what_a_turn_from_rest_to_rest_leaves_of_a_level_rate() -> None:
     force = np.tile([0.0, 0.0, 9.8], (len(rate), 1))
     spec = quiet_unit()
     stamp = np.rint(times[1:] * 1e9).astype(np.int64)
-    sensor = Sensor.of(spec)
+    sensor = Sensor.from_spec(spec)
     values = np.hstack([gyro, force])
-    neighbours = Around(sensor, values, sensor.samples(stamp, values))
+    neighbours = MotionReadings(sensor, values, sensor.samples(stamp, values))
     (motion,) = read_free_motion(neighbours, Motion(0, int(stamp[-1]), stamp, np.empty((0, 0))))
     assert abs(motion.mean_phase) == pytest.approx(fresnel(np.sqrt(2))[1] / np.sqrt(2), abs=1e-3)
 

@@ -95,7 +95,7 @@ def test_of_a_hand_angles_alone_are_read(by_hand: bool) -> None:
     found = [
         Segment(int(r.stamp[0]), int(r.stamp[-1]), statistics_at_rest(r, np.ones(6))) for r in rests
     ]
-    reader = MoveReader(Sensor.of(paper_imu()), by_hand=by_hand)
+    reader = MoveReader(Sensor.from_spec(paper_imu()), by_hand=by_hand)
     reader.dwell(rests[0], delivered, found[:1])
     reader.motion(samples.part(20, n - 20), np.zeros((n - 40, 6)))
     reader.dwell(rests[1], delivered, found[1:])

@@ -124,7 +124,9 @@ def test_moves_between_rests_alone_tell_scale_factors_of_gyros() -> None:
 
 
 def test_a_search_that_does_not_converge_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    trial = _Trial.of(gyro(g().error_matrix + 2000 * PPM * np.eye(3)), observed(), gyros=True)
+    trial = _Trial.fit_triad(
+        gyro(g().error_matrix + 2000 * PPM * np.eye(3)), observed(), gyros=True
+    )
     monkeypatch.setattr('imu_calib.estimation.system._ROUNDS', 1)
     begun = trial.system.fit(trial.values, trial.factor)
     assert trial.findings() == []
@@ -139,7 +141,7 @@ def test_parameters_that_were_not_found_are_not_said_to_have_moved(
     rng = np.random.default_rng(3)
     vector = calibration().model.vector() * rng.uniform(-1.0, 0.5, 24)
     other = replace(calibration(), model=calibration().model.from_vector(vector))
-    trial = _Trial.of(other, observed(), gyros=True)
+    trial = _Trial.fit_triad(other, observed(), gyros=True)
     monkeypatch.setattr('imu_calib.estimation.system._ROUNDS', 1)
     diagnosis = diagnose(trial.system, trial.values, trial.factor)
     assert not diagnosis.moved
@@ -413,7 +415,7 @@ def test_by_lengths_what_cannot_explain_a_session_is_not_fitted(
 @pytest.mark.parametrize('name', ['gyro matrix transposed', 'accelerometer biases negated'])
 def test_mistakes_are_ruled_out_together_as_one_by_one(name: str) -> None:
     spoil, gyros, words = DEFECTS[name]
-    trial = _Trial.of(spoil(), observed(), gyros=gyros)
+    trial = _Trial.fit_triad(spoil(), observed(), gyros=gyros)
     seen, values, factor = trial.system, trial.values, trial.factor
     likely = seen.likely(values, factor, 1e-5)
     tried = [m for m in mistakes(seen.sensors, values) if m.reading == 1]

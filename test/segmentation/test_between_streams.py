@@ -28,7 +28,7 @@ NONE = np.zeros(6)
 
 
 def reader() -> IntervalReader:
-    return IntervalReader(Sensor.of(SPEC), TABLE, StreamBuffer(TABLE, skewed=False))
+    return IntervalReader(Sensor.from_spec(SPEC), TABLE, StreamBuffer(TABLE, skewed=False))
 
 
 def seen(middle: float, share: MeasuredShare, repetition: Repetition) -> SeenMotion:
@@ -58,7 +58,7 @@ def test_lost_samples_are_told_by_their_share() -> None:
     held = Segmenter(SPEC, TABLE)
     held._intake.facts.samples, held._reader.bridged = 17, 3
     held._reader.off_grid = {START + 9 * NS, START + 2 * NS}
-    held._intake.interruptions.feed(np.array([START, START + 2 * NS]))
+    held._intake.interruptions.add_stamps(np.array([START, START + 2 * NS]))
     assert held._loss_sentences() == (
         '3 IMU samples are missing (15 %), a few at a time: what they counted is interpolated from '
         'those around them',
@@ -114,7 +114,7 @@ def test_a_dwell_that_repeats_the_sample_of_a_frozen_motion_is_frozen_itself() -
     values[:, 3] = 9.0
     sound = np.random.default_rng(0).normal(size=(60, 6))
     held = reader()
-    whole, frozen = Repetition.of(sound, sound), Repetition.of(values, values)
+    whole, frozen = Repetition.count_in(sound, sound), Repetition.count_in(values, values)
     held.seen_motions = [seen(10.0 * k, MeasuredShare(1.0, 1.0), whole) for k in (1, 2, 3)]
     held.seen_motions.append(seen(40.0, MeasuredShare(0.1, 0.1), frozen))
     assert np.array_equal(frozen.sample, values[0])
@@ -164,7 +164,7 @@ def left_out(period_ms: int, at: int, count: int = 100) -> list[int]:
     stamp = START + np.rint((np.arange(count) + late) * period_ms * 1e6).astype(np.int64)
     held = reader()
     rows = np.arange(6.0 * count).reshape(count, 6)
-    kept, values, late = held._apart_at_steps(stamp, rows, np.arange(count))
+    kept, values, late = held._without_clock_steps(stamp, rows, np.arange(count))
     assert late.tolist() == (values[:, 0] / 6).tolist()
     gone = np.flatnonzero(~np.isin(stamp, kept)).tolist()
     assert values[:, 0].tolist() == [6.0 * k for k in range(count) if k not in gone]

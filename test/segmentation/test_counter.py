@@ -10,8 +10,8 @@ from scipy.stats import chi2
 from imu_calib.common.stream import Floats
 from imu_calib.segmentation.counters import (
     end_points,
-    first_passages,
     mean_rate,
+    passages,
     rate_between,
     smoothed_ends,
 )
@@ -77,8 +77,9 @@ def test_the_accelerometer_of_table_1_reaches_the_walk() -> None:
 def test_passages_by_hand() -> None:
     # New values after samples 2, 4, ..., 16: from the first to the last 7 pulses in 14 samples.
     pulses = np.array([0, 1] * 8, dtype=float)
-    found = first_passages(pulses, 0.5, 0.0)
-    assert found is not None
+    passed = passages(pulses, 0.5, 0.0)
+    assert passed is not None
+    found = passed.rate(0.5)
     assert found.rate == pytest.approx(7 / (14 * 0.5))
     assert found.walk_gain == pytest.approx(1 / 7)
 
@@ -100,8 +101,8 @@ def test_what_is_chosen_does_not_follow_the_phase(levels: float) -> None:
 
 def test_passages_need_a_drift_that_leads_the_walk() -> None:
     rng = np.random.default_rng(1)
-    assert first_passages(counter(rng, 0.1, 2.0), PERIOD, 2.0) is None
-    assert first_passages(np.zeros(100), PERIOD, 0.1) is None
+    assert passages(counter(rng, 0.1, 2.0), PERIOD, 2.0) is None
+    assert passages(np.zeros(100), PERIOD, 0.1) is None
 
 
 def test_white_weights_are_those_of_generalised_least_squares() -> None:

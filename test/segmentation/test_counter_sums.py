@@ -10,10 +10,10 @@ import pytest
 
 from imu_calib.common.stream import Floats
 from imu_calib.segmentation.counters import (
+    MeanRate,
     best_passages,
     block_edges,
     end_points,
-    first_passages,
     mean_and_blocks,
     mean_rate,
     passages,
@@ -28,6 +28,12 @@ READING = 1 / 12
 def counted(rate: float, samples: int, phase: float = 0.3) -> Floats:
     """Increments of a counter without noise, rate in pulses per sample."""
     return np.diff(np.floor(phase + rate * np.arange(samples + 1)))
+
+
+def best_of(pulses: Floats, walk: float) -> MeanRate | None:
+    """The rate from first passages, where it is the best."""
+    found = passages(pulses, PERIOD, walk)
+    return found and best_passages(found.rate(PERIOD), pulses, PERIOD, walk)
 
 
 def clinging(step: float, growth: float, lags: int) -> Floats:
@@ -92,7 +98,7 @@ def test_the_smallest_variance_is_taken() -> None:
     for walk in (0.0, 1e-3, 0.3, 5.0):
         plain = end_points(pulses - 3, PERIOD)
         smooth = smoothed_ends(pulses - 3, PERIOD, walk)
-        best = best_passages(pulses - 3, PERIOD, walk)
+        best = best_of(pulses - 3, walk)
         wanted = best or min(
             [plain] + ([smooth] if smooth else []), key=lambda one: one.variance(walk)
         )
@@ -113,8 +119,7 @@ def test_passages_are_the_first_of_each_new_count() -> None:
     assert found.index.tolist() == [1, 5, 7, 11]
     assert found.level.tolist() == [1.0, 3.0, 4.0, 5.0]
     assert found.drift == pytest.approx(-5 / 12)
-    rate = first_passages(pulses, 1.0, 0.1)
-    assert rate is not None
+    rate = found.rate(1.0)
     assert rate.rate == pytest.approx(-(5 - 1) / 10)
     assert rate.walk_gain == pytest.approx(0.1)
     assert rate.quantisation_variance == pytest.approx(2 * (5 / 12) ** 2 / 12 / 100)
@@ -134,12 +139,13 @@ def test_passages_are_taken_where_they_are_better_and_enough() -> None:
     walk = 1e-4
     for rate, wanted in ((0.0101, True), (0.02, True), (0.0045, False)):
         # 500 samples: five levels, ten, and two.
-        assert (best_passages(counted(rate, 500), PERIOD, walk) is not None) is wanted
+        assert (best_of(counted(rate, 500), walk) is not None) is wanted
     quick = counted(0.41, 500)
-    alone = first_passages(quick, PERIOD, walk)
-    assert alone is not None
+    passed = passages(quick, PERIOD, walk)
+    assert passed is not None
+    alone = passed.rate(PERIOD)
     for loud in (1e-4, 0.1, 1.0, 3.0):
-        found = best_passages(quick, PERIOD, loud)
+        found = best_of(quick, loud)
         # One level is lost on the way from end to end.
         time = (1 - 1 / (abs(alone.rate) * 10)) * 10
         own = loud**2 / time + 2 * (alone.rate * PERIOD) ** 2 * READING / time**2
@@ -150,12 +156,12 @@ def test_passages_are_taken_where_they_are_better_and_enough() -> None:
 
 def test_what_rings_is_not_read_by_its_passages() -> None:
     rising = counted(0.1, 200, 0.05)
-    assert best_passages(rising, PERIOD, 1e-4) is not None
+    assert best_of(rising, 1e-4) is not None
     # Ten pulses on the way that are counted back at the end.
     ringing = rising.copy()
     ringing[150] += 10
     ringing[-1] -= 10
-    assert best_passages(ringing, PERIOD, 1e-4) is None
+    assert best_of(ringing, 1e-4) is None
 
 
 # Between two instants

@@ -14,7 +14,7 @@ from imu_calib.segmentation.stream_facts import MountShift, Rejected
 from imu_calib.session.imu import ImuSpec, TriadSpec
 
 SPEC = ImuSpec('any', Units.SI, None, TriadSpec(1.0, 1e-4, range=1.0), TriadSpec(1.0, 1e-3))
-SENSOR = Sensor.of(SPEC)
+SENSOR = Sensor.from_spec(SPEC)
 ANGLES, ATTITUDE = np.array([0.3]), np.eye(3)
 FORCE = np.array([0.0, 0.0, 9.8])
 

@@ -243,7 +243,7 @@ def passed(
     """What a stream at 100 Hz holds."""
     stamp = np.arange(len(values)) * NS // 100 if stamp is None else stamp
     filter_ = FalseSampleFilter(units, scale)
-    kept = [filter_.take(stamp, values), filter_.finish()]
+    kept = [filter_.remove(stamp, values), filter_.finish()]
     assert sum(len(rows.stamp) for rows in kept) + filter_.found.count == len(values)
     return filter_.found
 
@@ -259,10 +259,10 @@ def test_the_result_does_not_depend_on_blocks(units: Units) -> None:
     if units is Units.SI:
         values *= np.repeat([MEMS.gyro.scale_factor, MEMS.accel.scale_factor], 3)
     whole, cut = FalseSampleFilter(units), FalseSampleFilter(units)
-    expected = [whole.take(stamp, values), whole.finish()]
+    expected = [whole.remove(stamp, values), whole.finish()]
     edges = np.cumsum(rng.choice([0, 1, 2, 30, 200], 1000))
     parts = zip(np.split(stamp, edges), np.split(values, edges), strict=True)
-    found = [*(cut.take(*part) for part in parts), cut.finish()]
+    found = [*(cut.remove(*part) for part in parts), cut.finish()]
     for k in range(2):
         assert np.array_equal(*(np.concatenate([one[k] for one in of]) for of in (expected, found)))
     assert whole.found == cut.found

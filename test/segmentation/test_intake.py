@@ -104,16 +104,16 @@ def test_memory_is_twice_what_is_needed() -> None:
 
 def test_what_is_dropped_is_told_by_its_stamp() -> None:
     order = StampOrder(1)
-    one = order.take(*rows(5, 6, 900, 7, 8))
+    one = order.drop_disordered(*rows(5, 6, 900, 7, 8))
     assert one.stamp.tolist() == [5, 6, 7]
     assert one.values[:, 0].tolist() == [5.0, 6.0, 7.0]
     assert one.lost.tolist() == [900]
-    other = order.take(*rows(8, 9, 3, 10))
+    other = order.drop_disordered(*rows(8, 9, 3, 10))
     assert (other.stamp.tolist(), other.lost.tolist()) == ([8, 9], [8, 3])
     last = order.finish()
     assert (last.stamp.tolist(), last.lost.tolist()) == ([10], [])
     assert order.finish().stamp.tolist() == []
-    again = order.take(*rows(9, 11))
+    again = order.drop_disordered(*rows(9, 11))
     assert (again.stamp.tolist(), again.lost.tolist()) == ([], [9])
 
 
@@ -282,9 +282,11 @@ def shown(*points: tuple[float, float]) -> TemperatureBlock:
 def test_a_course_has_the_means_of_ten_seconds() -> None:
     thermometer = Thermometer()
     assert thermometer.temperature is None
-    thermometer.feed(shown((31, 30.0), (2, 20.0), (8, 21.0), (9.5, 25.0)))
-    thermometer.feed(shown((15, 22.0), (3, 20.5), (16, np.nan), (17, -274.0), (18, 1001.0)))
-    thermometer.feed(shown((5, np.inf)))
+    thermometer.add_temperatures(shown((31, 30.0), (2, 20.0), (8, 21.0), (9.5, 25.0)))
+    thermometer.add_temperatures(
+        shown((15, 22.0), (3, 20.5), (16, np.nan), (17, -274.0), (18, 1001.0))
+    )
+    thermometer.add_temperatures(shown((5, np.inf)))
     found = thermometer.temperature
     assert found is not None
     assert found.mean == pytest.approx((30 + 20 + 21 + 25 + 22 + 20.5) / 6)
@@ -292,7 +294,7 @@ def test_a_course_has_the_means_of_ten_seconds() -> None:
     wanted = [[22.5 / 4 * NS, 86.5 / 4], [15 * NS, 22.0], [31 * NS, 30.0]]
     assert found.course == pytest.approx(np.array(wanted))
     cold = Thermometer()
-    cold.feed(shown((1, -273.15), (2, 1000.0)))
+    cold.add_temperatures(shown((1, -273.15), (2, 1000.0)))
     assert cold.temperature is not None
     assert (cold.temperature.lowest, cold.temperature.highest) == (-273.15, 1000.0)
 
@@ -331,20 +333,22 @@ def spec(units: Units, **more: float) -> ImuSpec:
 
 
 def test_the_walk_is_the_data_sheets_or_a_twentieth_of_a_pulse() -> None:
-    walk = Sensor.of(spec(Units.PULSES)).walk
+    walk = Sensor.from_spec(spec(Units.PULSES)).walk
     assert walk.tolist() == [pytest.approx(0.05 * s) for s in (0.5, 0.5, 0.5, 0.25, 0.25, 0.25)]
-    assert Sensor.of(spec(Units.SI)).walk.tolist() == [0.0] * 6
-    assert Sensor.of(spec(Units.PULSES, random_walk=0.7)).walk.tolist() == [0.7] * 6
+    assert Sensor.from_spec(spec(Units.SI)).walk.tolist() == [0.0] * 6
+    assert Sensor.from_spec(spec(Units.PULSES, random_walk=0.7)).walk.tolist() == [0.7] * 6
 
 
 def test_a_mean_goes_on_by_a_count() -> None:
-    assert Sensor.of(spec(Units.PULSES)).step(0.1, ONES) == pytest.approx([5.0, 2.5])
-    assert Sensor.of(spec(Units.COUNTS)).step(0.1, ONES) == pytest.approx([0.5, 0.25])
-    assert Sensor.of(spec(Units.SI)).step(0.1, ONES) == pytest.approx([0.0, 0.0])
-    assert Sensor.of(spec(Units.SI, pulse=0.2)).step(0.1, ONES) == pytest.approx([2.0, 2.0])
+    assert Sensor.from_spec(spec(Units.PULSES)).step(0.1, ONES) == pytest.approx([5.0, 2.5])
+    assert Sensor.from_spec(spec(Units.COUNTS)).step(0.1, ONES) == pytest.approx([0.5, 0.25])
+    assert Sensor.from_spec(spec(Units.SI)).step(0.1, ONES) == pytest.approx([0.0, 0.0])
+    assert Sensor.from_spec(spec(Units.SI, pulse=0.2)).step(0.1, ONES) == pytest.approx([2.0, 2.0])
     for units in (Units.PULSES, Units.COUNTS):
-        assert Sensor.of(spec(units)).step(0.1, 0.3 * ONES).tolist() == [0.0, 0.0]
-    counted = [Sensor.of(spec(units)).counted for units in (Units.PULSES, Units.COUNTS, Units.SI)]
+        assert Sensor.from_spec(spec(units)).step(0.1, 0.3 * ONES).tolist() == [0.0, 0.0]
+    counted = [
+        Sensor.from_spec(spec(units)).counted for units in (Units.PULSES, Units.COUNTS, Units.SI)
+    ]
     assert counted == [True, False, False]
 
 
@@ -355,7 +359,9 @@ def held(increments: Floats, pulse: float = 0.0, period: float = 0.01) -> Sample
 
 @pytest.mark.parametrize('channel', range(6))
 def test_a_reading_within_a_thousandth_of_the_range_is_at_its_end(channel: int) -> None:
-    sensor = Sensor.of(ImuSpec('r', Units.SI, None, TriadSpec(range=4.0), TriadSpec(range=40.0)))
+    sensor = Sensor.from_spec(
+        ImuSpec('r', Units.SI, None, TriadSpec(range=4.0), TriadSpec(range=40.0))
+    )
     limit = 4.0 if channel < 3 else 40.0
     rates = np.zeros((5, 6))
     rates[1:, channel] = np.array([0.9989, 0.9991, -0.9991, 1.2]) * limit
@@ -366,15 +372,15 @@ def test_a_reading_within_a_thousandth_of_the_range_is_at_its_end(channel: int) 
 def test_the_largest_count_is_the_end_of_a_range() -> None:
     values = np.zeros((8, 6))
     values[range(7), 2] = [32767, -32768, 32766, 8388607, -2147483648, 32769, 2147483647]
-    found = Sensor.of(spec(Units.COUNTS)).saturated(values, held(values))
+    found = Sensor.from_spec(spec(Units.COUNTS)).saturated(values, held(values))
     assert found.tolist() == [True, True, False, True, True, False, True, False]
-    assert not Sensor.of(spec(Units.SI)).saturated(values, held(values)).any()
+    assert not Sensor.from_spec(spec(Units.SI)).saturated(values, held(values)).any()
 
 
 @pytest.mark.parametrize('name', ['adis16470', 'epson_g370', 'stim300'])
 def test_a_word_of_32_bits_passes_the_largest_counts_of_shorter_ones(name: str) -> None:
     """They are rates that any motion passes: turns and moves were left out as saturated."""
-    sensor = Sensor.of(load_imu(name))
+    sensor = Sensor.from_spec(load_imu(name))
     stamp = np.arange(1, 401) * 5_000_000
     values = np.ones((400, 6))
     values[::7] = 32767.0
@@ -391,7 +397,7 @@ def test_a_word_of_32_bits_passes_the_largest_counts_of_shorter_ones(name: str) 
 def test_few_pulses_at_the_end_of_a_range_are_added_up() -> None:
     # 0.999 of the range is 2.5 pulses a sample: forty samples make a hundred.
     limit = 2.5 / 0.999 / 0.01
-    sensor = Sensor.of(ImuSpec('r', Units.PULSES, None, TriadSpec(range=limit), TriadSpec()))
+    sensor = Sensor.from_spec(ImuSpec('r', Units.PULSES, None, TriadSpec(range=limit), TriadSpec()))
     increments = np.zeros((200, 6))
     increments[50:90, 1] = np.tile([2.0, 3.0], 20)
     assert np.flatnonzero(sensor.saturated(increments, held(increments, 1.0))).tolist() == list(

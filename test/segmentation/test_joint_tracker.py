@@ -56,7 +56,7 @@ def by_hand(stamp: Stamps, position: Floats) -> list[tuple[str, int, int]]:
 def tracked(stamp: Stamps, position: Floats, cut: int = 10**6) -> list[Rest | Motion]:
     tracker, found = JointTracker(), []
     for a, b in pairwise([*range(0, len(stamp), cut), len(stamp)]):
-        found += tracker.feed(stamp[a:b], position[a:b])
+        found += tracker.track(stamp[a:b], position[a:b])
     return [*found, *tracker.finish()]
 
 
@@ -130,15 +130,15 @@ def test_a_rest_is_parted_once_its_angles_are_known() -> None:
     assert tracker.finish() == []
     stamp = np.arange(1, 2401) * 25_000_000
     position = np.full((2400, 1), 0.5)
-    tracker.feed(stamp[:33], position[:33])
+    tracker.track(stamp[:33], position[:33])
     # The first readings wait until they show their noise.
     assert tracker.rest_since is None
     assert not tracker.silent
-    tracker.feed(stamp[33:1600], position[33:1600])
+    tracker.track(stamp[33:1600], position[33:1600])
     assert tracker.rest_since == 25_000_000
     assert tracker.known_until == 40 * NS
     assert tracker.split_rest(30 * NS) is None
-    tracker.feed(stamp[1600:], position[1600:])
+    tracker.track(stamp[1600:], position[1600:])
     first = tracker.split_rest(30 * NS)
     assert first is not None
     assert (first.start, first.end) == (25_000_000, 30 * NS)
@@ -153,7 +153,7 @@ def test_memory_holds_half_a_second_of_a_rest() -> None:
     tracker = JointTracker()
     for k in range(100):
         stamp = np.arange(1 + 100 * k, 101 + 100 * k) * 25_000_000
-        tracker.feed(stamp, np.zeros((100, 1)))
+        tracker.track(stamp, np.zeros((100, 1)))
     held: Any = tracker._rows
     # Half a second at 40 Hz, and the readings that show the noise.
     assert len(held) <= 34 + 20

@@ -135,8 +135,8 @@ def test_gaps_leave_what_the_samples_beside_tell(gaps: list[tuple[int, int]], be
 
 # Which samples are of a move
 
-SENSOR = Sensor.of(ImuSpec('any', Units.SI, None, TriadSpec(range=8.0), TriadSpec()))
-COUNTER = Sensor.of(ImuSpec('any', Units.PULSES, None, TriadSpec(), TriadSpec()))
+SENSOR = Sensor.from_spec(ImuSpec('any', Units.SI, None, TriadSpec(range=8.0), TriadSpec()))
+COUNTER = Sensor.from_spec(ImuSpec('any', Units.PULSES, None, TriadSpec(), TriadSpec()))
 
 
 def rest(first: int, last: int) -> Segment:
@@ -206,7 +206,7 @@ def test_what_cannot_be_joined_is_no_move() -> None:
 
 
 def test_a_hand_may_turn_by_twenty_degrees_a_sample() -> None:
-    wide = Sensor.of(ImuSpec('any', Units.SI, None, TriadSpec(), TriadSpec()))
+    wide = Sensor.from_spec(ImuSpec('any', Units.SI, None, TriadSpec(), TriadSpec()))
     for degrees, moves in ((19.0, 1), (21.0, 0)):
         rows = motion(100)
         rows[50, 2] = degrees * DEG

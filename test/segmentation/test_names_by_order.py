@@ -153,7 +153,7 @@ def test_pieces_of_a_turn_are_one() -> None:
     assert read.quantisation_variance == pytest.approx(np.arange(6.0) * (0.75**2 / 6 + 0.25**2 / 2))
     # The second begins where the first had turned by four radians.
     wanted_level = 0.75 * 0.2 + 0.25 * 0.5j * complex(np.cos(4.0), np.sin(4.0))
-    assert found.level == pytest.approx(wanted_level)
+    assert found.mean_phase == pytest.approx(wanted_level)
     again = join_motions([one, other, motion(40, 1.0 * X)], [])
     assert [m.turned[0] for m in again] == [7.0]
 
@@ -188,7 +188,7 @@ def test_a_motion_is_the_whole_turns_that_it_comes_near() -> None:
     assert turn.angle == pytest.approx(-2 * TURN)
     assert turn.seconds is None
     assert turn.up.tolist() == [1.0, 0.0, 0.0]
-    assert turn.level == pytest.approx(0.5)
+    assert turn.level_share == pytest.approx(0.5)
     assert turn.statistics is seen.statistics
     assert turn_without_encoder(motion(3, TURN * Y), ran) is None
 

@@ -414,7 +414,7 @@ def test_without_a_table_gyros_tell_rests_from_motions() -> None:
     assert there.turned == pytest.approx([0, 0, 75 * DEG])
     time = np.linspace(25.0, 28.11, 30001)
     phase = np.exp(-1j * (angle(time) - angle(time)[0])).mean()
-    assert back.level == pytest.approx(phase, abs=1e-3)
+    assert back.mean_phase == pytest.approx(phase, abs=1e-3)
     assert back.statistics.mean[2] == pytest.approx(-75 * DEG / 3.11)
     assert [m.velocity_steps for m in session.moves] == [None] * 3
     assert [(since(m.start), since(m.end)) for m in session.moves] == [

@@ -16,14 +16,14 @@ from imu_calib.segmentation.segments import Turn
 from imu_calib.segmentation.statistics import Samples, Sensor, statistics_between
 from imu_calib.segmentation.stream_facts import FreeMotion, Rejected
 from imu_calib.segmentation.table_motion import Motion
-from imu_calib.segmentation.turns import Around, _around, read_free_motion, read_turns
+from imu_calib.segmentation.turns import MotionReadings, _around, read_free_motion, read_turns
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.table import Joint, Table
 
 START = 1_700_000_000 * 10**9
 PERIOD = 0.01
 TABLE = Table('bench', (Joint('outer', (1.0, 0.0, 0.0)), Joint('inner', (0.0, 0.0, 1.0))))
-RATES = Sensor.of(ImuSpec('any', Units.SI, None, TriadSpec(range=8.0), TriadSpec()))
+RATES = Sensor.from_spec(ImuSpec('any', Units.SI, None, TriadSpec(range=8.0), TriadSpec()))
 NONE = np.zeros(6)
 
 SECONDS, BEGIN, END, RATE = 26.0, 3.0, 23.0, 40.0
@@ -53,9 +53,9 @@ def delivered(ahead: int = 0, sense: float = 1.0) -> Samples:
     return Samples(stamp, values * PERIOD, NONE, PERIOD, NONE)
 
 
-def around(samples: Samples, sensor: Sensor = RATES, **more: Any) -> Around:
+def around(samples: Samples, sensor: Sensor = RATES, **more: Any) -> MotionReadings:
     scale = np.where(samples.pulse > 0, samples.pulse, PERIOD)
-    return Around(sensor, samples.increments / scale, samples, **more)
+    return MotionReadings(sensor, samples.increments / scale, samples, **more)
 
 
 def gained(samples: Samples, begin: float, end: float) -> Floats:
@@ -183,7 +183,7 @@ def test_samples_must_be_sound_between_the_cuts_alone() -> None:
 
 def test_counts_at_the_cuts_are_read_from_all_that_turns_as_fast() -> None:
     spec = ImuSpec('any', Units.PULSES, None, TriadSpec(1e-4, random_walk=1e-3), TriadSpec(1e-4))
-    sensor = Sensor.of(spec)
+    sensor = Sensor.from_spec(spec)
     plain = delivered()
     counts = np.diff(np.floor(np.cumsum(plain.increments, axis=0) / 1e-4), axis=0, prepend=0.0)
     samples = replace(plain, increments=counts * 1e-4, pulse=np.full(6, 1e-4))
@@ -245,7 +245,7 @@ def test_a_motion_is_what_the_gyros_gained() -> None:
     assert found.statistics.duration == pytest.approx(1.0)
     assert found.statistics.mean == pytest.approx([0, 0.3 * np.pi, 0.4 * np.pi, 1, 2, 3])
     # The mean of exp(i a) from 0 to pi / 2.
-    assert found.level == pytest.approx((1 + 1j) * 2 / np.pi, rel=1e-4)
+    assert found.mean_phase == pytest.approx((1 + 1j) * 2 / np.pi, rel=1e-4)
     assert [len(free(degrees)) for degrees in (4.9, 5.1)] == [0, 1]
 
 
@@ -284,7 +284,7 @@ def test_gyros_beyond_their_range_that_the_table_does_not_turn_by_are_in_other_u
 
 
 PULSE = 0.5 * ARCSEC
-COUNTERS = Sensor.of(
+COUNTERS = Sensor.from_spec(
     ImuSpec('any', Units.PULSES, None, TriadSpec(PULSE, range=8.0), TriadSpec(1e-5))
 )
 

@@ -20,7 +20,7 @@ def clipped(rates: np.ndarray, rate_hz: float) -> np.ndarray:
     true = np.cumsum(rates / rate_hz, axis=0) / scale + np.linspace(0.1, 0.9, 6)
     pulses = np.diff(np.floor(true), axis=0, prepend=np.floor(np.linspace(0.1, 0.9, 6))[None])
     stamp = 10**9 + np.arange(len(pulses)) * round(1e9 / rate_hz)
-    sensor = Sensor.of(spec)
+    sensor = Sensor.from_spec(spec)
     return sensor.saturated(pulses, sensor.samples(stamp, pulses))
 
 

@@ -46,7 +46,7 @@ def by_hand(rows: Floats) -> tuple[float, float]:
 def test_three_times_what_nine_of_ten_keep_to_is_added() -> None:
     rows = windows(200, 0.4, 0.05)
     shaken, pushed = by_hand(rows)
-    found = RestTolerance.of(rows, OFFSET, 0.2 * DEG)
+    found = RestTolerance.estimate(rows, OFFSET, 0.2 * DEG)
     assert found.rate == pytest.approx(0.2 * DEG + 3 * shaken)
     assert found.force == pytest.approx(LEAN + 3 * pushed)
     assert found.usual == pytest.approx(shaken)
@@ -54,14 +54,14 @@ def test_three_times_what_nine_of_ten_keep_to_is_added() -> None:
 
 def test_a_count_is_the_least_that_is_added() -> None:
     step = np.array([0.1 * DEG, 0.02])
-    found = RestTolerance.of(windows(200), OFFSET, ASSUMED_SPREAD, step)
+    found = RestTolerance.estimate(windows(200), OFFSET, ASSUMED_SPREAD, step)
     assert found.rate == pytest.approx(ASSUMED_SPREAD + 0.1 * DEG)
     assert found.force == pytest.approx(LEAN + 0.02)
     assert found.usual == pytest.approx(0.1 * DEG / 3)
 
 
 def test_what_is_not_held_has_no_larger_tolerance() -> None:
-    found = RestTolerance.of(windows(200, 9.0, 3.0), OFFSET)
+    found = RestTolerance.estimate(windows(200, 9.0, 3.0), OFFSET)
     assert found.rate == pytest.approx(20 * DEG)
     assert found.force == pytest.approx(0.3 * STANDARD_GRAVITY)
 
@@ -70,10 +70,10 @@ def test_few_windows_tell_nothing() -> None:
     step = np.array([0.1 * DEG, 0.02])
     plain = RestTolerance(0.2 * DEG + step[0], LEAN + step[1], step[0])
     noisy = windows(20, 0.4, 0.05)
-    assert RestTolerance.of(noisy[:10], OFFSET, 0.2 * DEG, step) == plain
+    assert RestTolerance.estimate(noisy[:10], OFFSET, 0.2 * DEG, step) == plain
     # Eleven quiet seconds have to be among them, and each needs half a second beside.
-    assert RestTolerance.of(noisy, OFFSET, 0.2 * DEG, step) == plain
-    assert RestTolerance.of(windows(21, 0.4, 0.05), OFFSET, 0.2 * DEG, step) != plain
+    assert RestTolerance.estimate(noisy, OFFSET, 0.2 * DEG, step) == plain
+    assert RestTolerance.estimate(windows(21, 0.4, 0.05), OFFSET, 0.2 * DEG, step) != plain
     assert RestTolerance() == RestTolerance(ASSUMED_SPREAD, LEAN, 0.0)
 
 
@@ -83,7 +83,7 @@ def test_a_turn_tells_nothing_of_rests_nor_the_second_beside_it(rate: float, tur
     turning = windows(100, 0.1, 0.01, 2)
     turning[:, 1] += rate * DEG
     rows = np.vstack([quiet, turning])
-    found = RestTolerance.of(rows, OFFSET)
+    found = RestTolerance.estimate(rows, OFFSET)
     if turns:
         # Windows around which some second is a turn: its middle is at least five off.
         first = next(
@@ -109,7 +109,7 @@ def test_a_turn_tells_nothing_of_rests_nor_the_second_beside_it(rate: float, tur
 
 def feed(offset: GyroOffset, rate: Floats, up: Floats, seconds: float) -> None:
     for _ in range(round(seconds * 10)):
-        offset.feed(np.append(rate, 9.8 * up))
+        offset.add_window(np.append(rate, 9.8 * up))
 
 
 def test_nothing_is_known_before_a_second_is_steady() -> None:
@@ -126,7 +126,7 @@ def test_nothing_is_known_before_a_second_is_steady() -> None:
 def test_two_half_seconds_are_averaged() -> None:
     offset = GyroOffset()
     for k in range(10):
-        offset.feed(np.append(OFFSET + 0.09 * k * DEG * X, 9.8 * Z))
+        offset.add_window(np.append(OFFSET + 0.09 * k * DEG * X, 9.8 * Z))
     assert offset.value == pytest.approx(OFFSET + 0.405 * DEG * X)
 
 
@@ -140,7 +140,9 @@ def test_steady_is_within_a_degree_a_second_and_a_twentieth_of_gravity(
     offset = GyroOffset()
     feed(offset, OFFSET, Z, 0.5)
     for _ in range(5):
-        offset.feed(np.append(OFFSET + rate * DEG * Y, 9.8 * Z + force * STANDARD_GRAVITY * X))
+        offset.add_window(
+            np.append(OFFSET + rate * DEG * Y, 9.8 * Z + force * STANDARD_GRAVITY * X)
+        )
     assert bool(offset.value.any()) is steady
 
 
@@ -248,7 +250,7 @@ def tracked(rows: Floats, period: float = 0.01, cut: int = 10**9) -> list[Rest |
     stamp = np.arange(1, len(rows) + 1) * round(period * 1e9)
     found: list[Rest | Motion] = []
     for k in range(0, len(rows), cut):
-        found += tracker.feed(stamp[k : k + cut], rows[k : k + cut])
+        found += tracker.track(stamp[k : k + cut], rows[k : k + cut])
     return [*found, *tracker.finish()]
 
 
@@ -305,15 +307,15 @@ def test_the_quietest_two_seconds_are_told() -> None:
         tracker = StillnessTracker(0.01)
         stamp = np.arange(1, 1501) * 10_000_000
         for k in range(0, 1500, cut):
-            tracker.feed(stamp[k : k + cut], rows[k : k + cut])
+            tracker.track(stamp[k : k + cut], rows[k : k + cut])
         found = tracker.quietest
         assert found is not None
         assert (found.rate, found.force) == pytest.approx(least)
         assert found.length == pytest.approx(9.8, rel=0.01)
     brief = StillnessTracker(0.01)
-    brief.feed(stamp[:199], rows[:199])
+    brief.track(stamp[:199], rows[:199])
     assert brief.quietest is None
-    brief.feed(stamp[199:200], rows[199:200])
+    brief.track(stamp[199:200], rows[199:200])
     assert brief.quietest is not None
 
 
@@ -323,7 +325,7 @@ def test_a_rest_that_goes_on_can_be_parted() -> None:
     assert tracker.split_rest(5) is None
     rows = held(40, Z)
     stamp = np.arange(1, 4001) * 10_000_000
-    assert [type(f) for f in tracker.feed(stamp, rows)] == [Motion]
+    assert [type(f) for f in tracker.track(stamp, rows)] == [Motion]
     # Half a minute is waited for: a hundred windows are judged.
     assert tracker.known_until == 10_000_000_000
     assert tracker.rest_since == 110_000_000

@@ -29,7 +29,7 @@ def rounded(step: float, noise: float, means: Floats | None = None) -> Floats:
 def sentences(dwells: Floats, spec: object = SI) -> list[str]:
     rounding = Rounding(spec)
     for values in dwells:
-        rounding.take(values)
+        rounding.check_dwell(values)
     return rounding.sentences
 
 

@@ -281,7 +281,7 @@ def test_stretches_of_a_wandering_clock_are_timed_by_their_own_stamps() -> None:
 # Lost samples.
 
 FOG = load_imu('fog_medium')
-SENSOR = Sensor.of(FOG)
+SENSOR = Sensor.from_spec(FOG)
 
 
 def counter(count: int, rate: float, noise: float, rng: np.random.Generator) -> Floats:
@@ -413,7 +413,7 @@ def tracked(position: Floats, cut: int) -> list[Rest | Motion]:
     tracker, found = JointTracker(), []
     stamp = stamps(np.arange(len(position)) * PERIOD)
     for first in range(0, len(stamp), cut):
-        found += tracker.feed(stamp[first : first + cut], position[first : first + cut])
+        found += tracker.track(stamp[first : first + cut], position[first : first + cut])
     return [*found, *tracker.finish()]
 
 

@@ -84,7 +84,7 @@ def test_the_period_is_that_of_the_line_through_the_longest_run() -> None:
 )
 def test_stamps_that_jump_are_dropped(stamps: list[int], kept: list[int]) -> None:
     order = StampOrder(1)
-    taken = order.take(np.array(stamps), np.array(stamps, dtype=float)[:, None])
+    taken = order.drop_disordered(np.array(stamps), np.array(stamps, dtype=float)[:, None])
     last = order.finish()
     assert [*taken.stamp.tolist(), *last.stamp.tolist()] == kept
     assert [*taken.values[:, 0].tolist(), *last.values[:, 0].tolist()] == kept
@@ -99,7 +99,7 @@ def test_the_order_of_stamps_does_not_depend_on_block_boundaries(
         order, result = StampOrder(1), []
         for a, b in pairwise(edges):
             part = np.array(stamps[a:b], dtype=np.int64)
-            result += order.take(part, part[:, None].astype(float)).stamp.tolist()
+            result += order.drop_disordered(part, part[:, None].astype(float)).stamp.tolist()
         return [*result, *order.finish().stamp.tolist()]
 
     whole = kept([0, len(stamps)])
@@ -121,7 +121,7 @@ def test_the_tracker_tells_rests_from_motions() -> None:
     # Still from 0 to 3 s, 10 deg/s from 3 to 5 s, still to 8 s, sampled at 20 Hz.
     motion = ramp(10 * DEG, 3.0, 2.0, 3.0, 0.05)
     tracker = JointTracker()
-    found = [*tracker.feed(motion.stamp, motion.position), *tracker.finish()]
+    found = [*tracker.track(motion.stamp, motion.position), *tracker.finish()]
     assert [type(f) for f in found] == [Rest, Motion, Rest]
     first, between, last = found
     assert first.start == 0
@@ -144,10 +144,10 @@ def test_the_tracker_does_not_depend_on_block_boundaries(cuts: list[int]) -> Non
     tracker, found = JointTracker(), []
     for a, b in pairwise([0, *sorted(cuts), len(motion.stamp)]):
         if b > a:
-            found += tracker.feed(motion.stamp[a:b], motion.position[a:b])
+            found += tracker.track(motion.stamp[a:b], motion.position[a:b])
     found += tracker.finish()
     whole = JointTracker()
-    expected = [*whole.feed(motion.stamp, motion.position), *whole.finish()]
+    expected = [*whole.track(motion.stamp, motion.position), *whole.finish()]
     assert [(f.start, f.end) for f in found] == [(f.start, f.end) for f in expected]
 
 
@@ -159,7 +159,7 @@ def test_a_table_that_stands_elsewhere_after_a_silence_has_moved(
     stamp = seconds(np.concatenate([standing, standing + 3.0 + silence]))
     position = np.repeat([0.0, turned * DEG], len(standing))[:, None]
     tracker = JointTracker()
-    first, between, last = [*tracker.feed(stamp, position), *tracker.finish()]
+    first, between, last = [*tracker.track(stamp, position), *tracker.finish()]
     assert isinstance(first, Rest)
     assert first.angles == pytest.approx([0.0])
     assert first.end < 3.0 * NS
@@ -174,7 +174,7 @@ def test_wrapped_angles_are_unwrapped_across_blocks() -> None:
     wrapped = np.mod(motion.position + np.pi, 2 * np.pi) - np.pi
     tracker, found = JointTracker(), []
     for k in range(0, len(motion.stamp), 7):
-        found += tracker.feed(motion.stamp[k : k + 7], wrapped[k : k + 7])
+        found += tracker.track(motion.stamp[k : k + 7], wrapped[k : k + 7])
     found += tracker.finish()
     turned = [f for f in found if isinstance(f, Motion)]
     assert len(turned) == 1
@@ -242,7 +242,7 @@ def test_a_turn_is_not_read_from_samples_that_froze_just_before_it() -> None:
 def test_a_dwell_that_repeats_a_sample_of_the_turn_before_is_none(sound: int) -> None:
     # The device froze in a turn of 57 deg/s and came back, if at all, as the dwell ended.
     spec = load_imu('fog_medium')
-    sensor = Sensor.of(spec)
+    sensor = Sensor.from_spec(spec)
     count, rng = 370, np.random.default_rng(5)
     stamp = np.arange(1, count + 1) * 10**7
     frozen = np.rint([0.01 / spec.gyro.scale_factor, 3.0, -2.0, 10.0, 1.0, 0.0])

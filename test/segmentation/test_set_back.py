@@ -46,7 +46,7 @@ def followed(stamp: Stamps, values: Floats, size: int) -> tuple[Stamps, Floats, 
     """Stamps and values that pass, in blocks of a size."""
     clock = SetBackClock(values.shape[1])
     cuts = range(0, len(stamp), size)
-    passed = [clock.take(stamp[k : k + size], values[k : k + size]) for k in cuts]
+    passed = [clock.continue_stamps(stamp[k : k + size], values[k : k + size]) for k in cuts]
     passed.append(clock.finish())
     return np.concatenate([p[0] for p in passed]), np.vstack([p[1] for p in passed]), clock
 

@@ -38,7 +38,7 @@ def taken(
     """What becomes of a stream that comes in pieces."""
     shared = SharedStamps(rate)
     edges = [0, *cuts, len(stamp)]
-    pieces = [shared.take(stamp[a:b], values[a:b]) for a, b in pairwise(edges)]
+    pieces = [shared.separate(stamp[a:b], values[a:b]) for a, b in pairwise(edges)]
     one, two, three = (np.concatenate(part) for part in zip(*pieces, strict=True))
     return one, two, three, shared
 

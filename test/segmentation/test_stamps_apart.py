@@ -83,7 +83,7 @@ def silences(*, missing: int, held: int, jitter: float = 0.0, rate: int = 100) -
     for cut in (4000, 37, 1):
         stream = Interruptions()
         for k in range(0, 4000, cut):
-            stream.feed(stamp[k : k + cut])
+            stream.add_stamps(stamp[k : k + cut])
         found.append(stream.found)
     assert found[0] == found[1] == found[2]
     return [(begins - last) * 1e-9 for last, begins in found[0]]
@@ -135,16 +135,16 @@ def test_what_is_late_is_said_and_nothing_else(share: float) -> None:
 def test_a_few_late_samples_are_not_worth_a_sentence() -> None:
     few = Lateness()
     stamp = START + 10**7 * np.arange(2000)
-    few.note(stamp, np.where(np.arange(2000) == 7, 2 * 10**7, 0), INTERVAL)
+    few.count_late(stamp, np.where(np.arange(2000) == 7, 2 * 10**7, 0), INTERVAL)
     assert (few.count, few.words(2000), len(few.words(900))) == (1, [], 1)
-    few.note(stamp, np.where(np.arange(2000) == 7, 12 * 10**8, 0), INTERVAL)
+    few.count_late(stamp, np.where(np.arange(2000) == 7, 12 * 10**8, 0), INTERVAL)
     assert few.words(20_000) == [
         '2 IMU samples (0.01 %) are stamped late, by up to 1.2 s, the first at 2023-11-14 '
         '22:13:20.070 UTC: they were held up, and when they were sampled is taken from those that '
         'came in time'
     ]
     jitter = Lateness()
-    jitter.note(stamp, np.resize([-2, 2, 1, 0], 2000) * 10**7, INTERVAL)
+    jitter.count_late(stamp, np.resize([-2, 2, 1, 0], 2000) * 10**7, INTERVAL)
     assert jitter.count == 0
 
 

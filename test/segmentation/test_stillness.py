@@ -302,7 +302,7 @@ def still(seconds: float, rate: tuple[float, float, float], up: tuple[float, flo
 def tracked(rows: np.ndarray) -> list[Rest | Motion]:
     tracker = StillnessTracker(0.01)
     stamp = np.arange(1, len(rows) + 1) * 10_000_000
-    return [*tracker.feed(stamp, rows), *tracker.finish()]
+    return [*tracker.track(stamp, rows), *tracker.finish()]
 
 
 def turn(seconds: float = 1.5) -> np.ndarray:
@@ -425,7 +425,7 @@ def test_a_rest_does_not_reach_over_an_interruption() -> None:
     stamp[1000:] += 14_000_000_000
     rates = np.repeat([up, side], 1000, axis=0) + 1e-3 * rng.standard_normal((2000, 6))
     tracker = StillnessTracker(0.01)
-    found = [*tracker.feed(stamp, rates), *tracker.finish()]
+    found = [*tracker.track(stamp, rates), *tracker.finish()]
     first, second = (rest for rest in found if isinstance(rest, Rest))
     assert stamp[990] <= first.end < stamp[1000] <= second.start
 

@@ -47,7 +47,7 @@ def bag(folder: Path, stamp: NDArray[np.int64], gyro: Floats, accel: Floats) -> 
 def facts(stamp: NDArray[np.int64], values: Floats, size: int = 10**9) -> str:
     found = StreamFacts()
     for k in range(0, len(stamp), size):
-        found.take(stamp[k : k + size], values[k : k + size])
+        found.count_samples(stamp[k : k + size], values[k : k + size])
     return found.sentence
 
 

@@ -198,7 +198,7 @@ class CompensatorReports:
     def _report_turns(self, compensator: Compensator) -> None:
         """Report whether the rates of some seconds turn gravity as the accelerometers do."""
         if readings := self._second.readings:
-            self._turns.take(
+            self._turns.add_samples(
                 np.concatenate([one.stamp for one in readings]),
                 np.concatenate([one.values.rate for one in readings]),
                 np.concatenate([one.values.force for one in readings]),

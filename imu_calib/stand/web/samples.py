@@ -63,7 +63,7 @@ class Dwells:
 
     def __init__(self, imu: ImuSpec) -> None:
         self._imu = imu
-        self._walk = Sensor.of(imu).walk
+        self._walk = Sensor.from_spec(imu).walk
         self._recent: list[ImuBlock] = []
         self._since: int | None = None
         self._kept: list[ImuBlock] = []
