@@ -9,6 +9,7 @@ from loopback import CHECKOUT
 
 THREADS = """
 import ctypes, sys, tempfile, threading
+from imu_calib.stand import middleware
 from imu_calib.stand.nodes import programs as entry
 
 libc = ctypes.CDLL(None)
@@ -36,7 +37,7 @@ def main():
         print(file.read().count(b'<heap nr'))
 
 
-entry.run = lambda node, ends: node()
+middleware.run = lambda node, ends: node()
 sys.exit(entry.entry_point(main) if sys.argv[1] == 'node' else main())
 """
 

@@ -191,7 +191,7 @@ MAIN = (
 )
 BROKEN = """
 import sys
-from imu_calib.stand.nodes.programs import run
+from imu_calib.stand.middleware import run
 from imu_calib.stand.nodes import turntable_node
 class Broken(turntable_node.TurntableNode):
     def _go_on(self):

@@ -13,8 +13,7 @@ from ...common.stream import NS, Floats, Stamps, Units
 from ...common.units import STANDARD_GRAVITY
 from ...session.imu import GRAVITY_FACTOR, ImuSpec
 from .clock import DeviceClock
-from .decoder import Counts, Samples
-from .format import FrameFormat
+from .format import Counts, FrameFormat, Samples
 from .source import SourceState
 
 # Check the IMU's file against the device: the accelerometers must read about gravity.

@@ -17,12 +17,13 @@ from ...recordings.cdr import Malformed, Messages
 from ...recordings.cdr_codec import decode_setpoints, encode_joints
 from ...session.table import load_table
 from ..middleware import Clock, ClockType, Node, drain_sources, messages, open_drain, publish_all
-from ..table_driver import Follower, OneSource
 from ..table_guard import Guard
 from ..table_line import (
     STATE_LINE,
     BadReply,
+    Follower,
     Line,
+    OneSource,
     Order,
     Reading,
     Refusal,

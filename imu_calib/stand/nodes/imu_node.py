@@ -11,8 +11,7 @@ from ...common.stream import NS, ImuBlock, Stamps, TemperatureBlock, Units
 from ...recordings.cdr_codec import PULSES, RATES, encode_imu, encode_temperatures
 from ...session.imu import ImuSpec, load_imu
 from ..devices.clock import DeviceClock
-from ..devices.decoder import Decoder, Samples
-from ..devices.format import FrameFormat, load_format
+from ..devices.format import Decoder, FrameFormat, Samples, load_format
 from ..devices.health import Health, PartStatus
 from ..devices.source import Baud, Chunk, Source, SourceState, choose_baud, is_serial, too_slow
 from ..middleware import Clock, ClockType, ManagedNode, messages, publish_all
