@@ -27,8 +27,8 @@ from ..session.metadata import compensated_already, interpolated_from, serial_ke
 from ..session.plan import load_plan
 from ..session.units_file import MountedUnit
 from .compare import specification_of
-from .inspect import clock_findings, refused_by_stamps
 from .session import Named, OfSeveral, Session, Stated, as_units, with_keywords
+from .stamp_clock import clock_findings, refused_by_stamps
 from .streams import (
     ASSUMED_BY_HAND,
     Opened,

@@ -22,7 +22,6 @@ from ..segmentation.stream_facts import Temperature
 from ..session.imu import ImuSpec
 from ..session.metadata import compensated_already
 from ..session.plan import UNPLANNED
-from .inspect import clock_findings, refused_by_stamps
 from .session import (
     Named,
     Stated,
@@ -35,6 +34,7 @@ from .session import (
     table_of,
     with_keywords,
 )
+from .stamp_clock import clock_findings, refused_by_stamps
 from .streams import streams_of
 
 if TYPE_CHECKING:

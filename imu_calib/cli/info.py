@@ -9,14 +9,14 @@ from rich.table import Table as Rows
 
 from ..api.inspect import Inspection, inspect_streams, topics
 from ..common.units import DEG, DEG_H, PPM, STANDARD_GRAVITY, counted
-from ..reports.tables import plain_table
+from ..reports.plain_table import plain_table
 from . import options
 from .dispatch import WRONG_INPUT, Outcome, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
     # Loaded only if it is stated how the streams are to be read.
-    from ..api.inspect import StreamContents
+    from ..api.stream_contents import StreamContents
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 from ...common.errors import InputError
 from ...common.stream import Floats
 from ...common.units import DEG
-from ...estimation.methods import Setup
+from ...estimation.setup import Setup
 from ...model.earth import Site
 from ...model.session_terms import split_terms
 from ...model.terms import AUTO_TERMS, asks_for_search, named_terms

@@ -13,9 +13,6 @@ from typing import Any
 from ...common.errors import ImuCalibError
 from ...common.lifetime import end_with_parent
 
-_M_ARENA_MAX = -8
-"""Constant of mallopt(3), glibc's malloc.h."""
-
 
 def start(node: str) -> int:
     """Load a node and run it; return the exit code.
@@ -37,16 +34,20 @@ def __getattr__(name: str) -> Callable[[], int]:
     return partial(start, name)
 
 
+_M_ARENA_MAX = -8
+"""Constant of mallopt(3), glibc's malloc.h."""
+
+
 def entry_point(node: Callable[[], Any]) -> int:
     """Run a node until a signal ends it; return the exit code.
 
     An error of the user is reported in a sentence: code 2 for wrong usage or unreadable input.
     """
+    from ..middleware import run
+
     share_one_heap()
     end_with_parent()
     try:
-        from ..middleware import run
-
         run(node, ends=True)
     except ImuCalibError as error:
         print(f'{getattr(node, "__name__", "node")}: {error}', file=sys.stderr)  # noqa: T201
