@@ -31,8 +31,7 @@ from imu_calib.stand.devices.fields import (
     Xor,
 )
 from imu_calib.stand.devices.format import Decoder, load_format, read_format
-from imu_calib.stand.devices.health import Severity
-from imu_calib.stand.devices.reception import Reception
+from imu_calib.stand.devices.health import Reception, Severity
 from imu_calib.stand.devices.source import Chunk, Source
 
 NS = 1_000_000_000

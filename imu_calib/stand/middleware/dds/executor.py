@@ -9,16 +9,14 @@ from typing import IO, TYPE_CHECKING, Any
 
 from ..running import Beside, Work, guarded
 from . import memory
-from .clock import STEADY
-from .context import CONTEXT, init, try_shutdown
+from .context import CONTEXT, STEADY, init, try_shutdown
 from .wire import TransportError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 if TYPE_CHECKING:
-    from .clock import Future
-    from .context import AnyParticipant
+    from .context import AnyParticipant, Future
     from .endpoints import Client, Service, Subscription
     from .node import Node
 

@@ -12,7 +12,6 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from ....common.errors import ImuCalibError
-from .graph import TopicEndpointInfo
 from .message_types import Message, deserialize_message, serialize_message
 from .qos import (
     DurabilityPolicy,
@@ -21,6 +20,7 @@ from .qos import (
     QoSPolicyKind,
     QoSProfile,
     ReliabilityPolicy,
+    TopicEndpointInfo,
 )
 
 if TYPE_CHECKING:
