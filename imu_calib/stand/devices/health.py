@@ -16,9 +16,6 @@ from .clock import DeviceClock
 from .format import Counts, Decoder, FrameFormat, Samples
 from .source import Baud, Chunk, SourceState, too_slow
 
-# Check the IMU's file against the device: the accelerometers must read about gravity.
-
-
 _SPAN_NS = 500_000_000
 """ns examined: the first half second. A judgement: five pieces, of which two may contain shocks,
 and a waiting user learns of an error before anything moves."""

@@ -186,9 +186,6 @@ def _family(host: str) -> socket.AddressFamily:
     return socket.AF_INET6 if ':' in host else socket.AF_INET
 
 
-# Baud rate of a device's serial port: its origin, and whether the frames fit.
-
-
 DEFAULT = 115200
 """bit/s, if neither the user nor the device's file states a rate. A choice: the lowest of the
 recommended ones."""

@@ -273,9 +273,6 @@ class GoalServer:
         )
 
 
-# A managed node: rclpy's, which may start by itself.
-
-
 class ManagedNode(LifecycleNode):  # type: ignore[misc,unused-ignore]
     """A node with the states of ROS 2 (design.ros2.org/articles/node_lifecycle.html).
 

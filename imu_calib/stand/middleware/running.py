@@ -32,8 +32,6 @@ ENDS = frozenset({GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED}
 """Final states of a goal."""
 
 
-# Messages and actions of the suite by their short names, the same in both runtimes.
-
 MESSAGES = {
     name.rpartition('/')[2]: name
     for name in (
@@ -80,8 +78,6 @@ class InterfaceTypes:
         return loaded
 
 
-# Work that a node does beside its callbacks, such as the life of simulated hardware.
-
 Work: TypeAlias = 'Callable[[], float | None]'
 """Returns the seconds until its next call, None when it is done."""
 
@@ -122,8 +118,6 @@ def guarded(node: Any, work: Work, name: str) -> Work:
 
     return attempt
 
-
-# The DDS domain: its number and its range, from ROS 2's environment variables.
 
 LAST_DOMAIN = 232
 """The ports of a higher one do not exist (RTPS: 7400 + 250 * domain)."""

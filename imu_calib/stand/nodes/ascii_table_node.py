@@ -41,8 +41,6 @@ from .programs import entry_point
 from .stop import Heartbeat
 from .topics import names_of
 
-# The setpoints that a table's driver follows: from one source, while a heartbeat is received.
-
 
 class Commands:
     """Receives setpoints and passes on those that the table must follow.
@@ -99,8 +97,6 @@ class Commands:
         self._unknown += 1
         return f'unknown {self._unknown}'.encode()
 
-
-# The thread that communicates with a table's controller; only the controller can block it.
 
 _RETRY = 0.5
 """s before a lost controller is contacted again. A choice: two attempts a second cost nothing."""

@@ -36,9 +36,6 @@ from .session_reports import (
 from .topics import OnePublisher, Subscriptions, topics_of_table, topics_of_unit
 from .turntable_node import DoneCheck
 
-# turntable/state of the node that runs the plan, as the calibrator receives it.
-
-
 STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
 
 _RUNS = frozenset(phase for phase in Phase if phase.at_a_step)
@@ -130,9 +127,6 @@ class TurntableStateIntake:
     def paused(self) -> bool:
         """Whether the plan is interrupted, and may be resumed."""
         return self.phase == Phase.PAUSED
-
-
-# Create the sessions of a calibrator, each time with a new journal.
 
 
 class SessionFactory:

@@ -251,9 +251,6 @@ class CompensatorReports:
         self._diagnostics.report('temperature', level, text, **figures)
 
 
-# The calibration that a compensator applies: from a file that may change, or from a topic.
-
-
 class AppliedCalibration:
     """Receives calibrations, refuses those of other units, and reports which one is applied.
 

@@ -11,9 +11,6 @@ from ...common.errors import InputError
 from ..devices.messages import NOTHING
 from ..devices.source import Chunk, SourceState, steady_time
 
-# The line of a simulated device in this process: its bytes need no socket and no thread.
-
-
 SCHEME = 'memory://'
 """Start of the URL of such a line; what follows is its name."""
 
@@ -114,8 +111,6 @@ class InMemorySource:
         if self._line is not None:
             self._line.connected = False
 
-
-# The lines of simulated devices: sockets that serve their frames.
 
 IN_MEMORY = 0
 """Port that stands for lines within this process."""

@@ -441,9 +441,6 @@ def _holds(payload: bytes) -> bool:
     return all(setpoint.mode is Mode.HOLD for block in blocks for setpoint in block.setpoints)
 
 
-# Whether a reported DONE of a plan is credible.
-
-
 class DoneCheck:
     """Receives turntable/state, and accepts DONE only with independent evidence.
 

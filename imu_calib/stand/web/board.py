@@ -16,8 +16,6 @@ from ..devices.health import Severity
 from ..plan_steps import Phase
 from .samples import Streams
 
-# State of a running stand at one moment, for pages and terminals.
-
 
 class Outcome(Enum):
     """Outcome of a session, if it has ended."""
@@ -388,8 +386,6 @@ def _node(source: str) -> str:
 def _seconds(stamp: Any) -> float:
     return float(stamp.sec + stamp.nanosec / NS)
 
-
-# The state of a stand with several units: of all, and of each.
 
 _CALIBRATOR = 'calibrator_node: '
 _DEVICE = 'imu_node: stream'

@@ -24,9 +24,6 @@ from ..plan_steps import Phase
 from .board import NOT_BEGUN, Outcome, Sentence, Snapshot, TableState, UnitRow
 from .samples import Streams
 
-# Sentences on the present activity, the remaining time, and the required action.
-
-
 _WHOLE = 2.0
 """Ratio to real time from which a session is called faster. A choice: it is said in whole
 numbers."""
@@ -504,8 +501,6 @@ def report(shown: Snapshot) -> str:
     frame = tag('iframe', ' ', src=shown.report, title='Report of the calibration')
     return link + frame
 
-
-# The style of the page: light and dark, on a desktop and on a phone.
 
 STYLE = """
 :root { --ground: #eef0f3; --card: #fff; --ink: #16191d; --soft: #59616b; --line: #d9dde2;

@@ -118,9 +118,6 @@ class Clock:
         return Time(self.nanoseconds())
 
 
-# Timers on any clock.
-
-
 class Timer:
     """Calls back once per period of its clock; missed calls are skipped."""
 
@@ -159,9 +156,6 @@ class Timer:
         self._next += (behind + 1) * self.timer_period_ns
         self.callback()
         return True
-
-
-# A result that comes later.
 
 
 class Future:
@@ -349,9 +343,6 @@ class _Endpoints:
 def _ros_type(name: str) -> str:
     """Return a type in ROS notation: std_msgs::msg::dds_::Bool_ is std_msgs/msg/Bool."""
     return name.replace('::dds_::', '::').removesuffix('_').replace('::', '/')
-
-
-# Log lines in ROS's console format; nothing is published on /rosout.
 
 
 class LoggingSeverity(IntEnum):

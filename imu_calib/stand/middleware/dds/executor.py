@@ -167,8 +167,6 @@ def spin_until_future_complete(
         spin_once(node, timeout_sec=min(remaining, 0.05))
 
 
-# All nodes of a stand in one process and one thread, as ROS composes nodes in a container.
-
 _STEP = 20_000_000
 """ns of simulated steady time per step of the simulation. A choice: every timer that reads data is
 due at each step, and reviews and reports, once a second, are not most of the work."""
@@ -329,9 +327,6 @@ class Container:
     def _wait(self, seconds: float) -> None:
         """Wait for a message."""
         self._arrived.wait(min(seconds, _LONGEST_WAIT))
-
-
-# Work beside callbacks: in a thread, or between the rounds of a process that has all nodes.
 
 
 class InTurn:

@@ -450,9 +450,6 @@ class ManagedNode(Node):
         self.activate()
 
 
-# The fast path: serialised messages in bulk, in one call, without losses at the publisher.
-
-
 def open_drain(
     node: Node, msg_type: Any, topic: str, qos_profile: QoSProfile | int, **options: Any
 ) -> Subscription:

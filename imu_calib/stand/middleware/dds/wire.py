@@ -90,9 +90,6 @@ def _write(path: Path, parts: tuple[bytes, ...]) -> None:
         own.replace(path)
 
 
-# The DDS participant of a process and its topics.
-
-
 class TransportError(Exception):
     """Endpoints were deleted, or the participant has left, while waiting for messages."""
 
