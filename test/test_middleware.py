@@ -147,7 +147,7 @@ class LateClient:
     IDENTITY = 'clientid= 1.2.3;', 'service'
 
     def __init__(self, node):
-        from imu_calib.stand.middleware.dds import messages as codec
+        from imu_calib.stand.middleware.dds import message_types as codec
         from imu_calib.stand.middleware.dds import wire
 
         self.service = node.create_service(ros.Trigger, '/late', self.answer)

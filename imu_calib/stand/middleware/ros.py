@@ -187,11 +187,11 @@ def _middleware() -> bytes:
     return str(get_rmw_implementation_identifier()).encode()
 
 
-# rclpy's action server, with goals that the node ends; see `dds.action`.
+# rclpy's action server, with goals that the node ends; see `dds.endpoints`.
 
 
 class ServerGoal:
-    """A goal that was accepted; see `dds.action.ServerGoal`."""
+    """A goal that was accepted; see `dds.endpoints.ServerGoal`."""
 
     def __init__(self, server: _Server, handle: Any) -> None:
         self._server = server
@@ -239,7 +239,7 @@ class _Server(ActionServer):  # type: ignore[misc,unused-ignore]
 
 
 class GoalServer:
-    """Serves an action; see `dds.action.GoalServer`."""
+    """Serves an action; see `dds.endpoints.GoalServer`."""
 
     def __init__(
         self,
@@ -412,7 +412,7 @@ class _Never(CallbackGroup):  # type: ignore[misc]
 
 
 def open_drain(node: Any, msg_type: Any, topic: str, qos_profile: Any, **options: Any) -> Any:
-    """Subscribe without a callback; see `dds.drains.open_drain`."""
+    """Subscribe without a callback; see `dds.node.open_drain`."""
     return node.create_subscription(
         msg_type,
         topic,
@@ -432,19 +432,21 @@ def open_stream(
     qos_profile: Any,
     **options: Any,
 ) -> Any:
-    """Subscribe with a callback that takes all that has arrived; see `dds.drains.open_stream`."""
+    """Subscribe with a callback that takes all that has arrived; see `dds.node.open_stream`."""
     subscription: Any = None
 
-    def take(payload: bytes) -> None:
+    def pass_on(payload: bytes) -> None:
         # The executor has taken the oldest; take newer ones without another round of it.
         callback([payload, *drain(subscription, _AT_ONCE)])
 
-    subscription = node.create_subscription(msg_type, topic, take, qos_profile, raw=True, **options)
+    subscription = node.create_subscription(
+        msg_type, topic, pass_on, qos_profile, raw=True, **options
+    )
     return subscription
 
 
 def drain(subscription: Any, most: int | None = None) -> list[bytes]:
-    """Return what has arrived, serialised, oldest first; see `dds.drains.drain`."""
+    """Return what has arrived, serialised, oldest first; see `dds.node.drain`."""
     payloads: list[bytes] = []
     handle, kind = subscription.handle, subscription.msg_type
     with handle:
@@ -459,7 +461,7 @@ def drain(subscription: Any, most: int | None = None) -> list[bytes]:
 
 
 def drain_sources(subscription: Any) -> list[tuple[bytes, bytes]]:
-    """Return what has arrived with its publishers; see `dds.drains.drain_sources`."""
+    """Return what has arrived with its publishers; see `dds.node.drain_sources`."""
     taken: list[tuple[bytes, bytes]] = []
     handle = subscription.handle
     with handle:
@@ -469,7 +471,7 @@ def drain_sources(subscription: Any) -> list[tuple[bytes, bytes]]:
 
 
 def publish_all(publisher: Any, payloads: Iterable[bytes]) -> None:
-    """Publish serialised messages without losses; see `dds.drains.publish_all`."""
+    """Publish serialised messages without losses; see `dds.node.publish_all`."""
     for payload in payloads:
         until = time.monotonic() + LONGEST_LEASE
         while True:
@@ -492,7 +494,7 @@ run_beside = Beside
 
 
 def in_step() -> bool:
-    """Return False: see `dds.clock.in_step`."""
+    """Return False: see `dds.context.in_step`."""
     return False
 
 

@@ -1,4 +1,4 @@
-"""States of an action's goal in both runtimes."""
+"""What the runtimes share: states of goals, interfaces, work beside callbacks, the DDS domain."""
 
 from __future__ import annotations
 
@@ -7,13 +7,10 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from ...common.errors import ImuCalibError, InputError
 from ..network import LOOPBACK, REACH, names_interface, network_refusal, on_interface
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 class GoalStatus(IntEnum):
@@ -78,7 +75,7 @@ class InterfaceTypes:
         return loaded
 
 
-Work: TypeAlias = 'Callable[[], float | None]'
+Work: TypeAlias = Callable[[], float | None]
 """Returns the seconds until its next call, None when it is done."""
 
 

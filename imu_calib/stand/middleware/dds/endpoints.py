@@ -175,29 +175,33 @@ class Trigger:
     Response = message_class('std_srvs/srv/Trigger_Response')
 
 
-def _identity(gid: bytes, role: str) -> str:
-    numbers = '.'.join(f'{b:x}' for b in gid)
-    return f'{role}id= {numbers};'
+class _ServiceEnd:
+    """One side of a service: the DDS endpoints of requests and of replies."""
+
+    def __init__(
+        self, participant: AnyParticipant, srv_type: Any, srv_name: str, gid: bytes, *, serves: bool
+    ) -> None:
+        self.srv_type = srv_type
+        self.srv_name = srv_name
+        self.destroyed = False
+        numbers = '.'.join(f'{b:x}' for b in gid)
+        identity = f'{"service" if serves else "client"}id= {numbers};'
+        qos = QoSProfile(depth=10)
+        read = f'rq{srv_name}Request', srv_type.Request.TYPE_NAME
+        written = f'rr{srv_name}Reply', srv_type.Response.TYPE_NAME
+        if not serves:
+            read, written = written, read
+        self.reader = participant.reader(*read, qos, identity, 'service')
+        self.writer = participant.writer(*written, qos, identity, 'service')
+
+    def destroy(self) -> None:
+        """Leave the service's topics."""
+        self.destroyed = True
+        self.reader.delete()
+        self.writer.delete()
 
 
-def _ends(
-    participant: AnyParticipant, srv_type: Any, name: str, serves: bool, gid: bytes
-) -> tuple[Any, Any]:
-    """Create the two DDS endpoints of one side of a service."""
-    identity = _identity(gid, 'service' if serves else 'client')
-    request, reply = f'rq{name}Request', f'rr{name}Reply'
-    qos = QoSProfile(depth=10)
-    request_type, response_type = srv_type.Request.TYPE_NAME, srv_type.Response.TYPE_NAME
-    read, written = (request, request_type), (reply, response_type)
-    if not serves:
-        read, written = written, read
-    return (
-        participant.reader(*read, qos, identity, 'service'),
-        participant.writer(*written, qos, identity, 'service'),
-    )
-
-
-class Service:
+class Service(_ServiceEnd):
     """Answers requests; the callback takes request and response and returns the response.
 
     It may return a future of the response instead.
@@ -218,14 +222,9 @@ class Service:
         callback: Callable[[Any, Any], Any],
         retry: Callable[[Callable[[], bool]], None],
     ) -> None:
-        self.srv_type = srv_type
-        self.srv_name = srv_name
+        super().__init__(participant, srv_type, srv_name, secrets.token_bytes(16), serves=True)
         self.callback = callback
         self._retry = retry
-        self.destroyed = False
-        self.reader, self.writer = _ends(
-            participant, srv_type, srv_name, True, secrets.token_bytes(16)
-        )
 
     def execute(self, most: int) -> bool:
         """Answer pending requests; return whether there were any."""
@@ -269,12 +268,6 @@ class Service:
         self.writer.write(answer)
         return True
 
-    def destroy(self) -> None:
-        """Leave the service's topics."""
-        self.destroyed = True
-        self.reader.delete()
-        self.writer.delete()
-
 
 def _when_done(answer: Callable[[Any], None], done: Future) -> None:
     answer(done.result())
@@ -285,18 +278,15 @@ def _request_id(payload: bytes) -> bytes:
     return _REQUEST_ID.pack(*struct.unpack(f'{order}Qq', payload[4:20]))
 
 
-class Client:
+class Client(_ServiceEnd):
     """Calls a service; the answer is a future."""
 
     def __init__(self, participant: AnyParticipant, srv_type: Any, srv_name: str) -> None:
-        self.srv_type = srv_type
-        self.srv_name = srv_name
         gid = secrets.token_bytes(16)
+        super().__init__(participant, srv_type, srv_name, gid, serves=False)
         self._guid = int.from_bytes(gid[:8], 'little')
         self._sequence = 0
-        self.destroyed = False
         self._pending: dict[int, Future] = {}
-        self.reader, self.writer = _ends(participant, srv_type, srv_name, False, gid)
 
     def service_is_ready(self) -> bool:
         """Return whether the service has a server."""
@@ -332,12 +322,6 @@ class Client:
                 found = True
                 future.set_result(deserialize_message(payload, self.srv_type.Response, skip=16))
         return found
-
-    def destroy(self) -> None:
-        """Leave the service's topics."""
-        self.destroyed = True
-        self.reader.delete()
-        self.writer.delete()
 
 
 _KEPT = 16

@@ -15,7 +15,6 @@ from .wire import TransportError
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-if TYPE_CHECKING:
     from .context import AnyParticipant, Future
     from .endpoints import Client, Service, Subscription
     from .node import Node
@@ -172,8 +171,6 @@ _STEP = 20_000_000
 due at each step, and reviews and reports, once a second, are not most of the work."""
 _PACED_STEP = 100_000_000
 """ns of it per step that waited for the wall clock: that of a simulation in real time."""
-_CALLBACKS_PER_ROUND = 64
-"""Messages of one subscription per turn; then the others and the timers follow."""
 _LONGEST_WAIT = 0.05
 """s: the latest time for a signal to be noticed."""
 
