@@ -56,7 +56,7 @@ from std_srvs.srv import Trigger
 
 from ...common.errors import ImuCalibError, InputError
 from ..network import LEASES, LONGEST_LEASE
-from .running import ACTIONS, MESSAGES, Beside, GoalStatus, InterfaceTypes
+from .running import ACTIONS, MESSAGES, GoalStatus, InterfaceTypes, WorkerThread
 from .running import domain_id as checked_domain
 
 __all__ = [
@@ -490,7 +490,7 @@ def acknowledged(publisher: Any, timeout_sec: float) -> bool:
     return bool(publisher.wait_for_all_acked(Duration(seconds=timeout_sec)))
 
 
-run_beside = Beside
+run_beside = WorkerThread
 
 
 def in_step() -> bool:

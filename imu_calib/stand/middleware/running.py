@@ -79,7 +79,7 @@ Work: TypeAlias = Callable[[], float | None]
 """Returns the seconds until its next call, None when it is done."""
 
 
-class Beside:
+class WorkerThread:
     """Call a function again and again in a thread of its own.
 
     Args:

@@ -80,7 +80,7 @@ class TurntableStateIntake:
         """Check its publishers at a time of the steady clock, s."""
         self._publisher.fault(now)
 
-    def take(self, state: Any, sessions: Sessions, now: float) -> bool:
+    def follow(self, state: Any, sessions: Sessions, now: float) -> bool:
         """Take a message after all earlier data; return whether it ended the sessions.
 
         Args:
@@ -367,7 +367,7 @@ class CalibratorNode(ros.Node):
             return False
         self._turntable.record(self._sessions, now)
         came = False
-        for kind, payloads in self._of_table.take():
+        for kind, payloads in self._of_table.received():
             self._sessions.take_common(kind, payloads, now)
             came = True
         for place, subscriptions in enumerate(self._of_units):
@@ -377,7 +377,7 @@ class CalibratorNode(ros.Node):
     def _take_of(self, place: int, subscriptions: Subscriptions, now: int) -> bool:
         """Take new messages of a unit; return whether there were any."""
         session, came = self._sessions.all[place], False
-        for kind, payloads in subscriptions.take():
+        for kind, payloads in subscriptions.received():
             came = True
             # Samples of a second device cannot be distinguished from those of the first.
             two = kind is Kind.IMU and not session.is_over and subscriptions.two_devices
@@ -434,7 +434,7 @@ class CalibratorNode(ros.Node):
         state = ros.deserialize_message(payload, messages.TurntableState)
         self._turntable.keep(payload)
         self._take_all()
-        if self._turntable.take(state, self._sessions, time.monotonic()):
+        if self._turntable.follow(state, self._sessions, time.monotonic()):
             for place in range(len(self._units)):
                 self._publish(place)
 

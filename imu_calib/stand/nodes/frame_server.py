@@ -51,7 +51,7 @@ class InMemoryLine:
         elif line:
             self._sent.append(line)
 
-    def take(self) -> list[bytes]:
+    def drain(self) -> list[bytes]:
         """Return what was sent since the last call."""
         sent, self._sent = self._sent, []
         return sent
@@ -104,7 +104,7 @@ class InMemorySource:
         if self._line is None:
             return []
         now, steady = self._now(), steady_time()
-        return [Chunk(data, now, steady) for data in self._line.take()]
+        return [Chunk(data, now, steady) for data in self._line.drain()]
 
     def stop(self) -> None:
         """Disconnect."""

@@ -279,7 +279,7 @@ class Subscriptions:
         self._drains = {kind: self._open(kind, reliable=True) for kind in topics}
         self._two_since: float | None = None
 
-    def take(self) -> Iterator[tuple[Kind, list[bytes]]]:
+    def received(self) -> Iterator[tuple[Kind, list[bytes]]]:
         """Yield the new serialised messages, grouped by kind."""
         for kind, subscription in self._drains.items():
             payloads = ros.drain(subscription, _MOST)

@@ -150,7 +150,7 @@ class Subscription(_TopicEnd):
             if payloads:
                 self.callback(payloads)
             return bool(payloads)
-        received = self.reader.drain(most) if self.raw else self.reader.take(most, self.msg_type)
+        received = self.reader.drain(most) if self.raw else self.reader.read(most, self.msg_type)
         came = False
         for message in received:
             came = True

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import time
 import traceback
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
-from ..running import Beside, Work, guarded
+from ..running import Work, WorkerThread, guarded
 from . import memory
 from .context import CONTEXT, STEADY, init, try_shutdown
 from .wire import TransportError
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .endpoints import Client, Service, Subscription
     from .node import Node
 
-    _Awaited = Subscription | Service | Client
+    _Awaited: TypeAlias = Subscription | Service | Client
 
 _SLICE = 50_000_000
 """Longest wait, ns: the latest time for a signal's handler to run or a cancelled spin to end."""
@@ -326,8 +326,8 @@ class Container:
         self._arrived.wait(min(seconds, _LONGEST_WAIT))
 
 
-class InTurn:
-    """Work that the container calls when no message waits; see `Beside`."""
+class WorkInTurn:
+    """Work that the container calls when no message waits; see `WorkerThread`."""
 
     def __init__(self, work: Work) -> None:
         self._work = work
@@ -356,8 +356,8 @@ class InTurn:
             CONTEXT.works.remove(self)
 
 
-def run_beside(node: Any, work: Work, name: str) -> Beside | InTurn:
-    """Call a function again and again, beside the callbacks of a node; see `Beside`."""
+def run_beside(node: Any, work: Work, name: str) -> WorkerThread | WorkInTurn:
+    """Call a function again and again, beside the callbacks of a node; see `WorkerThread`."""
     if isinstance(CONTEXT.participant, memory.Participant):
-        return InTurn(guarded(node, work, name))
-    return Beside(node, work, name)
+        return WorkInTurn(guarded(node, work, name))
+    return WorkerThread(node, work, name)

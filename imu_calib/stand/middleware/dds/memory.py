@@ -226,7 +226,7 @@ class Reader(_End):
         """Return all arrived messages, serialised, or at most `most` of the oldest."""
         return [_bytes(message) for _, message in self._taken(most)]
 
-    def take(self, most: int, message_type: type[Message]) -> Iterator[Message]:
+    def read(self, most: int, message_type: type[Message]) -> Iterator[Message]:
         """Yield at most `most` of the oldest messages."""
         for _, message in self._taken(most):
             bare = not isinstance(message, Message)

@@ -344,7 +344,7 @@ class Reader(Endpoint):
                 break
         return payloads
 
-    def take(self, most: int, message_type: type[Message]) -> Iterator[Message]:
+    def read(self, most: int, message_type: type[Message]) -> Iterator[Message]:
         """Yield at most `most` of the oldest messages."""
         return (deserialize_message(payload, message_type) for payload in self.drain(most))
 
