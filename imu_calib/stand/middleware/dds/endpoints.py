@@ -374,7 +374,7 @@ class ServerGoal:
         """End it; clients receive its result.
 
         Args:
-            status: One of `goals.ENDS`; CANCELED only after a request to cancel, as in ROS.
+            status: One of `running.ENDS`; CANCELED only after a request to cancel, as in ROS.
             result: Of the action's type.
         """
         self._server.end(self, status, result)

@@ -427,7 +427,7 @@ def parameter_names(node: Node) -> tuple[list[str], list[str]]:
 
 
 class ManagedNode(Node):
-    """A node that is active from start to end; see `ros_lifecycle.ManagedNode`."""
+    """A node that is active from start to end; see `ros.ManagedNode`."""
 
     def configure(self) -> None:
         """Read what is needed; open and publish nothing."""
