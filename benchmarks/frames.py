@@ -22,8 +22,7 @@ import numpy as np
 from imu_calib.common.stream import ImuBlock
 from imu_calib.simulation.hardware import pack
 from imu_calib.stand.devices.clock import DeviceClock
-from imu_calib.stand.devices.decoder import Decoder
-from imu_calib.stand.devices.format import load_format
+from imu_calib.stand.devices.format import Decoder, load_format
 
 if TYPE_CHECKING:
     from collections.abc import Callable

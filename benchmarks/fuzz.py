@@ -64,8 +64,7 @@ from imu_calib.session.plan import read_plan
 from imu_calib.session.table import load_table, read_table
 from imu_calib.session.units_file import read_units
 from imu_calib.simulation.options import StandOptions, read_imperfections
-from imu_calib.stand.devices.decoder import Decoder
-from imu_calib.stand.devices.format import FrameFormat, load_format, read_format
+from imu_calib.stand.devices.format import Decoder, FrameFormat, load_format, read_format
 
 FLOOR = 8 << 20
 """Bytes that a target may take in addition to ten times its input: tables of checksums, a page

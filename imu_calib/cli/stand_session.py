@@ -36,8 +36,7 @@ from ..session.imu import ImuSpec, load_imu
 from ..session.plan import Plan, load_plan
 from ..session.table import Table, load_table
 from ..stand.devices.format import FrameFormat
-from ..stand.devices.health import Severity
-from ..stand.devices.reception import Reception
+from ..stand.devices.health import Reception, Severity
 from ..stand.devices.source import Baud, Source, steady_time
 from ..stand.network import forced
 from ..stand.web.board import Board, UnitsBoard

@@ -167,9 +167,6 @@ def network_refusal(reach: str, how: str) -> str:
     )
 
 
-# Parse host and port from a socket's URL.
-
-
 def host_and_port(url: str) -> tuple[str, int] | None:
     """Return host and port of scheme://host:port, None if one of them is missing or invalid.
 
@@ -183,8 +180,6 @@ def host_and_port(url: str) -> tuple[str, int] | None:
         return None
     return (host, port) if host and port else None
 
-
-# Selection of the nodes' runtime: rclpy if available, else Cyclone DDS, or one process alone.
 
 VARIABLE = 'IMU_CALIB_MIDDLEWARE'
 RUNTIMES = ('rclpy', 'dds', 'embedded')
@@ -279,8 +274,6 @@ def _import(module: str, sentence: str) -> None:
         reason = f'{type(error).__name__}: {error}'
         raise ImuCalibError(sentence.format(reason)) from error
 
-
-# SROS 2 enclave of a node, and the keystore from the policy (docs/access.md).
 
 OVERRIDE = 'ROS_SECURITY_ENCLAVE_OVERRIDE'
 _ENABLE = 'ROS_SECURITY_ENABLE'

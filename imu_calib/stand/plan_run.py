@@ -28,8 +28,6 @@ from .plan_steps import (
 )
 from .table_watch import IdleWatch, Standing, Watch
 
-# The present command to the table, and the check that the table follows it.
-
 
 class Orders:
     """The present setpoint, from its sending on, and the watch on its execution.
@@ -131,9 +129,6 @@ class Orders:
     def _order(self, setpoint: Setpoint, motion: Step | None) -> None:
         self._setpoint, self.motion, self._sent = setpoint, motion, False
         self.revision += 1
-
-
-# Remaining steps of a plan, their order and duration.
 
 
 class Itinerary:

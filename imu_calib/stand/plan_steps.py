@@ -122,9 +122,6 @@ def held(current: Step | None, angles: Sequence[float] | None, plan: str, table:
     )
 
 
-# Tolerances and times of a sequencer, and the phases of its state.
-
-
 class Phase(IntEnum):
     """Phase of the table; values as in imu_calib_msgs/TurntableState."""
 
@@ -177,8 +174,6 @@ class SequencerState:
     turns_done: float  #: Turns at rate of the current RATE step, without sign.
     seconds_left: float  #: Expected time to the end of the plan, s.
 
-
-# Convert joint states to continuous angles in the table's order, with rates.
 
 WINDOW = 0.1
 """s without motion after which a table is at rest; derived rates are means over this time."""

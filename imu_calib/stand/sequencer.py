@@ -14,9 +14,6 @@ from .plan_run import Leg, Run
 from .plan_steps import Encoders, Feedback, FeedbackError, Phase, Rules, SequencerState
 from .table_watch import IdleWatch
 
-# Reasons against starting a plan, and reasons for a stop.
-
-
 _NO_FEEDBACK = 'There are no joint states from the table.'
 
 
@@ -80,8 +77,6 @@ class Reasons:
         remarks = [text for text in self._remarks.values() if text != self.reason]
         return ' '.join([*filter(None, [self.reason]), *remarks])
 
-
-# The calibrator from the sequencer's view: its presence, and its data of an old session.
 
 CALIBRATOR = 'the calibrator (calibration/progress)'
 

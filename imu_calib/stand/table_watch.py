@@ -280,8 +280,6 @@ def _strays(joint: Joint, angle: float, goal: float) -> str:
     )
 
 
-# Check that an idle table stays at rest, from a stop to the next start.
-
 _GROWTH = 2.0
 """Factor by which an excursion must grow to be reported again: few reports for a long turn."""
 

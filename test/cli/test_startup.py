@@ -23,9 +23,8 @@ from imu_calib.cli.terminal import OUTPUT, NodeReports, NothingComes
 from imu_calib.common.files import named_file
 from imu_calib.session.imu import load_imu
 from imu_calib.stand.devices.format import load_format
-from imu_calib.stand.devices.health import Severity
+from imu_calib.stand.devices.health import Reception, Severity
 from imu_calib.stand.devices.messages import Command, Commands
-from imu_calib.stand.devices.reception import Reception
 from imu_calib.stand.devices.source import Chunk, Source, SourceState, choose_baud
 
 SIMULATED = load_format('simulated')

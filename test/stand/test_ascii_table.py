@@ -28,8 +28,7 @@ from imu_calib.recordings.cdr_codec import decode_joints, encode_setpoints
 from imu_calib.session.table import load_table
 from imu_calib.stand.nodes import ascii_table_node as control
 from imu_calib.stand.nodes import topics as qos
-from imu_calib.stand.table_driver import Follower
-from imu_calib.stand.table_line import Line, Move, Reading, Stop
+from imu_calib.stand.table_line import Follower, Line, Move, Reading, Stop
 
 # ROS reads this when it loads its messages.
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')

@@ -350,7 +350,7 @@ def test_stamps_that_tell_no_interval_are_named(monkeypatch, file):
 
 def test_samples_without_gravity_are_named(monkeypatch, file):
     # Other units, or a driver that subtracts gravity: a message states neither.
-    monkeypatch.setattr('imu_calib.stand.nodes.compensator_reports._GRAVITY', 2)
+    monkeypatch.setattr('imu_calib.stand.nodes.compensator_node._GRAVITY', 2)
     with Bench(monkeypatch, calibration=file) as bench:
         pulses = 9.8 * 1e-3 / truth().imu.accel.scale_factor
         sent = 0
@@ -372,7 +372,7 @@ def test_samples_without_gravity_are_named(monkeypatch, file):
 
 
 def test_rates_in_degrees_are_named_in_the_words_of_compensate(monkeypatch, tmp_path):
-    monkeypatch.setattr('imu_calib.stand.nodes.compensator_reports._TURNS', 2)
+    monkeypatch.setattr('imu_calib.stand.nodes.compensator_node._TURNS', 2)
     turned = shaky(SensorModel(), rate=100, noise=(1e-3, 0.01), holds=12, seed=4).block
     # There and back, again and again, without a jump.
     turned = ImuBlock(

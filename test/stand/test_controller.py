@@ -52,7 +52,7 @@ def led(session, monkeypatch):
     monkeypatch.setattr(turntable_bench, 'FakeTable', FollowingTable)
 
     def open_it(rate=90, answer_timeout=30.0):
-        monkeypatch.setattr('imu_calib.stand.nodes.controller._ANSWER_TIMEOUT', answer_timeout)
+        monkeypatch.setattr('imu_calib.stand.nodes.run_action._ANSWER_TIMEOUT', answer_timeout)
         session.turn_at(rate).open(output='trajectory', **PATIENT)
         session.controller = session.table.controller
         session.executor.add_node(session.controller)

@@ -8,9 +8,8 @@ import pytest
 from device_frames import NANOSECONDS, frame, kvh, stim
 
 from imu_calib.stand.devices.clock import DeviceClock
-from imu_calib.stand.devices.decoder import Decoder
 from imu_calib.stand.devices.fields import FrameCounter, Number
-from imu_calib.stand.devices.format import load_format
+from imu_calib.stand.devices.format import Decoder, load_format
 from imu_calib.stand.devices.health import Health, Severity
 from imu_calib.stand.devices.source import Source
 

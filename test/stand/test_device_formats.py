@@ -14,9 +14,8 @@ from loopback import until
 
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
-from imu_calib.stand.devices.decoder import Decoder
 from imu_calib.stand.devices.fields import Checksums, Fletcher, Sum
-from imu_calib.stand.devices.format import read_format
+from imu_calib.stand.devices.format import Decoder, read_format
 from imu_calib.stand.devices.messages import Command, Commands
 from imu_calib.stand.devices.source import Source
 

@@ -8,8 +8,7 @@ from device_frames import crc32, cut, described, kvh, mti
 
 from imu_calib.common.errors import InputError
 from imu_calib.stand.devices.clock import DeviceClock
-from imu_calib.stand.devices.decoder import Decoder
-from imu_calib.stand.devices.format import load_format, read_format
+from imu_calib.stand.devices.format import Decoder, load_format, read_format
 from imu_calib.stand.devices.health import Health, Severity
 from imu_calib.stand.devices.source import Source
 

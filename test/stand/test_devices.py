@@ -19,7 +19,6 @@ from imu_calib.common.stream import ImuBlock
 from imu_calib.session.imu import load_imu
 from imu_calib.simulation.hardware import pack
 from imu_calib.stand.devices.clock import DeviceClock
-from imu_calib.stand.devices.decoder import Decoder
 from imu_calib.stand.devices.fields import (
     CATALOGUE,
     Checksums,
@@ -29,9 +28,8 @@ from imu_calib.stand.devices.fields import (
     Sum,
     Xor,
 )
-from imu_calib.stand.devices.format import load_format, read_format
-from imu_calib.stand.devices.health import Severity
-from imu_calib.stand.devices.reception import Reception
+from imu_calib.stand.devices.format import Decoder, load_format, read_format
+from imu_calib.stand.devices.health import Reception, Severity
 from imu_calib.stand.devices.source import Chunk, Source
 
 FASTCRC = {

@@ -8,7 +8,8 @@ from installed import needs_nodes
 from loopback import CHECKOUT
 
 THREADS = """
-import ctypes, sys, tempfile, threading, types
+import ctypes, sys, tempfile, threading
+from imu_calib.stand import middleware
 from imu_calib.stand.nodes import programs as entry
 
 libc = ctypes.CDLL(None)
@@ -36,9 +37,7 @@ def main():
         print(file.read().count(b'<heap nr'))
 
 
-runtime = types.ModuleType('runtime')
-runtime.run = lambda node, ends: node()
-sys.modules['imu_calib.stand.middleware'] = runtime
+middleware.run = lambda node, ends: node()
 sys.exit(entry.entry_point(main) if sys.argv[1] == 'node' else main())
 """
 

@@ -24,7 +24,7 @@ from imu_calib.recordings.cdr_codec import decode_temperatures
 from imu_calib.recordings.rosbag2 import Kind
 from imu_calib.session.imu import load_imu
 from imu_calib.stand.devices.format import load_format
-from imu_calib.stand.devices.reception import Reception
+from imu_calib.stand.devices.health import Reception
 from imu_calib.stand.devices.source import Chunk, SourceState
 
 # ROS reads this when it loads its messages.

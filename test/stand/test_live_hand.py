@@ -29,8 +29,7 @@ from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
 from imu_calib.simulation.hand import HeldHardware
 from imu_calib.simulation.options import ImuOptions
-from imu_calib.stand.devices.decoder import Decoder
-from imu_calib.stand.devices.format import load_format
+from imu_calib.stand.devices.format import Decoder, load_format
 from imu_calib.stand.nodes import hand_node
 from imu_calib.stand.nodes.live import SessionPhase
 

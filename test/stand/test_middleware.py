@@ -23,7 +23,6 @@ from imu_calib.recordings.cdr_codec import decode_imu, encode_imu
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
     from imu_calib.stand import middleware as ros
-    from imu_calib.stand.middleware import node_life as running
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -148,7 +147,7 @@ class LateClient:
     IDENTITY = 'clientid= 1.2.3;', 'service'
 
     def __init__(self, node):
-        from imu_calib.stand.middleware.dds import messages as codec
+        from imu_calib.stand.middleware.dds import message_types as codec
         from imu_calib.stand.middleware.dds import wire
 
         self.service = node.create_service(ros.Trigger, '/late', self.answer)
@@ -644,7 +643,7 @@ LAST_WORD = """
 import signal
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 from imu_calib.stand.middleware import *
-from imu_calib.stand.middleware import node_life as running
+from imu_calib.stand import middleware as running
 # A busy machine may hold up the test, which acknowledges.
 running._ACKNOWLEDGE_TIMEOUT = 60.0
 latched = QoSProfile(depth=1)
@@ -790,7 +789,7 @@ def test_two_nodes_of_one_name_are_said(domain):
 
 def test_a_node_that_is_discovered_late_is_said_once(domain, monkeypatch):
     """As on a busy machine: the others are there, and not yet known at the first search."""
-    monkeypatch.setattr(running, '_FIRST_SEARCH', 0.01)
+    monkeypatch.setattr(ros, '_FIRST_SEARCH', 0.01)
     seen, said = [], []
 
     class Table(ros.Node):

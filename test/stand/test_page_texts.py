@@ -40,7 +40,7 @@ class Shown:
         from imu_calib.stand.web import page as server
 
         listens = server.listening_socket('127.0.0.1', 0)
-        source = page.Source(
+        source = page.PageContent(
             f'Stand: {MARKUP}',
             {'': FOG},
             table_shape(SETUP.table, ''),

@@ -12,8 +12,7 @@ from imu_calib.common.config import Section
 from imu_calib.common.stream import Units
 from imu_calib.session.imu import load_imu, read_imu
 from imu_calib.stand.devices.clock import DeviceClock
-from imu_calib.stand.devices.decoder import Decoder
-from imu_calib.stand.devices.format import load_format, read_format
+from imu_calib.stand.devices.format import Decoder, load_format, read_format
 from imu_calib.stand.devices.health import Health, Severity
 from imu_calib.stand.devices.source import Source
 

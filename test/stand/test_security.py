@@ -146,7 +146,7 @@ def test_the_policy_allows_what_each_node_creates_and_no_more(created):
     nodes = {path.stem for path in (CHECKOUT / 'imu_calib' / 'stand' / 'nodes').glob('*_node.py')}
     assert nodes <= allowed.keys()
     assert nodes - created.keys() <= {'web_node'}
-    from imu_calib.stand.middleware.chosen import RUNTIME
+    from imu_calib.stand.middleware import RUNTIME
 
     states = _rules('common/managed.xml')
     parameters = {name for name in allowed['observer']['reply'] if name.startswith('/observer/')}

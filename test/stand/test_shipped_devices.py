@@ -12,8 +12,7 @@ import pytest
 
 from imu_calib.session.imu import load_imu
 from imu_calib.stand.devices.clock import DeviceClock
-from imu_calib.stand.devices.decoder import Decoder
-from imu_calib.stand.devices.format import load_format
+from imu_calib.stand.devices.format import Decoder, load_format
 
 NS = 1_000_000_000
 RATE = (Fraction(1, 8), Fraction(-3, 4), Fraction(5, 64))

@@ -36,7 +36,7 @@ HEARTBEAT = {**PATIENT, 'stop_required': True, 'heartbeat_timeout': 3.0}
 
 BROKEN = """
 import sys
-from imu_calib.stand.nodes.programs import run
+from imu_calib.stand.middleware import run
 from imu_calib.stand.nodes import turntable_node
 class Broken(turntable_node.TurntableNode):
     def _go_on(self):

@@ -12,7 +12,7 @@ from rich.console import Console
 from imu_calib.cli.displays import view_table
 from imu_calib.stand.devices.health import Severity
 from imu_calib.stand.web import drawing
-from imu_calib.stand.web.board import Outcome
+from imu_calib.stand.web.board import SessionOutcome
 from imu_calib.stand.web.expectation import units_board
 
 mounted = board_messages.mounted
@@ -78,10 +78,10 @@ def test_of_all_each_parameter_is_expected_of_the_unit_that_is_worst(board):
 def test_the_session_has_ended_when_all_that_take_part_have(board):
     for name in ('unit_A1', 'unit__B_'):
         board.each[name].take_calibration(calibration('VALID'))
-        assert board.snapshot(3.0).outcome is Outcome.OPEN
+        assert board.snapshot(3.0).outcome is SessionOutcome.OPEN
     last = progress(200.0, 1e-6, serial_numbers=['A1', '<B>'], state=3, text='2 of 2 units.')
     board.take_progress(last, 3.0)
-    assert board.snapshot(3.0).outcome is Outcome.DONE
+    assert board.snapshot(3.0).outcome is SessionOutcome.DONE
     assert board.unit_rows(3.0)[0].words == 'Calibrated'
 
 
@@ -89,7 +89,7 @@ def test_a_unit_without_a_result_is_not_passed_over(board):
     board.each['unit_A1'].take_calibration(calibration('VALID'))
     board.each['unit__B_'].take_calibration(calibration('REFUSED', 'It was never still.'))
     board.take_progress(progress(200.0, 1e-6, serial_numbers=['A1', '<B>'], state=3), 3.0)
-    assert board.snapshot(3.0).outcome is Outcome.INCOMPLETE
+    assert board.snapshot(3.0).outcome is SessionOutcome.INCOMPLETE
     assert board.unit_rows(3.0)[1].words == 'No calibration: It was never still.'
 
 

@@ -37,7 +37,7 @@ def shown(mounted, tmp_path):
     for name, imu in imus.items():
         board.each[name].take_streams(Dwells(imu).streams)
     listens = server.listening_socket('127.0.0.1', 0)
-    source = page.Source(
+    source = page.PageContent(
         'Stand: twelve_position',
         imus,
         table_shape(SETUP.table, ''),

@@ -21,7 +21,7 @@ from imu_calib.session.table import load_table
 from imu_calib.stand.devices.health import Severity
 from imu_calib.stand.plan_steps import Phase
 from imu_calib.stand.web import drawing
-from imu_calib.stand.web.board import Board, Outcome
+from imu_calib.stand.web.board import Board, SessionOutcome
 from imu_calib.stand.web.drawing import STYLE, headline, time_left
 from imu_calib.stand.web.expectation import expectation
 from imu_calib.stand.web.samples import Dwells
@@ -107,7 +107,7 @@ def test_deviations_shrink_towards_what_the_plan_predicts(expected):
     board.take_calibration(calibration('PROVISIONAL', K_gx=0.004))
     row = board.snapshot(0.0).rows[0]
     assert row.verdict.value == 'fail'
-    assert board.snapshot(0.0).outcome is Outcome.OPEN
+    assert board.snapshot(0.0).outcome is SessionOutcome.OPEN
     # Another session has nothing of the one before.
     board.take_progress(progress(500.0, math.nan), 0.0)
     assert board.snapshot(0.0).rows[0].course == ()
@@ -127,9 +127,9 @@ def test_a_long_course_is_thinned_and_keeps_its_ends():
 
 def test_how_a_session_ends(expected):
     for status, outcome, level in (
-        ('VALID', Outcome.DONE, Severity.OK),
-        ('INCOMPLETE', Outcome.INCOMPLETE, Severity.WARN),
-        ('REFUSED', Outcome.FAILED, Severity.ERROR),
+        ('VALID', SessionOutcome.DONE, Severity.OK),
+        ('INCOMPLETE', SessionOutcome.INCOMPLETE, Severity.WARN),
+        ('REFUSED', SessionOutcome.FAILED, Severity.ERROR),
     ):
         board = Board(expected)
         board.take_state(state(100.0), 1.0)
@@ -143,7 +143,7 @@ def test_how_a_session_ends(expected):
     assert headline(board.snapshot(1.0)).detail == 'The disk is full.'
     # ~/reset begins another one.
     board.take_progress(progress(10.0, 1.0, state=0), 1.0)
-    assert board.snapshot(1.0).outcome is Outcome.OPEN
+    assert board.snapshot(1.0).outcome is SessionOutcome.OPEN
 
 
 def test_the_time_left_is_by_the_clock_on_the_wall(expected):
@@ -269,7 +269,7 @@ def test_no_text_of_a_node_is_taken_for_markup(expected):
         drawing.joints(shown),
         drawing.plan(by_hand),
         drawing.streams(shown, FOG),
-        drawing.report(replace(shown, outcome=Outcome.DONE, report_text=evil)),
+        drawing.report(replace(shown, outcome=SessionOutcome.DONE, report_text=evil)),
         drawing.parameters(shown),
     ]
     for part in parts:

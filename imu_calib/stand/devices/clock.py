@@ -11,9 +11,6 @@ from ...common.errors import InputError
 from ...common.stream import NS, Floats, Stamps
 from .fields import DeviceTime, FrameCounter, differences
 
-# Delays from sampling to arrival: their recent minimum and drift.
-
-
 _WINDOW = 2_000_000_000
 """Initial width of a window, ns. A judgement: in two seconds some sample comes without delay on
 any line that is read in bunches from a USB adapter (16 ms)."""
@@ -95,8 +92,6 @@ class Delays:
         return Drift(-slope * 1e6, float(std) * 1e6)
 
 
-# Compare the host's clock with the monotonic clock: find its steps.
-
 _LEAST_STEP = 10_000_000
 """A smaller difference, ns, can result from an interruption between the readings of both clocks. A
 judgement."""
@@ -138,8 +133,6 @@ class HostClock:
             since[begin:] = self._ahead - self._first
         return since, steps
 
-
-# Time steps between samples by the device: its clock compared with its counter.
 
 Indices = NDArray[np.int64]
 

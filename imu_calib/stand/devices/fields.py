@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 
 from ...common.stream import Floats
 
-# Checksums over many frames at once: sums, exclusive or, and every CRC of whole bytes.
-
-
 Bytes: TypeAlias = NDArray[np.uint8]
 Words: TypeAlias = NDArray[np.uint32]
 

@@ -110,9 +110,6 @@ def read_number_order(section: Section, default: str, size: int) -> str:
     return order
 
 
-# Read lists of integers, and scales, from a device's file, with checks.
-
-
 def whole_list(section: Section, name: str, lower: int, upper: int) -> list[int]:
     """Read a list of integers from `lower` to `upper`."""
     found = []
@@ -319,8 +316,6 @@ def _message_check(section: Section, order: str) -> MessageCheck | None:
     check.finish()
     return result
 
-
-# Commands that make a device start and stop sending frames.
 
 LONGEST = 1024
 """Bytes of a command: more is taken for a typing error."""

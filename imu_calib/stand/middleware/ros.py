@@ -11,22 +11,101 @@ from itertools import repeat
 from typing import Any
 
 import rclpy
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+)
 from rclpy import (
     get_global_executor,
     ok,
+    shutdown,
+    spin,
+    spin_once,
+    spin_until_future_complete,
+    try_shutdown,
 )
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    ParameterAlreadyDeclaredException,
+    ParameterNotDeclaredException,
+)
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_profile_sensor_data,
+)
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
+from rclpy.time import Time
 from rclpy.utilities import get_rmw_implementation_identifier
+from std_srvs.srv import Trigger
 
 from ...common.errors import ImuCalibError, InputError
 from ..network import LEASES, LONGEST_LEASE
-from .running import ACTIONS, MESSAGES, Beside, GoalStatus, InterfaceTypes
+from .running import ACTIONS, MESSAGES, GoalStatus, InterfaceTypes, WorkerThread
 from .running import domain_id as checked_domain
+
+__all__ = [
+    'LEASE',
+    'ActionClient',
+    'Clock',
+    'ClockType',
+    'DurabilityPolicy',
+    'ExternalShutdownException',
+    'FloatingPointRange',
+    'GoalServer',
+    'HistoryPolicy',
+    'IntegerRange',
+    'InvalidParameterTypeException',
+    'ManagedNode',
+    'Node',
+    'ParameterAlreadyDeclaredException',
+    'ParameterDescriptor',
+    'ParameterNotDeclaredException',
+    'QoSOverridingOptions',
+    'QoSPolicyKind',
+    'QoSProfile',
+    'ReliabilityPolicy',
+    'SingleThreadedExecutor',
+    'SubscriptionEventCallbacks',
+    'Time',
+    'Trigger',
+    'acknowledged',
+    'actions',
+    'deserialize_message',
+    'drain',
+    'drain_sources',
+    'in_step',
+    'init',
+    'messages',
+    'ok',
+    'open_drain',
+    'open_stream',
+    'parameter_names',
+    'publish_all',
+    'qos_profile_sensor_data',
+    'run_beside',
+    'serialize_message',
+    'shutdown',
+    'spin',
+    'spin_once',
+    'spin_until_future_complete',
+    'try_shutdown',
+]
 
 # The publisher of a message under rclpy: rcl has it, rclpy of Jazzy does not pass it on.
 #
@@ -73,7 +152,7 @@ def _libraries() -> tuple[Any, Any]:
     return rcl, rcutils
 
 
-def take(handle: Any) -> tuple[bytes, bytes] | None:
+def take_serialized(handle: Any) -> tuple[bytes, bytes] | None:
     """Take a message from a subscription.
 
     Args:
@@ -108,11 +187,11 @@ def _middleware() -> bytes:
     return str(get_rmw_implementation_identifier()).encode()
 
 
-# rclpy's action server, with goals that the node ends; see `dds.action`.
+# rclpy's action server, with goals that the node ends; see `dds.endpoints`.
 
 
 class ServerGoal:
-    """A goal that was accepted; see `dds.action.ServerGoal`."""
+    """A goal that was accepted; see `dds.endpoints.ServerGoal`."""
 
     def __init__(self, server: _Server, handle: Any) -> None:
         self._server = server
@@ -160,7 +239,7 @@ class _Server(ActionServer):  # type: ignore[misc,unused-ignore]
 
 
 class GoalServer:
-    """Serves an action; see `dds.action.GoalServer`."""
+    """Serves an action; see `dds.endpoints.GoalServer`."""
 
     def __init__(
         self,
@@ -192,9 +271,6 @@ class GoalServer:
             handle_accepted_callback=accepted,
             cancel_callback=cancelled,
         )
-
-
-# A managed node: rclpy's, which may start by itself.
 
 
 class ManagedNode(LifecycleNode):  # type: ignore[misc,unused-ignore]
@@ -359,11 +435,13 @@ def open_stream(
     """Subscribe with a callback that takes all that has arrived; see `dds.node.open_stream`."""
     subscription: Any = None
 
-    def take(payload: bytes) -> None:
+    def pass_on(payload: bytes) -> None:
         # The executor has taken the oldest; take newer ones without another round of it.
         callback([payload, *drain(subscription, _AT_ONCE)])
 
-    subscription = node.create_subscription(msg_type, topic, take, qos_profile, raw=True, **options)
+    subscription = node.create_subscription(
+        msg_type, topic, pass_on, qos_profile, raw=True, **options
+    )
     return subscription
 
 
@@ -387,7 +465,7 @@ def drain_sources(subscription: Any) -> list[tuple[bytes, bytes]]:
     taken: list[tuple[bytes, bytes]] = []
     handle = subscription.handle
     with handle:
-        while len(taken) < _AT_ONCE and (one := take(handle)) is not None:
+        while len(taken) < _AT_ONCE and (one := take_serialized(handle)) is not None:
             taken.append(one)
     return taken
 
@@ -412,11 +490,11 @@ def acknowledged(publisher: Any, timeout_sec: float) -> bool:
     return bool(publisher.wait_for_all_acked(Duration(seconds=timeout_sec)))
 
 
-run_beside = Beside
+run_beside = WorkerThread
 
 
 def in_step() -> bool:
-    """Return False: see `dds.clock.in_step`."""
+    """Return False: see `dds.context.in_step`."""
     return False
 
 

@@ -1,4 +1,4 @@
-"""States of an action's goal in both runtimes."""
+"""What the runtimes share: states of goals, interfaces, work beside callbacks, the DDS domain."""
 
 from __future__ import annotations
 
@@ -7,13 +7,10 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from ...common.errors import ImuCalibError, InputError
 from ..network import LOOPBACK, REACH, names_interface, network_refusal, on_interface
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 class GoalStatus(IntEnum):
@@ -31,8 +28,6 @@ class GoalStatus(IntEnum):
 ENDS = frozenset({GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED})
 """Final states of a goal."""
 
-
-# Messages and actions of the suite by their short names, the same in both runtimes.
 
 MESSAGES = {
     name.rpartition('/')[2]: name
@@ -80,13 +75,11 @@ class InterfaceTypes:
         return loaded
 
 
-# Work that a node does beside its callbacks, such as the life of simulated hardware.
-
-Work: TypeAlias = 'Callable[[], float | None]'
+Work: TypeAlias = Callable[[], float | None]
 """Returns the seconds until its next call, None when it is done."""
 
 
-class Beside:
+class WorkerThread:
     """Call a function again and again in a thread of its own.
 
     Args:
@@ -122,8 +115,6 @@ def guarded(node: Any, work: Work, name: str) -> Work:
 
     return attempt
 
-
-# The DDS domain: its number and its range, from ROS 2's environment variables.
 
 LAST_DOMAIN = 232
 """The ports of a higher one do not exist (RTPS: 7400 + 250 * domain)."""

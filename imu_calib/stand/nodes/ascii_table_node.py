@@ -17,12 +17,13 @@ from ...recordings.cdr import Malformed, Messages
 from ...recordings.cdr_codec import decode_setpoints, encode_joints
 from ...session.table import load_table
 from ..middleware import Clock, ClockType, Node, drain_sources, messages, open_drain, publish_all
-from ..table_driver import Follower, OneSource
 from ..table_guard import Guard
 from ..table_line import (
     STATE_LINE,
     BadReply,
+    Follower,
     Line,
+    OneSource,
     Order,
     Reading,
     Refusal,
@@ -39,8 +40,6 @@ from .parameters import declare
 from .programs import entry_point
 from .stop import Heartbeat
 from .topics import names_of
-
-# The setpoints that a table's driver follows: from one source, while a heartbeat is received.
 
 
 class Commands:
@@ -98,8 +97,6 @@ class Commands:
         self._unknown += 1
         return f'unknown {self._unknown}'.encode()
 
-
-# The thread that communicates with a table's controller; only the controller can block it.
 
 _RETRY = 0.5
 """s before a lost controller is contacted again. A choice: two attempts a second cost nothing."""

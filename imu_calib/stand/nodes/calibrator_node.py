@@ -36,9 +36,6 @@ from .session_reports import (
 from .topics import OnePublisher, Subscriptions, topics_of_table, topics_of_unit
 from .turntable_node import DoneCheck
 
-# turntable/state of the node that runs the plan, as the calibrator receives it.
-
-
 STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
 
 _RUNS = frozenset(phase for phase in Phase if phase.at_a_step)
@@ -83,7 +80,7 @@ class TurntableStateIntake:
         """Check its publishers at a time of the steady clock, s."""
         self._publisher.fault(now)
 
-    def take(self, state: Any, sessions: Sessions, now: float) -> bool:
+    def follow(self, state: Any, sessions: Sessions, now: float) -> bool:
         """Take a message after all earlier data; return whether it ended the sessions.
 
         Args:
@@ -130,9 +127,6 @@ class TurntableStateIntake:
     def paused(self) -> bool:
         """Whether the plan is interrupted, and may be resumed."""
         return self.phase == Phase.PAUSED
-
-
-# Create the sessions of a calibrator, each time with a new journal.
 
 
 class SessionFactory:
@@ -373,7 +367,7 @@ class CalibratorNode(ros.Node):
             return False
         self._turntable.record(self._sessions, now)
         came = False
-        for kind, payloads in self._of_table.take():
+        for kind, payloads in self._of_table.received():
             self._sessions.take_common(kind, payloads, now)
             came = True
         for place, subscriptions in enumerate(self._of_units):
@@ -383,7 +377,7 @@ class CalibratorNode(ros.Node):
     def _take_of(self, place: int, subscriptions: Subscriptions, now: int) -> bool:
         """Take new messages of a unit; return whether there were any."""
         session, came = self._sessions.all[place], False
-        for kind, payloads in subscriptions.take():
+        for kind, payloads in subscriptions.received():
             came = True
             # Samples of a second device cannot be distinguished from those of the first.
             two = kind is Kind.IMU and not session.is_over and subscriptions.two_devices
@@ -440,7 +434,7 @@ class CalibratorNode(ros.Node):
         state = ros.deserialize_message(payload, messages.TurntableState)
         self._turntable.keep(payload)
         self._take_all()
-        if self._turntable.take(state, self._sessions, time.monotonic()):
+        if self._turntable.follow(state, self._sessions, time.monotonic()):
             for place in range(len(self._units)):
                 self._publish(place)
 

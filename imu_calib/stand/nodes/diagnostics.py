@@ -140,9 +140,6 @@ class PartOfDiagnostics:
         self._diagnostics.report_of(self.hardware_id, named, level, text, figures)
 
 
-# Texts of turntable_node on a sequencer's state for /diagnostics.
-
-
 def state_sentence(state: SequencerState) -> str:
     """Return a sentence on the state; it changes only with step and phase."""
     if state.waits_for:
@@ -167,9 +164,6 @@ def state_figures(state: SequencerState, joints: tuple[str, ...]) -> dict[str, s
     for name, angle, rate in zip(joints, state.angles, state.rates, strict=False):
         described[f'joint {name}'] = f'{angle / DEG:.4f} deg, {rate / DEG:.3f} deg/s'
     return described
-
-
-# Progress of the calibrator, as received by the node that runs the plan.
 
 
 class CalibratorProgress:

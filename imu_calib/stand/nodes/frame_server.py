@@ -11,9 +11,6 @@ from ...common.errors import InputError
 from ..devices.messages import NOTHING
 from ..devices.source import Chunk, SourceState, steady_time
 
-# The line of a simulated device in this process: its bytes need no socket and no thread.
-
-
 SCHEME = 'memory://'
 """Start of the URL of such a line; what follows is its name."""
 
@@ -54,7 +51,7 @@ class InMemoryLine:
         elif line:
             self._sent.append(line)
 
-    def take(self) -> list[bytes]:
+    def drain(self) -> list[bytes]:
         """Return what was sent since the last call."""
         sent, self._sent = self._sent, []
         return sent
@@ -107,15 +104,13 @@ class InMemorySource:
         if self._line is None:
             return []
         now, steady = self._now(), steady_time()
-        return [Chunk(data, now, steady) for data in self._line.take()]
+        return [Chunk(data, now, steady) for data in self._line.drain()]
 
     def stop(self) -> None:
         """Disconnect."""
         if self._line is not None:
             self._line.connected = False
 
-
-# The lines of simulated devices: sockets that serve their frames.
 
 IN_MEMORY = 0
 """Port that stands for lines within this process."""

@@ -10,9 +10,8 @@ import numpy as np
 from ...common.stream import NS, ImuBlock, Stamps, TemperatureBlock, Units
 from ...recordings.cdr_codec import PULSES, RATES, encode_imu, encode_temperatures
 from ...session.imu import load_imu
-from ..devices.decoder import Samples
-from ..devices.format import load_format
-from ..devices.reception import GAP_TIMEOUT, Reception
+from ..devices.format import Samples, load_format
+from ..devices.health import GAP_TIMEOUT, Reception
 from ..devices.source import Chunk, Source, choose_baud, is_serial
 from ..middleware import Clock, ClockType, ManagedNode, messages, publish_all
 from . import topics as qos

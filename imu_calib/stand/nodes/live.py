@@ -22,9 +22,6 @@ from ...segmentation.false_samples import INTERRUPTION, interruption
 from .shared import JournalPart, SolverPart
 from .topics import TopicIntake
 
-# Feed a live session's calibrator once the presence of a skewed gyro is known.
-
-
 _SKEW_AWAITED = 10.0
 """Longest time for which IMU samples come without the skewed gyro: s, by stamps and by the
 clock."""
@@ -97,8 +94,6 @@ class CalibratorFeed:
         )
 
 
-# Compare the end of the session before a crash with the start of this one.
-
 _SET_BACK = 10_000_000_000
 """ns that stamps may begin before a journal's last: less than the shortest step of the plans."""
 
@@ -145,8 +140,6 @@ class FormerSession:
             return ''
         return f'{interruption(last, first)}.'
 
-
-# Loaded here, because loading at the first solution would make a table wait.
 
 _LATE = 500_000_000
 """ns by which the last samples may be older than the table's last message: half a second of

@@ -68,9 +68,6 @@ def declare(
     return value
 
 
-# Declare the set-up of a session as parameters of a node.
-
-
 @dataclass(frozen=True, eq=False)
 class StatedUnit:
     """A unit whose samples a node receives."""
@@ -181,9 +178,6 @@ def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
 def _stated(value: float) -> float | None:
     """Return a parameter, or None if it is not stated."""
     return None if math.isnan(value) else value
-
-
-# The sequencer's rules as parameters of a node.
 
 
 def declare_rules(declare: Callable[..., Any]) -> Rules:

@@ -237,8 +237,6 @@ def _std_text(parameter: Parameter, value: float) -> str:
     return f'{significant(value / shown.scale, 3)} {shown.unit}'.strip()
 
 
-# The sessions of all units on one table: they begin, receive data, and end together.
-
 _LEFT_OUT = 'The unit was left out of the session.'
 
 
@@ -427,8 +425,6 @@ def _reviewed(calibrator: AnyCalibrator) -> Review | ImuCalibError:
         return error
 
 
-# Reports of a calibrator on several units: the least advanced unit determines them.
-
 _ENDS = frozenset({SessionPhase.FINISHED, SessionPhase.FAILED})
 
 
@@ -508,9 +504,6 @@ def _state(sessions: Sessions, imu_timeout: float) -> tuple[SessionPhase, str]:
 
 def _name(session: LiveSession) -> str:
     return session.setup.serial_number
-
-
-# What a calibrator publishes and writes for one unit.
 
 
 class UnitResults:

@@ -130,7 +130,7 @@ class JournalPart:
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class PendingReview:
     """A running or completed review."""
 
     future: Future[Review]  #: Its result or error.
@@ -138,7 +138,7 @@ class Solved:
     until: int  #: Stamp of the last data used, ns.
 
 
-class AtOnce:
+class ImmediateExecutor:
     """Executes at once, in the thread that asks, what a thread pool would do meanwhile."""
 
     def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
@@ -169,7 +169,7 @@ class SharedSolver:
         self._concluded = concluded
         self._reviews = 0
         self._since = self._rested_at = 0.0
-        self.threads = AtOnce() if in_step() else ThreadPoolExecutor(1, 'solver')
+        self.threads = ImmediateExecutor() if in_step() else ThreadPoolExecutor(1, 'solver')
 
     @property
     def may_review(self) -> bool:
@@ -230,7 +230,7 @@ class SolverPart:
     def __init__(self, shared: SharedSolver, serial_number: str) -> None:
         self._shared = shared
         self.serial_number = serial_number
-        self._work: Solved | None = None
+        self._work: PendingReview | None = None
         self._last: tuple[AnyCalibrator, int] | None = None
 
     @property
@@ -254,17 +254,17 @@ class SolverPart:
         if final:
             self._last = calibrator, until
         else:
-            self._work = Solved(self._shared.review(calibrator), final, until)
+            self._work = PendingReview(self._shared.review(calibrator), final, until)
 
     def final_calibrator(self) -> tuple[AnyCalibrator, Future[Review]]:
         """Return the calibrator to conclude in its present state, and the future of its review."""
         assert self._last is not None, 'it is not ready'
         (calibrator, until), self._last = self._last, None
         future: Future[Review] = Future()
-        self._work = Solved(future, True, until)
+        self._work = PendingReview(future, True, until)
         return calibrator.snapshot(), future
 
-    def poll(self) -> Solved | None:
+    def poll(self) -> PendingReview | None:
         """Return a review that has ended since the last call, else None."""
         work = self._work
         if work is None or not work.future.done():

@@ -334,9 +334,6 @@ class _Pace:
         return min(max(0.0, due - wall), _LONGEST_REST)
 
 
-# When a setpoint is due; independent of the middleware.
-
-
 class Pacing:
     """Keeps a rate by the stamps of joint states, and by the steady clock without them.
 

@@ -255,9 +255,6 @@ class EmergencyStop:
             self._record.press(f'heard on {self._topic.topic}')
 
 
-# A heartbeat that is required to start, and whose loss stops the table.
-
-
 class Heartbeat:
     """Subscribes to std_msgs/Bool on `heartbeat` if the parameter stop_required is set.
 

@@ -79,8 +79,6 @@ def observer_profile(depth: int) -> QoSProfile:
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-# Who publishes on a topic that only one node may publish.
-
 _NAMELESS = 2.0
 """s by which a node's name may appear later than its publishers. A judgement."""
 
@@ -165,8 +163,6 @@ def _name(publisher: Any) -> str:
         return 'a node without a name'
     return f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}'
 
-
-# Topics that only one node may publish: check for other publishers.
 
 _KEPT = 256
 """Most messages that may be on their way back to the node that sent them. A judgement."""
@@ -283,7 +279,7 @@ class Subscriptions:
         self._drains = {kind: self._open(kind, reliable=True) for kind in topics}
         self._two_since: float | None = None
 
-    def take(self) -> Iterator[tuple[Kind, list[bytes]]]:
+    def received(self) -> Iterator[tuple[Kind, list[bytes]]]:
         """Yield the new serialised messages, grouped by kind."""
         for kind, subscription in self._drains.items():
             payloads = ros.drain(subscription, _MOST)
@@ -336,9 +332,6 @@ class Subscriptions:
         )
 
 
-# One topic of a live session: counts and stamps of its messages.
-
-
 @dataclass(eq=False)
 class TopicIntake:
     """One topic of the session."""
@@ -364,9 +357,6 @@ class TopicIntake:
         elif len(block):
             self.oldest = int(block.stamp[0]) if self.oldest is None else self.oldest
             self.newest = int(block.stamp[-1])
-
-
-# Subscriptions to the topics of each of several units, for a board.
 
 
 def listen_to_each(node: ros.Node, board: UnitsBoard) -> None:

@@ -26,12 +26,11 @@ from ..middleware import (
 from ..plan_steps import SequencerState
 from ..sequencer import Sequencer
 from . import topics as qos
-from .controller import Controller
 from .convert import state_message
 from .diagnostics import CalibratorProgress, Diagnostics, Level, state_figures, state_sentence
 from .parameters import declare, declare_rules
 from .programs import entry_point
-from .run_action import RunAction
+from .run_action import Controller, RunAction
 from .stand_node import Pacing
 from .stop import EmergencyStop, Heartbeat, state_folder
 from .topics import OwnTopics
@@ -440,9 +439,6 @@ def _holds(payload: bytes) -> bool:
     """Return whether a serialised setpoint is HOLD, which needs no answer."""
     blocks = decode_setpoints(Messages.join([payload]), Malformed())
     return all(setpoint.mode is Mode.HOLD for block in blocks for setpoint in block.setpoints)
-
-
-# Whether a reported DONE of a plan is credible.
 
 
 class DoneCheck:

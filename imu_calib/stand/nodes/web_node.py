@@ -24,7 +24,7 @@ from ..middleware import messages
 from ..plan_steps import Phase
 from ..web.board import (
     Board,
-    Outcome,
+    SessionOutcome,
     Snapshot,
     UnitRow,
     UnitsBoard,
@@ -56,7 +56,7 @@ _ANSWER = 10.0
 """s to wait for an answer of turntable_node. A choice."""
 _WRITTEN = {0, 3}
 """Exit codes with a report: 3 if the unit is outside its specification."""
-_RESULTS = {Outcome.DONE, Outcome.INCOMPLETE}
+_RESULTS = {SessionOutcome.DONE, SessionOutcome.INCOMPLETE}
 _REPORTS = 'Each unit has a file of results; imu-calib report makes a page of it.'
 _COMMANDS = ('start', 'pause', 'abort')
 
@@ -106,7 +106,7 @@ class WebNode(ros.Node):
         listens = server.listening_socket(host, port)
         where = address(host, listens.getsockname()[1])
         self._server = server.Server(
-            page.Source(
+            page.PageContent(
                 f'Stand: {self._setup.plan.name}',
                 imus,
                 shape,

@@ -16,10 +16,8 @@ from ..devices.health import Severity
 from ..plan_steps import Phase
 from .samples import Streams
 
-# State of a running stand at one moment, for pages and terminals.
 
-
-class Outcome(Enum):
+class SessionOutcome(Enum):
     """Outcome of a session, if it has ended."""
 
     OPEN = 'open'
@@ -98,7 +96,7 @@ class Snapshot:
     seen: int = 0  #: Steps of the plan that have begun in its present run.
     repeats: tuple[int, ...] = ()  #: Steps to be repeated.
     next: tuple[str, ...] = ()  #: Attitudes that a hand should hold next.
-    outcome: Outcome = Outcome.OPEN  #: Outcome of the session.
+    outcome: SessionOutcome = SessionOutcome.OPEN  #: Outcome of the session.
     outcome_text: str = ''  #: Text on the outcome.
     rows: tuple[Converging, ...] = ()  #: The parameters.
     sentences: tuple[Sentence, ...] = ()  #: Reports of the nodes, the worst first.
@@ -114,7 +112,7 @@ class Snapshot:
     @property
     def problems(self) -> tuple[Sentence, ...]:
         """Reports that need attention, the worst first, after the outcome of the session."""
-        over = self.outcome is not Outcome.OPEN
+        over = self.outcome is not SessionOutcome.OPEN
         return tuple(
             sentence
             for sentence in self.sentences
@@ -135,7 +133,7 @@ class Snapshot:
     @property
     def share(self) -> float:
         """Elapsed share of the session's time, 0 to 1."""
-        if self.outcome in {Outcome.DONE, Outcome.INCOMPLETE}:
+        if self.outcome in {SessionOutcome.DONE, SessionOutcome.INCOMPLETE}:
             return 1.0
         seconds = math.nan if self.table is None else self.table.seconds_left
         if self.table is not None and self.table.phase is Phase.DONE:
@@ -250,7 +248,7 @@ class Board:
             if self._state.table is None:
                 self._state = replace(self._state, elapsed=stamp - begin)
         failed = message.state == message.FAILED
-        over = self._state.outcome is not Outcome.OPEN and message.state in {
+        over = self._state.outcome is not SessionOutcome.OPEN and message.state in {
             message.WAITING,
             message.COLLECTING,
             message.DETERMINED,
@@ -258,10 +256,12 @@ class Board:
         if over:
             # The calibrator was reset.
             self._state = replace(
-                self._state, outcome=Outcome.OPEN, outcome_text='', report='', report_text=''
+                self._state, outcome=SessionOutcome.OPEN, outcome_text='', report='', report_text=''
             )
         if failed:
-            self._state = replace(self._state, outcome=Outcome.FAILED, outcome_text=message.text)
+            self._state = replace(
+                self._state, outcome=SessionOutcome.FAILED, outcome_text=message.text
+            )
         self._state = replace(
             self._state,
             progress=message.text,
@@ -275,14 +275,14 @@ class Board:
         for name, value in _values(message):
             self._courses.value(name, value)
         outcomes = {
-            message.VALID: Outcome.DONE,
-            message.INCOMPLETE: Outcome.INCOMPLETE,
-            message.REFUSED: Outcome.FAILED,
+            message.VALID: SessionOutcome.DONE,
+            message.INCOMPLETE: SessionOutcome.INCOMPLETE,
+            message.REFUSED: SessionOutcome.FAILED,
         }
         outcome = outcomes.get(message.status)
         if outcome is None:
             return False
-        if outcome is not Outcome.FAILED and self._worked_from is not None:
+        if outcome is not SessionOutcome.FAILED and self._worked_from is not None:
             known = {row.parameter.name for row in self._courses.rows()}
             pairs = zip(message.parameter_names, message.standard_deviations, strict=True)
             mine = [(name, std) for name, std in pairs if name in known]
@@ -292,7 +292,7 @@ class Board:
         self._state = replace(self._state, outcome=outcome, outcome_text=message.status_text)
         return True
 
-    def take_end(self, outcome: Outcome, text: str) -> None:
+    def take_end(self, outcome: SessionOutcome, text: str) -> None:
         """Take the outcome of the session, with a text."""
         self._state = replace(self._state, outcome=outcome, outcome_text=text)
 
@@ -347,7 +347,7 @@ class Board:
         """Return the reports of the nodes, the worst first; for a silent one, its silence."""
         silent = {node: now - at for node, at in self._nodes.items() if now - at > _SILENT}
         found = [s for s in self._parts.values() if _node(s.source) not in silent]
-        if self._state.outcome is Outcome.OPEN:
+        if self._state.outcome is SessionOutcome.OPEN:
             found += [
                 Sentence(
                     node,
@@ -388,8 +388,6 @@ def _node(source: str) -> str:
 def _seconds(stamp: Any) -> float:
     return float(stamp.sec + stamp.nanosec / NS)
 
-
-# The state of a stand with several units: of all, and of each.
 
 _CALIBRATOR = 'calibrator_node: '
 _DEVICE = 'imu_node: stream'
@@ -457,11 +455,11 @@ class UnitsBoard:
         self._present = frozenset(message.serial_numbers)
         if message.state == message.FINISHED:
             missed = any(
-                board.snapshot(now).outcome in {Outcome.FAILED, Outcome.INCOMPLETE}
+                board.snapshot(now).outcome in {SessionOutcome.FAILED, SessionOutcome.INCOMPLETE}
                 for name, board in self.each.items()
                 if not self._is_left_out(name)
             )
-            outcome = Outcome.INCOMPLETE if missed else Outcome.DONE
+            outcome = SessionOutcome.INCOMPLETE if missed else SessionOutcome.DONE
             self.common.take_end(outcome, message.text)
 
     def take_diagnostics(self, message: Any, now: float) -> None:
@@ -525,9 +523,9 @@ class UnitsBoard:
         if self._is_left_out(name):
             return Severity.WARN, 'Left out'
         ends = {
-            Outcome.DONE: (Severity.OK, 'Calibrated'),
-            Outcome.INCOMPLETE: (Severity.WARN, 'Calibrated, positions are missing'),
-            Outcome.FAILED: (Severity.ERROR, f'No calibration: {shown.outcome_text}'),
+            SessionOutcome.DONE: (Severity.OK, 'Calibrated'),
+            SessionOutcome.INCOMPLETE: (Severity.WARN, 'Calibrated, positions are missing'),
+            SessionOutcome.FAILED: (Severity.ERROR, f'No calibration: {shown.outcome_text}'),
         }
         if shown.outcome in ends:
             return ends[shown.outcome]

@@ -21,11 +21,8 @@ from ...segmentation.segments import CHANNELS
 from ...session.imu import COVERAGE, ImuSpec
 from ..devices.health import Severity
 from ..plan_steps import Phase
-from .board import NOT_BEGUN, Outcome, Sentence, Snapshot, TableState, UnitRow
+from .board import NOT_BEGUN, Sentence, SessionOutcome, Snapshot, TableState, UnitRow
 from .samples import Streams
-
-# Sentences on the present activity, the remaining time, and the required action.
-
 
 _WHOLE = 2.0
 """Ratio to real time from which a session is called faster. A choice: it is said in whole
@@ -33,9 +30,9 @@ numbers."""
 
 
 _ENDS = {
-    Outcome.FAILED: (Severity.ERROR, 'No calibration'),
-    Outcome.INCOMPLETE: (Severity.WARN, 'Done, but positions are missing'),
-    Outcome.DONE: (Severity.OK, 'The calibration is done'),
+    SessionOutcome.FAILED: (Severity.ERROR, 'No calibration'),
+    SessionOutcome.INCOMPLETE: (Severity.WARN, 'Done, but positions are missing'),
+    SessionOutcome.DONE: (Severity.OK, 'The calibration is done'),
 }
 
 
@@ -123,7 +120,7 @@ def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
         shown: The state.
         now: Of the wall clock.
     """
-    if shown.outcome is not Outcome.OPEN:
+    if shown.outcome is not SessionOutcome.OPEN:
         return '0 s', f'it took {in_words(shown.elapsed)}'
     if not shown.expected.table:
         return 'as you hold it', f'{in_words(shown.elapsed)} so far'
@@ -171,7 +168,7 @@ def banner(shown: Snapshot, now: datetime) -> str:
     remaining, rests_on = time_left(shown, now)
     table = shown.table
     where = ''
-    if table is not None and table.steps and shown.outcome is Outcome.OPEN:
+    if table is not None and table.steps and shown.outcome is SessionOutcome.OPEN:
         where = f'step {min(table.step + 1, table.steps)} of {table.steps}'
     words = tag('h2', sign(first.level) + escape(first.now))
     words += tag('p', escape(first.detail), class_='detail') if first.detail else ''
@@ -190,7 +187,7 @@ def banner(shown: Snapshot, now: datetime) -> str:
 
 
 def _phase(shown: Snapshot) -> str:
-    if shown.outcome is not Outcome.OPEN:
+    if shown.outcome is not SessionOutcome.OPEN:
         return str(shown.outcome.value)
     return 'none' if shown.table is None else shown.table.phase.name.lower()
 
@@ -204,7 +201,7 @@ def troubles(shown: Snapshot) -> str:
     """Return the faults, or that there are none."""
     if not shown.problems:
         if not shown.sentences:
-            over = shown.outcome is not Outcome.OPEN
+            over = shown.outcome is not SessionOutcome.OPEN
             text = 'The nodes have ended.' if over else 'No node has reported yet.'
             return tag('p', text, class_='muted')
         return tag('p', sign(Severity.OK) + 'Nothing is wrong.', class_='right')
@@ -290,7 +287,7 @@ def plan(shown: Snapshot) -> str:
         cells.append(tag('li', f'{k + 1}', class_=kind, title=title))
     text = tag('ol', ''.join(cells), class_='steps')
     table = shown.table
-    if table is not None and table.step < len(steps) and shown.outcome is Outcome.OPEN:
+    if table is not None and table.step < len(steps) and shown.outcome is SessionOutcome.OPEN:
         now = steps[table.step]
         text += tag(
             'p',
@@ -305,7 +302,12 @@ def plan(shown: Snapshot) -> str:
 def _kind(shown: Snapshot, step: int) -> tuple[str, str]:
     table = shown.table
     running = table is not None and table.phase not in {Phase.IDLE, Phase.DONE}
-    if shown.outcome is Outcome.OPEN and running and table is not None and table.step == step:
+    if (
+        shown.outcome is SessionOutcome.OPEN
+        and running
+        and table is not None
+        and table.step == step
+    ):
         return 'now', 'runs'
     if step in shown.repeats:
         return 'again', 'to be run again'
@@ -496,7 +498,7 @@ def noise(shown: Snapshot, imu: ImuSpec | None) -> str:
 
 def report(shown: Snapshot) -> str:
     """Return the link to the report, or a text on it."""
-    if shown.outcome is Outcome.OPEN or shown.outcome is Outcome.FAILED:
+    if shown.outcome is SessionOutcome.OPEN or shown.outcome is SessionOutcome.FAILED:
         return ''
     if not shown.report:
         return tag('p', escape(shown.report_text or 'The report is being written.'))
@@ -504,8 +506,6 @@ def report(shown: Snapshot) -> str:
     frame = tag('iframe', ' ', src=shown.report, title='Report of the calibration')
     return link + frame
 
-
-# The style of the page: light and dark, on a desktop and on a phone.
 
 STYLE = """
 :root { --ground: #eef0f3; --card: #fff; --ink: #16191d; --soft: #59616b; --line: #d9dde2;

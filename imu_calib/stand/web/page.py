@@ -23,7 +23,7 @@ from ...session.imu import ImuSpec
 from ..devices.health import Severity
 from ..plan_steps import Phase
 from . import drawing
-from .board import Outcome, Snapshot, UnitRow
+from .board import SessionOutcome, Snapshot, UnitRow
 from .drawing import STYLE, sign
 from .guard import Guard, Token
 from .shape import Link, Solid
@@ -86,7 +86,7 @@ _HEIGHT = 340
 
 
 @dataclass(frozen=True)
-class Source:
+class PageContent:
     """Content of a page, and target of its viewers' commands."""
 
     title: str  #: Of the page.
@@ -105,7 +105,7 @@ class Source:
 
 
 @dataclass
-class _Part:
+class _LiveElement:
     """A part of a page that is sent when it changes."""
 
     element: Any
@@ -120,7 +120,7 @@ class _Part:
             self.element.set_content(text)
 
 
-def build(source: Source) -> None:
+def build(source: PageContent) -> None:
     """Lay out the page for one viewer, and update it while it is open."""
     ui.add_css(STYLE)
     ui.add_body_html(f'<script>{SCRIPT}</script>')
@@ -163,7 +163,7 @@ def build(source: Source) -> None:
     def refresh() -> None:
         page.refresh()
         shown = source.snapshot('')
-        finished.set_visibility(shown.outcome in {Outcome.DONE, Outcome.INCOMPLETE})
+        finished.set_visibility(shown.outcome in {SessionOutcome.DONE, SessionOutcome.INCOMPLETE})
         if control is not None:
             control.update(shown)
 
@@ -176,10 +176,10 @@ def build(source: Source) -> None:
 class _Page:
     """The changing parts of a viewer's page: of all units, and of the selected one."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: PageContent) -> None:
         self._source = source
-        self._parts: list[_Part] = []
-        self._of_unit: list[_Part] = []
+        self._parts: list[_LiveElement] = []
+        self._of_unit: list[_LiveElement] = []
         self._noise = _Noise()
         self._chosen = ''
 
@@ -189,7 +189,7 @@ class _Page:
         """Add a part, optionally of the selected unit."""
         # `drawing` escapes all text: a node's text is not interpreted as markup.
         element = ui.html('', sanitize=False).classes(kind)
-        (self._of_unit if of_unit else self._parts).append(_Part(element, draw))
+        (self._of_unit if of_unit else self._parts).append(_LiveElement(element, draw))
 
     def choose(self, name: str) -> None:
         """Show another unit; all for an empty name."""
@@ -216,7 +216,7 @@ class _Page:
         return self._noise.draw(shown, self._chosen, self._source.imus.get(self._chosen))
 
 
-def _head(source: Source) -> None:
+def _head(source: PageContent) -> None:
     shown = source.snapshot('').expected
     where = f' on table {shown.table}' if shown.table else ' in the hand'
     with ui.element('header').classes('wide top'):
@@ -258,7 +258,7 @@ class _Noise:
 class _Control:
     """The buttons, for a viewer with the token."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: PageContent) -> None:
         self._source = source
         self._may = False
         with _card('Control', 'wide control'):
@@ -403,7 +403,7 @@ class Server:
         listens: As `listening_socket` returns it.
     """
 
-    def __init__(self, source: Source, listens: socket.socket) -> None:
+    def __init__(self, source: PageContent, listens: socket.socket) -> None:
         app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
 
         @app.get(REPORT)

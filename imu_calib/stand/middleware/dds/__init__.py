@@ -2,10 +2,8 @@
 
 from ...network import LEASES
 from ..running import ACTIONS, MESSAGES, InterfaceTypes
-from .action import ActionClient, GoalServer, action_type
-from .clock import Clock, ClockType, Time, in_step
-from .context import init, ok, shutdown, try_shutdown
-from .endpoints import Trigger
+from .context import Clock, ClockType, Time, in_step, init, ok, shutdown, try_shutdown
+from .endpoints import ActionClient, GoalServer, Trigger, action_type
 from .executor import (
     ExternalShutdownException,
     SingleThreadedExecutor,

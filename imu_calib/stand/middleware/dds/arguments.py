@@ -14,9 +14,6 @@ from ....common.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-# Names of nodes, topics and services: validity, namespaces, remap rules.
-
-
 _NODE = re.compile(r'[A-Za-z_]\w*', re.ASCII)
 _TOPIC = re.compile(r'(~(?=/|$)|/)?([A-Za-z_]\w*)?(/[A-Za-z_]\w*)*', re.ASCII)
 

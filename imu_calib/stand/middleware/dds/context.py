@@ -1,4 +1,4 @@
-"""State of a process: the DDS participant, the arguments, the graph."""
+"""State of a process: time, the graph of nodes, log, and the participant that they share."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import partialmethod
 from typing import IO, TYPE_CHECKING, Any, TypeAlias
@@ -16,13 +17,332 @@ from ...network import refuse_to_pretend, runtime
 from ..running import domain_id
 from . import memory
 from .arguments import Arguments, parse
-from .graph import Graph
-from .wire import WireParticipant
+from .message_types import deserialize_message, message_class, serialize_message
+from .qos import DurabilityPolicy, HistoryPolicy, QoSProfile, TopicEndpointInfo, from_dds
+from .wire import WireParticipant, delete
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
-# Log lines in ROS's console format; nothing is published on /rosout.
+
+class ClockType(IntEnum):
+    """Which clock: ROS time (simulated where /clock says so), the system's, the steady one."""
+
+    ROS_TIME = 1
+    SYSTEM_TIME = 2
+    STEADY_TIME = 3
+
+
+@dataclass(frozen=True)
+class Time:
+    """A point in time, in nanoseconds."""
+
+    nanoseconds: int = 0
+
+    def to_msg(self) -> Any:
+        """Return a builtin_interfaces/Time."""
+        sec, nanosec = divmod(self.nanoseconds, NS)
+        return message_class('builtin_interfaces/msg/Time')(sec=sec, nanosec=nanosec)
+
+
+class SteadyTime:
+    """The steady time of the process: the system's, or that of a simulation in this process.
+
+    A simulation that waits for nobody has no other steady time than its own steps: the same number
+    of them passes between two events in every run.
+    """
+
+    def __init__(self) -> None:
+        self._simulated: int | None = None
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether a simulation in this process makes the time."""
+        return self._simulated is not None
+
+    def simulate(self, on: bool) -> None:
+        """Begin or end to count what `advance` is told, not the system's time."""
+        self._simulated = time.monotonic_ns() if on else None
+
+    def advance(self, nanoseconds: int) -> None:
+        """Let a simulated time pass; the system's passes by itself."""
+        if self._simulated is not None:
+            self._simulated += nanoseconds
+
+    def nanoseconds(self) -> int:
+        """Return the time."""
+        return time.monotonic_ns() if self._simulated is None else self._simulated
+
+
+STEADY = SteadyTime()
+
+
+def in_step() -> bool:
+    """Return whether all nodes are in this process, in step with a simulation.
+
+    Nothing in it needs to wait for the wall clock then, and what a node does in a thread of its own
+    it does in turn: every run is the same.
+    """
+    return STEADY.is_simulated
+
+
+class Clock:
+    """A clock of one type; ROS time follows /clock while `simulated` holds a time.
+
+    Attributes:
+        of_the_wall: Whether steady time is the system's even beside a simulation in this process.
+    """
+
+    def __init__(
+        self, *, clock_type: ClockType = ClockType.SYSTEM_TIME, of_the_wall: bool = False
+    ) -> None:
+        self.clock_type = clock_type
+        self.simulated: int | None = None
+        self.of_the_wall = of_the_wall
+
+    @property
+    def ros_time_is_active(self) -> bool:
+        """Whether this clock is driven by /clock."""
+        return self.simulated is not None
+
+    def nanoseconds(self) -> int:
+        """Return the time as a number."""
+        if self.clock_type is ClockType.STEADY_TIME:
+            return time.monotonic_ns() if self.of_the_wall else STEADY.nanoseconds()
+        if self.simulated is not None and self.clock_type is ClockType.ROS_TIME:
+            return self.simulated
+        return time.time_ns()
+
+    def now(self) -> Time:
+        """Return the time; zero before the first message of /clock where time is simulated."""
+        return Time(self.nanoseconds())
+
+
+class Timer:
+    """Calls back once per period of its clock; missed calls are skipped."""
+
+    def __init__(self, period_ns: int, callback: Callable[[], Any], clock: Clock) -> None:
+        self.timer_period_ns = period_ns
+        self.callback = callback
+        self.clock = clock
+        self._cancelled = False
+        self._last = clock.nanoseconds()
+        self._next = self._last + period_ns
+
+    def cancel(self) -> None:
+        """Stop the timer."""
+        self._cancelled = True
+
+    def reset(self) -> None:
+        """Restart: the next call is one period from now."""
+        self._cancelled = False
+        self._last = self.clock.nanoseconds()
+        self._next = self._last + self.timer_period_ns
+
+    def time_until_next_call(self) -> int | None:
+        """Return nanoseconds, None if it is stopped."""
+        return None if self._cancelled else self._next - self.clock.nanoseconds()
+
+    def execute(self) -> bool:
+        """Call back if it is due; return whether it was."""
+        now = self.clock.nanoseconds()
+        if now < self._last:
+            # The clock jumped back: simulated time restarted.
+            self._next = now + self.timer_period_ns
+        self._last = now
+        if self._cancelled or now < self._next:
+            return False
+        behind = (now - self._next) // max(1, self.timer_period_ns)
+        self._next += (behind + 1) * self.timer_period_ns
+        self.callback()
+        return True
+
+
+class Future:
+    """rclpy's Future without await, exceptions and cancelling."""
+
+    def __init__(self) -> None:
+        self._done = False
+        self._result: Any = None
+        self._callbacks: list[Callable[[Future], Any]] = []
+
+    def done(self) -> bool:
+        """Return whether the result is available."""
+        return self._done
+
+    def result(self) -> Any:
+        """Return the result, None before it is available."""
+        return self._result
+
+    def set_result(self, result: Any) -> None:
+        """Set the result."""
+        self._result, self._done = result, True
+        callbacks, self._callbacks = self._callbacks, []
+        for callback in callbacks:
+            callback(self)
+
+    def add_done_callback(self, callback: Callable[[Future], Any]) -> None:
+        """Call back with this future when it is done, or now if it is."""
+        if self._done:
+            callback(self)
+        else:
+            self._callbacks.append(callback)
+
+
+_TOPIC = 'ros_discovery_info'
+_TYPE = 'rmw_dds_common/msg/ParticipantEntitiesInfo'
+_MOST = 256
+"""Changes taken per call; further ones follow in the next iteration. The wheel allocates room for
+this number each time."""
+_ALIVE = 16
+"""DDS_ALIVE_INSTANCE_STATE."""
+
+UNKNOWN_NAME, UNKNOWN_NAMESPACE = '_NODE_NAME_UNKNOWN_', '_NODE_NAMESPACE_UNKNOWN_'
+"""ROS's name for the node of an endpoint before the node is announced."""
+
+
+class Graph:
+    """The ROS graph as one participant sees it."""
+
+    def __init__(self, participant: WireParticipant) -> None:
+        from cyclonedds.builtin import (
+            BuiltinDataReader,
+            BuiltinTopicDcpsPublication,
+            BuiltinTopicDcpsSubscription,
+        )
+
+        self._participant = participant
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        everything = QoSProfile(
+            history=HistoryPolicy.KEEP_ALL, durability=DurabilityPolicy.TRANSIENT_LOCAL
+        )
+        self._writer = participant.writer(_TOPIC, _TYPE, latched)
+        self._reader = participant.reader(_TOPIC, _TYPE, everything)
+        entity = participant.entity
+        self._publications = _Endpoints(BuiltinDataReader(entity, BuiltinTopicDcpsPublication))
+        self._subscriptions = _Endpoints(BuiltinDataReader(entity, BuiltinTopicDcpsSubscription))
+        self._participants: dict[bytes, list[Any]] = {}
+        self._announcements = 0
+        self._listed: dict[str, list[TopicEndpointInfo]] = {}
+        self._listed_of = 0, 0
+
+    def announce(self, own: Iterable[Any]) -> None:
+        """Announce the nodes and endpoints of this participant to the others."""
+        gid = message_class('rmw_dds_common/msg/Gid')
+        node_info = message_class('rmw_dds_common/msg/NodeEntitiesInfo')
+        nodes = [
+            node_info(
+                node_namespace=node.get_namespace(),
+                node_name=node.get_name(),
+                reader_gid_seq=[gid(data=list(r.gid)) for r in node.readers()],
+                writer_gid_seq=[gid(data=list(w.gid)) for w in node.writers()],
+            )
+            for node in own
+        ]
+        here = gid(data=list(self._participant.entity.get_guid().bytes))
+        info = message_class(_TYPE)(gid=here, node_entities_info_seq=nodes)
+        self._writer.write(serialize_message(info))
+
+    def nodes(self) -> list[tuple[str, str]]:
+        """Return (name, namespace) of every present node, own ones included."""
+        self._read_announcements()
+        alive = {e.participant_key.bytes for e in self._publications.alive()}
+        return [
+            (node.node_name, node.node_namespace)
+            for gid, nodes in self._participants.items()
+            if gid in alive
+            for node in nodes
+        ]
+
+    def writers(self, topic: str) -> list[TopicEndpointInfo]:
+        """Return the writers of a DDS topic, own ones included."""
+        endpoints = self._publications.alive()
+        self._read_announcements()
+        # Nodes ask ten times a second, but changes are rare.
+        changes = self._publications.changes, self._announcements
+        if changes != self._listed_of:
+            self._listed_of = changes
+            self._listed.clear()
+        if topic not in self._listed:
+            self._listed[topic] = self._described([e for e in endpoints if e.topic_name == topic])
+        return list(self._listed[topic])
+
+    def _described(self, endpoints: list[Any]) -> list[TopicEndpointInfo]:
+        owners = {
+            bytes(gid.data): (node.node_name, node.node_namespace)
+            for nodes in self._participants.values()
+            for node in nodes
+            for gid in node.writer_gid_seq
+        }
+        unknown = UNKNOWN_NAME, UNKNOWN_NAMESPACE
+        return [
+            TopicEndpointInfo(
+                *owners.get(e.key.bytes, unknown),
+                _ros_type(e.type_name),
+                list(e.key.bytes),
+                from_dds(e.qos),
+            )
+            for e in endpoints
+        ]
+
+    def count_writers(self, topic: str) -> int:
+        """Return the number of writers of a DDS topic."""
+        return sum(e.topic_name == topic for e in self._publications.alive())
+
+    def count_readers(self, topic: str) -> int:
+        """Return the number of readers of a DDS topic."""
+        return sum(e.topic_name == topic for e in self._subscriptions.alive())
+
+    def close(self) -> None:
+        """Leave the discovery topics."""
+        self._writer.delete()
+        self._reader.delete()
+        self._publications.close()
+        self._subscriptions.close()
+
+    def _read_announcements(self) -> None:
+        """Read the nodes that participants have announced."""
+        for payload in self._reader.drain():
+            info = deserialize_message(payload, message_class(_TYPE))
+            self._participants[bytes(info.gid.data)] = list(info.node_entities_info_seq)
+            self._announcements += 1
+
+
+class _Endpoints:
+    """All writers, or all readers, of a domain: only changes are read.
+
+    Attributes:
+        changes: Number of changes so far.
+    """
+
+    def __init__(self, reader: Any) -> None:
+        from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
+
+        self._reader = reader
+        self._condition = ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.Any)
+        self._known: dict[bytes, Any] = {}
+        self.changes = 0
+
+    def alive(self) -> list[Any]:
+        """Return the endpoints that are alive."""
+        while changes := self._reader.take(N=_MOST, condition=self._condition):
+            self.changes += len(changes)
+            for endpoint in changes:
+                if endpoint.sample_info.instance_state != _ALIVE:
+                    self._known.pop(endpoint.key.bytes, None)
+                elif endpoint.sample_info.valid_data:
+                    self._known[endpoint.key.bytes] = endpoint
+        return list(self._known.values())
+
+    def close(self) -> None:
+        """Stop reading."""
+        delete(self._condition)
+        delete(self._reader)
+
+
+def _ros_type(name: str) -> str:
+    """Return a type in ROS notation: std_msgs::msg::dds_::Bool_ is std_msgs/msg/Bool."""
+    return name.replace('::dds_::', '::').removesuffix('_').replace('::', '/')
 
 
 class LoggingSeverity(IntEnum):

@@ -5,24 +5,21 @@ from __future__ import annotations
 import math
 import time
 import traceback
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
-from ..running import Beside, Work, guarded
+from ..running import Work, WorkerThread, guarded
 from . import memory
-from .clock import STEADY
-from .context import CONTEXT, init, try_shutdown
+from .context import CONTEXT, STEADY, init, try_shutdown
 from .wire import TransportError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-if TYPE_CHECKING:
-    from .clock import Future
-    from .context import AnyParticipant
+    from .context import AnyParticipant, Future
     from .endpoints import Client, Service, Subscription
     from .node import Node
 
-    _Awaited = Subscription | Service | Client
+    _Awaited: TypeAlias = Subscription | Service | Client
 
 _SLICE = 50_000_000
 """Longest wait, ns: the latest time for a signal's handler to run or a cancelled spin to end."""
@@ -169,15 +166,11 @@ def spin_until_future_complete(
         spin_once(node, timeout_sec=min(remaining, 0.05))
 
 
-# All nodes of a stand in one process and one thread, as ROS composes nodes in a container.
-
 _STEP = 20_000_000
 """ns of simulated steady time per step of the simulation. A choice: every timer that reads data is
 due at each step, and reviews and reports, once a second, are not most of the work."""
 _PACED_STEP = 100_000_000
 """ns of it per step that waited for the wall clock: that of a simulation in real time."""
-_CALLBACKS_PER_ROUND = 64
-"""Messages of one subscription per turn; then the others and the timers follow."""
 _LONGEST_WAIT = 0.05
 """s: the latest time for a signal to be noticed."""
 
@@ -333,11 +326,8 @@ class Container:
         self._arrived.wait(min(seconds, _LONGEST_WAIT))
 
 
-# Work beside callbacks: in a thread, or between the rounds of a process that has all nodes.
-
-
-class InTurn:
-    """Work that the container calls when no message waits; see `Beside`."""
+class WorkInTurn:
+    """Work that the container calls when no message waits; see `WorkerThread`."""
 
     def __init__(self, work: Work) -> None:
         self._work = work
@@ -366,8 +356,8 @@ class InTurn:
             CONTEXT.works.remove(self)
 
 
-def run_beside(node: Any, work: Work, name: str) -> Beside | InTurn:
-    """Call a function again and again, beside the callbacks of a node; see `Beside`."""
+def run_beside(node: Any, work: Work, name: str) -> WorkerThread | WorkInTurn:
+    """Call a function again and again, beside the callbacks of a node; see `WorkerThread`."""
     if isinstance(CONTEXT.participant, memory.Participant):
-        return InTurn(guarded(node, work, name))
-    return Beside(node, work, name)
+        return WorkInTurn(guarded(node, work, name))
+    return WorkerThread(node, work, name)

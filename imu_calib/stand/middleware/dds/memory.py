@@ -12,7 +12,6 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from ....common.errors import ImuCalibError
-from .graph import TopicEndpointInfo
 from .message_types import Message, deserialize_message, serialize_message
 from .qos import (
     DurabilityPolicy,
@@ -21,6 +20,7 @@ from .qos import (
     QoSPolicyKind,
     QoSProfile,
     ReliabilityPolicy,
+    TopicEndpointInfo,
 )
 
 if TYPE_CHECKING:
@@ -226,7 +226,7 @@ class Reader(_End):
         """Return all arrived messages, serialised, or at most `most` of the oldest."""
         return [_bytes(message) for _, message in self._taken(most)]
 
-    def take(self, most: int, message_type: type[Message]) -> Iterator[Message]:
+    def read(self, most: int, message_type: type[Message]) -> Iterator[Message]:
         """Yield at most `most` of the oldest messages."""
         for _, message in self._taken(most):
             bare = not isinstance(message, Message)

@@ -26,9 +26,6 @@ from ....recordings.definitions import message_text
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# Fields, type hashes and bytes of messages, by rosbags from their definitions.
-
-
 # A field with a number behind its name, which rosbags parses and ignores.
 _DEFAULT = re.compile(r'^\w+ +(\w+) +([-+.\d]+)', re.MULTILINE)
 
@@ -339,8 +336,6 @@ def _check(
 
     return check
 
-
-# Message objects to serialised bytes (XCDR1, final structs) and back.
 
 _HEADER = 4
 """Bytes of the encapsulation header."""

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ....common.errors import ImuCalibError, InputError
 from ....common.stream import NS
 from . import arguments as names
-from .clock import Clock, ClockType, Timer
-from .context import CONTEXT, Logger
+from .context import CONTEXT, Clock, ClockType, Logger, Timer
 from .endpoints import Client, Publisher, Service, Subscription
 from .message_types import Message, message_class
 from .qos import QoSProfile, ReliabilityPolicy, overridden, profile
@@ -18,9 +17,7 @@ from .qos import QoSProfile, ReliabilityPolicy, overridden, profile
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from .endpoints import Publisher, Subscription
-    from .graph import TopicEndpointInfo
-    from .qos import QoSOverridingOptions, QoSProfile, SubscriptionEventCallbacks
+    from .qos import QoSOverridingOptions, SubscriptionEventCallbacks, TopicEndpointInfo
 
 # Parameters of a node: typed, described, and checked when declared.
 #
@@ -430,7 +427,7 @@ def parameter_names(node: Node) -> tuple[list[str], list[str]]:
 
 
 class ManagedNode(Node):
-    """A node that is active from start to end; see `ros_lifecycle.ManagedNode`."""
+    """A node that is active from start to end; see `ros.ManagedNode`."""
 
     def configure(self) -> None:
         """Read what is needed; open and publish nothing."""
@@ -451,9 +448,6 @@ class ManagedNode(Node):
             )
         self.configure()
         self.activate()
-
-
-# The fast path: serialised messages in bulk, in one call, without losses at the publisher.
 
 
 def open_drain(

@@ -96,6 +96,17 @@ class SubscriptionEventCallbacks:
     incompatible_qos: Callable[[QoSIncompatibleInfo], None] | None = None
 
 
+@dataclass(frozen=True)
+class TopicEndpointInfo:
+    """One publisher or subscription of a topic, as in rclpy's class of that name."""
+
+    node_name: str  #: Name of its node.
+    node_namespace: str  #: Namespace of its node.
+    topic_type: str  #: For instance std_msgs/msg/Bool.
+    endpoint_gid: list[int]  #: 16 bytes; the first twelve are those of its participant.
+    qos_profile: QoSProfile  #: Offered or requested reliability and durability.
+
+
 def profile(qos: QoSProfile | int) -> QoSProfile:
     """Return a profile; a number is the depth of a reliable, volatile one."""
     return QoSProfile(depth=qos) if isinstance(qos, int) else replace(qos)

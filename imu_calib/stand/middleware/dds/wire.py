@@ -90,9 +90,6 @@ def _write(path: Path, parts: tuple[bytes, ...]) -> None:
         own.replace(path)
 
 
-# The DDS participant of a process and its topics.
-
-
 class TransportError(Exception):
     """Endpoints were deleted, or the participant has left, while waiting for messages."""
 
@@ -347,7 +344,7 @@ class Reader(Endpoint):
                 break
         return payloads
 
-    def take(self, most: int, message_type: type[Message]) -> Iterator[Message]:
+    def read(self, most: int, message_type: type[Message]) -> Iterator[Message]:
         """Yield at most `most` of the oldest messages."""
         return (deserialize_message(payload, message_type) for payload in self.drain(most))
 
