@@ -7,17 +7,12 @@ from launch.actions import DeclareLaunchArgument, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.parameter_descriptions import ParameterValue
 
-from imu_calib.stand.launching import checks, node
+from imu_calib.stand.launching import checks, node, session_arguments, session_parameters
 from launch import LaunchDescription
 
 SHARE = Path(get_package_share_directory('imu_calib'))
 ARGUMENTS = [
-    DeclareLaunchArgument(
-        'plan', default_value='twelve_position', description='Name or file of the plan.'
-    ),
-    DeclareLaunchArgument(
-        'imu', default_value='fog_medium', description='Name or file of the IMU.'
-    ),
+    *session_arguments(),
     DeclareLaunchArgument(
         'units',
         default_value='',
@@ -27,49 +22,6 @@ ARGUMENTS = [
         'without',
         default_value='',
         description='Serial numbers of units of that file that are left out, commas between.',
-    ),
-    DeclareLaunchArgument(
-        'table', default_value='three_axis', description='Name or file of the turntable.'
-    ),
-    DeclareLaunchArgument(
-        'latitude', description='Latitude of the stand, deg, negative in the south.'
-    ),
-    DeclareLaunchArgument(
-        'latitude_std',
-        default_value='nan',
-        description='Standard deviation of the latitude, deg; nan: 0.01.',
-    ),
-    DeclareLaunchArgument(
-        'height', default_value='nan', description='Height above the ellipsoid, m; nan: not known.'
-    ),
-    DeclareLaunchArgument(
-        'height_std',
-        default_value='nan',
-        description='Standard deviation of the height, m; nan: 0 if it is stated.',
-    ),
-    DeclareLaunchArgument(
-        'gravity',
-        default_value='nan',
-        description='Gravity as measured, m/s^2; nan: normal gravity.',
-    ),
-    DeclareLaunchArgument(
-        'gravity_std',
-        default_value='nan',
-        description='Standard deviation of gravity, m/s^2; nan: 0 if measured, 30e-5 if not.',
-    ),
-    DeclareLaunchArgument(
-        'azimuth', default_value='nan', description="Heading of the table's zero, deg, if known."
-    ),
-    DeclareLaunchArgument(
-        'method', default_value='', description='The estimator; empty: joint where it applies.'
-    ),
-    DeclareLaunchArgument(
-        'terms',
-        default_value='auto',
-        description=(
-            'Terms that the joint estimate adds: auto (those that are significant), none, or names '
-            'with commas between.'
-        ),
     ),
     DeclareLaunchArgument(
         'journal', default_value='journal', description='Folder of the recording.'
@@ -108,26 +60,10 @@ ARGUMENTS = [
 
 def generate_launch_description() -> LaunchDescription:
     """Describe the calibrator."""
-    typed = {
-        bool: ('use_sim_time',),
-        float: (
-            'latitude',
-            'latitude_std',
-            'height',
-            'height_std',
-            'gravity',
-            'gravity_std',
-            'azimuth',
-        ),
-        str: (
-            *('plan', 'imu', 'units', 'without', 'table', 'method', 'terms'),
-            *('journal', 'output'),
-        ),
-    }
-    parameters = {
+    typed = dict.fromkeys(('units', 'without', 'journal', 'output'), str)
+    parameters = session_parameters() | {
         name: ParameterValue(LaunchConfiguration(name), value_type=kind)
-        for kind, names in typed.items()
-        for name in names
+        for name, kind in {**typed, 'use_sim_time': bool}.items()
     }
     calibrator = node(
         package='imu_calib',

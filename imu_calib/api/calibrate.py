@@ -23,12 +23,13 @@ from ..recordings.rosbag2 import Recording
 from ..recordings.text import InOrder
 from ..segmentation.stream_facts import Segmented
 from ..session.imu import HOTTEST
+from ..session.keywords import Named, OfSeveral, Session, Stated, with_keywords
 from ..session.metadata import compensated_already, interpolated_from, serial_key
 from ..session.plan import load_plan
 from ..session.units_file import MountedUnit
 from .compare import specification_of
 from .inspect import clock_findings, refused_by_stamps
-from .session import Named, OfSeveral, Session, Stated, as_units, with_keywords
+from .session import as_units
 from .streams import (
     ASSUMED_BY_HAND,
     Opened,
@@ -63,24 +64,7 @@ def calibrate(
 
     Args:
         bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
-        plan: The plan that was run; 'none' without one.
-        imu: Units and noise of the IMU's samples.
-        table: The turntable.
-        azimuth: Heading of the table's zero against north, counter-clockwise, deg.
-        latitude: Of the site, deg, negative in the south.
-        latitude_std: Its standard deviation, deg.
-        height: Above the ellipsoid, m; determines gravity if that is not stated.
-        height_std: Its standard deviation, m.
-        gravity: Measured gravity, m/s^2.
-        gravity_std: Its standard deviation, m/s^2.
-        method: The estimator; None for the joint estimate if it applies, else the plan's own.
-        terms: Terms that the joint estimate adds to the 24 parameters, names separated by commas:
-            'auto' (those that the session shows, as None), 'none', or terms by name.
-        serial: Serial number of the unit.
-        imu_topic: Of sensor_msgs/Imu, if there are several.
-        joint_topic: Of sensor_msgs/JointState, likewise.
-        setpoint_topic: Of imu_calib_msgs/TurntableSetpoint, likewise.
-        imu_only: Use only the IMU and the order of the plan.
+        KEYWORDS
         progress: Shows the progress; nothing by default.
         **stated: The keywords from `plan` on, all optional.
 

@@ -22,10 +22,10 @@ from ..recordings.storage import Extent
 from ..segmentation.labelling import Labelled, heading, label, up_by_accelerometers, up_words
 from ..segmentation.segments import Segment
 from ..segmentation.stream_facts import Segmented
+from ..session.keywords import Named, Session, Stated, with_keywords
 from ..session.metadata import COMPENSATED
 from ..session.plan import Plan
 from ..session.table import TURN
-from .session import Named, Session, Stated, with_keywords
 from .streams import Opened, open_session
 
 if TYPE_CHECKING:

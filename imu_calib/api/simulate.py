@@ -34,6 +34,17 @@ from ..recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints, 
 from ..recordings.rosbag2 import Kind
 from ..recordings.writer import RecordingWriter
 from ..session.imu import COLDEST, HOTTEST, ImuSpec
+from ..session.keywords import (
+    AtSite,
+    Named,
+    Planned,
+    Stated,
+    as_imu,
+    as_plan,
+    as_table,
+    azimuth_of,
+    with_keywords,
+)
 from ..session.metadata import describe, mount_description, shared_description, unit_description
 from ..session.plan import Plan
 from ..session.table import Table
@@ -48,20 +59,7 @@ from ..simulation.stand import (
     SimulatedStand,
     SimulatedUnit,
 )
-from .session import (
-    TRUE_TABLE,
-    AtSite,
-    Named,
-    Planned,
-    Stated,
-    as_imu,
-    as_plan,
-    as_table,
-    as_units,
-    azimuth_of,
-    load_truth,
-    with_keywords,
-)
+from .session import TRUE_TABLE, as_units, load_truth
 from .streams import new_folder, removed_on_failure
 
 if TYPE_CHECKING:

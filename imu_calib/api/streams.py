@@ -25,10 +25,11 @@ from ..recordings.remote import AnyPath, located
 from ..recordings.rosbag2 import Kind, Recording, is_storage, open_recording
 from ..recordings.text import InOrder
 from ..session.imu import ImuSpec, load_imu, read_imu
+from ..session.keywords import Named, Stated
 from ..session.metadata import LEFT_OUT, described_imu, serial_key
 from ..session.plan import UNPLANNED, Plan, load_plan
 from ..session.units_file import namespace
-from .session import Named, Stated, mounted_on, plan_of, serial_of, site_of, stated_imu, table_of
+from .session import mounted_on, plan_of, serial_of, site_of, stated_imu, table_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from ..recordings.rosbag2 import Recording
     from ..recordings.storage import Topic
     from ..segmentation.stream_facts import Segmented
-    from .session import Stated
+    from ..session.keywords import Stated
 
     # Loads slowly; most commands do not need it.
 

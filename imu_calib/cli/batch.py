@@ -10,6 +10,7 @@ from ..common.errors import NotObservable
 from ..common.parallel import MEMORY, Show
 from ..common.units import counted
 from ..fleet.catalogue import batch
+from ..session.keywords import Session
 from . import options
 from .dispatch import Outcome
 from .terminal import ERRORS, OUTPUT, progress_bar
@@ -45,7 +46,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='memory of each worker on this machine (default: %(default)s)',
     )
     parser.add_argument('--retry', action='store_true', help='run failed recordings again')
-    options.add_session_options(parser)
+    options.add_statements(parser, Session)
     options.add_imus_option(parser)
     parser.epilog = (
         'Exit code 1: a recording, or a unit of one, gave no calibration; its row says why '

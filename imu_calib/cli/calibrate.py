@@ -22,6 +22,7 @@ from ..reports.tables import (
     parameter_tables,
     table_estimate,
 )
+from ..session.keywords import Session
 from ..session.plan import METHOD_NAMES
 from . import options
 from .dispatch import (
@@ -193,7 +194,7 @@ _FILE = 'calibration.yaml'
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
     options.add_bag(parser)
-    options.add_session_options(parser)
+    options.add_statements(parser, Session)
     options.add_imus_option(parser)
     parser.add_argument(
         '--separate',

@@ -10,6 +10,7 @@ from rich.table import Table as Rows
 from ..api.inspect import Inspection, inspect_streams, topics
 from ..common.units import DEG, DEG_H, PPM, STANDARD_GRAVITY, counted
 from ..reports.tables import plain_table
+from ..session.keywords import Session
 from . import options
 from .dispatch import WRONG_INPUT, Outcome, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
@@ -31,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='list topics alone; of an .mcap behind a URL the summary is read, and no more',
     )
-    options.add_session_options(parser)
+    options.add_statements(parser, Session)
     add_json_option(parser)
     parser.set_defaults(run=run)
 

@@ -16,6 +16,7 @@ from ..calibration.views import empty_figure
 from ..common.errors import InputError
 from ..common.files import write_by
 from ..reports.tables import decimals, engineering, plain_table
+from ..session.keywords import AtSite, Solved
 from ..session.plan import METHOD_NAMES
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
@@ -64,7 +65,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="heading of the table's zero, known to the calibrator; without it each run has "
         'another heading, which the calibrator does not know',
     )
-    options.add_method_option(parser)
+    options.add_statements(parser, Solved)
     options.add_bias_instability_option(parser)
     parser.add_argument(
         '-o',
@@ -72,7 +73,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='FILE.png',
         help='plot of the normalised errors (needs matplotlib, the extra plot)',
     )
-    options.add_site_options(parser)
+    options.add_statements(parser, AtSite)
     parser.epilog = f'Methods: {", ".join(sorted(METHOD_NAMES))}.'
     parser.set_defaults(run=run)
 

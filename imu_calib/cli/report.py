@@ -8,6 +8,7 @@ from ..api.compare import Conformity, conformity
 from ..api.documents import written
 from ..api.streams import output_path
 from ..reports.provenance import summary
+from ..session.keywords import Session
 from . import options
 from .dispatch import EXIT_CODES, Outcome, add_json_option, judged_outcome
 from .terminal import OUTPUT, progress_bar
@@ -22,7 +23,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='BAG',
         help='the recording it was made from, or its URL: adds the course of the session',
     )
-    options.add_session_options(parser)
+    options.add_statements(parser, Session)
     parser.add_argument(
         '--compare',
         nargs='+',

@@ -6,12 +6,13 @@ import argparse
 import math
 from pathlib import Path
 
-from ..api.session import azimuth_of, load_truth
+from ..api.session import load_truth
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.files import shipped, user_path
 from ..model.earth import LUOYANG
 from ..session.imu import ImuSpec, check_live, load_imu
+from ..session.keywords import AtSite, Numbered, Solved, azimuth_of
 from ..session.plan import load_plan
 from ..session.table import load_table
 from ..stand.devices.format import FrameFormat, load_format
@@ -50,9 +51,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--table', default='three_axis', metavar='NAME|FILE', help='default: %(default)s'
     )
-    options.add_method_option(parser)
-    options.add_serial_option(parser)
-    options.add_site_options(parser)
+    options.add_statements(parser, Solved)
+    options.add_statements(parser, Numbered)
+    options.add_statements(parser, AtSite)
     parser.add_argument(
         '--processes',
         action='store_true',

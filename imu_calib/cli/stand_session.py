@@ -18,7 +18,7 @@ import yaml
 from rich.live import Live
 from rich.text import Text
 
-from ..api.session import DEFAULT_TERMS, TRUE_TABLE
+from ..api.session import TRUE_TABLE
 from ..api.stand import (
     check_stand,
     end_of_journal,
@@ -33,6 +33,7 @@ from ..common.files import named_file, read_text, user_path, write_whole
 from ..model.earth import LUOYANG, Site
 from ..reports.tables import parameter_tables
 from ..session.imu import ImuSpec, load_imu
+from ..session.keywords import DEFAULT_TERMS, AtSite
 from ..session.plan import Plan, load_plan
 from ..session.table import Table, load_table
 from ..stand.devices.format import FrameFormat
@@ -470,9 +471,8 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
     several.complete(arguments)
     simulated = not several.is_real(arguments)
     mounted = several.units_of(arguments)
-    stated = ('height', 'gravity', 'height_std', 'gravity_std', 'latitude_std')
-    stated_site = {name: v for name in stated if (v := getattr(arguments, name)) is not None}
-    stated_site['latitude'] = LUOYANG if arguments.latitude is None else arguments.latitude
+    named = {name: getattr(arguments, name) for name in AtSite.__annotations__}
+    stated_site = {'latitude': LUOYANG} | {n: v for n, v in named.items() if v is not None}
     site = {name: value for name, value in stated_site.items() if not name.endswith('_std')}
     clock = {'use_sim_time': simulated}
     apart = simulated and not several.is_embedded(arguments)

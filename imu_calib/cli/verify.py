@@ -7,6 +7,7 @@ import argparse
 from ..api.verify import verify
 from ..calibration.verify import Verdict, Verification
 from ..reports.tables import dwell_table, limits_line, moved_table, turn_table
+from ..session.keywords import Numbered, Read
 from . import options
 from .dispatch import NO_ANSWER, Outcome, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
@@ -22,8 +23,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--calibration', required=True, metavar='FILE', help='calibration.yaml to be verified'
     )
-    options.add_recording_options(parser)
-    options.add_serial_option(parser)
+    options.add_statements(parser, Read)
+    options.add_statements(parser, Numbered)
     parser.add_argument(
         '--another-unit',
         action='store_true',

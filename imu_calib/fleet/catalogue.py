@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 from urllib.parse import quote
 
-from ..api.session import Session, Stated, as_list, with_keywords
+from ..api.session import as_list
 from ..common.config import checked
 from ..common.errors import InputError, NotObservable
 from ..common.files import printable, require, user_path, write_whole
@@ -31,6 +31,7 @@ from ..common.other_formats import other_format
 from ..common.parallel import MEMORY, Engine, Progress, WorkerDied, outcomes, silent
 from ..common.units import counted
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
+from ..session.keywords import Session, Stated, with_keywords
 from ..session.units_file import load_units
 from .batch import CALIBRATED, Done, lost, run
 from .recordings import OF_ONE, Job, convertible, find_jobs
