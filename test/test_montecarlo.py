@@ -15,7 +15,7 @@ from imu_calib.estimation.methods import Setup
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table
-from imu_calib.simulation.repetition import Outcome, Run, Study, economical, repeat
+from imu_calib.simulation.repetition import Run, RunStatistics, Study, economical, repeat
 
 
 def study(plan: str | None = None) -> Study:
@@ -44,7 +44,7 @@ def test_figures_are_those_of_the_errors() -> None:
     rng = np.random.default_rng(1)
     errors = 2.0 + 3.0 * rng.standard_normal((2000, 24))
     runs = tuple(Run(k, PARAMETERS, row, np.full(24, 6.0)) for k, row in enumerate(errors))
-    outcome = Outcome(runs)
+    outcome = RunStatistics(runs)
     # Five deviations of the mean and of the spread of 2000 normal numbers.
     assert outcome.bias == pytest.approx(2.0, abs=5 * 3 / np.sqrt(2000))
     assert outcome.spread == pytest.approx(3.0, abs=5 * 3 / np.sqrt(4000))

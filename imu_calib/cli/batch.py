@@ -12,7 +12,7 @@ from ..common.units import counted
 from ..fleet.catalogue import batch
 from ..session.keywords import Session
 from . import options
-from .dispatch import Outcome
+from .dispatch import CommandResult
 from .terminal import ERRORS, OUTPUT, progress_bar
 
 
@@ -59,7 +59,7 @@ def _say_where(dashboard: str) -> None:
     ERRORS.print(f'dashboard: {dashboard}', markup=False)
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Calibrate, and print the results."""
 
     @contextmanager
@@ -98,9 +98,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     OUTPUT.print(f'written to {done.catalogue}', markup=False)
     failed = done.failed + done.known_failed
     if not failed:
-        return Outcome()
+        return CommandResult()
     reasons = f'imu-calib catalogue {done.catalogue} --where "status = \'failed\'"'
     message = f'{failed} without a calibration; {reasons} lists the reasons.'
     if done.known_failed:
         message += f' {done.known_failed} failed before and did not change: --retry repeats them.'
-    return Outcome(exit_code=NotObservable.exit_code, message=message)
+    return CommandResult(exit_code=NotObservable.exit_code, message=message)

@@ -29,7 +29,7 @@ from ..stand.nodes import topics as qos
 from ..stand.nodes.topics import listen_to_each
 from ..stand.web.board import Board, Snapshot, UnitRow, UnitsBoard
 from ..stand.web.drawing import headline, time_left
-from .processes import START, Nodes, Outcome
+from .processes import START, Nodes, SessionEnd
 from .terminal import ERRORS, OUTPUT, NodeReports
 
 _DEEP = 100
@@ -82,7 +82,7 @@ class Monitor:
             subscribe(messages.DiagnosticArray, '/diagnostics', reports.take, _DEEP)
 
     def _on_diagnostics(self, message: Any) -> None:
-        self._reports.take(message)
+        self._reports.receive(message)
         if isinstance(self._board, UnitsBoard):
             self._board.take_diagnostics(message, time.monotonic())
 
@@ -363,7 +363,7 @@ _HAND_BAR = 24
 _EVERYTHING = 'Enter ends the session with what is here, Ctrl-C without a result.'
 
 
-def follow(processes: Nodes, reports: NodeReports) -> Outcome:
+def follow(processes: Nodes, reports: NodeReports) -> SessionEnd:
     """Guide a person until the session ends.
 
     Raises:
@@ -389,7 +389,7 @@ def follow(processes: Nodes, reports: NodeReports) -> Outcome:
             if _entered():
                 monitor.solve()
         finished, text = monitor.outcome
-        return Outcome(finished, text, monitor.data_span)
+        return SessionEnd(finished, text, monitor.data_span)
 
 
 def view_hand(progress: Any, refusal: str = '') -> Group:

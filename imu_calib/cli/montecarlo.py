@@ -22,7 +22,7 @@ from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
-    from ..simulation.repetition import Outcome
+    from ..simulation.repetition import RunStatistics
 
 _HEADINGS = (
     'parameter',
@@ -101,7 +101,7 @@ def run(arguments: argparse.Namespace) -> None:
         OUTPUT.print(f'\ndrawn to {target}', markup=False)
 
 
-def _table(outcome: Outcome) -> Rows:
+def _table(outcome: RunStatistics) -> Rows:
     rows = plain_table(_HEADINGS, 'lrrrrrrl')
     normalised, worst = outcome.rms, outcome.worst
     last = outcome.parameters[0]

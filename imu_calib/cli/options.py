@@ -56,10 +56,10 @@ def add_statements(parser: argparse._ActionsContainer, group: type) -> None:
     for name, one in statements(group).items():
         option = f'--{name.replace("_", "-")}'
         if types[name] == 'bool':
-            parser.add_argument(option, action='store_true', help=one.help)
+            parser.add_argument(option, action='store_true', help=one.option.help)
         else:
             kind = float if name in numbers else str
-            parser.add_argument(option, type=kind, metavar=one.metavar, help=one.help)
+            parser.add_argument(option, type=kind, metavar=one.option.metavar, help=one.option.help)
 
 
 def add_imus_option(parser: argparse._ActionsContainer) -> None:

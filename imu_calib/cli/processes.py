@@ -50,8 +50,8 @@ _PATIENCE = 6.0
 
 
 @dataclass
-class Outcome:
-    """Outcome of a session."""
+class SessionEnd:
+    """How a live session ended."""
 
     finished: bool  #: Whether there is a calibration.
     text: str  #: Last message of the calibrator, or the reason of the failure.

@@ -10,7 +10,7 @@ from ..api.streams import output_path
 from ..reports.provenance import summary
 from ..session.keywords import Session
 from . import options
-from .dispatch import EXIT_CODES, Outcome, add_json_option, judged_outcome
+from .dispatch import EXIT_CODES, CommandResult, add_json_option, judged_result
 from .terminal import OUTPUT, progress_bar
 
 
@@ -40,7 +40,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Write the report, and print why it has no verdicts."""
     path, imu = written(
         arguments.calibration,
@@ -66,4 +66,4 @@ def run(arguments: argparse.Namespace) -> Outcome:
         'file': str(path),
         'specification': None if found is None else found.to_dict(),
     }
-    return judged_outcome(document, found)
+    return judged_result(document, found)

@@ -6,7 +6,6 @@ import argparse
 import math
 from pathlib import Path
 
-from ..api.session import load_truth
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.files import shipped, user_path
@@ -223,33 +222,56 @@ def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Cal
     _check_table_port(arguments)
     _check_run(arguments)
     if arguments.imus:
-        return _check_several(arguments, reports)
+        _refuse_for_several(arguments)
+    else:
+        _refuse_for_one(arguments)
+    site, plan = options.stated(arguments).site(LUOYANG), load_plan(arguments.plan)
+    units, real = several.units_of(arguments), several.is_real(arguments)
+    types = {unit.imu: load_imu(unit.imu) for unit in units}
+    table = None if plan.by_hand else load_table(arguments.table)
+    if real:
+        if not several.is_embedded(arguments):
+            network_of_hardware(arguments.network, alone=plan.by_hand)
+        reports.nodes = [several.node_of(unit) for unit in units]
+        for unit in units:
+            imu, frames = types[unit.imu], load_format(several.device_of(unit, arguments))
+            baud = choose_baud(unit.baud or None, frames)
+            if not arguments.imus and is_serial(unit.port):
+                _say_baud(arguments, frames, imu, baud)
+            listen(unit.port, frames, imu, baud, reports, several.node_of(unit))
+    # Imported here: loading it takes longer than the check of the IMU.
+    from . import stand_session
+
+    for imu in types.values():
+        if not real:
+            check_live(imu)
+        stand_session.check(arguments, imu, plan, table, site)
+    return {} if real else several.truths(arguments)
+
+
+def _refuse_for_one(arguments: argparse.Namespace) -> None:
+    """Refuse options that do not apply to one unit."""
     _check_baud(arguments)
     if arguments.port:
         if arguments.imperfections:
             raise InputError('--imperfections is for simulated hardware; leave it out with --port.')
-        frames = _check_device(arguments)
+        _check_device(arguments)
     elif arguments.network:
         raise InputError('--network: simulated hardware stays on this machine; leave it out.')
     elif arguments.device:
         raise InputError('--device: simulated hardware has frames of its own; give --port, too.')
-    site = options.stated(arguments).site(LUOYANG)
-    plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
-    table = None if plan.by_hand else load_table(arguments.table)
-    if not arguments.port:
-        check_live(imu)
-    else:
-        if not several.is_embedded(arguments):
-            network_of_hardware(arguments.network, alone=plan.by_hand)
-        baud = choose_baud(arguments.baud, frames)
-        if is_serial(arguments.port):
-            _say_baud(arguments, frames, imu, baud)
-        listen(arguments.port, frames, imu, baud, reports)
-    # Imported here: loading it takes longer than the check of the IMU.
-    from . import stand_session
 
-    stand_session.check(arguments, imu, plan, table, site)
-    return {} if arguments.port else {'': load_truth(arguments.truth, imu)}
+
+def _refuse_for_several(arguments: argparse.Namespace) -> None:
+    """Refuse options that do not apply to several units."""
+    real = several.is_real(arguments)
+    if real and arguments.imperfections:
+        raise InputError('--imperfections is for simulated hardware; leave it out with ports.')
+    if real and arguments.latitude is None:
+        raise InputError('--imus: give --latitude, of a real stand, in degrees.')
+    if not real and (arguments.network or arguments.device):
+        name = '--network' if arguments.network else '--device'
+        raise InputError(f'{name} is for real hardware; {arguments.imus} names no port.')
 
 
 def _check_run(arguments: argparse.Namespace) -> None:
@@ -267,36 +289,6 @@ def _check_run(arguments: argparse.Namespace) -> None:
             'give --processes, too.'
         )
     azimuth_of(arguments.azimuth)
-
-
-def _check_several(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Calibration]:
-    """Refuse several units that could give no result; return true parameters by serial number."""
-    real = several.is_real(arguments)
-    if real and arguments.imperfections:
-        raise InputError('--imperfections is for simulated hardware; leave it out with ports.')
-    if real and arguments.latitude is None:
-        raise InputError('--imus: give --latitude, of a real stand, in degrees.')
-    if not real and (arguments.network or arguments.device):
-        name = '--network' if arguments.network else '--device'
-        raise InputError(f'{name} is for real hardware; {arguments.imus} names no port.')
-    site = options.stated(arguments).site(LUOYANG)
-    plan, table = load_plan(arguments.plan), load_table(arguments.table)
-    if real:
-        if not several.is_embedded(arguments):
-            network_of_hardware(arguments.network, alone=False)
-        reports.nodes = [f'{unit.name}/imu_node' for unit in several.units_of(arguments)]
-        for unit in several.units_of(arguments):
-            imu, frames = load_imu(unit.imu), load_format(several.device_of(unit, arguments))
-            baud = choose_baud(unit.baud or None, frames)
-            listen(unit.port, frames, imu, baud, reports, f'{unit.name}/imu_node')
-    from . import stand_session
-
-    for name in dict.fromkeys(unit.imu for unit in several.units_of(arguments)):
-        imu = load_imu(name)
-        if not real:
-            check_live(imu)
-        stand_session.check(arguments, imu, plan, table, site)
-    return {} if real else several.truths(arguments)
 
 
 def _check_table_port(arguments: argparse.Namespace) -> None:
@@ -333,8 +325,8 @@ def _say_baud(arguments: argparse.Namespace, frames: FrameFormat, imu: ImuSpec, 
         OUTPUT.print(sentence, markup=False)
 
 
-def _check_device(arguments: argparse.Namespace) -> FrameFormat:
-    """Refuse a device that cannot be read; return the format of its frames."""
+def _check_device(arguments: argparse.Namespace) -> None:
+    """Refuse a device that cannot be read."""
     missing = []
     if not arguments.device:
         missing.append(
@@ -345,6 +337,5 @@ def _check_device(arguments: argparse.Namespace) -> FrameFormat:
         missing.append('--latitude, of a real stand, in degrees')
     if missing:
         raise InputError(f'--port needs {"; and ".join(missing)}.')
-    frames = load_format(arguments.device)
+    load_format(arguments.device)
     check_port(arguments.port)
-    return frames

@@ -51,8 +51,8 @@ from .processes import (
     START,
     Embedded,
     Nodes,
-    Outcome,
     Processes,
+    SessionEnd,
     free_ports,
     network_of_hardware,
     private_network,
@@ -369,7 +369,7 @@ def _print_result(
     arguments: argparse.Namespace,
     folder: Path,
     truth: Mapping[str, Calibration],
-    outcome: Outcome,
+    outcome: SessionEnd,
     seconds: float,
 ) -> list[str]:
     """Print the result and, if known, the truth; return the units without result."""
@@ -436,7 +436,7 @@ def _session(
     processes: Nodes,
     given: dict[str, dict[str, Any]],
     reports: NodeReports,
-) -> Outcome:
+) -> SessionEnd:
     """Start the nodes, and monitor them until the session ends."""
     remapped = several.remappings(arguments)
     for node in _in_order(given):
@@ -449,7 +449,7 @@ def _session(
         return by_hand.follow(processes, reports)
     site = options.stated(arguments).site(LUOYANG)
     plan, table = load_plan(arguments.plan), load_table(arguments.table)
-    imu = load_imu(arguments.imu or several.units_of(arguments)[0].imu)
+    imu = load_imu(several.units_of(arguments)[0].imu)
     setup = setup_of_stand(options.stated(arguments), imu, plan, table, site)
     board: Board | UnitsBoard
     if arguments.imus:
@@ -470,33 +470,20 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
     """Return the parameters of every node to run."""
     several.complete(arguments)
     simulated = not several.is_real(arguments)
-    mounted = several.units_of(arguments)
     named = {name: getattr(arguments, name) for name in AtSite.__annotations__}
     stated_site = {'latitude': LUOYANG} | {n: v for n, v in named.items() if v is not None}
     site = {name: value for name, value in stated_site.items() if not name.endswith('_std')}
     clock = {'use_sim_time': simulated}
     apart = simulated and not several.is_embedded(arguments)
-    port = free_ports(max(len(mounted), 1)) if apart else 0
-    if mounted:
-        of_units = several.node_parameters(arguments, clock, port)
-        units = {'units': arguments.imus, 'without': arguments.without}
-        described = {'table': arguments.table, **units}
-        result = several.CALIBRATIONS
+    port = free_ports(len(several.units_of(arguments))) if apart else 0
+    described = {'table': arguments.table}
+    if arguments.imus:
+        described |= {'units': arguments.imus, 'without': arguments.without}
     else:
-        of_units = {
-            'imu_node': {
-                **clock,
-                'imu': arguments.imu,
-                'device': arguments.device or _frames(arguments),
-                'sample_rate': arguments.sample_rate,
-                'port': arguments.port or several.simulated_port(port),
-                'baud': arguments.baud or 0,
-            }
-        }
-        described = {'imu': arguments.imu, 'table': arguments.table}
-        result = RESULT
+        described |= {'imu': arguments.imu}
+    result = several.CALIBRATIONS if arguments.imus else RESULT
     nodes: dict[str, dict[str, Any]] = {
-        **of_units,
+        **several.node_parameters(arguments, clock, port),
         'calibrator_node': {
             **clock,
             **described,
@@ -556,19 +543,13 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
     return nodes | web_page.parameters(arguments, nodes['calibrator_node'])
 
 
-def _frames(arguments: argparse.Namespace) -> str:
-    """Return the frames of the simulated IMU: those of a skewed gyro contain its count too."""
-    skewed = load_imu(arguments.imu).skewed is not None
-    return 'simulated_skewed' if skewed and not arguments.port else 'simulated'
-
-
 def _follow(
     processes: Nodes,
     reports: NodeReports,
     board: Board | UnitsBoard,
     *,
     control: bool,
-) -> Outcome:
+) -> SessionEnd:
     """Monitor the session until it ends, and show its progress.
 
     Args:
@@ -595,9 +576,11 @@ def _follow(
             reading = '' if monitor.is_running else start.words
             display.update(Text(reading) if reading else screen)
             if monitor.outcome is not None:
-                return Outcome(*monitor.outcome, monitor.duration)
+                return SessionEnd(*monitor.outcome, monitor.duration)
             if monitor.stopped and not control:
-                return Outcome(False, f'The table has stopped. {monitor.stopped}', monitor.duration)
+                return SessionEnd(
+                    False, f'The table has stopped. {monitor.stopped}', monitor.duration
+                )
             if monitor.stopped != shown:
                 shown = monitor.stopped
                 if shown:

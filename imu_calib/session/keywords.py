@@ -14,6 +14,7 @@ from typing import (
     Annotated,
     Any,
     ClassVar,
+    NamedTuple,
     ParamSpec,
     TypeAlias,
     TypedDict,
@@ -68,13 +69,18 @@ class NodeParameter:
     required: str = ''  #: What the node says without it; empty: it needs none.
 
 
-@dataclass(frozen=True)
-class Statement:
+class Option(NamedTuple):
+    """A statement as an option of commands."""
+
+    help: str
+    metavar: str | None = None  #: None for a flag.
+
+
+class Statement(NamedTuple):
     """How a statement is made and described."""
 
     words: str  #: Of the keyword, in `calibrate`.
-    help: str  #: Of the option.
-    metavar: str | None = None  #: Value of the option; None for a flag.
+    option: Option
     node: NodeParameter | None = None  #: Without, nodes do not ask for it.
 
 
@@ -83,13 +89,13 @@ class RunBy(TypedDict, total=False):
 
     plan: Annotated[
         Plan | Named | None,
-        Statement(
-            "The plan that was run; 'none' without one.",
+        "The plan that was run; 'none' without one.",
+        Option(
             "the plan that was run (default: the recording's own, else none); "
             f'{NO_PLAN}: no plan, joint states give the attitudes',
             _FILE,
-            NodeParameter('Name or file of the plan.', 'twelve_position'),
         ),
+        NodeParameter('Name or file of the plan.', 'twelve_position'),
     ]
 
 
@@ -98,12 +104,9 @@ class OfType(TypedDict, total=False):
 
     imu: Annotated[
         ImuSpec | Named | None,
-        Statement(
-            "Units and noise of the IMU's samples.",
-            'name or file of the IMU: what its numbers mean',
-            _FILE,
-            NodeParameter('Name or file of the IMU.', 'fog_medium'),
-        ),
+        "Units and noise of the IMU's samples.",
+        Option('name or file of the IMU: what its numbers mean', _FILE),
+        NodeParameter('Name or file of the IMU.', 'fog_medium'),
     ]
 
 
@@ -112,21 +115,15 @@ class OnTable(TypedDict, total=False):
 
     table: Annotated[
         Table | Named | None,
-        Statement(
-            'The turntable.',
-            f'the turntable (default: {_TABLE})',
-            _FILE,
-            NodeParameter('Name or file of the turntable.', _TABLE),
-        ),
+        'The turntable.',
+        Option(f'the turntable (default: {_TABLE})', _FILE),
+        NodeParameter('Name or file of the turntable.', _TABLE),
     ]
     azimuth: Annotated[
         float | None,
-        Statement(
-            "Heading of the table's zero against north, counter-clockwise, deg.",
-            "heading of the table's zero against north",
-            'DEG',
-            NodeParameter("Heading of the table's zero, deg, if known."),
-        ),
+        "Heading of the table's zero against north, counter-clockwise, deg.",
+        Option("heading of the table's zero against north", 'DEG'),
+        NodeParameter("Heading of the table's zero, deg, if known."),
     ]
 
 
@@ -135,7 +132,8 @@ class ImuTopic(TypedDict, total=False):
 
     imu_topic: Annotated[
         str | None,
-        Statement('Of sensor_msgs/Imu, if there are several.', 'sensor_msgs/Imu topic', _TOPIC),
+        'Of sensor_msgs/Imu, if there are several.',
+        Option('sensor_msgs/Imu topic', _TOPIC),
     ]
 
 
@@ -144,13 +142,13 @@ class TableTopics(TypedDict, total=False):
 
     joint_topic: Annotated[
         str | None,
-        Statement('Of sensor_msgs/JointState, likewise.', 'sensor_msgs/JointState topic', _TOPIC),
+        'Of sensor_msgs/JointState, likewise.',
+        Option('sensor_msgs/JointState topic', _TOPIC),
     ]
     setpoint_topic: Annotated[
         str | None,
-        Statement(
-            'Of imu_calib_msgs/TurntableSetpoint, likewise.', 'TurntableSetpoint topic', _TOPIC
-        ),
+        'Of imu_calib_msgs/TurntableSetpoint, likewise.',
+        Option('TurntableSetpoint topic', _TOPIC),
     ]
 
 
@@ -159,10 +157,8 @@ class ImuOnly(TypedDict, total=False):
 
     imu_only: Annotated[
         bool,
-        Statement(
-            'Use only the IMU and the order of the plan.',
-            'use the IMU and the order of the plan alone',
-        ),
+        'Use only the IMU and the order of the plan.',
+        Option('use the IMU and the order of the plan alone'),
     ]
 
 
@@ -171,72 +167,56 @@ class AtSite(TypedDict, total=False):
 
     latitude: Annotated[
         float | None,
-        Statement(
-            'Of the site, deg, negative in the south.',
-            'degrees, negative in the south',
-            'DEG',
-            NodeParameter(
-                'Latitude of the stand, deg, negative in the south.',
-                bounds=(-90.0, 90.0),
-                required='Parameter latitude: give the latitude of the stand, in degrees.',
-            ),
+        'Of the site, deg, negative in the south.',
+        Option('degrees, negative in the south', 'DEG'),
+        NodeParameter(
+            'Latitude of the stand, deg, negative in the south.',
+            bounds=(-90.0, 90.0),
+            required='Parameter latitude: give the latitude of the stand, in degrees.',
         ),
     ]
     latitude_std: Annotated[
         float | None,
-        Statement(
-            'Its standard deviation, deg.',
-            f'standard deviation of --latitude (default: {LATITUDE_STD / DEG:g})',
-            'DEG',
-            NodeParameter(
-                'Standard deviation of the latitude, deg; nan: 0.01.', bounds=(0.0, 10.0)
-            ),
-        ),
+        'Its standard deviation, deg.',
+        Option(f'standard deviation of --latitude (default: {LATITUDE_STD / DEG:g})', 'DEG'),
+        NodeParameter('Standard deviation of the latitude, deg; nan: 0.01.', bounds=(0.0, 10.0)),
     ]
     height: Annotated[
         float | None,
-        Statement(
-            'Above the ellipsoid, m; determines gravity if that is not stated.',
+        'Above the ellipsoid, m; determines gravity if that is not stated.',
+        Option(
             f'metres above the ellipsoid (default: 0, in doubt by {HEIGHT_STD:g} m); gravity is '
             'computed from it, unless --gravity is given',
             'M',
-            NodeParameter(
-                'Height above the ellipsoid, m; nan: not known.', bounds=(-500.0, 10_000.0)
-            ),
         ),
+        NodeParameter('Height above the ellipsoid, m; nan: not known.', bounds=(-500.0, 10_000.0)),
     ]
     height_std: Annotated[
         float | None,
-        Statement(
-            'Its standard deviation, m.',
-            'standard deviation of --height (default: 0)',
-            'M',
-            NodeParameter(
-                'Standard deviation of the height, m; nan: 0 if it is stated.',
-                bounds=(0.0, 10_000.0),
-            ),
+        'Its standard deviation, m.',
+        Option('standard deviation of --height (default: 0)', 'M'),
+        NodeParameter(
+            'Standard deviation of the height, m; nan: 0 if it is stated.',
+            bounds=(0.0, 10_000.0),
         ),
     ]
     gravity: Annotated[
         float | None,
-        Statement(
-            'Measured gravity, m/s^2.',
-            'local gravity as measured, m/s^2 (default: normal gravity)',
-            'M/S2',
-            NodeParameter('Gravity as measured, m/s^2; nan: normal gravity.'),
-        ),
+        'Measured gravity, m/s^2.',
+        Option('local gravity as measured, m/s^2 (default: normal gravity)', 'M/S2'),
+        NodeParameter('Gravity as measured, m/s^2; nan: normal gravity.'),
     ]
     gravity_std: Annotated[
         float | None,
-        Statement(
-            'Its standard deviation, m/s^2.',
+        'Its standard deviation, m/s^2.',
+        Option(
             'standard deviation of gravity (default: 0 for a measured one, '
             f'{NORMAL_GRAVITY_STD:g} for normal gravity at a known height)',
             'M/S2',
-            NodeParameter(
-                'Standard deviation of gravity, m/s^2; nan: 0 if measured, 30e-5 if not.',
-                bounds=(0.0, 0.1),
-            ),
+        ),
+        NodeParameter(
+            'Standard deviation of gravity, m/s^2; nan: 0 if measured, 30e-5 if not.',
+            bounds=(0.0, 0.1),
         ),
     ]
 
@@ -246,25 +226,21 @@ class Solved(TypedDict, total=False):
 
     method: Annotated[
         str | None,
-        Statement(
-            "The estimator; None for the joint estimate if it applies, else the plan's own.",
-            "the estimator (default: joint where it applies, else the plan's own)",
-            'NAME',
-            NodeParameter('The estimator; empty: joint where it applies.', ''),
-        ),
+        "The estimator; None for the joint estimate if it applies, else the plan's own.",
+        Option("the estimator (default: joint where it applies, else the plan's own)", 'NAME'),
+        NodeParameter('The estimator; empty: joint where it applies.', ''),
     ]
     terms: Annotated[
         str | None,
-        Statement(
+        (
             'Terms that the joint estimate adds to the 24 parameters, names separated by commas: '
-            "'auto' (those that the session shows, as None), 'none', or terms by name.",
-            f'what the joint estimate adds to the 24 parameters: {_TERM_CHOICES}',
-            'NAME,NAME',
-            NodeParameter(
-                'Terms that the joint estimate adds: auto (those that are significant), none, or '
-                'names with commas between.',
-                DEFAULT_TERMS,
-            ),
+            "'auto' (those that the session shows, as None), 'none', or terms by name."
+        ),
+        Option(f'what the joint estimate adds to the 24 parameters: {_TERM_CHOICES}', 'NAME,NAME'),
+        NodeParameter(
+            'Terms that the joint estimate adds: auto (those that are significant), none, or '
+            'names with commas between.',
+            DEFAULT_TERMS,
         ),
     ]
 
@@ -274,13 +250,13 @@ class Numbered(TypedDict, total=False):
 
     serial: Annotated[
         str | None,
-        Statement(
-            'Serial number of the unit.',
+        'Serial number of the unit.',
+        Option(
             "serial number of the unit (default: the recording's, if stated); of several "
             'units in a recording it chooses the one with this number',
             'NUMBER',
-            NodeParameter('Serial number of the unit; empty: not stated.', '', 'serial_number'),
         ),
+        NodeParameter('Serial number of the unit; empty: not stated.', '', 'serial_number'),
     ]
 
 
@@ -315,7 +291,7 @@ class Session(Read, Solved, Numbered, total=False):
 def statements(group: type) -> dict[str, Statement]:
     """Return the statements of a group by name, in the order of their declaration."""
     hints = get_type_hints(group, include_extras=True)
-    return {name: hints[name].__metadata__[0] for name in group.__annotations__}
+    return {name: Statement(*hints[name].__metadata__) for name in group.__annotations__}
 
 
 def types_of(group: type) -> dict[str, str]:
@@ -475,7 +451,7 @@ def with_keywords(
     read them from the signature. Where the docstring says KEYWORDS, they are described.
     """
 
-    def of(function: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
+    def decorate(function: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
         own = signature(function)
         *named, kept = own.parameters.values()
         more = [
@@ -500,4 +476,4 @@ def with_keywords(
         }
         return called
 
-    return of
+    return decorate
