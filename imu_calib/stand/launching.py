@@ -47,18 +47,25 @@ BECOMING = (sys.executable, '-m', lifetime.__name__)
 """Command prefix for programs outside this package, so that they end with their launcher."""
 
 
-def session_arguments() -> list[Any]:
-    """Return launch arguments that state a session, each for the parameter of its name."""
+def arguments(declared: Mapping[str, tuple[str | None, str]]) -> list[Any]:
+    """Return launch arguments from their defaults, None if required, and descriptions."""
     from launch.actions import DeclareLaunchArgument
 
     return [
-        DeclareLaunchArgument(
-            name,
-            default_value=None if one.required else str(one.default),
-            description=one.description,
-        )
-        for name, one in _launched().items()
+        DeclareLaunchArgument(name, default_value=default, description=description)
+        for name, (default, description) in declared.items()
     ]
+
+
+def session_arguments(*names: str) -> list[Any]:
+    """Return launch arguments that state a session, all or some, for parameters of their names."""
+    return arguments(
+        {
+            name: (None if one.required else str(one.default), one.description)
+            for name, one in _launched().items()
+            if not names or name in names
+        }
+    )
 
 
 def session_parameters() -> dict[str, Any]:
