@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-    from ..calibration.results import Result
-
 
 _FEWEST = 2
 """Smallest number of calibrations to compare."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -39,9 +39,6 @@ from ..session.plan import Plan, load_plan
 from .calibrate import solve
 from .session import as_applied, as_calibration, as_combined, as_list
 from .streams import output_path, page_path, recording_at, session_of
-
-if TYPE_CHECKING:
-    from ..calibration.results import Result
 
 _ALIKE = 0.1
 """In standard deviations: two results of one recording that are closer are the same. A judgement:

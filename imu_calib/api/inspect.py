@@ -33,14 +33,11 @@ if TYPE_CHECKING:
 
     from typing_extensions import Unpack
 
-    from ..recordings.rosbag2 import Recording
     from ..recordings.storage import RecordedClock
     from .streams import Streams
 
 # Sentences on header stamps that contradict the recorder's clock, and what contains the error.
 
-
-# Loads slowly; most commands do not need it.
 
 _DIFFERENT = 1000 * PPM
 """From which two clocks differ by more than clocks do: quartz is off by 20 to 100 ppm, and a daemon
@@ -151,8 +148,6 @@ def difference(clock: RecordedClock) -> str:
         f'{faster * 100:.3g} % ({faster / PPM:.0f} +- {max(ratio.std / PPM, 1):.0f} ppm) too '
         f"{'fast' if ratio.value > 1 else 'slow'} against the recorder's log times"
     )
-
-    # Loaded only if it is stated how the streams are to be read.
 
 
 @dataclass(frozen=True)

@@ -34,12 +34,8 @@ from .session import mounted_on, plan_of, serial_of, site_of, stated_imu, table_
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ..recordings.rosbag2 import Recording
     from ..recordings.storage import Topic
     from ..segmentation.stream_facts import Segmented
-    from ..session.keywords import Stated
-
-    # Loads slowly; most commands do not need it.
 
 
 _SKEW = 'imu/skew'

@@ -42,8 +42,6 @@ from .terminal import OUTPUT, print_whole, progress_bar, sentence_list
 if TYPE_CHECKING:
     from ..calibration.results import Result
 
-# imu-calib calibrate for a recording of several units on one table.
-
 
 FOLDER = 'calibrations'
 

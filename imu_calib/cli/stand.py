@@ -6,6 +6,7 @@ import argparse
 import math
 from pathlib import Path
 
+from ..api.streams import removed_on_failure
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.files import shipped, user_path
@@ -17,10 +18,9 @@ from ..session.table import load_table
 from ..stand.devices.format import FrameFormat, load_format
 from ..stand.devices.source import Baud, check_port, choose_baud, is_serial, too_slow
 from ..stand.table_line import tcp_address
-from . import options, several
+from . import options, several, stand_session
 from . import processes as web_page
 from .processes import network_of_hardware
-from .stand_session import listen
 from .terminal import OUTPUT, NodeReports
 
 _SLOWEST = 50
@@ -157,42 +157,33 @@ def _begin(arguments: argparse.Namespace) -> None:
     several.check(arguments)
     reports = NodeReports(real=several.is_real(arguments))
     truth = _check(arguments, reports)
-    from . import stand_session
-    from . import stand_session as resume
-
     folder.mkdir(parents=True)
-    with resume.locked_folder(folder) as claim, stand_session.signals():
+    with stand_session.locked_folder(folder) as claim, stand_session.signals():
         _save_settings(arguments, folder)
         stand_session.run(arguments, folder, truth, claim, reports)
 
 
 def _save_settings(arguments: argparse.Namespace, folder: Path) -> None:
     """Write the settings of a new session, or leave no folder that could not be resumed."""
-    from ..api.streams import removed_on_failure
-    from . import stand_session as resume
-
     try:
         with removed_on_failure(folder):
-            resume.save_settings(arguments, folder)
+            stand_session.save_settings(arguments, folder)
     except OSError as error:
         raise InputError(f'{folder}: cannot be written ({error.strerror or error}).') from None
 
 
 def _go_on(arguments: argparse.Namespace) -> None:
     """Resume an interrupted session."""
-    from . import stand_session
-    from . import stand_session as resume
-
-    folder = resume.restore(arguments)
+    folder = stand_session.restore(arguments)
     several.complete(arguments)
     # Nodes of the interrupted stand that are still ending occupy the port.
-    with resume.locked_folder(folder) as claim, stand_session.signals():
-        resume.check_unfinished(folder)
+    with stand_session.locked_folder(folder) as claim, stand_session.signals():
+        stand_session.check_unfinished(folder)
         several.check(arguments)
         real = several.is_real(arguments)
         reports = NodeReports(real=real)
         truth = _check(arguments, reports)
-        arguments.start = 0.0 if real else resume.switched_on_at(folder)
+        arguments.start = 0.0 if real else stand_session.switched_on_at(folder)
         stand_session.run(arguments, folder, truth, claim, reports)
 
 
@@ -201,12 +192,10 @@ def _new_folder(arguments: argparse.Namespace) -> Path:
     folder = user_path(arguments.output)
     if not folder.exists():
         return folder
-    from . import stand_session as resume
-
-    if resume.unfinished(folder):
+    if stand_session.unfinished(folder):
         raise InputError(
             f'{folder} exists already and holds a session that was interrupted. Go on with it: '
-            f'{resume.command(arguments.output)}, or name another folder with -o.'
+            f'{stand_session.command(arguments.output)}, or name another folder with -o.'
         )
     raise InputError(
         f'{folder} exists already; recordings are not overwritten. Name another folder with -o.'
@@ -238,10 +227,7 @@ def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Cal
             baud = choose_baud(unit.baud or None, frames)
             if not arguments.imus and is_serial(unit.port):
                 _say_baud(arguments, frames, imu, baud)
-            listen(unit.port, frames, imu, baud, reports, several.node_of(unit))
-    # Imported here: loading it takes longer than the check of the IMU.
-    from . import stand_session
-
+            stand_session.listen(unit.port, frames, imu, baud, reports, several.node_of(unit))
     for imu in types.values():
         if not real:
             check_live(imu)
