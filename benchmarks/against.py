@@ -38,7 +38,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.calibration.calibration.calibrator import Calibrator
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.recordings.rosbag2 import Kind
 from imu_calib.model.earth import Site
 from imu_calib.session.imu import load_imu

@@ -30,7 +30,7 @@ from imu_calib.common.parallel import run_all
 from imu_calib.estimation.forecast import forecast
 from imu_calib.estimation.hand import NAME as FREE_POSITIONS
 from imu_calib.estimation.hand import in_frame_of_accelerometers
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel
 from imu_calib.session.imu import load_imu

@@ -30,7 +30,7 @@ from imu_calib.common.errors import NotObservable
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, ImuBlock, Mode, Units
 from imu_calib.common.units import ARCSEC, DEG
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.parameters import AXES, PARAMETERS
 from imu_calib.model.sensors import SensorModel, Triad

@@ -29,7 +29,7 @@ from imu_calib.calibration.compensate import Compensation
 from imu_calib.common.files import named_file
 from imu_calib.common.parallel import run_all
 from imu_calib.common.stream import Floats, ImuBlock, Units
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.sensors import SensorModel
 from imu_calib.model.terms import TERMS, Term, named_terms

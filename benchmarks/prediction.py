@@ -26,7 +26,7 @@ from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.common.files import named_file, share_folder
 from imu_calib.common.units import DEG
 from imu_calib.estimation.forecast import forecast
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.parameters import Parameter
 from imu_calib.model.terms import TERMS

@@ -35,7 +35,7 @@ from imu_calib.common.errors import NotObservable
 from imu_calib.common.parallel import run_all
 from imu_calib.common.stream import Floats, ImuBlock, Stamps, Units
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.model.sensors import SensorModel
 from imu_calib.segmentation.segments import Segment

@@ -34,7 +34,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.files import named_file
 from imu_calib.estimation import joint
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.terms import TERMS
 from imu_calib.session.imu import load_imu
 from imu_calib.session.table import load_table

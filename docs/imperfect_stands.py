@@ -15,7 +15,7 @@ from imu_calib.common.files import named_file
 from imu_calib.common.stream import Block, Floats, TemperatureBlock
 from imu_calib.common.units import ARCSEC, DEG
 from imu_calib.estimation.equations import GIVEN_AZIMUTH
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.terms import TERMS, term

@@ -13,7 +13,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.common.files import named_file
 from imu_calib.common.units import DEG, DEG_H
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import Plan, load_plan

@@ -18,7 +18,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.common.files import named_file
 from imu_calib.common.units import ARCMIN, ARCSEC, DEG, DEG_H, MICRO_G, STANDARD_GRAVITY
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.parameters import ParameterKind
 from imu_calib.reports.tables import plain_table

@@ -75,7 +75,7 @@ def shortest_turns(ups: Floats, seconds: Floats, *, heading: float = 0.0) -> Han
     for up, target in pairwise(ups):
         axis = np.cross(target, up)
         if np.linalg.norm(axis) < 1e-6:
-            # Half a turn, in the sense of `calibrator.guidance`.
+            # Half a turn, in the sense of `calibration.hand`.
             axis = -_upright(up)[0]
         angle = float(np.arccos(np.clip(up @ target, -1.0, 1.0)))
         attitudes.append(attitudes[-1] @ rotation(axis / np.linalg.norm(axis), angle))

@@ -22,7 +22,7 @@ from imu_calib.common.parallel import single_threaded
 from imu_calib.common.stream import Block, JointBlock, SetpointBlock
 from imu_calib.common.units import DEG
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.segmentation.labelling import label
 from imu_calib.session.imu import ImuSpec, load_imu

@@ -33,8 +33,8 @@ from imu_calib.stand.devices.fields import (
 )
 from imu_calib.stand.devices.format import load_format, read_format
 from imu_calib.stand.devices.health import Severity
+from imu_calib.stand.devices.reception import Reception
 from imu_calib.stand.devices.source import Chunk, Source
-from imu_calib.stand.nodes.imu_node import Reception
 
 NS = 1_000_000_000
 SIMULATED = load_format('simulated')

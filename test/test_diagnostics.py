@@ -41,7 +41,7 @@ def reported(path):
 
 def spoken():
     """Return node and part of everything that the sources report."""
-    words = CHECKOUT / 'imu_calib' / 'nodes' / 'session_reports.py'
+    words = CHECKOUT / 'imu_calib' / 'stand' / 'nodes' / 'session_reports.py'
     parts = {
         ('calibrator_node', part)
         for file in (words, *map(words.with_name, ('unit_results.py', 'turntable_state.py')))
@@ -53,7 +53,7 @@ def spoken():
     for taken in ('applied_calibration.py', 'compensator_reports.py'):
         parts_of_words = reported(words.with_name(taken))
         parts |= {('compensator_node', part) for part in parts_of_words}
-    for path in (CHECKOUT / 'imu_calib' / 'nodes').glob('*_node.py'):
+    for path in (CHECKOUT / 'imu_calib' / 'stand' / 'nodes').glob('*_node.py'):
         parts |= {(path.stem, part) for part in reported(path)}
         if 'Commands(' in path.read_text():
             taken = path.with_name('commands.py')

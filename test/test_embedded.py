@@ -29,7 +29,7 @@ from imu_calib.simulation.hardware import SimulatedHardware
 from imu_calib.simulation.options import StandOptions
 from imu_calib.simulation.stand import SimulatedUnit
 from imu_calib.stand import middleware as ros
-from imu_calib.stand.nodes.hand_node import FrameServer
+from imu_calib.stand.nodes.frame_server import FrameServer
 from imu_calib.stand.nodes.turntable_node import TurntableNode
 
 MAIN = [sys.executable, '-m', 'imu_calib.cli.main']

@@ -8,7 +8,7 @@ from installed import needs_nodes
 from loopback import CHECKOUT
 
 THREADS = """
-import ctypes, sys, tempfile, threading
+import ctypes, sys, tempfile, threading, types
 from imu_calib.stand.nodes import programs as entry
 
 libc = ctypes.CDLL(None)
@@ -36,7 +36,9 @@ def main():
         print(file.read().count(b'<heap nr'))
 
 
-entry.run = lambda node, ends: node()
+runtime = types.ModuleType('runtime')
+runtime.run = lambda node, ends: node()
+sys.modules['imu_calib.stand.middleware'] = runtime
 sys.exit(entry.entry_point(main) if sys.argv[1] == 'node' else main())
 """
 

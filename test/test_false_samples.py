@@ -21,7 +21,7 @@ from imu_calib.common.files import named_file, shipped
 from imu_calib.common.stream import Block, Floats, ImuBlock, Stamps, Units, at
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.estimation.hand import in_frame_of_accelerometers
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.recordings.cdr_codec import encode_imu
 from imu_calib.recordings.rosbag2 import Kind, open_recording

@@ -25,6 +25,7 @@ from loopback import patience, until
 import imu_calib
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
+from imu_calib.common.files import named_file
 from imu_calib.common.parallel import Engine
 from imu_calib.fleet.batch import DEFECT, LOST, Done, content_of, failed, key_of, run
 from imu_calib.fleet.catalogue import Catalogue, run_batch, schema
@@ -41,7 +42,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two short sessions of two units, the first twice under two names, and one that is none."""
     folder = tmp_path_factory.mktemp('recordings')
     plan = folder / 'brief.yaml'
-    text = Path(imu_calib.share.named_file('plans', 'twelve_position')).read_text('utf-8')
+    text = Path(named_file('plans', 'twelve_position')).read_text('utf-8')
     text = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[')
     lines = ['dwell: 3.0 s\n' if row.startswith('dwell:') else row for row in text.splitlines(True)]
     plan.write_text(''.join(lines), encoding='utf-8')
@@ -204,7 +205,7 @@ def test_any_serial_number_has_a_file_of_its_own(serial: str, tmp_path: Path) ->
 
 def test_a_task_is_known_by_what_counts(recordings: Path, tmp_path: Path) -> None:
     imu = tmp_path / 'unit.yaml'
-    shutil.copy(imu_calib.share.named_file('imus', 'fog_medium'), imu)
+    shutil.copy(named_file('imus', 'fog_medium'), imu)
     job = Job(str(recordings / 'a'), Stated(imu=str(imu)))
 
     def key(job: Job) -> str:

@@ -11,6 +11,7 @@ from installed import needs_modules
 import imu_calib
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
+from imu_calib.common.files import named_file
 from imu_calib.fleet.batch import LOST, content_of, key_of, lost, run
 from imu_calib.fleet.catalogue import Catalogue
 from imu_calib.fleet.recordings import Job, find_jobs
@@ -31,11 +32,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short session of two units, and files that list them: the second with one more."""
     folder = tmp_path_factory.mktemp('several')
     plan = folder / 'brief.yaml'
-    text = imu_calib.share.named_file('plans', 'twelve_position').read_text('utf-8')
+    text = named_file('plans', 'twelve_position').read_text('utf-8')
     text = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[')
     lines = ['dwell: 3.0 s\n' if row.startswith('dwell:') else row for row in text.splitlines(True)]
     plan.write_text(''.join(lines), encoding='utf-8')
-    of_type = imu_calib.share.named_file('imus', 'fog_medium').read_text('utf-8')
+    of_type = named_file('imus', 'fog_medium').read_text('utf-8')
     (folder / 'my_imu.yaml').write_text(of_type)
     (folder / 'units.yaml').write_text(SIMULATED)
     (folder / 'three.yaml').write_text(SIMULATED + NOBODY)

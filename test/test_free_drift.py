@@ -20,7 +20,7 @@ from imu_calib.common.budget import Source
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG
 from imu_calib.estimation.hand import ESTIMATES
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.system import observe
 from imu_calib.model.earth import Site
 from imu_calib.model.parameters import ParameterKind

@@ -16,7 +16,7 @@ from imu_calib.calibration.verify import Verdict, verify
 from imu_calib.common.stream import Floats, ImuBlock, Units
 from imu_calib.common.units import DEG
 from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.system import observe
 from imu_calib.model.earth import Site
 from imu_calib.model.sensors import SensorModel, Triad

@@ -25,7 +25,8 @@ from imu_calib.estimation.forecast import forecast
 from imu_calib.estimation.free_dwells import FreeEquations, at_headings_by_moves
 from imu_calib.estimation.gyro_paths import propagated
 from imu_calib.estimation.hand import ESTIMATES, FREE, in_frame_of_accelerometers, is_clear, solve
-from imu_calib.estimation.methods import Setup, check_plan
+from imu_calib.estimation.methods import check_plan
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.model.parameters import PARAMETERS, ParameterKind
 from imu_calib.model.sensors import SensorModel, Triad

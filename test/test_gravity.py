@@ -33,8 +33,8 @@ from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import PPM
 from imu_calib.estimation.forecast import forecast
-from imu_calib.estimation.methods import Setup
 from imu_calib.estimation.optimise import reach
+from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.system import observe
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.parameters import PARAMETERS, ParameterKind

@@ -26,7 +26,7 @@ from imu_calib.common.files import named_file
 from imu_calib.common.stream import Block, Units
 from imu_calib.common.units import DEG
 from imu_calib.estimation.forecast import forecast
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.recordings.cdr_codec import encode_imu
 from imu_calib.recordings.rosbag2 import Kind, open_recording

@@ -23,9 +23,9 @@ from imu_calib.recordings.cdr_codec import decode_imu, decode_temperatures
 from imu_calib.recordings.rosbag2 import Kind
 from imu_calib.session.imu import load_imu
 from imu_calib.stand.devices.format import load_format
+from imu_calib.stand.devices.reception import Reception
 from imu_calib.stand.devices.source import Chunk, SourceState
 from imu_calib.stand.nodes import topics as qos
-from imu_calib.stand.nodes.imu_node import Reception
 
 # ROS reads this when it loads its messages.
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')

@@ -38,9 +38,9 @@ from imu_calib.estimation.closed_forms import positions as twelve_position
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.forecast import forecast
-from imu_calib.estimation.methods import Setup
 from imu_calib.estimation.outliers import estimate
 from imu_calib.estimation.session_model import Nuisance
+from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.solve import fit, start
 from imu_calib.model.earth import Site
 from imu_calib.model.parameters import PARAMETER_NAMES

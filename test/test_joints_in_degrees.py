@@ -8,7 +8,7 @@ from sessions import fed, paper_imu, quick_plan, session
 
 from imu_calib.calibration.results import joints_in_degrees
 from imu_calib.common.units import DEG
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.session.table import load_table
 

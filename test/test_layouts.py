@@ -27,7 +27,7 @@ FIELD = re.compile(r'^\s*([A-Za-z][\w/]*)(\[[^\]]*\])?\s+([a-z]\w*)\s*(?:$|#|[^=
 def topics():
     """Topics that nodes publish or read, and the names of their types, as the code has them."""
     found = {}
-    for path in (CHECKOUT / 'imu_calib' / 'nodes').glob('*.py'):
+    for path in (CHECKOUT / 'imu_calib' / 'stand' / 'nodes').glob('*.py'):
         for node in ast.walk(ast.parse(path.read_text())):
             values = node.args if isinstance(node, ast.Call) else getattr(node, 'elts', [])
             types = [
@@ -121,7 +121,7 @@ def of_rqt(path):
         if 'current_service_name' in keys:
             service = ast.literal_eval(keys['current_service_name']['repr'])
             node, name = re.fullmatch(r'/(\w+)/(\w+)', service).groups()
-            code = (CHECKOUT / 'imu_calib' / 'nodes' / f'{node}.py').read_text()
+            code = (CHECKOUT / 'imu_calib' / 'stand' / 'nodes' / f'{node}.py').read_text()
             assert f"create_service(Trigger, '~/{name}'" in code
 
 

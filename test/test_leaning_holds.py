@@ -18,7 +18,7 @@ from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.calibration.results import Result
 from imu_calib.common.stream import Floats, ImuBlock, Units
 from imu_calib.common.units import DEG
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.plan import load_plan

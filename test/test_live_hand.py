@@ -13,14 +13,14 @@ from sessions import SITE, Alone, ended
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.calibration.hand import HandCalibrator, Stage, direction
+from imu_calib.cli.displays import reached, view_hand
 from imu_calib.cli.main import main
-from imu_calib.cli.monitor import reached, view_hand
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock
 from imu_calib.common.units import ARCMIN, DEG, PPM
 from imu_calib.estimation.hand import FREE
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.parameters import PARAMETER_NAMES, ParameterKind
 from imu_calib.recordings.cdr_codec import encode_imu

@@ -15,7 +15,7 @@ from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.common.budget import Source
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.sensors import SensorModel
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints

@@ -12,7 +12,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock, SkewBlock
 from imu_calib.common.units import DEG
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints
 from imu_calib.recordings.rosbag2 import Kind
 from imu_calib.session.imu import load_imu

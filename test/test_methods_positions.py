@@ -18,7 +18,8 @@ from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.files import named_file, share_folder
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG, DEG_H, STANDARD_GRAVITY
-from imu_calib.estimation.methods import METHODS, Setup, check_plan
+from imu_calib.estimation.methods import METHODS, check_plan
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.sensors import SensorModel, parameters_of
 from imu_calib.model.terms import G_SENSITIVITY
 from imu_calib.reports.tables import parameter_table

@@ -23,7 +23,7 @@ from imu_calib.recordings.cdr_codec import decode_imu, encode_imu
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
     from imu_calib.stand import middleware as ros
-    from imu_calib.stand.nodes import programs as running
+    from imu_calib.stand.middleware import node_life as running
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -644,7 +644,7 @@ LAST_WORD = """
 import signal
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 from imu_calib.stand.middleware import *
-from imu_calib.stand.nodes import programs as running
+from imu_calib.stand.middleware import node_life as running
 # A busy machine may hold up the test, which acknowledges.
 running._ACKNOWLEDGE_TIMEOUT = 60.0
 latched = QoSProfile(depth=1)

@@ -11,7 +11,7 @@ from test_prediction import brisk
 
 from imu_calib.api import simulate as repeating
 from imu_calib.cli.main import main
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table

@@ -19,8 +19,8 @@ from imu_calib.common.stream import Floats, Units
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.joint import solve
-from imu_calib.estimation.methods import Setup
 from imu_calib.estimation.outliers import Estimate, estimate
+from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.system import Observed
 from imu_calib.estimation.term_tests import TermState
 from imu_calib.model.parameters import PARAMETERS

@@ -28,9 +28,9 @@ from imu_calib.estimation.gyro_paths import (
     by_places,
     propagated,
 )
-from imu_calib.estimation.methods import Setup
 from imu_calib.estimation.moves import _seconds_of_second_order
 from imu_calib.estimation.outputs import ACCEL_DISTANCE, ARM_STD
+from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.solve import fit
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.terms import DELAY

@@ -17,7 +17,7 @@ from imu_calib.calibration.verify import Verdict, verify
 from imu_calib.common.errors import InputError
 from imu_calib.common.units import DEG
 from imu_calib.estimation.equations import Equations
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.system import observe
 from imu_calib.segmentation.segmenter import Segmenter
 from imu_calib.session.imu import load_imu

@@ -19,7 +19,7 @@ from imu_calib.calibration.verify import Quantity
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Units
 from imu_calib.common.units import DEG_H
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.model.sensors import SensorModel
 from imu_calib.recordings.cdr_codec import encode_imu

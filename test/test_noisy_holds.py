@@ -11,8 +11,8 @@ from imu_calib.calibration.results import Result
 from imu_calib.common.stream import ImuBlock, Units
 from imu_calib.common.units import DEG
 from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers
-from imu_calib.estimation.methods import Setup
 from imu_calib.estimation.output_noise import with_own_noise
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.session.imu import ImuSpec, TriadSpec

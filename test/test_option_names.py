@@ -19,6 +19,7 @@ from imu_calib.common.errors import InputError
 
 PACKAGE = CHECKOUT / 'imu_calib'
 OTHERS = {
+    'session/keywords.py': 'the declaration of options',
     'certificates/printing.py': 'options of Chromium',
     'middleware/running.py': 'options of ROS',
     'middleware/dds/arguments.py': 'options of ROS',

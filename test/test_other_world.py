@@ -37,7 +37,7 @@ from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, ImuBlock, JointBlock, Units
 from imu_calib.estimation import search
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.solve import NotConverged
 from imu_calib.model.earth import Site
 from imu_calib.segmentation.segments import Segment

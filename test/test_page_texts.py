@@ -14,9 +14,9 @@ from test_web_board import FOG, SETUP, calibration, progress, state
 
 from imu_calib.common.config import Section
 from imu_calib.session.units_file import read_units
-from imu_calib.stand.nodes.web_node import expectation, units_board
 from imu_calib.stand.plan_steps import Phase
 from imu_calib.stand.web.board import Board, UnitsBoard
+from imu_calib.stand.web.expectation import expectation, units_board
 from imu_calib.stand.web.guard import Token
 from imu_calib.stand.web.shape import table_shape
 

@@ -33,7 +33,7 @@ from imu_calib.common.files import named_file
 from imu_calib.common.rotations import rotation
 from imu_calib.common.stream import Floats, ImuBlock, SetpointBlock
 from imu_calib.common.units import DEG
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.clock import fit_clock
 from imu_calib.segmentation.labelling import attitude_words, heading, label, unique, up_words

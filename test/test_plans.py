@@ -21,9 +21,9 @@ from imu_calib.common.units import ARCSEC, DEG, PPM
 from imu_calib.estimation import forecast as each_term
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.forecast import forecast, forecast_changes, forecast_terms, information
-from imu_calib.estimation.methods import Setup
 from imu_calib.estimation.outliers import Estimate, estimate
 from imu_calib.estimation.predict import duration, expected
+from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.solve import check_observable
 from imu_calib.model.parameters import PARAMETERS, ParameterKind
 from imu_calib.model.sensors import SensorModel, parameters_of

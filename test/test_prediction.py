@@ -17,9 +17,9 @@ from imu_calib.common.files import named_file
 from imu_calib.common.units import DEG, DEG_H, PPM
 from imu_calib.estimation.closed_forms import skewed
 from imu_calib.estimation.forecast import check_session, forecast, information
-from imu_calib.estimation.methods import Setup
 from imu_calib.estimation.optimise import candidates, log_information, optimise, reach
 from imu_calib.estimation.predict import duration, expected
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.model.sensors import SensorModel

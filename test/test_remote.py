@@ -21,6 +21,7 @@ import imu_calib
 from imu_calib.api.inspect import topics
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
+from imu_calib.common.files import named_file
 from imu_calib.fleet.recordings import Job, find_jobs
 from imu_calib.recordings import remote as remote_copy
 from imu_calib.recordings import remote as retries
@@ -38,7 +39,7 @@ BRIEF = {'dwell: 120 s': 'dwell: 2 s', '[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str]]:
     """A session here, in all storages, and a bucket with the same."""
     here = tmp_path_factory.mktemp('here')
-    text = imu_calib.share.named_file('plans', 'twelve_position').read_text('utf-8')
+    text = named_file('plans', 'twelve_position').read_text('utf-8')
     for whole, brief in BRIEF.items():
         text = text.replace(whole, brief)
     (here / 'brief.yaml').write_text(text, encoding='utf-8')

@@ -21,9 +21,9 @@ from imu_calib.common.stream import Floats
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.joint import solve
-from imu_calib.estimation.methods import Setup
 from imu_calib.estimation.predict import expected
 from imu_calib.estimation.score import Family, Score, WhitenedResiduals, columns_of, shapes_of
+from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.solve import fit
 from imu_calib.estimation.term_tests import TermState, summary
 from imu_calib.model.parameters import PARAMETERS

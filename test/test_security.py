@@ -143,7 +143,7 @@ def created(monkeypatch, tmp_path):
 
 def test_the_policy_allows_what_each_node_creates_and_no_more(created):
     allowed = profiles()
-    nodes = {path.stem for path in (CHECKOUT / 'imu_calib' / 'nodes').glob('*_node.py')}
+    nodes = {path.stem for path in (CHECKOUT / 'imu_calib' / 'stand' / 'nodes').glob('*_node.py')}
     assert nodes <= allowed.keys()
     assert nodes - created.keys() <= {'web_node'}
     from imu_calib.stand.middleware.chosen import RUNTIME

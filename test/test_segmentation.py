@@ -16,7 +16,7 @@ from sessions import SITE, fed, gathered, paper_imu, quick_plan, session
 from imu_calib.common.rotations import rotation
 from imu_calib.common.stream import Floats, ImuBlock, Stamps
 from imu_calib.common.units import DEG
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.segmentation.clock import ClockSample, fit_clock, measured_share
 from imu_calib.segmentation.dwells import find_step, read_dwell, sound_samples
 from imu_calib.segmentation.intake import StampOrder

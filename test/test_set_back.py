@@ -24,7 +24,7 @@ from imu_calib.common.stream import (
     Stamps,
     Units,
 )
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.segmentation.intake import StreamBuffer
 from imu_calib.segmentation.segmenter import Segmenter

@@ -9,7 +9,7 @@ from loopback import patience, until
 from sessions import SITE, at_one_rate, paper_imu, quick_plan, stand, truth
 
 from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.sensors import SensorModel
 from imu_calib.recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints
 from imu_calib.recordings.rosbag2 import Kind, open_recording

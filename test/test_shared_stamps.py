@@ -16,7 +16,7 @@ from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import Block, Floats, ImuBlock, Stamps, Units
 from imu_calib.common.units import DEG
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.segmentation.stamp_faults import SharedStamps
 from imu_calib.session.imu import ImuSpec, TriadSpec

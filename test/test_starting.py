@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from imu_calib.cli.monitor import Start
+from imu_calib.cli.displays import Start
 from imu_calib.cli.terminal import NodeReports
 from imu_calib.common.errors import InputError
 

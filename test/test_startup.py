@@ -25,8 +25,8 @@ from imu_calib.session.imu import load_imu
 from imu_calib.stand.devices.format import load_format
 from imu_calib.stand.devices.health import Severity
 from imu_calib.stand.devices.messages import Command, Commands
+from imu_calib.stand.devices.reception import Reception
 from imu_calib.stand.devices.source import Chunk, Source, SourceState, choose_baud
-from imu_calib.stand.nodes.imu_node import Reception
 
 SIMULATED = load_format('simulated')
 FOG = load_imu('fog_medium')
@@ -119,7 +119,7 @@ def test_info_of_topics_alone_loads_no_estimator(in_the_hand):
     # The plain stream of a recording that nobody describes ends there, too.
     code = LOOKED.splitlines()[:-1]
     modules = loaded('\n'.join(code), in_the_hand, '--topics')
-    packages = 'methods', 'estimation', 'observation', 'reports', 'segmentation'
+    packages = 'estimation.joint', 'estimation.solve', 'reports.tables', 'segmentation.segmenter'
     assert 'imu_calib.api.inspect' in modules
     assert not among(modules, [*SLOW, *(f'imu_calib.{name}' for name in packages)])
 
@@ -184,12 +184,15 @@ def test_info_of_a_session_with_motions_loads_no_more_than_its_estimate(tmp_path
     assert {'imu_calib.calibration.calibrator', 'imu_calib.estimation.outliers'} <= modules
     # An older scipy.linalg loads scipy.sparse itself, rich 13.0 its emoji.
     modules -= loaded('import scipy.linalg, scipy.special, rich.console')
-    others = 'calibrator.by_hand', 'prediction', 'verification', 'simulation'
+    others = 'calibration.hand', 'estimation.forecast', 'calibration.verify', 'simulation'
     assert not among(modules, (*UNUSED, *RUNTIME, *(f'imu_calib.{name}' for name in others)))
 
 
 def test_the_estimators_load_what_they_use():
-    code = 'import imu_calib.calibration.calibrator, imu_calib.prediction, imu_calib.verification'
+    code = (
+        'import imu_calib.calibration.calibrator, imu_calib.estimation.optimise, '
+        'imu_calib.calibration.verify'
+    )
     assert not among(loaded(code), SLOW)
 
 

@@ -14,7 +14,7 @@ from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.stream import ImuBlock, Units
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.segmentation.dwells import find_step

@@ -13,7 +13,7 @@ from imu_calib.calibration.hand import HandCalibrator
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.stream import Floats, ImuBlock
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.recordings.cdr_codec import RATES, encode_imu
 from imu_calib.recordings.writer import RecordingWriter

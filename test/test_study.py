@@ -20,7 +20,7 @@ from imperfections import session as simulated_session
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.common.stream import Block
 from imu_calib.common.units import ARCSEC
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.terms import TERMS
 
 # One that two tests look at is simulated and solved once.

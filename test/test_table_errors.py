@@ -26,7 +26,7 @@ from test_information import evidence_of
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.calibration.provenance import assumption_findings
+from imu_calib.calibration.findings import assumption_findings
 from imu_calib.calibration.results import Result
 from imu_calib.cli.calibrate import show
 from imu_calib.cli.main import main
@@ -42,10 +42,10 @@ from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.forecast import information, state_at
 from imu_calib.estimation.information import Information
 from imu_calib.estimation.joint import _scatter_findings
-from imu_calib.estimation.methods import Setup
 from imu_calib.estimation.outliers import estimate
 from imu_calib.estimation.outputs import PositioningErrors
 from imu_calib.estimation.predict import expected
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.alignment import free_of_frame
 from imu_calib.model.parameters import PARAMETERS, ParameterKind
 from imu_calib.segmentation.clock import fit_clock

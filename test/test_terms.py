@@ -17,7 +17,8 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file, share_folder
 from imu_calib.estimation.forecast import forecast
 from imu_calib.estimation.hand import in_frame_of_accelerometers
-from imu_calib.estimation.methods import JOINT, METHODS, Setup, estimated_parameters, method
+from imu_calib.estimation.methods import JOINT, METHODS, estimated_parameters, method
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.sensors import parameters_of, terms_of
 from imu_calib.model.terms import TERMS, asks_for_search, named_terms
 from imu_calib.session.imu import load_imu

@@ -8,13 +8,13 @@ import pytest
 from rich.console import Console
 from test_web_board import NOON, SETUP, calibration, diagnostics, progress, state
 
-from imu_calib.cli.monitor import view_table
+from imu_calib.cli.displays import view_table
 from imu_calib.common.config import Section
 from imu_calib.session.units_file import read_units
 from imu_calib.stand.devices.health import Severity
-from imu_calib.stand.nodes.web_node import units_board
 from imu_calib.stand.web import drawing
 from imu_calib.stand.web.board import Outcome
+from imu_calib.stand.web.expectation import units_board
 
 FILE = """
 units:

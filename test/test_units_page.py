@@ -14,7 +14,7 @@ from test_units_board import mounted as mounted  # noqa: PLC0414
 from test_web_board import SETUP, state
 
 from imu_calib.session.imu import load_imu
-from imu_calib.stand.nodes.web_node import units_board
+from imu_calib.stand.web.expectation import units_board
 from imu_calib.stand.web.guard import Token
 from imu_calib.stand.web.samples import Dwells
 from imu_calib.stand.web.shape import table_shape

@@ -13,22 +13,22 @@ from browser import browser as browser  # noqa: PLC0414
 from browser import look_at, needs_chromium, opened, overlaps, width
 from rich.console import Console
 
-from imu_calib.cli.monitor import view_table
+from imu_calib.cli.displays import view_table
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
 from imu_calib.common.units import DEG
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.reports.timeline import Courses, Pace, ends_at, in_words
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table
 from imu_calib.stand.devices.health import Severity
-from imu_calib.stand.nodes.web_node import expectation
 from imu_calib.stand.plan_steps import Phase
 from imu_calib.stand.web import drawing
 from imu_calib.stand.web.board import Board, Outcome
 from imu_calib.stand.web.drawing import STYLE, headline, time_left
+from imu_calib.stand.web.expectation import expectation
 from imu_calib.stand.web.samples import Dwells
 from imu_calib.stand.web.shape import table_shape
 

@@ -9,7 +9,7 @@ import units_world as world
 
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.common.stream import ImuBlock, JointBlock, Units
-from imu_calib.estimation.methods import Setup
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.plan import UNPLANNED

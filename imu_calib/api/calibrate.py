@@ -28,8 +28,8 @@ from ..session.metadata import compensated_already, interpolated_from, serial_ke
 from ..session.plan import load_plan
 from ..session.units_file import MountedUnit
 from .compare import specification_of
-from .inspect import clock_findings, refused_by_stamps
 from .session import as_units
+from .stamp_clock import clock_findings, refused_by_stamps
 from .streams import (
     ASSUMED_BY_HAND,
     Opened,

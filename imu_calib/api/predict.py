@@ -28,12 +28,13 @@ from ..estimation.forecast import (
     listed,
     resting_on_the_table,
 )
-from ..estimation.methods import Setup, check_plan, closed_form_of
+from ..estimation.methods import check_plan, closed_form_of
 from ..estimation.modulation import LEAST_RISE
 from ..estimation.optimise import Optimum, Reached
 from ..estimation.optimise import optimise as best_plan
 from ..estimation.optimise import reach as shortest_dwells
 from ..estimation.predict import duration
+from ..estimation.setup import Setup
 from ..model.earth import LUOYANG
 from ..model.parameters import Parameter
 from ..model.sensors import SensorModel, parameters_of, terms_of

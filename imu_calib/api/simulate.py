@@ -26,8 +26,9 @@ from ..common.stream import (
     TemperatureBlock,
 )
 from ..common.units import counted
-from ..estimation.methods import Setup, check_plan
+from ..estimation.methods import check_plan
 from ..estimation.methods import method as solver
+from ..estimation.setup import Setup
 from ..model.earth import LUOYANG, Site
 from ..recordings.cdr import Messages
 from ..recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints, encode_temperatures

@@ -19,7 +19,7 @@ from ..common.lifetime import ENDS_WITH
 from ..common.stream import NS
 from ..estimation import hand as free_positions
 from ..estimation.forecast import check_session
-from ..estimation.methods import Setup
+from ..estimation.setup import Setup
 from ..model.earth import Site
 from ..recordings.rosbag2 import Recording, open_recording
 from ..recordings.storage import RecordingError

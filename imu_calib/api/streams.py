@@ -20,7 +20,7 @@ from ..common.other_formats import other_encoding
 from ..common.parallel import Progress, silent
 from ..common.stream import Block, Floats, ImuBlock, Units
 from ..common.units import LARGEST, STANDARD_GRAVITY
-from ..estimation.methods import Setup
+from ..estimation.setup import Setup
 from ..recordings.remote import AnyPath, located
 from ..recordings.rosbag2 import Kind, Recording, is_storage, open_recording
 from ..recordings.text import InOrder

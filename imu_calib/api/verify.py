@@ -23,8 +23,8 @@ from ..session.imu import ImuSpec
 from ..session.keywords import Named, Stated, Verified, with_keywords
 from ..session.metadata import compensated_already
 from ..session.plan import UNPLANNED
-from .inspect import clock_findings, refused_by_stamps
 from .session import as_applied, serial_of, site_of, stated_imu, stated_plan, table_of
+from .stamp_clock import clock_findings, refused_by_stamps
 from .streams import streams_of
 
 if TYPE_CHECKING:

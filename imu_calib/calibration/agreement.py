@@ -106,7 +106,7 @@ def _of_another_place(site: Site) -> list[str]:
 
 FALSE_ALARM = 0.01
 """Probability that calibrations of an unchanged unit are found to differ in any parameter, as in
-`verification.judgement.DOUBT`; shared among the parameters (Bonferroni)."""
+`calibration.verify.DOUBT`; shared among the parameters (Bonferroni)."""
 
 FEWEST_FOR_A_STEP = 4
 """Fewest sessions of a parameter for a search of steps: a line and a step are three numbers."""

@@ -81,11 +81,11 @@ class Calibration:
     provenance: dict[str, Any] = field(default_factory=dict)
     serial_number: str = ''  #: Unit of the type `ImuSpec.id`; empty if not stated.
     #: Of the rows of the covariance: the 24, those of terms, those of skewed gyros, in the order of
-    #: `model.parameters_of`.
+    #: `sensors.parameters_of`.
     parameters: tuple[Parameter, ...] = PARAMETERS
     budget: Budget | None = None  #: The variances by source; None if the method does not give them.
     #: Changes of parameters during the session; None if not asked for. Those with the temperature
-    #: are applied (`compensation/thermal`), others are not.
+    #: are applied (`calibration/thermal`), others are not.
     changes: Changes | None = None
     #: The stamping clock, if the session compared it with the table's: pulses are then per second
     #: of the table's clock, else of the stamps'.

@@ -18,8 +18,9 @@ from ..estimation.common_unknowns import Contradicting, TableEstimate, join
 from ..estimation.evidence import Evidence
 from ..estimation.information import attainable_std
 from ..estimation.joint import Comparison
-from ..estimation.methods import Setup, check_plan, closed_form_of, method, provisional
+from ..estimation.methods import check_plan, closed_form_of, method, provisional
 from ..estimation.search import Search
+from ..estimation.setup import Setup
 from ..estimation.table_effects import shares_a_table
 from ..model.parameters import AXES, Parameter
 from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms
@@ -29,7 +30,7 @@ from ..segmentation.segments import Turn
 from ..segmentation.stream_facts import Segmented
 from ..session.plan import Plan, Step
 from ..session.table_errors import clock_share
-from .provenance import false_samples_first, loss_findings, losses_of_all_segments
+from .findings import false_samples_first, loss_findings, losses_of_all_segments
 from .results import (
     Basis,
     Result,
@@ -42,7 +43,7 @@ from .results import (
 )
 
 if TYPE_CHECKING:
-    from ..estimation.methods import Setup
+    from ..estimation.setup import Setup
     from .hand import HandCalibrator
     from .results import Result, Review
 

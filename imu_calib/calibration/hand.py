@@ -29,9 +29,10 @@ from ..estimation.hand import (
     term_words,
 )
 from ..estimation.information import Information, log_determinant
-from ..estimation.methods import Setup, estimated_parameters
+from ..estimation.methods import estimated_parameters
 from ..estimation.output_noise import known_noise, walk_of_sensors, with_own_noise
 from ..estimation.predict import ideal_move_by_hand, next_hold
+from ..estimation.setup import Setup
 from ..model.parameters import AXES, PARAMETERS, ParameterKind
 from ..model.sensors import SensorModel, gravity_covariance
 from ..segmentation.clock import NO_CLOCK
@@ -42,7 +43,7 @@ from ..segmentation.segments import Segment
 from ..segmentation.stream_facts import Move, Segmented
 from ..session.imu import SCALE_LIMIT
 from .calibration import BY_ACCELEROMETERS
-from .provenance import false_samples_first, provenance
+from .findings import false_samples_first, provenance
 from .results import Result, Review, calibrated, dead_channels, explained, refuse_apart, with_facts
 
 # Guide a user with the unit in hand: what to do next, and the gain of each further hold.
@@ -251,7 +252,7 @@ _LOST = 100.0
 is not used: with ten times the std, it has a hundredth of the information of others."""
 
 _NEARLY_NONE = 0.05
-"""Of gravity: as in `segmentation.gravity_removed`."""
+"""Of gravity: as in `segmentation.stream_facts`."""
 _REMEDIES = {
     SATURATED: ': turn more slowly, or set a wider range',
     COARSE: ': turn more slowly, or check the unit of the gyros',

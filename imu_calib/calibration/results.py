@@ -18,7 +18,7 @@ from ..common.units import counted
 from ..estimation.checks import Solution
 from ..estimation.evidence import Evidence
 from ..estimation.joint import Comparison
-from ..estimation.methods import Setup
+from ..estimation.setup import Setup
 from ..estimation.term_tests import summary
 from ..model.parameters import Parameter
 from ..model.sensors import terms_of
@@ -29,7 +29,7 @@ from ..session.imu import check_plausible
 from ..session.table_errors import StampingClock, clock_share
 from .agreement import with_gravity
 from .calibration import Calibration, ResidualRow
-from .provenance import assumption_findings, noise, provenance, stamping
+from .findings import assumption_findings, noise, provenance, stamping
 
 
 def calibrated(

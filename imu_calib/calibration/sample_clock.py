@@ -27,17 +27,17 @@ _GAINS = 0.05
 """Of the interval: a step after a long one that is shorter by more shows a queue catching up. A
 judgement: with a queue that catches up more slowly, the interval is wrong by less than this."""
 LONGEST = 5_000_000_000
-"""ns: longer than a line holds samples up (`segmentation/bunches`); samples after such a silence
+"""ns: longer than a line holds samples up (`segmentation/stamps`); samples after such a silence
 are timed anew, and may have another rate."""
 _FASTEST = 1000.0
 """ns: no IMU samples at a megahertz; samples that share a stamp are separated by less."""
 _PACKETS = 240
-"""Samples that contain several packets (`segmentation/bunches`)."""
+"""Samples that contain several packets (`segmentation/stamps`)."""
 _MOST_HELD = 4096
 """Most samples that wait for the interval: a transfer of a second at 4 kHz."""
 _SLACK_PACKETS, _SLACK_POLLED = 0.5, 1.5
 """Intervals by which a complete bunch may be off: a polled one has one sample more or less in
-alternation (`segmentation/bunches`)."""
+alternation (`segmentation/stamps`)."""
 
 
 class Times(NamedTuple):
@@ -375,7 +375,7 @@ class _Bunch:
             made = self._came - (max(size, self._number) - self._number) * interval
             self._instant = self._instant if within else round(made) - 1
         else:
-            # Samples missing from lost packets are before this one (`segmentation/bunches`).
+            # Samples missing from lost packets are before this one (`segmentation/stamps`).
             slots = round(passed / interval)
             slots = size * max(1, round(slots / size)) if size else max(1, slots)
             number = max(slots - size, 0) + self._number if size else self._number

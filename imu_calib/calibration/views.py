@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
 
-    from ..common.files import Picture
+    from ..common.picture import Picture
 
 _TRIADS = {'g': 'gyros', 'a': 'accelerometers'}
 _BAR = 2.0
@@ -233,7 +233,7 @@ def empty_figure(width: float, height: float, what: str = 'A plot') -> Picture:
         InputError: matplotlib is not installed; begins with the feature that needs it.
     """
     require('matplotlib', what, 'plot')
-    from ..common.files import Picture
+    from ..common.picture import Picture
 
     return Picture(figsize=(width, height), layout='constrained')
 

@@ -9,7 +9,7 @@ from rich.table import Table as Rows
 
 from ..api.inspect import Inspection, inspect_streams, topics
 from ..common.units import DEG, DEG_H, PPM, STANDARD_GRAVITY, counted
-from ..reports.tables import plain_table
+from ..reports.plain_table import plain_table
 from ..session.keywords import Session
 from . import options
 from .dispatch import WRONG_INPUT, CommandResult, add_json_option
@@ -17,7 +17,7 @@ from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
     # Loaded only if it is stated how the streams are to be read.
-    from ..api.inspect import StreamContents
+    from ..api.stream_contents import StreamContents
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -15,7 +15,8 @@ from ..api.streams import output_path
 from ..calibration.views import empty_figure
 from ..common.errors import InputError
 from ..common.files import write_by
-from ..reports.tables import decimals, engineering, plain_table
+from ..reports.plain_table import plain_table
+from ..reports.tables import decimals, engineering
 from ..session.keywords import AtSite, Solved
 from ..session.plan import METHOD_NAMES
 from . import options

@@ -24,7 +24,8 @@ from ..common.errors import InputError, NotObservable
 from ..common.files import share_folder
 from ..common.stream import Mode
 from ..common.units import DEG, PPM
-from ..reports.tables import decimals, engineering, plain_table
+from ..reports.plain_table import plain_table
+from ..reports.tables import decimals, engineering
 from ..session.keywords import AtSite, Solved
 from ..session.plan import METHOD_NAMES, Plan, Position, Step, load_plan
 from ..session.table import Table, load_table
@@ -33,7 +34,7 @@ from .terminal import OUTPUT, progress_bar
 
 if TYPE_CHECKING:
     from ..estimation.forecast import ChangeForecast, Forecast, TermForecast
-    from ..estimation.methods import Setup
+    from ..estimation.setup import Setup
     from ..model.parameters import Parameter
     from ..model.sensors import SensorModel
 

@@ -38,15 +38,14 @@ from ..session.plan import Plan, load_plan
 from ..session.table import Table, load_table
 from ..stand.devices.format import FrameFormat
 from ..stand.devices.health import Severity
+from ..stand.devices.reception import Reception
 from ..stand.devices.source import Baud, Source, steady_time
 from ..stand.network import forced
-from ..stand.nodes.imu_node import Reception
-from ..stand.nodes.web_node import expectation, units_board
 from ..stand.web.board import Board, UnitsBoard
-from . import monitor as by_hand
+from ..stand.web.expectation import expectation, units_board
 from . import options, several
 from . import processes as web_page
-from .monitor import Start, view_table
+from .displays import Start, follow, view_table
 from .processes import (
     START,
     Embedded,
@@ -446,7 +445,7 @@ def _session(
     if web_page.NODE in given:
         web_page.start(arguments, processes, given[web_page.NODE])
     if load_plan(arguments.plan).by_hand:
-        return by_hand.follow(processes, reports)
+        return follow(processes, reports)
     site = options.stated(arguments).site(LUOYANG)
     plan, table = load_plan(arguments.plan), load_table(arguments.table)
     imu = load_imu(several.units_of(arguments)[0].imu)

@@ -7,11 +7,8 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from importlib.util import find_spec
-from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, Protocol
-
-from matplotlib.figure import Figure
 
 from .errors import InputError
 
@@ -255,21 +252,3 @@ def require(library: str, what: str, extra: str) -> None:
             f'{what} needs {library}, which is not installed. Run '
             f"{sys.executable} -m pip install 'imu_calib[{extra}]', or install {library}."
         )
-
-
-# A matplotlib figure that notebooks display; needs matplotlib.
-
-_DOTS = 72.0
-"""Dots per inch in a notebook: legible, and a small file."""
-
-
-class Picture(Figure):
-    """A figure without a window, displayed at the end of a notebook's cell.
-
-    Figures of `matplotlib.pyplot` are displayed too, but only if the notebook has set this up.
-    """
-
-    def _repr_png_(self) -> bytes:
-        buffer = BytesIO()
-        self.savefig(buffer, format='png', dpi=_DOTS)
-        return buffer.getvalue()

@@ -28,10 +28,11 @@ from .equations import Equations
 from .evidence import Evidence
 from .free_dwells import FreeEquations
 from .information import Information, determined
-from .methods import JOINT, Setup, check_plan, method
+from .methods import JOINT, check_plan, method
 from .modulation import warms
 from .outputs import Blocks, Component
 from .predict import bias_drift_covariance, expected
+from .setup import Setup
 from .solve import check_observable, with_changes
 
 

@@ -1,6 +1,6 @@
 """Sensors from holds in unknown attitudes: gravity has one length, and gyros turn it between holds.
 
-The equations are those of every session (`observation/free.py`), with estimated attitudes. All is
+The equations are those of every session (`estimation/free_dwells.py`), with estimated attitudes. All is
 one weighted least squares: the uncertainty of a direction by the accelerometers enters the
 parameters of the gyros. G-sensitivity of the gyros, nonlinearity of the accelerometers and biases
 that drift are estimated too, where the session shows them.

@@ -244,7 +244,7 @@ def stated_changes(
 
 ENCODER_FREEDOM = 14.0
 """Least degrees of freedom of an encoder's rate: sixteen blocks less a line's two unknowns
-(`segmentation/plateau.py`)."""
+(`segmentation/plateaus.py`)."""
 UNREST_FREEDOM = 3.0
 """Least degrees of freedom of the noise of a single dwell: four blocks less their mean
 (`segmentation/statistics.py`)."""

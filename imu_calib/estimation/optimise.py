@@ -29,8 +29,9 @@ from .equations import Equations
 from .evidence import Evidence
 from .forecast import Forecast, forecast, gravity_variances, information, listed, state_at
 from .information import log_determinant
-from .methods import JOINT, Setup, method
+from .methods import JOINT, method
 from .predict import duration, expected
+from .setup import Setup
 
 _SENSORS = len(PARAMETERS)
 _SLANTS = (0.0, 45.0)

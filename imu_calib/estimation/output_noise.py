@@ -24,7 +24,7 @@ _STATED_FREEDOM = 10.0
 to 1 / sqrt(20) = 22 %. A judgement of how far units of a type differ."""
 _BY_CHANCE = 1e-3
 """Probability that by chance any static dwell of a session gets its own noise. A judgement, as of
-groups that scatter (`methods/free_positions.py`)."""
+groups that scatter (`estimation/hand.py`)."""
 _NEAR, _NEAR_FREEDOM = 3.6, 8.0
 """Ratio of variances up to which one of so many degrees of freedom is no larger than by chance:
 chi-square of eight is 28.8 once in 2900 times, that of fewer more often, and three dwells or more

@@ -31,13 +31,13 @@ from ..session.table import TURN, Course, Table, moving, travel_time
 from .bias_drift import STATED_TIME, BiasDrift
 from .evidence import UP, Evidence, thermal_of
 from .hand import NAME as FREE_POSITIONS
-from .methods import Setup
 from .session_model import Nuisance, SessionModel
+from .setup import Setup
 
 # Statistics that counters, ADCs and rates would give for a dwell or for whole turns.
 #
 # A noise-free counter at the expected rate is processed by the same estimators as a session
-# (`segmentation.counter`).
+# (`segmentation.counters`).
 
 
 SPARE = 1.0

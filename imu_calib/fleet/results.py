@@ -1,6 +1,6 @@
 """Inputs and results of a history as values, without formulae.
 
-Arrays of parameters are in the order of `model.PARAMETERS`, SI units; NaN if unknown. Dates are
+Arrays of parameters are in the order of `parameters.PARAMETERS`, SI units; NaN if unknown. Dates are
 numpy's datetime64 in UTC; NaT if missing.
 """
 

@@ -8,7 +8,8 @@ import numpy as np
 from rich.table import Table
 
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
-from ..reports.tables import decimals, engineering, plain_table
+from ..reports.plain_table import plain_table
+from ..reports.tables import decimals, engineering
 from .results import Cause, Chart, Population, Rules, Signal, StandShift, Step, UnitHistory
 
 _BY_NAME = dict(zip(PARAMETER_NAMES, PARAMETERS, strict=True))

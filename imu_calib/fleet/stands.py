@@ -7,6 +7,7 @@ that were tried); docs/history.md, 'Unit or stand?'.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -31,8 +32,10 @@ from .trends import quantile
 _TUNING = 2.0
 """Standard deviations beyond which the weight of a session is limited: 99 % efficient for normal
 residuals, and robust to a repaired unit."""
-_NORMAL = float(
-    scipy.special.chdtr(3, _TUNING**2) + _TUNING**2 * scipy.special.chdtrc(1, _TUNING**2)
+_NORMAL = (
+    math.erf(_TUNING / math.sqrt(2))
+    - 2 * _TUNING * math.exp(-(_TUNING**2) / 2) / math.sqrt(2 * math.pi)
+    + _TUNING**2 * math.erfc(_TUNING / math.sqrt(2))
 )
 """Mean square of normal residuals limited at that (Huber 1964, proposal 2). The scale comes
 from it and uses all degrees of freedom: the median deviation of a dozen sessions is so uncertain

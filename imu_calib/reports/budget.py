@@ -17,7 +17,8 @@ from ..common.stream import Floats
 from ..model.parameters import Parameter
 from .charts import drawing, label, tag
 from .html import paragraph, table
-from .tables import decimals, engineering, plain_table
+from .plain_table import plain_table
+from .tables import decimals, engineering
 
 _LEAST = 0.005
 """A source below half a percent of every variance has no column: it would be shown as zero."""

@@ -20,23 +20,7 @@ from ..model.alignment import SCALE, SHOWN
 from ..model.parameters import AXES, Parameter, ParameterKind
 from ..model.sensors import OF_MOTION
 from ..model.terms import TERMS
-
-# Tables on a terminal: without lines, with headings in bold.
-
-
-def plain_table(headings: Sequence[str], sides: str, *, no_wrap: bool = False) -> Table:
-    """Return a table, to which rows are then added.
-
-    Args:
-        headings: Of the columns.
-        sides: 'r' for each right-aligned column, else 'l'.
-        no_wrap: Whether cells stay on one line.
-    """
-    table = Table(box=None, pad_edge=False, header_style='bold')
-    for heading, side in zip(headings, sides, strict=True):
-        table.add_column(heading, justify='right' if side == 'r' else 'left', no_wrap=no_wrap)
-    return table
-
+from .plain_table import plain_table
 
 _OF_TERMS = {term.kind for term in TERMS}
 

@@ -258,7 +258,7 @@ is for ramps whose onset is slower than a square."""
 _CLOCKS_APART = 0.05
 """Largest difference of the clocks of IMU and table before they are compared, s. A judgement: the
 largest contradiction between arrivals and a device before its stamps are corrected
-(`devices/device_clock.py`)."""
+(`stand/devices/clock.py`)."""
 
 
 @dataclass(frozen=True, eq=False)

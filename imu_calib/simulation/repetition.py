@@ -12,7 +12,7 @@ from ..calibration.calibrator import Calibrator
 from ..common.errors import NotObservable
 from ..common.parallel import run_all
 from ..common.stream import Floats
-from ..estimation.methods import Setup
+from ..estimation.setup import Setup
 from ..model.parameters import PARAMETERS, Parameter, indices_of
 from ..model.sensors import SensorModel
 from .options import StandOptions

@@ -20,9 +20,9 @@ time) and `run`; `LEASE` is the time, s, for which a process that was killed is 
 rmw_fastrtps.
 """
 
-from ..nodes.programs import Stoppable, run
 from .chosen import *  # noqa: F403
 from .chosen import NAMES, RUNTIME
+from .node_life import Stoppable, run
 from .running import GoalStatus
 
 __all__ = [*NAMES, 'RUNTIME', 'GoalStatus', 'Stoppable', 'run']  # noqa: PLE0604

@@ -336,7 +336,7 @@ class _Never(CallbackGroup):  # type: ignore[misc]
 
 
 def open_drain(node: Any, msg_type: Any, topic: str, qos_profile: Any, **options: Any) -> Any:
-    """Subscribe without a callback; see `dds.drains.open_drain`."""
+    """Subscribe without a callback; see `dds.node.open_drain`."""
     return node.create_subscription(
         msg_type,
         topic,
@@ -356,7 +356,7 @@ def open_stream(
     qos_profile: Any,
     **options: Any,
 ) -> Any:
-    """Subscribe with a callback that takes all that has arrived; see `dds.drains.open_stream`."""
+    """Subscribe with a callback that takes all that has arrived; see `dds.node.open_stream`."""
     subscription: Any = None
 
     def take(payload: bytes) -> None:
@@ -368,7 +368,7 @@ def open_stream(
 
 
 def drain(subscription: Any, most: int | None = None) -> list[bytes]:
-    """Return what has arrived, serialised, oldest first; see `dds.drains.drain`."""
+    """Return what has arrived, serialised, oldest first; see `dds.node.drain`."""
     payloads: list[bytes] = []
     handle, kind = subscription.handle, subscription.msg_type
     with handle:
@@ -383,7 +383,7 @@ def drain(subscription: Any, most: int | None = None) -> list[bytes]:
 
 
 def drain_sources(subscription: Any) -> list[tuple[bytes, bytes]]:
-    """Return what has arrived with its publishers; see `dds.drains.drain_sources`."""
+    """Return what has arrived with its publishers; see `dds.node.drain_sources`."""
     taken: list[tuple[bytes, bytes]] = []
     handle = subscription.handle
     with handle:
@@ -393,7 +393,7 @@ def drain_sources(subscription: Any) -> list[tuple[bytes, bytes]]:
 
 
 def publish_all(publisher: Any, payloads: Iterable[bytes]) -> None:
-    """Publish serialised messages without losses; see `dds.drains.publish_all`."""
+    """Publish serialised messages without losses; see `dds.node.publish_all`."""
     for payload in payloads:
         until = time.monotonic() + LONGEST_LEASE
         while True:

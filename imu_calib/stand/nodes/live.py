@@ -14,7 +14,7 @@ from ...calibration.hand import Guidance, HandCalibrator, HandReview, Stage
 from ...calibration.results import Review
 from ...common.errors import ImuCalibError
 from ...common.stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock, at
-from ...estimation.methods import Setup
+from ...estimation.setup import Setup
 from ...model.parameters import Parameter, skewed_parameters
 from ...recordings.cdr import Malformed, Messages
 from ...recordings.rosbag2 import Kind

@@ -10,7 +10,7 @@ from typing import Any
 from ...common.errors import InputError
 from ...common.stream import Floats
 from ...common.units import DEG
-from ...estimation.methods import Setup
+from ...estimation.setup import Setup
 from ...session.imu import load_imu
 from ...session.keywords import node_parameters, stated_by_node
 from ...session.metadata import describe, shared_description

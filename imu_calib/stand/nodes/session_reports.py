@@ -17,7 +17,7 @@ from ...calibration.results import Result, Review
 from ...common.errors import ImuCalibError, InputError
 from ...common.stream import NS
 from ...common.units import significant
-from ...estimation.methods import Setup
+from ...estimation.setup import Setup
 from ...model.parameters import Parameter
 from ...recordings.rosbag2 import Kind
 from ...recordings.writer import Journal

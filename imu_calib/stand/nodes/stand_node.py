@@ -35,7 +35,7 @@ from ..middleware import messages
 from . import topics as qos
 from .ascii_table_node import Commands
 from .diagnostics import Diagnostics, Level
-from .hand_node import IN_MEMORY, Lines, serve_frames
+from .frame_server import IN_MEMORY, Lines, serve_frames
 from .parameters import declare
 from .programs import entry_point
 

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 from ...common.stream import Block, SetpointBlock
-from ...estimation.methods import Setup
+from ...estimation.setup import Setup
 from ...recordings.cdr import Malformed
 from ...recordings.rosbag2 import Kind
 from ...session.units_file import MOST_UNITS

@@ -12,34 +12,24 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import replace
 from typing import Any
 
-from ...common.errors import ImuCalibError
 from ...common.files import require, user_path
-from ...common.stream import NS, ImuBlock, JointBlock, Mode, TemperatureBlock
-from ...common.units import DEG
-from ...estimation.forecast import forecast
-from ...estimation.methods import Setup
-from ...model.sensors import SensorModel
+from ...common.stream import NS, ImuBlock, JointBlock, TemperatureBlock
 from ...recordings.cdr import Malformed, Messages
 from ...recordings.rosbag2 import Kind
-from ...session.imu import load_imu
-from ...session.units_file import MountedUnit, load_units, remaining
+from ...session.units_file import load_units, remaining
 from .. import middleware as ros
 from ..middleware import messages
 from ..plan_steps import Phase
 from ..web.board import (
     Board,
-    Expected,
     Outcome,
-    PlannedStep,
-    ShownUnit,
     Snapshot,
     UnitRow,
     UnitsBoard,
 )
+from ..web.expectation import expectation, units_board
 from ..web.guard import Token, address, exposure
 from ..web.samples import Dwells
 from ..web.shape import table_shape
@@ -48,61 +38,6 @@ from .diagnostics import Diagnostics, Level
 from .parameters import StatedUnit, declare, declared_units
 from .programs import entry_point
 from .topics import listen_to_each, topics_of_unit
-
-# Known values of a session before it begins: its steps, and the plan's prediction.
-
-
-def expectation(setup: Setup) -> Expected:
-    """Return the known values of a session before it begins.
-
-    In the prediction the biases drift by the data sheet's figure, as calibrations assume.
-    """
-    table = setup.table
-    steps = tuple(
-        PlannedStep(step.position, _words(step.mode, step.rates.tolist(), step.turns, step.dwell))
-        for step in setup.steps
-    )
-    predicted: dict[str, float] = {}
-    # Without the noise of a data sheet there is no prediction; everything else is shown.
-    with suppress(ImuCalibError):
-        found = forecast(setup, SensorModel(), drifting=True)
-        names = [parameter.name for parameter in found.parameters]
-        predicted = dict(zip(names, found.std.tolist(), strict=True))
-    return Expected(
-        setup.plan.name,
-        setup.imu.id,
-        '' if table is None else table.name,
-        steps,
-        setup.parameters,
-        tuple(predicted.get(p.name, float('nan')) for p in setup.parameters),
-        setup.imu.specification,
-        () if table is None else table.names,
-    )
-
-
-def units_board(setup: Setup, units: Sequence[MountedUnit]) -> UnitsBoard:
-    """Return a board for several units, with the known values of each before the session begins.
-
-    Args:
-        setup: Of the session: its plan, its table and its site.
-        units: The mounted units.
-    """
-    # A forecast takes time; units of one type share it.
-    types: dict[str, Expected] = {}
-    for unit in units:
-        if unit.imu not in types:
-            types[unit.imu] = expectation(replace(setup, imu=load_imu(unit.imu)))
-    return UnitsBoard(
-        {unit.name: ShownUnit(unit.serial_number, unit.place, types[unit.imu]) for unit in units}
-    )
-
-
-def _words(mode: Mode, rates: list[float], turns: int, dwell: float) -> str:
-    if mode is Mode.RATE:
-        rate = next((r for r in rates if r), 0.0) / DEG
-        return f'{turns} turn{"s" * (turns != 1)} at {rate:g} deg/s.'
-    return f'Stands still for {dwell:g} s.'
-
 
 TOKEN = 'IMU_CALIB_WEB_TOKEN'
 """Environment variable with the token; without it the node creates one, and prints it."""

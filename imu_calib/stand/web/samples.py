@@ -32,7 +32,7 @@ _GROWTH = 1.5
 """Growth of the number of samples of a dwell after which its curve is drawn again. A choice: a
 curve changes visibly no sooner."""
 _RATE_SPAN = 2_000_000_000
-"""ns over which the rates of the channels are counted. A choice, as in `devices/health`."""
+"""ns over which the rates of the channels are counted. A choice, as in `stand/devices/health`."""
 
 
 @dataclass(frozen=True, eq=False)
