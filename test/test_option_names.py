@@ -20,20 +20,20 @@ from imu_calib.common.errors import InputError
 PACKAGE = CHECKOUT / 'imu_calib'
 OTHERS = {
     'session/keywords.py': 'the declaration of options',
-    'certificates/printing.py': 'options of Chromium',
-    'middleware/running.py': 'options of ROS',
-    'middleware/dds/arguments.py': 'options of ROS',
-    'middleware/dds/context.py': 'options of ROS',
-    'exports/ros.py': 'a command of ROS',
-    'other_formats.py': 'a whole command',
+    'reports/certificate_page.py': 'options of Chromium',
+    'stand/middleware/node_life.py': 'options of ROS',
+    'stand/middleware/dds/arguments.py': 'options of ROS',
+    'stand/middleware/dds/context.py': 'options of ROS',
+    'calibration/exports.py': 'a command of ROS',
+    'common/other_formats.py': 'a whole command',
     'fleet/history.py': 'a whole command',
-    'api/standing.py': 'runs a command',
+    'api/stand.py': 'runs a command',
     'api/streams.py': 'a whole command',
-    'segmentation/halves.py': 'a whole command',
-    'runtime.py': 'a whole command',
-    'middleware/ros.py': 'a command of ROS',
+    'segmentation/stream_facts.py': 'a whole command',
+    'stand/network.py': 'a whole command',
+    'stand/middleware/ros.py': 'a command of ROS',
     **dict.fromkeys(
-        ('reports/style.py', 'reports/fleet/style.py', 'web/style.py'), 'variables of CSS'
+        ('reports/html.py', 'fleet/page.py', 'stand/web/drawing.py'), 'variables of CSS'
     ),
 }
 """Files outside cli that name options, and whose."""
