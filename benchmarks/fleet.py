@@ -33,11 +33,11 @@ from typing import Any
 os.environ.setdefault('OMP_NUM_THREADS', '1')
 
 import imu_calib
-from imu_calib.api.session import Stated
 from imu_calib.common.files import named_file
 from imu_calib.common.parallel import Engine, Show
 from imu_calib.fleet.catalogue import Catalogue, run_batch
 from imu_calib.fleet.recordings import Job, Labels
+from imu_calib.session.keywords import Stated
 
 LEAST = 0.85
 DIFFERENT = 5

@@ -36,7 +36,6 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from imu_calib.api.session import Stated
 from imu_calib.calibration.thermal import read_calibration
 from imu_calib.common.config import Section
 from imu_calib.common.errors import ImuCalibError
@@ -60,6 +59,7 @@ from imu_calib.recordings.cdr_codec import (
 from imu_calib.recordings.rosbag2 import Kind, open_recording
 from imu_calib.reports.certificate_fields import read_fields
 from imu_calib.session.imu import read_imu
+from imu_calib.session.keywords import Stated
 from imu_calib.session.plan import read_plan
 from imu_calib.session.table import load_table, read_table
 from imu_calib.session.units_file import read_units

@@ -9,11 +9,11 @@ applies /etc/robot/imu/A1234.yaml. Without a port another driver's raw stream is
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.parameter_descriptions import ParameterValue
 
-from imu_calib.stand.launching import checks, node
+from imu_calib.stand.launching import arguments, checks, node
 from launch import Action, LaunchContext, LaunchDescription
 
 SHARE = Path(get_package_share_directory('imu_calib'))
@@ -50,10 +50,7 @@ def generate_launch_description() -> LaunchDescription:
     """Describe the IMU of a robot."""
     return LaunchDescription(
         [
-            *(
-                DeclareLaunchArgument(name, default_value=default, description=description)
-                for name, (default, description) in ARGUMENTS.items()
-            ),
+            *arguments(ARGUMENTS),
             # On a robot the device may come later.
             checks(port=False),
             OpaqueFunction(function=_nodes),

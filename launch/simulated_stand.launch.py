@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, Shutdown
+from launch.actions import IncludeLaunchDescription, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.parameter_descriptions import ParameterValue
 
-from imu_calib.stand.launching import checks, node
+from imu_calib.stand.launching import arguments, checks, node
 from launch import LaunchDescription
 
 SHARE = Path(get_package_share_directory('imu_calib'))
@@ -67,10 +67,7 @@ def generate_launch_description() -> LaunchDescription:
     )
     return LaunchDescription(
         [
-            *(
-                DeclareLaunchArgument(name, default_value=default, description=description)
-                for name, (default, description) in ARGUMENTS.items()
-            ),
+            *arguments(ARGUMENTS),
             checks(view=True),
             devices,
             stand,

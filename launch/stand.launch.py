@@ -18,68 +18,39 @@ from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.parameter_descriptions import ParameterValue
 
-from imu_calib.stand.launching import checks, devices, node
+from imu_calib.stand.launching import arguments, checks, devices, node, session_arguments
 from launch import Action, LaunchContext, LaunchDescription
 
 SHARE = Path(get_package_share_directory('imu_calib'))
-ARGUMENTS = [
-    DeclareLaunchArgument(
-        'port',
-        default_value='',
-        description='Port of the IMU: a serial port, socket://host:port, udp://host:port, '
+ARGUMENTS = {
+    'port': (
+        '',
+        'Port of the IMU: a serial port, socket://host:port, udp://host:port, '
         'or a file; needed without units.',
     ),
-    DeclareLaunchArgument(
-        'latitude', description='Latitude of the stand, deg, negative in the south.'
-    ),
-    DeclareLaunchArgument(
-        'device',
-        default_value='',
-        description="Name or file of the frames' format; needed without units.",
-    ),
-    DeclareLaunchArgument(
-        'units',
-        default_value='',
-        description='File of several units on the table, with the port of each; empty: one unit.',
-    ),
-    DeclareLaunchArgument(
-        'without',
-        default_value='',
-        description='Serial numbers of units of that file that are left out, commas between.',
-    ),
-    DeclareLaunchArgument(
-        'baud',
-        default_value='0',
-        description="Baud rate of a serial port, bit/s; 0: as the device's file says, else 115200.",
-    ),
-    DeclareLaunchArgument(
-        'table_output',
-        default_value='setpoint',
-        choices=['setpoint', 'trajectory'],
-        description='How the table is led: setpoints, or trajectories of ros2_control.',
-    ),
-    DeclareLaunchArgument(
-        'autostart',
-        default_value='false',
-        description='Whether the plan starts by itself; else call turntable_node/start.',
-    ),
-    DeclareLaunchArgument(
-        'stop_required',
-        default_value='false',
-        description='Whether nothing moves without a heartbeat on the topic heartbeat.',
-    ),
-    DeclareLaunchArgument(
-        'view', default_value='true', description='Whether robot_state_publisher shows the table.'
-    ),
-    DeclareLaunchArgument('rviz', default_value='false', description='Whether RViz shows it.'),
-]
+    'device': ('', "Name or file of the frames' format; needed without units."),
+    'units': ('', 'File of several units on the table, with the port of each; empty: one unit.'),
+    'without': ('', 'Serial numbers of units of that file that are left out, commas between.'),
+    'baud': ('0', "Baud rate of a serial port, bit/s; 0: as the device's file says, else 115200."),
+    'autostart': ('false', 'Whether the plan starts by itself; else call turntable_node/start.'),
+    'stop_required': ('false', 'Whether nothing moves without a heartbeat on the topic heartbeat.'),
+    'view': ('true', 'Whether robot_state_publisher shows the table.'),
+    'rviz': ('false', 'Whether RViz shows it.'),
+}
 
 
 def generate_launch_description() -> LaunchDescription:
     """Describe the stand."""
     return LaunchDescription(
         [
-            *ARGUMENTS,
+            *session_arguments('latitude'),
+            *arguments(ARGUMENTS),
+            DeclareLaunchArgument(
+                'table_output',
+                default_value='setpoint',
+                choices=['setpoint', 'trajectory'],
+                description='How the table is led: setpoints, or trajectories of ros2_control.',
+            ),
             checks(view=True, table=True),
             _include('calibrator.launch.py', latitude=LaunchConfiguration('latitude')),
             OpaqueFunction(function=_devices),

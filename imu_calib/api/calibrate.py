@@ -23,11 +23,12 @@ from ..recordings.rosbag2 import Recording
 from ..recordings.text import StampSorter
 from ..segmentation.stream_facts import Segmented
 from ..session.imu import HOTTEST
+from ..session.keywords import Named, OfSeveral, Session, Stated, with_keywords
 from ..session.metadata import compensated_already, interpolated_from, serial_key
 from ..session.plan import load_plan
 from ..session.units_file import MountedUnit
 from .compare import specification_of
-from .session import Named, OfSeveral, Session, Stated, as_units, with_keywords
+from .session import as_units
 from .stamp_clock import clock_findings, refused_by_stamps
 from .streams import (
     ASSUMED_BY_HAND,
@@ -63,24 +64,7 @@ def calibrate(
 
     Args:
         bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
-        plan: The plan that was run; 'none' without one.
-        imu: Units and noise of the IMU's samples.
-        table: The turntable.
-        azimuth: Heading of the table's zero against north, counter-clockwise, deg.
-        latitude: Of the site, deg, negative in the south.
-        latitude_std: Its standard deviation, deg.
-        height: Above the ellipsoid, m; determines gravity if that is not stated.
-        height_std: Its standard deviation, m.
-        gravity: Measured gravity, m/s^2.
-        gravity_std: Its standard deviation, m/s^2.
-        method: The estimator; None for the joint estimate if it applies, else the plan's own.
-        terms: Terms that the joint estimate adds to the 24 parameters, names separated by commas:
-            'auto' (those that the session shows, as None), 'none', or terms by name.
-        serial: Serial number of the unit.
-        imu_topic: Of sensor_msgs/Imu, if there are several.
-        joint_topic: Of sensor_msgs/JointState, likewise.
-        setpoint_topic: Of imu_calib_msgs/TurntableSetpoint, likewise.
-        imu_only: Use only the IMU and the order of the plan.
+        KEYWORDS
         progress: Shows the progress; nothing by default.
         **stated: The keywords from `plan` on, all optional.
 
@@ -341,31 +325,31 @@ def units_of_recording(
     Raises:
         InputError: As `calibrate_units`.
     """
-    parts = [_started(recording, stated, unit) for unit in _units_of_session(recording, imus)]
-    _feed_units(recording, parts, progress)
-    alone = [part.finished() for part in parts]
+    sessions = [_started(recording, stated, unit) for unit in _units_of_session(recording, imus)]
+    _feed_units(recording, sessions, progress)
+    alone = [one.result() for one in sessions]
     found = (
         SharedResults(tuple(alone), None, (), {})
         if separate
-        else estimate_together(alone, [part.unit.serial_number for part in parts])
+        else estimate_together(alone, [one.unit.serial_number for one in sessions])
     )
-    return _documented(parts, found)
+    return _documented(sessions, found)
 
 
-def _documented(parts: Sequence[_Part], found: SharedResults) -> UnitResults:
+def _documented(sessions: Sequence[_UnitSession], found: SharedResults) -> UnitResults:
     """Return the results with a reference to their recording."""
     units = []
-    for part, result in zip(parts, found.results, strict=True):
-        unit, documented_result = part.unit, None
-        if result is not None and part.opened is not None:
-            documented_result = documented(part.opened, result)
-        kind = (unit.imu or '') if part.opened is None else part.opened.setup.imu.id
+    for one, result in zip(sessions, found.results, strict=True):
+        unit, documented_result = one.unit, None
+        if result is not None and one.opened is not None:
+            documented_result = documented(one.opened, result)
+        kind = (unit.imu or '') if one.opened is None else one.opened.setup.imu.id
         units.append(
             UnitResult(
-                unit.serial_number, unit.topic, unit.place, documented_result, part.error, kind
+                unit.serial_number, unit.topic, unit.place, documented_result, one.error, kind
             )
         )
-    numbers = [part.unit.serial_number for part in parts]
+    numbers = [one.unit.serial_number for one in sessions]
     return UnitResults(
         tuple(units),
         found.table,
@@ -422,7 +406,7 @@ def _units_of_session(
 
 
 @dataclass(eq=False)
-class _Part:
+class _UnitSession:
     """A unit during the pass through the recording."""
 
     unit: _Unit
@@ -430,8 +414,8 @@ class _Part:
     calibrator: Calibrator | HandCalibrator | None = None
     error: ImuCalibError | None = None
 
-    def take(self, topic: str, block: Block) -> None:
-        """Take a block of a topic: samples go to the calibrator in the order of their stamps."""
+    def receive(self, topic: str, block: Block) -> None:
+        """Feed a block of a topic to the calibrator, samples in the order of their stamps."""
         assert self.opened is not None
         if topic == self.opened.streams.imu and isinstance(block, ImuBlock):
             self.feed(self.opened.order.add(block))
@@ -447,7 +431,7 @@ class _Part:
         except ImuCalibError as error:
             self.error, self.calibrator = error, None
 
-    def finished(self) -> Result | None:
+    def result(self) -> Result | None:
         """End the unit's session; None if it fails, with the reason in `error`."""
         if self.opened is None or self.calibrator is None:
             return None
@@ -458,7 +442,7 @@ class _Part:
             return None
 
 
-def _started(recording: Recording, stated: Stated, unit: _Unit) -> _Part:
+def _started(recording: Recording, stated: Stated, unit: _Unit) -> _UnitSession:
     """Create a unit's calibrator; its errors do not affect other units."""
     mine = replace(
         stated,
@@ -469,26 +453,26 @@ def _started(recording: Recording, stated: Stated, unit: _Unit) -> _Part:
     )
     try:
         opened = session_of(recording, mine)
-        return _Part(unit, opened, calibrator_of(opened.setup))
+        return _UnitSession(unit, opened, calibrator_of(opened.setup))
     except ImuCalibError as error:
-        return _Part(unit, error=error)
+        return _UnitSession(unit, error=error)
 
 
-def _feed_units(recording: Recording, parts: Sequence[_Part], progress: Progress) -> None:
+def _feed_units(recording: Recording, sessions: Sequence[_UnitSession], progress: Progress) -> None:
     """Feed each unit its own data, and all of them the table's, in one pass."""
     kinds: dict[str, Any] = {}
-    takers: defaultdict[str, list[_Part]] = defaultdict(list)
-    for part in parts:
-        if part.opened is not None:
-            kinds |= part.opened.streams.kinds()
-            for topic in part.opened.streams.kinds():
-                takers[topic].append(part)
+    listeners: defaultdict[str, list[_UnitSession]] = defaultdict(list)
+    for one in sessions:
+        if one.opened is not None:
+            kinds |= one.opened.streams.kinds()
+            for topic in one.opened.streams.kinds():
+                listeners[topic].append(one)
     if not kinds:
         return
     with progress('reading') as show:
         for topic, block in recording.read(kinds, show):
-            for part in takers[topic]:
-                part.take(topic, block)
-    for part in parts:
-        if part.opened is not None:
-            part.feed(part.opened.order.finish())
+            for one in listeners[topic]:
+                one.receive(topic, block)
+    for one in sessions:
+        if one.opened is not None:
+            one.feed(one.opened.order.finish())

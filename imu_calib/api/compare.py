@@ -23,13 +23,12 @@ from ..model.parameters import Parameter
 from ..reports.provenance import Assessed, assess, worst
 from ..reports.tables import SideBySide, side_by_side
 from ..session.imu import COVERAGE, ImuSpec, Specification, Verdict
-from .session import Named, as_applied, as_calibration, as_combined, as_imu, as_list, name_of
+from ..session.keywords import Named, as_imu
+from .session import as_applied, as_calibration, as_combined, as_list, name_of
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
-
-    from ..calibration.results import Result
 
 
 _FEWEST = 2

@@ -25,9 +25,10 @@ from ..recordings.rosbag2 import Kind, Recording, open_recording
 from ..recordings.storage import Topic
 from ..recordings.writer import RecordingWriter
 from ..session.imu import ImuSpec, compensated_imu
+from ..session.keywords import Named, Stated
 from ..session.metadata import COMPENSATED, compensated_already, compensated_key, stream_description
 from ..session.units_file import TOPIC
-from .session import Named, Stated, as_applied, serial_of, stated_imu
+from .session import as_applied, serial_of, stated_imu
 from .stamp_clock import sample_findings
 from .streams import imu_topic, new_folder, removed_on_failure, skew_topic, temperature_topic
 

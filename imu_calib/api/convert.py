@@ -20,9 +20,9 @@ from ..recordings.rosbag2 import Kind, Recording, open_recording
 from ..recordings.writer import RecordingWriter
 from ..segmentation.stream_facts import SEPARATE_ROWS, gravity_removed, halves, quiet_means
 from ..session.imu import ImuSpec, load_imu
+from ..session.keywords import Named
 from ..session.metadata import interpolation_description
 from .columns import columns_of
-from .session import Named
 from .streams import removed_on_failure
 
 RAW, SI, JOINTS, TEMPERATURE = (

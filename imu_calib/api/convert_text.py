@@ -32,6 +32,7 @@ from ..recordings.text import Text, places_by_stamp, read_sensors, read_text
 from ..recordings.writer import RecordingWriter
 from ..segmentation.stream_facts import SEPARATE_ROWS, gravity_removed, halves, quiet_means
 from ..session.imu import COLDEST, HOTTEST
+from ..session.keywords import Named
 from ..session.metadata import interpolation_description
 from .convert import (
     JOINTS,
@@ -47,7 +48,6 @@ from .convert import (
     resampling,
     write_imu,
 )
-from .session import Named
 from .streams import against_si, removed_on_failure
 
 _GYRO = {**Dimension.RATE.value, **Dimension.ANGLE.value, **RAW_UNITS}

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -34,22 +34,11 @@ from ..reports.dcc import dcc
 from ..reports.page import Contents, page
 from ..reports.thermal import thermal_page
 from ..session.imu import ImuSpec
+from ..session.keywords import NO_PLAN, Named, Stated, as_imu
 from ..session.plan import Plan, load_plan
 from .calibrate import solve
-from .session import (
-    NO_PLAN,
-    Named,
-    Stated,
-    as_applied,
-    as_calibration,
-    as_combined,
-    as_imu,
-    as_list,
-)
+from .session import as_applied, as_calibration, as_combined, as_list
 from .streams import output_path, page_path, recording_at, session_of
-
-if TYPE_CHECKING:
-    from ..calibration.results import Result
 
 _ALIKE = 0.1
 """In standard deviations: two results of one recording that are closer are the same. A judgement:
@@ -197,8 +186,9 @@ def _plan_it_was(
     Raises:
         NotStated: The calibration names a plan that is not shipped.
     """
-    if stated.plan is not None or 'plan' not in origin:
-        return stated.plan
+    given: Plan | Named | None = stated.plan
+    if given is not None or 'plan' not in origin:
+        return given
     if origin['plan'] is None:
         return NO_PLAN
     if 'imu_calib.plan' in recording.custom_data:

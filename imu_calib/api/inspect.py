@@ -12,8 +12,8 @@ from ..common.parallel import Progress, silent
 from ..common.units import counted
 from ..recordings.rosbag2 import Kind, Recording, open_recording
 from ..recordings.storage import Extent
+from ..session.keywords import Named, Session, Stated, with_keywords
 from ..session.metadata import COMPENSATED
-from .session import Named, Session, Stated, with_keywords
 from .stamp_clock import contradiction, difference
 from .streams import open_session
 

@@ -39,9 +39,10 @@ from ..model.earth import LUOYANG
 from ..model.parameters import Parameter
 from ..model.sensors import SensorModel, parameters_of, terms_of
 from ..session.imu import ImuSpec
+from ..session.keywords import Named, Optimised, Planned, Stated, as_imu, as_plan, with_keywords
 from ..session.plan import Plan
 from ..session.table import Table
-from .session import Named, Optimised, Planned, Stated, as_imu, as_plan, as_truth, with_keywords
+from .session import as_truth
 from .streams import output_path
 
 if TYPE_CHECKING:

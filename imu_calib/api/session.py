@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import wraps
-from inspect import Parameter, signature
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,15 +17,13 @@ from ..calibration.thermal import (
     first_of,
     load_calibration,
 )
-from ..common.config import Section, check
+from ..common.config import Section
 from ..common.errors import InputError, NotStated
 from ..common.files import named_file
-from ..common.stream import Floats
 from ..common.units import DEG
 from ..model.earth import MEASURED, VAGUE, Site
-from ..model.session_terms import SESSION_TERMS, Change, split_terms
-from ..model.terms import AUTO_TERMS, NO_TERMS, TERMS, Term, asks_for_search, named_terms
-from ..session.imu import ImuSpec, load_imu, read_imu
+from ..session.imu import ImuSpec, read_imu
+from ..session.keywords import NO_PLAN, Named, Stated, as_imu, as_plan
 from ..session.metadata import (
     SERIAL_NUMBER,
     TABLE,
@@ -38,22 +34,13 @@ from ..session.metadata import (
     serial_key,
     states_site,
 )
-from ..session.plan import Plan, load_plan, read_plan
-from ..session.table import Table, load_table, read_table
+from ..session.plan import Plan, read_plan
+from ..session.table import Table, read_table
 from ..session.units_file import MountedUnit, load_units
 
 if TYPE_CHECKING:
     from ..calibration.results import Result
     from ..recordings.rosbag2 import Recording
-    from ..session.imu import ImuSpec
-    from ..session.plan import Plan
-    from ..session.table import Table
-
-# Arguments given by name, by path or as a value.
-
-
-Named: TypeAlias = str | Path
-"""The name of a supplied file, or the path of one."""
 
 
 def as_list(given: Any) -> list[Any]:
@@ -61,21 +48,6 @@ def as_list(given: Any) -> list[Any]:
     if isinstance(given, Sequence) and not isinstance(given, str):
         return list(given)
     return [given]
-
-
-def as_plan(plan: Plan | Named) -> Plan:
-    """Return a plan given by name or value."""
-    return plan if isinstance(plan, Plan) else load_plan(plan)
-
-
-def as_imu(imu: ImuSpec | Named) -> ImuSpec:
-    """Return an IMU given by name or value."""
-    return imu if isinstance(imu, ImuSpec) else load_imu(imu)
-
-
-def as_table(table: Table | Named) -> Table:
-    """Return a table given by name or value."""
-    return table if isinstance(table, Table) else load_table(table)
 
 
 def as_units(imus: Named | Sequence[MountedUnit]) -> tuple[MountedUnit, ...]:
@@ -150,119 +122,13 @@ def load_truth(truth: Calibration | Named, imu: ImuSpec) -> Calibration:
     return known
 
 
-NO_PLAN = 'none'
-"""Value for a plan if none was run, or if the recording's own must not be used."""
-
 TRUE_TABLE = 'true_table.yaml'
 """File in a simulated recording: the true table, if it differs from its description."""
 
-DEFAULT_TERMS = AUTO_TERMS
-"""Of `terms`: those that the session shows."""
-
-TERM_CHOICES = (
-    f'{AUTO_TERMS}, those that the session shows; {NO_TERMS}; or of '
-    f'{", ".join([*(term.name for term in TERMS), *SESSION_TERMS])} (default: {DEFAULT_TERMS})'
-)
-"""Values of `terms`, in words."""
-
-_TABLE = 'three_axis'
 _ANYWHERE = 0.0
 """deg: assumed latitude, with the standard deviation `VAGUE`, if only gravity is stated for a unit
 in the hand. The error of the vertical Earth rate is then at most 15 deg/h in either hemisphere:
 0.008 deg in a turn of two seconds."""
-
-
-@dataclass(frozen=True)
-class Stated:
-    """Statements of a caller on a session; None uses the recording or a default."""
-
-    plan: Plan | Named | None = None  #: The plan that was run; `NO_PLAN` for none.
-    imu: ImuSpec | Named | None = None  #: Units and noise of the IMU's samples.
-    table: Table | Named | None = None  #: The turntable.
-    azimuth: float | None = None  #: Heading of the table's zero against north, deg.
-    imu_topic: str | None = None  #: Of sensor_msgs/Imu.
-    joint_topic: str | None = None  #: Of sensor_msgs/JointState.
-    setpoint_topic: str | None = None  #: Of imu_calib_msgs/TurntableSetpoint.
-    imu_only: bool = False  #: Use only the IMU and the order of the plan.
-    latitude: float | None = None  #: Degrees, negative in the south.
-    latitude_std: float | None = None  #: Its standard deviation, deg.
-    height: float | None = None  #: Above the ellipsoid, m.
-    height_std: float | None = None  #: Its standard deviation, m.
-    gravity: float | None = None  #: Measured gravity, m/s^2.
-    gravity_std: float | None = None  #: Its standard deviation, m/s^2.
-    method: str | None = None  #: Name of the estimator.
-    #: Terms that the joint estimate adds to the 24 parameters: names separated by commas.
-    terms: str | None = None
-    serial: str | None = None  #: Serial number of the unit.
-    mount: Floats | None = None  #: (3, 3) its body axes in those of the table's described mount.
-
-    @property
-    def _terms(self) -> str:
-        return DEFAULT_TERMS if self.terms is None else self.terms
-
-    @property
-    def sensor_terms(self) -> tuple[Term, ...]:
-        """Terms of the sensors that are requested by name.
-
-        Raises:
-            InputError: No such term.
-        """
-        return named_terms(split_terms(self._terms)[0])
-
-    @property
-    def changes(self) -> tuple[Change, ...]:
-        """Coefficients of the session's terms that are requested by name.
-
-        Raises:
-            InputError: No such term, or two that exclude each other.
-        """
-        return split_terms(self._terms)[1]
-
-    @property
-    def search_terms(self) -> bool:
-        """Whether terms that the session shows are also estimated."""
-        return asks_for_search(self._terms)
-
-    def site(self, otherwise: float) -> Site:
-        """Return the stated site; its latitude is `otherwise`, deg, if it is not stated.
-
-        Raises:
-            InputError: There is no such place on Earth.
-        """
-        latitude = otherwise if self.latitude is None else self.latitude
-        return Site.at(
-            latitude * DEG,
-            self.height,
-            self.gravity,
-            height_std=self.height_std,
-            gravity_std=self.gravity_std,
-            latitude_std=None if self.latitude_std is None else self.latitude_std * DEG,
-        )
-
-    def simulated_table(self) -> Table:
-        """Return the stated table or the three-axis table, at the stated azimuth."""
-        return self.at_azimuth(as_table(self.table or _TABLE))
-
-    def at_azimuth(self, table: Table) -> Table:
-        """Return a table at the stated azimuth, if any.
-
-        Raises:
-            InputError: It is not an angle.
-        """
-        if self.azimuth is None:
-            return table
-        return replace(table, azimuth=azimuth_of(self.azimuth))
-
-
-def azimuth_of(degrees: float) -> float:
-    """Return an azimuth in rad.
-
-    Raises:
-        InputError: It is no angle, or beyond a turn.
-    """
-    if not abs(degrees) <= 360:
-        raise InputError(f'`azimuth`: found {degrees:g} deg, expected -360 to 360.')
-    return degrees * DEG
 
 
 def stated_plan(stated: Stated, recording: Recording) -> Plan | None:
@@ -388,112 +254,3 @@ def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> S
         gravity_std=stated.gravity_std,
         latitude_std=doubt,
     )
-
-
-# Keywords common to several functions: the statements on a session, which form `Stated`.
-
-Arguments = ParamSpec('Arguments')
-Returned = TypeVar('Returned')
-
-
-class AtSite(TypedDict, total=False):
-    """The site and its uncertainty."""
-
-    latitude: float | None
-    latitude_std: float | None
-    height: float | None
-    height_std: float | None
-    gravity: float | None
-    gravity_std: float | None
-
-
-class OnTable(TypedDict, total=False):
-    """The table that turns the unit."""
-
-    table: Table | Named | None
-    azimuth: float | None
-
-
-class Solved(TypedDict, total=False):
-    """The method of estimation."""
-
-    method: str | None
-    terms: str | None
-
-
-class OfUnit(TypedDict, total=False):
-    """The unit and the topics of its samples."""
-
-    imu: ImuSpec | Named | None
-    serial: str | None
-    imu_topic: str | None
-    imu_only: bool
-
-
-class Planned(AtSite, OnTable, Solved, total=False):
-    """A session that is predicted or simulated."""
-
-
-class Optimised(AtSite, OnTable, total=False):
-    """A session whose plan is optimised."""
-
-
-class OnStand(AtSite, Solved, total=False):
-    """A session that is run live."""
-
-
-class OfSeveral(AtSite, OnTable, Solved, total=False):
-    """A recorded session of several units."""
-
-    plan: Plan | Named | None
-    joint_topic: str | None
-    setpoint_topic: str | None
-
-
-class Session(OfSeveral, OfUnit, total=False):
-    """A recorded session of one unit."""
-
-
-class Verified(AtSite, OnTable, OfUnit, total=False):
-    """A recorded session for verification, without an estimate."""
-
-    plan: Plan | Named | None
-    joint_topic: str | None
-    setpoint_topic: str | None
-
-
-def with_keywords(
-    kind: type[object],
-) -> Callable[[Callable[Arguments, Returned]], Callable[Arguments, Returned]]:
-    """Show the keywords of a kind in the signature of a function that takes them by `**`.
-
-    The arguments are checked, as by `checked`. Help, completion, documentation and the command line
-    read them from the signature.
-    """
-
-    def of(function: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
-        own = signature(function)
-        *named, kept = own.parameters.values()
-        more = [
-            Parameter(f.name, Parameter.KEYWORD_ONLY, default=f.default, annotation=f.type)
-            for f in fields(Stated)
-            if f.name in kind.__annotations__
-        ]
-
-        @wraps(function)
-        def called(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Returned:
-            if unknown := set(kwargs) - set(extended.parameters):
-                name = function.__name__
-                raise TypeError(f'{name}() got an unexpected keyword argument {unknown.pop()!r}')
-            check(extended, args, kwargs)
-            return function(*args, **kwargs)
-
-        extended = own.replace(parameters=[*named, *more])
-        called.__signature__ = extended  # type: ignore[attr-defined]
-        # Names that cannot be resolved (`Unpack` is for mypy) would hide the others.
-        called.__annotations__ = {
-            n: a for n, a in function.__annotations__.items() if n != kept.name
-        }
-        return called
-
-    return of

@@ -29,28 +29,13 @@ from ..common.units import counted
 from ..estimation.methods import check_plan
 from ..estimation.methods import method as solver
 from ..estimation.setup import Setup
-from ..model.earth import LUOYANG
+from ..model.earth import LUOYANG, Site
 from ..recordings.cdr import Messages
 from ..recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints, encode_temperatures
 from ..recordings.rosbag2 import Kind
 from ..recordings.writer import RecordingWriter
 from ..session.imu import COLDEST, HOTTEST, ImuSpec
-from ..session.metadata import describe, mount_description, shared_description, unit_description
-from ..session.plan import Plan
-from ..session.table import Table
-from ..session.units_file import TRUTHS, MountedUnit, spread_seeds
-from ..simulation.hand import as_planned
-from ..simulation.options import StandOptions, load_imperfections
-from ..simulation.repetition import Outcome, Study, economical, repeat
-from ..simulation.stand import (
-    IMU_TOPIC,
-    TEMPERATURE_TOPIC,
-    SeveralOnTable,
-    SimulatedStand,
-    SimulatedUnit,
-)
-from .session import (
-    TRUE_TABLE,
+from ..session.keywords import (
     AtSite,
     Named,
     Planned,
@@ -58,11 +43,24 @@ from .session import (
     as_imu,
     as_plan,
     as_table,
-    as_units,
     azimuth_of,
-    load_truth,
     with_keywords,
 )
+from ..session.metadata import describe, mount_description, shared_description, unit_description
+from ..session.plan import Plan
+from ..session.table import Table
+from ..session.units_file import TRUTHS, MountedUnit, spread_seeds
+from ..simulation.hand import as_planned
+from ..simulation.options import StandOptions, load_imperfections
+from ..simulation.repetition import RunStatistics, Study, economical, repeat
+from ..simulation.stand import (
+    IMU_TOPIC,
+    TEMPERATURE_TOPIC,
+    SeveralOnTable,
+    SimulatedStand,
+    SimulatedUnit,
+)
+from .session import TRUE_TABLE, as_units, load_truth
 from .streams import new_folder, removed_on_failure
 
 if TYPE_CHECKING:
@@ -138,19 +136,12 @@ def simulate(
             its parent folder does not.
         NotObservable: The plan cannot determine the parameters with its method.
     """
-    if seed < 0:
-        raise InputError(f'`seed`: found {seed}, expected 0 or more.')
-    target = new_folder(output)
-    place = Stated(**site).site(LUOYANG)
-    spec = as_imu(imu)
-    # Errors are relative to nominal scale factors: those of this unit.
-    true = replace(load_truth(truth, spec), imu=spec)
-    steps = as_plan(plan)
-    check_plan(steps.method, steps, place)
+    target, place, steps = _prepared(plan, output, seed, site)
+    spec, true = _true_unit(imu, truth)
     named = None if steps.by_hand else table or _TABLE
     blocks: Iterator[tuple[str, Block]]
     stands = None if named is None else as_table(named)
-    stated = options_of(
+    stated = _options(
         stands,
         azimuth,
         imperfections,
@@ -170,13 +161,35 @@ def simulate(
     data = describe(plan, imu, named, place, serial or '')
     with removed_on_failure(target):
         with RecordingWriter(target, data, compression) as writer:
-            write_blocks(writer, blocks, duration, progress)
+            _write_blocks(writer, blocks, duration, progress)
         true.save(target / TRUTH)
-        true_table = save_true_table(target, stated, stands)
+        true_table = _save_true_table(target, stated, stands)
     return Simulated(target, steps, true, duration, true_table)
 
 
-def options_of(
+def _prepared(
+    plan: Plan | Named, output: Named, seed: int, site: AtSite
+) -> tuple[Path, Site, Plan]:
+    """Return the folder to create, the site and the plan of a session.
+
+    Raises:
+        InputError: One of them is invalid, or the seed.
+        NotObservable: The plan cannot determine the parameters with its method.
+    """
+    if seed < 0:
+        raise InputError(f'`seed`: found {seed}, expected 0 or more.')
+    target, place, steps = new_folder(output), Stated(**site).site(LUOYANG), as_plan(plan)
+    check_plan(steps.method, steps, place)
+    return target, place, steps
+
+
+def _true_unit(imu: ImuSpec | Named, truth: Calibration | Named) -> tuple[ImuSpec, Calibration]:
+    """Return a unit's description and true parameters, relative to its nominal scale factors."""
+    spec = as_imu(imu)
+    return spec, replace(load_truth(truth, spec), imu=spec)
+
+
+def _options(
     table: Table | None,
     azimuth: float | None,
     imperfections: Named | None,
@@ -202,7 +215,7 @@ def options_of(
     return _with_date_and_temperature(options, start, temperature)
 
 
-def write_blocks(
+def _write_blocks(
     writer: RecordingWriter,
     blocks: Iterable[tuple[str, Block]],
     duration: float,
@@ -218,7 +231,7 @@ def write_blocks(
             show(int(stamp[-1]) - first, round(duration * 1e9))
 
 
-def save_true_table(folder: Path, options: StandOptions, table: Table | None) -> Path | None:
+def _save_true_table(folder: Path, options: StandOptions, table: Table | None) -> Path | None:
     """Write the true table if it differs from its description; return its file."""
     if table is None or options.true is None:
         return None
@@ -302,9 +315,6 @@ def serialised(block: Block) -> tuple[Kind, Messages, Stamps]:
 
 # Simulate a recording of several units on one table.
 
-_UNITS_TABLE = 'three_axis'
-_TRUTH = 'cao2022_table1'
-
 
 @dataclass(frozen=True, eq=False)
 class SimulatedUnits:
@@ -330,7 +340,7 @@ def simulate_units(
     imus: Named | Sequence[MountedUnit],
     *,
     table: Table | Named | None = None,
-    truth: Calibration | Named = _TRUTH,
+    truth: Calibration | Named = 'cao2022_table1',
     azimuth: float | None = None,
     bias_instability: bool = False,
     imperfections: Named | None = None,
@@ -365,19 +375,14 @@ def simulate_units(
             its parent folder does not.
         NotObservable: The plan cannot determine the parameters with its method.
     """
-    if seed < 0:
-        raise InputError(f'`seed`: found {seed}, expected 0 or more.')
-    target = new_folder(output)
+    target, place, steps = _prepared(plan, output, seed, site)
     listed = as_units(imus)
-    place = Stated(**site).site(LUOYANG)
-    steps = as_plan(plan)
-    check_plan(steps.method, steps, place)
     if steps.by_hand:
         raise InputError(
             f'`imus`: plan {steps.name} is run by hand, without a table: expected one unit (`imu`).'
         )
-    stands = as_table(table or _UNITS_TABLE)
-    options = options_of(
+    stands = as_table(table or _TABLE)
+    options = _options(
         stands,
         azimuth,
         imperfections,
@@ -388,24 +393,23 @@ def simulate_units(
     )
     units, truths = [], {}
     for one, own_seed in zip(listed, spread_seeds(listed, seed), strict=True):
-        spec = as_imu(one.imu)
-        true = replace(load_truth(one.truth or truth, spec), imu=spec)
+        spec, true = _true_unit(one.imu, one.truth or truth)
         truths[one.serial_number] = replace(true, serial_number=one.serial_number)
         unit = SimulatedUnit(one.topic, spec, true.model, one.mount, one.lever, own_seed)
         units.append(unit)
     stand = SeveralOnTable(steps, stands, units, place, options, seed)
-    data = shared_description(describe(plan, listed[0].imu, table or _UNITS_TABLE, place))
+    data = shared_description(describe(plan, listed[0].imu, table or _TABLE, place))
     for one in listed:
         data |= unit_description(one.topic, one.imu, one.serial_number)
         if one.turned:
             data |= mount_description(one.topic, one.mount)
     with removed_on_failure(target):
         with RecordingWriter(target, data, compression) as writer:
-            write_blocks(writer, stand.blocks(), stand.duration, progress)
+            _write_blocks(writer, stand.blocks(), stand.duration, progress)
         (target / TRUTHS).mkdir()
         for number, true in truths.items():
             true.save(target / TRUTHS / f'{number}.yaml')
-        true_table = save_true_table(target, options, stands)
+        true_table = _save_true_table(target, options, stands)
     return SimulatedUnits(target, steps, truths, stand.duration, true_table)
 
 
@@ -420,7 +424,7 @@ class MonteCarloResult:
     """A session that was simulated and calibrated many times."""
 
     setup: Setup  #: Plan, method, table, IMU and site.
-    outcome: Outcome  #: Errors and standard deviations of every run, and their statistics.
+    outcome: RunStatistics  #: Errors and standard deviations of every run, and their statistics.
     findings: tuple[str, ...]  #: Messages for the user, in sentences.
 
     def __repr__(self) -> str:

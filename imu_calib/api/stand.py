@@ -25,11 +25,12 @@ from ..recordings.rosbag2 import Recording, open_recording
 from ..recordings.storage import RecordingError
 from ..recordings.writer import FINISHED
 from ..session.imu import ImuSpec
+from ..session.keywords import Named, OnStand, Stated, with_keywords
 from ..session.plan import Plan
 from ..session.table import Table
 from ..simulation.motion import TrueTable
 from ..simulation.options import StandOptions, load_imperfections
-from .session import TRUE_TABLE, Named, OnStand, Stated, with_keywords
+from .session import TRUE_TABLE
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

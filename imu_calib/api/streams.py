@@ -24,29 +24,17 @@ from ..recordings.remote import AnyPath, located
 from ..recordings.rosbag2 import Kind, Recording, is_storage, open_recording
 from ..recordings.text import StampSorter
 from ..session.imu import ImuSpec, load_imu, read_imu
+from ..session.keywords import Named, Stated
 from ..session.metadata import LEFT_OUT, described_imu, serial_key
 from ..session.plan import UNPLANNED, Plan, load_plan
 from ..session.units_file import namespace
-from .session import (
-    Named,
-    Stated,
-    mounted_on,
-    serial_of,
-    site_of,
-    stated_imu,
-    stated_plan,
-    table_of,
-)
+from .session import mounted_on, serial_of, site_of, stated_imu, stated_plan, table_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ..recordings.rosbag2 import Recording
     from ..recordings.storage import Topic
     from ..segmentation.stream_facts import Segmented
-    from .session import Stated
-
-    # Loads slowly; most commands do not need it.
 
 
 _SKEW = 'imu/skew'

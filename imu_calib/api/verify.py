@@ -20,20 +20,10 @@ from ..recordings.text import StampSorter
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.stream_facts import Temperature
 from ..session.imu import ImuSpec
+from ..session.keywords import Named, Stated, Verified, with_keywords
 from ..session.metadata import compensated_already
 from ..session.plan import UNPLANNED
-from .session import (
-    Named,
-    Stated,
-    Verified,
-    as_applied,
-    serial_of,
-    site_of,
-    stated_imu,
-    stated_plan,
-    table_of,
-    with_keywords,
-)
+from .session import as_applied, serial_of, site_of, stated_imu, stated_plan, table_of
 from .stamp_clock import clock_findings, refused_by_stamps
 from .streams import streams_of
 

@@ -10,8 +10,9 @@ from ..common.errors import NotObservable
 from ..common.parallel import MEMORY, Show
 from ..common.units import counted
 from ..fleet.catalogue import batch
+from ..session.keywords import Session
 from . import options
-from .dispatch import Outcome
+from .dispatch import CommandResult
 from .terminal import ERRORS, OUTPUT, progress_bar
 
 
@@ -45,7 +46,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='memory of each worker on this machine (default: %(default)s)',
     )
     parser.add_argument('--retry', action='store_true', help='run failed recordings again')
-    options.add_session_options(parser)
+    options.add_statements(parser, Session)
     options.add_imus_option(parser)
     parser.epilog = (
         'Exit code 1: a recording, or a unit of one, gave no calibration; its row says why '
@@ -58,7 +59,7 @@ def _say_where(dashboard: str) -> None:
     ERRORS.print(f'dashboard: {dashboard}', markup=False)
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Calibrate, and print the results."""
 
     @contextmanager
@@ -97,9 +98,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     OUTPUT.print(f'written to {done.catalogue}', markup=False)
     failed = done.failed + done.known_failed
     if not failed:
-        return Outcome()
+        return CommandResult()
     reasons = f'imu-calib catalogue {done.catalogue} --where "status = \'failed\'"'
     message = f'{failed} without a calibration; {reasons} lists the reasons.'
     if done.known_failed:
         message += f' {done.known_failed} failed before and did not change: --retry repeats them.'
-    return Outcome(exit_code=NotObservable.exit_code, message=message)
+    return CommandResult(exit_code=NotObservable.exit_code, message=message)

@@ -22,6 +22,7 @@ from ..reports.tables import (
     parameter_tables,
     table_estimate,
 )
+from ..session.keywords import Session
 from ..session.plan import METHOD_NAMES
 from . import options
 from .dispatch import (
@@ -30,18 +31,16 @@ from .dispatch import (
     NO_ANSWER,
     OUTSIDE,
     WRONG_INPUT,
-    Outcome,
+    CommandResult,
     add_json_option,
     error_document,
-    judged_outcome,
+    judged_result,
     kind_of,
 )
 from .terminal import OUTPUT, print_whole, progress_bar, sentence_list
 
 if TYPE_CHECKING:
     from ..calibration.results import Result
-
-# imu-calib calibrate for a recording of several units on one table.
 
 
 FOLDER = 'calibrations'
@@ -63,7 +62,7 @@ def of_several(arguments: argparse.Namespace) -> bool:
     return all(value is None for value in one) and holds_several(arguments.bag)
 
 
-def run_several(arguments: argparse.Namespace) -> Outcome:
+def run_several(arguments: argparse.Namespace) -> CommandResult:
     """Calibrate all units, and print them side by side."""
     folder = Path(output_or_default(arguments.output, FOLDER))
     stated = options.keywords(calibrate_units, arguments)
@@ -136,13 +135,17 @@ def _show_budgets(found: UnitResults) -> None:
     for unit in found.units:
         if unit.result is not None:
             OUTPUT.print(f'\nUncertainty budget of {unit.serial_number}', style='bold')
-            for part in budget_tables(unit.result.calibration):
-                OUTPUT.print(part, markup=False)
+            _show_budget(unit.result.calibration)
+
+
+def _show_budget(calibration: Calibration) -> None:
+    for part in budget_tables(calibration):
+        OUTPUT.print(part, markup=False)
 
 
 def _outcome(
     found: UnitResults, judged: Mapping[str, Conformity], files: Mapping[str, Path]
-) -> Outcome:
+) -> CommandResult:
     """Return the documents of all units, and the worst exit code."""
     documents, codes = [], {}
     for unit in found.units:
@@ -157,7 +160,9 @@ def _outcome(
                 'error': None
                 if unit.error is None
                 else error_document(str(unit.error), kind_of(unit.error)),
-                'result': _document(unit, judged.get(number), files.get(number)),
+                'result': None
+                if unit.result is None
+                else _document(unit.result, judged.get(number), files[number]),
             }
         )
     worst = next(code for code in _WORST_FIRST if code in codes.values())
@@ -166,7 +171,7 @@ def _outcome(
     table = None if found.table is None else found.table.to_dict()
     left_out = [{'serial_number': n, 'message': why} for n, why in found.left_out.items()]
     shared = {'table': table, 'shared': list(found.shared), 'left_out': left_out}
-    return Outcome({'units': documents, **shared}, worst, message)
+    return CommandResult({'units': documents, **shared}, worst, message)
 
 
 def _code(unit: UnitResult, judged: Conformity | None) -> int:
@@ -175,13 +180,10 @@ def _code(unit: UnitResult, judged: Conformity | None) -> int:
     return OUTSIDE if judged is not None and judged.outside else DONE
 
 
-def _document(
-    unit: UnitResult, judged: Conformity | None, file: Path | None
-) -> dict[str, Any] | None:
-    if unit.result is None:
-        return None
+def _document(result: Result, judged: Conformity | None, file: Path) -> dict[str, Any]:
+    """Return a result for --json."""
     return {
-        **unit.result.to_dict(),
+        **result.to_dict(),
         'specification': None if judged is None else judged.to_dict(),
         'file': str(file),
     }
@@ -193,7 +195,7 @@ _FILE = 'calibration.yaml'
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
     options.add_bag(parser)
-    options.add_session_options(parser)
+    options.add_statements(parser, Session)
     options.add_imus_option(parser)
     parser.add_argument(
         '--separate',
@@ -227,7 +229,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Calibrate and print."""
     # Examined before it is read: a remote recording is fetched once for both.
     arguments.bag = recording_path(arguments.bag)
@@ -240,18 +242,12 @@ def run(arguments: argparse.Namespace) -> Outcome:
     show(result)
     if arguments.budget:
         OUTPUT.print('\nUncertainty budget', style='bold')
-        for part in budget_tables(result.calibration):
-            OUTPUT.print(part, markup=False)
+        _show_budget(result.calibration)
     found = conformity(result) if judged else None
     if found is not None:
         OUTPUT.print(f'\n{summary(found.assessed)}')
     OUTPUT.print(f'\nwritten to {path}')
-    document = {
-        **result.to_dict(),
-        'specification': None if found is None else found.to_dict(),
-        'file': str(path),
-    }
-    return judged_outcome(document, found)
+    return judged_result(_document(result, found, path), found)
 
 
 def show(result: Result, truth: Calibration | None = None) -> None:

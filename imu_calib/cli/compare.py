@@ -6,7 +6,7 @@ import argparse
 
 from ..api.compare import Compared, compare
 from ..reports.tables import agreement_lines, comparison_table
-from .dispatch import Outcome, add_json_option
+from .dispatch import CommandResult, add_json_option
 from .terminal import OUTPUT, print_whole
 
 _LONG = 10
@@ -21,7 +21,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Print the table and the significant differences."""
     compared = compare(*arguments.files)
     heads = _heads(compared)
@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
             OUTPUT.print(f'\n{where}: {", ".join(only)}.', markup=False)
     for finding in compared.findings:
         OUTPUT.print(f'\n{finding}', markup=False)
-    return Outcome(compared.to_dict())
+    return CommandResult(compared.to_dict())
 
 
 def _heads(compared: Compared) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.compensate import compensate
+from ..session.keywords import Numbered
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
 
@@ -21,7 +22,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--imu', metavar='NAME|FILE', help='name or file of the IMU: what its numbers mean'
     )
-    options.add_serial_option(parser)
+    options.add_statements(parser, Numbered)
     parser.add_argument('--imu-topic', metavar='TOPIC', help='raw sensor_msgs/Imu topic')
     parser.add_argument(
         '--output-topic',

@@ -48,7 +48,7 @@ JSON = '--json'
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CommandResult:
     """Result of a command."""
 
     result: Mapping[str, Any] | None = None  #: For --json: plain values, SI units.
@@ -66,7 +66,9 @@ def add_json_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def write_document(command: str, outcome: Outcome, error: Mapping[str, str] | None = None) -> None:
+def write_document(
+    command: str, outcome: CommandResult, error: Mapping[str, str] | None = None
+) -> None:
     """Write the document of --json to stdout.
 
     Raises:
@@ -107,11 +109,11 @@ def discard_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def judged_outcome(result: Mapping[str, Any], found: Conformity | None) -> Outcome:
+def judged_result(result: Mapping[str, Any], found: Conformity | None) -> CommandResult:
     """Return the outcome of a command, with the conformity of the unit if it was assessed."""
     if found is None or not found.outside:
-        return Outcome(result)
-    return Outcome(result, OUTSIDE, found.sentence())
+        return CommandResult(result)
+    return CommandResult(result, OUTSIDE, found.sentence())
 
 
 def error_document(message: str, kind: str = 'input') -> dict[str, str]:
@@ -176,7 +178,7 @@ def report_interruption(argv: Sequence[str]) -> int:
     clear_interrupt()
     sys.stderr.write(f'imu-calib: {WORDS}\n')
     if JSON in argv:
-        write_document('', Outcome(exit_code=INTERRUPTED), error_document(WORDS, KIND))
+        write_document('', CommandResult(exit_code=INTERRUPTED), error_document(WORDS, KIND))
     return INTERRUPTED
 
 
@@ -298,7 +300,7 @@ def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
 
 
 def run(argv: Sequence[str], *, alone: bool) -> int:
-    """Run a command line; return its exit code (`outcome.EXIT_CODES`).
+    """Run a command line; return its exit code (`EXIT_CODES`).
 
     Args:
         argv: Its words.
@@ -320,7 +322,7 @@ def run(argv: Sequence[str], *, alone: bool) -> int:
     command = arguments.command
     try:
         _keep_inputs(arguments)
-        outcome = arguments.run(arguments) or Outcome()
+        outcome = arguments.run(arguments) or CommandResult()
         if as_json:
             write_document(command, outcome)
     except ImuCalibError as error:
@@ -422,7 +424,7 @@ def _ended(command: str, as_json: bool, code: int, text: str, kind: str) -> int:
         clear_interrupt()
     _print(command, text, style='' if code == INTERRUPTED else 'red')
     if as_json:
-        outcome = Outcome(exit_code=code)
+        outcome = CommandResult(exit_code=code)
         try:
             write_document(command, outcome, error_document(as_options(text), kind))
         except OSError:

@@ -24,7 +24,7 @@ from ..reports.timeline import READING, Converging
 from ..stand.devices.health import Severity
 from ..stand.web.board import Snapshot, UnitRow
 from ..stand.web.drawing import headline, time_left
-from .processes import START, Nodes, Outcome
+from .processes import START, Nodes, SessionEnd
 from .terminal import ERRORS, OUTPUT, NodeReports
 
 _STYLES = {Severity.OK: 'bold', Severity.WARN: 'bold yellow', Severity.ERROR: 'bold red'}
@@ -192,7 +192,7 @@ _HAND_BAR = 24
 _EVERYTHING = 'Enter ends the session with what is here, Ctrl-C without a result.'
 
 
-def follow(processes: Nodes, reports: NodeReports) -> Outcome:
+def follow(processes: Nodes, reports: NodeReports) -> SessionEnd:
     """Guide a person until the session ends.
 
     Raises:
@@ -220,7 +220,7 @@ def follow(processes: Nodes, reports: NodeReports) -> Outcome:
             if _entered():
                 monitor.solve()
         finished, text = monitor.outcome
-        return Outcome(finished, text, monitor.data_span)
+        return SessionEnd(finished, text, monitor.data_span)
 
 
 def view_hand(progress: Any, refusal: str = '') -> Group:

@@ -19,7 +19,7 @@ from ..fleet.sentences import (
     unit_table,
 )
 from . import options
-from .dispatch import OUTSIDE, Outcome, add_json_option
+from .dispatch import OUTSIDE, CommandResult, add_json_option
 from .options import row_file, write_rows
 from .terminal import OUTPUT, print_whole, sentence_list
 
@@ -55,7 +55,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Print tables and sentences, and write a file on request."""
     path = row_file(arguments.output)
     found = history(
@@ -78,9 +78,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
         OUTPUT.print(f'\nwritten to {path}', markup=False)
     outside = [unit.serial for unit in found.outside]
     if not outside:
-        return Outcome(plain)
+        return CommandResult(plain)
     verb = 'is' if len(outside) == 1 else 'are'
-    return Outcome(plain, OUTSIDE, f'{listed(outside)} {verb} outside the specification.')
+    return CommandResult(plain, OUTSIDE, f'{listed(outside)} {verb} outside the specification.')
 
 
 def _print_all(found: History, on: np.datetime64) -> None:

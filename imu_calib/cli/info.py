@@ -10,8 +10,9 @@ from rich.table import Table as Rows
 from ..api.inspect import Inspection, inspect_streams, topics
 from ..common.units import DEG, DEG_H, PPM, STANDARD_GRAVITY, counted
 from ..reports.plain_table import plain_table
+from ..session.keywords import Session
 from . import options
-from .dispatch import WRONG_INPUT, Outcome, add_json_option
+from .dispatch import WRONG_INPUT, CommandResult, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
@@ -31,26 +32,26 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='list topics alone; of an .mcap behind a URL the summary is read, and no more',
     )
-    options.add_session_options(parser)
+    options.add_statements(parser, Session)
     add_json_option(parser)
     parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Print topics, then segments if plan, IMU and site are known."""
     outside = topics(arguments.bag, progress_bar)
     _show_topics(outside)
     if arguments.topics:
         sentence_list('Lost', outside.lost)
-        return Outcome(outside.to_dict())
+        return CommandResult(outside.to_dict())
     found = inspect_streams(outside, options.stated(arguments), progress_bar)
     _show_clocks(found)
     if found.streams is None:
         sentence_list('Lost', outside.lost)
         message = f'{found.missing_input} Until then the topics alone are shown.'
-        return Outcome(found.to_dict(), WRONG_INPUT, message)
+        return CommandResult(found.to_dict(), WRONG_INPUT, message)
     _show(found.streams)
-    return Outcome(found.to_dict())
+    return CommandResult(found.to_dict())
 
 
 def _show_topics(found: Inspection) -> None:

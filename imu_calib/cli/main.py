@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command line; return its exit code (`outcome.EXIT_CODES`)."""
+    """Run a command line; return its exit code (`EXIT_CODES`)."""
     given = sys.argv[1:] if argv is None else argv
     try:
         from .dispatch import run

@@ -62,10 +62,10 @@ class Monitor:
             subscribe(messages.DiagnosticArray, '/diagnostics', self._on_diagnostics, _DEEP)
         else:
             subscribe(messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched())
-            subscribe(messages.DiagnosticArray, '/diagnostics', reports.take, _DEEP)
+            subscribe(messages.DiagnosticArray, '/diagnostics', reports.receive, _DEEP)
 
     def _on_diagnostics(self, message: Any) -> None:
-        self._reports.take(message)
+        self._reports.receive(message)
         if isinstance(self._board, UnitsBoard):
             self._board.take_diagnostics(message, time.monotonic())
 

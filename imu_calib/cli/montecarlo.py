@@ -17,12 +17,13 @@ from ..common.errors import InputError
 from ..common.files import write_by
 from ..reports.plain_table import plain_table
 from ..reports.tables import decimals, engineering
+from ..session.keywords import AtSite, Solved
 from ..session.plan import METHOD_NAMES
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
-    from ..simulation.repetition import Outcome
+    from ..simulation.repetition import RunStatistics
 
 _HEADINGS = (
     'parameter',
@@ -65,7 +66,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="heading of the table's zero, known to the calibrator; without it each run has "
         'another heading, which the calibrator does not know',
     )
-    options.add_method_option(parser)
+    options.add_statements(parser, Solved)
     options.add_bias_instability_option(parser)
     parser.add_argument(
         '-o',
@@ -73,7 +74,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='FILE.png',
         help='plot of the normalised errors (needs matplotlib, the extra plot)',
     )
-    options.add_site_options(parser)
+    options.add_statements(parser, AtSite)
     parser.epilog = f'Methods: {", ".join(sorted(METHOD_NAMES))}.'
     parser.set_defaults(run=run)
 
@@ -101,7 +102,7 @@ def run(arguments: argparse.Namespace) -> None:
         OUTPUT.print(f'\ndrawn to {target}', markup=False)
 
 
-def _table(outcome: Outcome) -> Rows:
+def _table(outcome: RunStatistics) -> Rows:
     rows = plain_table(_HEADINGS, 'lrrrrrrl')
     normalised, worst = outcome.rms, outcome.worst
     last = outcome.parameters[0]

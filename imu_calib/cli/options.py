@@ -12,12 +12,11 @@ from inspect import Parameter, signature
 from pathlib import Path
 from typing import IO, Any
 
-from ..api.session import NO_PLAN, TERM_CHOICES, TRUE_TABLE, Stated
+from ..api.session import TRUE_TABLE
 from ..api.streams import output_path
 from ..common.errors import InputError
 from ..common.files import shipped, write_by
-from ..common.units import DEG
-from ..model.earth import HEIGHT_STD, LATITUDE_STD, NORMAL_GRAVITY_STD
+from ..session.keywords import Stated, numeric, statements, types_of
 from .dispatch import finite
 
 
@@ -51,45 +50,16 @@ def add_imperfections_option(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def add_site_options(parser: argparse.ArgumentParser) -> None:
-    """Add --latitude, --height and --gravity, with their standard deviations."""
-    parser.add_argument(
-        '--latitude', type=float, metavar='DEG', help='degrees, negative in the south'
-    )
-    parser.add_argument(
-        '--latitude-std',
-        type=float,
-        metavar='DEG',
-        help=f'standard deviation of --latitude (default: {LATITUDE_STD / DEG:g})',
-    )
-    parser.add_argument(
-        '--height',
-        type=float,
-        metavar='M',
-        help=(
-            f'metres above the ellipsoid (default: 0, in doubt by {HEIGHT_STD:g} m); gravity is '
-            'computed from it, unless --gravity is given'
-        ),
-    )
-    parser.add_argument(
-        '--height-std',
-        type=float,
-        metavar='M',
-        help='standard deviation of --height (default: 0)',
-    )
-    parser.add_argument(
-        '--gravity',
-        type=float,
-        metavar='M/S2',
-        help='local gravity as measured, m/s^2 (default: normal gravity)',
-    )
-    parser.add_argument(
-        '--gravity-std',
-        type=float,
-        metavar='M/S2',
-        help='standard deviation of gravity (default: 0 for a measured one, '
-        f'{NORMAL_GRAVITY_STD:g} for normal gravity at a known height)',
-    )
+def add_statements(parser: argparse._ActionsContainer, group: type) -> None:
+    """Add the options of statements on a session, as they are declared."""
+    types, numbers = types_of(group), numeric(group)
+    for name, one in statements(group).items():
+        option = f'--{name.replace("_", "-")}'
+        if types[name] == 'bool':
+            parser.add_argument(option, action='store_true', help=one.option.help)
+        else:
+            kind = float if name in numbers else str
+            parser.add_argument(option, type=kind, metavar=one.option.metavar, help=one.option.help)
 
 
 def add_imus_option(parser: argparse._ActionsContainer) -> None:
@@ -160,63 +130,6 @@ def add_bag(parser: argparse.ArgumentParser) -> None:
         'bag', help='folder of rosbag2, one .mcap or .db3 file, or a URL of one (s3://...)'
     )
 
-
-def add_serial_option(parser: argparse.ArgumentParser) -> None:
-    """Add --serial."""
-    parser.add_argument(
-        '--serial',
-        metavar='NUMBER',
-        help="serial number of the unit (default: the recording's, if stated); of several "
-        'units in a recording it chooses the one with this number',
-    )
-
-
-def add_session_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that state how a recording is read and solved."""
-    add_recording_options(parser)
-    add_method_option(parser)
-    add_serial_option(parser)
-
-
-def add_method_option(parser: argparse.ArgumentParser) -> None:
-    """Add --method and --terms."""
-    parser.add_argument(
-        '--method',
-        metavar='NAME',
-        help="the estimator (default: joint where it applies, else the plan's own)",
-    )
-    parser.add_argument(
-        '--terms',
-        metavar='NAME,NAME',
-        help=f'what the joint estimate adds to the 24 parameters: {TERM_CHOICES}',
-    )
-
-
-def add_recording_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that state how a recording is read."""
-    parser.add_argument(
-        '--plan',
-        metavar='NAME|FILE',
-        help="the plan that was run (default: the recording's own, else none); "
-        f'{NO_PLAN}: no plan, joint states give the attitudes',
-    )
-    parser.add_argument(
-        '--imu', metavar='NAME|FILE', help='name or file of the IMU: what its numbers mean'
-    )
-    parser.add_argument('--table', metavar='NAME|FILE', help='the turntable (default: three_axis)')
-    parser.add_argument(
-        '--azimuth', type=float, metavar='DEG', help="heading of the table's zero against north"
-    )
-    parser.add_argument('--imu-topic', metavar='TOPIC', help='sensor_msgs/Imu topic')
-    parser.add_argument('--joint-topic', metavar='TOPIC', help='sensor_msgs/JointState topic')
-    parser.add_argument('--setpoint-topic', metavar='TOPIC', help='TurntableSetpoint topic')
-    parser.add_argument(
-        '--imu-only', action='store_true', help='use the IMU and the order of the plan alone'
-    )
-    add_site_options(parser)
-
-
-# Files of rows that commands write, .csv or .json by their ending.
 
 _ENDINGS = ('.csv', '.json')
 

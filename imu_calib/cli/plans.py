@@ -26,6 +26,7 @@ from ..common.stream import Mode
 from ..common.units import DEG, PPM
 from ..reports.plain_table import plain_table
 from ..reports.tables import decimals, engineering
+from ..session.keywords import AtSite, Solved
 from ..session.plan import METHOD_NAMES, Plan, Position, Step, load_plan
 from ..session.table import Table, load_table
 from . import options
@@ -203,17 +204,8 @@ def show_time(plan: Plan, table: Table) -> None:
 
 
 _OF_A_PREDICTION = (
-    'method',
-    'terms',
-    'azimuth',
-    'bias_instability',
-    'temperature_rise',
-    'latitude',
-    'latitude_std',
-    'height',
-    'height_std',
-    'gravity',
-    'gravity_std',
+    *('method', 'terms', 'azimuth', 'bias_instability', 'temperature_rise'),
+    *AtSite.__annotations__,
 )
 
 
@@ -267,7 +259,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--azimuth', type=float, metavar='DEG', help="heading of the table's zero, where known"
     )
-    options.add_method_option(parser)
+    options.add_statements(parser, Solved)
     options.add_bias_instability_option(parser)
     parser.add_argument(
         '--temperature-rise',
@@ -275,7 +267,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='K',
         help='of the unit over the session, evenly and recorded: predict what follows it, too',
     )
-    options.add_site_options(parser)
+    options.add_statements(parser, AtSite)
     parser.epilog = f'Methods: {", ".join(sorted(METHOD_NAMES))}.'
     parser.set_defaults(run=run)
 

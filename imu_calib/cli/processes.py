@@ -25,6 +25,7 @@ import yaml
 from ..common.errors import InputError
 from ..common.files import require, write_whole
 from ..common.lifetime import ENDS_WITH
+from ..session.keywords import node_parameters
 from ..session.plan import load_plan
 from ..stand.network import (
     LOOPBACK,
@@ -49,8 +50,8 @@ _PATIENCE = 6.0
 
 
 @dataclass
-class Outcome:
-    """Outcome of a session."""
+class SessionEnd:
+    """How a live session ended."""
 
     finished: bool  #: Whether there is a calibration.
     text: str  #: Last message of the calibrator, or the reason of the failure.
@@ -450,24 +451,7 @@ _FIRST_FREE = 1024
 """The first port that any user may serve (ip_unprivileged_port_start, ip(7))."""
 _TOKEN = 'IMU_CALIB_WEB_TOKEN'
 """As in nodes/web_node."""
-_OF_THE_SESSION = (
-    'plan',
-    'imu',
-    'table',
-    'latitude',
-    'latitude_std',
-    'height',
-    'height_std',
-    'gravity',
-    'gravity_std',
-    'method',
-    'terms',
-    'serial_number',
-    'units',
-    'without',
-    'journal',
-    'output',
-)
+_OF_THE_SESSION = (*node_parameters(), 'units', 'without', 'journal', 'output')
 """Parameters common to the page and calibrator_node."""
 _TICK = 0.2
 """s."""

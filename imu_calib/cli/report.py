@@ -8,8 +8,9 @@ from ..api.compare import Conformity, conformity
 from ..api.documents import written
 from ..api.streams import output_path
 from ..reports.provenance import summary
+from ..session.keywords import Session
 from . import options
-from .dispatch import EXIT_CODES, Outcome, add_json_option, judged_outcome
+from .dispatch import EXIT_CODES, CommandResult, add_json_option, judged_result
 from .terminal import OUTPUT, progress_bar
 
 
@@ -22,7 +23,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='BAG',
         help='the recording it was made from, or its URL: adds the course of the session',
     )
-    options.add_session_options(parser)
+    options.add_statements(parser, Session)
     parser.add_argument(
         '--compare',
         nargs='+',
@@ -39,7 +40,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Write the report, and print why it has no verdicts."""
     path, imu = written(
         arguments.calibration,
@@ -65,4 +66,4 @@ def run(arguments: argparse.Namespace) -> Outcome:
         'file': str(path),
         'specification': None if found is None else found.to_dict(),
     }
-    return judged_outcome(document, found)
+    return judged_result(document, found)

@@ -1,4 +1,4 @@
-"""`imu-calib stand --imus`: several units on one table, from their file to their results."""
+"""`imu-calib stand`: the units on the table, one or several, from options to results."""
 
 from __future__ import annotations
 
@@ -46,19 +46,25 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def units_of(arguments: argparse.Namespace) -> tuple[MountedUnit, ...]:
-    """Return the present units of --imus; empty without the option.
+    """Return the present units of --imus, or the only one, without a serial number.
 
     Raises:
         InputError: The file is broken, or --without names no unit of it, or all.
     """
-    if not arguments.imus:
-        return ()
-    return remaining(load_units(arguments.imus), arguments.without)
+    if arguments.imus:
+        return remaining(load_units(arguments.imus), arguments.without)
+    port, device, baud = arguments.port or '', arguments.device, arguments.baud or 0
+    return (MountedUnit('', arguments.imu, '', port=port, device=device, baud=baud),)
+
+
+def node_of(unit: MountedUnit) -> str:
+    """Return the name of a unit's node, with its namespace if there are several."""
+    return f'{unit.name}/imu_node' if unit.serial_number else 'imu_node'
 
 
 def is_real(arguments: argparse.Namespace) -> bool:
     """Return whether the hardware is real: an IMU has a port."""
-    return bool(arguments.port) or any(unit.port for unit in units_of(arguments))
+    return any(unit.port for unit in units_of(arguments))
 
 
 def is_embedded(arguments: argparse.Namespace) -> bool:
@@ -109,7 +115,7 @@ def device_of(unit: MountedUnit, arguments: argparse.Namespace) -> str:
 
 
 def truths(arguments: argparse.Namespace) -> dict[str, Calibration]:
-    """Return true parameters of simulated units, by serial number.
+    """Return true parameters of simulated units, by serial number: empty of the only one.
 
     Raises:
         InputError: A file is missing, or of another kind of unit.
@@ -134,14 +140,14 @@ def node_parameters(
     for place, unit in enumerate(units_of(arguments)):
         skewed = load_imu(unit.imu).skewed is not None
         simulated = 'simulated_skewed' if skewed else 'simulated'
-        nodes[f'{unit.name}/imu_node'] = {
+        nodes[node_of(unit)] = {
             **clock,
             'imu': unit.imu,
             'device': device_of(unit, arguments) if unit.port else simulated,
             'sample_rate': arguments.sample_rate,
             'port': unit.port or simulated_port(port, place),
             'baud': unit.baud,
-            'frame_id': f'{unit.name}_imu_link',
+            **({'frame_id': f'{unit.name}_imu_link'} if unit.serial_number else {}),
         }
     return nodes
 
@@ -159,7 +165,7 @@ def simulated_port(first: int, place: int = 0) -> str:
 def remappings(arguments: argparse.Namespace) -> dict[str, dict[str, str]]:
     """Return the topic remappings of each unit's imu_node, if not default."""
     return {
-        f'{unit.name}/imu_node': {PULSES: unit.named_topic}
+        node_of(unit): {PULSES: unit.named_topic}
         for unit in units_of(arguments)
         if unit.named_topic
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.simulate import TRUTH, Simulated, SimulatedUnits, simulate, simulate_units
+from ..session.keywords import AtSite, Numbered
 from ..session.units_file import TRUTHS
 from . import options
 from .terminal import OUTPUT, progress_bar
@@ -59,8 +60,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
             'hold); --imperfections state its effect'
         ),
     )
-    options.add_serial_option(parser)
-    options.add_site_options(parser)
+    options.add_statements(parser, Numbered)
+    options.add_statements(parser, AtSite)
     parser.set_defaults(run=run)
 
 

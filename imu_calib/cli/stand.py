@@ -6,21 +6,21 @@ import argparse
 import math
 from pathlib import Path
 
-from ..api.session import azimuth_of, load_truth
+from ..api.streams import removed_on_failure
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.files import shipped, user_path
 from ..model.earth import LUOYANG
 from ..session.imu import ImuSpec, check_live, load_imu
+from ..session.keywords import AtSite, Numbered, Solved, azimuth_of
 from ..session.plan import load_plan
 from ..session.table import load_table
 from ..stand.devices.format import FrameFormat, load_format
 from ..stand.devices.source import Baud, check_port, choose_baud, is_serial, too_slow
 from ..stand.table_line import tcp_address
-from . import options, several
+from . import options, several, stand_session
 from . import processes as web_page
 from .processes import network_of_hardware
-from .stand_session import listen
 from .terminal import OUTPUT, NodeReports
 
 _SLOWEST = 50
@@ -50,9 +50,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--table', default='three_axis', metavar='NAME|FILE', help='default: %(default)s'
     )
-    options.add_method_option(parser)
-    options.add_serial_option(parser)
-    options.add_site_options(parser)
+    options.add_statements(parser, Solved)
+    options.add_statements(parser, Numbered)
+    options.add_statements(parser, AtSite)
     parser.add_argument(
         '--processes',
         action='store_true',
@@ -157,42 +157,33 @@ def _begin(arguments: argparse.Namespace) -> None:
     several.check(arguments)
     reports = NodeReports(real=several.is_real(arguments))
     truth = _check(arguments, reports)
-    from . import stand_session
-    from . import stand_session as resume
-
     folder.mkdir(parents=True)
-    with resume.locked_folder(folder) as claim, stand_session.signals():
+    with stand_session.locked_folder(folder) as claim, stand_session.signals():
         _save_settings(arguments, folder)
         stand_session.run(arguments, folder, truth, claim, reports)
 
 
 def _save_settings(arguments: argparse.Namespace, folder: Path) -> None:
     """Write the settings of a new session, or leave no folder that could not be resumed."""
-    from ..api.streams import removed_on_failure
-    from . import stand_session as resume
-
     try:
         with removed_on_failure(folder):
-            resume.save_settings(arguments, folder)
+            stand_session.save_settings(arguments, folder)
     except OSError as error:
         raise InputError(f'{folder}: cannot be written ({error.strerror or error}).') from None
 
 
 def _go_on(arguments: argparse.Namespace) -> None:
     """Resume an interrupted session."""
-    from . import stand_session
-    from . import stand_session as resume
-
-    folder = resume.restore(arguments)
+    folder = stand_session.restore(arguments)
     several.complete(arguments)
     # Nodes of the interrupted stand that are still ending occupy the port.
-    with resume.locked_folder(folder) as claim, stand_session.signals():
-        resume.check_unfinished(folder)
+    with stand_session.locked_folder(folder) as claim, stand_session.signals():
+        stand_session.check_unfinished(folder)
         several.check(arguments)
         real = several.is_real(arguments)
         reports = NodeReports(real=real)
         truth = _check(arguments, reports)
-        arguments.start = 0.0 if real else resume.switched_on_at(folder)
+        arguments.start = 0.0 if real else stand_session.switched_on_at(folder)
         stand_session.run(arguments, folder, truth, claim, reports)
 
 
@@ -201,12 +192,10 @@ def _new_folder(arguments: argparse.Namespace) -> Path:
     folder = user_path(arguments.output)
     if not folder.exists():
         return folder
-    from . import stand_session as resume
-
-    if resume.unfinished(folder):
+    if stand_session.unfinished(folder):
         raise InputError(
             f'{folder} exists already and holds a session that was interrupted. Go on with it: '
-            f'{resume.command(arguments.output)}, or name another folder with -o.'
+            f'{stand_session.command(arguments.output)}, or name another folder with -o.'
         )
     raise InputError(
         f'{folder} exists already; recordings are not overwritten. Name another folder with -o.'
@@ -222,33 +211,53 @@ def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Cal
     _check_table_port(arguments)
     _check_run(arguments)
     if arguments.imus:
-        return _check_several(arguments, reports)
+        _refuse_for_several(arguments)
+    else:
+        _refuse_for_one(arguments)
+    site, plan = options.stated(arguments).site(LUOYANG), load_plan(arguments.plan)
+    units, real = several.units_of(arguments), several.is_real(arguments)
+    types = {unit.imu: load_imu(unit.imu) for unit in units}
+    table = None if plan.by_hand else load_table(arguments.table)
+    if real:
+        if not several.is_embedded(arguments):
+            network_of_hardware(arguments.network, alone=plan.by_hand)
+        reports.nodes = [several.node_of(unit) for unit in units]
+        for unit in units:
+            imu, frames = types[unit.imu], load_format(several.device_of(unit, arguments))
+            baud = choose_baud(unit.baud or None, frames)
+            if not arguments.imus and is_serial(unit.port):
+                _say_baud(arguments, frames, imu, baud)
+            stand_session.listen(unit.port, frames, imu, baud, reports, several.node_of(unit))
+    for imu in types.values():
+        if not real:
+            check_live(imu)
+        stand_session.check(arguments, imu, plan, table, site)
+    return {} if real else several.truths(arguments)
+
+
+def _refuse_for_one(arguments: argparse.Namespace) -> None:
+    """Refuse options that do not apply to one unit."""
     _check_baud(arguments)
     if arguments.port:
         if arguments.imperfections:
             raise InputError('--imperfections is for simulated hardware; leave it out with --port.')
-        frames = _check_device(arguments)
+        _check_device(arguments)
     elif arguments.network:
         raise InputError('--network: simulated hardware stays on this machine; leave it out.')
     elif arguments.device:
         raise InputError('--device: simulated hardware has frames of its own; give --port, too.')
-    site = options.stated(arguments).site(LUOYANG)
-    plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
-    table = None if plan.by_hand else load_table(arguments.table)
-    if not arguments.port:
-        check_live(imu)
-    else:
-        if not several.is_embedded(arguments):
-            network_of_hardware(arguments.network, alone=plan.by_hand)
-        baud = choose_baud(arguments.baud, frames)
-        if is_serial(arguments.port):
-            _say_baud(arguments, frames, imu, baud)
-        listen(arguments.port, frames, imu, baud, reports)
-    # Imported here: loading it takes longer than the check of the IMU.
-    from . import stand_session
 
-    stand_session.check(arguments, imu, plan, table, site)
-    return {} if arguments.port else {'': load_truth(arguments.truth, imu)}
+
+def _refuse_for_several(arguments: argparse.Namespace) -> None:
+    """Refuse options that do not apply to several units."""
+    real = several.is_real(arguments)
+    if real and arguments.imperfections:
+        raise InputError('--imperfections is for simulated hardware; leave it out with ports.')
+    if real and arguments.latitude is None:
+        raise InputError('--imus: give --latitude, of a real stand, in degrees.')
+    if not real and (arguments.network or arguments.device):
+        name = '--network' if arguments.network else '--device'
+        raise InputError(f'{name} is for real hardware; {arguments.imus} names no port.')
 
 
 def _check_run(arguments: argparse.Namespace) -> None:
@@ -266,36 +275,6 @@ def _check_run(arguments: argparse.Namespace) -> None:
             'give --processes, too.'
         )
     azimuth_of(arguments.azimuth)
-
-
-def _check_several(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Calibration]:
-    """Refuse several units that could give no result; return true parameters by serial number."""
-    real = several.is_real(arguments)
-    if real and arguments.imperfections:
-        raise InputError('--imperfections is for simulated hardware; leave it out with ports.')
-    if real and arguments.latitude is None:
-        raise InputError('--imus: give --latitude, of a real stand, in degrees.')
-    if not real and (arguments.network or arguments.device):
-        name = '--network' if arguments.network else '--device'
-        raise InputError(f'{name} is for real hardware; {arguments.imus} names no port.')
-    site = options.stated(arguments).site(LUOYANG)
-    plan, table = load_plan(arguments.plan), load_table(arguments.table)
-    if real:
-        if not several.is_embedded(arguments):
-            network_of_hardware(arguments.network, alone=False)
-        reports.nodes = [f'{unit.name}/imu_node' for unit in several.units_of(arguments)]
-        for unit in several.units_of(arguments):
-            imu, frames = load_imu(unit.imu), load_format(several.device_of(unit, arguments))
-            baud = choose_baud(unit.baud or None, frames)
-            listen(unit.port, frames, imu, baud, reports, f'{unit.name}/imu_node')
-    from . import stand_session
-
-    for name in dict.fromkeys(unit.imu for unit in several.units_of(arguments)):
-        imu = load_imu(name)
-        if not real:
-            check_live(imu)
-        stand_session.check(arguments, imu, plan, table, site)
-    return {} if real else several.truths(arguments)
 
 
 def _check_table_port(arguments: argparse.Namespace) -> None:
@@ -332,8 +311,8 @@ def _say_baud(arguments: argparse.Namespace, frames: FrameFormat, imu: ImuSpec, 
         OUTPUT.print(sentence, markup=False)
 
 
-def _check_device(arguments: argparse.Namespace) -> FrameFormat:
-    """Refuse a device that cannot be read; return the format of its frames."""
+def _check_device(arguments: argparse.Namespace) -> None:
+    """Refuse a device that cannot be read."""
     missing = []
     if not arguments.device:
         missing.append(
@@ -344,6 +323,5 @@ def _check_device(arguments: argparse.Namespace) -> FrameFormat:
         missing.append('--latitude, of a real stand, in degrees')
     if missing:
         raise InputError(f'--port needs {"; and ".join(missing)}.')
-    frames = load_format(arguments.device)
+    load_format(arguments.device)
     check_port(arguments.port)
-    return frames

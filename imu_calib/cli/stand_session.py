@@ -18,7 +18,7 @@ import yaml
 from rich.live import Live
 from rich.text import Text
 
-from ..api.session import DEFAULT_TERMS, TRUE_TABLE
+from ..api.session import TRUE_TABLE
 from ..api.stand import (
     check_stand,
     end_of_journal,
@@ -33,6 +33,7 @@ from ..common.files import named_file, read_text, user_path, write_whole
 from ..model.earth import LUOYANG, Site
 from ..reports.tables import parameter_tables
 from ..session.imu import ImuSpec, load_imu
+from ..session.keywords import DEFAULT_TERMS, AtSite
 from ..session.plan import Plan, load_plan
 from ..session.table import Table, load_table
 from ..stand.devices.format import FrameFormat
@@ -48,8 +49,8 @@ from .processes import (
     START,
     Embedded,
     Nodes,
-    Outcome,
     Processes,
+    SessionEnd,
     free_ports,
     network_of_hardware,
     private_network,
@@ -366,7 +367,7 @@ def _print_result(
     arguments: argparse.Namespace,
     folder: Path,
     truth: Mapping[str, Calibration],
-    outcome: Outcome,
+    outcome: SessionEnd,
     seconds: float,
 ) -> list[str]:
     """Print the result and, if known, the truth; return the units without result."""
@@ -433,7 +434,7 @@ def _session(
     processes: Nodes,
     given: dict[str, dict[str, Any]],
     reports: NodeReports,
-) -> Outcome:
+) -> SessionEnd:
     """Start the nodes, and monitor them until the session ends."""
     remapped = several.remappings(arguments)
     for node in _in_order(given):
@@ -446,7 +447,7 @@ def _session(
         return follow(processes, reports)
     site = options.stated(arguments).site(LUOYANG)
     plan, table = load_plan(arguments.plan), load_table(arguments.table)
-    imu = load_imu(arguments.imu or several.units_of(arguments)[0].imu)
+    imu = load_imu(several.units_of(arguments)[0].imu)
     setup = setup_of_stand(options.stated(arguments), imu, plan, table, site)
     board: Board | UnitsBoard
     if arguments.imus:
@@ -467,34 +468,20 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
     """Return the parameters of every node to run."""
     several.complete(arguments)
     simulated = not several.is_real(arguments)
-    mounted = several.units_of(arguments)
-    stated = ('height', 'gravity', 'height_std', 'gravity_std', 'latitude_std')
-    stated_site = {name: v for name in stated if (v := getattr(arguments, name)) is not None}
-    stated_site['latitude'] = LUOYANG if arguments.latitude is None else arguments.latitude
+    named = {name: getattr(arguments, name) for name in AtSite.__annotations__}
+    stated_site = {'latitude': LUOYANG} | {n: v for n, v in named.items() if v is not None}
     site = {name: value for name, value in stated_site.items() if not name.endswith('_std')}
     clock = {'use_sim_time': simulated}
     apart = simulated and not several.is_embedded(arguments)
-    port = free_ports(max(len(mounted), 1)) if apart else 0
-    if mounted:
-        of_units = several.node_parameters(arguments, clock, port)
-        units = {'units': arguments.imus, 'without': arguments.without}
-        described = {'table': arguments.table, **units}
-        result = several.CALIBRATIONS
+    port = free_ports(len(several.units_of(arguments))) if apart else 0
+    described = {'table': arguments.table}
+    if arguments.imus:
+        described |= {'units': arguments.imus, 'without': arguments.without}
     else:
-        of_units = {
-            'imu_node': {
-                **clock,
-                'imu': arguments.imu,
-                'device': arguments.device or _frames(arguments),
-                'sample_rate': arguments.sample_rate,
-                'port': arguments.port or several.simulated_port(port),
-                'baud': arguments.baud or 0,
-            }
-        }
-        described = {'imu': arguments.imu, 'table': arguments.table}
-        result = RESULT
+        described |= {'imu': arguments.imu}
+    result = several.CALIBRATIONS if arguments.imus else RESULT
     nodes: dict[str, dict[str, Any]] = {
-        **of_units,
+        **several.node_parameters(arguments, clock, port),
         'calibrator_node': {
             **clock,
             **described,
@@ -554,19 +541,13 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
     return nodes | web_page.parameters(arguments, nodes['calibrator_node'])
 
 
-def _frames(arguments: argparse.Namespace) -> str:
-    """Return the frames of the simulated IMU: those of a skewed gyro contain its count too."""
-    skewed = load_imu(arguments.imu).skewed is not None
-    return 'simulated_skewed' if skewed and not arguments.port else 'simulated'
-
-
 def _follow(
     processes: Nodes,
     reports: NodeReports,
     board: Board | UnitsBoard,
     *,
     control: bool,
-) -> Outcome:
+) -> SessionEnd:
     """Monitor the session until it ends, and show its progress.
 
     Args:
@@ -593,9 +574,11 @@ def _follow(
             reading = '' if monitor.is_running else start.words
             display.update(Text(reading) if reading else screen)
             if monitor.outcome is not None:
-                return Outcome(*monitor.outcome, monitor.duration)
+                return SessionEnd(*monitor.outcome, monitor.duration)
             if monitor.stopped and not control:
-                return Outcome(False, f'The table has stopped. {monitor.stopped}', monitor.duration)
+                return SessionEnd(
+                    False, f'The table has stopped. {monitor.stopped}', monitor.duration
+                )
             if monitor.stopped != shown:
                 shown = monitor.stopped
                 if shown:

@@ -169,7 +169,7 @@ _STYLES = {_Level.OK: 'green', _Level.WARN: 'yellow', _Level.ERROR: 'red'}
 
 
 @dataclass
-class _Part:
+class _NodeState:
     """The last report on one part of a node, its start, and what of it was shown."""
 
     level: _Level
@@ -192,17 +192,17 @@ class NodeReports:
         self.nodes: Collection[str] = ('imu_node',)
         self._real = real
         self._patience = _STANDS if real else _STARTS
-        self._parts: dict[str, _Part] = {}
+        self._parts: dict[str, _NodeState] = {}
         self._came = False
 
-    def take(self, message: Any) -> None:
-        """Take a diagnostic_msgs/DiagnosticArray."""
+    def receive(self, message: Any) -> None:
+        """Note each status of a diagnostic_msgs/DiagnosticArray."""
         for status in message.status:
             came = any(v.key == 'bytes' and v.value != '0' for v in status.values)
             self.note(status.name, status.level[0], status.message, came=came)
 
     def note(self, name: str, level: int, text: str, *, came: bool = False) -> None:
-        """Take a report on one part of a node.
+        """Note a report on one part of a node.
 
         Args:
             name: For instance 'imu_node: stream'.
@@ -216,7 +216,7 @@ class NodeReports:
         before = self._parts.get(name)
         if before is None or before.level is not level:
             shown = '' if before is None else before.shown
-            self._parts[name] = _Part(level, text, time.monotonic(), shown)
+            self._parts[name] = _NodeState(level, text, time.monotonic(), shown)
         else:
             before.text = text
         self._came |= came

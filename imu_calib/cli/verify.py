@@ -7,8 +7,9 @@ import argparse
 from ..api.verify import verify
 from ..calibration.verify import Verdict, Verification
 from ..reports.tables import dwell_table, limits_line, moved_table, turn_table
+from ..session.keywords import Numbered, Read
 from . import options
-from .dispatch import NO_ANSWER, Outcome, add_json_option
+from .dispatch import NO_ANSWER, CommandResult, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 
@@ -22,8 +23,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--calibration', required=True, metavar='FILE', help='calibration.yaml to be verified'
     )
-    options.add_recording_options(parser)
-    options.add_serial_option(parser)
+    options.add_statements(parser, Read)
+    options.add_statements(parser, Numbered)
     parser.add_argument(
         '--another-unit',
         action='store_true',
@@ -33,7 +34,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Verify and print.
 
     Raises:
@@ -44,11 +45,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
     _show(verification)
     if verification.verdict is Verdict.FAIL:
         message = f'{arguments.calibration} is rejected by {arguments.bag}.'
-        return Outcome(verification.to_dict(), NO_ANSWER, message)
+        return CommandResult(verification.to_dict(), NO_ANSWER, message)
     if not verification.accepted:
         message = f'{arguments.calibration} is not tested by {arguments.bag}, of which it was made.'
-        return Outcome(verification.to_dict(), NO_ANSWER, message)
-    return Outcome(verification.to_dict())
+        return CommandResult(verification.to_dict(), NO_ANSWER, message)
+    return CommandResult(verification.to_dict())
 
 
 def _show(verification: Verification) -> None:

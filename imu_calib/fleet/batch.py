@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from ..api.calibrate import serials_in, solve, units_of_recording
-from ..api.session import NO_PLAN
 from ..api.streams import recording_at, session_of, units_of
 from ..calibration.results import Result
 from ..common.errors import ImuCalibError, InputError
@@ -26,6 +25,7 @@ from ..recordings.rosbag2 import Recording, content_hash, find_files
 from ..recordings.storage import Losses
 from ..reports.provenance import assess, worst
 from ..session.imu import Specification, load_imu
+from ..session.keywords import NO_PLAN
 from ..session.units_file import MountedUnit, load_units
 from .recordings import OF_ONE, Job
 

@@ -23,13 +23,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 from urllib.parse import quote
 
-from ..api.session import Session, Stated, as_list, with_keywords
+from ..api.session import as_list
 from ..common.config import checked
 from ..common.errors import InputError, NotObservable
 from ..common.files import other_format, printable, require, user_path, write_whole
 from ..common.parallel import MEMORY, Engine, Progress, WorkerDied, outcomes, silent
 from ..common.units import counted
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
+from ..session.keywords import Session, Stated, with_keywords
 from ..session.units_file import load_units
 from .batch import CALIBRATED, TaskResult, lost, run
 from .recordings import OF_ONE, Job, convertible, find_jobs

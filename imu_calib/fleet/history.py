@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..api.session import Named, as_imu, as_list
+from ..api.session import as_list
 from ..common.config import checked
 from ..common.errors import InputError, NotObservable
 from ..common.files import is_shipped
 from ..common.stream import Floats
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from ..session.imu import ImuSpec
+from ..session.keywords import Named, as_imu
 from .batch import CALIBRATED, limits_of
 from .catalogue import Catalogue
 from .evaluation import backtest

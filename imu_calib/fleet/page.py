@@ -15,7 +15,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ..api.session import Named
 from ..api.streams import page_path
 from ..common.config import checked
 from ..common.files import require, write_whole
@@ -24,6 +23,7 @@ from ..model.parameters import PARAMETER_NAMES
 from ..reports.charts import tag
 from ..reports.html import STYLE, document, facts, paragraph, section
 from ..session.imu import ImuSpec
+from ..session.keywords import Named
 from .attention import counts, issues, remarks, types
 from .batch import CALIBRATED
 from .catalogue import Catalogue

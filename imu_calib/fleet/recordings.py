@@ -13,13 +13,13 @@ from typing import Any
 
 import yaml
 
-from ..api.session import Session, Stated
 from ..common.config import load
 from ..common.errors import InputError
 from ..common.files import OTHERS, other_format, read_text, user_path
 from ..common.units import point_for_comma
 from ..recordings.remote import AnyPath, RemotePath, is_url, located
 from ..recordings.rosbag2 import is_storage
+from ..session.keywords import Session, Stated, numeric
 
 _METADATA = 'metadata.yaml'
 _MANIFESTS = ('.csv', '.yaml', '.yml')
@@ -31,9 +31,7 @@ OF_ONE = ('imu', 'serial', 'imu_topic')
 """Statements on one unit, which for several units are in their file."""
 _FLAGS = {'yes': True, 'true': True, '1': True, 'no': False, 'false': False, '0': False}
 
-NUMBERS = frozenset(
-    ('azimuth', 'latitude', 'latitude_std', 'height', 'height_std', 'gravity', 'gravity_std')
-)
+NUMBERS = frozenset(numeric(Session))
 """Numeric statements of a manifest: degrees, metres and m/s^2 as the options of `calibrate`."""
 
 
@@ -62,7 +60,7 @@ class Job:
 COLUMNS = (
     _RECORDING,
     _IMUS,
-    *(one.name for one in fields(Stated) if one.name in Session.__annotations__),
+    *Session.__annotations__,
     *(one.name for one in fields(Labels)),
 )
 """Columns of a manifest."""

@@ -47,7 +47,7 @@ class Run:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class RunStatistics:
     """Results of all runs."""
 
     runs: tuple[Run, ...]  #: All, in the order of their seeds.
@@ -157,7 +157,7 @@ def repeat(
     jobs: int | None = None,
     show: Callable[[int, int], None] | None = None,
     scheduler: str | None = None,
-) -> Outcome:
+) -> RunStatistics:
     """Repeat a session with seeds `seed`, `seed` + 1 and so on.
 
     The outcome depends on the seeds alone, not on where they are run.
@@ -184,4 +184,4 @@ def repeat(
             show(done, runs)
 
     one = partial(run_once, study)
-    return Outcome(tuple(run_all(one, seeds, jobs=jobs, scheduler=scheduler, ended=ended)))
+    return RunStatistics(tuple(run_all(one, seeds, jobs=jobs, scheduler=scheduler, ended=ended)))

@@ -22,6 +22,7 @@ from ..common.units import point_for_comma
 from ..estimation.methods import METHODS
 from ..model.terms import named_terms
 from ..session.imu import load_imu
+from ..session.keywords import NodeParameter, Session, node_parameters, numeric
 from ..session.plan import load_plan
 from ..session.table import load_table
 from ..session.units_file import PULSES, load_units, remaining
@@ -44,6 +45,43 @@ _MODULES = {
 
 BECOMING = (sys.executable, '-m', lifetime.__name__)
 """Command prefix for programs outside this package, so that they end with their launcher."""
+
+
+def arguments(declared: Mapping[str, tuple[str | None, str]]) -> list[Any]:
+    """Return launch arguments from their defaults, None if required, and descriptions."""
+    from launch.actions import DeclareLaunchArgument
+
+    return [
+        DeclareLaunchArgument(name, default_value=default, description=description)
+        for name, (default, description) in declared.items()
+    ]
+
+
+def session_arguments(*names: str) -> list[Any]:
+    """Return launch arguments that state a session, all or some, for parameters of their names."""
+    return arguments(
+        {
+            name: (None if one.required else str(one.default), one.description)
+            for name, one in _launched().items()
+            if not names or name in names
+        }
+    )
+
+
+def session_parameters() -> dict[str, Any]:
+    """Return the parameters of a node that these arguments give."""
+    from launch.substitutions import LaunchConfiguration
+    from launch_ros.parameter_descriptions import ParameterValue
+
+    return {
+        name: ParameterValue(LaunchConfiguration(name), value_type=type(one.default))
+        for name, one in _launched().items()
+    }
+
+
+def _launched() -> dict[str, NodeParameter]:
+    """Return the parameters that are launch arguments: a launched unit has no stated number."""
+    return {n: one for n, one in node_parameters().items() if n != 'serial_number'}
 
 
 def node(*, foreign: bool = False, **options: Any) -> Any:
@@ -262,6 +300,13 @@ def _number(lower: float = -math.inf, upper: float = math.inf) -> Callable[[str]
     return check
 
 
+def _stated_number(parameter: NodeParameter) -> Callable[[str], None]:
+    """Return a check of a number; nan is accepted beside a range unless it is required."""
+    check = _number(*parameter.bounds)
+    limited = parameter.bounds[0] > -math.inf and not parameter.required
+    return _or('nan', check) if limited else check
+
+
 def _whole(lower: int, upper: int) -> Callable[[str], None]:
     def check(text: str) -> None:
         try:
@@ -325,14 +370,8 @@ _CHECKS: dict[str, Callable[[str], Any]] = {
     'table_baud': _BAUD,
     'frame_port': _whole(1, 65535),
     'seed': _whole(0, 2**62),
-    'latitude': _number(-90.0, 90.0),
-    'latitude_std': _or('nan', _number(0.0, 10.0)),
-    'height': _or('nan', _number(-500.0, 10_000.0)),
-    'height_std': _or('nan', _number(0.0, 10_000.0)),
+    **{name: _stated_number(node_parameters()[name]) for name in numeric(Session)},
     'speed': _number(0.0, 1e6),
-    'gravity': _number(),
-    'gravity_std': _or('nan', _number(0.0, 0.1)),
-    'azimuth': _number(),
     'true_azimuth': _number(-360.0, 360.0),
     'autostart': _boolean,
     'stop_required': _boolean,

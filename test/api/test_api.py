@@ -30,7 +30,7 @@ from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.reports.tables import in_scale_of
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
-from imu_calib.simulation.repetition import Outcome, Study
+from imu_calib.simulation.repetition import RunStatistics, Study
 
 SITE = ('--latitude', '34.65')
 
@@ -525,7 +525,7 @@ def test_repeated_sessions_are_those_of_the_command(
     (axes,) = repeated.plot().axes
     assert [t.get_text() for t in axes.get_xticklabels()] == list(frame.index)
 
-    def known(study: Study, runs: int, seed: int, jobs: int, *_: object) -> Outcome:
+    def known(study: Study, runs: int, seed: int, jobs: int, *_: object) -> RunStatistics:
         assert (runs, seed, jobs) == (2, 5, 1)
         assert study.setup.plan.name == repeated.setup.plan.name
         assert not study.setup.search_terms

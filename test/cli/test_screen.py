@@ -18,7 +18,7 @@ from device_frames import frame
 from loopback import CHECKOUT, environment, patience, until
 
 from imu_calib.cli.main import main
-from imu_calib.cli.processes import Outcome
+from imu_calib.cli.processes import SessionEnd
 from imu_calib.cli.terminal import NodeReports
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.stand.devices.source import Source, check_port
@@ -351,10 +351,10 @@ def test_a_table_that_stops_ends_the_command_where_nobody_can_have_it_go_on(
     outcome = stand_session._follow(running, None, board, control=control)
     errors = ' '.join(capsys.readouterr().err.split())
     if control:
-        assert outcome == Outcome(True, 'Done.', 7.0)
+        assert outcome == SessionEnd(True, 'Done.', 7.0)
         assert errors.count('The table has stopped. Joint inner stalls. Go on from the page') == 1
     else:
-        assert outcome == Outcome(False, 'The table has stopped. Joint inner stalls.', 7.0)
+        assert outcome == SessionEnd(False, 'The table has stopped. Joint inner stalls.', 7.0)
         assert not errors
 
 

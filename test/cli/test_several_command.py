@@ -119,7 +119,7 @@ def test_a_stand_that_ends_without_a_result_says_why(file, tmp_path, monkeypatch
     words += ['--imus', file({}, {})] if several_units else []
     arguments = dispatch.build_parser().parse_args(words)
     (tmp_path / 'stand').mkdir()
-    ended = processes.Outcome(False, 'The table has stopped.', 0.0)
+    ended = processes.SessionEnd(False, 'The table has stopped.', 0.0)
     monkeypatch.setattr(stand_session, '_session', lambda *_: ended)
     with pytest.raises(NotObservable, match='The table has stopped'):
         stand_session.run(arguments, tmp_path / 'stand', {}, 0, NodeReports(real=False))

@@ -15,7 +15,6 @@ from loopback import CHECKOUT
 from sessions import truth
 
 import imu_calib
-from imu_calib.api.session import Stated
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.budget import Budget, BudgetLine, Source
 from imu_calib.common.config import Section
@@ -23,6 +22,7 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.files import read_text, write_whole
 from imu_calib.fleet.recordings import read_manifest
 from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.session.keywords import Stated
 from imu_calib.session.table import load_table
 from imu_calib.session.units_file import load_units
 from imu_calib.stand.web.shape import table_shape

@@ -23,7 +23,6 @@ from installed import needs_modules
 from loopback import CHECKOUT, SUPPORT, patience, until
 
 import imu_calib
-from imu_calib.api.session import Stated
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
@@ -31,6 +30,7 @@ from imu_calib.common.parallel import Engine
 from imu_calib.fleet.batch import DEFECT, LOST, TaskResult, content_of, failed, key_of, run
 from imu_calib.fleet.catalogue import Catalogue, run_batch, schema
 from imu_calib.fleet.recordings import COLUMNS, Job, Labels, convertible, find_jobs, read_manifest
+from imu_calib.session.keywords import Stated
 
 needs_modules('pyarrow', 'duckdb', 'distributed')
 

@@ -33,7 +33,6 @@ from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from imu_calib.api.inspect import inspect_streams, topics
-from imu_calib.api.session import Stated
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import SetpointBlock
 from imu_calib.recordings import sqlite3 as sqlite_rows
@@ -42,6 +41,7 @@ from imu_calib.recordings.mcap_records import walk
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.storage import RecordingError
 from imu_calib.recordings.writer import RecordingWriter
+from imu_calib.session.keywords import Stated
 
 SESSION = session(seconds=10)
 ROWS = timeline(SESSION)

@@ -19,7 +19,6 @@ from rosbags.rosbag2 import StoragePlugin
 
 import imu_calib
 from imu_calib.api.inspect import topics
-from imu_calib.api.session import Stated
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
@@ -28,6 +27,7 @@ from imu_calib.recordings import remote as remote_copy
 from imu_calib.recordings import remote as retries
 from imu_calib.recordings.remote import located
 from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.session.keywords import Stated
 
 needs_modules('s3fs')
 

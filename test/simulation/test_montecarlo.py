@@ -11,7 +11,7 @@ from sessions import study
 from imu_calib.api import simulate as repeating
 from imu_calib.cli.main import main
 from imu_calib.model.parameters import PARAMETERS
-from imu_calib.simulation.repetition import Outcome, Run, repeat
+from imu_calib.simulation.repetition import Run, RunStatistics, repeat
 
 
 def test_the_outcome_depends_on_seeds_and_not_on_processes() -> None:
@@ -34,7 +34,7 @@ def test_figures_are_those_of_the_errors() -> None:
     rng = np.random.default_rng(1)
     errors = 2.0 + 3.0 * rng.standard_normal((2000, 24))
     runs = tuple(Run(k, PARAMETERS, row, np.full(24, 6.0)) for k, row in enumerate(errors))
-    outcome = Outcome(runs)
+    outcome = RunStatistics(runs)
     # Five deviations of the mean and of the spread of 2000 normal numbers.
     assert outcome.bias == pytest.approx(2.0, abs=5 * 3 / np.sqrt(2000))
     assert outcome.spread == pytest.approx(3.0, abs=5 * 3 / np.sqrt(4000))

@@ -12,7 +12,7 @@ from device_frames import SIMULATED, described
 from loopback import CHECKOUT, until
 
 from imu_calib.cli import main, stand_session
-from imu_calib.cli.processes import Outcome
+from imu_calib.cli.processes import SessionEnd
 from imu_calib.common.errors import InputError
 from imu_calib.stand.devices.format import load_format, read_format
 from imu_calib.stand.devices.source import choose_baud, too_slow
@@ -61,7 +61,7 @@ def started(monkeypatch):
 
     monkeypatch.setattr(stand_session, 'Processes', Recorder)
     monkeypatch.setattr(
-        stand_session, '_follow', lambda *_, **__: Outcome(False, 'The test ends here.', 0.0)
+        stand_session, '_follow', lambda *_, **__: SessionEnd(False, 'The test ends here.', 0.0)
     )
     return given
 

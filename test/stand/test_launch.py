@@ -15,6 +15,7 @@ from imu_calib.cli.processes import free_port
 from imu_calib.common.errors import ImuCalibError
 from imu_calib.common.files import version
 from imu_calib.common.rotations import rotation
+from imu_calib.session.keywords import node_parameters
 from imu_calib.session.table import load_table
 
 try:
@@ -65,7 +66,7 @@ class Unserved:
 
 
 def declared_by(name, kind, patched):
-    module, own = import_module(f'imu_calib.nodes.{name}'), {}
+    module, own = import_module(f'imu_calib.stand.nodes.{name}'), {}
 
     def note(node, name, default, text, **more):
         own[name] = default, more.get('read_only', True)
@@ -144,6 +145,7 @@ def test_parameter_files_hold_no_arguments(name):
     written = r"DeclareLaunchArgument\(\s*'(\w+)'|^    '(\w+)': \("
     launched = [(CHECKOUT / 'launch' / f'{n}.launch.py').read_text() for n in INCLUDED[name]]
     arguments = {a or b for text in launched for a, b in re.findall(written, text, re.M)}
+    arguments |= set(node_parameters()) - {'serial_number'}
     assert {'namespace', 'params_file'} <= arguments
     content = yaml.safe_load((CHECKOUT / 'config' / 'nodes' / f'{name}.yaml').read_text())
     assert not arguments & {key for node in content.values() for key in node['ros__parameters']}

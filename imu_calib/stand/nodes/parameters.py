@@ -11,10 +11,8 @@ from ...common.errors import InputError
 from ...common.stream import Floats
 from ...common.units import DEG
 from ...estimation.setup import Setup
-from ...model.earth import Site
-from ...model.session_terms import split_terms
-from ...model.terms import AUTO_TERMS, asks_for_search, named_terms
 from ...session.imu import load_imu
+from ...session.keywords import node_parameters, stated_by_node
 from ...session.metadata import describe, shared_description
 from ...session.plan import UNPLANNED, load_plan
 from ...session.table import load_table
@@ -128,56 +126,30 @@ def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
     Raises:
         InputError: A file is missing or broken, or the latitude is not stated.
     """
-    plan = declare(node, 'plan', 'twelve_position', 'name or file of the plan that is run')
-    imu = declare(node, 'imu', 'fog_medium', 'name or file of the IMU')
-    table = declare(node, 'table', 'three_axis', 'name or file of the turntable')
-    latitude = declare(node, 'latitude', math.nan, 'deg, negative in the south; required')
-    latitude_std = declare(node, 'latitude_std', math.nan, 'deg; nan: 0.01')
-    height = declare(node, 'height', math.nan, 'm above the ellipsoid; nan: not known')
-    height_std = declare(node, 'height_std', math.nan, 'm; nan: 0 where a height is stated')
-    gravity = declare(
-        node, 'gravity', math.nan, 'local gravity as measured, m/s^2; nan: normal gravity'
-    )
-    gravity_std = declare(
-        node, 'gravity_std', math.nan, 'm/s^2; nan: 0 if measured, 30e-5 if normal'
-    )
-    azimuth = declare(
-        node, 'azimuth', math.nan, "heading of the table's zero, deg; nan: as the table says"
-    )
-    method = declare(node, 'method', '', 'the estimator; empty: joint where it applies')
-    wanted = declare(
-        node,
-        'terms',
-        AUTO_TERMS,
-        'terms that the joint estimate adds; auto: those that are significant',
-    )
-    named, changes = split_terms(wanted)
-    terms, find_terms = named_terms(named), asks_for_search(wanted)
-    serial = declare(node, 'serial_number', '', 'of the unit; empty: not stated')
-    if math.isnan(latitude):
-        raise InputError('Parameter latitude: give the latitude of the stand, in degrees.')
-    site = Site.at(
-        latitude * DEG,
-        _stated(height),
-        _stated(gravity),
-        height_std=_stated(height_std),
-        gravity_std=_stated(gravity_std),
-        latitude_std=None if math.isnan(latitude_std) else latitude_std * DEG,
-    )
-    laid_out, described = load_plan(plan), None
-    if not laid_out.by_hand:
-        described = load_table(table)
-        if not math.isnan(azimuth):
-            described = replace(described, azimuth=azimuth * DEG)
+    given = {
+        name: declare(node, name, one.default, one.description)
+        for name, one in node_parameters().items()
+    }
+    stated = stated_by_node(given)
+    site, plan, table = stated.site(math.nan), load_plan(stated.plan), None
+    if not plan.by_hand:
+        table = load_table(stated.table)
+        if stated.azimuth is not None:
+            table = replace(table, azimuth=stated.azimuth * DEG)
+    serial = stated.serial or ''
     setup = Setup(
-        load_imu(imu), laid_out, described, site, method or None, serial, terms, changes, find_terms
+        load_imu(stated.imu),
+        plan,
+        table,
+        site,
+        stated.method,
+        serial,
+        stated.sensor_terms,
+        stated.changes,
+        stated.search_terms,
     )
-    return setup, describe(plan, imu, None if laid_out.by_hand else table, site, serial)
-
-
-def _stated(value: float) -> float | None:
-    """Return a parameter, or None if it is not stated."""
-    return None if math.isnan(value) else value
+    described = None if table is None else stated.table
+    return setup, describe(stated.plan, stated.imu, described, site, serial)
 
 
 def declare_rules(declare: Callable[..., Any]) -> Rules:
