@@ -135,17 +135,13 @@ def _columns(each: Floats) -> Floats:
     return np.hstack(list(each))
 
 
-# Log likelihoods of residuals whose covariance is a sum, for many sizes of one part at once.
-#
 # For a covariance 1 + r K and residuals z, a reflection takes z to the first axis and K is made
 # tridiagonal by rotations that leave this axis unchanged: for each r one factorisation of a
 # tridiagonal matrix from its far end gives the determinant, and its last pivot the quadratic form.
 # That is a third of the work of eigenvectors, and the covariance of each further size costs almost
 # nothing.
-#
 # Sources: Golub and Van Loan 2013, Matrix Computations, 5.1.2, 8.3.1 and 4.3.6; for noise of
 # unknown size docs/mathematics.md, 'Joint estimate'.
-
 
 _BLOCK = 32
 """Columns that are reduced at once; see LAPACK's ILAENV."""

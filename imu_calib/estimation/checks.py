@@ -202,9 +202,6 @@ def check_latitude(
     )
 
 
-# Result of a method.
-
-
 @dataclass(frozen=True, eq=False)
 class Residual:
     """Residuals of a static dwell."""
@@ -258,14 +255,10 @@ class Solution:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
-# A table whose file states implausibly small errors: which results depend on that.
-#
 # The file is used as stated until the session shows an error of the table. So small an error cannot
 # be identified: a zero error looks like a joint axis that leans, and a wobble like an encoder
 # error. From then on all errors stated too small are taken as those of the best tables.
-#
 # Source: docs/mathematics.md, 'Tables that are stated exact'.
-
 
 SHOWN = 0.99
 """Probability, at even odds, from which on positioning errors are reported: at most one in a

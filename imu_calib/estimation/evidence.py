@@ -431,13 +431,10 @@ def thermal_of(imu: ImuSpec) -> Floats:
     )
 
 
-# A session in the time of its table: the seconds of stamps are corrected before solving.
-#
 # The clock of the stamps is fast by r against the table's. Pulses over its seconds are 1 / (1 + r)
 # of those over the table's; counts and SI values are unchanged, and angles summed over its seconds
 # are (1 + r) times too large. The remaining error of the rate is an unknown of the equations
 # (`Nuisance.CLOCK`), and the ratio is stored with the calibration (`clock_ratio`).
-#
 # Source: docs/mathematics.md, 'Clocks'.
 
 

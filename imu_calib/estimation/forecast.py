@@ -245,9 +245,6 @@ def _by_closed_form(
     return solution.parameters, square
 
 
-# Forecast how well a session would determine each further term of the model, one at a time.
-
-
 @dataclass(frozen=True, eq=False)
 class TermForecast:
     """How well a session would determine a term."""

@@ -151,13 +151,10 @@ def at_headings_by_moves(evidence: Evidence, ups: Floats, model: SensorModel) ->
     return evidence.with_attitudes(attitudes)
 
 
-# Dwells in unknown attitudes as equations: lengths, and the rate along gravity.
-#
 # In any attitude the length of the specific force is gravity, that of the rate the Earth's, and its
 # part along gravity the vertical Earth rate: these remain of the six equations of a dwell with
 # three free angles. Squares are compared: their mean over the noise is known even where noise hides
 # the heading, as for gyros whose noise exceeds the Earth's rate.
-#
 # Source: docs/mathematics.md, 'Verification'.
 
 
@@ -299,8 +296,6 @@ def propagated(gain: Floats, covariance: Floats) -> Floats:
     """Return gain covariance gain' for (m, 3, 3) each."""
     return np.asarray(gain @ covariance @ np.swapaxes(gain, 1, 2))
 
-
-# The latitude seen by the gyros at rest, to check a stated one before the estimate.
 
 _NOMINAL = 0.03
 """Relative uncertainty of nominal scale factors of gyros; data sheets of cheap units state it

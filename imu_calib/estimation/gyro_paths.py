@@ -170,8 +170,6 @@ def _with_next(steps: Floats, which: NDArray[np.intp]) -> Floats:
     return product(steps.take(which + 1, axis=-1), steps.take(which, axis=-1))
 
 
-# Velocity gained on a move by the accelerometers of a model, and its derivatives.
-#
 # With C_i the rotation from the middle of step i to the end of the move, f_i its specific force by
 # the model and t_i its length, all in the body axes at the end,
 #
@@ -179,10 +177,8 @@ def _with_next(steps: Floats, which: NDArray[np.intp]) -> Floats:
 #
 # Rotations and rates are those of the move's `GyroPath`. Terms of specific force multiply gravity
 # on the path, as everywhere, without the effects of pulses and lever arms.
-#
 # Source: docs/mathematics.md, 'Velocities of moves'; the strapdown equations of Savage 1998, J.
 # Guidance 21, 208.
-
 
 _EACH = np.eye(3)[:, :, None] * np.eye(3)[:, None, :]
 """For each channel the part of a vector that it measures: (3, 3, 3)."""

@@ -166,11 +166,6 @@ def _in_words(response: Floats) -> str:
     return text
 
 
-# Drifts of biases in a session in the hand: kinds, sizes, and what is said of them.
-#
-# Source: docs/mathematics.md, 'Free positions'.
-
-
 TRENDS = {name: session_term(name) for name in ('trend:D_g', 'trend:D_a')}
 """Drifts that are tested: biases of either triad that change evenly."""
 DRIFT_SHOWN = {'trend:D_g': 1e-3, 'trend:D_a': 1e-6}

@@ -241,11 +241,8 @@ def unobservable_in_words(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
     return f'{text[:1].upper()}{text[1:]}{tail}.'
 
 
-# Parameters that a session does not determine, and the dwells and turns that would do so.
-#
 # Observability depends on the attitudes and axes of a session, not on the plan's description of
 # positions: one more dwell or turn of each kind is tried in the equations of the session itself.
-
 
 _RATE = TURN / 36
 """Rate of a tried turn, rad/s: ten degrees a second, as rate tests begin with."""

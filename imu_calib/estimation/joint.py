@@ -47,9 +47,6 @@ from .session_model import Nuisance
 from .solve import NotConverged, fit
 from .term_tests import confounded_errors, findings, temperature_finding, tested
 
-# Findings on a joint estimate: outliers and scatter that the user must know.
-
-
 _SIGNIFICANT = 0.1
 """Of the stated values: positioning errors below it change no deviation by more than half a
 percent, biases that drift by so much more by no more than a tenth."""
@@ -464,8 +461,6 @@ def _free_earth(plain: Equations, state: Floats) -> tuple[Floats, Floats]:
     # The tilts' own columns turn the rate along with gravity: the free rate is added.
     return around.level @ (around.rate + seen.step[-3:]), around.level @ covariance @ around.level.T
 
-
-# Compare the joint estimate with the closed form of its plan: two solutions of the same data.
 
 _ONE_IN = 1e-3
 """Share of sessions in which the two contradict each other by chance. A choice."""

@@ -240,8 +240,6 @@ def stated_changes(
     return tuple(Change(Course.THERMAL, p.name, (p,)) for p in mine), np.array(sizes)
 
 
-# Parts of the covariance of a session's outputs that do not depend on the prediction.
-
 ENCODER_FREEDOM = 14.0
 """Least degrees of freedom of an encoder's rate: sixteen blocks less a line's two unknowns
 (`segmentation/plateau.py`)."""

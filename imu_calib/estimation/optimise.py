@@ -297,13 +297,10 @@ def _order(attitudes: list[Attitude]) -> list[int]:
     return order
 
 
-# Find the shortest dwells that reach a wanted accuracy.
-#
 # Between two forecasts of a session, the random-walk variance of a dwell's mean is taken to fall
 # with its duration, and the quantisation variance with the square of it. A parameter's variance is
 # a sum over the outputs, each by the square of its weight. Optimal weights are stationary: their
 # own change has no effect to first order; those of a closed form are constant.
-
 
 SHORTEST = 5.0
 """Shortest dwell proposed, s. A choice: a table takes as long to move and to settle."""

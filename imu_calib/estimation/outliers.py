@@ -365,14 +365,6 @@ def _drop(
     return (parts / np.where(sound, values, np.inf)).sum(axis=-1), sound.sum(axis=-1)
 
 
-# The joint estimate: fit all of a session at once, and reduce the weight of outliers.
-#
-# Bias drift and positioning errors widen the covariance (`excess`); a segment that contradicts the
-# others gets less weight (`outliers`).
-#
-# Source: docs/mathematics.md, 'Joint estimate'.
-
-
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """Result of the least squares, before checks against other knowledge."""

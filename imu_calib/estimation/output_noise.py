@@ -187,8 +187,6 @@ def _alike(squares: Floats, freedom: Floats, chance: float) -> NDArray[np.bool_]
     return alike
 
 
-# Errors of a velocity by the remainders of pulse counters while the unit turns.
-#
 # A counter holds back a remainder e, up to half a pulse either way, and gives it with a later
 # sample, when its axis points elsewhere. In the frame of the attitudes, with C_i the direction of a
 # channel in step i and e_i the remainder after it, the error of a velocity is
@@ -198,9 +196,7 @@ def _alike(squares: Floats, freedom: Floats, chance: float) -> NDArray[np.bool_]
 # Where a channel counts gravity the e_i are practically independent. One that stays level while the
 # unit turns about the vertical counts a few pulses in a whole move: its e_i are correlated, and in
 # half a turn its variance can be five times that of both ends alone, in a whole one ten times.
-#
 # Source: docs/mathematics.md, 'Velocities of moves', remainders.
-
 
 _HARMONICS = 8
 """Harmonics of the sawtooth e: they hold 93 % of its variance. The others rotate with a ninth of a

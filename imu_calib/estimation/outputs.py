@@ -104,8 +104,6 @@ def _same_mounting(turn: Turn, other: Turn) -> bool:
     return bool((np.abs(turn.angles - other.angles)[held] < _SAME_ATTITUDE).all())
 
 
-# Whole turns at equally spaced headings: a mean over a turn is the mean over these.
-
 _TURN_HEADINGS = 8
 """Means over so many equal steps of a whole turn are exact for products of up to seven inputs."""
 
@@ -134,12 +132,9 @@ def mean_over_turn(values: Floats) -> Floats:
     return np.asarray((values[:, :half] + values[:, half:]).sum(axis=1) / _TURN_HEADINGS)
 
 
-# The order of a session's outputs in its equations; it is defined in this module only.
-#
 # Six for each dwell (gyros x y z, accelerometers x y z), then three for each turn (gyros), then
 # three for each move (angles), then three for each turn whose accelerometers are used, then three
 # for each move whose accelerometers are used (velocities).
-
 
 Indices = NDArray[np.intp]
 
@@ -241,9 +236,6 @@ class OutputLayout:
             (move[list(self.moves_with_accels), 3:], self.velocity),
         )
         return np.concatenate([part.reshape(at.size, *dwell.shape[2:]) for part, at in parts])
-
-
-# Covariance of a session's outputs as a sum over sources, and of parameters by source.
 
 
 class Part(Protocol):
@@ -350,14 +342,10 @@ def shares(components: Iterable[Component], gain: Floats) -> dict[Source, Share]
     return {source: Share.of_parts(of) for source, of in parts(components, gain).items() if of}
 
 
-# Effect of positioning errors of a table on the attitudes of dwells and turns.
-#
 # The difference of a stopped joint from its encoder reading is constant until it moves again:
 # dwells and turns in between share that error, about the joint's axis. In addition each stop has a
 # small independent rotation, whichever joint moved. Only the sensors show either.
-#
 # Source: docs/mathematics.md, 'Positioning errors'.
-
 
 SAME_UP = 0.01
 """Distance of two unit vectors up below which they count as equal: 0.6 deg, far above encoders'

@@ -34,11 +34,8 @@ from .hand import NAME as FREE_POSITIONS
 from .methods import Setup
 from .session_model import Nuisance, SessionModel
 
-# Statistics that counters, ADCs and rates would give for a dwell or for whole turns.
-#
 # A noise-free counter at the expected rate is processed by the same estimators as a session
 # (`segmentation.counter`).
-
 
 SPARE = 1.0
 """Time before and after the measured turns in which a table surely keeps its rate, s. A choice."""
@@ -155,8 +152,6 @@ def period_of(spec: ImuSpec) -> float:
     return 1 / (spec.sample_rate or _SAMPLE_RATE)
 
 
-# Compute when a table would run the steps of a plan: moves, run-ups, settling and dwells.
-
 SETTLE = 1.0
 """s from arrival to the start of a dwell, as stand and sequencer wait."""
 
@@ -208,8 +203,6 @@ def duration(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> 
     """Return the duration of a plan, s: moves, run-ups, settling, turns and dwells."""
     return schedule(steps, table, settle=settle)[-1].end
 
-
-# Ideal gyro outputs between dwells: by a table's joints, and by hand.
 
 BY_HAND_MOVE = 2.0
 """Duration of a move from one dwell to the next, s. A choice: that of simulated hands

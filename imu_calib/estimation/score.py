@@ -425,16 +425,12 @@ def log_f(value: float, first: float, second: float) -> float:
     return float(a * np.log(x) + b * np.log1p(-x) - np.log(a) - special.betaln(a, b) + series)
 
 
-# Drifts that a session neither shows nor excludes: the probability and effect of each.
-#
 # A drift of the scale factors with the session's time, or a step of the biases, that is too small
 # to be detected still moves parameters by several standard deviations. So every course has prior
 # odds, the session's evidence raises or lowers them, and the effect of the course on the parameters
 # enters their covariance with the resulting probability (Bayesian model averaging).
-#
 # Sources: Liang et al. 2008, J. Am. Statist. Assoc. 103, 410 (the prior of the coefficients);
 # Hoeting et al. 1999, Statist. Sci. 14, 382; docs/mathematics.md, 'Terms that are missing'.
-
 
 _ODDS = 1 / 20
 """Prior odds of each of two drifts against none: ten to one for none, a judgement: one session in

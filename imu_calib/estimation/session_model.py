@@ -28,14 +28,10 @@ from .evidence import Evidence
 from .modulation import columns, encoder_rate_errors, rates
 from .outputs import OutputLayout, mean_over_turn
 
-# Earth rate and gravity in the frame of a table that is turned and tilted.
-#
 # The table stands turned by the azimuth about up and tilted by two small angles, R_nb = Rz(azimuth)
 # Rx(tilt) Ry(tilt) A with A by the encoders, so that the Earth's rate and gravity are constant
 # vectors in the frame of A.
-#
 # Source: docs/mathematics.md, 'Joint estimate'.
-
 
 _X, _Y, _Z = np.eye(3)
 """Unit vectors of the axes."""

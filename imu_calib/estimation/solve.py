@@ -40,10 +40,8 @@ from .modulation import check_temperature, courses, outermost, shapes
 from .session_model import Nuisance
 
 # Gauss-Newton least squares, with Marquardt's damping where a step leads uphill.
-#
 # Source: Marquardt 1963, J. SIAM 11, 431; More 1978, Lecture Notes in Mathematics 630, 105, for the
 # scaling by the columns' norms.
-
 
 _CONVERGED = 1e-9
 """Standard deviations, root mean square, of a negligible last step of the prediction. A judgement:
@@ -322,9 +320,7 @@ def headed(equations: Equations, state: Floats) -> Equations:
 
 
 # Which changes a session determines, time constants of warm-ups and instants of steps.
-#
 # Source: docs/mathematics.md, 'Terms of a session'.
-
 
 USEFUL_CHANGE = 1e-3
 """Largest useful standard deviation of the change of a scale factor over a session: that of terms,

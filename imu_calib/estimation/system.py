@@ -38,8 +38,6 @@ from .outputs import Component, Diagonal, Indices
 from .session_model import Nuisance
 from .solve import least_squares, linear_step
 
-# The parts of a recording that a calibration can be compared with.
-
 
 @dataclass(frozen=True, eq=False)
 class Observed:

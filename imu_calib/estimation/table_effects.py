@@ -301,12 +301,9 @@ def _summed(columns: Floats, numbers: NDArray[np.intp], count: int) -> Floats:
     return result
 
 
-# Effect of a table's tilt on a closed form, which assumes a level table.
-#
 # The accelerometers at rest show the tilt. Its effect on a solver is the difference of the solver's
 # results for the outputs that its own solution predicts on the tilted table and on a level one: for
 # twelve positions 1 - cos tilt in K_a, for others more (docs/mathematics.md, 'Twelve positions').
-
 
 Accelerometers = Callable[[Evidence], Triad]
 """A closed form for the accelerometers of a session."""

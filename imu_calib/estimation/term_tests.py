@@ -449,8 +449,6 @@ def _held(one: TermTest, held: list[tuple[Parameter, tuple[Parameter, float]]]) 
     )
 
 
-# Effect of a temperature change during a session on parameters taken as constant.
-
 _CHEAPEST = 200 * PPM
 """Scale factor per kelvin of the cheapest units (MPU-9150: 0.02 % of the accelerometers). Where
 that does not move a parameter by its standard deviation, nothing is reported."""

@@ -23,12 +23,9 @@ from ..conclusion import SAME_UP, conclude
 from ..equations import Equations
 from ..evidence import Evidence, vertical_axis
 
-# The closed forms as linear maps from mean outputs to parameters.
-#
 # Per channel i the unknowns are its three responses delta_ij + M_ij and its bias. Each equation of
 # a method reads `coefficients . unknowns = weights . outputs`, so that the estimate follows from
 # one small matrix, and its covariance from that of the outputs (`gains`).
-
 
 UNKNOWNS = 4
 """Of a channel: three responses and a bias."""
@@ -270,11 +267,8 @@ def position_weights(evidence: Evidence) -> Floats:
     return np.array([1 / names.count(name) for name in names])
 
 
-# Scale factors and misalignments of the gyros from whole turns about each axis.
-#
 # Sources: Cao 2022, section 3.1; Luo 2018, eqs. (2-175) to (2-183); off-axis 2019, section 1.1.1;
 # with the corrections of docs/mathematics.md, 'Rate test'.
-
 
 _ONE_RATE = 0.2
 """Of the largest rate: spread below which a line has no determined slope."""

@@ -159,9 +159,7 @@ def finish(
 #
 # Each axis in turn is vertical, up twice and down twice. Within such a group the horizontal Earth
 # rate cancels on every gyro for any azimuth, and so does the vertical one: the mean is the bias.
-#
 # Source: Cao 2022, sections 2 to 4; docs/mathematics.md, 'Twelve positions'.
-
 
 _LARGEST_MEAN_INPUT = 3e-3
 """Of the mean input: a complete set cancels to within its positioning errors."""
@@ -215,7 +213,6 @@ def _bias_weights(evidence: Evidence) -> tuple[Floats, list[str]]:
 
 
 # Six positions with a north reference: the baseline of Cao 2022.
-#
 # Source: docs/mathematics.md, 'Twelve positions'.
 
 
@@ -254,7 +251,6 @@ def _bias_equation(evidence: Evidence) -> BiasEquation:
 #
 # After the rate test n attitudes at rest: bias and g-sensitivity of the gyros by eqs. (2-184) to
 # (2-186), bias and responses of the accelerometers by (2-187) to (2-189). North must be known.
-
 
 N_POSITIONS_ESTIMATES = parameters_of([G_SENSITIVITY])
 

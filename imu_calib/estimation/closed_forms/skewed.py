@@ -349,7 +349,6 @@ def solve_rate_24(evidence: Evidence) -> Solution:
 # Three responses and a bias per channel by least squares over known attitudes. Any arrangement is
 # valid whose matrix [w / omega_ie, 1] is well conditioned at the latitude of the site.
 
-
 GYRO_ESTIMATES = tuple(p for p in PARAMETERS if p.triad == 'g')
 
 _MEANINGLESS = 0.1
@@ -441,7 +440,6 @@ def _static_weights(
 # The inner axis of a two-axis table lies at 45 degrees to X and Y, so that half a turn moves all
 # three axes: X points north and south once each and is level twice, so does Y; Z is up and down
 # twice.
-
 
 _ALONG = 0.99
 """Cosine: 8 degrees; an axis that is off by more is not at a position of this method."""
