@@ -35,14 +35,10 @@ class BiasDrift:
     def over(
         cls, starts: Floats, durations: Floats, responses: Floats, with_slope: NDArray[np.bool_]
     ) -> BiasDrift:
-        """Place nodes in n segments, whose means come first, then the slopes.
+        """Place nodes in n segments (s), whose means come first, then the slopes where used.
 
-        Args:
-            starts: (n,) of the segments, s.
-            durations: (n,) s.
-            responses: (n, 3, 3) derivatives of the outputs by constant biases. In a move the effect
-                of biases rotates with the unit, so that it is not that of its duration alone.
-            with_slope: (n,) whether the slope is used too.
+        `responses` (n, 3, 3) are derivatives of the outputs by constant biases. In a move the
+        effect of biases rotates with the unit, so that it is not that of its duration alone.
         """
         grid = (np.arange(_NODES) + 0.5) / _NODES
         centred = grid - 0.5
@@ -70,18 +66,13 @@ class BiasDrift:
     def kernel(self, time: float) -> Floats:
         """Return the covariance of means and slopes of three channels for unit variance, (3k, 3k).
 
-        Args:
-            time: Correlation time as a fraction of the session.
+        The correlation time is a fraction of the session.
         """
         alone, rows = self.one_channel(time * self.span), self.responses.reshape(-1, 3)
         return np.asarray(np.kron(alone, np.ones((3, 3))) * (rows @ rows.T))
 
     def entering(self, project: Floats) -> Floats:
-        """Return the factors of the segments' biases in the projected means, (3, r, n).
-
-        Args:
-            project: (3n, r) projection of the means of three channels.
-        """
+        """Return the factors (3, r, n) of the segments' biases in means projected by (3n, r)."""
         parts = project.T.reshape(project.shape[1], -1, 3)
         responses = self.responses[: parts.shape[1]]
         return np.asarray(np.einsum('rni,nic->crn', parts, responses))
@@ -89,13 +80,10 @@ class BiasDrift:
     def projected(self, time: float, entering: Floats, slopes: Floats) -> Floats:
         """Return `kernel` projected on means and slopes, (r + 3s, r + 3s).
 
+        `entering` are the factors (3, r, n) of the means, `slopes` those (3s,) of the slopes.
+
         Channels drift independently, and slopes are those of the biases: only the kernel of one
         channel is needed.
-
-        Args:
-            time: As in `kernel`.
-            entering: (3, r, n) factors of the means.
-            slopes: (3s,) factors of the slopes.
         """
         alone, (_, rows, count) = self.one_channel(time * self.span), entering.shape
         drifting = entering @ alone[:count]
@@ -163,15 +151,12 @@ def gain_by_noise(
 ) -> float:
     """Return the gain in log likelihood where noise is known only by its estimate.
 
+    `parts` are columns (r, m) whose product with their transpose is a part of the noise, and the
+    degrees of freedom of its estimate.
+
     The factor f on the variance of each part maximises the joint likelihood of the residuals and
     the blocks from which the part was estimated: these have -freedom / 2 (log f + 1 / f - 1),
     largest at f = 1.
-
-    Args:
-        covariance: (r, r), the noise as estimated.
-        residuals: (r,).
-        parts: Columns (r, m) whose product with their transpose is a part of the noise, and degrees
-            of freedom of its estimate.
 
     Source: docs/mathematics.md, 'Joint estimate'.
     """
@@ -200,16 +185,9 @@ def gain_by_noise(
 def log_likelihoods_by_ratio(
     base: Floats, kernels: Sequence[Floats], residuals: Floats, ratios: Floats
 ) -> Floats:
-    """Return the log likelihoods of residuals with the covariances base + ratio kernel.
+    """Return the log likelihoods (n, k) of residuals with covariances base + ratio kernel.
 
-    Args:
-        base: (r, r).
-        kernels: n of (r, r).
-        residuals: (r,).
-        ratios: (k,) of at least 0.
-
-    Returns:
-        (n, k).
+    The base is (r, r), the n kernels likewise, and the k ratios are at least 0.
     """
     root, z, size = _rooted(base, residuals)
     reduced = [scipy.linalg.lapack.dsygst(k, root, itype=1, lower=1)[0] for k in kernels]
@@ -223,20 +201,12 @@ def log_likelihoods_by_columns(
     residuals: Floats,
     ratios: Floats,
 ) -> Floats:
-    """Return the log likelihoods for kernels X X', X several columns side by side.
+    """Return the log likelihoods (n, k) for kernels X X', X several columns side by side.
+
+    X are p blocks (r, e), each times one of the (p,) factors of one of n kernels.
 
     The component orthogonal to all of them is common to all kernels, and no kernel has a higher
     rank than the number of columns.
-
-    Args:
-        base: (r, r).
-        columns: p blocks of (r, e).
-        factors: n of (p,) factors of the blocks in each kernel.
-        residuals: (r,).
-        ratios: (k,) of at least 0.
-
-    Returns:
-        (n, k).
     """
     root, z, size = _rooted(base, residuals)
     basis, triangle = np.linalg.qr(_whitened(root, np.hstack(columns)))

@@ -290,12 +290,9 @@ def contradicted(search: Search) -> bool:
 
 
 def on_the_best(equations: Equations, state: Floats, std: Floats) -> Floats:
-    """Return the standard deviations of parameters on a table as good as the best.
+    """Return the standard deviations (n,) of parameters on a table as good as the best.
 
-    Args:
-        equations: On the table as its file describes it.
-        state: (n + k,) their solution.
-        std: (n,) of the parameters by these equations.
+    `std` are those by the equations, on the table as its file describes it, at their solution.
     """
     better = replace(equations, evidence=as_the_best(equations.evidence))
     variances = [
@@ -323,10 +320,7 @@ def exactness_findings(estimate: Estimate) -> list[str]:
 def resting_on_the_table(equations: Equations, state: Floats, std: Floats) -> list[str]:
     """Return a sentence on parameters that depend on a table better than any known one.
 
-    Args:
-        equations: On the table as its file describes it.
-        state: (n + k,) their solution.
-        std: (n,) of the parameters by these equations.
+    Arguments as for `on_the_best`.
     """
     table = equations.evidence.table
     if equations.evidence.plan.by_hand or table is None or not table.understated_errors:

@@ -108,9 +108,6 @@ def join(alone: Sequence[Estimate]) -> Joined:
     others, the worst first, while three or more remain; of two that contradict each other it is
     unknown which is right.
 
-    Args:
-        alone: Estimate of each unit by itself, with its final weights; all on one table.
-
     Raises:
         NotObservable: The iteration does not converge.
     """

@@ -56,10 +56,7 @@ class LeastSquares:
     def of(cls, columns: Floats, residuals: Floats, rank: float) -> LeastSquares:
         """Solve (n, k) columns for (n,) outputs, both in standard deviations.
 
-        Args:
-            columns: Derivatives by the unknowns.
-            residuals: Outputs to be explained.
-            rank: Least singular value used, of the largest, columns of one length.
+        `rank` is the least singular value used, of the largest, columns of one length.
         """
         norms = np.linalg.norm(columns, axis=0)
         scale = np.where(norms > 0, norms, 1.0)
@@ -188,8 +185,7 @@ def _widened_by_scatter(
 ) -> tuple[Floats, Floats, list[str]]:
     """Widen a covariance (n, n) where residuals scatter more than the outputs' covariance explains.
 
-    Returns:
-        The covariance (n, n), the degrees of freedom (n,) of its widening, and sentences on it.
+    Return it, the degrees of freedom (n,) of its widening, and sentences on it.
     """
     parameters = equations.parameters
     of_accels = np.array([p.triad == 'a' for p in parameters])
@@ -216,13 +212,7 @@ def _widened_by_scatter(
 
 
 def _north_finding(evidence: Evidence, azimuth: float, std: float) -> list[str]:
-    """Report that the gyros see another north than the stated one, if they do.
-
-    Args:
-        evidence: The session, at a stated azimuth.
-        azimuth: Of north by the gyros in the frame of the attitudes, rad.
-        std: Its standard deviation, rad.
-    """
+    """Report that the gyros see north off a stated azimuth, by an angle and its deviation, rad."""
     if abs(azimuth) > max(FIVE_SIGMA * std, LEAST_AZIMUTH):
         return [
             f'The gyros see north {azimuth / DEG:.1f} +- {std / DEG:.1f} deg off the azimuth '

@@ -192,11 +192,7 @@ class Equations(SessionModel):
         return result
 
     def shares(self, state: Floats, gain: Floats) -> dict[Source, Share]:
-        """Return by source the covariance of parameters that are a `gain` times the outputs.
-
-        Args:
-            state: (n,).
-            gain: (p, m).
+        """Return by source the covariance of parameters that are a gain (p, m) times the outputs.
 
         Source: docs/mathematics.md, 'Uncertainty budget'.
         """
@@ -241,11 +237,7 @@ class Equations(SessionModel):
         return np.column_stack([vertical, vertical[:, None] * own])
 
     def whitened(self, state: Floats) -> tuple[Floats, Floats]:
-        """Return derivatives and residuals in standard deviations, the priors' rows last.
-
-        Returns:
-            (m + k, n) derivatives and (m + k,) outputs less prediction.
-        """
+        """Return derivatives (m + k, n) and residuals in deviations, the priors' rows last."""
         columns = self._factor_and_whitened(state)[1]
         return columns[:, :-1], columns[:, -1]
 

@@ -141,9 +141,6 @@ class Evidence:
         """Return the session on its table with other errors.
 
         Only `table_attitude_errors` depends on them.
-
-        Raises:
-            ValueError: No table is given.
         """
         if self.table is None:
             raise ValueError('no table, and none of its errors')
@@ -340,11 +337,7 @@ class Evidence:
         return np.asarray(precision / total)
 
     def vertical_axes(self) -> list[tuple[int, int]]:
-        """Return for every static dwell which body axis is vertical, and +1 up or -1 down.
-
-        Raises:
-            NotObservable: An attitude with no body axis vertical.
-        """
+        """Return for every static dwell which body axis is vertical, and +1 up or -1 down."""
         pairs = zip(self.attitudes(), self.segments, strict=True)
         return [vertical_axis(attitude[2], s.position) for attitude, s in pairs]
 
@@ -404,10 +397,6 @@ class Evidence:
 
 def vertical_axis(up: Floats, position: str | None) -> tuple[int, int]:
     """Return which body axis is vertical, and +1 up or -1 down.
-
-    Args:
-        up: (3,) up in body axes.
-        position: Its position, for the message.
 
     Raises:
         NotObservable: None of the three is.

@@ -540,11 +540,7 @@ class _Slopes:
     ) -> _Slopes:
         """Collect the slopes of gyros (first = 0) or accelerometers (first = 3).
 
-        Args:
-            segments: n dwells and turns.
-            explained: (n or more, 3) slopes by the parameters, those of the segments first.
-            walk: (6,) random-walk coefficients.
-            first: The first channel of the triad.
+        `explained` are the slopes (n or more, 3) by the parameters, those of the segments first.
         """
         channels = range(first, first + 3)
         every = [x.statistics for x in segments]
@@ -572,11 +568,8 @@ def _noise_of_channels(
 ) -> tuple[tuple[Floats, float], ...]:
     """Return `_Triad.noise`: the effect of the random walk of each channel, and its freedom.
 
-    Args:
-        own: The random walk of each channel, as variances of all outputs.
-        rows: (k,) outputs of the triad.
-        project: (k, r) projection of these by `_restricted`.
-        slopes: Of the same triad.
+    `own` are the variances of all outputs by it, `project` is the projection (k, r) of the outputs
+    `rows` by `_restricted`.
     """
     projection = scipy.linalg.block_diag(project, np.diag(slopes.weights))
     noise = []

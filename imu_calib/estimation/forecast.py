@@ -181,11 +181,7 @@ def _in_the_hand(truth: SensorModel, evidence: Evidence) -> Forecast:
 
 
 def listed(setup: Setup) -> tuple[Parameter, ...]:
-    """Return the parameters of a forecast: the 24, estimated or not, and additional ones.
-
-    Raises:
-        InputError: There is no such method, or it knows no terms.
-    """
+    """Return the parameters of a forecast: the 24, estimated or not, and additional ones."""
     return tuple(dict.fromkeys((*PARAMETERS, *setup.parameters)))
 
 
@@ -209,13 +205,7 @@ def information(
 
 
 def information_of(equations: Equations, truth: SensorModel, extra: Floats | None) -> Information:
-    """Return the Fisher information of equations at the truth.
-
-    Args:
-        equations: Without bias drift.
-        truth: Assumed sensors.
-        extra: Covariance of their outputs by bias drift, or None.
-    """
+    """Return the Fisher information of equations at the truth, with bias drift `extra` or None."""
     if extra is not None:
         m = len(equations.outputs)
         part = Blocks(np.arange(m)[None], extra[None, :m, :m])
@@ -291,14 +281,7 @@ _DEARER = 1.1
 def forecast_terms(
     found: Forecast, setup: Setup, truth: SensorModel, *, drifting: bool = False
 ) -> tuple[TermForecast, ...]:
-    """Forecast each term that the joint estimate of a session leaves out.
-
-    Args:
-        found: Forecast of the session without it.
-        setup: As in that forecast.
-        truth: Likewise.
-        drifting: Likewise.
-    """
+    """Forecast each term that the joint estimate leaves out of a forecast, set up alike."""
     if found.method not in JOINT or found.refusal:
         return ()
     included = terms_of(found.parameters)
@@ -327,12 +310,6 @@ def forecast_changes(
     """Forecast biases and scale factors that follow a trend, a warm-up or the temperature.
 
     The temperature is included if its stated change is large enough.
-
-    Args:
-        found: As in `forecast_terms`.
-        setup: Likewise.
-        truth: Likewise.
-        drifting: Likewise.
     """
     if found.method not in JOINT or found.refusal:
         return ()

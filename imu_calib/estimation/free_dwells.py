@@ -133,13 +133,7 @@ class FreeEquations(Equations):
 
 
 def at_headings_by_moves(evidence: Evidence, ups: Floats, model: SensorModel) -> Evidence:
-    """Return a session in attitudes with given ups, at the headings found by the moves.
-
-    Args:
-        evidence: The session.
-        ups: (s, 3) up in body axes, unit vectors.
-        model: Whose gyros are integrated.
-    """
+    """Return a session with ups (s, 3), at the headings found by the moves of a model's gyros."""
     east, north = across(ups)
     attitudes = np.stack([east, north, ups], axis=1)
     moves = evidence.with_attitudes(attitudes).used_moves
@@ -243,17 +237,9 @@ def compare_lengths(
 ) -> tuple[Floats, Floats, Floats]:
     """Set up one equation for each dwell, and a second for gyros.
 
-    Args:
-        sensors: Gyros or accelerometers.
-        values: (p,) of their parameters.
-        read: (s, 3) at rest.
-        noise: (s, 3, 3) its covariance.
-        up: By the accelerometers.
-        site: Gravity and Earth rate.
-
-    Returns:
-        (m, p) derivatives, (m,) residuals of squared lengths and of rates along up, and their
-        covariance (m, m).
+    For values (p,) of the sensors' parameters, outputs (s, 3) at rest, their covariance (s, 3, 3)
+    and up by the accelerometers return (m, p) derivatives, (m,) residuals of squared lengths and of
+    rates along up, and their covariance (m, m).
     """
     seen, by_outputs, by_parameters = sensors.compensated(values, read, up.forces)
     noise = propagated(by_outputs, noise)
@@ -275,10 +261,6 @@ def squares(vectors: Floats, covariances: Floats) -> tuple[Floats, Floats]:
     """Return the squared lengths of (m, 3) vectors without their noise, and their variances, (m,).
 
     Noise makes a vector longer: the mean of a square is the square of the mean plus the variance.
-
-    Args:
-        vectors: With normal noise.
-        covariances: (m, 3, 3) of it.
     """
     along = np.einsum('mi,mij,mj->m', vectors, covariances, vectors)
     own = np.trace(covariances, axis1=1, axis2=2)
@@ -307,16 +289,13 @@ _DETERMINED = np.radians(10.0)
 
 
 def vertical_earth_rate(segments: Sequence[Segment]) -> tuple[float, float] | None:
-    """Estimate the Earth rate about up from several attitudes; return it and its deviation, rad/s.
+    """Return the Earth rate about up in several attitudes and its deviation, rad/s, if determined.
 
     Least squares over dwells k with attitudes R_k = R_nb: y_k = b + R_k' w, of the biases b and the
     Earth rate w in the table's frame; the effect of misalignments on 15 deg/h is neglected. The
     deviation includes the scatter about the fit and that of nominal scale factors.
 
     Source: docs/mathematics.md, 'Latitude at a glance'.
-
-    Returns:
-        None where the attitudes do not determine it.
     """
     known = [s for s in segments if s.attitude is not None]
     if len(known) < _FEWEST:
@@ -334,12 +313,7 @@ def vertical_earth_rate(segments: Sequence[Segment]) -> tuple[float, float] | No
 
 
 def measured_latitude(up: float, std: float) -> tuple[float, float] | None:
-    """Return the latitude of an Earth rate about up and its deviation, rad; None if too uncertain.
-
-    Args:
-        up: rad/s.
-        std: Its standard deviation, rad/s.
-    """
+    """Return the latitude of an Earth rate about up and its deviation; None if uncertain."""
     latitude = float(np.arcsin(np.clip(up / EARTH_RATE, -1.0, 1.0)))
     slope = EARTH_RATE * max(float(np.cos(latitude)), float(np.sin(_DETERMINED)))
     found = std / slope

@@ -307,9 +307,6 @@ def by_delay(increments: Sequence[VelocityIncrement]) -> Floats:
 
     They give f(t - s) for f(t), which is s times the sum of C (w x f) t over a move from rest to
     rest; this is minus that.
-
-    Args:
-        increments: m of one model.
     """
     rates, axes, seconds, starts = _all_steps(increments)
     crossed = (
@@ -324,9 +321,6 @@ def by_places(increments: Sequence[VelocityIncrement]) -> Floats:
     In the order x, y, z of accelerometer x, then of y and z. Accelerometer i reads row i of (I + M)
     a_i, a_i = ([alpha] + [w][w]) r_i. From dwell to dwell integration by parts removes alpha: the
     integral of C P_i a_i is that of C (P_i [w] - [w] P_i) [w] r_i; this is minus that.
-
-    Args:
-        increments: m of one model.
     """
     matrix = np.reshape(
         _responses_alone(increments[0].model).reshape(3, 9) @ _by_responses(), (3, 18, 3)
@@ -377,13 +371,7 @@ def _responses_alone(model: SensorModel) -> Floats:
 
 
 def _change(rates: Floats, seconds: Floats, starts: NDArray[np.intp] = _ONE) -> Floats:
-    """Return the change of rates (n, 3), rad/s^2; the unit is at rest before and after.
-
-    Args:
-        rates: Of the steps, rad/s.
-        seconds: (n,) their lengths.
-        starts: Starts of motions, each from rest to rest.
-    """
+    """Return the change of rates (n, 3), rad/s^2; each motion is from rest to rest."""
     ends, last = np.cumsum(seconds), np.append(starts[1:], len(seconds)) - 1
     middles = ends - seconds / 2
     before, after = np.roll(middles, 1), np.roll(middles, -1)

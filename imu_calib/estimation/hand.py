@@ -262,12 +262,7 @@ class _State:
         )
 
     def drifting(self, name: str, courses: Floats) -> Floats:
-        """Return the effect on the outputs of biases that drift, (m, 3 k).
-
-        Args:
-            name: Of the term.
-            courses: (s + t, k) in each hold and turn.
-        """
+        """Return the effect on the outputs of biases that drift by courses (s + t, k), (m, 3 k)."""
         equations = self.equations
         biases = [equations.parameters.index(c.parameters[0]) for c in TRENDS[name]]
         slopes = equations.jacobian(self.values)[:, biases]
@@ -292,9 +287,6 @@ class _State:
 
 def solve(evidence: Evidence) -> FreeFit:
     """Estimate 21 parameters, and terms that the session shows, from holds and turns between.
-
-    Args:
-        evidence: Dwells in at least nine unknown attitudes, and the moves between them.
 
     Raises:
         InputError: The outputs are not in the units that the IMU's description states.
@@ -668,9 +660,6 @@ def is_clear(evidence: Evidence) -> bool:
     noise of groups inflate the covariance by s^2 at most.
 
     Source: docs/mathematics.md, 'Free positions'.
-
-    Args:
-        evidence: As for `solve`.
     """
     if len(evidence.segments) < FEWEST:
         return False
@@ -710,11 +699,7 @@ def _largest(step: Floats, equations: FreeEquations) -> float:
 
 
 def initial_equations(evidence: Evidence) -> tuple[FreeEquations, Floats]:
-    """Return the equations in attitudes by gravity and gyros, and the starting state.
-
-    Raises:
-        NotObservable: The outputs of nine holds or more lie on no ellipsoid.
-    """
+    """Return the equations in attitudes by gravity and gyros, and the starting state."""
     outputs = evidence.outputs()
     gyro, accel = Triad(bias=outputs[:, :3].mean(axis=0)), Triad()
     if len(outputs) >= FEWEST:
@@ -787,11 +772,7 @@ def _check_observable(state: _State) -> None:
 
 
 def check(plan: Plan) -> None:
-    """Raise if a plan is not one of holds in the hand alone.
-
-    Raises:
-        NotObservable: It is run on a table, or turns the unit between its holds.
-    """
+    """Raise if a plan is not one of holds in the hand alone."""
     if not plan.by_hand:
         raise NotObservable(_NEEDS)
     if any(position.rate_test for position in plan.positions):
@@ -802,11 +783,7 @@ def check(plan: Plan) -> None:
 
 
 def refuse(_: Evidence) -> Solution:
-    """Raise with the needs of this method beyond static dwells and whole turns.
-
-    Raises:
-        NotObservable: Always.
-    """
+    """Raise with the needs of this method beyond static dwells and whole turns."""
     raise NotObservable(_NEEDS)
 
 

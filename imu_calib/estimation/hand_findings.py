@@ -47,12 +47,10 @@ _AROUND = np.geomspace(0.8, 1.25, 41).tolist()
 def check_turns(evidence: Evidence, model: SensorModel) -> None:
     """Raise if gravity turned by the gyros disagrees with the accelerometers of the next hold.
 
+    The attitudes have the ups of the accelerometers; only the gyro biases of the model are used.
+
     All exchanges and signs of axes, in rad/s and in deg/s, are tried; the one with the fewest
     changes of those that fit is named. If none fits, this function does not raise.
-
-    Args:
-        evidence: In attitudes whose ups are those of the accelerometers.
-        model: Only its gyro biases are used.
 
     Raises:
         InputError: Units or scale factor of the gyros differ from those of the recording.

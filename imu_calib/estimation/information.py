@@ -102,14 +102,9 @@ def log_determinant(information: Floats, first: int) -> float:
 
 
 def attainable_std(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS) -> Floats:
-    """Return the standard deviations that a session gives so far.
+    """Return the standard deviations (n,) that a session, whole or partial, gives so far.
 
-    Args:
-        evidence: Any subset of a session's static dwells and turns, or none.
-        parameters: The parameters to be estimated.
-
-    Returns:
-        (n,) SI units; NaN where a parameter is not observed, or not determined (`determined`).
+    NaN where a parameter is not observed, or not determined (`determined`).
     """
     try:
         information = nominal_information(Equations(evidence, parameters))
@@ -186,10 +181,7 @@ def _standard_deviations(information: Information, parameters: tuple[Parameter, 
 def undetermined_in_words(evidence: Evidence, term: Term, lost: Sequence[Parameter]) -> str:
     """Return a sentence that a session does not determine a term, and what would.
 
-    Args:
-        evidence: The session, which determines the 24 parameters without the term.
-        term: The term.
-        lost: All parameters that it does not determine with the term.
+    `lost` are all parameters that it does not determine with the term, and would without.
     """
     mine = [p.name for p in lost if p in term.parameters]
     others = [p.name for p in lost if p not in term.parameters]
@@ -207,12 +199,7 @@ def segments_in_words(evidence: Evidence) -> str:
 
 
 def unobservable_in_words(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
-    """Return a sentence on the parameters a session cannot observe, and what is missing.
-
-    Args:
-        evidence: The session.
-        lost: (24,) mask of these parameters.
-    """
+    """Return a sentence on parameters (24,) that a session cannot observe, and why."""
     words = []
     unnamed = {p.name for p, gone in zip(PARAMETERS, lost, strict=True) if gone}
     turned = [np.abs(turn.up) for turn in evidence.turns]
@@ -365,9 +352,7 @@ def _extended(equations: Equations, segment: Segment | Turn) -> Equations:
 def _log_information(equations: Equations, scale: Floats) -> float:
     """Return the logarithm of a session's information on the sensors' parameters.
 
-    Args:
-        equations: The session.
-        scale: (n,) scale of each parameter, to remove the units.
+    The scale (n,) of each parameter removes the units.
     """
     jacobian = equations.whitened(equations.nominal())[0]
     sensors, others = np.split(jacobian, [equations.sensors], axis=1)

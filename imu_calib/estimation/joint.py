@@ -302,17 +302,7 @@ def concluded(search: Search, terms: tuple[Term, ...], changes: tuple[Change, ..
 def provisional(
     evidence: Evidence, terms: tuple[Term, ...] = (), changes: tuple[Change, ...] = ()
 ) -> Solution:
-    """Solve a session in progress as `solve` does, without testing or selecting terms that are off.
-
-    Args:
-        evidence: The session so far.
-        terms: As in `solve`.
-        changes: Likewise.
-
-    Raises:
-        NotObservable: As `solve`.
-        InputError: Likewise.
-    """
+    """Solve a session in progress as `solve` does, without testing terms that are off."""
     found = estimate(evidence, parameters_of(terms), changes)
     return replace(_checked_solution(found), shares=found.shares())
 
@@ -420,14 +410,13 @@ def _residuals(found: Estimate) -> tuple[Residual, ...]:
 
 
 def observed_earth_rate(found: Estimate) -> tuple[Floats, Floats]:
-    """Return the Earth rate by the gyros, free in size and direction, and its covariance.
+    """Return the Earth rate (3,) by the gyros, free in size and direction, and its covariance.
+
+    Level, but at the heading of the attitudes, rad/s.
 
     The tilts found in the session are removed from it; its covariance includes their uncertainty.
     Only the noise is used, or the residuals it leaves if larger: scatter by a wrong latitude must
     not hide it.
-
-    Returns:
-        (3,) rad/s, level but at the heading of the attitudes, and (3, 3).
     """
     return _free_earth(found.without_scatter, found.state)
 

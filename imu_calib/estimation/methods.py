@@ -75,13 +75,9 @@ def method(
     *,
     find_terms: bool = False,
 ) -> Callable[[Evidence], Solution]:
-    """Return the solver of a name.
+    """Return the solver of a name, for terms and changes beside the method's parameters.
 
-    Args:
-        name: Of the method.
-        terms: To be estimated in addition to the method's parameters.
-        changes: Coefficients of changes during the session, likewise.
-        find_terms: Estimate other terms that are significant, too, if the method supports terms.
+    With `find_terms` it estimates other significant terms, too, if the method supports terms.
 
     Raises:
         InputError: Unknown method (the message lists all), or one without terms.
@@ -104,11 +100,7 @@ def method(
 def provisional(
     name: str, terms: tuple[Term, ...] = (), changes: tuple[Change, ...] = ()
 ) -> Callable[[Evidence], Solution]:
-    """Return the solver for a session in progress: `method` without a search for terms.
-
-    Raises:
-        InputError: As `method`.
-    """
+    """Return the solver for a session in progress: `method` without a search for terms."""
     if name not in JOINT:
         return method(name, terms, changes)
     solve = partial(joint.provisional, terms=(*JOINT[name], *terms), changes=changes)
@@ -120,11 +112,7 @@ def _in_table_time(solve: Callable[[Evidence], Solution], evidence: Evidence) ->
 
 
 def estimated_parameters(name: str, terms: tuple[Term, ...] = ()) -> tuple[Parameter, ...]:
-    """Return the parameters that a method estimates, terms added.
-
-    Raises:
-        InputError: Unknown method, or one without terms.
-    """
+    """Return the parameters that a method estimates, terms added."""
     method(name, terms)
     if name in JOINT:
         return parameters_of((*JOINT[name], *terms))
@@ -183,11 +171,7 @@ class Setup:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters estimated in any session.
-
-        Raises:
-            InputError: There is no such method, or it does not support terms.
-        """
+        """Parameters estimated in any session."""
         return estimated_parameters(self.method_name, self.terms)
 
     @cached_property

@@ -101,13 +101,7 @@ def instant_of(evidence: Evidence, shape: float) -> int:
 
 
 def courses(evidence: Evidence, course: Course, shape: float) -> Floats:
-    """Return the means of a course over each dwell, turn and move, (s + t + m,).
-
-    Args:
-        evidence: The session.
-        course: Which.
-        shape: As in `shapes`.
-    """
+    """Return the means of a course over each dwell, turn and move, (s + t + m,)."""
     starts, ends = spans(evidence)
     whole = float(ends.max(initial=0.0))
     if course is Course.TREND:
@@ -123,13 +117,7 @@ def courses(evidence: Evidence, course: Course, shape: float) -> Floats:
 
 
 def rates(evidence: Evidence, course: Course, shape: float) -> Floats:
-    """Return the slope of a course over each dwell, turn and move, (s + t + m,) per s.
-
-    Args:
-        evidence: The session.
-        course: Which.
-        shape: As in `shapes`.
-    """
+    """Return the slope of a course over each dwell, turn and move, (s + t + m,) per s."""
     starts, ends = spans(evidence)
     lasting = np.maximum(ends - starts, 1e-9)
     if course is Course.TREND:
@@ -180,11 +168,7 @@ def warms(evidence: Evidence) -> bool:
 
 
 def check_temperature(evidence: Evidence) -> None:
-    """Raise if a session's temperature does not vary, or is not known.
-
-    Raises:
-        NotObservable: States the range found and the range needed.
-    """
+    """Raise if a session's temperature does not vary, or is not known."""
     seen = temperatures(evidence)
     if not warms(evidence):
         raise NotObservable(
@@ -227,12 +211,7 @@ def stated_changes(
 ) -> tuple[tuple[Change, ...], Floats]:
     """Return a coefficient per K for each scale factor and bias, and the data sheet's values.
 
-    Args:
-        parameters: Of the sensors.
-        thermal: (2, 2) as in `Evidence`.
-
-    Returns:
-        The k coefficients, and (k,) standard deviations, SI units per K.
+    (k,) standard deviations, SI units per K; `thermal` is that of `Evidence`.
     """
     kinds = {ParameterKind.SCALE_FACTOR_ERROR: 0, ParameterKind.BIAS: 1}
     mine = [p for p in parameters if p.kind in kinds]
@@ -254,11 +233,8 @@ _ANGLES, _VELOCITIES = np.repeat(np.eye(2), 3, axis=1)
 def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, ...]:
     """Return the independent errors of each output: noise, quantisation, the encoders' noise.
 
-    The first six are the random walk of the channels.
-
-    Args:
-        evidence: The session.
-        inflation: (m,) factors on these variances, or None.
+    `inflation` are factors (m,) on these variances, or None. The first six parts are the random
+    walk of the channels.
     """
     # Most equations of a session differ only in the other parts.
     if 'own' not in evidence.cache:
@@ -340,14 +316,7 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
 def encoder_rates(
     evidence: Evidence, rates: Floats, response: Floats, pulled: Floats
 ) -> list[Component]:
-    """Return the error of the encoder's rate, common to the outputs of a turn.
-
-    Args:
-        evidence: The session.
-        rates: (t,) of the turns, rad/s.
-        response: (3, 3) of the gyros.
-        pulled: (f, 3) effect of the square of the rate on accelerometers that are used, m/s^2.
-    """
+    """Return the error of the encoder's rate (t,) rad/s, common to the outputs of a turn."""
     found = []
     relative = np.array([t.rate_std(evidence.walk) for t in evidence.turns])
     for _, rows, seen in encoder_rate_errors(evidence, relative, rates, response, pulled):
@@ -388,12 +357,9 @@ def encoder_rate_errors(
 
 
 def level_gravity(evidence: Evidence, ups: Floats, levelled: float) -> Component:
-    """Return the error by cuts within samples and level gravity in turns on a tilted table.
+    """Return the error in turns by cuts within samples and level gravity on a tilted table.
 
-    Args:
-        evidence: The session.
-        ups: (t, 3) up in body axes, of the turns.
-        levelled: Standard deviation of the table's tilt about either axis, rad.
+    `levelled` is the standard deviation of the table's tilt about either axis, rad.
     """
     which, rows = evidence.arms.turns, evidence.layout.turn_accels
     level_gravities = [
@@ -409,11 +375,6 @@ def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Componen
 
     By hand every static dwell has an independent heading, and a turn from rest to rest does not
     average all of it out. Where attitudes are estimated it is in the state.
-
-    Args:
-        evidence: The session.
-        ups: (s + t, 3) up in body axes.
-        response: (3, 3) of the gyros.
     """
     segments, turns = evidence.segments, evidence.turns
     by_hand = 1.0 if evidence.plan.by_hand and not evidence.free else 0.0

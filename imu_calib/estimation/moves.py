@@ -109,19 +109,11 @@ class Moves:
     ) -> Moves:
         """Choose the moves to use; all of a unit in the hand, whose attitudes are `free`.
 
+        With `coarse` such velocities are used too: for parameters that the rest does not determine.
+
         A move that contains measured turns shares its noise with them and adds little: the turns
         are used instead. Where no joint moved the move is not used. A velocity with little
         information beside the rest is left out: pulses of some mm/s dominate it.
-
-        Args:
-            segments: At rest, in order.
-            turns: Measured turns.
-            moves: Between segments.
-            gravity: m/s^2.
-            walk: (6,) random-walk coefficients of the channels.
-            free: Whether the attitudes are estimated.
-            coarse: Whether to use such velocities too: for parameters that the rest does not
-                determine.
         """
         by_end = {s.end: k for k, s in enumerate(segments) if free or s.angles is not None}
         by_start = {s.start: k for k, s in enumerate(segments) if free or s.angles is not None}
@@ -214,10 +206,8 @@ class Moves:
     def misclosures(self, model: SensorModel, earth_rate: Floats, force: Floats) -> Floats:
         """Return e and z, (m, 6) rad and m/s; z is zero where accelerometers are not used.
 
-        Args:
-            model: The sensors.
-            earth_rate: In the frame of the attitudes, (3,) or of each of them (s, 3), rad/s.
-            force: (3,) specific force at rest, likewise, m/s^2.
+        The Earth rate is in the frame of the attitudes, (3,) or of each of them (s, 3), rad/s; the
+        specific force at rest (3,) likewise, m/s^2.
         """
         found = np.zeros((len(self), 6))
         if not self.linked:
@@ -289,11 +279,8 @@ class Moves:
     def clock_derivatives(self, model: SensorModel, force: Floats, *, counted: bool) -> Floats:
         """Return the derivatives of `misclosures` by the rate of the clock, (m, 6).
 
-        Args:
-            model: The sensors.
-            force: (3,) as in `misclosures`.
-            counted: Whether the outputs are pulses, whose sum does not depend on the clock. Rates
-                times shorter seconds turn by less.
+        Where the outputs are counted pulses their sum does not depend on the clock; rates times
+        shorter seconds turn by less. The specific force is that of `misclosures`.
         """
         found = np.zeros((len(self), 6))
         increments, mine = self._used_increments(model), self._with_accels
@@ -331,15 +318,9 @@ class Moves:
         return found
 
     def attitude_error_effects(self, model: SensorModel, attitude_errors: Floats) -> Floats:
-        """Return the derivatives of `misclosures` by errors of the attitudes at both ends.
+        """Return the derivatives (m, 6, e) of `misclosures` by attitude errors at both ends.
 
-        Args:
-            model: The sensors.
-            attitude_errors: (s, 3, e) rotations of the attitudes in body axes, per unit of each of
-                e errors.
-
-        Returns:
-            (m, 6, e).
+        `attitude_errors` (s, 3, e) are rotations in body axes, per unit of each of e errors.
         """
         found = np.zeros((len(self), 6, attitude_errors.shape[2]))
         if not self.linked:
@@ -363,14 +344,9 @@ class Moves:
     ) -> tuple[Floats, Floats]:
         """Return the errors of velocities beyond the parameters, common to many moves.
 
-        Args:
-            model: The sensors.
-            earth_rate: (3,) in the frame of the attitudes, rad/s.
-            known: Kinds that are parameters, or taken as zero.
-
-        Returns:
-            (m, 6, 12) by the place of the unit and of its accelerometers, 3 where their places are
-            known, and (m, 6, 1) by their delay, per standard deviation.
+        Kinds that are `known` are parameters, or taken as zero. Return (m, 6, 12) by the place of
+        the unit and of its accelerometers, 3 where their places are known, and (m, 6, 1) by their
+        delay, per standard deviation.
         """
         apart, late = (kind not in known for kind in (ParameterKind.PLACE, ParameterKind.DELAY))
         arms = np.zeros((len(self), 6, 12 if apart else 3))
@@ -430,12 +406,9 @@ class Moves:
         return found
 
     def _remainder_covariance(self, index: int, pulse: Floats, least: Floats) -> Floats:
-        """Return the covariance of one velocity by remainders, (3, 3) (m/s)^2.
+        """Return the covariance (3, 3) of the velocity of a move by remainders of pulses, (m/s)^2.
 
-        Args:
-            index: Of the move.
-            pulse: (3,) size of a pulse, m/s.
-            least: (3,) least standard deviation of the counters' rates, m/s^2.
+        `least` are the least standard deviations (3,) of the counters' rates, m/s^2.
         """
         if self.approximate_sensors is None:
             return np.eye(3) * _EDGES * np.mean(pulse**2)

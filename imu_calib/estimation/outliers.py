@@ -105,13 +105,10 @@ def moves_that_fit(
 ) -> tuple[Evidence, tuple[RejectedMove, ...]]:
     """Choose the moves that agree with dwells and turns: return the session with them.
 
+    `resting` is the session without moves, `state` its solution.
+
     A gyro beyond its range or nonlinear, or a table whose joints differ from its description, makes
     errors of many times the noise within seconds: such a move must not affect the parameters.
-
-    Args:
-        resting: The session without moves.
-        state: (n,) their solution.
-        moves: All moves of the session.
     """
     evidence = resting.evidence.with_moves(moves)
     if not len(evidence.used_moves):
@@ -136,11 +133,6 @@ def led_by_moves(resting: Equations, state: Floats, moves: tuple[Move, ...]) -> 
     By the Earth's rotation alone that of cheap gyros is off by more than itself, too far for moves,
     whose rotations are not linear in it. It is then taken to be near the nominal one, and
     determined by the rotations that agree with that.
-
-    Args:
-        resting: The session without moves.
-        state: (n,) their solution.
-        moves: All moves of the session.
     """
     parameters = resting.parameters
     own = np.array([k for k, p in enumerate(parameters) if p.triad == 'g' and p in RESPONSES])
@@ -208,8 +200,7 @@ def _judged(
 def turns_downweighted(equations: Equations, state: Floats) -> tuple[Equations, float]:
     """Weight turns by their scatter, each channel about each axis separately.
 
-    Returns:
-        The equations, and the largest chi-square per degree of freedom.
+    Return the largest chi-square per degree of freedom, too.
     """
     jacobian, residuals = equations.whitened(state)
     norms = np.linalg.norm(jacobian, axis=0)
@@ -416,10 +407,7 @@ class Estimate:
 def shares(equations: Equations, state: Floats, gain: Floats) -> dict[Source, Share]:
     """Return the covariance of the parameters by source: of the outputs, and of the priors.
 
-    Args:
-        equations: The solved equations.
-        state: (n,) their solution.
-        gain: (n, m + k) derivatives of the state by outputs and priors in standard deviations.
+    `gain` (n, m + k) are derivatives of the state by outputs and priors in standard deviations.
     """
     n, m = equations.sensors, len(equations.outputs)
     factor = equations.factor(state)
@@ -441,13 +429,7 @@ def estimate(
     changes: tuple[Change, ...] = (),
     considered: tuple[tuple[Parameter, float], ...] = (),
 ) -> Estimate:
-    """Fit all of a session at once.
-
-    Args:
-        evidence: The session.
-        parameters: Of the sensors.
-        changes: By which they change during the session.
-        considered: As in `Equations`.
+    """Fit all of a session at once; `considered` as in `Equations`.
 
     Raises:
         NotObservable: Names what the session cannot observe.

@@ -69,11 +69,10 @@ def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, F
 def walk_of_sensors(segments: tuple[Segment, ...], spec: ImuSpec) -> Floats:
     """Return the random walk of the sensors without a hand's, (6,), rad/sqrt(s), (m/s)/sqrt(s).
 
+    NaN where neither gives it: increments of a counter hide it by the pulses.
+
     By the data sheet, else by the differences of neighbouring samples at rest, less the rounding
     of counts.
-
-    Returns:
-        NaN where neither gives it: increments of a counter hide it by the pulses.
     """
     stated = np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
     found = np.full(6, np.nan)
@@ -136,12 +135,10 @@ def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
 def _sliding(statistics: Statistics, up: Floats, bias: Floats) -> float:
     """Return the rate, rad/s, at which gravity turns in a dwell, if it does so steadily; else 0.
 
-    The gyros must show it, too: f' = -w x f.
+    `up` (3, 3) projects on the direction of gravity; `bias` (3,) is the output of the gyros in the
+    other dwells, rad/s.
 
-    Args:
-        statistics: Of the dwell.
-        up: (3, 3) projection on the direction of gravity.
-        bias: (3,) output of the gyros in the other dwells, rad/s.
+    The gyros must show it, too: f' = -w x f.
     """
     blocks = np.array(statistics.blocks[3:])
     across = (np.eye(3) - up) @ (blocks[:, :, 0] - blocks[:, :, 0].mean(axis=1)[:, None])
@@ -232,14 +229,7 @@ class ApproximateSensors:
     def of(
         cls, segments: Sequence[Segment], turns: Sequence[Turn], forces: Floats, walk: Floats
     ) -> ApproximateSensors:
-        """Fit the lines.
-
-        Args:
-            segments: At rest.
-            turns: Measured turns.
-            forces: (s, 3) specific force in each segment, body axes, m/s^2.
-            walk: (6,) random-walk coefficients of the channels.
-        """
+        """Fit the lines to dwells at rest with specific forces (s, 3), body axes, and to turns."""
         at_rest = np.array([s.statistics.mean for s in segments])
         turned = np.array([t.statistics.mean[:3] for t in turns]).reshape(-1, 3)
         rates = np.array([t.rate() * t.up for t in turns]).reshape(-1, 3)

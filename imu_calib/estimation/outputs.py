@@ -54,12 +54,7 @@ class Arms:
 
     @classmethod
     def of(cls, turns: Sequence[Turn], up_rate: float) -> Arms:
-        """Choose the turns that a table made at constant rate, about one axis; none by hand.
-
-        Args:
-            turns: Of a session.
-            up_rate: Vertical Earth rate, rad/s.
-        """
+        """Choose the turns that a table made at constant rate, about one axis; none by hand."""
         which = [k for k, turn in enumerate(turns) if turn.seconds is not None]
         groups: list[int] = []
         kinds: list[Turn] = []
@@ -109,13 +104,10 @@ _TURN_HEADINGS = 8
 
 
 def headings(ups: Floats) -> Floats:
-    """Return the attitudes of whole turns at equal steps, (t, 8, 3, 3): to body axes.
+    """Return the attitudes of whole turns about (t, 3) ups at equal steps, (t, 8, 3, 3).
 
     Those of the second half are the first half's with the level axes exactly reversed: terms that
     cancel over a whole turn are then exactly zero, not rounding that seems observed.
-
-    Args:
-        ups: (t, 3) up in body axes.
     """
     angles = np.arange(_TURN_HEADINGS // 2) * (2 * np.pi / _TURN_HEADINGS)
     cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
@@ -221,12 +213,10 @@ class OutputLayout:
         return result
 
     def joined(self, dwell: Floats, turn: Floats, move: Floats) -> Floats:
-        """Return values in the order of the outputs.
+        """Return values (s, 6, ...), (t, 6, ...), (m, 6, ...) in the order of the outputs.
 
-        Args:
-            dwell: (s, 6, ...).
-            turn: (t, 6, ...): turns whose accelerometers are not used are left out.
-            move: (m, 6, ...), angles, then velocities: likewise.
+        Accelerometers of turns and moves that are not used are left out. Of moves the angles come
+        first, then the velocities.
         """
         parts = (
             (dwell, self.dwell),

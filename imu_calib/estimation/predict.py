@@ -47,13 +47,9 @@ _PHASE = 0.5
 
 
 def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = None) -> Statistics:
-    """Return the statistics of readings whose mean is (6,) `mean`.
+    """Return the statistics of readings (rad/s, m/s^2) whose mean is (6,) `mean`.
 
-    Args:
-        spec: Units and noise.
-        mean: Outputs, rad/s and m/s^2.
-        seconds: Duration.
-        spare: Time on both sides of whole turns in which counts are also read, s; None at rest.
+    `spare` is the time on both sides of whole turns in which counts are also read; None at rest.
     """
     gain, quantisation = np.full(6, 1 / seconds), np.zeros(6)
     period = period_of(spec)
@@ -236,13 +232,7 @@ def ideal_move(
 ) -> Move:
     """Return the ideal sensor outputs on the way from one dwell to the next.
 
-    Args:
-        before: The static dwell at its start.
-        after: The static dwell at its end.
-        course: Of the joints.
-        table: The table.
-        truth: The sensors.
-        world: (3,) Earth rate and (3,) specific force in the frame of the attitudes, SI.
+    `world` is the Earth rate and the specific force in the frame of the attitudes, (3,) each.
     """
     seconds = (after.start - before.end) * 1e-9
     knots = np.linspace(0.0, course.end, max(2, math.ceil(course.end / _STEP)) + 1)
@@ -260,10 +250,9 @@ def ideal_move(
 def _along(
     attitudes: Floats, spans: Floats, truth: SensorModel, world: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
-    """Return the ideal sensor outputs through (n + 1, 3, 3) attitudes, (n,) seconds apart.
+    """Return the ideal angles and velocities (n, 3) through (n + 1, 3, 3) attitudes.
 
-    Returns:
-        (n, 3) angles, rad, and (n, 3) velocities, m/s.
+    They are (n,) seconds apart.
     """
     earth, force = world
     steps = rotation_vectors(np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:])
@@ -284,13 +273,7 @@ def ideal_holds(segments: list[Segment]) -> list[Segment]:
 
 
 def next_hold(last: Segment, up: Floats, seconds: float) -> Segment:
-    """Return a hold like another one, reached by the shortest rotation.
-
-    Args:
-        last: The hold before, in its attitude.
-        up: (3,) in body axes, unit vector.
-        seconds: Its duration.
-    """
+    """Return a hold of so many seconds after another, reached by the shortest rotation."""
     start = last.end + nanoseconds(BY_HAND_MOVE)
     statistics = replace(last.statistics, duration=seconds, walk_gain=np.full(6, 1 / seconds))
     return replace(
@@ -534,10 +517,6 @@ def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
     Biases are first-order Gauss-Markov processes with the bias instabilities of the data sheet as
     standard deviations. They enter the means of static dwells and turns and the integrals over
     moves; u is the number of turns with readings of a skewed gyro.
-
-    Args:
-        evidence: Static dwells and turns in time.
-        spec: Bias instabilities.
     """
     dwells, turns = evidence.segments, evidence.turns
     moves = [link.move for link in evidence.used_moves.linked]

@@ -85,10 +85,7 @@ class Family:
     def freed(self, equations: Equations, size: float, *, alone: bool = False) -> Equations:
         """Return equations whose table has this error with a standard deviation, rad.
 
-        Args:
-            equations: Without it, or with its size in the table's file.
-            size: Replaces that.
-            alone: Whether all other errors of the table are removed.
+        `alone`: all other errors of the table are removed.
         """
         table = equations.evidence.table
         others = TableErrors() if alone or table is None else table.errors
@@ -96,14 +93,11 @@ class Family:
         return replace(equations, evidence=equations.evidence.with_table_errors(errors))
 
     def scatter(self, equations: Equations, state: Floats, shape: float) -> ExcessScatter:
-        """Return the scatter beyond noise that remains with the family on.
+        """Return the scatter beyond noise that remains with the family on, by a solution without.
+
+        `shape` is one of `modulation.shapes`.
 
         Scatter that is estimated without a missing term absorbs the term, and hides it.
-
-        Args:
-            equations: Without the family.
-            state: (n,) their solution.
-            shape: As in `modulation.shapes`.
         """
         if self.course is not None:
             there = replace(equations, changes=self.changes, shape=shape)
@@ -295,9 +289,6 @@ class Score:
 
         Along its own direction the statistic is the square of a normal deviate about the
         coefficient in deviations; it is detected where that is beyond the limit.
-
-        Args:
-            chance: Probability of a false detection.
         """
         if not self.tested:
             return np.full(len(self.deviation), np.inf)
@@ -369,9 +360,7 @@ class WhitenedResiduals:
 def most_significant(scores: Sequence[Score], tries: Sequence[int] = ()) -> Score:
     """Return the most significant of the tests of a family, as one of so many.
 
-    Args:
-        scores: One or more.
-        tries: Of each (`tries_of`); the number of all by default.
+    `tries` is that of each (`tries_of`); the number of all by default.
     """
     each = [
         replace(score, tries=n) for score, n in zip(scores, tries or [1] * len(scores), strict=True)
@@ -469,12 +458,10 @@ def undecided(
     count: int,
     interrupted: NDArray[np.bool_] | None = None,
 ) -> UndecidedDrifts:
-    """Weight courses against each other and against none.
+    """Weight courses against each other and against none, for `count` parameters.
 
-    Args:
-        courses: With their time constants, each equally likely beforehand.
-        count: n of the parameters.
-        interrupted: Which instants of a step lie in an interruption, where it is likelier.
+    The time constants of a course are equally likely beforehand; a step is likelier in an
+    interruption.
     """
     logs: dict[Family, float] = {}
     covariances: dict[Family, Floats] = {}
@@ -505,12 +492,7 @@ def undecided(
 
 
 def _times(interrupted: NDArray[np.bool_] | None, tested: Sequence[bool]) -> Floats:
-    """Return how many times likelier a step is at each tested instant than without interruptions.
-
-    Args:
-        interrupted: As in `undecided`.
-        tested: Whether each instant is.
-    """
+    """Return how many times likelier than without interruptions a step is at each instant."""
     times = np.ones(len(tested))
     if interrupted is not None and interrupted.any():
         within = _ODDS_IF_INTERRUPTED / interrupted.sum()
@@ -525,12 +507,10 @@ def _square(score: Score) -> tuple[float, int]:
 def log_bayes_factor(square: float, rank: int) -> float:
     """Return the logarithm of the likelihood ratio with and without coefficients.
 
+    By the chi-square of their score test and its rank.
+
     They are normal with g times the covariance of their estimate, and g has the density (1 +
     g)^-1.5 / 2.
-
-    Args:
-        square: Chi-square of their score test.
-        rank: Its degrees of freedom.
     """
     z, b = max(square, _LEAST) / 2, (rank + 1) / 2
     below = float(scipy.special.gammainc(b, z))
@@ -539,12 +519,7 @@ def log_bayes_factor(square: float, rank: int) -> float:
 
 
 def shrinkage(square: float, rank: int) -> tuple[float, float]:
-    """Return the posterior means of g / (1 + g) and of its square.
-
-    Args:
-        square: As in `log_bayes_factor`.
-        rank: Likewise.
-    """
+    """Return the posterior means of g / (1 + g) and of its square."""
     z, b = max(square, _LEAST) / 2, (rank + 1) / 2
     first, second, third = (float(scipy.special.gammainc(b + k, z)) for k in range(3))
     lost = b / z * second / first

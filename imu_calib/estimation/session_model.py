@@ -292,12 +292,7 @@ class SessionModel:
         return result
 
     def parameter_derivatives(self, state: Floats, parameters: tuple[Parameter, ...]) -> Floats:
-        """Return the derivatives of `predict` by p parameters, (m, p).
-
-        Args:
-            state: (n,) of sensors and table.
-            parameters: Of the sensors, in the state or not.
-        """
+        """Return the derivatives (m, p) of `predict` by parameters, in the state or not."""
         _, rate, force, turning, turning_force = self._inputs(state)
         model = self.model(state)
         at_rest = model.derivatives(rate, force, parameters)
@@ -332,9 +327,7 @@ class SessionModel:
     def columns(self, changes: Sequence[Change], derivatives: Floats) -> Floats:
         """Return the derivatives by coefficients of a session's terms, on or off, (m, k).
 
-        Args:
-            changes: The k coefficients.
-            derivatives: (m, n) by the parameters of the sensors, as `jacobian` begins.
+        `derivatives` (m, n) are those by the parameters of the sensors, as `jacobian` begins.
         """
         return columns(self.evidence, changes, derivatives, self.parameters, self.shape)
 
@@ -346,11 +339,7 @@ class SessionModel:
 
     @cached_by_state
     def world_derivatives(self, state: Floats) -> Floats:
-        """Return the derivatives of `predict` by Earth rate and gravity.
-
-        Returns:
-            (m, 6), both in the frame of the attitudes.
-        """
+        """Return the derivatives (m, 6) by Earth rate and gravity in the frame of the attitudes."""
         _, rate, force, turning, turning_force = self._inputs(state)
         model, moves = self.model(state), self.evidence.used_moves
         to_body = np.transpose(self.evidence.dwell_attitudes, (0, 2, 1))
@@ -364,11 +353,7 @@ class SessionModel:
         return result
 
     def mount_derivatives(self, state: Floats) -> Floats:
-        """Return the derivatives of `predict` by rotations of the unit in its mount.
-
-        Returns:
-            (m, 3) per rad about the body axes.
-        """
+        """Return the derivatives (m, 3) by rotations of the unit about its body axes, per rad."""
         every = len(self.evidence.segments), len(self.evidence.turns)
         # Attitudes lean opposite to the rotation of the unit.
         at_rest, turned = (np.broadcast_to(-np.eye(3), (count, 3, 3)) for count in every)
@@ -389,10 +374,7 @@ class SessionModel:
     def attitude_error_effects(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
         """Return the effect of e errors of attitudes on the outputs, (m, e).
 
-        Args:
-            state: (n,) of sensors and table.
-            at_rest: (s, 3, e) rotations of the static dwells about the body axes, rad.
-            turned: (t, 3, e) of the turns.
+        The errors are rotations about the body axes, rad: (s, 3, e) of dwells, (t, 3, e) of turns.
         """
         s, by_each = len(at_rest), self._rotation_derivatives(state)
         in_moves = self.evidence.used_moves.attitude_error_effects(self.model(state), at_rest)

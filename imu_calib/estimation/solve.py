@@ -220,11 +220,7 @@ once in 16 000."""
 
 
 def check_observable(equations: Equations) -> None:
-    """Raise if a session does not determine all parameters, or lacks a rate test.
-
-    Raises:
-        NotObservable: Names the parameters and what is missing.
-    """
+    """Raise if a session does not determine all parameters, or lacks a rate test."""
     evidence = equations.evidence
     plain = replace(equations, parameters=PARAMETERS)
     open_ones = undetermined_parameters(plain)
@@ -274,11 +270,7 @@ def start(equations: Equations) -> Floats:
 
 
 def fit(equations: Equations, state: Floats) -> Floats:
-    """Iterate to the least squares, each output by its covariance.
-
-    Raises:
-        NotObservable: The iteration does not converge.
-    """
+    """Iterate to the least squares, each output by its covariance."""
     state = least_squares(state, equations.whitened, np.add, ITERATIONS)
     azimuth = equations.sensors + Nuisance.AZIMUTH
     if abs(state[azimuth]) > np.pi:
@@ -343,10 +335,9 @@ def with_changes(
 ) -> tuple[Equations, tuple[Change, ...]]:
     """Let parameters change by the coefficients that a session determines.
 
-    Undetermined coefficients of scale factors are left out unless they were requested by name.
+    Return the coefficients left out, too.
 
-    Returns:
-        The equations, and the coefficients left out.
+    Undetermined coefficients of scale factors are left out unless they were requested by name.
 
     Raises:
         NotObservable: Names what the session does not determine, and what would.
@@ -410,12 +401,7 @@ def _refusal(equations: Equations, known: NDArray[np.bool_], parameters: NDArray
 
 
 def with_shape(equations: Equations, state: Floats) -> tuple[Equations, Floats]:
-    """Choose the likeliest time constant of a warm-up or instant of a step, and solve with it.
-
-    Args:
-        equations: With or without such a course.
-        state: (n,) to start from.
-    """
+    """Choose the likeliest time constant of a warm-up or instant of a step, and solve with it."""
     course = _shaped(equations)
     if course is None:
         return equations, state

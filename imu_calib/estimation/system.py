@@ -303,15 +303,9 @@ class TriadSystem:
         return np.concatenate([free, np.full(3 if self.mount_free else 0, True)])
 
     def spread(self, values: Floats) -> Floats:
-        """Return the covariances of the readings of dwells, turns and moves, parameters excluded.
+        """Return the covariances (s + t + m, 3, 3) of dwells, turns and moves, parameters excluded.
 
         Unknowns with an uncertain prior are included: clock, heading, tilt.
-
-        Args:
-            values: (p,) of the parameters.
-
-        Returns:
-            (s + t + m, 3, 3).
         """
         if self.up is not None:
             return self._noise_at_rest
@@ -374,12 +368,7 @@ class TriadSystem:
         return replace(self, observed=cast(Observed, known[key]))
 
     def fit(self, values: Floats, factor: Floats) -> Fit:
-        """Fit errors of the model's parameters to the session.
-
-        Args:
-            values: (p,) of the parameters.
-            factor: (p, k) of their covariance: factor times its transpose.
-        """
+        """Fit errors of parameters (p,) with a covariance factor (p, k) to the session."""
         system = self._allowing(values, factor)
         begin = self._begun(system, values, factor)[0]
         rounds = _ROUNDS if self.up is None else _ROUNDS_OF_LENGTHS
@@ -390,10 +379,7 @@ class TriadSystem:
     ) -> tuple[float, Callable[[], Fit]]:
         """Return chi-square by the equations linearised at a point, and the fit from there.
 
-        Args:
-            values: (p,) of the parameters.
-            factor: (p, k) of their covariance: factor times its transpose.
-            point: (k + u,) multiples of the factor's columns, and the unknowns.
+        The point is (k + u,): multiples of the columns of the factor (p, k), and the unknowns.
         """
         system = self._allowing(values, factor)
         columns, residuals = system(point)
@@ -414,11 +400,6 @@ class TriadSystem:
 
         Without moves, the predictions and their derivatives by the unknowns are linear in the
         parameters: p + 1 points give them for all values. With lengths all are likely.
-
-        Args:
-            values: (p,) of the parameters, about which the equations are evaluated.
-            factor: As in `fit_likely`.
-            chance: Likewise.
         """
         if self.up is not None:
             return lambda _: True

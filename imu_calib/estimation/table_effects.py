@@ -249,15 +249,11 @@ def _times(evidence: Evidence, parts: Sequence[Segment | Turn]) -> Floats:
 
 
 def _numbered_by_time(times: Sequence[Floats]) -> list[NDArray[np.intp]]:
-    """Number dwells, or turns, of several units: those at the same time have one number.
+    """Number dwells, or turns, of several units by start and end (k, 2), s.
+
+    Those at the same time have one number, from 0 in the order of time.
 
     Between two dwells, and between two turns, the table moves: different ones are apart in time.
-
-    Args:
-        times: For each unit (k, 2) start and end of each dwell or turn by the table's clock, s.
-
-    Returns:
-        For each unit the numbers, (k,), from 0 in the order of time.
     """
     found = [np.zeros(len(of), dtype=np.intp) for of in times]
     owners = [(unit, k) for unit, of in enumerate(times) for k in range(len(of))]
@@ -281,11 +277,8 @@ def _count(numbers: Sequence[NDArray[np.intp]]) -> int:
 def _blocks(numbers: NDArray[np.intp], count: int, sizes: Floats, axes: Floats) -> Floats:
     """Return the effect of `count` common rotations on k attitudes, (k, 3, 3 count).
 
-    Args:
-        numbers: (k,) common rotation of each attitude.
-        count: Number of common rotations, each about three axes.
-        sizes: (k,) size of a rotation, rad.
-        axes: (3, 3) its axes in body axes, as columns.
+    Rotation `numbers` (k,) acts on each attitude, by `sizes` (k,) rad about its axes, the columns
+    of (3, 3) in body axes.
     """
     result = np.zeros((len(numbers), 3, 3 * count))
     for k, number in enumerate(numbers.tolist()):
@@ -333,9 +326,7 @@ class Tilt:
     def levelled(self, vector: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """Return a (3,) vector of the frame of the attitudes against the plumb line.
 
-        Args:
-            vector: (3,).
-            covariance: (3, 3) its covariance, without that of the tilt.
+        Its covariance (3, 3) is without that of the tilt.
         """
         turned = shortest(self.up, UP)
         leaning = np.cross(np.eye(3)[:2], vector) * self.std
@@ -364,16 +355,6 @@ def widened_for_tilt(
 
     It is not corrected: six positions show the tilt about one axis but not about the other, and a
     partly corrected result would not be that of the published formula.
-
-    Args:
-        evidence: The session.
-        accel: Result of the closed form.
-        covariance: (n, n) of all parameters.
-        solver: The closed form.
-        tilt: Of the table.
-
-    Returns:
-        The covariance, and a sentence or none.
     """
     if not tilt.is_significant:
         return covariance, []

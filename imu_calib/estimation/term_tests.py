@@ -136,13 +136,7 @@ class TermTest:
 def tested(
     search: Search, requested: tuple[Term, ...], requested_changes: tuple[Change, ...] = ()
 ) -> tuple[TermTest, ...]:
-    """Return the results of a search for every family, the terms in their order.
-
-    Args:
-        search: The finished search.
-        requested: Terms of the sensors that were requested.
-        requested_changes: Coefficients of terms of the session, likewise.
-    """
+    """Return the results of a search for every family, the terms in their order."""
     result = [TermTest(t.name, TermState.ASKED, parameters=t.parameters) for t in requested]
     for name in names_of(requested_changes):
         mine = tuple(c for c in requested_changes if c.course.value == name)
@@ -176,14 +170,9 @@ def test_of(
 ) -> TermTest:
     """Return the result of a session for a family that is off.
 
-    Args:
-        family: The family.
-        score: Its test.
-        slopes: (n, k) derivatives of the parameters by its coefficients; empty if unknown.
-        alpha: Probability of a false detection.
-        parameters: The n estimated ones.
-        std: (n,) their standard deviations.
-        amount: Of a coefficient, in its unit, for which the effect is reported.
+    `slopes` (n, k) are derivatives of the n parameters by its coefficients, empty if unknown;
+    `alpha` is the probability of a false detection, `amount` that of a coefficient, in its unit,
+    for which the effect is reported.
     """
     smallest = tuple(float(v) for v in score.smallest(alpha))
     amounts = [amount * p.unit.scale for p in family.parameters] or smallest
@@ -455,11 +444,7 @@ that does not move a parameter by its standard deviation, nothing is reported.""
 
 
 def temperature_finding(found: Estimate) -> list[str]:
-    """Report the change of the temperature, and its effect where no term follows it.
-
-    Returns:
-        One finding, or none.
-    """
+    """Report the change of the temperature, and its effect where no term follows it."""
     equations, evidence = found.equations, found.equations.evidence
     if not warms(evidence) or any(c.of_scale_factor for c in equations.changes):
         return []

@@ -72,15 +72,7 @@ class SolvedTriad:
 
 
 def solve_triad(systems: Sequence[ChannelSystem], outputs: Floats) -> SolvedTriad:
-    """Solve three channels.
-
-    Args:
-        systems: The equations of channels x, y, z.
-        outputs: (size, 3) mean outputs.
-
-    Raises:
-        NotObservable: The equations do not determine a channel.
-    """
+    """Solve channels x, y and z by their systems, for (size, 3) mean outputs."""
     solved = [system.solve() for system in systems]
     gain = np.array([weights for weights, _ in solved])
     unknowns = np.einsum('ium,mi->iu', gain, outputs)
@@ -162,11 +154,7 @@ class Gains:
     def conclude(
         self, evidence: Evidence, *, findings: Sequence[str] = (), north_known: bool
     ) -> Solution:
-        """Estimate, and check the estimate against the data.
-
-        Raises:
-            NotObservable: The data contradicts the estimate.
-        """
+        """Estimate, and check the estimate against the data."""
         model = self.model(evidence)
         return conclude(
             evidence,
@@ -184,11 +172,7 @@ class Gains:
 def shares_of(evidence: Evidence, model: SensorModel, rows: Floats) -> dict[Source, Share]:
     """Return by source the covariance of parameters that are linear in the outputs.
 
-    Args:
-        evidence: The session.
-        model: The sensors.
-        rows: (n, m) derivatives of the parameters by the outputs without moves, NaN for parameters
-            that are not estimated.
+    `rows` (n, m) are their derivatives by the outputs without moves, NaN for those not estimated.
     """
     # A closed form does not use moves.
     equations = Equations(replace(evidence, moves=()))
@@ -285,11 +269,7 @@ class RateTestEquations:
 
     @classmethod
     def of(cls, evidence: Evidence) -> RateTestEquations:
-        """Collect the turns of a session.
-
-        Raises:
-            NotObservable: An axis without turns.
-        """
+        """Collect the turns of a session."""
         axes, inputs, off = [], [], []
         for turn in evidence.turns:
             axis, sign = vertical_axis(turn.up, turn.position)
@@ -304,16 +284,11 @@ class RateTestEquations:
         return cls(outputs, np.array(inputs), np.array(axes), np.array(off))
 
     def add_to(self, system: ChannelSystem, axis: int, first: int) -> None:
-        """Add the equation for the response to one axis.
+        """Add the equation for the response to one body axis to the system of one channel.
 
         Turns at several rates or in both senses: the slope of the output on the input, independent
         of bias and vertical Earth rate. One sense at one rate (a turn by hand): output less bias
         over input, with the bias from elsewhere.
-
-        Args:
-            system: Equations of one channel.
-            axis: Body axis.
-            first: Index of the first turn among the system's outputs.
         """
         mine = np.flatnonzero(self.axes == axis)
         inputs = self.inputs[mine]

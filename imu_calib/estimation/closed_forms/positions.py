@@ -48,11 +48,7 @@ class BiasEquation:
 
 
 def solve_gyros(evidence: Evidence, bias: BiasEquation) -> SolvedTriad:
-    """Solve the gyros from the rate test and one equation for the bias.
-
-    Raises:
-        NotObservable: An axis without turns.
-    """
+    """Solve the gyros from the rate test and one equation for the bias."""
     test = RateTestEquations.of(evidence)
     solved = _gyros(evidence, test, bias, test.outputs)
     for _ in range(_PASSES):
@@ -82,9 +78,6 @@ def solve_accelerometers(evidence: Evidence) -> SolvedTriad:
 
     delta_ij + M_ij = (n_i(u) - n_i(d)) / (2 g); d_i = mean over the axes of (n_i(u) + n_i(d)) / 2:
     Cao 2022, eqs. (15) to (18).
-
-    Raises:
-        NotObservable: An axis that was never up, or never down.
     """
     outputs = evidence.outputs()[:, 3:]
     off_axis = evidence.site.gravity * evidence.off_axis()
@@ -135,11 +128,7 @@ def _up_and_down(evidence: Evidence) -> tuple[Floats, Floats]:
 def finish(
     evidence: Evidence, gyros: SolvedTriad, *, findings: Sequence[str] = (), north_known: bool
 ) -> Solution:
-    """Solve the accelerometers too, and check both triads against the data.
-
-    Raises:
-        NotObservable: An axis that was never up or down, or data that contradicts the estimate.
-    """
+    """Solve the accelerometers too, and check both triads against the data."""
     accels = solve_accelerometers(evidence)
     model = SensorModel(gyros.triad, accels.triad)
     gains = Gains(gyros.gain, accels.gain, max(gyros.condition, accels.condition))
@@ -284,11 +273,7 @@ def solve_n_positions(evidence: Evidence) -> Solution:
 
 
 def check_positions(plan: Plan, parameters: tuple[Parameter, ...] = N_POSITIONS_ESTIMATES) -> None:
-    """Raise if a plan does not separate the parameters of its method, before it is run.
-
-    Raises:
-        NotObservable: Names the parameters.
-    """
+    """Raise if a plan does not separate the parameters of its method, before it is run."""
     held = [p for p in plan.positions if p.dwell > 0]
     ups = np.array([p.up for p in held]).reshape(-1, 3)
     what = f'The {len(held)} positions of plan {plan.name}'
@@ -297,11 +282,7 @@ def check_positions(plan: Plan, parameters: tuple[Parameter, ...] = N_POSITIONS_
 
 
 def check_turns(plan: Plan) -> None:
-    """Raise if a plan does not turn about each axis.
-
-    Raises:
-        NotObservable: Names the parameters.
-    """
+    """Raise if a plan does not turn about each axis."""
     turned = [np.abs(p.up) for p in plan.positions if p.rate_test is not None]
     for axis, name in enumerate('XYZ'):
         if not any(up[axis] > 1 - 1e-6 for up in turned):
@@ -314,20 +295,10 @@ def check_turns(plan: Plan) -> None:
 def force_weights(
     ups: Floats, weights: Floats, what: str, parameters: tuple[Parameter, ...]
 ) -> tuple[Floats, float]:
-    """Fit outputs by a constant and the direction of specific force.
+    """Fit outputs by a constant and the direction (s, 3) of specific force.
 
-    Args:
-        ups: (s, 3) up in body axes.
-        weights: (s,) weight of each row.
-        what: Source of the rows, for the message.
-        parameters: Those that depend on them, for the message.
-
-    Returns:
-        (4, s) weights on the outputs that give the constant and, per g, the response to X, Y, Z;
-        condition number.
-
-    Raises:
-        NotObservable: Names the parameters that the attitudes do not separate.
+    Return (4, s) weights on the outputs that give the constant and, per g, the response to X, Y, Z;
+    and the condition number. `what` and `parameters` are for the message.
 
     Source: Luo 2018, eqs. (2-184) to (2-189), [1 f^T] with f in units of gravity.
     """

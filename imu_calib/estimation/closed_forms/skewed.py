@@ -68,11 +68,7 @@ class RatePoints:
 
     @classmethod
     def of(cls, evidence: Evidence) -> RatePoints:
-        """Collect the turns that the skewed gyro also recorded.
-
-        Raises:
-            NotObservable: There are none.
-        """
+        """Collect the turns that the skewed gyro also recorded."""
         turns = [t for t in evidence.turns if t.skewed is not None]
         if not turns:
             lost = ', '.join(p.name for p in skewed_parameters(1))
@@ -106,11 +102,7 @@ class RatePoints:
     def weights(self, variances: Floats | None = None) -> tuple[Floats, float]:
         """Return (4 channels, 4, t) weights for responses and bias, and the condition number.
 
-        Args:
-            variances: (t, 4) of the outputs; None: equal weights.
-
-        Raises:
-            NotObservable: Names the parameters that the turns do not separate.
+        The outputs have equal weights, or those by their variances (t, 4).
         """
         scale = float(np.abs(self.inputs).max())
         design = np.column_stack([self.inputs / scale, np.ones(len(self.inputs))])
@@ -130,11 +122,9 @@ class RatePoints:
     def pooled(self, unknowns: Floats) -> Floats:
         """Return the variance (t, 4) of each output, pooled over the points of one |rate|.
 
-        The scatter of single turns about their point, or the residuals of the unweighted fit where
-        each point is one turn: a point's own residual alone would not show the spread.
-
-        Args:
-            unknowns: (4, 4) responses and bias of each channel by the unweighted fit.
+        The scatter of single turns about their point, or the residuals of the unweighted fit, whose
+        responses and biases are (4, 4), where each point is one turn: a point's own residual alone
+        would not show the spread.
         """
         residuals = self.outputs - self.inputs @ unknowns[:, :BIAS].T - unknowns[:, BIAS]
         share = len(residuals) / max(len(residuals) - unknowns.shape[1], 1)
@@ -204,13 +194,10 @@ def _gain(evidence: Evidence, weights: Floats) -> Floats:
 
 
 def variance_by_weights(evidence: Evidence) -> Floats:
-    """Return the increase of all variances because the weights are estimated.
+    """Return the increase of all 28 variances because the weights are estimated.
 
     To second order: a pooled variance of f degrees of freedom errs by 2/f of its square, and moves
     the weights by their derivative. The scatter of normal noise does not depend on its mean.
-
-    Returns:
-        (28,) in the order of the 24 parameters and the four; NaN for accelerometers.
     """
     points = RatePoints.of(evidence)
     plain, _ = points.weights()
@@ -231,9 +218,7 @@ def variance_by_weights(evidence: Evidence) -> Floats:
 def gauss_markov_bound(points: RatePoints, extra: Floats | None = None) -> Floats:
     """Return the least covariance (4, 4) of the skewed gyro's responses and bias (Gauss-Markov).
 
-    Args:
-        points: Turns that it recorded.
-        extra: (t, t) covariance of its outputs beyond walk and pulses, or None.
+    `extra` is the covariance (t, t) of its outputs beyond walk and pulses, or None.
     """
     design = np.column_stack([points.inputs, np.ones(len(points.inputs))])
     covariance = np.diag(points.own[:, 3])
@@ -375,11 +360,7 @@ def solve_static_six(evidence: Evidence) -> Solution:
 
 
 def check_static_six(plan: Plan, site: Site) -> None:
-    """Raise if a plan does not separate the parameters at a site, before it is run.
-
-    Raises:
-        NotObservable: Names the parameters.
-    """
+    """Raise if a plan does not separate the parameters at a site, before it is run."""
     held = [p for p in plan.positions if p.dwell > 0]
     attitudes = np.array([p.attitude for p in held]).reshape(-1, 3, 3)
     what = f'The {len(held)} positions of plan {plan.name}'
@@ -387,11 +368,7 @@ def check_static_six(plan: Plan, site: Site) -> None:
 
 
 def require_north(evidence: Evidence) -> None:
-    """Raise if the north of a session is unknown.
-
-    Raises:
-        NotObservable: Names the parameters that cannot be determined.
-    """
+    """Raise if the north of a session is unknown."""
     if evidence.azimuth is None:
         lost = ', '.join(response_names('g', axis) for axis in range(3))
         raise NotObservable(
@@ -462,11 +439,7 @@ def solve_off_axis_four(evidence: Evidence) -> Solution:
 
 
 def check_off_axis_four(plan: Plan, site: Site) -> None:
-    """Raise if a plan lacks one of the four positions, or for a site where they do not suffice.
-
-    Raises:
-        NotObservable: Names the position and the parameters.
-    """
+    """Raise if a plan lacks one of the four positions, or for a site where they do not suffice."""
     held = [p.attitude for p in plan.positions if p.dwell > 0]
     _off_axis_weights(np.array(held).reshape(-1, 3, 3), site, f'plan {plan.name}')
 
