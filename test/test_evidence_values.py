@@ -252,8 +252,8 @@ def test_a_session_is_gathered_with_what_its_files_state() -> None:
     table = replace(TABLE, azimuth=0.3, positioning=5e-6)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, 'known_noise', lambda *_: (WALK, np.full(6, 7.0)))
-        found = Evidence.of(labelled, session, CLEAN.plan, spec, SITE, table)
-        bare = Evidence.of(labelled, session, CLEAN.plan, spec, SITE, None)
+        found = Evidence.from_session(labelled, session, CLEAN.plan, spec, SITE, table)
+        bare = Evidence.from_session(labelled, session, CLEAN.plan, spec, SITE, None)
         assert found.interruptions == bare.interruptions == ((1, 2),)
     assert (found.azimuth, found.positioning, found.table) == (0.3, 5e-6, table)
     assert (bare.azimuth, bare.positioning, bare.table) == (None, 0.0, None)

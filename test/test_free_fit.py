@@ -552,7 +552,7 @@ def test_gyros_that_feel_gravity_get_a_term() -> None:
 def test_a_wild_turn_parts_a_run_in_two(monkeypatch: pytest.MonkeyPatch) -> None:
     evidence = held(TRUE, ups(16), np.random.default_rng(5))
     monkeypatch.setattr(
-        free_positions, '_wild_turn', lambda state: None if state.rejected_moves else 6
+        free_positions, '_outlying_turn', lambda state: None if state.rejected_moves else 6
     )
     assert solve(evidence).rejected_moves == (6,)
     start = _State(*initial_equations(evidence), np.full(3, 2.0), (9,))

@@ -19,7 +19,7 @@ from ..estimation.evidence import Evidence
 from ..estimation.information import attainable_std
 from ..estimation.joint import Comparison
 from ..estimation.methods import Setup, check_plan, closed_form_of, method, provisional
-from ..estimation.search import Search
+from ..estimation.search import SearchResult
 from ..estimation.table_effects import shares_a_table
 from ..model.parameters import AXES, Parameter
 from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms
@@ -221,7 +221,8 @@ class Calibrator:
         """Collect the evidence; shared if the session contains the plan's positions alone."""
         setup, parts = self._setup, (labelled.segments, labelled.turns, session)
         if self._gathered is None or self._gathered[0] != parts:
-            found = Evidence.of(labelled, session, setup.plan, setup.imu, setup.site, setup.table)
+            known = setup.plan, setup.imu, setup.site, setup.table
+            found = Evidence.from_session(labelled, session, *known)
             self._gathered = parts, replace(found, coarse=has_motion_terms(setup.terms))
         return self._gathered[1]
 
@@ -256,7 +257,7 @@ class Calibrator:
             raise
         if isinstance(closed, NotObservable):
             return solution, Comparison.refused(name, str(closed))
-        return solution, Comparison.of(solution, closed, name)
+        return solution, Comparison.between(solution, closed, name)
 
     def _labelled(self, session: Segmented) -> Labelled:
         """Return the session's segments by the names of the plan."""
@@ -391,7 +392,7 @@ def _with_others(result: Result | None, others: Sequence[str]) -> Result | None:
     return replace(result, calibration=replace(calibration, provenance=provenance))
 
 
-def _basis_and_search(result: Result) -> tuple[Basis, Search] | None:
+def _basis_and_search(result: Result) -> tuple[Basis, SearchResult] | None:
     basis, search = result.basis, result.solution.search
     if basis is None or search is None or not shares_a_table(search.estimate.equations):
         return None

@@ -434,7 +434,7 @@ class _Trial:
         gyros: bool,
         considered: _Considered = (),
     ) -> _Trial:
-        sensors = Sensors.of(calibration.parameters, gyros=gyros)
+        sensors = Sensors.from_parameters(calibration.parameters, gyros=gyros)
         reading = observed.reading(calibration.imu)[0 if gyros else 1]
         system = TriadSystem(observed, sensors, reading, considered=considered)
         if not observed.with_attitudes:
@@ -530,7 +530,7 @@ def _up(calibration: Calibration, observed: Observed) -> Up:
     """Return the directions of up by the calibrated accelerometers."""
     accels = TriadSystem(
         observed,
-        Sensors.of(calibration.parameters, gyros=False),
+        Sensors.from_parameters(calibration.parameters, gyros=False),
         observed.reading(calibration.imu)[1],
     )
     values, gravity = calibration.model.values(accels.sensors.parameters), accels.magnitude
@@ -539,7 +539,7 @@ def _up(calibration: Calibration, observed: Observed) -> Up:
     if calibration.has_accelerometers:
         factor = _factor(calibration, accels)
     found = accels.sensors.compensated(values, accels.outputs, accels.outputs)
-    return Up.of(found, noise, factor, gravity)
+    return Up.from_forces(found, noise, factor, gravity)
 
 
 def _factor(calibration: Calibration, system: TriadSystem) -> Floats:

@@ -131,8 +131,7 @@ def _columns(each: Floats) -> Floats:
 # Sources: Golub and Van Loan 2013, Matrix Computations, 5.1.2, 8.3.1 and 4.3.6; for noise of
 # unknown size docs/mathematics.md, 'Joint estimate'.
 
-_BLOCK = 32
-"""Columns that are reduced at once; see LAPACK's ILAENV."""
+_BLOCK = 32  #: Columns that are reduced at once; see LAPACK's ILAENV.
 
 _LARGEST = float(np.log(8.0))
 """Logarithm of the largest factor on a variance of noise: with a single degree of freedom it is

@@ -24,19 +24,16 @@ from .equations import Equations
 from .evidence import Evidence
 from .information import Information
 from .outliers import Estimate
-from .search import Search
+from .search import SearchResult
 from .term_tests import TermTest
 
-_AXIS_LIMIT = 0.5
-"""Of an axis's largest response: beyond it, axes are exchanged, not misaligned."""
-_FAR_SCALE = 0.1
-"""Share: data sheets allow percents."""
+_AXIS_LIMIT = 0.5  #: Of an axis's largest response: beyond it, axes are exchanged, not misaligned.
+_FAR_SCALE = 0.1  #: Share: data sheets allow percents.
 _COARSE_STEP = 2e-3 * DEG
 """Smallest steps of encoders that are reported, rad: 7 arcsec, 17.5 bits. A judgement: finer ones
 are no reason to buy others."""
 
-_WELL_KNOWN_CLOCKS = 5e-6
-"""Of the rate: below it, K_g is still known to 5 ppm."""
+_WELL_KNOWN_CLOCKS = 5e-6  #: Of the rate: below it, K_g is still known to 5 ppm.
 _LEAST_EARTH_RATE = 0.01 * DEG_H
 """rad/s: effect of a latitude that is wrong by some hundredths of a degree."""
 _DETERMINED = 0.2
@@ -211,6 +208,14 @@ class Residual:
     value: Floats  #: (6,) rad/s and m/s^2.
     std: Floats  #: (6,) standard deviation of the static dwell's mean.
 
+    @classmethod
+    def of_each(cls, evidence: Evidence, values: Floats, std: Floats) -> tuple[Residual, ...]:
+        """Return those of the dwells of a session, (s, 6) and their standard deviations."""
+        return tuple(
+            cls(str(segment.position), segment.start, value, deviation)
+            for segment, value, deviation in zip(evidence.segments, values, std, strict=True)
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -243,7 +248,7 @@ class Solution:
     gain: Floats | None = None
     #: Result of the joint estimate, used for several units on a table; None for other methods, and
     #: for a session in progress.
-    search: Search | None = None
+    search: SearchResult | None = None
 
     def __post_init__(self) -> None:
         """Raise if the covariance is of other parameters."""
@@ -280,7 +285,7 @@ def as_the_best(evidence: Evidence) -> Evidence:
     return replace(evidence, table=table, positioning=table.positioning)
 
 
-def contradicted(search: Search) -> bool:
+def contradicted(search: SearchResult) -> bool:
     """Return whether a session shows errors of a table whose file states too small ones."""
     evidence = search.estimate.equations.evidence
     if evidence.plan.by_hand or evidence.table is None or not evidence.table.understated_errors:
@@ -296,7 +301,7 @@ def on_the_best(equations: Equations, state: Floats, std: Floats) -> Floats:
     """
     better = replace(equations, evidence=as_the_best(equations.evidence))
     variances = [
-        np.diag(Information.of(one.whitened(state)[0]).covariance)[: len(std)]
+        np.diag(Information.from_jacobian(one.whitened(state)[0]).covariance)[: len(std)]
         for one in (equations, better)
     ]
     return np.asarray(np.sqrt(std**2 + np.maximum(variances[1] - variances[0], 0.0)))

@@ -39,8 +39,7 @@ _OFF_POSITION = 0.02 * DEG
 _OUTSTANDING = 5.0
 """Times 1.5 of the usual worst channel of a position: for Gaussian residuals in six channels some
 12 standard deviations."""
-SAME_UP = 0.99
-"""Cosine: 8 degrees, far less than the differences between positions of a plan."""
+SAME_UP = 0.99  #: Cosine: 8 degrees, far less than the differences between positions of a plan.
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +52,7 @@ class LeastSquares:
     freedom: int  #: Its degrees of freedom.
 
     @classmethod
-    def of(cls, columns: Floats, residuals: Floats, rank: float) -> LeastSquares:
+    def solve(cls, columns: Floats, residuals: Floats, rank: float) -> LeastSquares:
         """Solve (n, k) columns for (n,) outputs, both in standard deviations.
 
         `rank` is the least singular value used, of the largest, columns of one length.
@@ -72,21 +71,17 @@ class LeastSquares:
         """Solve (n, k) columns for (n,) outputs of a covariance (n, n)."""
         rows = np.column_stack([columns, residuals])
         rows = scipy.linalg.solve_triangular(np.linalg.cholesky(covariance), rows, lower=True)
-        return cls.of(rows[:, :-1], rows[:, -1], _RANK)
+        return cls.solve(rows[:, :-1], rows[:, -1], _RANK)
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
     """Earth rate or gravity observed in the static dwells, with given sensors."""
 
-    vector: Floats
-    """(3,) Earth rate or specific force in the frame of the attitudes."""
-    covariance: Floats
-    """(3, 3) its covariance."""
-    residuals: Floats
-    """(s, 3) residuals, rad/s or m/s^2."""
-    scatter: _Scatter
-    """Scatter of the residuals of a fit with more unknowns (`_fit`)."""
+    vector: Floats  #: (3,) Earth rate or specific force in the frame of the attitudes.
+    covariance: Floats  #: (3, 3) its covariance.
+    residuals: Floats  #: (s, 3) residuals, rad/s or m/s^2.
+    scatter: _Scatter  #: Scatter of the residuals of a fit with more unknowns (`_fit`).
 
 
 @dataclass(frozen=True)
@@ -311,11 +306,7 @@ def _residuals(evidence: Evidence, gyro: _Fit, accel: _Fit | None) -> tuple[Resi
     """Return the residuals of each static dwell; NaN for accelerometers without a fit."""
     std = np.sqrt(evidence.variances())
     of_accels = np.full_like(gyro.residuals, np.nan) if accel is None else accel.residuals
-    values = np.hstack([gyro.residuals, of_accels])
-    return tuple(
-        Residual(str(segment.position), segment.start, value, deviation)
-        for segment, value, deviation in zip(evidence.segments, values, std, strict=True)
-    )
+    return Residual.of_each(evidence, np.hstack([gyro.residuals, of_accels]), std)
 
 
 def _outlier_finding(residuals: Sequence[Residual]) -> list[str]:

@@ -241,6 +241,11 @@ class Equations(SessionModel):
         columns = self._factor_and_whitened(state)[1]
         return columns[:, :-1], columns[:, -1]
 
+    def chi_square(self, state: Floats) -> float:
+        """Return the sum of squares of `whitened` residuals."""
+        residuals = self.whitened(state)[1]
+        return float(residuals @ residuals)
+
     def factor(self, state: Floats) -> Floats:
         """Return the lower root of `covariance`, (m,) square, by which outputs are whitened."""
         return self._factor_and_whitened(state)[0]

@@ -202,12 +202,12 @@ def excess(
         return ExcessScatter(NO_POSITIONING_ERRORS, np.zeros(6))
     odds = _ODDS_BESIDE_OUTLIERS if suspecting else _ODDS
     triads = _triads(plain, state, odds, doubted=doubted)
-    still = [_Drift.of(triad) for triad in triads]
+    still = [_Drift.weighed(triad) for triad in triads]
     share, joints, stops = _positioning(triads, still, _variances(plain))
     found = [[(1 - share, drift)] for drift in still]
     if share:
         for mixture, triad in zip(found, triads, strict=True):
-            mixture.append((share, _Drift.of(triad, joints, stops)))
+            mixture.append((share, _Drift.weighed(triad, joints, stops)))
     spread = [
         _posterior_drift(triad, mixture) for triad, mixture in zip(triads, found, strict=True)
     ]
@@ -225,13 +225,13 @@ def excess(
 class _Drift:
     """Log likelihoods of the drifts of a triad."""
 
+    #: (shares,) log likelihoods of shares of the drift stated, with the odds of the data sheet.
     stated: Floats
-    """(shares,) log likelihoods of shares of the drift stated, with the odds of the data sheet."""
+    #: (taus, ratios) log likelihoods of a larger drift, a prior weight of one spread over all.
     further: Floats
-    """(taus, ratios) log likelihoods of a larger drift, a prior weight of one spread over all."""
 
     @classmethod
-    def of(cls, triad: _Triad, joints: float = 0.0, stops: float = 0.0) -> _Drift:
+    def weighed(cls, triad: _Triad, joints: float = 0.0, stops: float = 0.0) -> _Drift:
         """Weight drifts together with positioning errors of these variances, rad^2.
 
         Noise whose size is known from few blocks may be larger than it seems. Where a drift is
@@ -329,7 +329,7 @@ class _PositioningOfTriad:
 
     def add_likeliest(self, joints: float, stops: float) -> None:
         """Add the likeliest drift beside positioning errors of these variances, rad^2."""
-        self._add(*_Drift.of(self._triad, joints, stops).hypotheses(self._triad)[1])
+        self._add(*_Drift.weighed(self._triad, joints, stops).hypotheses(self._triad)[1])
 
     def over_drifts(self) -> Floats:
         """Return the log likelihoods with any of the drifts, (shares, v)."""
@@ -466,7 +466,7 @@ def _triad(
     starts = np.array([x.start for x in (*segments, *moves)], dtype=np.int64)
     durations = np.array([x.statistics.duration for x in segments] + [m.duration for m in moves])
     biases = indices_of(BIASES[first : first + 3], equations.parameters)
-    slopes = _Slopes.of(segments, rising[rows].reshape(-1, 3), evidence.walk, first)
+    slopes = _Slopes.from_segments(segments, rising[rows].reshape(-1, 3), evidence.walk, first)
     drift = BiasDrift.over(
         np.asarray((starts - starts.min()) * 1e-9),
         durations,
@@ -535,7 +535,7 @@ class _Slopes:
     variances: Floats  #: (s, 3, 2) their variances by random walk alone, and in total.
 
     @classmethod
-    def of(
+    def from_segments(
         cls, segments: Sequence[Segment | Turn], explained: Floats, walk: Floats, first: int
     ) -> _Slopes:
         """Collect the slopes of gyros (first = 0) or accelerometers (first = 3).

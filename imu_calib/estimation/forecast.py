@@ -168,7 +168,7 @@ def _best(
         return np.asarray(best)
     turns = [t for t in evidence.turns if t.skewed is not None]
     square = None if extra is None else extra[-len(turns) :, -len(turns) :]
-    askew = np.sqrt(np.diag(skewed.gauss_markov_bound(RatePoints.of(evidence), square)))
+    askew = np.sqrt(np.diag(skewed.gauss_markov_bound(RatePoints.from_turns(evidence), square)))
     return np.concatenate([best, askew])
 
 
@@ -210,7 +210,7 @@ def information_of(equations: Equations, truth: SensorModel, extra: Floats | Non
         m = len(equations.outputs)
         part = Blocks(np.arange(m)[None], extra[None, :m, :m])
         equations = replace(equations, extra=(Component(Source.BIAS_STATED, part),))
-    return Information.of(equations.whitened(state_at(equations, truth))[0])
+    return Information.from_jacobian(equations.whitened(state_at(equations, truth))[0])
 
 
 def state_at(equations: Equations, truth: SensorModel) -> Floats:

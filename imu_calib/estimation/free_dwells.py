@@ -160,7 +160,7 @@ class Sensors:
     parameters: tuple[Parameter, ...]
 
     @classmethod
-    def of(cls, parameters: tuple[Parameter, ...], *, gyros: bool) -> Sensors:
+    def from_parameters(cls, parameters: tuple[Parameter, ...], *, gyros: bool) -> Sensors:
         """Return the three gyros or accelerometers of a model, without skewed gyros."""
         letter = 'g' if gyros else 'a'
         return cls(gyros, tuple(p for p in parameters if p.triad == letter and p.row < len(AXES)))
@@ -210,7 +210,7 @@ class Up:
     covariance: Floats
 
     @classmethod
-    def of(
+    def from_forces(
         cls, found: tuple[Floats, Floats, Floats], noise: Floats, factor: Floats, gravity: float
     ) -> Up:
         """Turn errors of the accelerometers into errors of up, to first order.
@@ -282,8 +282,7 @@ def propagated(gain: Floats, covariance: Floats) -> Floats:
 _NOMINAL = 0.03
 """Relative uncertainty of nominal scale factors of gyros; data sheets of cheap units state it
 (MPU-9150: sensitivity tolerance of 3 %)."""
-_FEWEST = 3
-"""Static dwells: three in two attitudes determine six unknowns by nine readings."""
+_FEWEST = 3  #: Static dwells: three in two attitudes determine six unknowns by nine readings.
 _DETERMINED = np.radians(10.0)
 """rad: a latitude with a larger uncertainty is not reported, as in `methods.checks`."""
 

@@ -186,11 +186,9 @@ _EACH = np.eye(3)[:, :, None] * np.eye(3)[:, None, :]
 _CROSS = np.ascontiguousarray(np.moveaxis(GENERATORS, 0, -1))
 """[v] = _CROSS @ v, the cross product by a vector from the left: (3, 3, 3)."""
 
-_ONE = np.zeros(1, dtype=np.intp)
-"""Start index of a single motion."""
+_ONE = np.zeros(1, dtype=np.intp)  #: Start index of a single motion.
 
-_SQUARES = tuple(combinations_with_replacement(range(3), 2))
-"""Products of rates, each once."""
+_SQUARES = tuple(combinations_with_replacement(range(3), 2))  #: Products of rates, each once.
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,11 +71,9 @@ ESTIMATES = tuple(p for p, found in zip(PARAMETERS, FREE, strict=True) if found)
 _RATIOS = np.array([p.kind is not ParameterKind.BIAS for p in ESTIMATES])
 """(21,) mask of those that are not biases."""
 
-FEWEST = 9
-"""Holds below which gravity does not determine nine parameters of the accelerometers."""
+FEWEST = 9  #: Holds below which gravity does not determine nine parameters of the accelerometers.
 
-_ITERATIONS = 100
-"""Most steps of a fit; one that has not converged by then raises."""
+_ITERATIONS = 100  #: Most steps of a fit; one that has not converged by then raises.
 _ROUNDS = 10
 """Rounds in which contradicting turns are left out and noise is estimated again; a cap."""
 _SIGNIFICANT = 1e-3
@@ -94,8 +92,7 @@ none. A judgement: rounding leaves 1e-15, and noise far more."""
 _SETTLED = 0.02
 """Relative change at which the noise has settled. A judgement: a session of twenty holds knows it
 to some ten percent."""
-_OUTLYING = 6.0
-"""Times the usual size of a turn's residual: exceeded in 2e-8 (Rayleigh)."""
+_OUTLYING = 6.0  #: Times the usual size of a turn's residual: exceeded in 2e-8 (Rayleigh).
 _UNTESTED = 1e-3
 """Variance of a residual after the fit below which it tests nothing: the unknowns are then
 determined by that turn alone, and its residual is that of the iteration."""
@@ -143,8 +140,7 @@ _STRAIGHT = 0.1
 error is of the order of its square, 1 %."""
 _LIKELIER = 2 * np.log(1000)
 """Decrease of chi-square at another latitude for that to be meant: odds of a thousand."""
-_ACCELS = ('accelerometers', 'gravity')
-"""Sensors whose response is checked, and its input."""
+_ACCELS = ('accelerometers', 'gravity')  #: Sensors whose response is checked, and its input.
 _GROUPS = ('the accelerometers at rest', 'the gyros at rest', 'the turns')
 
 
@@ -206,12 +202,17 @@ class _State:
     @cached_property
     def information(self) -> Information:
         """The information of the equations."""
-        return Information.of(self.whitened()[0])
+        return Information.from_jacobian(self.whitened()[0])
 
     @cached_property
     def basis(self) -> Floats:
         """Orthonormal columns (m, n) that span the derivatives in standard deviations."""
         return np.asarray(np.linalg.qr(self.whitened()[0])[0])
+
+    @property
+    def chi_square(self) -> float:
+        """Sum of squares of the residuals in standard deviations."""
+        return self.equations.chi_square(self.values)
 
     def moved(self, step: Floats) -> _State:
         """Return the state after a step (n,), in attitudes turned by it."""
@@ -459,7 +460,7 @@ def _misfit(state: _State) -> float:
     spread = 0.0 if equations.inflation is None else float(np.log(equations.inflation).sum())
     unknowns = equations.sensors + len(equations.changes)
     penalty = unknowns * float(np.log(len(equations.layout)))
-    return _square(state) + spread + penalty + out * _OUTLYING**2
+    return state.chi_square + spread + penalty + out * _OUTLYING**2
 
 
 def _drifted(state: _State, changes: Sequence[Change]) -> float:
@@ -637,19 +638,16 @@ def _trend_scores(state: _State) -> dict[Family, Score]:
 def _check_latitude(state: _State) -> None:
     """Raise if another latitude explains the session in place of a term."""
     evidence = state.equations.evidence
-    misfit = _square(state)
+    misfit = state.chi_square
     for latitude in other_latitudes(evidence):
         site = replace(evidence.site, latitude=latitude)
         equations = replace(state.equations, evidence=replace(evidence, site=site))
         elsewhere = replace(state, equations=equations).settled()
-        if misfit - _square(elsewhere) > _LIKELIER and _chance(elsewhere, G_SENSITIVITY) >= _SHOWN:
+        if (
+            misfit - elsewhere.chi_square > _LIKELIER
+            and _chance(elsewhere, G_SENSITIVITY) >= _SHOWN
+        ):
             raise wrong_latitude(evidence, latitude)
-
-
-def _square(state: _State) -> float:
-    """Return the chi-square of the residuals."""
-    residuals = state.whitened()[1]
-    return float(residuals @ residuals)
 
 
 def is_clear(evidence: Evidence) -> bool:
@@ -674,7 +672,7 @@ def is_clear(evidence: Evidence) -> bool:
     root = np.linalg.cholesky(equations.covariance(values))
     rows = np.linalg.solve(root, np.column_stack([jacobian, residuals]))
     rows = np.vstack([rows, equations.prior_rows(values)])
-    information = Information.of(rows[:, :-1])
+    information = Information.from_jacobian(rows[:, :-1])
     if not information.observed.all():
         return False
     step = information.gain @ rows[:, -1]
@@ -717,7 +715,7 @@ def _with_estimated_noise(state: _State) -> _State:
     """Return the least squares with noise enlarged by its scatter, and without outlying turns."""
     for _ in range(_ROUNDS):
         state = state.settled()
-        wild = _wild_turn(state)
+        wild = _outlying_turn(state)
         if wild is not None:
             state = state.without(wild)
             continue
@@ -743,7 +741,7 @@ def _chance(state: _State, term: Term) -> float:
     except NotObservable:
         return 1.0
     jacobian, residuals = found.whitened()
-    before, after = _square(state), float(residuals @ residuals)
+    before, after = state.chi_square, float(residuals @ residuals)
     count, freedom = len(term.parameters), len(residuals) - jacobian.shape[1]
     if freedom < 1 or after >= before:
         return 1.0
@@ -850,9 +848,6 @@ def ellipsoid(outputs: Floats, gravity: float) -> Triad:
     """Return the accelerometers on whose ellipsoid (k, 3) outputs lie, by linear least squares.
 
     |(I + M_a)^-1 (n - d)| = g is a quadric in n: a start for the weighted fit.
-
-    Raises:
-        NotObservable: The outputs lie on no ellipsoid.
     """
     x, y, z = (outputs / gravity).T
     columns = [x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, x, y, z]
@@ -913,7 +908,7 @@ def _scatter_limit(freedom: Floats) -> Floats:
     return np.where(known, np.sqrt(np.maximum(1.0, few / np.maximum(1.0, few - 2))), 1.0)
 
 
-def _wild_turn(state: _State) -> int | None:
+def _outlying_turn(state: _State) -> int | None:
     """Find the turn that is an outlier, if any."""
     return _outstanding_turn(state, state.basis, state.whitened()[1], _OUTLYING)
 

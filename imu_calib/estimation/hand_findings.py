@@ -180,12 +180,9 @@ LARGEST_DRIFT = {'trend:D_g': 1 * DEG, 'trend:D_a': 0.1 * STANDARD_GRAVITY}
 class DriftKind(Enum):
     """How biases drift."""
 
-    EVEN = 'even'
-    """Along a line: estimated."""
-    WANDER = 'wander'
-    """A random walk: in the covariance."""
-    UNEVEN = 'uneven'
-    """Otherwise: seen in the residuals."""
+    EVEN = 'even'  #: Along a line: estimated.
+    WANDER = 'wander'  #: A random walk: in the covariance.
+    UNEVEN = 'uneven'  #: Otherwise: seen in the residuals.
 
 
 @dataclass(frozen=True)

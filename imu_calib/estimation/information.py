@@ -35,8 +35,7 @@ _MEANINGLESS = {ParameterKind.SCALE_FACTOR_ERROR: 0.01, ParameterKind.MISALIGNME
 """Standard deviations, of ratios and in rad, from which on a parameter without a largest plausible
 value is not useful. A judgement: data sheets know them better."""
 
-_USEFUL = 0.02
-"""Share of the largest plausible coefficient of a term: for ratios it leaves 0.1 %."""
+_USEFUL = 0.02  #: Share of the largest plausible coefficient of a term: for ratios it leaves 0.1 %.
 
 ALONG = 0.5
 """Component of a unit vector from which on it is along an axis: below 1 / sqrt(3) = 0.577, so that
@@ -57,7 +56,7 @@ class Information:
     gain: Floats
 
     @classmethod
-    def of(cls, jacobian: Floats) -> Information:
+    def from_jacobian(cls, jacobian: Floats) -> Information:
         """Invert the information of whitened equations on its observable subspace.
 
         Args:
@@ -88,10 +87,6 @@ def log_determinant(information: Floats, first: int) -> float:
 
     The other entries are nuisance parameters, which are eliminated. Columns are scaled to length
     one first: rad/s and m/s^2 differ by orders of magnitude.
-
-    Args:
-        information: (n, n) of the whole state.
-        first: Number of entries wanted.
     """
     scale = 1 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     scaled = information * np.outer(scale, scale)
@@ -121,13 +116,13 @@ def nominal_information(equations: Equations) -> Information:
     seem observed, with absurd deviations, and affect others.
     """
     ideal = replace(equations, evidence=with_nominal_attitudes(equations.evidence))
-    found = Information.of(ideal.whitened(ideal.nominal())[0])
+    found = Information.from_jacobian(ideal.whitened(ideal.nominal())[0])
     if found.observed.all() or not len(ideal.evidence.used_moves):
         return found
     # Without noise moves are a million times as accurate as the levelling of the table: parameters
     # that depend on that are lost to rounding, though more evidence has no less information.
     ideal = replace(ideal, evidence=replace(ideal.evidence, moves=()))
-    resting = Information.of(ideal.whitened(ideal.nominal())[0])
+    resting = Information.from_jacobian(ideal.whitened(ideal.nominal())[0])
     return resting if resting.observed.sum() > found.observed.sum() else found
 
 
@@ -231,8 +226,7 @@ def unobservable_in_words(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
 # Observability depends on the attitudes and axes of a session, not on the plan's description of
 # positions: one more dwell or turn of each kind is tried in the equations of the session itself.
 
-_RATE = TURN / 36
-"""Rate of a tried turn, rad/s: ten degrees a second, as rate tests begin with."""
+_RATE = TURN / 36  #: Rate of a tried turn, rad/s: ten degrees a second, as rate tests begin with.
 
 _MOST = 9
 """Most dwells and turns that are proposed: six attitudes, up and down, and a turn about each axis

@@ -20,8 +20,6 @@ from ..common.errors import NotObservable
 from ..common.stream import Floats, Stamps
 from ..model.parameters import Parameter, ParameterKind
 from ..model.session_terms import Change, Course
-from ..segmentation.segments import Segment, Turn
-from ..segmentation.stream_facts import Move
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .outputs import Blocks, Component, Diagonal
 
@@ -48,7 +46,7 @@ def shapes(evidence: Evidence, course: Course) -> Floats:
     starts, ends = spans(evidence)
     silent = _interruptions(evidence).mean(axis=1)
     tried = np.unique(np.concatenate([starts, (starts + ends) / 2, silent]))
-    count = len(evidence.segments) + len(evidence.turns)
+    count = len(evidence.parts)
     first, last = np.sort(ends[:count])[:2].max(), np.sort(starts[:count])[-2:].min()
     return np.asarray(tried[(tried >= first) & (tried <= last)] / ends.max())
 
@@ -72,7 +70,7 @@ def outermost(evidence: Evidence) -> Floats:
     With one dwell or turn before it: the next, in which it may be, shows its instant.
     """
     starts, ends = spans(evidence)
-    count = len(evidence.segments) + len(evidence.turns)
+    count = len(evidence.parts)
     return np.asarray(np.array([ends[:count].min(), starts[:count].max()]) / ends.max())
 
 
@@ -84,8 +82,7 @@ def spans(evidence: Evidence) -> tuple[Floats, Floats]:
 
 
 def _instants(evidence: Evidence) -> tuple[Stamps, Stamps]:
-    moves = [link.move for link in evidence.used_moves.linked]
-    parts: list[Segment | Turn | Move] = [*evidence.segments, *evidence.turns, *moves]
+    parts = [*evidence.parts, *(link.move for link in evidence.used_moves.linked)]
     starts = np.array([part.start for part in parts], dtype=np.int64)
     return starts, np.array([part.end for part in parts], dtype=np.int64)
 
@@ -143,11 +140,7 @@ def _share_before(starts: Floats, ends: Floats, instant: float) -> Floats:
 
 
 def temperatures(evidence: Evidence) -> Floats:
-    """Return the mean temperature over each dwell, turn and move, (s + t + m,) degrees Celsius.
-
-    Raises:
-        NotObservable: The session has no temperature.
-    """
+    """Return the mean temperature over each dwell, turn and move, (s + t + m,) degrees Celsius."""
     if evidence.temperature is None:
         raise NotObservable(
             'Term thermal: the session has no temperature (topic imu/temperature), so that its '
@@ -328,14 +321,7 @@ def encoder_rates(
 def encoder_rate_errors(
     evidence: Evidence, relative: Floats, rates: Floats, response: Floats, pulled: Floats
 ) -> list[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:
-    """Return the effect of an error of the table's rate on the outputs of each turn.
-
-    Args:
-        evidence: The session.
-        relative: (t,) the error.
-        rates: As in `encoder_rates`.
-        response: Likewise.
-        pulled: Likewise.
+    """Return the effect of a relative error (t,) of the table's rate on the outputs of turns.
 
     Returns:
         For turns of gyros alone, and for those whose accelerometers are used: which turns (k,),

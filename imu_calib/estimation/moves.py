@@ -55,8 +55,7 @@ _WORSE = 10.0
 """Upper limit of the standard deviation of a move's mean force by its velocity, over that of a
 dwell's: beyond it a move adds less than a hundredth to what the dwell before it gives."""
 
-_LEVEL = np.array([1.0, 1.0, 0.0])
-"""Effect of a rotation of the axes on gravity: none along it."""
+_LEVEL = np.array([1.0, 1.0, 0.0])  #: Effect of a rotation of the axes on gravity: none along it.
 
 _CACHED = 4
 """Models whose integrated moves are cached: a search uses two solutions alternately, and the step
@@ -141,7 +140,9 @@ class Moves:
         turned = np.array(attitudes).reshape(-1, 3, 3)
         known = links and not free
         sensors = (
-            ApproximateSensors.of(segments, turns, gravity * turned[:, 2], walk) if known else None
+            ApproximateSensors.fitted(segments, turns, gravity * turned[:, 2], walk)
+            if known
+            else None
         )
         return cls(tuple(links), turned, gravity, sensors)
 
@@ -157,31 +158,28 @@ class Moves:
 
     def paths(self, model: SensorModel) -> tuple[GyroPath, ...]:
         """Return the moves by a model's gyros."""
-        return _cached(
-            self._paths, model.gyros_fingerprint(), lambda: self._integrated_paths(model)
-        )
+
+        def integrated() -> tuple[GyroPath, ...]:
+            motions = [
+                (k.move.turned, k.move.seconds, self.gravity * self.attitudes[k.second, 2])
+                for k in self.linked
+            ]
+            return GyroPath.of_each(motions, model)
+
+        return _cached(self._paths, model.gyros_fingerprint(), integrated)
 
     def velocity_increments(self, model: SensorModel) -> tuple[VelocityIncrement | None, ...]:
         """Return the velocities gained by a model's accelerometers; None where not used."""
-        return _cached(self._increments_cache, model.fingerprint(), lambda: self._gained(model))
 
-    def _integrated_paths(self, model: SensorModel) -> tuple[GyroPath, ...]:
-        """Integrate the moves."""
-        motions = [
-            (k.move.turned, k.move.seconds, self.gravity * self.attitudes[k.second, 2])
-            for k in self.linked
-        ]
-        return GyroPath.of_each(motions, model)
+        def gained() -> tuple[VelocityIncrement | None, ...]:
+            paths = self.paths(model)
+            each = [link.move.velocity_steps for link in self.linked]
+            known = [one for one in each if one is not None]
+            used = [paths[k] for k in self.with_accels]
+            computed = iter(VelocityIncrement.of_each(known, used, model))
+            return tuple(None if one is None else next(computed) for one in each)
 
-    def _gained(self, model: SensorModel) -> tuple[VelocityIncrement | None, ...]:
-        """Sum the specific forces of the moves."""
-        paths = self.paths(model)
-        gained = [link.move.velocity_steps for link in self.linked]
-        known = [one for one in gained if one is not None]
-        computed = iter(
-            VelocityIncrement.of_each(known, [paths[k] for k in self.with_accels], model)
-        )
-        return tuple(None if one is None else next(computed) for one in gained)
+        return _cached(self._increments_cache, model.fingerprint(), gained)
 
     def _used_increments(self, model: SensorModel) -> list[VelocityIncrement]:
         """Return the velocity increments of the moves in `with_accels`, in order."""

@@ -226,7 +226,7 @@ class ApproximateSensors:
     accel_std: Floats  #: (3,) standard deviation of its accelerometers' outputs on the way, m/s^2.
 
     @classmethod
-    def of(
+    def fitted(
         cls, segments: Sequence[Segment], turns: Sequence[Turn], forces: Floats, walk: Floats
     ) -> ApproximateSensors:
         """Fit the lines to dwells at rest with specific forces (s, 3), body axes, and to turns."""

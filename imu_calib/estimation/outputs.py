@@ -53,7 +53,7 @@ class Arms:
     deviations: Floats  #: (a,) prior standard deviations of the arms, m.
 
     @classmethod
-    def of(cls, turns: Sequence[Turn], up_rate: float) -> Arms:
+    def from_turns(cls, turns: Sequence[Turn], up_rate: float) -> Arms:
         """Choose the turns that a table made at constant rate, about one axis; none by hand."""
         which = [k for k, turn in enumerate(turns) if turn.seconds is not None]
         groups: list[int] = []
@@ -356,8 +356,7 @@ class PositioningErrors:
     stops: float = 0.0  #: Of a stop, about each of three axes.
 
 
-NO_POSITIONING_ERRORS = PositioningErrors()
-"""No error beyond that of the table's file."""
+NO_POSITIONING_ERRORS = PositioningErrors()  #: No error beyond that of the table's file.
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,7 +367,7 @@ class AttitudeErrors:
     turning: Floats  #: (t, 3, e) of the turns.
 
     @classmethod
-    def of(cls, columns: list[Floats], dwells: int, parts: int) -> AttitudeErrors:
+    def from_columns(cls, columns: list[Floats], dwells: int, parts: int) -> AttitudeErrors:
         """Split (s + t, 3) rotations into dwells and turns, one column for each error."""
         whole = np.stack(columns, axis=2) if columns else np.zeros((parts, 3, 0))
         return cls(whole[:dwells], whole[dwells:])
@@ -396,16 +395,13 @@ def of_joints(
             column = np.zeros((len(parts), 3))
             column[run] = about[run]
             columns.append(column)
-    return AttitudeErrors.of(columns, len(segments), len(parts))
+    return AttitudeErrors.from_columns(columns, len(segments), len(parts))
 
 
 def of_stops(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeErrors:
     """Return the effect of independent rotations of stops: three errors for each static dwell."""
-    count = len(segments)
-    at_rest = np.zeros((count, 3, 3 * count))
-    for k in range(count):
-        at_rest[k, :, 3 * k : 3 * k + 3] = np.eye(3)
-    return AttitudeErrors(at_rest, np.zeros((len(turns), 3, 3 * count)))
+    at_rest = of_holds(segments, ()).at_rest
+    return AttitudeErrors(at_rest, np.zeros((len(turns), *at_rest.shape[1:])))
 
 
 def of_holds(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeErrors:
@@ -467,7 +463,7 @@ def _by_up(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeEr
         columns += [np.where(mine[:, None], axis, 0.0) for axis in across(ups[mine][0])]
     own = np.eye(len(ups))[: len(segments), :, None] * ups
     columns += list(own)
-    return AttitudeErrors.of(columns, len(segments), len(ups))
+    return AttitudeErrors.from_columns(columns, len(segments), len(ups))
 
 
 def _groups(ups: Floats, starts: list[int]) -> NDArray[np.intp]:

@@ -40,10 +40,8 @@ from .session_model import Nuisance, SessionModel
 SPARE = 1.0
 """Time before and after the measured turns in which a table surely keeps its rate, s. A choice."""
 
-_SAMPLE_RATE = 100.0
-"""Hz, if the IMU's file states none. A choice."""
-_PHASE = 0.5
-"""Pulses: a counter starts at any phase, on average in the middle of a pulse."""
+_SAMPLE_RATE = 100.0  #: Hz, if the IMU's file states none. A choice.
+_PHASE = 0.5  #: Pulses: a counter starts at any phase, on average in the middle of a pulse.
 
 
 def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = None) -> Statistics:
@@ -148,8 +146,7 @@ def period_of(spec: ImuSpec) -> float:
     return 1 / (spec.sample_rate or _SAMPLE_RATE)
 
 
-SETTLE = 1.0
-"""s from arrival to the start of a dwell, as stand and sequencer wait."""
+SETTLE = 1.0  #: s from arrival to the start of a dwell, as stand and sequencer wait.
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,11 +162,6 @@ class Visit:
 
 def schedule(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> tuple[Visit, ...]:
     """Compute the times of steps.
-
-    Args:
-        steps: As `Plan.steps` returns them for this table; the table stands at the first.
-        table: Its limits apply.
-        settle: Wait after each arrival, s.
 
     Raises:
         InputError: A joint has no limit of rate or acceleration: its motions have no known
@@ -204,11 +196,9 @@ BY_HAND_MOVE = 2.0
 """Duration of a move from one dwell to the next, s. A choice: that of simulated hands
 (`simulation/hand`)."""
 
-_STEP = 0.01
-"""Length of the steps of a move, s: no step turns by more than a degree at 100 deg/s."""
+_STEP = 0.01  #: Length of the steps of a move, s: no step turns by more than a degree at 100 deg/s.
 
-_SHORT_STEPS = 40
-"""Steps of a turn by hand: at most 4.5 degrees each."""
+_SHORT_STEPS = 40  #: Steps of a turn by hand: at most 4.5 degrees each.
 
 _PARALLEL = 1e-6
 """Sine of the angle between two directions below which they define no axis: rounding of 1e-16 turns
@@ -330,8 +320,7 @@ _BY_HAND_LEVEL_SHARE = 0.25
 """Share of a level rate that such a turn does not average out: its rate rises and falls for a third
 of a second each."""
 
-_WARMTH = 20.0
-"""Mean temperature of a session, degrees Celsius: only differences from it matter."""
+_WARMTH = 20.0  #: Mean temperature of a session, degrees Celsius: only differences from it matter.
 
 _ANYHOW = Skewed(np.full((1, 3), 1 / math.sqrt(3)), np.zeros(1))
 """Direction assumed where that of a skewed gyro is not stated: the space diagonal."""
@@ -519,8 +508,7 @@ def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
     moves; u is the number of turns with readings of a skewed gyro.
     """
     dwells, turns = evidence.segments, evidence.turns
-    moves = [link.move for link in evidence.used_moves.linked]
-    parts: list[Segment | Turn | Move] = [*dwells, *turns, *moves]
+    parts = [*evidence.parts, *(link.move for link in evidence.used_moves.linked)]
     begin, end = np.array([(p.start, p.end) for p in parts]).reshape(-1, 2).T * 1e-9
     none = np.zeros((len(parts), 3, 3)), np.zeros(len(parts), dtype=bool)
     means = BiasDrift.over(begin, end - begin, *none).one_channel(STATED_TIME)

@@ -52,8 +52,7 @@ _SHARE = 0.5
 """Largest share of the degrees of freedom of its outputs that a family may take. A judgement: at
 least as many remain to show their scatter."""
 
-_NINE_IN_TEN = 1.2816
-"""Standard normal quantile of 90 %."""
+_NINE_IN_TEN = 1.2816  #: Standard normal quantile of 90 %.
 
 _TINY = -500.0
 """Logarithm below which a probability is computed as a logarithm: 64-bit numbers end at -708."""
@@ -201,7 +200,7 @@ _LARGEST_DRIFT = {'g': 0.1 * DEG, 'a': 1e5 * MICRO_G}
 def stepped(equations: Equations, state: Floats) -> Floats:
     """Return a state after one step of the least squares: enough for linear unknowns."""
     jacobian, residuals = equations.whitened(state)
-    return np.asarray(state + Information.of(jacobian).gain @ residuals)
+    return np.asarray(state + Information.from_jacobian(jacobian).gain @ residuals)
 
 
 def families(equations: Equations) -> tuple[Family, ...]:
@@ -218,8 +217,7 @@ def families(equations: Equations) -> tuple[Family, ...]:
             # In the hand a hold that leans looks like one.
             courses.remove(Course.STEP)
         found += [Family(course.value, course=course) for course in courses]
-    angles = [*(s.angles for s in evidence.segments), *(t.angles for t in evidence.turns)]
-    if evidence.table is not None and all(one is not None for one in angles):
+    if evidence.table is not None and all(part.angles is not None for part in evidence.parts):
         found += [Family(name) for name in TABLE_ERRORS]
     return tuple(found)
 
@@ -233,7 +231,7 @@ def scores_of(
 ) -> dict[Family, Score]:
     """Test families about a solution, each with its coefficients held at zero."""
     held = dict.fromkeys(family.held for family in patterns)
-    residuals = {one: WhitenedResiduals.of(replace(equations, held=one), state) for one in held}
+    residuals = {one: WhitenedResiduals.at(replace(equations, held=one), state) for one in held}
     return {f: residuals[f.held].score(f, columns) for f, columns in patterns.items()}
 
 
@@ -308,7 +306,7 @@ class WhitenedResiduals:
     factor: Floats  #: (m, m) lower triangle of the covariance of the outputs.
 
     @classmethod
-    def of(cls, equations: Equations, state: Floats) -> WhitenedResiduals:
+    def at(cls, equations: Equations, state: Floats) -> WhitenedResiduals:
         """Whiten the equations of a session at a solution."""
         jacobian, residuals = equations.whitened(state)
         norms = np.linalg.norm(jacobian, axis=0)

@@ -33,8 +33,7 @@ from .outputs import OutputLayout, mean_over_turn
 # vectors in the frame of A.
 # Source: docs/mathematics.md, 'Joint estimate'.
 
-_X, _Y, _Z = np.eye(3)
-"""Unit vectors of the axes."""
+_X, _Y, _Z = np.eye(3)  #: Unit vectors of the axes.
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,13 +386,13 @@ class SessionModel:
             state, np.array([t.rate_std(walk) for t in self.evidence.turns])
         )
 
-    def whole_way_effects(self, state: Floats) -> Floats:
+    def rest_to_rest_effects(self, state: Floats) -> Floats:
         """Return the effect of positioning errors on rates by whole motions, (m, w) per rad.
 
         Either end of a motion has an error, and the next may begin with the error of this one's
         end.
         """
-        relative, some = self.evidence.whole_ways
+        relative, some = self.evidence.rest_to_rest_rates
         return self._rate_error_effects(state, relative)[:, some]
 
     def _rate_error_effects(self, state: Floats, relative: Floats) -> Floats:
@@ -422,7 +421,7 @@ class SessionModel:
         )
         effects = self.attitude_error_effects(state, at_rest, turning)
         joints, stops = np.split(effects, [both[0].at_rest.shape[2]], axis=1)
-        return np.hstack([joints, self.whole_way_effects(state)]), stops
+        return np.hstack([joints, self.rest_to_rest_effects(state)]), stops
 
     @cached_by_state
     def _rotation_derivatives(self, state: Floats) -> Floats:

@@ -125,9 +125,6 @@ def least_squares(
             standard deviations.
         moved: Function that returns the state moved by an (n,) step.
         rounds: Most steps.
-
-    Raises:
-        NotConverged: The steps do not converge.
     """
     begin = state
     jacobian, residuals = system(state)
@@ -306,7 +303,7 @@ def headed(equations: Equations, state: Floats) -> Equations:
     # Drifting biases change the apparent north: for cheap gyros by as much as their noise.
     drifting = with_scatter(free, excess(free, state))
     state = fit(drifting, state)
-    covariance = Information.of(drifting.whitened(state)[0]).covariance
+    covariance = Information.from_jacobian(drifting.whitened(state)[0]).covariance
     far = max(FIVE_SIGMA * float(np.sqrt(covariance[azimuth, azimuth])), LEAST_AZIMUTH)
     return free if abs(state[azimuth]) > far else equations
 
@@ -326,8 +323,7 @@ _FINE = 17
 """Instants that are tried between the neighbours of the best: eight times as dense as before. It is
 repeated while that lowers chi-square by more than one, what its noise is."""
 
-_STEPS = 100
-"""Most steps of each fit; one that has not converged by then raises."""
+_STEPS = 100  #: Most steps of each fit; one that has not converged by then raises.
 
 
 def with_changes(
@@ -455,7 +451,7 @@ def _by_shape(equations: Equations, state: Floats, course: Course) -> tuple[Floa
         jacobian[: len(moved), equations.change_slice] = scipy.linalg.solve_triangular(
             factor, moved, lower=True, check_finite=False
         )
-        step = Information.of(jacobian).gain @ residuals
+        step = Information.from_jacobian(jacobian).gain @ residuals
         remains = residuals - jacobian @ step
         return start + step, float(remains @ remains)
 

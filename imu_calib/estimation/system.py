@@ -119,7 +119,9 @@ def observe(
         replace(t, position=t.position or str(k + 1)) for k, t in enumerate(labelled.turns)
     )
     named = replace(labelled, segments=segments, turns=turns)
-    evidence = _by_the_clock_of(clock, Evidence.of(named, session, plan, imu, site, table))
+    evidence = _by_the_clock_of(
+        clock, Evidence.from_session(named, session, plan, imu, site, table)
+    )
     evidence = evidence if known else replace(evidence, turns=(), moves=())
     return Observed(evidence, imu, sample_rate, (*labelled.notes, *session.losses))
 
@@ -146,8 +148,7 @@ def _by_the_clock_of(clock: StampingClock | None, evidence: Evidence) -> Evidenc
     return replace(evidence, turns=tuple(turns))
 
 
-_ROUNDS = 30
-"""Most steps of a fit. Near the minimum three suffice; what needs more does not fit."""
+_ROUNDS = 30  #: Most steps of a fit. Near the minimum three suffice; what needs more does not fit.
 _ROUNDS_OF_LENGTHS = 100
 """Most steps with lengths, where a calibration itself is judged: the variance of a square depends
 on the state, and errors shrink by a constant factor a step or oscillate until steps are halved.
@@ -155,11 +156,9 @@ Calibrations with biases off by 0.005 to 20 deg/s took up to 85 steps, or 59 hal
 _ROUNDS_OF_SHARE = 3
 """Newton's steps for a factor that is known to some percent: two leave 1e-8 of it."""
 
-_TOO_FEW = 2.0
-"""Degrees of freedom up to which residuals do not determine the noise."""
+_TOO_FEW = 2.0  #: Degrees of freedom up to which residuals do not determine the noise.
 
-_ANY_TILT = 0.1
-"""rad: prior std of an unlevelled table. Accelerometers determine the tilt."""
+_ANY_TILT = 0.1  #: rad: prior std of an unlevelled table. Accelerometers determine the tilt.
 
 
 @dataclass(frozen=True, eq=False)
@@ -526,7 +525,7 @@ class TriadSystem:
 
     def _fit_at(self, columns: Floats, residuals: Floats, point: Floats, factor: Floats) -> Fit:
         k, count = factor.shape[1], len(self._kinds)
-        found = Information.of(columns)
+        found = Information.from_jacobian(columns)
         spare = 1 - np.einsum('ij,ji->i', columns[:count], found.gain[:, :count])
         free = columns[:, k:][:, self._free]
         norms = np.linalg.norm(free[:count], axis=0)

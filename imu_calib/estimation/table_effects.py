@@ -113,7 +113,7 @@ class CommonTable:
         whole = self.stated**2 + self.positioning.joints**2
         return self.stated**2 / whole if whole else 1.0
 
-    def of(self, states: Sequence[Floats]) -> CommonErrors:
+    def errors_at(self, states: Sequence[Floats]) -> CommonErrors:
         """Return the common errors, their effects linearised at the states (n,) of the units."""
         joints = float(np.hypot(self.stated, self.positioning.joints))
         found = [
@@ -146,7 +146,7 @@ class CommonTable:
         rates = _summed(unit.encoder_rate_effects(state), self._turns[k], _count(self._turns))
         by_way = [n for n, t in zip(self._turns[k], evidence.turns, strict=True) if t.whole_way]
         ways = _summed(
-            unit.whole_way_effects(state), np.array(by_way, dtype=np.intp), _count(self._turns)
+            unit.rest_to_rest_effects(state), np.array(by_way, dtype=np.intp), _count(self._turns)
         )
         # About the axes of the table's mounting, which all units have in common.
         inward = evidence.table.mount.T
@@ -179,8 +179,7 @@ def shares_a_table(equations: Equations) -> bool:
     evidence = equations.evidence
     if evidence.table is None or evidence.plan.by_hand or evidence.free:
         return False
-    parts: list[Segment | Turn] = [*evidence.segments, *evidence.turns]
-    return all(part.angles is not None for part in parts)
+    return all(part.angles is not None for part in evidence.parts)
 
 
 def dwell_counts(units: Sequence[Equations]) -> tuple[list[int], int]:
@@ -204,15 +203,14 @@ def _of_joints(evidences: Sequence[Evidence]) -> _Joints:
     owners: list[tuple[int, int]] = []
     times: list[Floats] = []
     for unit, evidence in enumerate(evidences):
-        mine: list[Segment | Turn] = [*evidence.segments, *evidence.turns]
-        parts += mine
-        owners += [(unit, k) for k in range(len(mine))]
-        times.append(_times(evidence, mine)[:, 0])
+        parts += evidence.parts
+        owners += [(unit, k) for k in range(len(evidence.parts))]
+        times.append(_times(evidence, evidence.parts)[:, 0])
     order = np.argsort(np.concatenate(times), kind='stable').tolist()
     table = evidences[0].table
     assert table is not None
     angles = np.array([part.angles for part in parts])
-    counts = [len(e.segments) + len(e.turns) for e in evidences]
+    counts = [len(e.parts) for e in evidences]
     columns: list[list[Floats]] = [[] for _ in evidences]
     names = []
     for joint in range(angles.shape[1]):
@@ -236,8 +234,7 @@ def _of_joints(evidences: Sequence[Evidence]) -> _Joints:
 
 def _angles(evidence: Evidence) -> Floats:
     """Return the joint angles of dwells, then of turns, (s + t, joints) rad."""
-    parts: list[Segment | Turn] = [*evidence.segments, *evidence.turns]
-    return np.array([part.angles for part in parts]).reshape(len(parts), -1)
+    return np.array([p.angles for p in evidence.parts]).reshape(len(evidence.parts), -1)
 
 
 def _times(evidence: Evidence, parts: Sequence[Segment | Turn]) -> Floats:
@@ -298,8 +295,7 @@ def _summed(columns: Floats, numbers: NDArray[np.intp], count: int) -> Floats:
 # results for the outputs that its own solution predicts on the tilted table and on a level one: for
 # twelve positions 1 - cos tilt in K_a, for others more (docs/mathematics.md, 'Twelve positions').
 
-Accelerometers = Callable[[Evidence], Triad]
-"""A closed form for the accelerometers of a session."""
+Accelerometers = Callable[[Evidence], Triad]  #: A closed form for the accelerometers of a session.
 
 _SIGNIFICANT = 0.5
 """An error of so many standard deviations gets a sentence and widens them, by 12 %; smaller ones

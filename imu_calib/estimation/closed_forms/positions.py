@@ -18,7 +18,6 @@ from ...model.sensors import SensorModel, parameters_of
 from ...model.terms import G_SENSITIVITIES, G_SENSITIVITY
 from ...session.plan import Plan
 from ..checks import Solution
-from ..conclusion import conclude
 from ..evidence import UP, Evidence
 from .linear import (
     BIAS,
@@ -35,8 +34,7 @@ from .linear import (
     solve_triad,
 )
 
-_PASSES = 2
-"""Rounds: tilts are milliradians, so that each reduces the error to a thousandth."""
+_PASSES = 2  #: Rounds: tilts are milliradians, so that each reduces the error to a thousandth.
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +47,7 @@ class BiasEquation:
 
 def solve_gyros(evidence: Evidence, bias: BiasEquation) -> SolvedTriad:
     """Solve the gyros from the rate test and one equation for the bias."""
-    test = RateTestEquations.of(evidence)
+    test = RateTestEquations.from_turns(evidence)
     solved = _gyros(evidence, test, bias, test.outputs)
     for _ in range(_PASSES):
         outputs = test.outputs - test.off_axis @ solved.triad.response.T
@@ -132,15 +130,12 @@ def finish(
     accels = solve_accelerometers(evidence)
     model = SensorModel(gyros.triad, accels.triad)
     gains = Gains(gyros.gain, accels.gain, max(gyros.condition, accels.condition))
-    return conclude(
+    return gains.conclude(
         evidence,
-        model,
-        gains.shares(evidence, model),
-        gains.condition,
-        gain=gains.derivatives(evidence),
+        model=model,
+        accelerometers=lambda other: solve_accelerometers(other).triad,
         findings=findings,
         north_known=north_known,
-        accelerometers=lambda other: solve_accelerometers(other).triad,
     )
 
 

@@ -37,18 +37,14 @@ from .linear import (
 )
 from .positions import force_weights
 
-NAME = 'skewed'
-"""The method's name in plans."""
+NAME = 'skewed'  #: The method's name in plans.
 
-_PARAMETERS = parameters_of(skewed=1)
-"""The 24, and those of one skewed gyro."""
+_PARAMETERS = parameters_of(skewed=1)  #: The 24, and those of one skewed gyro.
 
 SKEWED_ESTIMATES = tuple(p for p in _PARAMETERS if p.triad == 'g')
 
-_SAME_RATE = 0.05
-"""Share: rates closer than that count as one rate of the plan."""
-_SLIGHT = 0.01
-"""Of the logarithm of a variance: a step of the numerical derivative."""
+_SAME_RATE = 0.05  #: Share: rates closer than that count as one rate of the plan.
+_SLIGHT = 0.01  #: Of the logarithm of a variance: a step of the numerical derivative.
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +63,7 @@ class RatePoints:
     rate_error: Floats  #: (t,) standard deviation of that, relative.
 
     @classmethod
-    def of(cls, evidence: Evidence) -> RatePoints:
+    def from_turns(cls, evidence: Evidence) -> RatePoints:
         """Collect the turns that the skewed gyro also recorded."""
         turns = [t for t in evidence.turns if t.skewed is not None]
         if not turns:
@@ -146,7 +142,7 @@ def solve_skewed(evidence: Evidence) -> Solution:
     Raises:
         NotObservable: Turns are missing, or none was recorded by a skewed gyro.
     """
-    points = RatePoints.of(evidence)
+    points = RatePoints.from_turns(evidence)
     plain, condition = points.weights()
     unknowns = np.einsum('cut,tc->cu', plain, points.outputs)
     variances = points.pooled(unknowns)
@@ -199,7 +195,7 @@ def variance_by_weights(evidence: Evidence) -> Floats:
     To second order: a pooled variance of f degrees of freedom errs by 2/f of its square, and moves
     the weights by their derivative. The scatter of normal noise does not depend on its mean.
     """
-    points = RatePoints.of(evidence)
+    points = RatePoints.from_turns(evidence)
     plain, _ = points.weights()
     variances = points.pooled(np.einsum('cut,tc->cu', plain, points.outputs))
     added = np.zeros((4, 4))
@@ -420,8 +416,7 @@ def _static_weights(
 
 _ALONG = 0.99
 """Cosine: 8 degrees; an axis that is off by more is not at a position of this method."""
-_LEAST_RATE = 0.5 * DEG_H
-"""rad/s: that of two degrees from a pole or the equator."""
+_LEAST_RATE = 0.5 * DEG_H  #: rad/s: that of two degrees from a pole or the equator.
 _WORDS = ('X north', 'X south', 'Y north', 'Y south')
 
 
