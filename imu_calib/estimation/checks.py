@@ -137,16 +137,12 @@ def check_axes(response: Floats, name: str, what: str) -> None:
 
 
 class WrongLatitude(Contradiction):
-    """The gyros see the Earth rate of another latitude.
-
-    Attributes:
-        seen: That latitude, rad.
-        misfit: Difference of the whole rate from the Earth's, in standard deviations.
-    """
+    """The gyros see the Earth rate of another latitude."""
 
     def __init__(self, text: str, seen: float = float('nan'), misfit: float = float('inf')) -> None:
         super().__init__(text)
-        self.seen = seen
+        self.seen = seen  #: That latitude, rad.
+        #: Difference of the whole rate from the Earth's, in standard deviations.
         self.misfit = misfit
 
 

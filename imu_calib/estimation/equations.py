@@ -192,10 +192,7 @@ class Equations(SessionModel):
         return result
 
     def shares(self, state: Floats, gain: Floats) -> dict[Source, Share]:
-        """Return by source the covariance of parameters that are a gain (p, m) times the outputs.
-
-        Source: docs/mathematics.md, 'Uncertainty budget'.
-        """
+        """Return by source the covariance of parameters that are gain (p, m) times the outputs."""
         return shares((*self.own, *self.shared(state)), gain)
 
     @property

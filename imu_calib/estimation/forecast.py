@@ -98,24 +98,6 @@ def forecast(
     return _with_common(Forecast(evidence, name, parameters, std, best, refusal), setup, truth)
 
 
-def with_parameters(
-    evidence: Evidence,
-    setup: Setup,
-    truth: SensorModel,
-    parameters: tuple[Parameter, ...],
-    *,
-    drifting: bool,
-) -> Floats:
-    """Return the standard deviations (n,) of a joint estimate of other parameters; see `forecast`.
-
-    NaN stands for parameters that the session does not determine.
-    """
-    extra = bias_drift_covariance(evidence, setup.imu) if drifting else None
-    best = _best(evidence, truth, parameters, extra)
-    found = Forecast(evidence, setup.method_name, parameters, best, best, '')
-    return _with_common(found, setup, truth).std
-
-
 def resting_on_the_table(found: Forecast, truth: SensorModel) -> list[str]:
     """List the parameters of a joint estimate that rely on table errors below `FINEST`."""
     if found.method not in JOINT or found.refusal:
@@ -196,10 +178,7 @@ def information(
     *,
     extra: Floats | None = None,
 ) -> Information:
-    """Return the Fisher information of a session at the truth.
-
-    Source: docs/mathematics.md, 'Joint estimate'.
-    """
+    """Return the Fisher information of a session at the truth."""
     kind = FreeEquations if evidence.free else Equations
     return information_of(kind(evidence, parameters), truth, extra)
 
@@ -296,8 +275,10 @@ def _of_term(
     more = replace(setup, terms=(*setup.terms, term))
     evidence = replace(found.evidence, coarse=has_motion_terms(more.terms))
     parameters = listed(more)
-    found_std = with_parameters(evidence, more, truth, parameters, drifting=drifting)
-    std = dict(zip(parameters, found_std.tolist(), strict=True))
+    extra = bias_drift_covariance(evidence, more.imu) if drifting else None
+    best = _best(evidence, truth, parameters, extra)
+    other = _with_common(Forecast(evidence, found.method, parameters, best, best, ''), more, truth)
+    std = dict(zip(parameters, other.std.tolist(), strict=True))
     before = dict(zip(found.parameters, found.std.tolist(), strict=True))
     times = [(p, std[p] / s) for p, s in before.items() if s > 0]
     dearer = tuple((p, t) for p, t in times if not t <= _DEARER)

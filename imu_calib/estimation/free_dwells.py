@@ -284,7 +284,7 @@ _NOMINAL = 0.03
 (MPU-9150: sensitivity tolerance of 3 %)."""
 _FEWEST = 3  #: Static dwells: three in two attitudes determine six unknowns by nine readings.
 _DETERMINED = np.radians(10.0)
-"""rad: a latitude with a larger uncertainty is not reported, as in `methods.checks`."""
+"""rad: a latitude with a larger uncertainty is not reported, as in `checks`."""
 
 
 def vertical_earth_rate(segments: Sequence[Segment]) -> tuple[float, float] | None:

@@ -1,6 +1,6 @@
 """Motion from one dwell to the next by the gyros of a model: a rotation and its derivatives.
 
-Steps of joined samples include the coning of their directions (`segmentation/moves.py`); single
+Steps of joined samples include the coning of their directions (`segmentation.moves`); single
 samples do not.
 
 Sources: Bortz 1971, IEEE Trans. AES 7, 61, and Savage 1998, J. Guidance 21, 19, eq. (45), for the

@@ -1,6 +1,6 @@
 """Sensors from holds in unknown attitudes: gravity has one length, and gyros turn it between holds.
 
-The equations are those of every session (`observation/free.py`), with estimated attitudes. All is
+The equations are those of every session (`FreeEquations`), with estimated attitudes. All is
 one weighted least squares: the uncertainty of a direction by the accelerometers enters the
 parameters of the gyros. G-sensitivity of the gyros, nonlinearity of the accelerometers and biases
 that drift are estimated too, where the session shows them.
@@ -121,7 +121,7 @@ _AMOUNT = 1000.0
 percent at 1 g, as of a usual chip."""
 _APART = 9.0
 """Difference of chi-square below which two terms explain a session equally well: a factor of 90 in
-the likelihood (as in `estimation.search`)."""
+the likelihood (as in `search`)."""
 
 _WANDERS = 2.0 ** np.arange(1, 11)
 """Grid of the size of a wander, of the noise of a hold: the likelihood is flat within a factor of
@@ -679,7 +679,7 @@ def is_clear(evidence: Evidence) -> bool:
     rest = rows[:, -1] - rows[:, :-1] @ step
     if _largest(step, equations) > _STRAIGHT or contradicts_latitude(equations.evidence):
         return False
-    if _outstanding_turn(state, np.linalg.qr(rows[:, :-1])[0], rest, _OUTLYING) is not None:
+    if _outlying_turn(state, np.linalg.qr(rows[:, :-1])[0], rest) is not None:
         return False
     taken = (information.gain * rows[:, :-1].T).sum(axis=0)
     scatter = max(
@@ -715,7 +715,7 @@ def _with_estimated_noise(state: _State) -> _State:
     """Return the least squares with noise enlarged by its scatter, and without outlying turns."""
     for _ in range(_ROUNDS):
         state = state.settled()
-        wild = _outlying_turn(state)
+        wild = _outlying_turn(state, state.basis, state.whitened()[1])
         if wild is not None:
             state = state.without(wild)
             continue
@@ -908,18 +908,13 @@ def _scatter_limit(freedom: Floats) -> Floats:
     return np.where(known, np.sqrt(np.maximum(1.0, few / np.maximum(1.0, few - 2))), 1.0)
 
 
-def _outlying_turn(state: _State) -> int | None:
-    """Find the turn that is an outlier, if any."""
-    return _outstanding_turn(state, state.basis, state.whitened()[1], _OUTLYING)
-
-
-def _outstanding_turn(state: _State, basis: Floats, residuals: Floats, limit: float) -> int | None:
-    """Find the turn that the others contradict most, if by more than a limit, times the usual.
+def _outlying_turn(state: _State, basis: Floats, residuals: Floats) -> int | None:
+    """Find the turn that the others contradict most, if by `_OUTLYING` times the usual.
 
     One outlying turn bends the fit towards itself and enlarges the residuals of the others: each is
     judged by the fit without the worst one, by residuals in their own standard deviations (deletion
     formulae of linear least squares: Cook and Weisberg 1982, sections 2.2 and 3.5). The basis (m,
-    n) spans the derivatives; `residuals` (m,) and the limit are in deviations.
+    n) spans the derivatives; `residuals` (m,) are in deviations.
     """
     moves = state.equations.layout.move
     if not len(moves):
@@ -937,7 +932,7 @@ def _outstanding_turn(state: _State, basis: Floats, residuals: Floats, limit: fl
     if freedom[worst] == 0 or np.einsum('kii->', kept) - freedom[worst] < _JUDGING:
         return None
     usual = float(np.median(others[usable] / _MEDIANS[free[usable]]))
-    return worst if sizes[worst] > limit * max(1 / float(state.scatter[2]), usual) else None
+    return worst if sizes[worst] > _OUTLYING * max(1 / float(state.scatter[2]), usual) else None
 
 
 def _studentised(kept: Floats, residuals: Floats) -> tuple[Floats, Indices]:

@@ -401,11 +401,9 @@ def _residuals(found: Estimate) -> tuple[Residual, ...]:
 def observed_earth_rate(found: Estimate) -> tuple[Floats, Floats]:
     """Return the Earth rate (3,) by the gyros, free in size and direction, and its covariance.
 
-    Level, but at the heading of the attitudes, rad/s.
-
-    The tilts found in the session are removed from it; its covariance includes their uncertainty.
-    Only the noise is used, or the residuals it leaves if larger: scatter by a wrong latitude must
-    not hide it.
+    It is level, but at the heading of the attitudes, rad/s: the tilts found are removed, and the
+    covariance includes their uncertainty. Only the noise is used, or the residuals it leaves if
+    larger: scatter by a wrong latitude must not hide it.
     """
     return _free_earth(found.without_scatter, found.state)
 

@@ -29,7 +29,8 @@ JOINT: dict[str, tuple[Term, ...]] = {'joint': (), 'joint_33': (G_SENSITIVITY,)}
 class Method:
     """A method of estimation."""
 
-    solve: Callable[[Evidence], Solution]  #: Its solver.
+    #: Its solver; raises `NotObservable`, naming what is missing and what it does not determine.
+    solve: Callable[[Evidence], Solution]
     estimates: tuple[Parameter, ...]  #: The parameters that it determines.
     #: Raises `NotObservable` for a plan that it cannot solve.
     check: Callable[[Plan, Site], None] = lambda _plan, _site: None

@@ -202,9 +202,9 @@ def columns(
 def stated_changes(
     parameters: Sequence[Parameter], thermal: Floats
 ) -> tuple[tuple[Change, ...], Floats]:
-    """Return a coefficient per K for each scale factor and bias, and the data sheet's values.
+    """Return k coefficients per K, of scale factors and biases, and their standard deviations.
 
-    (k,) standard deviations, SI units per K; `thermal` is that of `Evidence`.
+    The deviations (k,), SI units per K, are those of the data sheet (`Evidence.thermal`).
     """
     kinds = {ParameterKind.SCALE_FACTOR_ERROR: 0, ParameterKind.BIAS: 1}
     mine = [p for p in parameters if p.kind in kinds]
@@ -214,10 +214,10 @@ def stated_changes(
 
 ENCODER_FREEDOM = 14.0
 """Least degrees of freedom of an encoder's rate: sixteen blocks less a line's two unknowns
-(`segmentation/plateau.py`)."""
+(`segmentation.plateaus`)."""
 UNREST_FREEDOM = 3.0
 """Least degrees of freedom of the noise of a single dwell: four blocks less their mean
-(`segmentation/statistics.py`)."""
+(`segmentation.statistics`)."""
 
 _ANGLES, _VELOCITIES = np.repeat(np.eye(2), 3, axis=1)
 """(6,) masks, one or zero, of the angles and of the velocities among the outputs of a move."""

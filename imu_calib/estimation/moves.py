@@ -108,11 +108,9 @@ class Moves:
     ) -> Moves:
         """Choose the moves to use; all of a unit in the hand, whose attitudes are `free`.
 
-        With `coarse` such velocities are used too: for parameters that the rest does not determine.
-
         A move that contains measured turns shares its noise with them and adds little: the turns
         are used instead. Where no joint moved the move is not used. A velocity with little
-        information beside the rest is left out: pulses of some mm/s dominate it.
+        information beside the rest is left out, unless `coarse`: pulses of some mm/s dominate it.
         """
         by_end = {s.end: k for k, s in enumerate(segments) if free or s.angles is not None}
         by_start = {s.start: k for k, s in enumerate(segments) if free or s.angles is not None}

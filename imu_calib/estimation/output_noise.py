@@ -24,7 +24,7 @@ _STATED_FREEDOM = 10.0
 to 1 / sqrt(20) = 22 %. A judgement of how far units of a type differ."""
 _BY_CHANCE = 1e-3
 """Probability that by chance any static dwell of a session gets its own noise. A judgement, as of
-groups that scatter (`methods/free_positions.py`)."""
+groups that scatter (`hand`)."""
 _NEAR, _NEAR_FREEDOM = 3.6, 8.0
 """Ratio of variances up to which one of so many degrees of freedom is no larger than by chance:
 chi-square of eight is 28.8 once in 2900 times, that of fewer more often, and three dwells or more
@@ -41,6 +41,11 @@ _ENOUGH_FREEDOM = 20.0
 data sheet states it: it is then known to 1 / sqrt(40) = 16 %."""
 
 
+def stated_walk(spec: ImuSpec) -> Floats:
+    """Return the random-walk coefficients of the data sheet, (6,)."""
+    return np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
+
+
 def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, Floats]:
     """Return the random-walk coefficients shown by the data, (6,), and degrees of freedom, (6,).
 
@@ -52,7 +57,7 @@ def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, F
         NotObservable: Neither the data nor the IMU's description gives the noise.
     """
     found = pooled_walk([s.statistics for s in segments])
-    stated = np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
+    stated = stated_walk(spec)
     known = np.isfinite(found.deviation)
     if not (known | (stated > 0)).all():
         raise NotObservable('The noise of the sensors is unknown: no static dwell is long enough.')
@@ -74,7 +79,7 @@ def walk_of_sensors(segments: tuple[Segment, ...], spec: ImuSpec) -> Floats:
     By the data sheet, else by the differences of neighbouring samples at rest, less the rounding
     of counts.
     """
-    stated = np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
+    stated = stated_walk(spec)
     found = np.full(6, np.nan)
     variances = np.array([s.statistics.sample_variance for s in segments]).reshape(-1, 6)
     variances = variances[np.isfinite(variances).all(axis=1)]

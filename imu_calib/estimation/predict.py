@@ -32,10 +32,11 @@ from .bias_drift import STATED_TIME, BiasDrift
 from .evidence import UP, Evidence, thermal_of
 from .hand import NAME as FREE_POSITIONS
 from .methods import Setup
+from .output_noise import stated_walk
 from .session_model import Nuisance, SessionModel
 
 # A noise-free counter at the expected rate is processed by the same estimators as a session
-# (`segmentation.counter`).
+# (`segmentation.counters`).
 
 SPARE = 1.0
 """Time before and after the measured turns in which a table surely keeps its rate, s. A choice."""
@@ -108,12 +109,12 @@ def each_turn(
         return None
     seconds = whole.duration / count
     single = reading(spec, whole.mean, seconds, SPARE)
-    mean, square = whole.mean[:3], single.variance(walk_of(spec))[:3]
+    mean, square = whole.mean[:3], single.variance(stated_walk(spec))[:3]
     if askew is not None:
         alone = skewed_alone(spec)
         single = reading(alone, askew.mean, seconds, SPARE)
         mean = np.append(mean, askew.mean[0])
-        square = np.append(square, single.variance(walk_of(alone))[0])
+        square = np.append(square, single.variance(stated_walk(alone))[0])
     ramp = np.arange(count) - (count - 1) / 2
     return np.asarray(mean + np.outer(ramp / ramp.std(ddof=1), np.sqrt(square)))
 
@@ -129,11 +130,6 @@ def _rounded(triad: TriadSpec, period: float) -> float:
     step = triad.scale_factor
     noise = triad.random_walk**2 / period / step**2
     return step**2 / 12 * math.exp(-4 * math.pi**2 * noise)
-
-
-def walk_of(spec: ImuSpec) -> Floats:
-    """Return the random-walk coefficients of the six channels, (6,)."""
-    return np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
 
 
 def triads(spec: ImuSpec) -> list[TriadSpec]:
@@ -160,8 +156,8 @@ class Visit:
     angles: Floats  #: (k,) joint angles at rest, rad.
 
 
-def schedule(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> tuple[Visit, ...]:
-    """Compute the times of steps.
+def schedule(steps: Sequence[Step], table: Table) -> tuple[Visit, ...]:
+    """Compute the times of steps by the limits of a table, which stands at the first.
 
     Raises:
         InputError: A joint has no limit of rate or acceleration: its motions have no known
@@ -181,20 +177,20 @@ def schedule(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> 
             rate, travel = float(step.rates[k]), TURN * (step.turns + 1)
             rest += travel_time(travel, abs(rate), table.joints[k].max_acceleration)
             angles[k] += math.copysign(travel, rate)
-        end = rest + settle + step.dwell
+        end = rest + SETTLE + step.dwell
         visits.append(Visit(step, now, rest, end, angles))
         now = end
     return tuple(visits)
 
 
-def duration(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> float:
+def duration(steps: Sequence[Step], table: Table) -> float:
     """Return the duration of a plan, s: moves, run-ups, settling, turns and dwells."""
-    return schedule(steps, table, settle=settle)[-1].end
+    return schedule(steps, table)[-1].end
 
 
 BY_HAND_MOVE = 2.0
 """Duration of a move from one dwell to the next, s. A choice: that of simulated hands
-(`simulation/hand`)."""
+(`simulation.hand`)."""
 
 _STEP = 0.01  #: Length of the steps of a move, s: no step turns by more than a degree at 100 deg/s.
 
@@ -311,7 +307,7 @@ _UNSEEN = 0.5
 """s not used at each end of a dwell by the segmentation: a window of the joint states."""
 
 _BY_HAND_TURN = 2.0
-"""s for a whole turn by hand. A choice: that of simulated hands (`simulation/hand`)."""
+"""s for a whole turn by hand. A choice: that of simulated hands (`simulation.hand`)."""
 _BY_HAND_STILL = 2.0
 """s at rest before and after a turn by hand, which separate it from the moves around it. A choice,
 likewise."""
@@ -350,7 +346,7 @@ def expected(
     Raises:
         InputError: The table cannot run the plan, or the IMU states no noise.
     """
-    walk = walk_of(setup.imu)
+    walk = stated_walk(setup.imu)
     if not (walk > 0).all():
         raise InputError(
             f'The IMU {setup.imu.id} states no angle_random_walk or no velocity_random_walk: '
@@ -437,7 +433,7 @@ def _by_table(setup: Setup) -> _Times:
         raise InputError(f'Plan {setup.plan.name} needs a table.')
     standing = 0.0
     at: Floats | None = None
-    for visit in schedule(setup.plan.steps(table), table, settle=SETTLE):
+    for visit in schedule(setup.plan.steps(table), table):
         if visit.rest > visit.begin:
             standing = visit.rest
         step = visit.step

@@ -110,7 +110,7 @@ class SessionModel:
     of `predict`, and those named `..._effects` what errors of a given size change in it.
     """
 
-    evidence: Evidence  #: The session, in the time of its table (`timebase`).
+    evidence: Evidence  #: The session, in the time of its table (`in_table_time`).
     #: Of the sensors, in the order of the state, at its beginning.
     parameters: tuple[Parameter, ...] = PARAMETERS
     #: Coefficients by which parameters change during the session: the end of the state.

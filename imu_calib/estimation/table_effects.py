@@ -99,7 +99,7 @@ class CommonTable:
         self._turns = _numbered_by_time([_times(e, e.turns) for e in evidences])
         self.stated = max(e.positioning for e in evidences)
         self.positioning = sizes.positioning
-        self._joints = _of_joints(evidences)
+        self._joint_errors, self._joint_names = _of_joints(evidences)
         self._table_attitude_errors = [
             e.with_table_errors(sizes.errors).table_attitude_errors
             if e.table
@@ -123,8 +123,8 @@ class CommonTable:
         sources = [s for s, part in zip(_COLUMN_SOURCES, found[0], strict=True) for _ in part.T]
         columns = [np.hstack(parts) for parts in found]
         # Only the errors of joints have a name and a size.
-        named = len(self._joints.names)
-        names = [*self._joints.names, *[''] * (len(sources) - named)]
+        named = len(self._joint_names)
+        names = [*self._joint_names, *[''] * (len(sources) - named)]
         sizes = np.where(np.arange(len(sources)) < named, joints, 0.0)
         # Errors that no unit observes are left out.
         seen = np.any([part.any(axis=0) for part in columns], axis=0)
@@ -140,7 +140,7 @@ class CommonTable:
         """Return the effect of each kind of error on the outputs of a unit, (m, e) each."""
         evidence = unit.evidence
         assert evidence.table is not None
-        stopping = unit.attitude_error_effects(state, *self._joints.attitude_errors[k])
+        stopping = unit.attitude_error_effects(state, *self._joint_errors[k])
         table = unit.attitude_error_effects(state, *self._table_attitude_errors[k])
         latitude = unit.latitude_derivatives(state)[:, None] * evidence.site.latitude_std
         rates = _summed(unit.encoder_rate_effects(state), self._turns[k], _count(self._turns))
@@ -189,16 +189,11 @@ def dwell_counts(units: Sequence[Equations]) -> tuple[list[int], int]:
     return [len(np.unique(mine)) for mine in dwells], _count(dwells)
 
 
-@dataclass(frozen=True, eq=False)
-class _Joints:
-    """Stops of joints: (s, 3, e) and (t, 3, e) rotations of each unit, and their names."""
+def _of_joints(evidences: Sequence[Evidence]) -> tuple[list[tuple[Floats, Floats]], list[str]]:
+    """Return the effect of positioning errors of joints, one error for all units at each stop.
 
-    attitude_errors: list[tuple[Floats, Floats]]
-    names: tuple[str, ...]
-
-
-def _of_joints(evidences: Sequence[Evidence]) -> _Joints:
-    """Return the effect of positioning errors of joints, one error for all units at each stop."""
+    Rotations (s, 3, e) and (t, 3, e) of each unit, and the names of the stops.
+    """
     parts: list[Segment | Turn] = []
     owners: list[tuple[int, int]] = []
     times: list[Floats] = []
@@ -229,7 +224,7 @@ def _of_joints(evidences: Sequence[Evidence]) -> _Joints:
     for unit, evidence in enumerate(evidences):
         whole = np.stack(columns[unit], axis=2)
         attitude_errors.append((whole[: len(evidence.segments)], whole[len(evidence.segments) :]))
-    return _Joints(attitude_errors, tuple(names))
+    return attitude_errors, names
 
 
 def _angles(evidence: Evidence) -> Floats:

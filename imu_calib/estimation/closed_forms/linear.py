@@ -26,7 +26,7 @@ from ..table_effects import Accelerometers
 
 # Per channel i the unknowns are its three responses delta_ij + M_ij and its bias. Each equation of
 # a method reads `coefficients . unknowns = weights . outputs`, so that the estimate follows from
-# one small matrix, and its covariance from that of the outputs (`gains`).
+# one small matrix, and its covariance from that of the outputs (`Gains`).
 
 UNKNOWNS = 4  #: Of a channel: three responses and a bias.
 BIAS = 3  #: Its index among them.

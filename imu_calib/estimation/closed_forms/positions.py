@@ -7,7 +7,6 @@ positions'.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -37,38 +36,31 @@ from .linear import (
 _PASSES = 2  #: Rounds: tilts are milliradians, so that each reduces the error to a thousandth.
 
 
-@dataclass(frozen=True, eq=False)
-class BiasEquation:
-    """The gyro biases as weighted means of the outputs at rest."""
+def solve_gyros(evidence: Evidence, weights: Floats, mean_input: Floats) -> SolvedTriad:
+    """Solve the gyros from the rate test and the biases as weighted means of outputs at rest.
 
-    weights: Floats  #: (s, 3) of the static dwells, per channel.
-    mean_input: Floats  #: (3,) rad/s, weighted mean of the Earth rate.
-
-
-def solve_gyros(evidence: Evidence, bias: BiasEquation) -> SolvedTriad:
-    """Solve the gyros from the rate test and one equation for the bias."""
+    The weights (s, 3) of the static dwells are those of each channel; the mean of the Earth rate
+    by them is (3,) rad/s.
+    """
     test = RateTestEquations.from_turns(evidence)
-    solved = _gyros(evidence, test, bias, test.outputs)
-    for _ in range(_PASSES):
-        outputs = test.outputs - test.off_axis @ solved.triad.response.T
-        solved = _gyros(evidence, test, bias, outputs)
-    return solved
-
-
-def _gyros(
-    evidence: Evidence, test: RateTestEquations, bias: BiasEquation, turned: Floats
-) -> SolvedTriad:
-    """Solve for (t, 3) outputs of turns, as if about exactly the vertical axis."""
     at_rest = len(evidence.segments)
-    outputs = np.vstack([evidence.outputs()[:, :3], turned])
-    systems = [ChannelSystem(len(outputs)) for _ in range(3)]
-    for channel, system in enumerate(systems):
-        for axis in range(3):
-            test.add_to(system, axis, at_rest)
-        row = np.zeros(len(outputs))
-        row[:at_rest] = bias.weights[:, channel]
-        system.add(np.append(bias.mean_input, 1.0), row)
-    return solve_triad(systems, outputs)
+
+    def solved(turned: Floats) -> SolvedTriad:
+        """Solve for (t, 3) outputs of turns, as if about exactly the vertical axis."""
+        outputs = np.vstack([evidence.outputs()[:, :3], turned])
+        systems = [ChannelSystem(len(outputs)) for _ in range(3)]
+        for channel, system in enumerate(systems):
+            for axis in range(3):
+                test.add_to(system, axis, at_rest)
+            row = np.zeros(len(outputs))
+            row[:at_rest] = weights[:, channel]
+            system.add(np.append(mean_input, 1.0), row)
+        return solve_triad(systems, outputs)
+
+    found = solved(test.outputs)
+    for _ in range(_PASSES):
+        found = solved(test.outputs - test.off_axis @ found.triad.response.T)
+    return found
 
 
 def solve_accelerometers(evidence: Evidence) -> SolvedTriad:
@@ -150,13 +142,9 @@ _LARGEST_MEAN_INPUT = 3e-3
 
 
 def solve_twelve_position(evidence: Evidence) -> Solution:
-    """Estimate the 24 parameters; the session's azimuth is not used.
-
-    Raises:
-        NotObservable: Names what is missing and what cannot be determined without it.
-    """
+    """Estimate the 24 parameters; the session's azimuth is not used."""
     weights, findings = _bias_weights(evidence)
-    gyros = solve_gyros(evidence, BiasEquation(weights, np.zeros(3)))
+    gyros = solve_gyros(evidence, weights, np.zeros(3))
     return finish(evidence, gyros, findings=findings, north_known=False)
 
 
@@ -205,20 +193,18 @@ def solve_six_position(evidence: Evidence) -> Solution:
 
     Sessions turned by hand need no north: every hold has a separate unknown heading, and the level
     Earth rate widens the biases' standard deviations.
-
-    Raises:
-        NotObservable: North is unknown, or positions are missing.
     """
     if evidence.azimuth is None and not evidence.plan.by_hand:
         raise NotObservable(
             'Six positions need north: give the azimuth of the table (in its YAML, or with '
             '`azimuth`), or run twelve positions. D_gx, D_gy, D_gz cannot be determined.'
         )
-    gyros = solve_gyros(evidence, _bias_equation(evidence))
+    gyros = solve_gyros(evidence, *_bias_equation(evidence))
     return finish(evidence, gyros, north_known=evidence.azimuth is not None)
 
 
-def _bias_equation(evidence: Evidence) -> BiasEquation:
+def _bias_equation(evidence: Evidence) -> tuple[Floats, Floats]:
+    """Return the weights of dwells and the mean input, as in `solve_gyros`."""
     shares = evidence.position_weights()[:, :3]
     positions = len({s.position for s in evidence.segments})
     if not positions:
@@ -227,8 +213,8 @@ def _bias_equation(evidence: Evidence) -> BiasEquation:
     mean = np.einsum('s,sij->ji', weights.mean(axis=1), evidence.attitudes())
     earth = evidence.site.earth_rate
     if evidence.azimuth is not None:
-        return BiasEquation(weights, mean @ earth)
-    return BiasEquation(weights, mean @ (UP * earth))
+        return weights, mean @ earth
+    return weights, mean @ (UP * earth)
 
 
 # n known positions by least squares, with g-sensitivity: 33 parameters (Luo 2018, section 6).
@@ -240,11 +226,7 @@ N_POSITIONS_ESTIMATES = parameters_of([G_SENSITIVITY])
 
 
 def solve_n_positions(evidence: Evidence) -> Solution:
-    """Estimate the 33 parameters.
-
-    Raises:
-        NotObservable: North is unknown, or turns or positions do not separate parameters.
-    """
+    """Estimate the 33 parameters."""
     if evidence.azimuth is None:
         raise NotObservable(
             'Positions by least squares need north: give the azimuth of the table (in its YAML, or '

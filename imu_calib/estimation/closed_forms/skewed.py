@@ -138,9 +138,6 @@ def solve_skewed(evidence: Evidence) -> Solution:
     """Estimate the 12 parameters of the gyros and the four of the skewed one, weighted.
 
     The accelerometers are not estimated.
-
-    Raises:
-        NotObservable: Turns are missing, or none was recorded by a skewed gyro.
     """
     points = RatePoints.from_turns(evidence)
     plain, condition = points.weights()
@@ -300,11 +297,7 @@ def _groups(rates: Floats) -> Floats:
 
 
 def solve_rate_24(evidence: Evidence) -> Solution:
-    """Estimate the 24 parameters.
-
-    Raises:
-        NotObservable: North is unknown, or turns or positions are missing.
-    """
+    """Estimate the 24 parameters."""
     if evidence.azimuth is None:
         raise NotObservable(
             'Positions held against north need it: give the azimuth of the table (in its YAML, or '
@@ -338,12 +331,7 @@ know it better."""
 
 
 def solve_static_six(evidence: Evidence) -> Solution:
-    """Estimate the 12 parameters of the gyros; the accelerometers are not estimated.
-
-    Raises:
-        NotObservable: North is unknown, the attitudes do not separate parameters, or the Earth is
-            too slow for the noise.
-    """
+    """Estimate the 12 parameters of the gyros; the accelerometers are not estimated."""
     require_north(evidence)
     weights, condition = _static_weights(
         evidence.attitudes(),
@@ -376,8 +364,7 @@ def require_north(evidence: Evidence) -> None:
 def gyros_only(evidence: Evidence, gyro: Floats, condition: float) -> Solution:
     """Estimate the gyros with (4, s) weights on the static dwells.
 
-    Raises:
-        NotObservable: A response has a relative uncertainty above a tenth.
+    Refuse where a response has a relative uncertainty above a tenth.
     """
     at_rest = replace(evidence, turns=())
     gains = Gains(gyro, None, condition)
@@ -421,12 +408,7 @@ _WORDS = ('X north', 'X south', 'Y north', 'Y south')
 
 
 def solve_off_axis_four(evidence: Evidence) -> Solution:
-    """Estimate the 12 parameters of the gyros; the accelerometers are not estimated.
-
-    Raises:
-        NotObservable: North is unknown, one of the four positions is missing, or the Earth is
-            too slow for the noise.
-    """
+    """Estimate the 12 parameters of the gyros; the accelerometers are not estimated."""
     require_north(evidence)
     weights = _off_axis_weights(evidence.attitudes(), evidence.site, 'the recording')
     # Every column of the four equations is a difference or a mean of all outputs: orthogonal.
