@@ -359,7 +359,7 @@ def test_a_scale_factor_is_told_to_a_thousandth_over_the_session(
     std = np.ones(equations.size)
     # A bias may be as unknown as it is.
     std[-2:] = [1e9, share * 1e-3 / span]
-    found: Any = SimpleNamespace(covariance=np.diag(std**2))
+    found: Any = SimpleNamespace(covariance=np.diag(std**2), std=std)
     monkeypatch.setattr(changing, 'nominal_information', lambda _: found)
     known, parameters = changing._determined(equations)
     assert known.tolist() == [True, told]

@@ -13,6 +13,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..common.stream import Floats
+from .outputs import whiten
 
 STATED_TIME = 1000.0
 """Correlation time of the drift that a data sheet states, s, as in the simulation."""
@@ -169,7 +170,7 @@ def gain_by_noise(
         root, z, size = _rooted(total, residuals)
         value, slopes = 0.5 * float(z @ z) + size, np.empty(len(known))
         for c, (f, (columns, _, nu)) in enumerate(zip(factors, known, strict=True)):
-            white = _whitened(root, columns)
+            white = whiten(root, columns)
             value += 0.5 * nu * float(logs[c] + 1 / f - 1)
             slopes[c] = 0.5 * f * ((white**2).sum() - ((z @ white) ** 2).sum())
             slopes[c] += 0.5 * nu * (1 - 1 / f)
@@ -208,7 +209,7 @@ def log_likelihoods_by_columns(
     rank than the number of columns.
     """
     root, z, size = _rooted(base, residuals)
-    basis, triangle = np.linalg.qr(_whitened(root, np.hstack(columns)))
+    basis, triangle = np.linalg.qr(whiten(root, np.hstack(columns)))
     within = basis.T @ z
     rest = z - basis @ within
     size += 0.5 * float(rest @ rest)
@@ -223,11 +224,7 @@ def log_likelihoods_by_columns(
 def _rooted(covariance: Floats, residuals: Floats) -> tuple[Floats, Floats, float]:
     """Return the lower root of a covariance, whitened residuals, the sum of its logarithms."""
     root = np.asarray(np.linalg.cholesky(covariance), dtype=float)
-    return root, _whitened(root, residuals), float(np.log(np.diag(root)).sum())
-
-
-def _whitened(root: Floats, columns: Floats) -> Floats:
-    return np.asarray(scipy.linalg.solve_triangular(root, columns, lower=True, check_finite=False))
+    return root, whiten(root, residuals), float(np.log(np.diag(root)).sum())
 
 
 def _along(kernel: Floats, z: Floats, ratios: Floats) -> Floats:

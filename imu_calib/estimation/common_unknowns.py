@@ -25,7 +25,7 @@ from .equations import Equations
 from .evidence import SMALLEST_VARIANCE
 from .modulation import ENCODER_FREEDOM
 from .outliers import Estimate
-from .outputs import Component
+from .outputs import Component, whiten
 from .outputs import parts as parts_of
 from .session_model import Nuisance
 from .table_effects import SHARED, TABLE_STATE, CommonSizes, CommonTable, dwell_counts
@@ -342,7 +342,7 @@ class _System:
         residuals = unit.outputs - unit.predict(state) - columns @ self._values
         factor = np.linalg.cholesky(own_covariance(unit, state))
         whole = np.column_stack([jacobian[:, own], jacobian[:, of_table], columns, residuals])
-        whole = scipy.linalg.solve_triangular(factor, whole, lower=True, check_finite=False)
+        whole = whiten(factor, whole)
         prior = np.delete(unit.prior_rows(state), TABLE_STATE, axis=0)
         below = np.zeros((len(prior), whole.shape[1]))
         below[:, : len(own)], below[:, -1] = prior[:, own], prior[:, -1]

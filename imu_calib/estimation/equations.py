@@ -11,7 +11,6 @@ from functools import cached_property, wraps
 from typing import Any, cast
 
 import numpy as np
-import scipy
 
 from ..common.budget import Share, Source
 from ..common.stream import Floats
@@ -27,6 +26,7 @@ from .outputs import (
     PositioningErrors,
     add_all,
     shares,
+    whiten,
 )
 from .session_model import Nuisance, SessionModel, Value
 
@@ -272,14 +272,8 @@ class Equations(SessionModel):
         """Return derivatives and residuals, (m + k, n + 1), by a root (m, m) of a covariance."""
         columns = np.column_stack([self.jacobian(state), self.outputs - self.predict(state)])
         if len(columns):
-            columns = _solved(factor, columns)
+            few = len(factor) <= _FEW
+            columns = np.asarray((np.linalg.solve if few else whiten)(factor, columns))
         columns = np.vstack([columns, self.prior_rows(state)])
         columns.flags.writeable = False
         return columns
-
-
-def _solved(root: Floats, columns: Floats) -> Floats:
-    """Solve for columns (m, n) by a lower root (m, m)."""
-    if len(root) <= _FEW:
-        return np.asarray(np.linalg.solve(root, columns))
-    return np.asarray(scipy.linalg.solve_triangular(root, columns, lower=True, check_finite=False))

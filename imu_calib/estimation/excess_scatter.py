@@ -42,7 +42,7 @@ from .bias_drift import (
 )
 from .equations import Equations
 from .evidence import SMALLEST_VARIANCE
-from .outputs import NO_POSITIONING_ERRORS, Blocks, Component, Diagonal, PositioningErrors
+from .outputs import NO_POSITIONING_ERRORS, Blocks, Component, Diagonal, PositioningErrors, whiten
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 """Correlation times of drift on the grid, in lengths of the session: half decades. A drift slower
@@ -592,9 +592,7 @@ def _restricted(
     which the outputs' scatter enters, and (r,) residuals.
     """
     factor = np.linalg.cholesky(covariance)
-    columns = np.column_stack([jacobian, residuals])
-    columns = scipy.linalg.solve_triangular(factor, columns, lower=True, check_finite=False)
-    columns = np.vstack([columns, prior])
+    columns = np.vstack([whiten(factor, np.column_stack([jacobian, residuals])), prior])
     # A few velocities hold the same information on some accelerometer parameters: the remainder of
     # a column is then rounding, and does not use up a direction.
     norms = np.linalg.norm(columns[:, :-1], axis=0)

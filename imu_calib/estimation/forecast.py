@@ -78,7 +78,7 @@ def forecast(
     solver = method(name, setup.terms)
     refusal = ''
     parameters = listed(setup)
-    square = _nothing(parameters)
+    square = np.full(len(parameters), np.nan)
     if name not in JOINT:
         try:
             extra = bias_drift_covariance(resting, setup.imu) if drifting else None
@@ -144,8 +144,7 @@ def _best(
     """Return the least standard deviations that a session allows; NaN for undetermined ones."""
     modelled = tuple(p for p in parameters if p.row < len(AXES))
     found = information(evidence, truth, modelled, extra=extra)
-    best = np.sqrt(np.diag(found.covariance)[: len(modelled)])
-    best = np.where(determined(found, modelled), best, np.nan)
+    best = np.where(determined(found, modelled), found.std[: len(modelled)], np.nan)
     if parameters == modelled:
         return np.asarray(best)
     turns = [t for t in evidence.turns if t.skewed is not None]
@@ -158,17 +157,14 @@ def _in_the_hand(truth: SensorModel, evidence: Evidence) -> Forecast:
     """Forecast a session in the hand: its least-squares method reaches the information bound."""
     std, sought = np.zeros(len(PARAMETERS)), free_positions.ESTIMATES
     found = information(evidence, free_positions.in_frame_of_accelerometers(truth), sought)
-    std[free_positions.FREE] = np.sqrt(np.diag(found.covariance)[: len(sought)])
-    return Forecast(evidence, free_positions.NAME, PARAMETERS, std, _nothing(PARAMETERS), '')
+    std[free_positions.FREE] = found.std[: len(sought)]
+    best = np.full(len(PARAMETERS), np.nan)
+    return Forecast(evidence, free_positions.NAME, PARAMETERS, std, best, '')
 
 
 def listed(setup: Setup) -> tuple[Parameter, ...]:
     """Return the parameters of a forecast: the 24, estimated or not, and additional ones."""
     return tuple(dict.fromkeys((*PARAMETERS, *setup.parameters)))
-
-
-def _nothing(parameters: tuple[Parameter, ...]) -> Floats:
-    return np.full(len(parameters), np.nan)
 
 
 def information(
@@ -297,7 +293,7 @@ def forecast_changes(
     modelled = tuple(p for p in found.parameters if p.row < len(AXES))
     extra = bias_drift_covariance(found.evidence, setup.imu) if drifting else None
     plain = Equations(found.evidence, modelled)
-    before = _std(plain, truth, extra)
+    before = information_of(plain, truth, extra).std
     return tuple(
         _of_changes(session_term(f'{course.value}:{kind}'), plain, before, truth, extra)
         for course in (*LOOKED_FOR, *([Course.THERMAL] if warms(found.evidence) else []))
@@ -316,11 +312,7 @@ def _of_changes(
         equations, _ = with_changes(plain, changes)
     except NotObservable:
         return ChangeForecast(changes, np.full(len(changes), np.nan), ())
-    std = _std(equations, truth, extra)
+    std = information_of(equations, truth, extra).std
     times = std[: plain.sensors] / before[: plain.sensors]
     dearer = ((p, float(t)) for p, t in zip(plain.parameters, times, strict=True) if t > _DEARER)
     return ChangeForecast(changes, std[equations.change_slice], tuple(dearer))
-
-
-def _std(equations: Equations, truth: SensorModel, extra: Floats | None) -> Floats:
-    return np.asarray(np.sqrt(np.diag(information_of(equations, truth, extra).covariance)))

@@ -602,7 +602,7 @@ def _tests(
     """Return the terms that are on, and what the session shows of those of the accelerometers."""
     equations, values = state.equations, state.values
     sensors, outputs = slice(0, equations.sensors), slice(0, len(equations.outputs))
-    std = np.sqrt(np.diag(information.covariance)[sensors])
+    std = information.std[sensors]
     root = np.linalg.cholesky(equations.covariance(values))
     tests = [TermTest.found(one.term, one.log_p) for one in found]
     for one in (drift for drift in choice.drifts if drift.kind is DriftKind.EVEN):
@@ -752,7 +752,7 @@ def _chance(state: _State, term: Term) -> float:
 def _check_observable(state: _State) -> None:
     """Raise if attitudes and turns do not determine all parameters."""
     parameters, evidence = state.equations.parameters, state.equations.evidence
-    std = np.sqrt(np.diag(state.information.covariance)[: len(parameters)])
+    std = state.information.std[: len(parameters)]
     ratio = np.array([p.kind is not ParameterKind.BIAS for p in parameters])
     lost = ~np.isfinite(std) | (ratio & (std > _USELESS))
     if lost.any():

@@ -55,6 +55,11 @@ class Information:
     #: (n, m) derivatives of the solution by the equations; its square is the covariance.
     gain: Floats
 
+    @property
+    def std(self) -> Floats:
+        """(n,) standard deviations of the state; NaN where unobserved."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
     @classmethod
     def from_jacobian(cls, jacobian: Floats) -> Information:
         """Invert the information of whitened equations on its observable subspace.
@@ -105,8 +110,8 @@ def attainable_std(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAM
         information = nominal_information(Equations(evidence, parameters))
     except np.linalg.LinAlgError:
         return np.full(len(parameters), np.nan)
-    deviations = _standard_deviations(information, parameters)
-    return np.where(determined(information, parameters), deviations, np.nan)
+    known = determined(information, parameters)
+    return np.where(known, information.std[: len(parameters)], np.nan)
 
 
 def nominal_information(equations: Equations) -> Information:
@@ -154,7 +159,7 @@ def determined(
     The limit is a tenth for scale factors and misalignments, and a fiftieth of the largest
     plausible value for the coefficients of terms.
     """
-    deviations = _standard_deviations(information, parameters)
+    deviations = information.std[: len(parameters)]
     limits = np.array([useful_limit(p) for p in parameters])
     with np.errstate(invalid='ignore'):
         return np.asarray(np.isfinite(deviations) & ~(deviations > limits))
@@ -166,11 +171,6 @@ def useful_limit(parameter: Parameter) -> float:
         return np.inf
     limit = parameter.unit.limit
     return _MEANINGLESS[parameter.kind] if limit is None else _USEFUL * limit
-
-
-def _standard_deviations(information: Information, parameters: tuple[Parameter, ...]) -> Floats:
-    """Return the standard deviations of the first entries of a state, (n,); NaN if unobserved."""
-    return np.asarray(np.sqrt(np.diag(information.covariance)[: len(parameters)]))
 
 
 def undetermined_in_words(evidence: Evidence, term: Term, lost: Sequence[Parameter]) -> str:

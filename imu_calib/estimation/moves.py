@@ -212,7 +212,7 @@ class Moves:
         rates = np.broadcast_to(earth_rate, (len(self.attitudes), 3))[second]
         seconds, ends = self._seconds[:, None], self.attitudes[second]
         # The rotation by the encoders, inverted.
-        back = _transposed(self.attitudes[first]) @ rotations(rates * seconds) @ ends
+        back = np.swapaxes(self.attitudes[first], -1, -2) @ rotations(rates * seconds) @ ends
         rotated = np.array([path.rotation for path in self.paths(model)])
         found[:, :3] = rotation_vector(rotated @ back)
         if increments := self._used_increments(model):
@@ -304,7 +304,9 @@ class Moves:
         In axes half way between both ends the rotation of the frame does not change the velocity.
         """
         found = np.zeros((len(self), 6, 3))
-        found[:, :3] = _transposed(self.attitudes[self._ends[1]]) * self._seconds[:, None, None]
+        found[:, :3] = (
+            np.swapaxes(self.attitudes[self._ends[1]], -1, -2) * self._seconds[:, None, None]
+        )
         return found
 
     def force_derivatives(self) -> Floats:
@@ -450,10 +452,6 @@ def _cached(memo: dict[bytes, Cached], key: bytes, worked_out: Callable[[], Cach
 def _times(matrices: Floats, vectors: Floats) -> Floats:
     """Return (n, 3, 3) matrices times (n, 3) vectors."""
     return np.asarray((matrices @ vectors[..., None])[..., 0])
-
-
-def _transposed(matrices: Floats) -> Floats:
-    return np.swapaxes(matrices, -1, -2)
 
 
 def _informative(move: Move, rounding: Floats, rest: Segment, walk: Floats) -> Move:

@@ -15,9 +15,10 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ..common.budget import Share, Source
@@ -296,6 +297,11 @@ class Component:
     source: Source  #: Its source.
     part: Part  #: The covariance.
     freedom: float = np.inf  #: Degrees of freedom of its size; infinite where that is known.
+
+
+def whiten(root: NDArray[np.floating[Any]], columns: Floats) -> Floats:
+    """Return outputs (m,) or (m, k) in standard deviations, by the lower root of a covariance."""
+    return np.asarray(scipy.linalg.solve_triangular(root, columns, lower=True, check_finite=False))
 
 
 def add_all(components: Iterable[Component], matrix: Floats) -> None:

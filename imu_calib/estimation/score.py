@@ -31,6 +31,7 @@ from .excess_scatter import ExcessScatter, excess
 from .information import Information, useful_limit, with_nominal_attitudes
 from .modulation import columns as modulated
 from .modulation import interrupted, shapes, warms
+from .outputs import whiten
 from .solve import USEFUL_CHANGE, change_of
 
 _SEEN = 10.0
@@ -328,9 +329,7 @@ class WhitenedResiduals:
         """Test a family by columns (m, k) for coefficients of sizes (k,)."""
         count, rows = len(sizes), len(self.whitened)
         white = np.zeros((rows, count))
-        white[: len(columns)] = scipy.linalg.solve_triangular(
-            self.factor, columns, lower=True, check_finite=False
-        )
+        white[: len(columns)] = whiten(self.factor, columns)
         directions, values, axes = np.linalg.svd(
             _orthogonal_to(white, self.basis), full_matrices=False
         )

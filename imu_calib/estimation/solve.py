@@ -14,7 +14,6 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from ..common.errors import NotObservable
@@ -37,6 +36,7 @@ from .information import (
     unobservable_in_words,
 )
 from .modulation import check_temperature, courses, outermost, shapes
+from .outputs import whiten
 from .session_model import Nuisance
 
 # Gauss-Newton least squares, with Marquardt's damping where a step leads uphill.
@@ -368,7 +368,7 @@ def _determined(equations: Equations) -> tuple[NDArray[np.bool_], NDArray[np.boo
     """Return which coefficients (k,) and parameters (n,) the session determines."""
     found = nominal_information(equations)
     parameters = determined(found, equations.parameters)
-    std = np.sqrt(np.diag(found.covariance)[equations.change_slice])
+    std = found.std[equations.change_slice]
     moves = [change_of(equations, c) for c in equations.changes]
     limits = [USEFUL_CHANGE if c.of_scale_factor else np.inf for c in equations.changes]
     with np.errstate(invalid='ignore'):
@@ -448,9 +448,7 @@ def _by_shape(equations: Equations, state: Floats, course: Course) -> tuple[Floa
     def stepped(shape: float) -> tuple[Floats, float]:
         there = replace(equations, shape=shape)
         moved = there.columns(equations.changes, derivatives)
-        jacobian[: len(moved), equations.change_slice] = scipy.linalg.solve_triangular(
-            factor, moved, lower=True, check_finite=False
-        )
+        jacobian[: len(moved), equations.change_slice] = whiten(factor, moved)
         step = Information.from_jacobian(jacobian).gain @ residuals
         remains = residuals - jacobian @ step
         return start + step, float(remains @ remains)

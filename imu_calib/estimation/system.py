@@ -34,7 +34,7 @@ from .equations import Equations
 from .evidence import Evidence, in_table_time
 from .free_dwells import Sensors, Up, compare_lengths, noise_at_rest
 from .information import Information
-from .outputs import Component, Diagonal, Indices
+from .outputs import Component, Diagonal, Indices, whiten
 from .session_model import Nuisance
 from .solve import least_squares, linear_step
 
@@ -519,8 +519,7 @@ class TriadSystem:
 
     def _scaled(self, rows: Floats, covariance: Floats, below: Floats) -> tuple[Floats, Floats]:
         factor = np.linalg.cholesky(covariance) * self._widened[:, None]
-        rows = scipy.linalg.solve_triangular(factor, rows, lower=True, check_finite=False)
-        rows = np.vstack([rows, below])
+        rows = np.vstack([whiten(factor, rows), below])
         return rows[:, :-1], rows[:, -1]
 
     def _fit_at(self, columns: Floats, residuals: Floats, point: Floats, factor: Floats) -> Fit:
