@@ -51,8 +51,7 @@ def session(temperature: Temperature | None = None) -> Any:
         SimpleNamespace(start=EPOCH + round(a * NS), end=EPOCH + round(b * NS)) for a, b in PARTS
     )
     return SimpleNamespace(
-        segments=[first, second],
-        turns=[turn],
+        parts=[first, second, turn],
         used_moves=SimpleNamespace(linked=[SimpleNamespace(move=move)]),
         layout=SimpleNamespace(segment=np.array([0, 1, 1, 2, 3])),
         temperature=temperature,

@@ -54,9 +54,7 @@ def searched(
     covariance = std**2 * np.eye(30)
     begin = 1_700_000_000 * 10**9
     whole = SimpleNamespace(start=begin, end=begin + 120 * 10**9)
-    evidence = SimpleNamespace(
-        table=table, segments=[whole], turns=[], used_moves=SimpleNamespace(linked=[])
-    )
+    evidence = SimpleNamespace(table=table, parts=[whole], used_moves=SimpleNamespace(linked=[]))
     equations = SimpleNamespace(parameters=PARAMETERS, sensors=24, evidence=evidence, shape=0.5)
     return SimpleNamespace(
         broken_off=False,

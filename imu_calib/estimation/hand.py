@@ -212,7 +212,8 @@ class _State:
     @property
     def chi_square(self) -> float:
         """Sum of squares of the residuals in standard deviations."""
-        return self.equations.chi_square(self.values)
+        residuals = self.whitened()[1]
+        return float(residuals @ residuals)
 
     def moved(self, step: Floats) -> _State:
         """Return the state after a step (n,), in attitudes turned by it."""
