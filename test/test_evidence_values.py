@@ -55,7 +55,7 @@ def test_the_step_of_the_encoders_is_what_half_of_the_turns_show() -> None:
 def test_a_position_held_twice_is_a_mean_by_variances() -> None:
     first, second, *_ = CLEAN.segments
     short = replace(first, statistics=statistics(first.statistics.mean, 40.0))
-    found = replace(CLEAN, segments=(first, second, short)).position_weights()
+    found = replace(CLEAN, segments=(first, second, short)).precision_weights()
     # 120 s and 40 s.
     np.testing.assert_allclose(found, [[0.75] * 6, [1.0] * 6, [0.25] * 6])
 

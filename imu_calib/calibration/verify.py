@@ -18,7 +18,7 @@ import scipy
 
 from ..common.stream import Floats
 from ..common.units import DEG, counted
-from ..estimation.free_dwells import Sensors, Up, noise_at_rest, propagated, squares
+from ..estimation.free_dwells import Sensors, Up, noise_at_rest, squares, transformed_covariance
 from ..estimation.system import Fit, Observed, TriadSystem, factor_of
 from ..model.earth import EARTH_RATE, Site
 from ..model.parameters import Parameter, ParameterKind, indices_of
@@ -119,7 +119,9 @@ def compare(
 def _covariances(found: tuple[Floats, Floats, Floats], spread: Floats, factor: Floats) -> Floats:
     """Return the covariances (m, 3, 3) of inferred inputs: output noise and parameters."""
     by_parameters = found[2] @ factor
-    return propagated(found[1], spread) + by_parameters @ np.swapaxes(by_parameters, 1, 2)
+    return transformed_covariance(found[1], spread) + by_parameters @ np.swapaxes(
+        by_parameters, 1, 2
+    )
 
 
 def _at_rest(system: TriadSystem) -> Iterator[tuple[str, float]]:

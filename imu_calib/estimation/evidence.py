@@ -328,7 +328,7 @@ class Evidence:
         """Return R_nb of the static dwells, (s, 3, 3), in the frame of the table's azimuth."""
         return np.array([s.attitude for s in self.segments]).reshape(-1, 3, 3)
 
-    def position_weights(self) -> Floats:
+    def precision_weights(self) -> Floats:
         """Return the weight of every static dwell in the mean of its position, (s, 6).
 
         A position measured several times is averaged first, each time by its variance.

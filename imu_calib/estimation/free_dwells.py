@@ -228,7 +228,7 @@ class Up:
         columns = (level @ by_parameters @ factor).reshape(3 * len(force), -1)
         covariance = (columns @ columns.T).reshape(len(force), 3, len(force), 3)
         every = np.arange(len(force))
-        covariance[every, :, every] += propagated(level @ by_outputs, noise)
+        covariance[every, :, every] += transformed_covariance(level @ by_outputs, noise)
         return cls(up[:, :, 0] * gravity, covariance)
 
 
@@ -242,7 +242,7 @@ def compare_lengths(
     rates along up, and their covariance (m, m).
     """
     seen, by_outputs, by_parameters = sensors.compensated(values, read, up.forces)
-    noise = propagated(by_outputs, noise)
+    noise = transformed_covariance(by_outputs, noise)
     jacobian = np.einsum('mi,mip->mp', 2 * seen, by_parameters)
     square, spread = squares(seen, noise)
     if not sensors.gyros:
@@ -274,7 +274,7 @@ def noise_at_rest(variances: Floats, magnitude: float) -> Floats:
     return np.asarray(np.maximum(variances, least)[:, :, None] * np.eye(3))
 
 
-def propagated(gain: Floats, covariance: Floats) -> Floats:
+def transformed_covariance(gain: Floats, covariance: Floats) -> Floats:
     """Return gain covariance gain' for (m, 3, 3) each."""
     return np.asarray(gain @ covariance @ np.swapaxes(gain, 1, 2))
 

@@ -96,7 +96,7 @@ def _accelerometers(evidence: Evidence, outputs: Floats) -> SolvedTriad:
 def _up_and_down(evidence: Evidence) -> tuple[Floats, Floats]:
     """Weights that average an axis's up and down positions, each (3, s, 6 - 3)."""
     axes = evidence.vertical_axes()
-    shares = evidence.position_weights()[:, 3:]
+    shares = evidence.precision_weights()[:, 3:]
     names = [s.position for s in evidence.segments]
     result = []
     for sign, word in ((1, 'up'), (-1, 'down')):
@@ -152,7 +152,7 @@ def _bias_weights(evidence: Evidence) -> tuple[Floats, list[str]]:
     """Average the groups in which the Earth rate cancels (eqs. 13 and 14)."""
     axes = [axis for axis, _ in evidence.vertical_axes()]
     names = [s.position for s in evidence.segments]
-    shares = evidence.position_weights()[:, :3]
+    shares = evidence.precision_weights()[:, :3]
     inputs = np.transpose(evidence.attitudes(), (0, 2, 1))
     rows, incomplete = [], []
     for axis in range(3):
@@ -205,7 +205,7 @@ def solve_six_position(evidence: Evidence) -> Solution:
 
 def _bias_equation(evidence: Evidence) -> tuple[Floats, Floats]:
     """Return the weights of dwells and the mean input, as in `solve_gyros`."""
-    shares = evidence.position_weights()[:, :3]
+    shares = evidence.precision_weights()[:, :3]
     positions = len({s.position for s in evidence.segments})
     if not positions:
         raise NotObservable('No position of the plan was found: nothing can be determined.')
