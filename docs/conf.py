@@ -80,7 +80,7 @@ nitpick_ignore_regex = [
     ),
     (
         'py:class',
-        'Named|AnyCalibration|Progress|Fields|Assessed|StreamContents|Topic|Stated|Basis|Search|Path'
+        'Named|AnyCalibration|Progress|Fields|Assessed|StreamContents|Topic|Stated|Basis|SearchResult|Path'
         '|pa.Table',
     ),
 ]

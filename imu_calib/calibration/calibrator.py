@@ -18,7 +18,7 @@ from ..estimation.evidence import Evidence
 from ..estimation.information import attainable_std
 from ..estimation.joint import Comparison
 from ..estimation.methods import check_plan, closed_form_of, method, provisional
-from ..estimation.search import Search
+from ..estimation.search import SearchResult
 from ..estimation.setup import Setup
 from ..estimation.table_effects import shares_a_table
 from ..model.parameters import AXES, Parameter
@@ -208,7 +208,8 @@ class Calibrator:
         """Collect the evidence; shared if the session contains the plan's positions alone."""
         setup, parts = self._setup, (labelled.segments, labelled.turns, session)
         if self._gathered is None or self._gathered[0] != parts:
-            found = Evidence.of(labelled, session, setup.plan, setup.imu, setup.site, setup.table)
+            known = setup.plan, setup.imu, setup.site, setup.table
+            found = Evidence.from_session(labelled, session, *known)
             self._gathered = parts, replace(found, coarse=has_motion_terms(setup.terms))
         return self._gathered[1]
 
@@ -243,7 +244,7 @@ class Calibrator:
             raise
         if isinstance(closed, NotObservable):
             return solution, Comparison.refused(name, str(closed))
-        return solution, Comparison.of(solution, closed, name)
+        return solution, Comparison.between(solution, closed, name)
 
     def _labelled(self, session: Segmented) -> Labelled:
         """Return the session's segments by the names of the plan."""
@@ -372,7 +373,7 @@ def estimate_together(alone: Sequence[Result | None], names: Sequence[str]) -> S
     return SharedResults(_noted(results, left_out), joined.table, tuple(shared), left_out)
 
 
-def _basis_and_search(result: Result) -> tuple[Basis, Search] | None:
+def _basis_and_search(result: Result) -> tuple[Basis, SearchResult] | None:
     basis, search = result.basis, result.solution.search
     if basis is None or search is None or not shares_a_table(search.estimate.equations):
         return None

@@ -245,7 +245,7 @@ def _widths() -> Floats:
 
 
 def _deviations(rows: Floats) -> Floats:
-    std = np.sqrt(np.diag(Information.of(rows).covariance)[: len(ESTIMATES)])
+    std = np.sqrt(np.diag(Information.from_jacobian(rows).covariance)[: len(ESTIMATES)])
     return np.where(std < _DETERMINED * _widths(), std, np.nan)
 
 

@@ -18,7 +18,7 @@ import scipy
 
 from ..common.stream import Floats
 from ..common.units import DEG, counted
-from ..estimation.free_dwells import Sensors, Up, noise_at_rest, propagated, squares
+from ..estimation.free_dwells import Sensors, Up, noise_at_rest, squares, transformed_covariance
 from ..estimation.system import Fit, Observed, TriadSystem, factor_of
 from ..model.earth import EARTH_RATE, Site
 from ..model.parameters import Parameter, ParameterKind, indices_of
@@ -117,7 +117,9 @@ def compare(
 def _covariances(found: tuple[Floats, Floats, Floats], spread: Floats, factor: Floats) -> Floats:
     """Return the covariances (m, 3, 3) of inferred inputs: output noise and parameters."""
     by_parameters = found[2] @ factor
-    return propagated(found[1], spread) + by_parameters @ np.swapaxes(by_parameters, 1, 2)
+    return transformed_covariance(found[1], spread) + by_parameters @ np.swapaxes(
+        by_parameters, 1, 2
+    )
 
 
 def _at_rest(system: TriadSystem) -> Iterator[tuple[str, float]]:
@@ -429,7 +431,7 @@ class _Trial:
         gyros: bool,
         considered: _Considered = (),
     ) -> _Trial:
-        sensors = Sensors.of(calibration.parameters, gyros=gyros)
+        sensors = Sensors.from_parameters(calibration.parameters, gyros=gyros)
         reading = observed.reading(calibration.imu)[0 if gyros else 1]
         system = TriadSystem(observed, sensors, reading, considered=considered)
         if not observed.with_attitudes:
@@ -525,7 +527,7 @@ def _up(calibration: Calibration, observed: Observed) -> Up:
     """Return the directions of up by the calibrated accelerometers."""
     accels = TriadSystem(
         observed,
-        Sensors.of(calibration.parameters, gyros=False),
+        Sensors.from_parameters(calibration.parameters, gyros=False),
         observed.reading(calibration.imu)[1],
     )
     values, gravity = calibration.model.values(accels.sensors.parameters), accels.magnitude
@@ -534,7 +536,7 @@ def _up(calibration: Calibration, observed: Observed) -> Up:
     if calibration.has_accelerometers:
         factor = _factor(calibration, accels)
     found = accels.sensors.compensated(values, accels.outputs, accels.outputs)
-    return Up.of(found, noise, factor, gravity)
+    return Up.from_forces(found, noise, factor, gravity)
 
 
 def _factor(calibration: Calibration, system: TriadSystem) -> Floats:

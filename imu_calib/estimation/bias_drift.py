@@ -13,6 +13,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..common.stream import Floats
+from .outputs import whiten
 
 STATED_TIME = 1000.0
 """Correlation time of the drift that a data sheet states, s, as in the simulation."""
@@ -35,14 +36,10 @@ class BiasDrift:
     def over(
         cls, starts: Floats, durations: Floats, responses: Floats, with_slope: NDArray[np.bool_]
     ) -> BiasDrift:
-        """Place nodes in n segments, whose means come first, then the slopes.
+        """Place nodes in n segments (s), whose means come first, then the slopes where used.
 
-        Args:
-            starts: (n,) of the segments, s.
-            durations: (n,) s.
-            responses: (n, 3, 3) derivatives of the outputs by constant biases. In a move the effect
-                of biases rotates with the unit, so that it is not that of its duration alone.
-            with_slope: (n,) whether the slope is used too.
+        `responses` (n, 3, 3) are derivatives of the outputs by constant biases. In a move the
+        effect of biases rotates with the unit, so that it is not that of its duration alone.
         """
         grid = (np.arange(_NODES) + 0.5) / _NODES
         centred = grid - 0.5
@@ -70,18 +67,13 @@ class BiasDrift:
     def kernel(self, time: float) -> Floats:
         """Return the covariance of means and slopes of three channels for unit variance, (3k, 3k).
 
-        Args:
-            time: Correlation time as a fraction of the session.
+        The correlation time is a fraction of the session.
         """
         alone, rows = self.one_channel(time * self.span), self.responses.reshape(-1, 3)
         return np.asarray(np.kron(alone, np.ones((3, 3))) * (rows @ rows.T))
 
     def entering(self, project: Floats) -> Floats:
-        """Return the factors of the segments' biases in the projected means, (3, r, n).
-
-        Args:
-            project: (3n, r) projection of the means of three channels.
-        """
+        """Return the factors (3, r, n) of the segments' biases in means projected by (3n, r)."""
         parts = project.T.reshape(project.shape[1], -1, 3)
         responses = self.responses[: parts.shape[1]]
         return np.asarray(np.einsum('rni,nic->crn', parts, responses))
@@ -89,13 +81,10 @@ class BiasDrift:
     def projected(self, time: float, entering: Floats, slopes: Floats) -> Floats:
         """Return `kernel` projected on means and slopes, (r + 3s, r + 3s).
 
+        `entering` are the factors (3, r, n) of the means, `slopes` those (3s,) of the slopes.
+
         Channels drift independently, and slopes are those of the biases: only the kernel of one
         channel is needed.
-
-        Args:
-            time: As in `kernel`.
-            entering: (3, r, n) factors of the means.
-            slopes: (3s,) factors of the slopes.
         """
         alone, (_, rows, count) = self.one_channel(time * self.span), entering.shape
         drifting = entering @ alone[:count]
@@ -135,20 +124,15 @@ def _columns(each: Floats) -> Floats:
     return np.hstack(list(each))
 
 
-# Log likelihoods of residuals whose covariance is a sum, for many sizes of one part at once.
-#
 # For a covariance 1 + r K and residuals z, a reflection takes z to the first axis and K is made
 # tridiagonal by rotations that leave this axis unchanged: for each r one factorisation of a
 # tridiagonal matrix from its far end gives the determinant, and its last pivot the quadratic form.
 # That is a third of the work of eigenvectors, and the covariance of each further size costs almost
 # nothing.
-#
 # Sources: Golub and Van Loan 2013, Matrix Computations, 5.1.2, 8.3.1 and 4.3.6; for noise of
 # unknown size docs/mathematics.md, 'Joint estimate'.
 
-
-_BLOCK = 32
-"""Columns that are reduced at once; see LAPACK's ILAENV."""
+_BLOCK = 32  #: Columns that are reduced at once; see LAPACK's ILAENV.
 
 _LARGEST = float(np.log(8.0))
 """Logarithm of the largest factor on a variance of noise: with a single degree of freedom it is
@@ -167,15 +151,12 @@ def gain_by_noise(
 ) -> float:
     """Return the gain in log likelihood where noise is known only by its estimate.
 
+    `parts` are columns (r, m) whose product with their transpose is a part of the noise, and the
+    degrees of freedom of its estimate.
+
     The factor f on the variance of each part maximises the joint likelihood of the residuals and
     the blocks from which the part was estimated: these have -freedom / 2 (log f + 1 / f - 1),
     largest at f = 1.
-
-    Args:
-        covariance: (r, r), the noise as estimated.
-        residuals: (r,).
-        parts: Columns (r, m) whose product with their transpose is a part of the noise, and degrees
-            of freedom of its estimate.
 
     Source: docs/mathematics.md, 'Joint estimate'.
     """
@@ -189,7 +170,7 @@ def gain_by_noise(
         root, z, size = _rooted(total, residuals)
         value, slopes = 0.5 * float(z @ z) + size, np.empty(len(known))
         for c, (f, (columns, _, nu)) in enumerate(zip(factors, known, strict=True)):
-            white = _whitened(root, columns)
+            white = whiten(root, columns)
             value += 0.5 * nu * float(logs[c] + 1 / f - 1)
             slopes[c] = 0.5 * f * ((white**2).sum() - ((z @ white) ** 2).sum())
             slopes[c] += 0.5 * nu * (1 - 1 / f)
@@ -204,16 +185,9 @@ def gain_by_noise(
 def log_likelihoods_by_ratio(
     base: Floats, kernels: Sequence[Floats], residuals: Floats, ratios: Floats
 ) -> Floats:
-    """Return the log likelihoods of residuals with the covariances base + ratio kernel.
+    """Return the log likelihoods (n, k) of residuals with covariances base + ratio kernel.
 
-    Args:
-        base: (r, r).
-        kernels: n of (r, r).
-        residuals: (r,).
-        ratios: (k,) of at least 0.
-
-    Returns:
-        (n, k).
+    The base is (r, r), the n kernels likewise, and the k ratios are at least 0.
     """
     root, z, size = _rooted(base, residuals)
     reduced = [scipy.linalg.lapack.dsygst(k, root, itype=1, lower=1)[0] for k in kernels]
@@ -227,23 +201,15 @@ def log_likelihoods_by_columns(
     residuals: Floats,
     ratios: Floats,
 ) -> Floats:
-    """Return the log likelihoods for kernels X X', X several columns side by side.
+    """Return the log likelihoods (n, k) for kernels X X', X several columns side by side.
+
+    X are p blocks (r, e), each times one of the (p,) factors of one of n kernels.
 
     The component orthogonal to all of them is common to all kernels, and no kernel has a higher
     rank than the number of columns.
-
-    Args:
-        base: (r, r).
-        columns: p blocks of (r, e).
-        factors: n of (p,) factors of the blocks in each kernel.
-        residuals: (r,).
-        ratios: (k,) of at least 0.
-
-    Returns:
-        (n, k).
     """
     root, z, size = _rooted(base, residuals)
-    basis, triangle = np.linalg.qr(_whitened(root, np.hstack(columns)))
+    basis, triangle = np.linalg.qr(whiten(root, np.hstack(columns)))
     within = basis.T @ z
     rest = z - basis @ within
     size += 0.5 * float(rest @ rest)
@@ -258,11 +224,7 @@ def log_likelihoods_by_columns(
 def _rooted(covariance: Floats, residuals: Floats) -> tuple[Floats, Floats, float]:
     """Return the lower root of a covariance, whitened residuals, the sum of its logarithms."""
     root = np.asarray(np.linalg.cholesky(covariance), dtype=float)
-    return root, _whitened(root, residuals), float(np.log(np.diag(root)).sum())
-
-
-def _whitened(root: Floats, columns: Floats) -> Floats:
-    return np.asarray(scipy.linalg.solve_triangular(root, columns, lower=True, check_finite=False))
+    return root, whiten(root, residuals), float(np.log(np.diag(root)).sum())
 
 
 def _along(kernel: Floats, z: Floats, ratios: Floats) -> Floats:

@@ -24,19 +24,16 @@ from .equations import Equations
 from .evidence import Evidence
 from .information import Information
 from .outliers import Estimate
-from .search import Search
+from .search import SearchResult
 from .term_tests import TermTest
 
-_AXIS_LIMIT = 0.5
-"""Of an axis's largest response: beyond it, axes are exchanged, not misaligned."""
-_FAR_SCALE = 0.1
-"""Share: data sheets allow percents."""
+_AXIS_LIMIT = 0.5  #: Of an axis's largest response: beyond it, axes are exchanged, not misaligned.
+_FAR_SCALE = 0.1  #: Share: data sheets allow percents.
 _COARSE_STEP = 2e-3 * DEG
 """Smallest steps of encoders that are reported, rad: 7 arcsec, 17.5 bits. A judgement: finer ones
 are no reason to buy others."""
 
-_WELL_KNOWN_CLOCKS = 5e-6
-"""Of the rate: below it, K_g is still known to 5 ppm."""
+_WELL_KNOWN_CLOCKS = 5e-6  #: Of the rate: below it, K_g is still known to 5 ppm.
 _LEAST_EARTH_RATE = 0.01 * DEG_H
 """rad/s: effect of a latitude that is wrong by some hundredths of a degree."""
 _DETERMINED = 0.2
@@ -140,16 +137,12 @@ def check_axes(response: Floats, name: str, what: str) -> None:
 
 
 class WrongLatitude(Contradiction):
-    """The gyros see the Earth rate of another latitude.
-
-    Attributes:
-        seen: That latitude, rad.
-        misfit: Difference of the whole rate from the Earth's, in standard deviations.
-    """
+    """The gyros see the Earth rate of another latitude."""
 
     def __init__(self, text: str, seen: float = float('nan'), misfit: float = float('inf')) -> None:
         super().__init__(text)
-        self.seen = seen
+        self.seen = seen  #: That latitude, rad.
+        #: Difference of the whole rate from the Earth's, in standard deviations.
         self.misfit = misfit
 
 
@@ -202,9 +195,6 @@ def check_latitude(
     )
 
 
-# Result of a method.
-
-
 @dataclass(frozen=True, eq=False)
 class Residual:
     """Residuals of a static dwell."""
@@ -213,6 +203,14 @@ class Residual:
     start: int  #: ns, IMU clock.
     value: Floats  #: (6,) rad/s and m/s^2.
     std: Floats  #: (6,) standard deviation of the static dwell's mean.
+
+    @classmethod
+    def of_each(cls, evidence: Evidence, values: Floats, std: Floats) -> tuple[Residual, ...]:
+        """Return those of the dwells of a session, (s, 6) and their standard deviations."""
+        return tuple(
+            cls(str(segment.position), segment.start, value, deviation)
+            for segment, value, deviation in zip(evidence.segments, values, std, strict=True)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +244,7 @@ class Solution:
     gain: Floats | None = None
     #: Result of the joint estimate, used for several units on a table; None for other methods, and
     #: for a session in progress.
-    search: Search | None = None
+    search: SearchResult | None = None
 
     def __post_init__(self) -> None:
         """Raise if the covariance is of other parameters."""
@@ -258,14 +256,10 @@ class Solution:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
-# A table whose file states implausibly small errors: which results depend on that.
-#
 # The file is used as stated until the session shows an error of the table. So small an error cannot
 # be identified: a zero error looks like a joint axis that leans, and a wobble like an encoder
 # error. From then on all errors stated too small are taken as those of the best tables.
-#
 # Source: docs/mathematics.md, 'Tables that are stated exact'.
-
 
 SHOWN = 0.99
 """Probability, at even odds, from which on positioning errors are reported: at most one in a
@@ -287,7 +281,7 @@ def as_the_best(evidence: Evidence) -> Evidence:
     return replace(evidence, table=table, positioning=table.positioning)
 
 
-def contradicted(search: Search) -> bool:
+def contradicted(search: SearchResult) -> bool:
     """Return whether a session shows errors of a table whose file states too small ones."""
     evidence = search.estimate.equations.evidence
     if evidence.plan.by_hand or evidence.table is None or not evidence.table.understated_errors:
@@ -297,16 +291,13 @@ def contradicted(search: Search) -> bool:
 
 
 def on_the_best(equations: Equations, state: Floats, std: Floats) -> Floats:
-    """Return the standard deviations of parameters on a table as good as the best.
+    """Return the standard deviations (n,) of parameters on a table as good as the best.
 
-    Args:
-        equations: On the table as its file describes it.
-        state: (n + k,) their solution.
-        std: (n,) of the parameters by these equations.
+    `std` are those by the equations, on the table as its file describes it, at their solution.
     """
     better = replace(equations, evidence=as_the_best(equations.evidence))
     variances = [
-        np.diag(Information.of(one.whitened(state)[0]).covariance)[: len(std)]
+        np.diag(Information.from_jacobian(one.whitened(state)[0]).covariance)[: len(std)]
         for one in (equations, better)
     ]
     return np.asarray(np.sqrt(std**2 + np.maximum(variances[1] - variances[0], 0.0)))
@@ -330,10 +321,7 @@ def exactness_findings(estimate: Estimate) -> list[str]:
 def resting_on_the_table(equations: Equations, state: Floats, std: Floats) -> list[str]:
     """Return a sentence on parameters that depend on a table better than any known one.
 
-    Args:
-        equations: On the table as its file describes it.
-        state: (n + k,) their solution.
-        std: (n,) of the parameters by these equations.
+    Arguments as for `on_the_best`.
     """
     table = equations.evidence.table
     if equations.evidence.plan.by_hand or table is None or not table.understated_errors:

@@ -25,7 +25,7 @@ from .equations import Equations
 from .evidence import SMALLEST_VARIANCE
 from .modulation import ENCODER_FREEDOM
 from .outliers import Estimate
-from .outputs import Component
+from .outputs import Component, whiten
 from .outputs import parts as parts_of
 from .session_model import Nuisance
 from .table_effects import SHARED, TABLE_STATE, CommonSizes, CommonTable, dwell_counts
@@ -38,8 +38,7 @@ standard deviation."""
 _INFORMATIVE = 1e-3
 """Of the information of the other units and the priors on a direction: with less, a unit cannot
 contradict them in it. A tenth of a percent of information is 0.05 % of a deviation."""
-_CHANCE = 1e-6
-"""Chance by which a sound unit is left out: one in a million units."""
+_CHANCE = 1e-6  #: Chance by which a sound unit is left out: one in a million units.
 _HALF = 0.5
 """Share of a session's dwells that a unit must have seen to be used for the table: a stream that
 ended or froze half way only has its own estimate. A judgement."""
@@ -107,12 +106,6 @@ def join(alone: Sequence[Estimate]) -> Joined:
     Units that saw less than half of the dwells are left out, and units whose part contradicts the
     others, the worst first, while three or more remain; of two that contradict each other it is
     unknown which is right.
-
-    Args:
-        alone: Estimate of each unit by itself, with its final weights; all on one table.
-
-    Raises:
-        NotObservable: The iteration does not converge.
     """
     seen, of_all = dwell_counts([found.equations for found in alone])
     partial = tuple((k, n, of_all) for k, n in enumerate(seen) if n < _HALF * of_all)
@@ -169,22 +162,17 @@ def _worst(system: _System, kept: Sequence[int]) -> Contradicting | None:
 class _Reduced:
     """The equations of a unit about a state, its own parameters eliminated."""
 
-    orthonormal: Floats
-    """(r, n) basis of its own parameters' effects on its equations."""
+    orthonormal: Floats  #: (r, n) basis of its own parameters' effects on its equations.
+    #: (n, n) inverse of the triangle: its own parameters by coordinates in that basis.
     inverse: Floats
-    """(n, n) inverse of the triangle: its own parameters by coordinates in that basis."""
+    #: (r, c) derivatives by the common unknowns, whitened, orthogonal to its own parameters.
     common: Floats
-    """(r, c) derivatives by the common unknowns, whitened, orthogonal to its own parameters."""
-    by_common: Floats
-    """(n, c) derivatives of its own parameters by the common unknowns."""
-    own: Floats
-    """(n,) step of its own parameters with the common unknowns fixed."""
+    by_common: Floats  #: (n, c) derivatives of its own parameters by the common unknowns.
+    own: Floats  #: (n,) step of its own parameters with the common unknowns fixed.
+    #: (c,) derivatives of half of chi-square by the common unknowns, with reversed sign.
     gradient: Floats
-    """(c,) derivatives of half of chi-square by the common unknowns, with reversed sign."""
-    chi_square: float
-    """Sum of squared whitened residuals after its own parameters."""
-    factor: Floats
-    """(m, m) root of the covariance of its outputs."""
+    chi_square: float  #: Sum of squared whitened residuals after its own parameters.
+    factor: Floats  #: (m, m) root of the covariance of its outputs.
 
     @property
     def information(self) -> Floats:
@@ -209,7 +197,7 @@ class _System:
         best = min(alone, key=lambda found: found.nuisance(Nuisance.AZIMUTH)[1])
         self._table = best.state[best.equations.sensors :][: len(TABLE_STATE)].copy()
         self._copy_table_to_states()
-        self._errors = self._common.of(self._states)
+        self._errors = self._common.errors_at(self._states)
         self._values = np.zeros(len(self._errors.sources))
 
     def solve(self) -> None:
@@ -324,7 +312,7 @@ class _System:
 
     def _linearise(self) -> None:
         """Compute information and gradient on the common unknowns at the current states."""
-        self._errors = self._common.of(self._states)
+        self._errors = self._common.errors_at(self._states)
         self._reduced = [self._eliminated(k) for k in range(len(self._units))]
         self._information_by_errors: dict[int, list[tuple[Floats, float]]] = {}
         self._prior, pulled = self._priors()
@@ -354,7 +342,7 @@ class _System:
         residuals = unit.outputs - unit.predict(state) - columns @ self._values
         factor = np.linalg.cholesky(own_covariance(unit, state))
         whole = np.column_stack([jacobian[:, own], jacobian[:, of_table], columns, residuals])
-        whole = scipy.linalg.solve_triangular(factor, whole, lower=True, check_finite=False)
+        whole = whiten(factor, whole)
         prior = np.delete(unit.prior_rows(state), TABLE_STATE, axis=0)
         below = np.zeros((len(prior), whole.shape[1]))
         below[:, : len(own)], below[:, -1] = prior[:, own], prior[:, -1]

@@ -39,8 +39,7 @@ _OFF_POSITION = 0.02 * DEG
 _OUTSTANDING = 5.0
 """Times 1.5 of the usual worst channel of a position: for Gaussian residuals in six channels some
 12 standard deviations."""
-SAME_UP = 0.99
-"""Cosine: 8 degrees, far less than the differences between positions of a plan."""
+SAME_UP = 0.99  #: Cosine: 8 degrees, far less than the differences between positions of a plan.
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +52,10 @@ class LeastSquares:
     freedom: int  #: Its degrees of freedom.
 
     @classmethod
-    def of(cls, columns: Floats, residuals: Floats, rank: float) -> LeastSquares:
+    def solve(cls, columns: Floats, residuals: Floats, rank: float) -> LeastSquares:
         """Solve (n, k) columns for (n,) outputs, both in standard deviations.
 
-        Args:
-            columns: Derivatives by the unknowns.
-            residuals: Outputs to be explained.
-            rank: Least singular value used, of the largest, columns of one length.
+        `rank` is the least singular value used, of the largest, columns of one length.
         """
         norms = np.linalg.norm(columns, axis=0)
         scale = np.where(norms > 0, norms, 1.0)
@@ -75,21 +71,17 @@ class LeastSquares:
         """Solve (n, k) columns for (n,) outputs of a covariance (n, n)."""
         rows = np.column_stack([columns, residuals])
         rows = scipy.linalg.solve_triangular(np.linalg.cholesky(covariance), rows, lower=True)
-        return cls.of(rows[:, :-1], rows[:, -1], _RANK)
+        return cls.solve(rows[:, :-1], rows[:, -1], _RANK)
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
     """Earth rate or gravity observed in the static dwells, with given sensors."""
 
-    vector: Floats
-    """(3,) Earth rate or specific force in the frame of the attitudes."""
-    covariance: Floats
-    """(3, 3) its covariance."""
-    residuals: Floats
-    """(s, 3) residuals, rad/s or m/s^2."""
-    scatter: _Scatter
-    """Scatter of the residuals of a fit with more unknowns (`_fit`)."""
+    vector: Floats  #: (3,) Earth rate or specific force in the frame of the attitudes.
+    covariance: Floats  #: (3, 3) its covariance.
+    residuals: Floats  #: (s, 3) residuals, rad/s or m/s^2.
+    scatter: _Scatter  #: Scatter of the residuals of a fit with more unknowns (`_fit`).
 
 
 @dataclass(frozen=True)
@@ -188,8 +180,7 @@ def _widened_by_scatter(
 ) -> tuple[Floats, Floats, list[str]]:
     """Widen a covariance (n, n) where residuals scatter more than the outputs' covariance explains.
 
-    Returns:
-        The covariance (n, n), the degrees of freedom (n,) of its widening, and sentences on it.
+    Return it, the degrees of freedom (n,) of its widening, and sentences on it.
     """
     parameters = equations.parameters
     of_accels = np.array([p.triad == 'a' for p in parameters])
@@ -216,13 +207,7 @@ def _widened_by_scatter(
 
 
 def _north_finding(evidence: Evidence, azimuth: float, std: float) -> list[str]:
-    """Report that the gyros see another north than the stated one, if they do.
-
-    Args:
-        evidence: The session, at a stated azimuth.
-        azimuth: Of north by the gyros in the frame of the attitudes, rad.
-        std: Its standard deviation, rad.
-    """
+    """Report that the gyros see north off a stated azimuth, by an angle and its deviation, rad."""
     if abs(azimuth) > max(FIVE_SIGMA * std, LEAST_AZIMUTH):
         return [
             f'The gyros see north {azimuth / DEG:.1f} +- {std / DEG:.1f} deg off the azimuth '
@@ -321,11 +306,7 @@ def _residuals(evidence: Evidence, gyro: _Fit, accel: _Fit | None) -> tuple[Resi
     """Return the residuals of each static dwell; NaN for accelerometers without a fit."""
     std = np.sqrt(evidence.variances())
     of_accels = np.full_like(gyro.residuals, np.nan) if accel is None else accel.residuals
-    values = np.hstack([gyro.residuals, of_accels])
-    return tuple(
-        Residual(str(segment.position), segment.start, value, deviation)
-        for segment, value, deviation in zip(evidence.segments, values, std, strict=True)
-    )
+    return Residual.of_each(evidence, np.hstack([gyro.residuals, of_accels]), std)
 
 
 def _outlier_finding(residuals: Sequence[Residual]) -> list[str]:

@@ -11,7 +11,6 @@ from functools import cached_property, wraps
 from typing import Any, cast
 
 import numpy as np
-import scipy
 
 from ..common.budget import Share, Source
 from ..common.stream import Floats
@@ -27,6 +26,7 @@ from .outputs import (
     PositioningErrors,
     add_all,
     shares,
+    whiten,
 )
 from .session_model import Nuisance, SessionModel, Value
 
@@ -192,14 +192,7 @@ class Equations(SessionModel):
         return result
 
     def shares(self, state: Floats, gain: Floats) -> dict[Source, Share]:
-        """Return by source the covariance of parameters that are a `gain` times the outputs.
-
-        Args:
-            state: (n,).
-            gain: (p, m).
-
-        Source: docs/mathematics.md, 'Uncertainty budget'.
-        """
+        """Return by source the covariance of parameters that are gain (p, m) times the outputs."""
         return shares((*self.own, *self.shared(state)), gain)
 
     @property
@@ -241,13 +234,14 @@ class Equations(SessionModel):
         return np.column_stack([vertical, vertical[:, None] * own])
 
     def whitened(self, state: Floats) -> tuple[Floats, Floats]:
-        """Return derivatives and residuals in standard deviations, the priors' rows last.
-
-        Returns:
-            (m + k, n) derivatives and (m + k,) outputs less prediction.
-        """
+        """Return derivatives (m + k, n) and residuals in deviations, the priors' rows last."""
         columns = self._factor_and_whitened(state)[1]
         return columns[:, :-1], columns[:, -1]
+
+    def chi_square(self, state: Floats) -> float:
+        """Return the sum of squares of `whitened` residuals."""
+        residuals = self.whitened(state)[1]
+        return float(residuals @ residuals)
 
     def factor(self, state: Floats) -> Floats:
         """Return the lower root of `covariance`, (m,) square, by which outputs are whitened."""
@@ -278,14 +272,8 @@ class Equations(SessionModel):
         """Return derivatives and residuals, (m + k, n + 1), by a root (m, m) of a covariance."""
         columns = np.column_stack([self.jacobian(state), self.outputs - self.predict(state)])
         if len(columns):
-            columns = _solved(factor, columns)
+            few = len(factor) <= _FEW
+            columns = np.asarray((np.linalg.solve if few else whiten)(factor, columns))
         columns = np.vstack([columns, self.prior_rows(state)])
         columns.flags.writeable = False
         return columns
-
-
-def _solved(root: Floats, columns: Floats) -> Floats:
-    """Solve for columns (m, n) by a lower root (m, m)."""
-    if len(root) <= _FEW:
-        return np.asarray(np.linalg.solve(root, columns))
-    return np.asarray(scipy.linalg.solve_triangular(root, columns, lower=True, check_finite=False))

@@ -34,8 +34,7 @@ from .outputs import (
     of_stops,
 )
 
-UP = np.array([0.0, 0.0, 1.0])
-"""In east, north, up."""
+UP = np.array([0.0, 0.0, 1.0])  #: In east, north, up.
 _AXIS_TOLERANCE = 0.05
 """Largest amount by which the cosine of a vertical axis is below one: 18 deg, beyond any error of a
 table and less than half of the 45 deg to the next attitude of any plan."""
@@ -45,7 +44,7 @@ two from which the next fits start."""
 _WEIGHED = 6
 """Results kept in `Evidence.cached_results`: covariance, and equations whitened by it, of two
 solutions used alternately and of the last step."""
-_OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms', 'whole_ways'}
+_OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms', 'rest_to_rest_rates'}
 """Cached properties of `Evidence` that depend on dwells and turns alone."""
 
 _QUARTZ = 50e-6
@@ -97,7 +96,7 @@ class Evidence:
     interruptions: tuple[tuple[int, int], ...] = ()
 
     @classmethod
-    def of(
+    def from_session(
         cls,
         labelled: Labelled,
         session: Segmented,
@@ -141,9 +140,6 @@ class Evidence:
         """Return the session on its table with other errors.
 
         Only `table_attitude_errors` depends on them.
-
-        Raises:
-            ValueError: No table is given.
         """
         if self.table is None:
             raise ValueError('no table, and none of its errors')
@@ -163,6 +159,11 @@ class Evidence:
         found = replace(self, **changed)
         vars(found).update({name: vars(self)[name] for name in kept & vars(self).keys()})
         return found
+
+    @property
+    def parts(self) -> list[Segment | Turn]:
+        """Static dwells, then turns."""
+        return [*self.segments, *self.turns]
 
     @cached_property
     def state_cache(self) -> deque[tuple[Any, ...]]:
@@ -192,7 +193,7 @@ class Evidence:
         return ups, np.array([t.rate() for t in self.turns]), timed
 
     @cached_property
-    def whole_ways(self) -> tuple[Floats, NDArray[np.bool_]]:
+    def rest_to_rest_rates(self) -> tuple[Floats, NDArray[np.bool_]]:
         """Relative change of the rate of a whole motion by one rad at either end, (t,).
 
         Zero for a turn without a whole motion from rest to rest; and whether it has one.
@@ -235,7 +236,7 @@ class Evidence:
     @cached_property
     def arms(self) -> Arms:
         """The lever arms of the turns whose accelerometers are used."""
-        return Arms.of(self.turns, self.site.up_rate)
+        return Arms.from_turns(self.turns, self.site.up_rate)
 
     @cached_property
     def table_attitude_errors(self) -> tuple[Floats, Floats]:
@@ -244,7 +245,7 @@ class Evidence:
         Rotations about the body axes, (s, 3, e) of the static dwells and (t, 3, e) of the turns;
         those of a turn are means over all angles of the joint that turns.
         """
-        known = [s.angles for s in self.segments] + [t.angles for t in self.turns]
+        known = [part.angles for part in self.parts]
         if self.table is None or self.table.errors.exact or any(a is None for a in known):
             return np.zeros((len(self.segments), 3, 0)), np.zeros((len(self.turns), 3, 0))
         angles = np.array(known).reshape(-1, len(self.table.joints))
@@ -327,7 +328,7 @@ class Evidence:
         """Return R_nb of the static dwells, (s, 3, 3), in the frame of the table's azimuth."""
         return np.array([s.attitude for s in self.segments]).reshape(-1, 3, 3)
 
-    def position_weights(self) -> Floats:
+    def precision_weights(self) -> Floats:
         """Return the weight of every static dwell in the mean of its position, (s, 6).
 
         A position measured several times is averaged first, each time by its variance.
@@ -340,11 +341,7 @@ class Evidence:
         return np.asarray(precision / total)
 
     def vertical_axes(self) -> list[tuple[int, int]]:
-        """Return for every static dwell which body axis is vertical, and +1 up or -1 down.
-
-        Raises:
-            NotObservable: An attitude with no body axis vertical.
-        """
+        """Return for every static dwell which body axis is vertical, and +1 up or -1 down."""
         pairs = zip(self.attitudes(), self.segments, strict=True)
         return [vertical_axis(attitude[2], s.position) for attitude, s in pairs]
 
@@ -403,15 +400,7 @@ class Evidence:
 
 
 def vertical_axis(up: Floats, position: str | None) -> tuple[int, int]:
-    """Return which body axis is vertical, and +1 up or -1 down.
-
-    Args:
-        up: (3,) up in body axes.
-        position: Its position, for the message.
-
-    Raises:
-        NotObservable: None of the three is.
-    """
+    """Return which body axis is vertical, and +1 up or -1 down."""
     axis = int(np.argmax(np.abs(up)))
     if abs(up[axis]) < 1 - _AXIS_TOLERANCE:
         raise NotObservable(
@@ -431,13 +420,10 @@ def thermal_of(imu: ImuSpec) -> Floats:
     )
 
 
-# A session in the time of its table: the seconds of stamps are corrected before solving.
-#
 # The clock of the stamps is fast by r against the table's. Pulses over its seconds are 1 / (1 + r)
 # of those over the table's; counts and SI values are unchanged, and angles summed over its seconds
 # are (1 + r) times too large. The remaining error of the rate is an unknown of the equations
 # (`Nuisance.CLOCK`), and the ratio is stored with the calibration (`clock_ratio`).
-#
 # Source: docs/mathematics.md, 'Clocks'.
 
 
@@ -458,20 +444,17 @@ def in_table_time(evidence: Evidence) -> Evidence:
             replace(s, statistics=_retimed_statistics(s.statistics, faster, on_rates))
             for s in evidence.segments
         ),
-        turns=tuple(_retimed_turn(t, faster, on_rates) for t in evidence.turns),
+        turns=tuple(
+            replace(
+                t,
+                statistics=_retimed_statistics(t.statistics, faster, on_rates),
+                skewed=t.skewed and _retimed_statistics(t.skewed, faster, on_rates),
+                each=None if t.each is None else t.each * on_rates,
+            )
+            for t in evidence.turns
+        ),
         moves=tuple(_retimed_move(m, faster, on_increments) for m in evidence.moves),
         clock=replace(evidence.clock, rate=0.0),
-    )
-
-
-def _retimed_turn(turn: Turn, faster: float, on_rates: float) -> Turn:
-    """Return a turn by a clock that is slower by a factor, with a factor on its outputs."""
-    skewed = turn.skewed
-    return replace(
-        turn,
-        statistics=_retimed_statistics(turn.statistics, faster, on_rates),
-        skewed=None if skewed is None else _retimed_statistics(skewed, faster, on_rates),
-        each=None if turn.each is None else turn.each * on_rates,
     )
 
 

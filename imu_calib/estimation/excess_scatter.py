@@ -42,7 +42,7 @@ from .bias_drift import (
 )
 from .equations import Equations
 from .evidence import SMALLEST_VARIANCE
-from .outputs import NO_POSITIONING_ERRORS, Blocks, Component, Diagonal, PositioningErrors
+from .outputs import NO_POSITIONING_ERRORS, Blocks, Component, Diagonal, PositioningErrors, whiten
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 """Correlation times of drift on the grid, in lengths of the session: half decades. A drift slower
@@ -202,12 +202,12 @@ def excess(
         return ExcessScatter(NO_POSITIONING_ERRORS, np.zeros(6))
     odds = _ODDS_BESIDE_OUTLIERS if suspecting else _ODDS
     triads = _triads(plain, state, odds, doubted=doubted)
-    still = [_Drift.of(triad) for triad in triads]
+    still = [_Drift.weighed(triad) for triad in triads]
     share, joints, stops = _positioning(triads, still, _variances(plain))
     found = [[(1 - share, drift)] for drift in still]
     if share:
         for mixture, triad in zip(found, triads, strict=True):
-            mixture.append((share, _Drift.of(triad, joints, stops)))
+            mixture.append((share, _Drift.weighed(triad, joints, stops)))
     spread = [
         _posterior_drift(triad, mixture) for triad, mixture in zip(triads, found, strict=True)
     ]
@@ -225,13 +225,13 @@ def excess(
 class _Drift:
     """Log likelihoods of the drifts of a triad."""
 
+    #: (shares,) log likelihoods of shares of the drift stated, with the odds of the data sheet.
     stated: Floats
-    """(shares,) log likelihoods of shares of the drift stated, with the odds of the data sheet."""
+    #: (taus, ratios) log likelihoods of a larger drift, a prior weight of one spread over all.
     further: Floats
-    """(taus, ratios) log likelihoods of a larger drift, a prior weight of one spread over all."""
 
     @classmethod
-    def of(cls, triad: _Triad, joints: float = 0.0, stops: float = 0.0) -> _Drift:
+    def weighed(cls, triad: _Triad, joints: float = 0.0, stops: float = 0.0) -> _Drift:
         """Weight drifts together with positioning errors of these variances, rad^2.
 
         Noise whose size is known from few blocks may be larger than it seems. Where a drift is
@@ -329,7 +329,7 @@ class _PositioningOfTriad:
 
     def add_likeliest(self, joints: float, stops: float) -> None:
         """Add the likeliest drift beside positioning errors of these variances, rad^2."""
-        self._add(*_Drift.of(self._triad, joints, stops).hypotheses(self._triad)[1])
+        self._add(*_Drift.weighed(self._triad, joints, stops).hypotheses(self._triad)[1])
 
     def over_drifts(self) -> Floats:
         """Return the log likelihoods with any of the drifts, (shares, v)."""
@@ -466,7 +466,7 @@ def _triad(
     starts = np.array([x.start for x in (*segments, *moves)], dtype=np.int64)
     durations = np.array([x.statistics.duration for x in segments] + [m.duration for m in moves])
     biases = indices_of(BIASES[first : first + 3], equations.parameters)
-    slopes = _Slopes.of(segments, rising[rows].reshape(-1, 3), evidence.walk, first)
+    slopes = _Slopes.from_segments(segments, rising[rows].reshape(-1, 3), evidence.walk, first)
     drift = BiasDrift.over(
         np.asarray((starts - starts.min()) * 1e-9),
         durations,
@@ -535,16 +535,12 @@ class _Slopes:
     variances: Floats  #: (s, 3, 2) their variances by random walk alone, and in total.
 
     @classmethod
-    def of(
+    def from_segments(
         cls, segments: Sequence[Segment | Turn], explained: Floats, walk: Floats, first: int
     ) -> _Slopes:
         """Collect the slopes of gyros (first = 0) or accelerometers (first = 3).
 
-        Args:
-            segments: n dwells and turns.
-            explained: (n or more, 3) slopes by the parameters, those of the segments first.
-            walk: (6,) random-walk coefficients.
-            first: The first channel of the triad.
+        `explained` are the slopes (n or more, 3) by the parameters, those of the segments first.
         """
         channels = range(first, first + 3)
         every = [x.statistics for x in segments]
@@ -572,11 +568,8 @@ def _noise_of_channels(
 ) -> tuple[tuple[Floats, float], ...]:
     """Return `_Triad.noise`: the effect of the random walk of each channel, and its freedom.
 
-    Args:
-        own: The random walk of each channel, as variances of all outputs.
-        rows: (k,) outputs of the triad.
-        project: (k, r) projection of these by `_restricted`.
-        slopes: Of the same triad.
+    `own` are the variances of all outputs by it, `project` is the projection (k, r) of the outputs
+    `rows` by `_restricted`.
     """
     projection = scipy.linalg.block_diag(project, np.diag(slopes.weights))
     noise = []
@@ -599,9 +592,7 @@ def _restricted(
     which the outputs' scatter enters, and (r,) residuals.
     """
     factor = np.linalg.cholesky(covariance)
-    columns = np.column_stack([jacobian, residuals])
-    columns = scipy.linalg.solve_triangular(factor, columns, lower=True, check_finite=False)
-    columns = np.vstack([columns, prior])
+    columns = np.vstack([whiten(factor, np.column_stack([jacobian, residuals])), prior])
     # A few velocities hold the same information on some accelerometer parameters: the remainder of
     # a column is then rounding, and does not use up a direction.
     norms = np.linalg.norm(columns[:, :-1], axis=0)

@@ -79,7 +79,7 @@ def forecast(
     solver = method(name, setup.terms)
     refusal = ''
     parameters = listed(setup)
-    square = _nothing(parameters)
+    square = np.full(len(parameters), np.nan)
     if name not in JOINT:
         try:
             extra = bias_drift_covariance(resting, setup.imu) if drifting else None
@@ -97,24 +97,6 @@ def forecast(
     best = _best(evidence, truth, parameters, extra)
     std = best if name in JOINT else np.sqrt(square)
     return _with_common(Forecast(evidence, name, parameters, std, best, refusal), setup, truth)
-
-
-def with_parameters(
-    evidence: Evidence,
-    setup: Setup,
-    truth: SensorModel,
-    parameters: tuple[Parameter, ...],
-    *,
-    drifting: bool,
-) -> Floats:
-    """Return the standard deviations (n,) of a joint estimate of other parameters; see `forecast`.
-
-    NaN stands for parameters that the session does not determine.
-    """
-    extra = bias_drift_covariance(evidence, setup.imu) if drifting else None
-    best = _best(evidence, truth, parameters, extra)
-    found = Forecast(evidence, setup.method_name, parameters, best, best, '')
-    return _with_common(found, setup, truth).std
 
 
 def resting_on_the_table(found: Forecast, truth: SensorModel) -> list[str]:
@@ -163,13 +145,12 @@ def _best(
     """Return the least standard deviations that a session allows; NaN for undetermined ones."""
     modelled = tuple(p for p in parameters if p.row < len(AXES))
     found = information(evidence, truth, modelled, extra=extra)
-    best = np.sqrt(np.diag(found.covariance)[: len(modelled)])
-    best = np.where(determined(found, modelled), best, np.nan)
+    best = np.where(determined(found, modelled), found.std[: len(modelled)], np.nan)
     if parameters == modelled:
         return np.asarray(best)
     turns = [t for t in evidence.turns if t.skewed is not None]
     square = None if extra is None else extra[-len(turns) :, -len(turns) :]
-    askew = np.sqrt(np.diag(skewed.gauss_markov_bound(RatePoints.of(evidence), square)))
+    askew = np.sqrt(np.diag(skewed.gauss_markov_bound(RatePoints.from_turns(evidence), square)))
     return np.concatenate([best, askew])
 
 
@@ -177,21 +158,14 @@ def _in_the_hand(truth: SensorModel, evidence: Evidence) -> Forecast:
     """Forecast a session in the hand: its least-squares method reaches the information bound."""
     std, sought = np.zeros(len(PARAMETERS)), free_positions.ESTIMATES
     found = information(evidence, free_positions.in_frame_of_accelerometers(truth), sought)
-    std[free_positions.FREE] = np.sqrt(np.diag(found.covariance)[: len(sought)])
-    return Forecast(evidence, free_positions.NAME, PARAMETERS, std, _nothing(PARAMETERS), '')
+    std[free_positions.FREE] = found.std[: len(sought)]
+    best = np.full(len(PARAMETERS), np.nan)
+    return Forecast(evidence, free_positions.NAME, PARAMETERS, std, best, '')
 
 
 def listed(setup: Setup) -> tuple[Parameter, ...]:
-    """Return the parameters of a forecast: the 24, estimated or not, and additional ones.
-
-    Raises:
-        InputError: There is no such method, or it knows no terms.
-    """
+    """Return the parameters of a forecast: the 24, estimated or not, and additional ones."""
     return tuple(dict.fromkeys((*PARAMETERS, *setup.parameters)))
-
-
-def _nothing(parameters: tuple[Parameter, ...]) -> Floats:
-    return np.full(len(parameters), np.nan)
 
 
 def information(
@@ -201,27 +175,18 @@ def information(
     *,
     extra: Floats | None = None,
 ) -> Information:
-    """Return the Fisher information of a session at the truth.
-
-    Source: docs/mathematics.md, 'Joint estimate'.
-    """
+    """Return the Fisher information of a session at the truth."""
     kind = FreeEquations if evidence.free else Equations
     return information_of(kind(evidence, parameters), truth, extra)
 
 
 def information_of(equations: Equations, truth: SensorModel, extra: Floats | None) -> Information:
-    """Return the Fisher information of equations at the truth.
-
-    Args:
-        equations: Without bias drift.
-        truth: Assumed sensors.
-        extra: Covariance of their outputs by bias drift, or None.
-    """
+    """Return the Fisher information of equations at the truth, with bias drift `extra` or None."""
     if extra is not None:
         m = len(equations.outputs)
         part = Blocks(np.arange(m)[None], extra[None, :m, :m])
         equations = replace(equations, extra=(Component(Source.BIAS_STATED, part),))
-    return Information.of(equations.whitened(state_at(equations, truth))[0])
+    return Information.from_jacobian(equations.whitened(state_at(equations, truth))[0])
 
 
 def state_at(equations: Equations, truth: SensorModel) -> Floats:
@@ -244,9 +209,6 @@ def _by_closed_form(
         outputs = slice(0, gain.shape[1])
         square = square + np.einsum('ij,jk,ik->i', gain, extra[outputs, outputs], gain)
     return solution.parameters, square
-
-
-# Forecast how well a session would determine each further term of the model, one at a time.
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,14 +257,7 @@ _DEARER = 1.1
 def forecast_terms(
     found: Forecast, setup: Setup, truth: SensorModel, *, drifting: bool = False
 ) -> tuple[TermForecast, ...]:
-    """Forecast each term that the joint estimate of a session leaves out.
-
-    Args:
-        found: Forecast of the session without it.
-        setup: As in that forecast.
-        truth: Likewise.
-        drifting: Likewise.
-    """
+    """Forecast each term that the joint estimate leaves out of a forecast, set up alike."""
     if found.method not in JOINT or found.refusal:
         return ()
     included = terms_of(found.parameters)
@@ -317,8 +272,10 @@ def _of_term(
     more = replace(setup, terms=(*setup.terms, term))
     evidence = replace(found.evidence, coarse=has_motion_terms(more.terms))
     parameters = listed(more)
-    found_std = with_parameters(evidence, more, truth, parameters, drifting=drifting)
-    std = dict(zip(parameters, found_std.tolist(), strict=True))
+    extra = bias_drift_covariance(evidence, more.imu) if drifting else None
+    best = _best(evidence, truth, parameters, extra)
+    other = _with_common(Forecast(evidence, found.method, parameters, best, best, ''), more, truth)
+    std = dict(zip(parameters, other.std.tolist(), strict=True))
     before = dict(zip(found.parameters, found.std.tolist(), strict=True))
     times = [(p, std[p] / s) for p, s in before.items() if s > 0]
     dearer = tuple((p, t) for p, t in times if not t <= _DEARER)
@@ -331,19 +288,13 @@ def forecast_changes(
     """Forecast biases and scale factors that follow a trend, a warm-up or the temperature.
 
     The temperature is included if its stated change is large enough.
-
-    Args:
-        found: As in `forecast_terms`.
-        setup: Likewise.
-        truth: Likewise.
-        drifting: Likewise.
     """
     if found.method not in JOINT or found.refusal:
         return ()
     modelled = tuple(p for p in found.parameters if p.row < len(AXES))
     extra = bias_drift_covariance(found.evidence, setup.imu) if drifting else None
     plain = Equations(found.evidence, modelled)
-    before = _std(plain, truth, extra)
+    before = information_of(plain, truth, extra).std
     return tuple(
         _of_changes(session_term(f'{course.value}:{kind}'), plain, before, truth, extra)
         for course in (*LOOKED_FOR, *([Course.THERMAL] if warms(found.evidence) else []))
@@ -362,11 +313,7 @@ def _of_changes(
         equations, _ = with_changes(plain, changes)
     except NotObservable:
         return ChangeForecast(changes, np.full(len(changes), np.nan), ())
-    std = _std(equations, truth, extra)
+    std = information_of(equations, truth, extra).std
     times = std[: plain.sensors] / before[: plain.sensors]
     dearer = ((p, float(t)) for p, t in zip(plain.parameters, times, strict=True) if t > _DEARER)
     return ChangeForecast(changes, std[equations.change_slice], tuple(dearer))
-
-
-def _std(equations: Equations, truth: SensorModel, extra: Floats | None) -> Floats:
-    return np.asarray(np.sqrt(np.diag(information_of(equations, truth, extra).covariance)))

@@ -133,13 +133,7 @@ class FreeEquations(Equations):
 
 
 def at_headings_by_moves(evidence: Evidence, ups: Floats, model: SensorModel) -> Evidence:
-    """Return a session in attitudes with given ups, at the headings found by the moves.
-
-    Args:
-        evidence: The session.
-        ups: (s, 3) up in body axes, unit vectors.
-        model: Whose gyros are integrated.
-    """
+    """Return a session with ups (s, 3), at the headings found by the moves of a model's gyros."""
     east, north = across(ups)
     attitudes = np.stack([east, north, ups], axis=1)
     moves = evidence.with_attitudes(attitudes).used_moves
@@ -151,13 +145,10 @@ def at_headings_by_moves(evidence: Evidence, ups: Floats, model: SensorModel) ->
     return evidence.with_attitudes(attitudes)
 
 
-# Dwells in unknown attitudes as equations: lengths, and the rate along gravity.
-#
 # In any attitude the length of the specific force is gravity, that of the rate the Earth's, and its
 # part along gravity the vertical Earth rate: these remain of the six equations of a dwell with
 # three free angles. Squares are compared: their mean over the noise is known even where noise hides
 # the heading, as for gyros whose noise exceeds the Earth's rate.
-#
 # Source: docs/mathematics.md, 'Verification'.
 
 
@@ -169,7 +160,7 @@ class Sensors:
     parameters: tuple[Parameter, ...]
 
     @classmethod
-    def of(cls, parameters: tuple[Parameter, ...], *, gyros: bool) -> Sensors:
+    def from_parameters(cls, parameters: tuple[Parameter, ...], *, gyros: bool) -> Sensors:
         """Return the three gyros or accelerometers of a model, without skewed gyros."""
         letter = 'g' if gyros else 'a'
         return cls(gyros, tuple(p for p in parameters if p.triad == letter and p.row < len(AXES)))
@@ -219,7 +210,7 @@ class Up:
     covariance: Floats
 
     @classmethod
-    def of(
+    def from_forces(
         cls, found: tuple[Floats, Floats, Floats], noise: Floats, factor: Floats, gravity: float
     ) -> Up:
         """Turn errors of the accelerometers into errors of up, to first order.
@@ -237,7 +228,7 @@ class Up:
         columns = (level @ by_parameters @ factor).reshape(3 * len(force), -1)
         covariance = (columns @ columns.T).reshape(len(force), 3, len(force), 3)
         every = np.arange(len(force))
-        covariance[every, :, every] += propagated(level @ by_outputs, noise)
+        covariance[every, :, every] += transformed_covariance(level @ by_outputs, noise)
         return cls(up[:, :, 0] * gravity, covariance)
 
 
@@ -246,20 +237,12 @@ def compare_lengths(
 ) -> tuple[Floats, Floats, Floats]:
     """Set up one equation for each dwell, and a second for gyros.
 
-    Args:
-        sensors: Gyros or accelerometers.
-        values: (p,) of their parameters.
-        read: (s, 3) at rest.
-        noise: (s, 3, 3) its covariance.
-        up: By the accelerometers.
-        site: Gravity and Earth rate.
-
-    Returns:
-        (m, p) derivatives, (m,) residuals of squared lengths and of rates along up, and their
-        covariance (m, m).
+    For values (p,) of the sensors' parameters, outputs (s, 3) at rest, their covariance (s, 3, 3)
+    and up by the accelerometers return (m, p) derivatives, (m,) residuals of squared lengths and of
+    rates along up, and their covariance (m, m).
     """
     seen, by_outputs, by_parameters = sensors.compensated(values, read, up.forces)
-    noise = propagated(by_outputs, noise)
+    noise = transformed_covariance(by_outputs, noise)
     jacobian = np.einsum('mi,mip->mp', 2 * seen, by_parameters)
     square, spread = squares(seen, noise)
     if not sensors.gyros:
@@ -278,10 +261,6 @@ def squares(vectors: Floats, covariances: Floats) -> tuple[Floats, Floats]:
     """Return the squared lengths of (m, 3) vectors without their noise, and their variances, (m,).
 
     Noise makes a vector longer: the mean of a square is the square of the mean plus the variance.
-
-    Args:
-        vectors: With normal noise.
-        covariances: (m, 3, 3) of it.
     """
     along = np.einsum('mi,mij,mj->m', vectors, covariances, vectors)
     own = np.trace(covariances, axis1=1, axis2=2)
@@ -295,33 +274,27 @@ def noise_at_rest(variances: Floats, magnitude: float) -> Floats:
     return np.asarray(np.maximum(variances, least)[:, :, None] * np.eye(3))
 
 
-def propagated(gain: Floats, covariance: Floats) -> Floats:
+def transformed_covariance(gain: Floats, covariance: Floats) -> Floats:
     """Return gain covariance gain' for (m, 3, 3) each."""
     return np.asarray(gain @ covariance @ np.swapaxes(gain, 1, 2))
 
 
-# The latitude seen by the gyros at rest, to check a stated one before the estimate.
-
 _NOMINAL = 0.03
 """Relative uncertainty of nominal scale factors of gyros; data sheets of cheap units state it
 (MPU-9150: sensitivity tolerance of 3 %)."""
-_FEWEST = 3
-"""Static dwells: three in two attitudes determine six unknowns by nine readings."""
+_FEWEST = 3  #: Static dwells: three in two attitudes determine six unknowns by nine readings.
 _DETERMINED = np.radians(10.0)
-"""rad: a latitude with a larger uncertainty is not reported, as in `estimation.checks`."""
+"""rad: a latitude with a larger uncertainty is not reported, as in `checks`."""
 
 
 def vertical_earth_rate(segments: Sequence[Segment]) -> tuple[float, float] | None:
-    """Estimate the Earth rate about up from several attitudes; return it and its deviation, rad/s.
+    """Return the Earth rate about up in several attitudes and its deviation, rad/s, if determined.
 
     Least squares over dwells k with attitudes R_k = R_nb: y_k = b + R_k' w, of the biases b and the
     Earth rate w in the table's frame; the effect of misalignments on 15 deg/h is neglected. The
     deviation includes the scatter about the fit and that of nominal scale factors.
 
     Source: docs/mathematics.md, 'Latitude at a glance'.
-
-    Returns:
-        None where the attitudes do not determine it.
     """
     known = [s for s in segments if s.attitude is not None]
     if len(known) < _FEWEST:
@@ -339,12 +312,7 @@ def vertical_earth_rate(segments: Sequence[Segment]) -> tuple[float, float] | No
 
 
 def measured_latitude(up: float, std: float) -> tuple[float, float] | None:
-    """Return the latitude of an Earth rate about up and its deviation, rad; None if too uncertain.
-
-    Args:
-        up: rad/s.
-        std: Its standard deviation, rad/s.
-    """
+    """Return the latitude of an Earth rate about up and its deviation; None if uncertain."""
     latitude = float(np.arcsin(np.clip(up / EARTH_RATE, -1.0, 1.0)))
     slope = EARTH_RATE * max(float(np.cos(latitude)), float(np.sin(_DETERMINED)))
     found = std / slope

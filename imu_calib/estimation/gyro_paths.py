@@ -1,6 +1,6 @@
 """Motion from one dwell to the next by the gyros of a model: a rotation and its derivatives.
 
-Steps of joined samples include the coning of their directions (`segmentation/moves.py`); single
+Steps of joined samples include the coning of their directions (`segmentation.moves`); single
 samples do not.
 
 Sources: Bortz 1971, IEEE Trans. AES 7, 61, and Savage 1998, J. Guidance 21, 19, eq. (45), for the
@@ -170,8 +170,6 @@ def _with_next(steps: Floats, which: NDArray[np.intp]) -> Floats:
     return product(steps.take(which + 1, axis=-1), steps.take(which, axis=-1))
 
 
-# Velocity gained on a move by the accelerometers of a model, and its derivatives.
-#
 # With C_i the rotation from the middle of step i to the end of the move, f_i its specific force by
 # the model and t_i its length, all in the body axes at the end,
 #
@@ -179,10 +177,8 @@ def _with_next(steps: Floats, which: NDArray[np.intp]) -> Floats:
 #
 # Rotations and rates are those of the move's `GyroPath`. Terms of specific force multiply gravity
 # on the path, as everywhere, without the effects of pulses and lever arms.
-#
 # Source: docs/mathematics.md, 'Velocities of moves'; the strapdown equations of Savage 1998, J.
 # Guidance 21, 208.
-
 
 _EACH = np.eye(3)[:, :, None] * np.eye(3)[:, None, :]
 """For each channel the part of a vector that it measures: (3, 3, 3)."""
@@ -190,11 +186,9 @@ _EACH = np.eye(3)[:, :, None] * np.eye(3)[:, None, :]
 _CROSS = np.ascontiguousarray(np.moveaxis(GENERATORS, 0, -1))
 """[v] = _CROSS @ v, the cross product by a vector from the left: (3, 3, 3)."""
 
-_ONE = np.zeros(1, dtype=np.intp)
-"""Start index of a single motion."""
+_ONE = np.zeros(1, dtype=np.intp)  #: Start index of a single motion.
 
-_SQUARES = tuple(combinations_with_replacement(range(3), 2))
-"""Products of rates, each once."""
+_SQUARES = tuple(combinations_with_replacement(range(3), 2))  #: Products of rates, each once.
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,9 +305,6 @@ def by_delay(increments: Sequence[VelocityIncrement]) -> Floats:
 
     They give f(t - s) for f(t), which is s times the sum of C (w x f) t over a move from rest to
     rest; this is minus that.
-
-    Args:
-        increments: m of one model.
     """
     rates, axes, seconds, starts = _all_steps(increments)
     crossed = (
@@ -328,9 +319,6 @@ def by_places(increments: Sequence[VelocityIncrement]) -> Floats:
     In the order x, y, z of accelerometer x, then of y and z. Accelerometer i reads row i of (I + M)
     a_i, a_i = ([alpha] + [w][w]) r_i. From dwell to dwell integration by parts removes alpha: the
     integral of C P_i a_i is that of C (P_i [w] - [w] P_i) [w] r_i; this is minus that.
-
-    Args:
-        increments: m of one model.
     """
     matrix = np.reshape(
         _responses_alone(increments[0].model).reshape(3, 9) @ _by_responses(), (3, 18, 3)
@@ -381,13 +369,7 @@ def _responses_alone(model: SensorModel) -> Floats:
 
 
 def _change(rates: Floats, seconds: Floats, starts: NDArray[np.intp] = _ONE) -> Floats:
-    """Return the change of rates (n, 3), rad/s^2; the unit is at rest before and after.
-
-    Args:
-        rates: Of the steps, rad/s.
-        seconds: (n,) their lengths.
-        starts: Starts of motions, each from rest to rest.
-    """
+    """Return the change of rates (n, 3), rad/s^2; each motion is from rest to rest."""
     ends, last = np.cumsum(seconds), np.append(starts[1:], len(seconds)) - 1
     middles = ends - seconds / 2
     before, after = np.roll(middles, 1), np.roll(middles, -1)

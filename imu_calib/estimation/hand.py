@@ -1,6 +1,6 @@
 """Sensors from holds in unknown attitudes: gravity has one length, and gyros turn it between holds.
 
-The equations are those of every session (`estimation/free_dwells.py`), with estimated attitudes. All is
+The equations are those of every session (`FreeEquations`), with estimated attitudes. All is
 one weighted least squares: the uncertainty of a direction by the accelerometers enters the
 parameters of the gyros. G-sensitivity of the gyros, nonlinearity of the accelerometers and biases
 that drift are estimated too, where the session shows them.
@@ -71,11 +71,9 @@ ESTIMATES = tuple(p for p, found in zip(PARAMETERS, FREE, strict=True) if found)
 _RATIOS = np.array([p.kind is not ParameterKind.BIAS for p in ESTIMATES])
 """(21,) mask of those that are not biases."""
 
-FEWEST = 9
-"""Holds below which gravity does not determine nine parameters of the accelerometers."""
+FEWEST = 9  #: Holds below which gravity does not determine nine parameters of the accelerometers.
 
-_ITERATIONS = 100
-"""Most steps of a fit; one that has not converged by then raises."""
+_ITERATIONS = 100  #: Most steps of a fit; one that has not converged by then raises.
 _ROUNDS = 10
 """Rounds in which contradicting turns are left out and noise is estimated again; a cap."""
 _SIGNIFICANT = 1e-3
@@ -94,8 +92,7 @@ none. A judgement: rounding leaves 1e-15, and noise far more."""
 _SETTLED = 0.02
 """Relative change at which the noise has settled. A judgement: a session of twenty holds knows it
 to some ten percent."""
-_OUTLYING = 6.0
-"""Times the usual size of a turn's residual: exceeded in 2e-8 (Rayleigh)."""
+_OUTLYING = 6.0  #: Times the usual size of a turn's residual: exceeded in 2e-8 (Rayleigh).
 _UNTESTED = 1e-3
 """Variance of a residual after the fit below which it tests nothing: the unknowns are then
 determined by that turn alone, and its residual is that of the iteration."""
@@ -124,7 +121,7 @@ _AMOUNT = 1000.0
 percent at 1 g, as of a usual chip."""
 _APART = 9.0
 """Difference of chi-square below which two terms explain a session equally well: a factor of 90 in
-the likelihood (as in `estimation.search`)."""
+the likelihood (as in `search`)."""
 
 _WANDERS = 2.0 ** np.arange(1, 11)
 """Grid of the size of a wander, of the noise of a hold: the likelihood is flat within a factor of
@@ -143,8 +140,7 @@ _STRAIGHT = 0.1
 error is of the order of its square, 1 %."""
 _LIKELIER = 2 * np.log(1000)
 """Decrease of chi-square at another latitude for that to be meant: odds of a thousand."""
-_ACCELS = ('accelerometers', 'gravity')
-"""Sensors whose response is checked, and its input."""
+_ACCELS = ('accelerometers', 'gravity')  #: Sensors whose response is checked, and its input.
 _GROUPS = ('the accelerometers at rest', 'the gyros at rest', 'the turns')
 
 
@@ -206,12 +202,18 @@ class _State:
     @cached_property
     def information(self) -> Information:
         """The information of the equations."""
-        return Information.of(self.whitened()[0])
+        return Information.from_jacobian(self.whitened()[0])
 
     @cached_property
     def basis(self) -> Floats:
         """Orthonormal columns (m, n) that span the derivatives in standard deviations."""
         return np.asarray(np.linalg.qr(self.whitened()[0])[0])
+
+    @property
+    def chi_square(self) -> float:
+        """Sum of squares of the residuals in standard deviations."""
+        residuals = self.whitened()[1]
+        return float(residuals @ residuals)
 
     def moved(self, step: Floats) -> _State:
         """Return the state after a step (n,), in attitudes turned by it."""
@@ -262,12 +264,7 @@ class _State:
         )
 
     def drifting(self, name: str, courses: Floats) -> Floats:
-        """Return the effect on the outputs of biases that drift, (m, 3 k).
-
-        Args:
-            name: Of the term.
-            courses: (s + t, k) in each hold and turn.
-        """
+        """Return the effect on the outputs of biases that drift by courses (s + t, k), (m, 3 k)."""
         equations = self.equations
         biases = [equations.parameters.index(c.parameters[0]) for c in TRENDS[name]]
         slopes = equations.jacobian(self.values)[:, biases]
@@ -292,9 +289,6 @@ class _State:
 
 def solve(evidence: Evidence) -> FreeFit:
     """Estimate 21 parameters, and terms that the session shows, from holds and turns between.
-
-    Args:
-        evidence: Dwells in at least nine unknown attitudes, and the moves between them.
 
     Raises:
         InputError: The outputs are not in the units that the IMU's description states.
@@ -467,7 +461,7 @@ def _misfit(state: _State) -> float:
     spread = 0.0 if equations.inflation is None else float(np.log(equations.inflation).sum())
     unknowns = equations.sensors + len(equations.changes)
     penalty = unknowns * float(np.log(len(equations.layout)))
-    return _square(state) + spread + penalty + out * _OUTLYING**2
+    return state.chi_square + spread + penalty + out * _OUTLYING**2
 
 
 def _drifted(state: _State, changes: Sequence[Change]) -> float:
@@ -609,7 +603,7 @@ def _tests(
     """Return the terms that are on, and what the session shows of those of the accelerometers."""
     equations, values = state.equations, state.values
     sensors, outputs = slice(0, equations.sensors), slice(0, len(equations.outputs))
-    std = np.sqrt(np.diag(information.covariance)[sensors])
+    std = information.std[sensors]
     root = np.linalg.cholesky(equations.covariance(values))
     tests = [TermTest.found(one.term, one.log_p) for one in found]
     for one in (drift for drift in choice.drifts if drift.kind is DriftKind.EVEN):
@@ -645,19 +639,16 @@ def _trend_scores(state: _State) -> dict[Family, Score]:
 def _check_latitude(state: _State) -> None:
     """Raise if another latitude explains the session in place of a term."""
     evidence = state.equations.evidence
-    misfit = _square(state)
+    misfit = state.chi_square
     for latitude in other_latitudes(evidence):
         site = replace(evidence.site, latitude=latitude)
         equations = replace(state.equations, evidence=replace(evidence, site=site))
         elsewhere = replace(state, equations=equations).settled()
-        if misfit - _square(elsewhere) > _LIKELIER and _chance(elsewhere, G_SENSITIVITY) >= _SHOWN:
+        if (
+            misfit - elsewhere.chi_square > _LIKELIER
+            and _chance(elsewhere, G_SENSITIVITY) >= _SHOWN
+        ):
             raise wrong_latitude(evidence, latitude)
-
-
-def _square(state: _State) -> float:
-    """Return the chi-square of the residuals."""
-    residuals = state.whitened()[1]
-    return float(residuals @ residuals)
 
 
 def is_clear(evidence: Evidence) -> bool:
@@ -668,9 +659,6 @@ def is_clear(evidence: Evidence) -> bool:
     noise of groups inflate the covariance by s^2 at most.
 
     Source: docs/mathematics.md, 'Free positions'.
-
-    Args:
-        evidence: As for `solve`.
     """
     if len(evidence.segments) < FEWEST:
         return False
@@ -685,14 +673,14 @@ def is_clear(evidence: Evidence) -> bool:
     root = np.linalg.cholesky(equations.covariance(values))
     rows = np.linalg.solve(root, np.column_stack([jacobian, residuals]))
     rows = np.vstack([rows, equations.prior_rows(values)])
-    information = Information.of(rows[:, :-1])
+    information = Information.from_jacobian(rows[:, :-1])
     if not information.observed.all():
         return False
     step = information.gain @ rows[:, -1]
     rest = rows[:, -1] - rows[:, :-1] @ step
     if _largest(step, equations) > _STRAIGHT or contradicts_latitude(equations.evidence):
         return False
-    if _outstanding_turn(state, np.linalg.qr(rows[:, :-1])[0], rest, _OUTLYING) is not None:
+    if _outlying_turn(state, np.linalg.qr(rows[:, :-1])[0], rest) is not None:
         return False
     taken = (information.gain * rows[:, :-1].T).sum(axis=0)
     scatter = max(
@@ -710,11 +698,7 @@ def _largest(step: Floats, equations: FreeEquations) -> float:
 
 
 def initial_equations(evidence: Evidence) -> tuple[FreeEquations, Floats]:
-    """Return the equations in attitudes by gravity and gyros, and the starting state.
-
-    Raises:
-        NotObservable: The outputs of nine holds or more lie on no ellipsoid.
-    """
+    """Return the equations in attitudes by gravity and gyros, and the starting state."""
     outputs = evidence.outputs()
     gyro, accel = Triad(bias=outputs[:, :3].mean(axis=0)), Triad()
     if len(outputs) >= FEWEST:
@@ -732,7 +716,7 @@ def _with_estimated_noise(state: _State) -> _State:
     """Return the least squares with noise enlarged by its scatter, and without outlying turns."""
     for _ in range(_ROUNDS):
         state = state.settled()
-        wild = _wild_turn(state)
+        wild = _outlying_turn(state, state.basis, state.whitened()[1])
         if wild is not None:
             state = state.without(wild)
             continue
@@ -758,7 +742,7 @@ def _chance(state: _State, term: Term) -> float:
     except NotObservable:
         return 1.0
     jacobian, residuals = found.whitened()
-    before, after = _square(state), float(residuals @ residuals)
+    before, after = state.chi_square, float(residuals @ residuals)
     count, freedom = len(term.parameters), len(residuals) - jacobian.shape[1]
     if freedom < 1 or after >= before:
         return 1.0
@@ -769,7 +753,7 @@ def _chance(state: _State, term: Term) -> float:
 def _check_observable(state: _State) -> None:
     """Raise if attitudes and turns do not determine all parameters."""
     parameters, evidence = state.equations.parameters, state.equations.evidence
-    std = np.sqrt(np.diag(state.information.covariance)[: len(parameters)])
+    std = state.information.std[: len(parameters)]
     ratio = np.array([p.kind is not ParameterKind.BIAS for p in parameters])
     lost = ~np.isfinite(std) | (ratio & (std > _USELESS))
     if lost.any():
@@ -787,11 +771,7 @@ def _check_observable(state: _State) -> None:
 
 
 def check(plan: Plan) -> None:
-    """Raise if a plan is not one of holds in the hand alone.
-
-    Raises:
-        NotObservable: It is run on a table, or turns the unit between its holds.
-    """
+    """Raise if a plan is not one of holds in the hand alone."""
     if not plan.by_hand:
         raise NotObservable(_NEEDS)
     if any(position.rate_test for position in plan.positions):
@@ -802,11 +782,7 @@ def check(plan: Plan) -> None:
 
 
 def refuse(_: Evidence) -> Solution:
-    """Raise with the needs of this method beyond static dwells and whole turns.
-
-    Raises:
-        NotObservable: Always.
-    """
+    """Raise with the needs of this method beyond static dwells and whole turns."""
     raise NotObservable(_NEEDS)
 
 
@@ -873,9 +849,6 @@ def ellipsoid(outputs: Floats, gravity: float) -> Triad:
     """Return the accelerometers on whose ellipsoid (k, 3) outputs lie, by linear least squares.
 
     |(I + M_a)^-1 (n - d)| = g is a quadric in n: a start for the weighted fit.
-
-    Raises:
-        NotObservable: The outputs lie on no ellipsoid.
     """
     x, y, z = (outputs / gravity).T
     columns = [x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, x, y, z]
@@ -936,18 +909,13 @@ def _scatter_limit(freedom: Floats) -> Floats:
     return np.where(known, np.sqrt(np.maximum(1.0, few / np.maximum(1.0, few - 2))), 1.0)
 
 
-def _wild_turn(state: _State) -> int | None:
-    """Find the turn that is an outlier, if any."""
-    return _outstanding_turn(state, state.basis, state.whitened()[1], _OUTLYING)
-
-
-def _outstanding_turn(state: _State, basis: Floats, residuals: Floats, limit: float) -> int | None:
-    """Find the turn that the others contradict most, if by more than a limit, times the usual.
+def _outlying_turn(state: _State, basis: Floats, residuals: Floats) -> int | None:
+    """Find the turn that the others contradict most, if by `_OUTLYING` times the usual.
 
     One outlying turn bends the fit towards itself and enlarges the residuals of the others: each is
     judged by the fit without the worst one, by residuals in their own standard deviations (deletion
     formulae of linear least squares: Cook and Weisberg 1982, sections 2.2 and 3.5). The basis (m,
-    n) spans the derivatives; `residuals` (m,) and the limit are in deviations.
+    n) spans the derivatives; `residuals` (m,) are in deviations.
     """
     moves = state.equations.layout.move
     if not len(moves):
@@ -965,7 +933,7 @@ def _outstanding_turn(state: _State, basis: Floats, residuals: Floats, limit: fl
     if freedom[worst] == 0 or np.einsum('kii->', kept) - freedom[worst] < _JUDGING:
         return None
     usual = float(np.median(others[usable] / _MEDIANS[free[usable]]))
-    return worst if sizes[worst] > limit * max(1 / float(state.scatter[2]), usual) else None
+    return worst if sizes[worst] > _OUTLYING * max(1 / float(state.scatter[2]), usual) else None
 
 
 def _studentised(kept: Floats, residuals: Floats) -> tuple[Floats, Indices]:

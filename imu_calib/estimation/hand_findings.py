@@ -47,12 +47,10 @@ _AROUND = np.geomspace(0.8, 1.25, 41).tolist()
 def check_turns(evidence: Evidence, model: SensorModel) -> None:
     """Raise if gravity turned by the gyros disagrees with the accelerometers of the next hold.
 
+    The attitudes have the ups of the accelerometers; only the gyro biases of the model are used.
+
     All exchanges and signs of axes, in rad/s and in deg/s, are tried; the one with the fewest
     changes of those that fit is named. If none fits, this function does not raise.
-
-    Args:
-        evidence: In attitudes whose ups are those of the accelerometers.
-        model: Only its gyro biases are used.
 
     Raises:
         InputError: Units or scale factor of the gyros differ from those of the recording.
@@ -166,11 +164,6 @@ def _in_words(response: Floats) -> str:
     return text
 
 
-# Drifts of biases in a session in the hand: kinds, sizes, and what is said of them.
-#
-# Source: docs/mathematics.md, 'Free positions'.
-
-
 TRENDS = {name: session_term(name) for name in ('trend:D_g', 'trend:D_a')}
 """Drifts that are tested: biases of either triad that change evenly."""
 DRIFT_SHOWN = {'trend:D_g': 1e-3, 'trend:D_a': 1e-6}
@@ -187,12 +180,9 @@ LARGEST_DRIFT = {'trend:D_g': 1 * DEG, 'trend:D_a': 0.1 * STANDARD_GRAVITY}
 class DriftKind(Enum):
     """How biases drift."""
 
-    EVEN = 'even'
-    """Along a line: estimated."""
-    WANDER = 'wander'
-    """A random walk: in the covariance."""
-    UNEVEN = 'uneven'
-    """Otherwise: seen in the residuals."""
+    EVEN = 'even'  #: Along a line: estimated.
+    WANDER = 'wander'  #: A random walk: in the covariance.
+    UNEVEN = 'uneven'  #: Otherwise: seen in the residuals.
 
 
 @dataclass(frozen=True)

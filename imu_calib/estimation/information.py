@@ -35,8 +35,7 @@ _MEANINGLESS = {ParameterKind.SCALE_FACTOR_ERROR: 0.01, ParameterKind.MISALIGNME
 """Standard deviations, of ratios and in rad, from which on a parameter without a largest plausible
 value is not useful. A judgement: data sheets know them better."""
 
-_USEFUL = 0.02
-"""Share of the largest plausible coefficient of a term: for ratios it leaves 0.1 %."""
+_USEFUL = 0.02  #: Share of the largest plausible coefficient of a term: for ratios it leaves 0.1 %.
 
 ALONG = 0.5
 """Component of a unit vector from which on it is along an axis: below 1 / sqrt(3) = 0.577, so that
@@ -56,8 +55,13 @@ class Information:
     #: (n, m) derivatives of the solution by the equations; its square is the covariance.
     gain: Floats
 
+    @property
+    def std(self) -> Floats:
+        """(n,) standard deviations of the state; NaN where unobserved."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
     @classmethod
-    def of(cls, jacobian: Floats) -> Information:
+    def from_jacobian(cls, jacobian: Floats) -> Information:
         """Invert the information of whitened equations on its observable subspace.
 
         Args:
@@ -88,10 +92,6 @@ def log_determinant(information: Floats, first: int) -> float:
 
     The other entries are nuisance parameters, which are eliminated. Columns are scaled to length
     one first: rad/s and m/s^2 differ by orders of magnitude.
-
-    Args:
-        information: (n, n) of the whole state.
-        first: Number of entries wanted.
     """
     scale = 1 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     scaled = information * np.outer(scale, scale)
@@ -102,21 +102,16 @@ def log_determinant(information: Floats, first: int) -> float:
 
 
 def attainable_std(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS) -> Floats:
-    """Return the standard deviations that a session gives so far.
+    """Return the standard deviations (n,) that a session, whole or partial, gives so far.
 
-    Args:
-        evidence: Any subset of a session's static dwells and turns, or none.
-        parameters: The parameters to be estimated.
-
-    Returns:
-        (n,) SI units; NaN where a parameter is not observed, or not determined (`determined`).
+    NaN where a parameter is not observed, or not determined (`determined`).
     """
     try:
         information = nominal_information(Equations(evidence, parameters))
     except np.linalg.LinAlgError:
         return np.full(len(parameters), np.nan)
-    deviations = _standard_deviations(information, parameters)
-    return np.where(determined(information, parameters), deviations, np.nan)
+    known = determined(information, parameters)
+    return np.where(known, information.std[: len(parameters)], np.nan)
 
 
 def nominal_information(equations: Equations) -> Information:
@@ -126,13 +121,13 @@ def nominal_information(equations: Equations) -> Information:
     seem observed, with absurd deviations, and affect others.
     """
     ideal = replace(equations, evidence=with_nominal_attitudes(equations.evidence))
-    found = Information.of(ideal.whitened(ideal.nominal())[0])
+    found = Information.from_jacobian(ideal.whitened(ideal.nominal())[0])
     if found.observed.all() or not len(ideal.evidence.used_moves):
         return found
     # Without noise moves are a million times as accurate as the levelling of the table: parameters
     # that depend on that are lost to rounding, though more evidence has no less information.
     ideal = replace(ideal, evidence=replace(ideal.evidence, moves=()))
-    resting = Information.of(ideal.whitened(ideal.nominal())[0])
+    resting = Information.from_jacobian(ideal.whitened(ideal.nominal())[0])
     return resting if resting.observed.sum() > found.observed.sum() else found
 
 
@@ -164,7 +159,7 @@ def determined(
     The limit is a tenth for scale factors and misalignments, and a fiftieth of the largest
     plausible value for the coefficients of terms.
     """
-    deviations = _standard_deviations(information, parameters)
+    deviations = information.std[: len(parameters)]
     limits = np.array([useful_limit(p) for p in parameters])
     with np.errstate(invalid='ignore'):
         return np.asarray(np.isfinite(deviations) & ~(deviations > limits))
@@ -178,18 +173,10 @@ def useful_limit(parameter: Parameter) -> float:
     return _MEANINGLESS[parameter.kind] if limit is None else _USEFUL * limit
 
 
-def _standard_deviations(information: Information, parameters: tuple[Parameter, ...]) -> Floats:
-    """Return the standard deviations of the first entries of a state, (n,); NaN if unobserved."""
-    return np.asarray(np.sqrt(np.diag(information.covariance)[: len(parameters)]))
-
-
 def undetermined_in_words(evidence: Evidence, term: Term, lost: Sequence[Parameter]) -> str:
     """Return a sentence that a session does not determine a term, and what would.
 
-    Args:
-        evidence: The session, which determines the 24 parameters without the term.
-        term: The term.
-        lost: All parameters that it does not determine with the term.
+    `lost` are all parameters that it does not determine with the term, and would without.
     """
     mine = [p.name for p in lost if p in term.parameters]
     others = [p.name for p in lost if p not in term.parameters]
@@ -207,12 +194,7 @@ def segments_in_words(evidence: Evidence) -> str:
 
 
 def unobservable_in_words(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
-    """Return a sentence on the parameters a session cannot observe, and what is missing.
-
-    Args:
-        evidence: The session.
-        lost: (24,) mask of these parameters.
-    """
+    """Return a sentence on parameters (24,) that a session cannot observe, and why."""
     words = []
     unnamed = {p.name for p, gone in zip(PARAMETERS, lost, strict=True) if gone}
     turned = [np.abs(turn.up) for turn in evidence.turns]
@@ -241,14 +223,10 @@ def unobservable_in_words(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
     return f'{text[:1].upper()}{text[1:]}{tail}.'
 
 
-# Parameters that a session does not determine, and the dwells and turns that would do so.
-#
 # Observability depends on the attitudes and axes of a session, not on the plan's description of
 # positions: one more dwell or turn of each kind is tried in the equations of the session itself.
 
-
-_RATE = TURN / 36
-"""Rate of a tried turn, rad/s: ten degrees a second, as rate tests begin with."""
+_RATE = TURN / 36  #: Rate of a tried turn, rad/s: ten degrees a second, as rate tests begin with.
 
 _MOST = 9
 """Most dwells and turns that are proposed: six attitudes, up and down, and a turn about each axis
@@ -368,9 +346,7 @@ def _extended(equations: Equations, segment: Segment | Turn) -> Equations:
 def _log_information(equations: Equations, scale: Floats) -> float:
     """Return the logarithm of a session's information on the sensors' parameters.
 
-    Args:
-        equations: The session.
-        scale: (n,) scale of each parameter, to remove the units.
+    The scale (n,) of each parameter removes the units.
     """
     jacobian = equations.whitened(equations.nominal())[0]
     sensors, others = np.split(jacobian, [equations.sensors], axis=1)

@@ -42,21 +42,17 @@ from .evidence import Evidence
 from .excess_scatter import excess
 from .modulation import instant_of, seconds_of
 from .outliers import Estimate, Outlier, RejectedMove, estimate
-from .search import Search, search_terms
+from .search import SearchResult, search_terms
 from .session_model import Nuisance
 from .solve import NotConverged, fit
 from .term_tests import confounded_errors, findings, temperature_finding, tested
-
-# Findings on a joint estimate: outliers and scatter that the user must know.
-
 
 _SIGNIFICANT = 0.1
 """Of the stated values: positioning errors below it change no deviation by more than half a
 percent, biases that drift by so much more by no more than a tenth."""
 _OF_ATTITUDE = {'gyros': 'g_sensitivity', 'accelerometers': 'accel_cross'}
 """The largest of the terms that change with the attitude, for each triad."""
-_NAMED = 3
-"""Moves named in a sentence; users inspect the first ones."""
+_NAMED = 3  #: Moves named in a sentence; users inspect the first ones.
 
 
 def estimate_findings(found: Estimate, confounded: Sequence[str]) -> list[str]:
@@ -183,10 +179,14 @@ def _positioning_findings(found: Estimate, confounded: Sequence[str]) -> list[st
             'box that it is fixed to, against something level; free positions need no level holds.'
         )
     elif joints > _SIGNIFICANT * evidence.positioning:
+        step, hidden = evidence.encoder_step, ''
+        if joints <= step:
+            degrees = f'{step / DEG:.2g} deg'
+            hidden = f' The angles of the encoders come in steps of {degrees}, which hide as much.'
         notes.append(
             f'Positioning errors of {significant(joints / ARCSEC)} arcsec, which encoders do not '
             f'show, explain the scatter of the residuals ({known}): the standard deviations allow '
-            f'for them.{_in_steps(joints, evidence)}'
+            f'for them.{hidden}'
         )
     if stops > _SIGNIFICANT * max(joints, evidence.positioning) and not evidence.plan.by_hand:
         notes.append(
@@ -232,14 +232,6 @@ def _drift_findings(found: Estimate) -> list[str]:
     return notes
 
 
-def _in_steps(errors: float, evidence: Evidence) -> str:
-    """Report that encoders do not show positioning errors (rad) that are within their steps."""
-    step = evidence.encoder_step
-    if errors > step:
-        return ''
-    return f' The angles of the encoders come in steps of {step / DEG:.2g} deg, which hide as much.'
-
-
 _ANYWHERE = math.radians(30)
 """Standard deviation of an unknown latitude, rad: no higher or lower one is far off."""
 _NEAR = 2.0
@@ -281,12 +273,10 @@ def solve(
     return concluded(search, terms, changes)
 
 
-def concluded(search: Search, terms: tuple[Term, ...], changes: tuple[Change, ...]) -> Solution:
-    """Check the result, and report the terms that were requested.
-
-    Raises:
-        NotObservable: The data contradicts itself.
-    """
+def concluded(
+    search: SearchResult, terms: tuple[Term, ...], changes: tuple[Change, ...]
+) -> Solution:
+    """Check the result, and report the terms that were requested."""
     found = _checked_solution(search.estimate, confounded_errors(search))
     return replace(
         found,
@@ -305,17 +295,7 @@ def concluded(search: Search, terms: tuple[Term, ...], changes: tuple[Change, ..
 def provisional(
     evidence: Evidence, terms: tuple[Term, ...] = (), changes: tuple[Change, ...] = ()
 ) -> Solution:
-    """Solve a session in progress as `solve` does, without testing or selecting terms that are off.
-
-    Args:
-        evidence: The session so far.
-        terms: As in `solve`.
-        changes: Likewise.
-
-    Raises:
-        NotObservable: As `solve`.
-        InputError: Likewise.
-    """
+    """Solve a session in progress as `solve` does, without testing terms that are off."""
     found = estimate(evidence, parameters_of(terms), changes)
     return replace(_checked_solution(found), shares=found.shares())
 
@@ -412,25 +392,18 @@ def _changes(found: Estimate) -> Changes | None:
 
 
 def _residuals(found: Estimate) -> tuple[Residual, ...]:
-    equations, evidence = found.equations, found.equations.evidence
-    rest = equations.layout.dwell
+    equations, rest = found.equations, found.equations.layout.dwell
     residuals = (equations.outputs - equations.predict(found.state))[rest]
     std = np.linalg.norm(equations.factor(found.state), axis=1)[rest]
-    return tuple(
-        Residual(str(segment.position), segment.start, value, deviation)
-        for segment, value, deviation in zip(evidence.segments, residuals, std, strict=True)
-    )
+    return Residual.of_each(equations.evidence, residuals, std)
 
 
 def observed_earth_rate(found: Estimate) -> tuple[Floats, Floats]:
-    """Return the Earth rate by the gyros, free in size and direction, and its covariance.
+    """Return the Earth rate (3,) by the gyros, free in size and direction, and its covariance.
 
-    The tilts found in the session are removed from it; its covariance includes their uncertainty.
-    Only the noise is used, or the residuals it leaves if larger: scatter by a wrong latitude must
-    not hide it.
-
-    Returns:
-        (3,) rad/s, level but at the heading of the attitudes, and (3, 3).
+    It is level, but at the heading of the attitudes, rad/s: the tilts found are removed, and the
+    covariance includes their uncertainty. Only the noise is used, or the residuals it leaves if
+    larger: scatter by a wrong latitude must not hide it.
     """
     return _free_earth(found.without_scatter, found.state)
 
@@ -458,17 +431,14 @@ def _free_earth(plain: Equations, state: Floats) -> tuple[Floats, Floats]:
     # The heading is one of the three components that are now free.
     jacobian = np.delete(jacobian, sensors + Nuisance.AZIMUTH, axis=1)
     columns = np.hstack([jacobian, np.vstack([free, np.zeros((plain.nuisances, 3))])])
-    seen = LeastSquares.of(columns, residuals, float(np.finfo(float).eps))
+    seen = LeastSquares.solve(columns, residuals, float(np.finfo(float).eps))
     covariance = seen.covariance[-3:, -3:] * max(1.0, seen.square / max(1, seen.freedom))
     around = plain.surroundings(state)
     # The tilts' own columns turn the rate along with gravity: the free rate is added.
     return around.level @ (around.rate + seen.step[-3:]), around.level @ covariance @ around.level.T
 
 
-# Compare the joint estimate with the closed form of its plan: two solutions of the same data.
-
-_ONE_IN = 1e-3
-"""Share of sessions in which the two contradict each other by chance. A choice."""
+_ONE_IN = 1e-3  #: Share of sessions in which the two contradict each other by chance. A choice.
 
 
 @dataclass(frozen=True, eq=False)
@@ -485,7 +455,7 @@ class Comparison:
     refusal: str = ''  #: Why the closed form has no result, else empty; nothing is compared then.
 
     @classmethod
-    def of(cls, joint: Solution, closed: Solution, method: str) -> Comparison:
+    def between(cls, joint: Solution, closed: Solution, method: str) -> Comparison:
         """Compare the parameters estimated by both."""
         parameters = tuple(p for p in joint.parameters if p in closed.parameters)
         values = [s.model.values(parameters) for s in (joint, closed)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 from ..common.errors import InputError
@@ -12,65 +13,56 @@ from ..model.sensors import parameters_of
 from ..model.session_terms import Change, names_of
 from ..model.terms import G_SENSITIVITY, Term
 from ..session.plan import Plan
-from . import hand as free_positions
-from . import joint
+from . import hand, joint
 from .checks import Solution
-from .closed_forms import positions as n_positions
-from .closed_forms import positions as six_position
-from .closed_forms import positions as twelve_position
-from .closed_forms import skewed
-from .closed_forms import skewed as off_axis_four
-from .closed_forms import skewed as rate_24
-from .closed_forms import skewed as static_six
+from .closed_forms import positions, skewed
 from .evidence import Evidence, in_table_time
-
-METHODS: dict[str, Callable[[Evidence], Solution]] = {
-    free_positions.NAME: free_positions.refuse,
-    'joint': joint.solve,
-    'joint_33': partial(joint.solve, terms=(G_SENSITIVITY,)),
-    'n_positions': n_positions.solve_n_positions,
-    'off_axis_four': off_axis_four.solve_off_axis_four,
-    'rate_24': rate_24.solve_rate_24,
-    'six_position': six_position.solve_six_position,
-    'skewed': skewed.solve_skewed,
-    'static_six': static_six.solve_static_six,
-    'twelve_position': twelve_position.solve_twelve_position,
-}
 
 JOINT: dict[str, tuple[Term, ...]] = {'joint': (), 'joint_33': (G_SENSITIVITY,)}
 """The estimates from all of a session at once, and the terms that they include."""
 
-_ESTIMATES: dict[str, tuple[Parameter, ...]] = {
-    free_positions.NAME: free_positions.ESTIMATES,
-    'n_positions': n_positions.N_POSITIONS_ESTIMATES,
-    'off_axis_four': static_six.GYRO_ESTIMATES,
-    'rate_24': PARAMETERS,
-    'six_position': PARAMETERS,
-    'skewed': skewed.SKEWED_ESTIMATES,
-    'static_six': static_six.GYRO_ESTIMATES,
-    'twelve_position': PARAMETERS,
-}
-"""Parameters of the other methods."""
 
-_JOINT_OF = {
-    'n_positions': 'joint_33',
-    'rate_24': 'joint',
-    'six_position': 'joint',
-    'twelve_position': 'joint',
-}
-"""Closed forms for all sensors at known attitudes, whose sessions the joint estimate also solves.
+@dataclass(frozen=True)
+class Method:
+    """A method of estimation."""
 
-Sessions of the others need their own method: the joint estimate does not solve for gyros alone, a
-skewed gyro, or unknown attitudes.
-"""
+    #: Its solver; raises `NotObservable`, naming what is missing and what it does not determine.
+    solve: Callable[[Evidence], Solution]
+    estimates: tuple[Parameter, ...]  #: The parameters that it determines.
+    #: Raises `NotObservable` for a plan that it cannot solve.
+    check: Callable[[Plan, Site], None] = lambda _plan, _site: None
+    #: The joint estimate that also solves its sessions; None where there is none: gyros alone, a
+    #: skewed gyro, unknown attitudes.
+    joint: str | None = None
 
-_CHECKS: dict[str, Callable[[Plan, Site], None]] = {
-    free_positions.NAME: lambda plan, _: free_positions.check(plan),
-    'n_positions': lambda plan, _: n_positions.check_positions(plan),
-    'off_axis_four': off_axis_four.check_off_axis_four,
-    'rate_24': lambda plan, _: n_positions.check_positions(plan, PARAMETERS),
-    'skewed': lambda plan, _: n_positions.check_turns(plan),
-    'static_six': static_six.check_static_six,
+
+METHODS: dict[str, Method] = {
+    hand.NAME: Method(hand.refuse, hand.ESTIMATES, lambda plan, _: hand.check(plan)),
+    **{
+        name: Method(partial(joint.solve, terms=terms), parameters_of(terms))
+        for name, terms in JOINT.items()
+    },
+    'n_positions': Method(
+        positions.solve_n_positions,
+        positions.N_POSITIONS_ESTIMATES,
+        lambda plan, _: positions.check_positions(plan),
+        joint='joint_33',
+    ),
+    'off_axis_four': Method(
+        skewed.solve_off_axis_four, skewed.GYRO_ESTIMATES, skewed.check_off_axis_four
+    ),
+    'rate_24': Method(
+        skewed.solve_rate_24,
+        PARAMETERS,
+        lambda plan, _: positions.check_positions(plan, PARAMETERS),
+        joint='joint',
+    ),
+    'six_position': Method(positions.solve_six_position, PARAMETERS, joint='joint'),
+    skewed.NAME: Method(
+        skewed.solve_skewed, skewed.SKEWED_ESTIMATES, lambda plan, _: positions.check_turns(plan)
+    ),
+    'static_six': Method(skewed.solve_static_six, skewed.GYRO_ESTIMATES, skewed.check_static_six),
+    'twelve_position': Method(positions.solve_twelve_position, PARAMETERS, joint='joint'),
 }
 
 
@@ -81,13 +73,9 @@ def method(
     *,
     find_terms: bool = False,
 ) -> Callable[[Evidence], Solution]:
-    """Return the solver of a name.
+    """Return the solver of a name, for terms and changes beside the method's parameters.
 
-    Args:
-        name: Of the method.
-        terms: To be estimated in addition to the method's parameters.
-        changes: Coefficients of changes during the session, likewise.
-        find_terms: Estimate other terms that are significant, too, if the method supports terms.
+    With `find_terms` it estimates other significant terms, too, if the method supports terms.
 
     Raises:
         InputError: Unknown method (the message lists all), or one without terms.
@@ -104,21 +92,17 @@ def method(
             f'({", ".join([*(t.name for t in terms), *names_of(changes)])}); '
             f'{" and ".join(JOINT)} do.'
         )
-    return partial(_in_table_time, METHODS[name])
+    return partial(_in_table_time, METHODS[name].solve)
 
 
 def provisional(
     name: str, terms: tuple[Term, ...] = (), changes: tuple[Change, ...] = ()
 ) -> Callable[[Evidence], Solution]:
-    """Return the solver for a session in progress: `method` without a search for terms.
-
-    Raises:
-        InputError: As `method`.
-    """
-    if name in JOINT:
-        own = (*JOINT[name], *terms)
-        return partial(_in_table_time, partial(joint.provisional, terms=own, changes=changes))
-    return method(name, terms, changes)
+    """Return the solver for a session in progress: `method` without a search for terms."""
+    if name not in JOINT:
+        return method(name, terms, changes)
+    solve = partial(joint.provisional, terms=(*JOINT[name], *terms), changes=changes)
+    return partial(_in_table_time, solve)
 
 
 def _in_table_time(solve: Callable[[Evidence], Solution], evidence: Evidence) -> Solution:
@@ -126,25 +110,22 @@ def _in_table_time(solve: Callable[[Evidence], Solution], evidence: Evidence) ->
 
 
 def estimated_parameters(name: str, terms: tuple[Term, ...] = ()) -> tuple[Parameter, ...]:
-    """Return the parameters that a method estimates, terms added.
-
-    Raises:
-        InputError: Unknown method, or one without terms.
-    """
+    """Return the parameters that a method estimates, terms added."""
     method(name, terms)
     if name in JOINT:
         return parameters_of((*JOINT[name], *terms))
-    return _ESTIMATES[name]
+    return METHODS[name].estimates
 
 
 def default_method(plan: Plan) -> str:
     """Return the joint estimate where it solves sessions of a plan's method, else that method."""
-    return _JOINT_OF.get(plan.method, plan.method)
+    known = METHODS.get(plan.method)
+    return plan.method if known is None or known.joint is None else known.joint
 
 
 def closed_form_of(name: str, plan: Plan) -> str | None:
     """Return the closed form to compare a joint estimate of a plan with, None if there is none."""
-    return plan.method if name in JOINT and plan.method in _JOINT_OF else None
+    return plan.method if name in JOINT and default_method(plan) != plan.method else None
 
 
 def check_plan(name: str, plan: Plan, site: Site) -> None:
@@ -161,6 +142,5 @@ def check_plan(name: str, plan: Plan, site: Site) -> None:
             f'are {", ".join(JOINT)}.'
         )
     # Parameters that a closed form cannot separate are poorly determined by any estimate.
-    for held in (name, closed_form_of(name, plan)):
-        if held in _CHECKS:
-            _CHECKS[held](plan, site)
+    for checked in filter(None, (name, closed_form_of(name, plan))):
+        METHODS[checked].check(plan, site)

@@ -20,8 +20,6 @@ from ..common.errors import NotObservable
 from ..common.stream import Floats, Stamps
 from ..model.parameters import Parameter, ParameterKind
 from ..model.session_terms import Change, Course
-from ..segmentation.segments import Segment, Turn
-from ..segmentation.stream_facts import Move
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .outputs import Blocks, Component, Diagonal
 
@@ -48,7 +46,7 @@ def shapes(evidence: Evidence, course: Course) -> Floats:
     starts, ends = spans(evidence)
     silent = _interruptions(evidence).mean(axis=1)
     tried = np.unique(np.concatenate([starts, (starts + ends) / 2, silent]))
-    count = len(evidence.segments) + len(evidence.turns)
+    count = len(evidence.parts)
     first, last = np.sort(ends[:count])[:2].max(), np.sort(starts[:count])[-2:].min()
     return np.asarray(tried[(tried >= first) & (tried <= last)] / ends.max())
 
@@ -72,7 +70,7 @@ def outermost(evidence: Evidence) -> Floats:
     With one dwell or turn before it: the next, in which it may be, shows its instant.
     """
     starts, ends = spans(evidence)
-    count = len(evidence.segments) + len(evidence.turns)
+    count = len(evidence.parts)
     return np.asarray(np.array([ends[:count].min(), starts[:count].max()]) / ends.max())
 
 
@@ -84,8 +82,7 @@ def spans(evidence: Evidence) -> tuple[Floats, Floats]:
 
 
 def _instants(evidence: Evidence) -> tuple[Stamps, Stamps]:
-    moves = [link.move for link in evidence.used_moves.linked]
-    parts: list[Segment | Turn | Move] = [*evidence.segments, *evidence.turns, *moves]
+    parts = [*evidence.parts, *(link.move for link in evidence.used_moves.linked)]
     starts = np.array([part.start for part in parts], dtype=np.int64)
     return starts, np.array([part.end for part in parts], dtype=np.int64)
 
@@ -101,13 +98,7 @@ def instant_of(evidence: Evidence, shape: float) -> int:
 
 
 def courses(evidence: Evidence, course: Course, shape: float) -> Floats:
-    """Return the means of a course over each dwell, turn and move, (s + t + m,).
-
-    Args:
-        evidence: The session.
-        course: Which.
-        shape: As in `shapes`.
-    """
+    """Return the means of a course over each dwell, turn and move, (s + t + m,)."""
     starts, ends = spans(evidence)
     whole = float(ends.max(initial=0.0))
     if course is Course.TREND:
@@ -123,13 +114,7 @@ def courses(evidence: Evidence, course: Course, shape: float) -> Floats:
 
 
 def rates(evidence: Evidence, course: Course, shape: float) -> Floats:
-    """Return the slope of a course over each dwell, turn and move, (s + t + m,) per s.
-
-    Args:
-        evidence: The session.
-        course: Which.
-        shape: As in `shapes`.
-    """
+    """Return the slope of a course over each dwell, turn and move, (s + t + m,) per s."""
     starts, ends = spans(evidence)
     lasting = np.maximum(ends - starts, 1e-9)
     if course is Course.TREND:
@@ -155,11 +140,7 @@ def _share_before(starts: Floats, ends: Floats, instant: float) -> Floats:
 
 
 def temperatures(evidence: Evidence) -> Floats:
-    """Return the mean temperature over each dwell, turn and move, (s + t + m,) degrees Celsius.
-
-    Raises:
-        NotObservable: The session has no temperature.
-    """
+    """Return the mean temperature over each dwell, turn and move, (s + t + m,) degrees Celsius."""
     if evidence.temperature is None:
         raise NotObservable(
             'Term thermal: the session has no temperature (topic imu/temperature), so that its '
@@ -180,11 +161,7 @@ def warms(evidence: Evidence) -> bool:
 
 
 def check_temperature(evidence: Evidence) -> None:
-    """Raise if a session's temperature does not vary, or is not known.
-
-    Raises:
-        NotObservable: States the range found and the range needed.
-    """
+    """Raise if a session's temperature does not vary, or is not known."""
     seen = temperatures(evidence)
     if not warms(evidence):
         raise NotObservable(
@@ -225,14 +202,9 @@ def columns(
 def stated_changes(
     parameters: Sequence[Parameter], thermal: Floats
 ) -> tuple[tuple[Change, ...], Floats]:
-    """Return a coefficient per K for each scale factor and bias, and the data sheet's values.
+    """Return k coefficients per K, of scale factors and biases, and their standard deviations.
 
-    Args:
-        parameters: Of the sensors.
-        thermal: (2, 2) as in `Evidence`.
-
-    Returns:
-        The k coefficients, and (k,) standard deviations, SI units per K.
+    The deviations (k,), SI units per K, are those of the data sheet (`Evidence.thermal`).
     """
     kinds = {ParameterKind.SCALE_FACTOR_ERROR: 0, ParameterKind.BIAS: 1}
     mine = [p for p in parameters if p.kind in kinds]
@@ -240,14 +212,12 @@ def stated_changes(
     return tuple(Change(Course.THERMAL, p.name, (p,)) for p in mine), np.array(sizes)
 
 
-# Parts of the covariance of a session's outputs that do not depend on the prediction.
-
 ENCODER_FREEDOM = 14.0
 """Least degrees of freedom of an encoder's rate: sixteen blocks less a line's two unknowns
-(`segmentation/plateaus.py`)."""
+(`segmentation.plateaus`)."""
 UNREST_FREEDOM = 3.0
 """Least degrees of freedom of the noise of a single dwell: four blocks less their mean
-(`segmentation/statistics.py`)."""
+(`segmentation.statistics`)."""
 
 _ANGLES, _VELOCITIES = np.repeat(np.eye(2), 3, axis=1)
 """(6,) masks, one or zero, of the angles and of the velocities among the outputs of a move."""
@@ -256,11 +226,8 @@ _ANGLES, _VELOCITIES = np.repeat(np.eye(2), 3, axis=1)
 def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, ...]:
     """Return the independent errors of each output: noise, quantisation, the encoders' noise.
 
-    The first six are the random walk of the channels.
-
-    Args:
-        evidence: The session.
-        inflation: (m,) factors on these variances, or None.
+    `inflation` are factors (m,) on these variances, or None. The first six parts are the random
+    walk of the channels.
     """
     # Most equations of a session differ only in the other parts.
     if 'own' not in evidence.cache:
@@ -342,14 +309,7 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
 def encoder_rates(
     evidence: Evidence, rates: Floats, response: Floats, pulled: Floats
 ) -> list[Component]:
-    """Return the error of the encoder's rate, common to the outputs of a turn.
-
-    Args:
-        evidence: The session.
-        rates: (t,) of the turns, rad/s.
-        response: (3, 3) of the gyros.
-        pulled: (f, 3) effect of the square of the rate on accelerometers that are used, m/s^2.
-    """
+    """Return the error of the encoder's rate (t,) rad/s, common to the outputs of a turn."""
     found = []
     relative = np.array([t.rate_std(evidence.walk) for t in evidence.turns])
     for _, rows, seen in encoder_rate_errors(evidence, relative, rates, response, pulled):
@@ -361,14 +321,7 @@ def encoder_rates(
 def encoder_rate_errors(
     evidence: Evidence, relative: Floats, rates: Floats, response: Floats, pulled: Floats
 ) -> list[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:
-    """Return the effect of an error of the table's rate on the outputs of each turn.
-
-    Args:
-        evidence: The session.
-        relative: (t,) the error.
-        rates: As in `encoder_rates`.
-        response: Likewise.
-        pulled: Likewise.
+    """Return the effect of a relative error (t,) of the table's rate on the outputs of turns.
 
     Returns:
         For turns of gyros alone, and for those whose accelerometers are used: which turns (k,),
@@ -390,12 +343,9 @@ def encoder_rate_errors(
 
 
 def level_gravity(evidence: Evidence, ups: Floats, levelled: float) -> Component:
-    """Return the error by cuts within samples and level gravity in turns on a tilted table.
+    """Return the error in turns by cuts within samples and level gravity on a tilted table.
 
-    Args:
-        evidence: The session.
-        ups: (t, 3) up in body axes, of the turns.
-        levelled: Standard deviation of the table's tilt about either axis, rad.
+    `levelled` is the standard deviation of the table's tilt about either axis, rad.
     """
     which, rows = evidence.arms.turns, evidence.layout.turn_accels
     level_gravities = [
@@ -411,11 +361,6 @@ def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Componen
 
     By hand every static dwell has an independent heading, and a turn from rest to rest does not
     average all of it out. Where attitudes are estimated it is in the state.
-
-    Args:
-        evidence: The session.
-        ups: (s + t, 3) up in body axes.
-        response: (3, 3) of the gyros.
     """
     segments, turns = evidence.segments, evidence.turns
     by_hand = 1.0 if evidence.plan.by_hand and not evidence.free else 0.0

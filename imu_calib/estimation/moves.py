@@ -55,8 +55,7 @@ _WORSE = 10.0
 """Upper limit of the standard deviation of a move's mean force by its velocity, over that of a
 dwell's: beyond it a move adds less than a hundredth to what the dwell before it gives."""
 
-_LEVEL = np.array([1.0, 1.0, 0.0])
-"""Effect of a rotation of the axes on gravity: none along it."""
+_LEVEL = np.array([1.0, 1.0, 0.0])  #: Effect of a rotation of the axes on gravity: none along it.
 
 _CACHED = 4
 """Models whose integrated moves are cached: a search uses two solutions alternately, and the step
@@ -111,17 +110,7 @@ class Moves:
 
         A move that contains measured turns shares its noise with them and adds little: the turns
         are used instead. Where no joint moved the move is not used. A velocity with little
-        information beside the rest is left out: pulses of some mm/s dominate it.
-
-        Args:
-            segments: At rest, in order.
-            turns: Measured turns.
-            moves: Between segments.
-            gravity: m/s^2.
-            walk: (6,) random-walk coefficients of the channels.
-            free: Whether the attitudes are estimated.
-            coarse: Whether to use such velocities too: for parameters that the rest does not
-                determine.
+        information beside the rest is left out, unless `coarse`: pulses of some mm/s dominate it.
         """
         by_end = {s.end: k for k, s in enumerate(segments) if free or s.angles is not None}
         by_start = {s.start: k for k, s in enumerate(segments) if free or s.angles is not None}
@@ -149,7 +138,9 @@ class Moves:
         turned = np.array(attitudes).reshape(-1, 3, 3)
         known = links and not free
         sensors = (
-            ApproximateSensors.of(segments, turns, gravity * turned[:, 2], walk) if known else None
+            ApproximateSensors.fitted(segments, turns, gravity * turned[:, 2], walk)
+            if known
+            else None
         )
         return cls(tuple(links), turned, gravity, sensors)
 
@@ -165,31 +156,28 @@ class Moves:
 
     def paths(self, model: SensorModel) -> tuple[GyroPath, ...]:
         """Return the moves by a model's gyros."""
-        return _cached(
-            self._paths, model.gyros_fingerprint(), lambda: self._integrated_paths(model)
-        )
+
+        def integrated() -> tuple[GyroPath, ...]:
+            motions = [
+                (k.move.turned, k.move.seconds, self.gravity * self.attitudes[k.second, 2])
+                for k in self.linked
+            ]
+            return GyroPath.of_each(motions, model)
+
+        return _cached(self._paths, model.gyros_fingerprint(), integrated)
 
     def velocity_increments(self, model: SensorModel) -> tuple[VelocityIncrement | None, ...]:
         """Return the velocities gained by a model's accelerometers; None where not used."""
-        return _cached(self._increments_cache, model.fingerprint(), lambda: self._gained(model))
 
-    def _integrated_paths(self, model: SensorModel) -> tuple[GyroPath, ...]:
-        """Integrate the moves."""
-        motions = [
-            (k.move.turned, k.move.seconds, self.gravity * self.attitudes[k.second, 2])
-            for k in self.linked
-        ]
-        return GyroPath.of_each(motions, model)
+        def gained() -> tuple[VelocityIncrement | None, ...]:
+            paths = self.paths(model)
+            each = [link.move.velocity_steps for link in self.linked]
+            known = [one for one in each if one is not None]
+            used = [paths[k] for k in self.with_accels]
+            computed = iter(VelocityIncrement.of_each(known, used, model))
+            return tuple(None if one is None else next(computed) for one in each)
 
-    def _gained(self, model: SensorModel) -> tuple[VelocityIncrement | None, ...]:
-        """Sum the specific forces of the moves."""
-        paths = self.paths(model)
-        gained = [link.move.velocity_steps for link in self.linked]
-        known = [one for one in gained if one is not None]
-        computed = iter(
-            VelocityIncrement.of_each(known, [paths[k] for k in self.with_accels], model)
-        )
-        return tuple(None if one is None else next(computed) for one in gained)
+        return _cached(self._increments_cache, model.fingerprint(), gained)
 
     def _used_increments(self, model: SensorModel) -> list[VelocityIncrement]:
         """Return the velocity increments of the moves in `with_accels`, in order."""
@@ -214,10 +202,8 @@ class Moves:
     def misclosures(self, model: SensorModel, earth_rate: Floats, force: Floats) -> Floats:
         """Return e and z, (m, 6) rad and m/s; z is zero where accelerometers are not used.
 
-        Args:
-            model: The sensors.
-            earth_rate: In the frame of the attitudes, (3,) or of each of them (s, 3), rad/s.
-            force: (3,) specific force at rest, likewise, m/s^2.
+        The Earth rate is in the frame of the attitudes, (3,) or of each of them (s, 3), rad/s; the
+        specific force at rest (3,) likewise, m/s^2.
         """
         found = np.zeros((len(self), 6))
         if not self.linked:
@@ -226,7 +212,7 @@ class Moves:
         rates = np.broadcast_to(earth_rate, (len(self.attitudes), 3))[second]
         seconds, ends = self._seconds[:, None], self.attitudes[second]
         # The rotation by the encoders, inverted.
-        back = _transposed(self.attitudes[first]) @ rotations(rates * seconds) @ ends
+        back = np.swapaxes(self.attitudes[first], -1, -2) @ rotations(rates * seconds) @ ends
         rotated = np.array([path.rotation for path in self.paths(model)])
         found[:, :3] = rotation_vector(rotated @ back)
         if increments := self._used_increments(model):
@@ -289,11 +275,8 @@ class Moves:
     def clock_derivatives(self, model: SensorModel, force: Floats, *, counted: bool) -> Floats:
         """Return the derivatives of `misclosures` by the rate of the clock, (m, 6).
 
-        Args:
-            model: The sensors.
-            force: (3,) as in `misclosures`.
-            counted: Whether the outputs are pulses, whose sum does not depend on the clock. Rates
-                times shorter seconds turn by less.
+        Where the outputs are counted pulses their sum does not depend on the clock; rates times
+        shorter seconds turn by less. The specific force is that of `misclosures`.
         """
         found = np.zeros((len(self), 6))
         increments, mine = self._used_increments(model), self._with_accels
@@ -321,7 +304,9 @@ class Moves:
         In axes half way between both ends the rotation of the frame does not change the velocity.
         """
         found = np.zeros((len(self), 6, 3))
-        found[:, :3] = _transposed(self.attitudes[self._ends[1]]) * self._seconds[:, None, None]
+        found[:, :3] = (
+            np.swapaxes(self.attitudes[self._ends[1]], -1, -2) * self._seconds[:, None, None]
+        )
         return found
 
     def force_derivatives(self) -> Floats:
@@ -331,15 +316,9 @@ class Moves:
         return found
 
     def attitude_error_effects(self, model: SensorModel, attitude_errors: Floats) -> Floats:
-        """Return the derivatives of `misclosures` by errors of the attitudes at both ends.
+        """Return the derivatives (m, 6, e) of `misclosures` by attitude errors at both ends.
 
-        Args:
-            model: The sensors.
-            attitude_errors: (s, 3, e) rotations of the attitudes in body axes, per unit of each of
-                e errors.
-
-        Returns:
-            (m, 6, e).
+        `attitude_errors` (s, 3, e) are rotations in body axes, per unit of each of e errors.
         """
         found = np.zeros((len(self), 6, attitude_errors.shape[2]))
         if not self.linked:
@@ -363,14 +342,9 @@ class Moves:
     ) -> tuple[Floats, Floats]:
         """Return the errors of velocities beyond the parameters, common to many moves.
 
-        Args:
-            model: The sensors.
-            earth_rate: (3,) in the frame of the attitudes, rad/s.
-            known: Kinds that are parameters, or taken as zero.
-
-        Returns:
-            (m, 6, 12) by the place of the unit and of its accelerometers, 3 where their places are
-            known, and (m, 6, 1) by their delay, per standard deviation.
+        Kinds that are `known` are parameters, or taken as zero. Return (m, 6, 12) by the place of
+        the unit and of its accelerometers, 3 where their places are known, and (m, 6, 1) by their
+        delay, per standard deviation.
         """
         apart, late = (kind not in known for kind in (ParameterKind.PLACE, ParameterKind.DELAY))
         arms = np.zeros((len(self), 6, 12 if apart else 3))
@@ -430,12 +404,9 @@ class Moves:
         return found
 
     def _remainder_covariance(self, index: int, pulse: Floats, least: Floats) -> Floats:
-        """Return the covariance of one velocity by remainders, (3, 3) (m/s)^2.
+        """Return the covariance (3, 3) of the velocity of a move by remainders of pulses, (m/s)^2.
 
-        Args:
-            index: Of the move.
-            pulse: (3,) size of a pulse, m/s.
-            least: (3,) least standard deviation of the counters' rates, m/s^2.
+        `least` are the least standard deviations (3,) of the counters' rates, m/s^2.
         """
         if self.approximate_sensors is None:
             return np.eye(3) * _EDGES * np.mean(pulse**2)
@@ -481,10 +452,6 @@ def _cached(memo: dict[bytes, Cached], key: bytes, worked_out: Callable[[], Cach
 def _times(matrices: Floats, vectors: Floats) -> Floats:
     """Return (n, 3, 3) matrices times (n, 3) vectors."""
     return np.asarray((matrices @ vectors[..., None])[..., 0])
-
-
-def _transposed(matrices: Floats) -> Floats:
-    return np.swapaxes(matrices, -1, -2)
 
 
 def _informative(move: Move, rounding: Floats, rest: Segment, walk: Floats) -> Move:

@@ -37,14 +37,11 @@ _SENSORS = len(PARAMETERS)
 _SLANTS = (0.0, 45.0)
 """Angles by which candidates are rotated from cube-aligned attitudes, deg: halfway to the next one
 is the strongest mixture of two axes."""
-_TRIAL_DWELL = 60.0
-"""s: dwell while attitudes are compared; the final dwells follow."""
+_TRIAL_DWELL = 60.0  #: s: dwell while attitudes are compared; the final dwells follow.
 _SHORTEST_DWELL = 20.0
 """s: shorter dwells lose more time to motions than they gain in information; a choice."""
-_LONGEST = 24 * 3600.0
-"""s: a longer session is taken for a typing error."""
-_SWEEPS = 20
-"""Most rounds of exchanges. A cap."""
+_LONGEST = 24 * 3600.0  #: s: a longer session is taken for a typing error.
+_SWEEPS = 20  #: Most rounds of exchanges. A cap.
 _GAINED = 1e-9
 """Least gain in the logarithm of the determinant that counts: smaller ones are rounding."""
 
@@ -298,13 +295,10 @@ def _order(attitudes: list[Attitude]) -> list[int]:
     return order
 
 
-# Find the shortest dwells that reach a wanted accuracy.
-#
 # Between two forecasts of a session, the random-walk variance of a dwell's mean is taken to fall
 # with its duration, and the quantisation variance with the square of it. A parameter's variance is
 # a sum over the outputs, each by the square of its weight. Optimal weights are stationary: their
 # own change has no effect to first order; those of a closed form are constant.
-
 
 SHORTEST = 5.0
 """Shortest dwell proposed, s. A choice: a table takes as long to move and to settle."""
@@ -312,20 +306,15 @@ SHORTEST = 5.0
 LONGEST = 24 * 3600.0
 """Longest dwell proposed, s: a day. A choice: nobody waits longer for one position."""
 
-_GROWTH = 0.2
-"""Logarithm by which the first dwells grow until they are long enough: a choice."""
-_STEPS = 200
-"""Most steps of the minimisation. A cap."""
+_GROWTH = 0.2  #: Logarithm by which the first dwells grow until they are long enough: a choice.
+_STEPS = 200  #: Most steps of the minimisation. A cap.
 _ALIKE = 1e-9
 """Relative change of the total at which it ends: a choice, since seconds are rounded."""
-_LOOKS = 20
-"""Most rounds of the iteration. A cap."""
+_LOOKS = 20  #: Most rounds of the iteration. A cap.
 _LONGER = 4.0
 """Factor by which dwells grow where turns contribute more than the wanted variance; a choice."""
-_CLOSE = 2e-3
-"""Relative change of a dwell at convergence: a second in ten minutes."""
-_SLACK = 1.001
-"""Relative margin on the wanted std: dwells are rounded to seconds."""
+_CLOSE = 2e-3  #: Relative change of a dwell at convergence: a second in ten minutes.
+_SLACK = 1.001  #: Relative margin on the wanted std: dwells are rounded to seconds.
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,13 +105,10 @@ def moves_that_fit(
 ) -> tuple[Evidence, tuple[RejectedMove, ...]]:
     """Choose the moves that agree with dwells and turns: return the session with them.
 
+    `resting` is the session without moves, `state` its solution.
+
     A gyro beyond its range or nonlinear, or a table whose joints differ from its description, makes
     errors of many times the noise within seconds: such a move must not affect the parameters.
-
-    Args:
-        resting: The session without moves.
-        state: (n,) their solution.
-        moves: All moves of the session.
     """
     evidence = resting.evidence.with_moves(moves)
     if not len(evidence.used_moves):
@@ -130,23 +127,18 @@ def moves_that_fit(
         scatter = replace(scatter, positioning=excess(moved, state).positioning)
 
 
-def led_by_moves(resting: Equations, state: Floats, moves: tuple[Move, ...]) -> Floats:
+def start_from_moves(resting: Equations, state: Floats, moves: tuple[Move, ...]) -> Floats:
     """Return a state to start from where only moves determine the response of the gyros.
 
     By the Earth's rotation alone that of cheap gyros is off by more than itself, too far for moves,
     whose rotations are not linear in it. It is then taken to be near the nominal one, and
     determined by the rotations that agree with that.
-
-    Args:
-        resting: The session without moves.
-        state: (n,) their solution.
-        moves: All moves of the session.
     """
     parameters = resting.parameters
     own = np.array([k for k, p in enumerate(parameters) if p.triad == 'g' and p in RESPONSES])
     turned = tuple(replace(move, velocity_steps=None) for move in moves)
     evidence = resting.evidence.with_moves(turned)
-    variances = np.diag(Information.of(resting.whitened(state)[0]).covariance)[own]
+    variances = np.diag(Information.from_jacobian(resting.whitened(state)[0]).covariance)[own]
     if not len(evidence.used_moves) or (variances < _LOOSE**2).all():
         return state
     rows = np.zeros((len(own), len(state)))
@@ -159,7 +151,7 @@ def led_by_moves(resting: Equations, state: Floats, moves: tuple[Move, ...]) -> 
     begin = state.copy()
     begin[own] = 0.0
     state = least_squares(begin, near_nominal, np.add, ITERATIONS)
-    known = Information.of(near_nominal(state)[0]).covariance
+    known = Information.from_jacobian(near_nominal(state)[0]).covariance
     fitting, _ = _judged(resting, state, evidence, known)
     return fit(replace(resting, evidence=evidence.with_moves(fitting)), state)
 
@@ -177,7 +169,7 @@ def _judged(
     `known` is the covariance (n, n) of the state, by dwells and turns if not given.
     """
     if known is None:
-        known = Information.of(resting.whitened(state)[0]).covariance
+        known = Information.from_jacobian(resting.whitened(state)[0]).covariance
     moving = replace(resting, evidence=evidence, extra=())
     predicted, jacobian = moving.predict(state), np.nan_to_num(moving.jacobian(state))
     covariance, known = moving.covariance(state), np.nan_to_num(known)
@@ -208,8 +200,7 @@ def _judged(
 def turns_downweighted(equations: Equations, state: Floats) -> tuple[Equations, float]:
     """Weight turns by their scatter, each channel about each axis separately.
 
-    Returns:
-        The equations, and the largest chi-square per degree of freedom.
+    Return the largest chi-square per degree of freedom, too.
     """
     jacobian, residuals = equations.whitened(state)
     norms = np.linalg.norm(jacobian, axis=0)
@@ -307,7 +298,7 @@ def find_outlier(
     worst = set()
     for equations, solved in views:
         prepared = _cleaned(equations, solved)
-        squares, _ = _drop(prepared, np.array([rows for _, rows in candidates]))
+        squares, _ = _chi_square_decrease(prepared, np.array([rows for _, rows in candidates]))
         if squares.max() > scipy.special.chdtri(3, _SUSPECT):
             worst.add(int(np.argmax(squares)))
     best: Outlier | None = None
@@ -316,14 +307,16 @@ def find_outlier(
         without = downweighted(plain, rows, _LEFT_OUT)
         others = with_scatter(plain, excess(without, fit(without, state), suspecting=True))
         here = fit(others, state)
-        square, rank, freedom = _fall(others, here, rows)
+        square, rank, freedom = _mean_shift_test(others, here, rows)
         by_chance = rank == 0 or scipy.special.fdtrc(rank, freedom, square / rank) > _OUTLYING
         if not by_chance and (best is None or square > best.chi_square):
             best = Outlier(name, rows, square)
     return best
 
 
-def _fall(equations: Equations, state: Floats, rows: NDArray[np.intp]) -> tuple[float, int, float]:
+def _mean_shift_test(
+    equations: Equations, state: Floats, rows: NDArray[np.intp]
+) -> tuple[float, int, float]:
     """Return the decrease of chi-square with separate offsets of some outputs, and their number.
 
     And the degrees of freedom of the variances of these outputs' residuals, the fewest of them; an
@@ -335,7 +328,7 @@ def _fall(equations: Equations, state: Floats, rows: NDArray[np.intp]) -> tuple[
     shares = [share for source, share in found.items() if source is not Source.SCATTER]
     variances = np.array([np.diag(share.covariance) for share in shares])
     freedom = effective_freedom(variances, np.array([share.freedom for share in shares]))
-    square, rank = _drop(prepared, rows)
+    square, rank = _chi_square_decrease(prepared, rows)
     return float(square), int(rank), float(freedom.min(initial=_EXACT))
 
 
@@ -344,12 +337,12 @@ def _cleaned(equations: Equations, state: Floats) -> tuple[Floats, Floats]:
     factor, (jacobian, residuals) = equations.factor(state), equations.whitened(state)
     root = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True)
     # Beside noise-free outputs the others may seem to observe nothing: they then absorb nothing.
-    taken = np.nan_to_num(Information.of(jacobian).covariance)
+    taken = np.nan_to_num(Information.from_jacobian(jacobian).covariance)
     weighted = root.T @ jacobian[: len(factor)]
     return root.T @ residuals[: len(factor)], root.T @ root - weighted @ taken @ weighted.T
 
 
-def _drop(
+def _chi_square_decrease(
     prepared: tuple[Floats, Floats], rows: NDArray[np.intp]
 ) -> tuple[Floats, NDArray[np.intp]]:
     """Return the decrease of chi-square without outputs (..., k), and the number of directions."""
@@ -363,14 +356,6 @@ def _drop(
     sound = values > _RANK
     parts = np.einsum('...ij,...i->...j', vectors, pull * scale) ** 2
     return (parts / np.where(sound, values, np.inf)).sum(axis=-1), sound.sum(axis=-1)
-
-
-# The joint estimate: fit all of a session at once, and reduce the weight of outliers.
-#
-# Bias drift and positioning errors widen the covariance (`excess`); a segment that contradicts the
-# others gets less weight (`outliers`).
-#
-# Source: docs/mathematics.md, 'Joint estimate'.
 
 
 @dataclass(frozen=True, eq=False)
@@ -424,10 +409,7 @@ class Estimate:
 def shares(equations: Equations, state: Floats, gain: Floats) -> dict[Source, Share]:
     """Return the covariance of the parameters by source: of the outputs, and of the priors.
 
-    Args:
-        equations: The solved equations.
-        state: (n,) their solution.
-        gain: (n, m + k) derivatives of the state by outputs and priors in standard deviations.
+    `gain` (n, m + k) are derivatives of the state by outputs and priors in standard deviations.
     """
     n, m = equations.sensors, len(equations.outputs)
     factor = equations.factor(state)
@@ -449,17 +431,7 @@ def estimate(
     changes: tuple[Change, ...] = (),
     considered: tuple[tuple[Parameter, float], ...] = (),
 ) -> Estimate:
-    """Fit all of a session at once.
-
-    Args:
-        evidence: The session.
-        parameters: Of the sensors.
-        changes: By which they change during the session.
-        considered: As in `Equations`.
-
-    Raises:
-        NotObservable: Names what the session cannot observe.
-    """
+    """Fit all of a session at once; `considered` as in `Equations`."""
     equations = Equations(evidence, parameters, considered=considered)
     check_observable(equations)
     equations, constant = with_changes(equations, changes)
@@ -473,12 +445,12 @@ def estimate(
     resting, state = with_shape(resting, start(resting))
     state = fit(resting, state)
     resting = headed(levelled(resting, state), state)
-    state = led_by_moves(resting, fit(resting, state), evidence.moves)
+    state = start_from_moves(resting, fit(resting, state), evidence.moves)
     kept, astray = moves_that_fit(resting, state, evidence.moves)
     equations = replace(resting, evidence=kept)
     if moving:
         equations, state = with_parameters(equations, state, moving)
-    observed = Information.of(equations.whitened(state)[0]).observed
+    observed = Information.from_jacobian(equations.whitened(state)[0]).observed
     if not (moving or np.delete(observed, np.r_[equations.arm_slice]).all()):
         # See `information.nominal_information`. Turns determine lever arms as far as the 24 need.
         equations = resting
@@ -515,7 +487,7 @@ def _without_outliers(equations: Equations, state: Floats, *, turns: bool) -> Es
         scatter = excess(equations, plain, doubted=True)
         weighted = with_scatter(equations, scatter)
     state = fit(weighted, state)
-    information = Information.of(weighted.whitened(state)[0])
+    information = Information.from_jacobian(weighted.whitened(state)[0])
     return Estimate(
         weighted,
         state,

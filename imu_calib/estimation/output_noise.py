@@ -24,7 +24,7 @@ _STATED_FREEDOM = 10.0
 to 1 / sqrt(20) = 22 %. A judgement of how far units of a type differ."""
 _BY_CHANCE = 1e-3
 """Probability that by chance any static dwell of a session gets its own noise. A judgement, as of
-groups that scatter (`estimation/hand.py`)."""
+groups that scatter (`hand`)."""
 _NEAR, _NEAR_FREEDOM = 3.6, 8.0
 """Ratio of variances up to which one of so many degrees of freedom is no larger than by chance:
 chi-square of eight is 28.8 once in 2900 times, that of fewer more often, and three dwells or more
@@ -41,6 +41,11 @@ _ENOUGH_FREEDOM = 20.0
 data sheet states it: it is then known to 1 / sqrt(40) = 16 %."""
 
 
+def stated_walk(spec: ImuSpec) -> Floats:
+    """Return the random-walk coefficients of the data sheet, (6,)."""
+    return np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
+
+
 def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, Floats]:
     """Return the random-walk coefficients shown by the data, (6,), and degrees of freedom, (6,).
 
@@ -52,7 +57,7 @@ def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, F
         NotObservable: Neither the data nor the IMU's description gives the noise.
     """
     found = pooled_walk([s.statistics for s in segments])
-    stated = np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
+    stated = stated_walk(spec)
     known = np.isfinite(found.deviation)
     if not (known | (stated > 0)).all():
         raise NotObservable('The noise of the sensors is unknown: no static dwell is long enough.')
@@ -69,13 +74,12 @@ def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, F
 def walk_of_sensors(segments: tuple[Segment, ...], spec: ImuSpec) -> Floats:
     """Return the random walk of the sensors without a hand's, (6,), rad/sqrt(s), (m/s)/sqrt(s).
 
+    NaN where neither gives it: increments of a counter hide it by the pulses.
+
     By the data sheet, else by the differences of neighbouring samples at rest, less the rounding
     of counts.
-
-    Returns:
-        NaN where neither gives it: increments of a counter hide it by the pulses.
     """
-    stated = np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
+    stated = stated_walk(spec)
     found = np.full(6, np.nan)
     variances = np.array([s.statistics.sample_variance for s in segments]).reshape(-1, 6)
     variances = variances[np.isfinite(variances).all(axis=1)]
@@ -136,12 +140,10 @@ def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
 def _sliding(statistics: Statistics, up: Floats, bias: Floats) -> float:
     """Return the rate, rad/s, at which gravity turns in a dwell, if it does so steadily; else 0.
 
-    The gyros must show it, too: f' = -w x f.
+    `up` (3, 3) projects on the direction of gravity; `bias` (3,) is the output of the gyros in the
+    other dwells, rad/s.
 
-    Args:
-        statistics: Of the dwell.
-        up: (3, 3) projection on the direction of gravity.
-        bias: (3,) output of the gyros in the other dwells, rad/s.
+    The gyros must show it, too: f' = -w x f.
     """
     blocks = np.array(statistics.blocks[3:])
     across = (np.eye(3) - up) @ (blocks[:, :, 0] - blocks[:, :, 0].mean(axis=1)[:, None])
@@ -187,8 +189,6 @@ def _alike(squares: Floats, freedom: Floats, chance: float) -> NDArray[np.bool_]
     return alike
 
 
-# Errors of a velocity by the remainders of pulse counters while the unit turns.
-#
 # A counter holds back a remainder e, up to half a pulse either way, and gives it with a later
 # sample, when its axis points elsewhere. In the frame of the attitudes, with C_i the direction of a
 # channel in step i and e_i the remainder after it, the error of a velocity is
@@ -198,9 +198,7 @@ def _alike(squares: Floats, freedom: Floats, chance: float) -> NDArray[np.bool_]
 # Where a channel counts gravity the e_i are practically independent. One that stays level while the
 # unit turns about the vertical counts a few pulses in a whole move: its e_i are correlated, and in
 # half a turn its variance can be five times that of both ends alone, in a whole one ten times.
-#
 # Source: docs/mathematics.md, 'Velocities of moves', remainders.
-
 
 _HARMONICS = 8
 """Harmonics of the sawtooth e: they hold 93 % of its variance. The others rotate with a ninth of a
@@ -233,17 +231,10 @@ class ApproximateSensors:
     accel_std: Floats  #: (3,) standard deviation of its accelerometers' outputs on the way, m/s^2.
 
     @classmethod
-    def of(
+    def fitted(
         cls, segments: Sequence[Segment], turns: Sequence[Turn], forces: Floats, walk: Floats
     ) -> ApproximateSensors:
-        """Fit the lines.
-
-        Args:
-            segments: At rest.
-            turns: Measured turns.
-            forces: (s, 3) specific force in each segment, body axes, m/s^2.
-            walk: (6,) random-walk coefficients of the channels.
-        """
+        """Fit the lines to dwells at rest with specific forces (s, 3), body axes, and to turns."""
         at_rest = np.array([s.statistics.mean for s in segments])
         turned = np.array([t.statistics.mean[:3] for t in turns]).reshape(-1, 3)
         rates = np.array([t.rate() * t.up for t in turns]).reshape(-1, 3)

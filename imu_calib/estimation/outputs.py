@@ -15,9 +15,10 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ..common.budget import Share, Source
@@ -53,13 +54,8 @@ class Arms:
     deviations: Floats  #: (a,) prior standard deviations of the arms, m.
 
     @classmethod
-    def of(cls, turns: Sequence[Turn], up_rate: float) -> Arms:
-        """Choose the turns that a table made at constant rate, about one axis; none by hand.
-
-        Args:
-            turns: Of a session.
-            up_rate: Vertical Earth rate, rad/s.
-        """
+    def from_turns(cls, turns: Sequence[Turn], up_rate: float) -> Arms:
+        """Choose the turns that a table made at constant rate, about one axis; none by hand."""
         which = [k for k, turn in enumerate(turns) if turn.seconds is not None]
         groups: list[int] = []
         kinds: list[Turn] = []
@@ -104,20 +100,15 @@ def _same_mounting(turn: Turn, other: Turn) -> bool:
     return bool((np.abs(turn.angles - other.angles)[held] < _SAME_ATTITUDE).all())
 
 
-# Whole turns at equally spaced headings: a mean over a turn is the mean over these.
-
 _TURN_HEADINGS = 8
 """Means over so many equal steps of a whole turn are exact for products of up to seven inputs."""
 
 
 def headings(ups: Floats) -> Floats:
-    """Return the attitudes of whole turns at equal steps, (t, 8, 3, 3): to body axes.
+    """Return the attitudes of whole turns about (t, 3) ups at equal steps, (t, 8, 3, 3).
 
     Those of the second half are the first half's with the level axes exactly reversed: terms that
     cancel over a whole turn are then exactly zero, not rounding that seems observed.
-
-    Args:
-        ups: (t, 3) up in body axes.
     """
     angles = np.arange(_TURN_HEADINGS // 2) * (2 * np.pi / _TURN_HEADINGS)
     cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
@@ -134,12 +125,9 @@ def mean_over_turn(values: Floats) -> Floats:
     return np.asarray((values[:, :half] + values[:, half:]).sum(axis=1) / _TURN_HEADINGS)
 
 
-# The order of a session's outputs in its equations; it is defined in this module only.
-#
 # Six for each dwell (gyros x y z, accelerometers x y z), then three for each turn (gyros), then
 # three for each move (angles), then three for each turn whose accelerometers are used, then three
 # for each move whose accelerometers are used (velocities).
-
 
 Indices = NDArray[np.intp]
 
@@ -226,12 +214,10 @@ class OutputLayout:
         return result
 
     def joined(self, dwell: Floats, turn: Floats, move: Floats) -> Floats:
-        """Return values in the order of the outputs.
+        """Return values (s, 6, ...), (t, 6, ...), (m, 6, ...) in the order of the outputs.
 
-        Args:
-            dwell: (s, 6, ...).
-            turn: (t, 6, ...): turns whose accelerometers are not used are left out.
-            move: (m, 6, ...), angles, then velocities: likewise.
+        Accelerometers of turns and moves that are not used are left out. Of moves the angles come
+        first, then the velocities.
         """
         parts = (
             (dwell, self.dwell),
@@ -241,9 +227,6 @@ class OutputLayout:
             (move[list(self.moves_with_accels), 3:], self.velocity),
         )
         return np.concatenate([part.reshape(at.size, *dwell.shape[2:]) for part, at in parts])
-
-
-# Covariance of a session's outputs as a sum over sources, and of parameters by source.
 
 
 class Part(Protocol):
@@ -316,6 +299,11 @@ class Component:
     freedom: float = np.inf  #: Degrees of freedom of its size; infinite where that is known.
 
 
+def whiten(root: NDArray[np.floating[Any]], columns: Floats) -> Floats:
+    """Return outputs (m,) or (m, k) in standard deviations, by the lower root of a covariance."""
+    return np.asarray(scipy.linalg.solve_triangular(root, columns, lower=True, check_finite=False))
+
+
 def add_all(components: Iterable[Component], matrix: Floats) -> None:
     """Add components to a covariance (m, m): errors that enter several outputs at once."""
     columns = []
@@ -350,14 +338,10 @@ def shares(components: Iterable[Component], gain: Floats) -> dict[Source, Share]
     return {source: Share.from_parts(of) for source, of in parts(components, gain).items() if of}
 
 
-# Effect of positioning errors of a table on the attitudes of dwells and turns.
-#
 # The difference of a stopped joint from its encoder reading is constant until it moves again:
 # dwells and turns in between share that error, about the joint's axis. In addition each stop has a
 # small independent rotation, whichever joint moved. Only the sensors show either.
-#
 # Source: docs/mathematics.md, 'Positioning errors'.
-
 
 SAME_UP = 0.01
 """Distance of two unit vectors up below which they count as equal: 0.6 deg, far above encoders'
@@ -378,8 +362,7 @@ class PositioningErrors:
     stops: float = 0.0  #: Of a stop, about each of three axes.
 
 
-NO_POSITIONING_ERRORS = PositioningErrors()
-"""No error beyond that of the table's file."""
+NO_POSITIONING_ERRORS = PositioningErrors()  #: No error beyond that of the table's file.
 
 
 @dataclass(frozen=True, eq=False)
@@ -390,7 +373,7 @@ class AttitudeErrors:
     turning: Floats  #: (t, 3, e) of the turns.
 
     @classmethod
-    def of(cls, columns: list[Floats], dwells: int, parts: int) -> AttitudeErrors:
+    def from_columns(cls, columns: list[Floats], dwells: int, parts: int) -> AttitudeErrors:
         """Split (s + t, 3) rotations into dwells and turns, one column for each error."""
         whole = np.stack(columns, axis=2) if columns else np.zeros((parts, 3, 0))
         return cls(whole[:dwells], whole[dwells:])
@@ -418,16 +401,13 @@ def of_joints(
             column = np.zeros((len(parts), 3))
             column[run] = about[run]
             columns.append(column)
-    return AttitudeErrors.of(columns, len(segments), len(parts))
+    return AttitudeErrors.from_columns(columns, len(segments), len(parts))
 
 
 def of_stops(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeErrors:
     """Return the effect of independent rotations of stops: three errors for each static dwell."""
-    count = len(segments)
-    at_rest = np.zeros((count, 3, 3 * count))
-    for k in range(count):
-        at_rest[k, :, 3 * k : 3 * k + 3] = np.eye(3)
-    return AttitudeErrors(at_rest, np.zeros((len(turns), 3, 3 * count)))
+    at_rest = of_holds(segments, ()).at_rest
+    return AttitudeErrors(at_rest, np.zeros((len(turns), *at_rest.shape[1:])))
 
 
 def of_holds(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeErrors:
@@ -489,7 +469,7 @@ def _by_up(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeEr
         columns += [np.where(mine[:, None], axis, 0.0) for axis in across(ups[mine][0])]
     own = np.eye(len(ups))[: len(segments), :, None] * ups
     columns += list(own)
-    return AttitudeErrors.of(columns, len(segments), len(ups))
+    return AttitudeErrors.from_columns(columns, len(segments), len(ups))
 
 
 def _groups(ups: Floats, starts: list[int]) -> NDArray[np.intp]:

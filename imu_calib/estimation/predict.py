@@ -31,32 +31,24 @@ from ..session.table import TURN, Course, Table, moving, travel_time
 from .bias_drift import STATED_TIME, BiasDrift
 from .evidence import UP, Evidence, thermal_of
 from .hand import NAME as FREE_POSITIONS
+from .output_noise import stated_walk
 from .session_model import Nuisance, SessionModel
 from .setup import Setup
 
-# Statistics that counters, ADCs and rates would give for a dwell or for whole turns.
-#
 # A noise-free counter at the expected rate is processed by the same estimators as a session
 # (`segmentation.counters`).
-
 
 SPARE = 1.0
 """Time before and after the measured turns in which a table surely keeps its rate, s. A choice."""
 
-_SAMPLE_RATE = 100.0
-"""Hz, if the IMU's file states none. A choice."""
-_PHASE = 0.5
-"""Pulses: a counter starts at any phase, on average in the middle of a pulse."""
+_SAMPLE_RATE = 100.0  #: Hz, if the IMU's file states none. A choice.
+_PHASE = 0.5  #: Pulses: a counter starts at any phase, on average in the middle of a pulse.
 
 
 def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = None) -> Statistics:
-    """Return the statistics of readings whose mean is (6,) `mean`.
+    """Return the statistics of readings (rad/s, m/s^2) whose mean is (6,) `mean`.
 
-    Args:
-        spec: Units and noise.
-        mean: Outputs, rad/s and m/s^2.
-        seconds: Duration.
-        spare: Time on both sides of whole turns in which counts are also read, s; None at rest.
+    `spare` is the time on both sides of whole turns in which counts are also read; None at rest.
     """
     gain, quantisation = np.full(6, 1 / seconds), np.zeros(6)
     period = period_of(spec)
@@ -117,12 +109,12 @@ def each_turn(
         return None
     seconds = whole.duration / count
     single = reading(spec, whole.mean, seconds, SPARE)
-    mean, square = whole.mean[:3], single.variance(walk_of(spec))[:3]
+    mean, square = whole.mean[:3], single.variance(stated_walk(spec))[:3]
     if askew is not None:
         alone = skewed_alone(spec)
         single = reading(alone, askew.mean, seconds, SPARE)
         mean = np.append(mean, askew.mean[0])
-        square = np.append(square, single.variance(walk_of(alone))[0])
+        square = np.append(square, single.variance(stated_walk(alone))[0])
     ramp = np.arange(count) - (count - 1) / 2
     return np.asarray(mean + np.outer(ramp / ramp.std(ddof=1), np.sqrt(square)))
 
@@ -140,11 +132,6 @@ def _rounded(triad: TriadSpec, period: float) -> float:
     return step**2 / 12 * math.exp(-4 * math.pi**2 * noise)
 
 
-def walk_of(spec: ImuSpec) -> Floats:
-    """Return the random-walk coefficients of the six channels, (6,)."""
-    return np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
-
-
 def triads(spec: ImuSpec) -> list[TriadSpec]:
     """Return the description of each of the six channels."""
     return [spec.gyro] * 3 + [spec.accel] * 3
@@ -155,10 +142,7 @@ def period_of(spec: ImuSpec) -> float:
     return 1 / (spec.sample_rate or _SAMPLE_RATE)
 
 
-# Compute when a table would run the steps of a plan: moves, run-ups, settling and dwells.
-
-SETTLE = 1.0
-"""s from arrival to the start of a dwell, as stand and sequencer wait."""
+SETTLE = 1.0  #: s from arrival to the start of a dwell, as stand and sequencer wait.
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,13 +156,8 @@ class Visit:
     angles: Floats  #: (k,) joint angles at rest, rad.
 
 
-def schedule(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> tuple[Visit, ...]:
-    """Compute the times of steps.
-
-    Args:
-        steps: As `Plan.steps` returns them for this table; the table stands at the first.
-        table: Its limits apply.
-        settle: Wait after each arrival, s.
+def schedule(steps: Sequence[Step], table: Table) -> tuple[Visit, ...]:
+    """Compute the times of steps by the limits of a table, which stands at the first.
 
     Raises:
         InputError: A joint has no limit of rate or acceleration: its motions have no known
@@ -198,28 +177,24 @@ def schedule(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> 
             rate, travel = float(step.rates[k]), TURN * (step.turns + 1)
             rest += travel_time(travel, abs(rate), table.joints[k].max_acceleration)
             angles[k] += math.copysign(travel, rate)
-        end = rest + settle + step.dwell
+        end = rest + SETTLE + step.dwell
         visits.append(Visit(step, now, rest, end, angles))
         now = end
     return tuple(visits)
 
 
-def duration(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> float:
+def duration(steps: Sequence[Step], table: Table) -> float:
     """Return the duration of a plan, s: moves, run-ups, settling, turns and dwells."""
-    return schedule(steps, table, settle=settle)[-1].end
+    return schedule(steps, table)[-1].end
 
-
-# Ideal gyro outputs between dwells: by a table's joints, and by hand.
 
 BY_HAND_MOVE = 2.0
 """Duration of a move from one dwell to the next, s. A choice: that of simulated hands
-(`simulation/hand`)."""
+(`simulation.hand`)."""
 
-_STEP = 0.01
-"""Length of the steps of a move, s: no step turns by more than a degree at 100 deg/s."""
+_STEP = 0.01  #: Length of the steps of a move, s: no step turns by more than a degree at 100 deg/s.
 
-_SHORT_STEPS = 40
-"""Steps of a turn by hand: at most 4.5 degrees each."""
+_SHORT_STEPS = 40  #: Steps of a turn by hand: at most 4.5 degrees each.
 
 _PARALLEL = 1e-6
 """Sine of the angle between two directions below which they define no axis: rounding of 1e-16 turns
@@ -243,13 +218,7 @@ def ideal_move(
 ) -> Move:
     """Return the ideal sensor outputs on the way from one dwell to the next.
 
-    Args:
-        before: The static dwell at its start.
-        after: The static dwell at its end.
-        course: Of the joints.
-        table: The table.
-        truth: The sensors.
-        world: (3,) Earth rate and (3,) specific force in the frame of the attitudes, SI.
+    `world` is the Earth rate and the specific force in the frame of the attitudes, (3,) each.
     """
     seconds = (after.start - before.end) * 1e-9
     knots = np.linspace(0.0, course.end, max(2, math.ceil(course.end / _STEP)) + 1)
@@ -267,10 +236,9 @@ def ideal_move(
 def _along(
     attitudes: Floats, spans: Floats, truth: SensorModel, world: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
-    """Return the ideal sensor outputs through (n + 1, 3, 3) attitudes, (n,) seconds apart.
+    """Return the ideal angles and velocities (n, 3) through (n + 1, 3, 3) attitudes.
 
-    Returns:
-        (n, 3) angles, rad, and (n, 3) velocities, m/s.
+    They are (n,) seconds apart.
     """
     earth, force = world
     steps = rotation_vectors(np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:])
@@ -291,13 +259,7 @@ def ideal_holds(segments: list[Segment]) -> list[Segment]:
 
 
 def next_hold(last: Segment, up: Floats, seconds: float) -> Segment:
-    """Return a hold like another one, reached by the shortest rotation.
-
-    Args:
-        last: The hold before, in its attitude.
-        up: (3,) in body axes, unit vector.
-        seconds: Its duration.
-    """
+    """Return a hold of so many seconds after another, reached by the shortest rotation."""
     start = last.end + nanoseconds(BY_HAND_MOVE)
     statistics = replace(last.statistics, duration=seconds, walk_gain=np.full(6, 1 / seconds))
     return replace(
@@ -345,7 +307,7 @@ _UNSEEN = 0.5
 """s not used at each end of a dwell by the segmentation: a window of the joint states."""
 
 _BY_HAND_TURN = 2.0
-"""s for a whole turn by hand. A choice: that of simulated hands (`simulation/hand`)."""
+"""s for a whole turn by hand. A choice: that of simulated hands (`simulation.hand`)."""
 _BY_HAND_STILL = 2.0
 """s at rest before and after a turn by hand, which separate it from the moves around it. A choice,
 likewise."""
@@ -354,8 +316,7 @@ _BY_HAND_LEVEL_SHARE = 0.25
 """Share of a level rate that such a turn does not average out: its rate rises and falls for a third
 of a second each."""
 
-_WARMTH = 20.0
-"""Mean temperature of a session, degrees Celsius: only differences from it matter."""
+_WARMTH = 20.0  #: Mean temperature of a session, degrees Celsius: only differences from it matter.
 
 _ANYHOW = Skewed(np.full((1, 3), 1 / math.sqrt(3)), np.zeros(1))
 """Direction assumed where that of a skewed gyro is not stated: the space diagonal."""
@@ -385,7 +346,7 @@ def expected(
     Raises:
         InputError: The table cannot run the plan, or the IMU states no noise.
     """
-    walk = walk_of(setup.imu)
+    walk = stated_walk(setup.imu)
     if not (walk > 0).all():
         raise InputError(
             f'The IMU {setup.imu.id} states no angle_random_walk or no velocity_random_walk: '
@@ -472,7 +433,7 @@ def _by_table(setup: Setup) -> _Times:
         raise InputError(f'Plan {setup.plan.name} needs a table.')
     standing = 0.0
     at: Floats | None = None
-    for visit in schedule(setup.plan.steps(table), table, settle=SETTLE):
+    for visit in schedule(setup.plan.steps(table), table):
         if visit.rest > visit.begin:
             standing = visit.rest
         step = visit.step
@@ -541,14 +502,9 @@ def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
     Biases are first-order Gauss-Markov processes with the bias instabilities of the data sheet as
     standard deviations. They enter the means of static dwells and turns and the integrals over
     moves; u is the number of turns with readings of a skewed gyro.
-
-    Args:
-        evidence: Static dwells and turns in time.
-        spec: Bias instabilities.
     """
     dwells, turns = evidence.segments, evidence.turns
-    moves = [link.move for link in evidence.used_moves.linked]
-    parts: list[Segment | Turn | Move] = [*dwells, *turns, *moves]
+    parts = [*evidence.parts, *(link.move for link in evidence.used_moves.linked)]
     begin, end = np.array([(p.start, p.end) for p in parts]).reshape(-1, 2).T * 1e-9
     none = np.zeros((len(parts), 3, 3)), np.zeros(len(parts), dtype=bool)
     means = BiasDrift.over(begin, end - begin, *none).one_channel(STATED_TIME)

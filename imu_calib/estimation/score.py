@@ -31,6 +31,7 @@ from .excess_scatter import ExcessScatter, excess
 from .information import Information, useful_limit, with_nominal_attitudes
 from .modulation import columns as modulated
 from .modulation import interrupted, shapes, warms
+from .outputs import whiten
 from .solve import USEFUL_CHANGE, change_of
 
 _SEEN = 10.0
@@ -52,8 +53,7 @@ _SHARE = 0.5
 """Largest share of the degrees of freedom of its outputs that a family may take. A judgement: at
 least as many remain to show their scatter."""
 
-_NINE_IN_TEN = 1.2816
-"""Standard normal quantile of 90 %."""
+_NINE_IN_TEN = 1.2816  #: Standard normal quantile of 90 %.
 
 _TINY = -500.0
 """Logarithm below which a probability is computed as a logarithm: 64-bit numbers end at -708."""
@@ -85,10 +85,7 @@ class Family:
     def freed(self, equations: Equations, size: float, *, alone: bool = False) -> Equations:
         """Return equations whose table has this error with a standard deviation, rad.
 
-        Args:
-            equations: Without it, or with its size in the table's file.
-            size: Replaces that.
-            alone: Whether all other errors of the table are removed.
+        `alone`: all other errors of the table are removed.
         """
         table = equations.evidence.table
         others = TableErrors() if alone or table is None else table.errors
@@ -96,14 +93,11 @@ class Family:
         return replace(equations, evidence=equations.evidence.with_table_errors(errors))
 
     def scatter(self, equations: Equations, state: Floats, shape: float) -> ExcessScatter:
-        """Return the scatter beyond noise that remains with the family on.
+        """Return the scatter beyond noise that remains with the family on, by a solution without.
+
+        `shape` is one of `modulation.shapes`.
 
         Scatter that is estimated without a missing term absorbs the term, and hides it.
-
-        Args:
-            equations: Without the family.
-            state: (n,) their solution.
-            shape: As in `modulation.shapes`.
         """
         if self.course is not None:
             there = replace(equations, changes=self.changes, shape=shape)
@@ -207,7 +201,7 @@ _LARGEST_DRIFT = {'g': 0.1 * DEG, 'a': 1e5 * MICRO_G}
 def stepped(equations: Equations, state: Floats) -> Floats:
     """Return a state after one step of the least squares: enough for linear unknowns."""
     jacobian, residuals = equations.whitened(state)
-    return np.asarray(state + Information.of(jacobian).gain @ residuals)
+    return np.asarray(state + Information.from_jacobian(jacobian).gain @ residuals)
 
 
 def families(equations: Equations) -> tuple[Family, ...]:
@@ -224,8 +218,7 @@ def families(equations: Equations) -> tuple[Family, ...]:
             # In the hand a hold that leans looks like one.
             courses.remove(Course.STEP)
         found += [Family(course.value, course=course) for course in courses]
-    angles = [*(s.angles for s in evidence.segments), *(t.angles for t in evidence.turns)]
-    if evidence.table is not None and all(one is not None for one in angles):
+    if evidence.table is not None and all(part.angles is not None for part in evidence.parts):
         found += [Family(name) for name in TABLE_ERRORS]
     return tuple(found)
 
@@ -239,7 +232,7 @@ def scores_of(
 ) -> dict[Family, Score]:
     """Test families about a solution, each with its coefficients held at zero."""
     held = dict.fromkeys(family.held for family in patterns)
-    residuals = {one: WhitenedResiduals.of(replace(equations, held=one), state) for one in held}
+    residuals = {one: WhitenedResiduals.at(replace(equations, held=one), state) for one in held}
     return {f: residuals[f.held].score(f, columns) for f, columns in patterns.items()}
 
 
@@ -295,9 +288,6 @@ class Score:
 
         Along its own direction the statistic is the square of a normal deviate about the
         coefficient in deviations; it is detected where that is beyond the limit.
-
-        Args:
-            chance: Probability of a false detection.
         """
         if not self.tested:
             return np.full(len(self.deviation), np.inf)
@@ -317,7 +307,7 @@ class WhitenedResiduals:
     factor: Floats  #: (m, m) lower triangle of the covariance of the outputs.
 
     @classmethod
-    def of(cls, equations: Equations, state: Floats) -> WhitenedResiduals:
+    def at(cls, equations: Equations, state: Floats) -> WhitenedResiduals:
         """Whiten the equations of a session at a solution."""
         jacobian, residuals = equations.whitened(state)
         norms = np.linalg.norm(jacobian, axis=0)
@@ -339,9 +329,7 @@ class WhitenedResiduals:
         """Test a family by columns (m, k) for coefficients of sizes (k,)."""
         count, rows = len(sizes), len(self.whitened)
         white = np.zeros((rows, count))
-        white[: len(columns)] = scipy.linalg.solve_triangular(
-            self.factor, columns, lower=True, check_finite=False
-        )
+        white[: len(columns)] = whiten(self.factor, columns)
         directions, values, axes = np.linalg.svd(
             _orthogonal_to(white, self.basis), full_matrices=False
         )
@@ -369,9 +357,7 @@ class WhitenedResiduals:
 def most_significant(scores: Sequence[Score], tries: Sequence[int] = ()) -> Score:
     """Return the most significant of the tests of a family, as one of so many.
 
-    Args:
-        scores: One or more.
-        tries: Of each (`tries_of`); the number of all by default.
+    `tries` is that of each (`tries_of`); the number of all by default.
     """
     each = [
         replace(score, tries=n) for score, n in zip(scores, tries or [1] * len(scores), strict=True)
@@ -425,16 +411,12 @@ def log_f(value: float, first: float, second: float) -> float:
     return float(a * np.log(x) + b * np.log1p(-x) - np.log(a) - special.betaln(a, b) + series)
 
 
-# Drifts that a session neither shows nor excludes: the probability and effect of each.
-#
 # A drift of the scale factors with the session's time, or a step of the biases, that is too small
 # to be detected still moves parameters by several standard deviations. So every course has prior
 # odds, the session's evidence raises or lowers them, and the effect of the course on the parameters
 # enters their covariance with the resulting probability (Bayesian model averaging).
-#
 # Sources: Liang et al. 2008, J. Am. Statist. Assoc. 103, 410 (the prior of the coefficients);
 # Hoeting et al. 1999, Statist. Sci. 14, 382; docs/mathematics.md, 'Terms that are missing'.
-
 
 _ODDS = 1 / 20
 """Prior odds of each of two drifts against none: ten to one for none, a judgement: one session in
@@ -473,12 +455,10 @@ def undecided(
     count: int,
     interrupted: NDArray[np.bool_] | None = None,
 ) -> UndecidedDrifts:
-    """Weight courses against each other and against none.
+    """Weight courses against each other and against none, for `count` parameters.
 
-    Args:
-        courses: With their time constants, each equally likely beforehand.
-        count: n of the parameters.
-        interrupted: Which instants of a step lie in an interruption, where it is likelier.
+    The time constants of a course are equally likely beforehand; a step is likelier in an
+    interruption.
     """
     logs: dict[Family, float] = {}
     covariances: dict[Family, Floats] = {}
@@ -509,12 +489,7 @@ def undecided(
 
 
 def _times(interrupted: NDArray[np.bool_] | None, tested: Sequence[bool]) -> Floats:
-    """Return how many times likelier a step is at each tested instant than without interruptions.
-
-    Args:
-        interrupted: As in `undecided`.
-        tested: Whether each instant is.
-    """
+    """Return how many times likelier than without interruptions a step is at each instant."""
     times = np.ones(len(tested))
     if interrupted is not None and interrupted.any():
         within = _ODDS_IF_INTERRUPTED / interrupted.sum()
@@ -529,12 +504,10 @@ def _square(score: Score) -> tuple[float, int]:
 def log_bayes_factor(square: float, rank: int) -> float:
     """Return the logarithm of the likelihood ratio with and without coefficients.
 
+    By the chi-square of their score test and its rank.
+
     They are normal with g times the covariance of their estimate, and g has the density (1 +
     g)^-1.5 / 2.
-
-    Args:
-        square: Chi-square of their score test.
-        rank: Its degrees of freedom.
     """
     z, b = max(square, _LEAST) / 2, (rank + 1) / 2
     below = float(scipy.special.gammainc(b, z))
@@ -543,12 +516,7 @@ def log_bayes_factor(square: float, rank: int) -> float:
 
 
 def shrinkage(square: float, rank: int) -> tuple[float, float]:
-    """Return the posterior means of g / (1 + g) and of its square.
-
-    Args:
-        square: As in `log_bayes_factor`.
-        rank: Likewise.
-    """
+    """Return the posterior means of g / (1 + g) and of its square."""
     z, b = max(square, _LEAST) / 2, (rank + 1) / 2
     first, second, third = (float(scipy.special.gammainc(b + k, z)) for k in range(3))
     lost = b / z * second / first

@@ -60,7 +60,7 @@ _AT_ONCE = 3
 
 
 @dataclass(frozen=True)
-class Found:
+class SignificantFamily:
     """A family that is significant in the session."""
 
     family: Family  #: The family.
@@ -78,11 +78,11 @@ class Found:
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class SearchResult:
     """An estimate with the families selected, and the scores of the others."""
 
     estimate: Estimate  #: With all families found.
-    found: tuple[Found, ...]  #: Families in the order of their selection.
+    found: tuple[SignificantFamily, ...]  #: Families in the order of their selection.
     scores: Mapping[Family, Score]  #: Of families that are off.
     alpha: float  #: Chance at which each of them is tested.
     #: (n, n) covariance of the parameters by alternative families, and by drifts that are not
@@ -125,7 +125,7 @@ class _Model:
         """Fit the session with these unknowns."""
         return estimate(self.evidence, self.parameters, self.changes, self.considered)
 
-    def with_found(self, found: Sequence[Found]) -> _Model:
+    def with_found(self, found: Sequence[SignificantFamily]) -> _Model:
         """Return the model with families on, each as it was found."""
         model = self
         for one in found:
@@ -174,7 +174,7 @@ def search_terms(
     changes: tuple[Change, ...] = (),
     *,
     find_terms: bool = True,
-) -> Search:
+) -> SearchResult:
     """Estimate the parameters of a session and the terms that it shows.
 
     Args:
@@ -182,9 +182,6 @@ def search_terms(
         parameters: Always estimated.
         changes: Coefficients of their changes during the session, always estimated.
         find_terms: Estimate other families that are significant, too; all others are tested.
-
-    Raises:
-        NotObservable: Names what the session cannot observe.
     """
     start = _Model(evidence, parameters, changes)
     try:
@@ -202,7 +199,7 @@ def search_terms(
     return search
 
 
-def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> Search:
+def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> SearchResult:
     """Search as `search_terms` does, from the estimate by the model alone."""
     noisy = bool(first.equations.own_variances.max() > SMALLEST_VARIANCE)
     rejected = set[Family]()
@@ -228,7 +225,7 @@ def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> Search:
     return replace(search, broken_off=True) if broken_off else search
 
 
-def _with_a_step(start: _Model) -> Search | None:
+def _with_a_step(start: _Model) -> SearchResult | None:
     """Search with a step on from the beginning; None where it is not significant.
 
     Biases that step by hundreds of deviations leave residuals for which nothing converges without
@@ -236,7 +233,7 @@ def _with_a_step(start: _Model) -> Search | None:
     """
     if _STEP not in families(Equations(start.evidence, start.parameters, start.changes)):
         return None
-    step = Found(_STEP, 0.0)
+    step = SignificantFamily(_STEP, 0.0)
     stepping = start.with_found([step])
     try:
         first = stepping.estimate()
@@ -252,7 +249,7 @@ def _with_a_step(start: _Model) -> Search | None:
     return _search_of(search.estimate, (kept[0], *search.found), first, weigh_drifts=True)
 
 
-def _akaike_criterion(search: Search) -> float:
+def _akaike_criterion(search: SearchResult) -> float:
     """Return chi-square plus twice the number of coefficients, by the noise known beforehand.
 
     Each output that is set aside has a coefficient of its own, and a step one for its instant.
@@ -268,7 +265,9 @@ def _akaike_criterion(search: Search) -> float:
     return float(remains @ remains) + 2 * (coefficients + stepping)
 
 
-def _found_families(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found, ...]:
+def _found_families(
+    start: _Model, first: Estimate, rejected: set[Family]
+) -> tuple[SignificantFamily, ...]:
     """Return families one after the other, the most significant first, until none is significant.
 
     First with no output set aside, then with all that the first estimate set aside: a missing
@@ -288,9 +287,9 @@ def _found_families(start: _Model, first: Estimate, rejected: set[Family]) -> tu
 
 def _significant(
     start: _Model, views: list[tuple[Equations, Floats]], rejected: set[Family]
-) -> tuple[Found, ...]:
+) -> tuple[SignificantFamily, ...]:
     """Return families one after the other by several views of a session, each with its state."""
-    found: list[Found] = []
+    found: list[SignificantFamily] = []
     while True:
         model = start.with_found(found)
         done = rejected | {one.family for one in found}
@@ -305,7 +304,9 @@ def _significant(
         score = min((one[family] for one in scores), key=lambda score: score.log_p)
         min_saved_outputs = 0 if scores[-1][family].log_p < limit else score.rank
         found.append(
-            Found(family, score.log_p, *_assigned_sizes(model, family, score), min_saved_outputs)
+            SignificantFamily(
+                family, score.log_p, *_assigned_sizes(model, family, score), min_saved_outputs
+            )
         )
         model = start.with_found(found)
         try:
@@ -367,13 +368,13 @@ def _under_own_scatter(
             return scores | {f: replace(scores[f], statistic=0.0) for f in suspect[k:]}
         shape = float(shapes_of(family, equations)[scores[family].chosen])
         scattering = family.with_scatter(equations, family.scatter(equations, state, shape))
-        scores[family] = WhitenedResiduals.of(scattering, state).score(family, columns[family])
+        scores[family] = WhitenedResiduals.at(scattering, state).score(family, columns[family])
     return scores
 
 
 def _confirmed(
-    start: _Model, first: Estimate, trial: Estimate, found: Sequence[Found]
-) -> tuple[Found, ...]:
+    start: _Model, first: Estimate, trial: Estimate, found: Sequence[SignificantFamily]
+) -> tuple[SignificantFamily, ...]:
     """Return those that remain significant once all are fitted, with their alternatives.
 
     Those that are insignificant with the first estimate's outliers set aside must save more outputs
@@ -390,7 +391,7 @@ def _confirmed(
         # An erroneous table has as many patterns as outputs: only terms are alternatives.
         others = [f for f in families(without) if not f.of_table or f == one.family]
         columns = columns_of(others, without, state)
-        residuals = WhitenedResiduals.of(one.family.with_scatter(without, trial.scatter), state)
+        residuals = WhitenedResiduals.at(one.family.with_scatter(without, trial.scatter), state)
         scores = {f: residuals.score(f, columns[f]) for f in others}
         here, limit = scores[one.family], _log_chance_limit(families(without))
         if here.log_p >= limit:
@@ -409,7 +410,7 @@ def _confirmed(
 def _assigned_sizes(
     model: _Model, family: Family, score: Score
 ) -> tuple[tuple[tuple[Parameter, float], ...], float, float]:
-    """Return `considered`, `size` and `seen` of `Found` for a family.
+    """Return `considered`, `size` and `seen` of `SignificantFamily` for a family.
 
     The unobserved part is assumed as large as the observed part, by Student's t for as many
     directions as are observed.
@@ -429,8 +430,8 @@ def _assigned_sizes(
 
 
 def _search_of(
-    current: Estimate, found: tuple[Found, ...], plain: Estimate, *, weigh_drifts: bool
-) -> Search:
+    current: Estimate, found: tuple[SignificantFamily, ...], plain: Estimate, *, weigh_drifts: bool
+) -> SearchResult:
     """Score the families that are off under the final weights, those of the current estimate.
 
     Drifts that are not shown widen the covariance if requested.
@@ -439,11 +440,11 @@ def _search_of(
     named = [one.family for one in found]
     off = [f for f in families(equations) if f not in named]
     columns = columns_of(off, equations, state)
-    residuals = WhitenedResiduals.of(equations, state)
+    residuals = WhitenedResiduals.at(equations, state)
     of_session = [f for f in off if f.course is not None]
     with_drift = residuals
     if of_session and current.scatter.absent_drift:
-        with_drift = WhitenedResiduals.of(
+        with_drift = WhitenedResiduals.at(
             of_session[0].with_scatter(equations, current.scatter), state
         )
     drifting = {f: with_drift.scores(f, columns[f]) for f in of_session}
@@ -468,7 +469,7 @@ def _search_of(
     if weigh_drifts:
         every = {f: list(zip(drifting[f], map(slopes, columns[f]), strict=True)) for f in drifting}
         drifts = undecided(every, n, interrupted(equations.evidence))
-    return Search(
+    return SearchResult(
         current,
         found,
         scores,
@@ -481,7 +482,7 @@ def _search_of(
     )
 
 
-def _by_alternatives(current: Estimate, found: Found) -> Floats:
+def _by_alternatives(current: Estimate, found: SignificantFamily) -> Floats:
     """Return the additional covariance if an alternative may be true in place of a family.
 
     Each explanation is weighted by its likelihood; the mean square of an alternative's effect on
@@ -493,26 +494,22 @@ def _by_alternatives(current: Estimate, found: Found) -> Floats:
     mine = set(found.family.parameters)
     common = [k for k, p in enumerate(equations.parameters) if p not in mine]
     own = [k for k, p in enumerate(equations.parameters) if p in mine]
-    chi_square = current_chi_square(equations, current.state)
+    chi_square = equations.chi_square(current.state)
     model = _Model(
         equations.evidence, equations.parameters, equations.changes, equations.considered
     ).without(found.family)
     for alternative in found.alternatives:
         try:
-            other, start = model.with_found([Found(alternative, 0.0)]).on(equations, current.state)
+            other, start = model.with_found([SignificantFamily(alternative, 0.0)]).on(
+                equations, current.state
+            )
             state = fit(other, start)
         except NotObservable:
             continue
         kept = indices_of([equations.parameters[k] for k in common], other.parameters)
-        weight = 1 / (1 + np.exp(min(50.0, (current_chi_square(other, state) - chi_square) / 2)))
+        weight = 1 / (1 + np.exp(min(50.0, (other.chi_square(state) - chi_square) / 2)))
         off = np.zeros(n)
         off[common] = state[kept] - current.state[common]
         off[own] = -current.state[own]
         undecided_covariance += weight * np.outer(off, off)
     return undecided_covariance
-
-
-def current_chi_square(equations: Equations, state: Floats) -> float:
-    """Return chi-square at a state."""
-    residuals = equations.whitened(state)[1]
-    return float(residuals @ residuals)

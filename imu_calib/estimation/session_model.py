@@ -28,17 +28,12 @@ from .evidence import Evidence
 from .modulation import columns, encoder_rate_errors, rates
 from .outputs import OutputLayout, mean_over_turn
 
-# Earth rate and gravity in the frame of a table that is turned and tilted.
-#
 # The table stands turned by the azimuth about up and tilted by two small angles, R_nb = Rz(azimuth)
 # Rx(tilt) Ry(tilt) A with A by the encoders, so that the Earth's rate and gravity are constant
 # vectors in the frame of A.
-#
 # Source: docs/mathematics.md, 'Joint estimate'.
 
-
-_X, _Y, _Z = np.eye(3)
-"""Unit vectors of the axes."""
+_X, _Y, _Z = np.eye(3)  #: Unit vectors of the axes.
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +110,7 @@ class SessionModel:
     of `predict`, and those named `..._effects` what errors of a given size change in it.
     """
 
-    evidence: Evidence  #: The session, in the time of its table (`timebase`).
+    evidence: Evidence  #: The session, in the time of its table (`in_table_time`).
     #: Of the sensors, in the order of the state, at its beginning.
     parameters: tuple[Parameter, ...] = PARAMETERS
     #: Coefficients by which parameters change during the session: the end of the state.
@@ -296,12 +291,7 @@ class SessionModel:
         return result
 
     def parameter_derivatives(self, state: Floats, parameters: tuple[Parameter, ...]) -> Floats:
-        """Return the derivatives of `predict` by p parameters, (m, p).
-
-        Args:
-            state: (n,) of sensors and table.
-            parameters: Of the sensors, in the state or not.
-        """
+        """Return the derivatives (m, p) of `predict` by parameters, in the state or not."""
         _, rate, force, turning, turning_force = self._inputs(state)
         model = self.model(state)
         at_rest = model.derivatives(rate, force, parameters)
@@ -336,9 +326,7 @@ class SessionModel:
     def columns(self, changes: Sequence[Change], derivatives: Floats) -> Floats:
         """Return the derivatives by coefficients of a session's terms, on or off, (m, k).
 
-        Args:
-            changes: The k coefficients.
-            derivatives: (m, n) by the parameters of the sensors, as `jacobian` begins.
+        `derivatives` (m, n) are those by the parameters of the sensors, as `jacobian` begins.
         """
         return columns(self.evidence, changes, derivatives, self.parameters, self.shape)
 
@@ -350,11 +338,7 @@ class SessionModel:
 
     @cached_by_state
     def world_derivatives(self, state: Floats) -> Floats:
-        """Return the derivatives of `predict` by Earth rate and gravity.
-
-        Returns:
-            (m, 6), both in the frame of the attitudes.
-        """
+        """Return the derivatives (m, 6) by Earth rate and gravity in the frame of the attitudes."""
         _, rate, force, turning, turning_force = self._inputs(state)
         model, moves = self.model(state), self.evidence.used_moves
         to_body = np.transpose(self.evidence.dwell_attitudes, (0, 2, 1))
@@ -368,11 +352,7 @@ class SessionModel:
         return result
 
     def mount_derivatives(self, state: Floats) -> Floats:
-        """Return the derivatives of `predict` by rotations of the unit in its mount.
-
-        Returns:
-            (m, 3) per rad about the body axes.
-        """
+        """Return the derivatives (m, 3) by rotations of the unit about its body axes, per rad."""
         every = len(self.evidence.segments), len(self.evidence.turns)
         # Attitudes lean opposite to the rotation of the unit.
         at_rest, turned = (np.broadcast_to(-np.eye(3), (count, 3, 3)) for count in every)
@@ -393,10 +373,7 @@ class SessionModel:
     def attitude_error_effects(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
         """Return the effect of e errors of attitudes on the outputs, (m, e).
 
-        Args:
-            state: (n,) of sensors and table.
-            at_rest: (s, 3, e) rotations of the static dwells about the body axes, rad.
-            turned: (t, 3, e) of the turns.
+        The errors are rotations about the body axes, rad: (s, 3, e) of dwells, (t, 3, e) of turns.
         """
         s, by_each = len(at_rest), self._rotation_derivatives(state)
         in_moves = self.evidence.used_moves.attitude_error_effects(self.model(state), at_rest)
@@ -409,13 +386,13 @@ class SessionModel:
             state, np.array([t.rate_std(walk) for t in self.evidence.turns])
         )
 
-    def whole_way_effects(self, state: Floats) -> Floats:
+    def rest_to_rest_effects(self, state: Floats) -> Floats:
         """Return the effect of positioning errors on rates by whole motions, (m, w) per rad.
 
         Either end of a motion has an error, and the next may begin with the error of this one's
         end.
         """
-        relative, some = self.evidence.whole_ways
+        relative, some = self.evidence.rest_to_rest_rates
         return self._rate_error_effects(state, relative)[:, some]
 
     def _rate_error_effects(self, state: Floats, relative: Floats) -> Floats:
@@ -444,7 +421,7 @@ class SessionModel:
         )
         effects = self.attitude_error_effects(state, at_rest, turning)
         joints, stops = np.split(effects, [both[0].at_rest.shape[2]], axis=1)
-        return np.hstack([joints, self.whole_way_effects(state)]), stops
+        return np.hstack([joints, self.rest_to_rest_effects(state)]), stops
 
     @cached_by_state
     def _rotation_derivatives(self, state: Floats) -> Floats:

@@ -14,7 +14,6 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from ..common.errors import NotObservable
@@ -37,13 +36,12 @@ from .information import (
     unobservable_in_words,
 )
 from .modulation import check_temperature, courses, outermost, shapes
+from .outputs import whiten
 from .session_model import Nuisance
 
 # Gauss-Newton least squares, with Marquardt's damping where a step leads uphill.
-#
 # Source: Marquardt 1963, J. SIAM 11, 431; More 1978, Lecture Notes in Mathematics 630, 105, for the
 # scaling by the columns' norms.
-
 
 _CONVERGED = 1e-9
 """Standard deviations, root mean square, of a negligible last step of the prediction. A judgement:
@@ -127,9 +125,6 @@ def least_squares(
             standard deviations.
         moved: Function that returns the state moved by an (n,) step.
         rounds: Most steps.
-
-    Raises:
-        NotConverged: The steps do not converge.
     """
     begin = state
     jacobian, residuals = system(state)
@@ -222,11 +217,7 @@ once in 16 000."""
 
 
 def check_observable(equations: Equations) -> None:
-    """Raise if a session does not determine all parameters, or lacks a rate test.
-
-    Raises:
-        NotObservable: Names the parameters and what is missing.
-    """
+    """Raise if a session does not determine all parameters, or lacks a rate test."""
     evidence = equations.evidence
     plain = replace(equations, parameters=PARAMETERS)
     open_ones = undetermined_parameters(plain)
@@ -276,11 +267,7 @@ def start(equations: Equations) -> Floats:
 
 
 def fit(equations: Equations, state: Floats) -> Floats:
-    """Iterate to the least squares, each output by its covariance.
-
-    Raises:
-        NotObservable: The iteration does not converge.
-    """
+    """Iterate to the least squares, each output by its covariance."""
     state = least_squares(state, equations.whitened, np.add, ITERATIONS)
     azimuth = equations.sensors + Nuisance.AZIMUTH
     if abs(state[azimuth]) > np.pi:
@@ -316,15 +303,13 @@ def headed(equations: Equations, state: Floats) -> Equations:
     # Drifting biases change the apparent north: for cheap gyros by as much as their noise.
     drifting = with_scatter(free, excess(free, state))
     state = fit(drifting, state)
-    covariance = Information.of(drifting.whitened(state)[0]).covariance
+    covariance = Information.from_jacobian(drifting.whitened(state)[0]).covariance
     far = max(FIVE_SIGMA * float(np.sqrt(covariance[azimuth, azimuth])), LEAST_AZIMUTH)
     return free if abs(state[azimuth]) > far else equations
 
 
 # Which changes a session determines, time constants of warm-ups and instants of steps.
-#
 # Source: docs/mathematics.md, 'Terms of a session'.
-
 
 USEFUL_CHANGE = 1e-3
 """Largest useful standard deviation of the change of a scale factor over a session: that of terms,
@@ -338,8 +323,7 @@ _FINE = 17
 """Instants that are tried between the neighbours of the best: eight times as dense as before. It is
 repeated while that lowers chi-square by more than one, what its noise is."""
 
-_STEPS = 100
-"""Most steps of each fit; one that has not converged by then raises."""
+_STEPS = 100  #: Most steps of each fit; one that has not converged by then raises.
 
 
 def with_changes(
@@ -347,10 +331,9 @@ def with_changes(
 ) -> tuple[Equations, tuple[Change, ...]]:
     """Let parameters change by the coefficients that a session determines.
 
-    Undetermined coefficients of scale factors are left out unless they were requested by name.
+    Return the coefficients left out, too.
 
-    Returns:
-        The equations, and the coefficients left out.
+    Undetermined coefficients of scale factors are left out unless they were requested by name.
 
     Raises:
         NotObservable: Names what the session does not determine, and what would.
@@ -385,7 +368,7 @@ def _determined(equations: Equations) -> tuple[NDArray[np.bool_], NDArray[np.boo
     """Return which coefficients (k,) and parameters (n,) the session determines."""
     found = nominal_information(equations)
     parameters = determined(found, equations.parameters)
-    std = np.sqrt(np.diag(found.covariance)[equations.change_slice])
+    std = found.std[equations.change_slice]
     moves = [change_of(equations, c) for c in equations.changes]
     limits = [USEFUL_CHANGE if c.of_scale_factor else np.inf for c in equations.changes]
     with np.errstate(invalid='ignore'):
@@ -414,12 +397,7 @@ def _refusal(equations: Equations, known: NDArray[np.bool_], parameters: NDArray
 
 
 def with_shape(equations: Equations, state: Floats) -> tuple[Equations, Floats]:
-    """Choose the likeliest time constant of a warm-up or instant of a step, and solve with it.
-
-    Args:
-        equations: With or without such a course.
-        state: (n,) to start from.
-    """
+    """Choose the likeliest time constant of a warm-up or instant of a step, and solve with it."""
     course = _shaped(equations)
     if course is None:
         return equations, state
@@ -470,10 +448,8 @@ def _by_shape(equations: Equations, state: Floats, course: Course) -> tuple[Floa
     def stepped(shape: float) -> tuple[Floats, float]:
         there = replace(equations, shape=shape)
         moved = there.columns(equations.changes, derivatives)
-        jacobian[: len(moved), equations.change_slice] = scipy.linalg.solve_triangular(
-            factor, moved, lower=True, check_finite=False
-        )
-        step = Information.of(jacobian).gain @ residuals
+        jacobian[: len(moved), equations.change_slice] = whiten(factor, moved)
+        step = Information.from_jacobian(jacobian).gain @ residuals
         remains = residuals - jacobian @ step
         return start + step, float(remains @ remains)
 

@@ -34,11 +34,9 @@ from .equations import Equations
 from .evidence import Evidence, in_table_time
 from .free_dwells import Sensors, Up, compare_lengths, noise_at_rest
 from .information import Information
-from .outputs import Component, Diagonal, Indices
+from .outputs import Component, Diagonal, Indices, whiten
 from .session_model import Nuisance
 from .solve import least_squares, linear_step
-
-# The parts of a recording that a calibration can be compared with.
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +119,9 @@ def observe(
         replace(t, position=t.position or str(k + 1)) for k, t in enumerate(labelled.turns)
     )
     named = replace(labelled, segments=segments, turns=turns)
-    evidence = _by_the_clock_of(clock, Evidence.of(named, session, plan, imu, site, table))
+    evidence = _by_the_clock_of(
+        clock, Evidence.from_session(named, session, plan, imu, site, table)
+    )
     evidence = evidence if known else replace(evidence, turns=(), moves=())
     return Observed(evidence, imu, sample_rate, (*labelled.notes, *session.losses))
 
@@ -148,8 +148,7 @@ def _by_the_clock_of(clock: StampingClock | None, evidence: Evidence) -> Evidenc
     return replace(evidence, turns=tuple(turns))
 
 
-_ROUNDS = 30
-"""Most steps of a fit. Near the minimum three suffice; what needs more does not fit."""
+_ROUNDS = 30  #: Most steps of a fit. Near the minimum three suffice; what needs more does not fit.
 _ROUNDS_OF_LENGTHS = 100
 """Most steps with lengths, where a calibration itself is judged: the variance of a square depends
 on the state, and errors shrink by a constant factor a step or oscillate until steps are halved.
@@ -157,11 +156,9 @@ Calibrations with biases off by 0.005 to 20 deg/s took up to 85 steps, or 59 hal
 _ROUNDS_OF_SHARE = 3
 """Newton's steps for a factor that is known to some percent: two leave 1e-8 of it."""
 
-_TOO_FEW = 2.0
-"""Degrees of freedom up to which residuals do not determine the noise."""
+_TOO_FEW = 2.0  #: Degrees of freedom up to which residuals do not determine the noise.
 
-_ANY_TILT = 0.1
-"""rad: prior std of an unlevelled table. Accelerometers determine the tilt."""
+_ANY_TILT = 0.1  #: rad: prior std of an unlevelled table. Accelerometers determine the tilt.
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,15 +302,9 @@ class TriadSystem:
         return np.concatenate([free, np.full(3 if self.mount_free else 0, True)])
 
     def spread(self, values: Floats) -> Floats:
-        """Return the covariances of the readings of dwells, turns and moves, parameters excluded.
+        """Return the covariances (s + t + m, 3, 3) of dwells, turns and moves, parameters excluded.
 
         Unknowns with an uncertain prior are included: clock, heading, tilt.
-
-        Args:
-            values: (p,) of the parameters.
-
-        Returns:
-            (s + t + m, 3, 3).
         """
         if self.up is not None:
             return self._noise_at_rest
@@ -376,12 +367,7 @@ class TriadSystem:
         return replace(self, observed=cast(Observed, known[key]))
 
     def fit(self, values: Floats, factor: Floats) -> Fit:
-        """Fit errors of the model's parameters to the session.
-
-        Args:
-            values: (p,) of the parameters.
-            factor: (p, k) of their covariance: factor times its transpose.
-        """
+        """Fit errors of parameters (p,) with a covariance factor (p, k) to the session."""
         system = self._allowing(values, factor)
         begin = self._begun(system, values, factor)[0]
         rounds = _ROUNDS if self.up is None else _ROUNDS_OF_LENGTHS
@@ -392,10 +378,7 @@ class TriadSystem:
     ) -> tuple[float, Callable[[], Fit]]:
         """Return chi-square by the equations linearised at a point, and the fit from there.
 
-        Args:
-            values: (p,) of the parameters.
-            factor: (p, k) of their covariance: factor times its transpose.
-            point: (k + u,) multiples of the factor's columns, and the unknowns.
+        The point is (k + u,): multiples of the columns of the factor (p, k), and the unknowns.
         """
         system = self._allowing(values, factor)
         columns, residuals = system(point)
@@ -416,11 +399,6 @@ class TriadSystem:
 
         Without moves, the predictions and their derivatives by the unknowns are linear in the
         parameters: p + 1 points give them for all values. With lengths all are likely.
-
-        Args:
-            values: (p,) of the parameters, about which the equations are evaluated.
-            factor: As in `fit_likely`.
-            chance: Likewise.
         """
         if self.up is not None:
             return lambda _: True
@@ -541,13 +519,12 @@ class TriadSystem:
 
     def _scaled(self, rows: Floats, covariance: Floats, below: Floats) -> tuple[Floats, Floats]:
         factor = np.linalg.cholesky(covariance) * self._widened[:, None]
-        rows = scipy.linalg.solve_triangular(factor, rows, lower=True, check_finite=False)
-        rows = np.vstack([rows, below])
+        rows = np.vstack([whiten(factor, rows), below])
         return rows[:, :-1], rows[:, -1]
 
     def _fit_at(self, columns: Floats, residuals: Floats, point: Floats, factor: Floats) -> Fit:
         k, count = factor.shape[1], len(self._kinds)
-        found = Information.of(columns)
+        found = Information.from_jacobian(columns)
         spare = 1 - np.einsum('ij,ji->i', columns[:count], found.gain[:, :count])
         free = columns[:, k:][:, self._free]
         norms = np.linalg.norm(free[:count], axis=0)

@@ -99,7 +99,7 @@ class CommonTable:
         self._turns = _numbered_by_time([_times(e, e.turns) for e in evidences])
         self.stated = max(e.positioning for e in evidences)
         self.positioning = sizes.positioning
-        self._joints = _of_joints(evidences)
+        self._joint_errors, self._joint_names = _of_joints(evidences)
         self._table_attitude_errors = [
             e.with_table_errors(sizes.errors).table_attitude_errors
             if e.table
@@ -113,7 +113,7 @@ class CommonTable:
         whole = self.stated**2 + self.positioning.joints**2
         return self.stated**2 / whole if whole else 1.0
 
-    def of(self, states: Sequence[Floats]) -> CommonErrors:
+    def errors_at(self, states: Sequence[Floats]) -> CommonErrors:
         """Return the common errors, their effects linearised at the states (n,) of the units."""
         joints = float(np.hypot(self.stated, self.positioning.joints))
         found = [
@@ -123,8 +123,8 @@ class CommonTable:
         sources = [s for s, part in zip(_COLUMN_SOURCES, found[0], strict=True) for _ in part.T]
         columns = [np.hstack(parts) for parts in found]
         # Only the errors of joints have a name and a size.
-        named = len(self._joints.names)
-        names = [*self._joints.names, *[''] * (len(sources) - named)]
+        named = len(self._joint_names)
+        names = [*self._joint_names, *[''] * (len(sources) - named)]
         sizes = np.where(np.arange(len(sources)) < named, joints, 0.0)
         # Errors that no unit observes are left out.
         seen = np.any([part.any(axis=0) for part in columns], axis=0)
@@ -140,13 +140,13 @@ class CommonTable:
         """Return the effect of each kind of error on the outputs of a unit, (m, e) each."""
         evidence = unit.evidence
         assert evidence.table is not None
-        stopping = unit.attitude_error_effects(state, *self._joints.attitude_errors[k])
+        stopping = unit.attitude_error_effects(state, *self._joint_errors[k])
         table = unit.attitude_error_effects(state, *self._table_attitude_errors[k])
         latitude = unit.latitude_derivatives(state)[:, None] * evidence.site.latitude_std
         rates = _summed(unit.encoder_rate_effects(state), self._turns[k], _count(self._turns))
         by_way = [n for n, t in zip(self._turns[k], evidence.turns, strict=True) if t.whole_way]
         ways = _summed(
-            unit.whole_way_effects(state), np.array(by_way, dtype=np.intp), _count(self._turns)
+            unit.rest_to_rest_effects(state), np.array(by_way, dtype=np.intp), _count(self._turns)
         )
         # About the axes of the table's mounting, which all units have in common.
         inward = evidence.table.mount.T
@@ -179,8 +179,7 @@ def shares_a_table(equations: Equations) -> bool:
     evidence = equations.evidence
     if evidence.table is None or evidence.plan.by_hand or evidence.free:
         return False
-    parts: list[Segment | Turn] = [*evidence.segments, *evidence.turns]
-    return all(part.angles is not None for part in parts)
+    return all(part.angles is not None for part in evidence.parts)
 
 
 def dwell_counts(units: Sequence[Equations]) -> tuple[list[int], int]:
@@ -190,29 +189,23 @@ def dwell_counts(units: Sequence[Equations]) -> tuple[list[int], int]:
     return [len(np.unique(mine)) for mine in dwells], _count(dwells)
 
 
-@dataclass(frozen=True, eq=False)
-class _Joints:
-    """Stops of joints: (s, 3, e) and (t, 3, e) rotations of each unit, and their names."""
+def _of_joints(evidences: Sequence[Evidence]) -> tuple[list[tuple[Floats, Floats]], list[str]]:
+    """Return the effect of positioning errors of joints, one error for all units at each stop.
 
-    attitude_errors: list[tuple[Floats, Floats]]
-    names: tuple[str, ...]
-
-
-def _of_joints(evidences: Sequence[Evidence]) -> _Joints:
-    """Return the effect of positioning errors of joints, one error for all units at each stop."""
+    Rotations (s, 3, e) and (t, 3, e) of each unit, and the names of the stops.
+    """
     parts: list[Segment | Turn] = []
     owners: list[tuple[int, int]] = []
     times: list[Floats] = []
     for unit, evidence in enumerate(evidences):
-        mine: list[Segment | Turn] = [*evidence.segments, *evidence.turns]
-        parts += mine
-        owners += [(unit, k) for k in range(len(mine))]
-        times.append(_times(evidence, mine)[:, 0])
+        parts += evidence.parts
+        owners += [(unit, k) for k in range(len(evidence.parts))]
+        times.append(_times(evidence, evidence.parts)[:, 0])
     order = np.argsort(np.concatenate(times), kind='stable').tolist()
     table = evidences[0].table
     assert table is not None
     angles = np.array([part.angles for part in parts])
-    counts = [len(e.segments) + len(e.turns) for e in evidences]
+    counts = [len(e.parts) for e in evidences]
     columns: list[list[Floats]] = [[] for _ in evidences]
     names = []
     for joint in range(angles.shape[1]):
@@ -231,13 +224,12 @@ def _of_joints(evidences: Sequence[Evidence]) -> _Joints:
     for unit, evidence in enumerate(evidences):
         whole = np.stack(columns[unit], axis=2)
         attitude_errors.append((whole[: len(evidence.segments)], whole[len(evidence.segments) :]))
-    return _Joints(attitude_errors, tuple(names))
+    return attitude_errors, names
 
 
 def _angles(evidence: Evidence) -> Floats:
     """Return the joint angles of dwells, then of turns, (s + t, joints) rad."""
-    parts: list[Segment | Turn] = [*evidence.segments, *evidence.turns]
-    return np.array([part.angles for part in parts]).reshape(len(parts), -1)
+    return np.array([p.angles for p in evidence.parts]).reshape(len(evidence.parts), -1)
 
 
 def _times(evidence: Evidence, parts: Sequence[Segment | Turn]) -> Floats:
@@ -249,15 +241,11 @@ def _times(evidence: Evidence, parts: Sequence[Segment | Turn]) -> Floats:
 
 
 def _numbered_by_time(times: Sequence[Floats]) -> list[NDArray[np.intp]]:
-    """Number dwells, or turns, of several units: those at the same time have one number.
+    """Number dwells, or turns, of several units by start and end (k, 2), s.
+
+    Those at the same time have one number, from 0 in the order of time.
 
     Between two dwells, and between two turns, the table moves: different ones are apart in time.
-
-    Args:
-        times: For each unit (k, 2) start and end of each dwell or turn by the table's clock, s.
-
-    Returns:
-        For each unit the numbers, (k,), from 0 in the order of time.
     """
     found = [np.zeros(len(of), dtype=np.intp) for of in times]
     owners = [(unit, k) for unit, of in enumerate(times) for k in range(len(of))]
@@ -281,11 +269,8 @@ def _count(numbers: Sequence[NDArray[np.intp]]) -> int:
 def _blocks(numbers: NDArray[np.intp], count: int, sizes: Floats, axes: Floats) -> Floats:
     """Return the effect of `count` common rotations on k attitudes, (k, 3, 3 count).
 
-    Args:
-        numbers: (k,) common rotation of each attitude.
-        count: Number of common rotations, each about three axes.
-        sizes: (k,) size of a rotation, rad.
-        axes: (3, 3) its axes in body axes, as columns.
+    Rotation `numbers` (k,) acts on each attitude, by `sizes` (k,) rad about its axes, the columns
+    of (3, 3) in body axes.
     """
     result = np.zeros((len(numbers), 3, 3 * count))
     for k, number in enumerate(numbers.tolist()):
@@ -301,15 +286,11 @@ def _summed(columns: Floats, numbers: NDArray[np.intp], count: int) -> Floats:
     return result
 
 
-# Effect of a table's tilt on a closed form, which assumes a level table.
-#
 # The accelerometers at rest show the tilt. Its effect on a solver is the difference of the solver's
 # results for the outputs that its own solution predicts on the tilted table and on a level one: for
 # twelve positions 1 - cos tilt in K_a, for others more (docs/mathematics.md, 'Twelve positions').
 
-
-Accelerometers = Callable[[Evidence], Triad]
-"""A closed form for the accelerometers of a session."""
+Accelerometers = Callable[[Evidence], Triad]  #: A closed form for the accelerometers of a session.
 
 _SIGNIFICANT = 0.5
 """An error of so many standard deviations gets a sentence and widens them, by 12 %; smaller ones
@@ -336,9 +317,7 @@ class Tilt:
     def levelled(self, vector: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """Return a (3,) vector of the frame of the attitudes against the plumb line.
 
-        Args:
-            vector: (3,).
-            covariance: (3, 3) its covariance, without that of the tilt.
+        Its covariance (3, 3) is without that of the tilt.
         """
         turned = shortest(self.up, UP)
         leaning = np.cross(np.eye(3)[:2], vector) * self.std
@@ -367,16 +346,6 @@ def widened_for_tilt(
 
     It is not corrected: six positions show the tilt about one axis but not about the other, and a
     partly corrected result would not be that of the published formula.
-
-    Args:
-        evidence: The session.
-        accel: Result of the closed form.
-        covariance: (n, n) of all parameters.
-        solver: The closed form.
-        tilt: Of the table.
-
-    Returns:
-        The covariance, and a sentence or none.
     """
     if not tilt.is_significant:
         return covariance, []

@@ -20,10 +20,9 @@ from ..session.table import Table
 from .modulation import instant_of, temperatures, warms
 from .outliers import Estimate
 from .score import Family, Score
-from .search import Found, Search
+from .search import SearchResult, SignificantFamily
 
-_AMOUNT = 10.0
-"""Amount of a coefficient, in its unit, for which the effect is reported."""
+_AMOUNT = 10.0  #: Amount of a coefficient, in its unit, for which the effect is reported.
 
 _MATTERS = 0.1
 """Standard deviations by which `_AMOUNT` must move a parameter to be named. A judgement: a tenth
@@ -63,16 +62,14 @@ _BY_TEMPERATURE = (
 )
 """The same where it was recorded."""
 
-_REPEAT = 'calibrate it again, and leave it switched on'
-"""The same where biases may have stepped."""
+_REPEAT = 'calibrate it again, and leave it switched on'  #: The same where biases may have stepped.
 
 _BROKEN_OFF = (
     'The search for further terms was stopped: with the terms that it tried the least squares did '
     'not converge. No further term is estimated, though the session may need one.'
 )
 
-_LN10 = float(np.log(10.0))
-"""From natural logarithms to decimal ones."""
+_LN10 = float(np.log(10.0))  #: From natural logarithms to decimal ones.
 
 
 class TermState(Enum):
@@ -134,15 +131,9 @@ class TermTest:
 
 
 def tested(
-    search: Search, requested: tuple[Term, ...], requested_changes: tuple[Change, ...] = ()
+    search: SearchResult, requested: tuple[Term, ...], requested_changes: tuple[Change, ...] = ()
 ) -> tuple[TermTest, ...]:
-    """Return the results of a search for every family, the terms in their order.
-
-    Args:
-        search: The finished search.
-        requested: Terms of the sensors that were requested.
-        requested_changes: Coefficients of terms of the session, likewise.
-    """
+    """Return the results of a search for every family, the terms in their order."""
     result = [TermTest(t.name, TermState.ASKED, parameters=t.parameters) for t in requested]
     for name in names_of(requested_changes):
         mine = tuple(c for c in requested_changes if c.course.value == name)
@@ -161,8 +152,7 @@ def tested(
     return tuple(result)
 
 
-_NONE = np.zeros((0, 0))
-"""For families whose coefficients move no parameter."""
+_NONE = np.zeros((0, 0))  #: For families whose coefficients move no parameter.
 
 
 def test_of(
@@ -176,14 +166,9 @@ def test_of(
 ) -> TermTest:
     """Return the result of a session for a family that is off.
 
-    Args:
-        family: The family.
-        score: Its test.
-        slopes: (n, k) derivatives of the parameters by its coefficients; empty if unknown.
-        alpha: Probability of a false detection.
-        parameters: The n estimated ones.
-        std: (n,) their standard deviations.
-        amount: Of a coefficient, in its unit, for which the effect is reported.
+    `slopes` (n, k) are derivatives of the n parameters by its coefficients, empty if unknown;
+    `alpha` is the probability of a false detection, `amount` that of a coefficient, in its unit,
+    for which the effect is reported.
     """
     smallest = tuple(float(v) for v in score.smallest(alpha))
     amounts = [amount * p.unit.scale for p in family.parameters] or smallest
@@ -213,7 +198,7 @@ def test_of(
     )
 
 
-def findings(search: Search) -> list[str]:
+def findings(search: SearchResult) -> list[str]:
     """Return sentences on the families found in addition to those requested."""
     broken_off = [_BROKEN_OFF] if search.broken_off else []
     table = search.before_search.equations.evidence.table
@@ -221,7 +206,7 @@ def findings(search: Search) -> list[str]:
     return [*found, *broken_off, *_likely(search)]
 
 
-def confounded_errors(search: Search) -> tuple[str, ...]:
+def confounded_errors(search: SearchResult) -> tuple[str, ...]:
     """Return errors of the table, in words, that are observed in too few outputs to be tested."""
     return tuple(
         f'{_TABLE_WORDS[family.name]} ({family.name})'
@@ -230,7 +215,7 @@ def confounded_errors(search: Search) -> tuple[str, ...]:
     )
 
 
-def _likely(search: Search) -> list[str]:
+def _likely(search: SearchResult) -> list[str]:
     """Report undetected drifts that exist with a probability of 95 %.
 
     In a session without drift the score exceeds that, 32 for eight coefficients and two courses,
@@ -262,7 +247,7 @@ def _likely(search: Search) -> list[str]:
     ]
 
 
-def _found_sentence(found: Found, search: Search, table: Table | None) -> str:
+def _found_sentence(found: SignificantFamily, search: SearchResult, table: Table | None) -> str:
     """Return a sentence on a family that is on though it was not requested."""
     family = found.family
     chance = f'by chance once in 10^{max(3, round(-found.log_p / _LN10))} sessions'
@@ -274,7 +259,7 @@ def _found_sentence(found: Found, search: Search, table: Table | None) -> str:
     return _term_sentence(found, family.term, chance)
 
 
-def _table_error_sentence(found: Found, chance: str, table: Table | None) -> str:
+def _table_error_sentence(found: SignificantFamily, chance: str, table: Table | None) -> str:
     """Return a sentence on an error of the table that the session shows."""
     name = found.family.name
     size = f'{significant(found.size / ARCSEC, 3)} arcsec'
@@ -297,7 +282,9 @@ def _table_error_sentence(found: Found, chance: str, table: Table | None) -> str
     )
 
 
-def _course_sentence(found: Found, course: Course, chance: str, search: Search) -> str:
+def _course_sentence(
+    found: SignificantFamily, course: Course, chance: str, search: SearchResult
+) -> str:
     """Return a sentence on a change during the session."""
     text = f'The session shows {course.words} ({found.family.name}, {chance}): it is estimated.'
     if course is Course.STEP:
@@ -314,7 +301,7 @@ def _course_sentence(found: Found, course: Course, chance: str, search: Search) 
     return text
 
 
-def _term_sentence(found: Found, term: Term, chance: str) -> str:
+def _term_sentence(found: SignificantFamily, term: Term, chance: str) -> str:
     """Return a sentence on a term of the sensors."""
     shown = f'The session shows {term.kind.value.words} ({found.family.name}, {chance})'
     text = f'{shown}: it is estimated.'
@@ -449,19 +436,13 @@ def _held(one: TermTest, held: list[tuple[Parameter, tuple[Parameter, float]]]) 
     )
 
 
-# Effect of a temperature change during a session on parameters taken as constant.
-
 _CHEAPEST = 200 * PPM
 """Scale factor per kelvin of the cheapest units (MPU-9150: 0.02 % of the accelerometers). Where
 that does not move a parameter by its standard deviation, nothing is reported."""
 
 
 def temperature_finding(found: Estimate) -> list[str]:
-    """Report the change of the temperature, and its effect where no term follows it.
-
-    Returns:
-        One finding, or none.
-    """
+    """Report the change of the temperature, and its effect where no term follows it."""
     equations, evidence = found.equations, found.equations.evidence
     if not warms(evidence) or any(c.of_scale_factor for c in equations.changes):
         return []

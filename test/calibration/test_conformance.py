@@ -656,7 +656,7 @@ def test_verify_predicts_by_the_formula(terms: tuple[Term, ...]) -> None:
     model, (rate, force) = unit(terms), samples(5)
     gyro, accel = outputs(named(model), rate, force)
     for gyros, read, inputs in ((True, gyro, rate), (False, accel, force)):
-        sensors = Sensors.of(model.parameters, gyros=gyros)
+        sensors = Sensors.from_parameters(model.parameters, gyros=gyros)
         values = model.values(sensors.parameters)
         predicted = sensors.model(values).predict(rate, force)[0 if gyros else 1]
         assert predicted == pytest.approx(read, rel=1e-12)

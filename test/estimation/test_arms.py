@@ -106,7 +106,7 @@ def test_derivatives_are_those_of_the_prediction() -> None:
 
 def test_turns_that_no_table_times_have_no_accelerometers() -> None:
     turns = tuple(replace(turn, seconds=None) for turn in evidence().turns)
-    assert len(Arms.of(turns, SITE.up_rate)) == 0
+    assert len(Arms.from_turns(turns, SITE.up_rate)) == 0
     assert not replace(evidence(), turns=turns).layout.turns_with_accels
 
 

@@ -63,7 +63,7 @@ def unit_of(seed: int) -> Estimate:
     )
     equations = Equations(evidence, positioning=SIZES.positioning)
     state = fit(equations, equations.nominal())
-    found = Information.of(equations.whitened(state)[0])
+    found = Information.from_jacobian(equations.whitened(state)[0])
     scatter = ExcessScatter(NO_POSITIONING_ERRORS, np.zeros(6))
     return Estimate(equations, state, found.covariance, found.condition, scatter, (), found.gain)
 
@@ -78,7 +78,7 @@ class Dense:
 
     def __init__(self, states: list[Any], members: tuple[int, ...], *, priors: bool = True) -> None:
         units = [found.equations for found in alone()]
-        common = CommonTable(units, SIZES).of(states)
+        common = CommonTable(units, SIZES).errors_at(states)
         shared = 3 + len(common.sources)
         own = [np.delete(np.arange(u.size), u.sensors + np.arange(3)) for u in units]
         width = shared + sum(map(len, own))

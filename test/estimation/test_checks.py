@@ -308,7 +308,7 @@ def solution(values: Floats, deviations: Floats) -> Any:
 
 def compared(off: Floats, joint_std: float = 0.5, closed_std: float = 2.0) -> Comparison:
     ones = np.ones(24)
-    return Comparison.of(
+    return Comparison.between(
         solution(1e-3 * ones, joint_std * ones), solution(1e-3 + off, closed_std * ones), 'closed'
     )
 

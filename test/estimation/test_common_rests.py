@@ -92,8 +92,7 @@ def test_rests_are_told_apart_by_the_tables_clock() -> None:
         ({'table': None}, False),
         ({'free': True}, False),
         ({'plan': SimpleNamespace(by_hand=True)}, False),
-        ({'segments': [SimpleNamespace(angles=None)]}, False),
-        ({'turns': [SimpleNamespace(angles=None)]}, False),
+        ({'parts': [SimpleNamespace(angles=(0.0, 1.0)), SimpleNamespace(angles=None)]}, False),
     ],
 )
 def test_a_table_is_shared_where_its_angles_are_known(
@@ -104,8 +103,7 @@ def test_a_table_is_shared_where_its_angles_are_known(
         'table': object(),
         'plan': SimpleNamespace(by_hand=False),
         'free': False,
-        'segments': [known],
-        'turns': [known],
+        'parts': [known, known],
     }
     equations: Any = SimpleNamespace(evidence=SimpleNamespace(**{**held, **changed}))
     assert shares_a_table(equations) is wanted

@@ -76,7 +76,7 @@ def of(found: Any, source: Source) -> list[Any]:
 
 
 def test_joints_that_stop_err_once_for_all_units(units: Any, states: Any) -> None:
-    found = CommonTable(units, SIZES).of(states)
+    found = CommonTable(units, SIZES).errors_at(states)
     names = [n for n, s in zip(found.names, found.sources, strict=True) if n]
     outer, middle, inner = (j.name for j in load_table('three_axis').joints)
     assert names == [
@@ -109,7 +109,7 @@ def test_joints_that_stop_err_once_for_all_units(units: Any, states: Any) -> Non
 
 
 def test_stops_and_encoders_err_about_the_axes_of_the_table(units: Any, states: Any) -> None:
-    found = CommonTable(units, SIZES).of(states)
+    found = CommonTable(units, SIZES).errors_at(states)
     for source, size in ((Source.STOPS, 7e-6), (Source.ENCODER_NOISE, 2e-6)):
         both = of(found, source)
         # Three rests of three axes; an error about up shows in no force and hardly in a rate.
@@ -132,7 +132,7 @@ def test_stops_and_encoders_err_about_the_axes_of_the_table(units: Any, states: 
 
 
 def test_latitude_table_and_rates_err_for_all(units: Any, states: Any) -> None:
-    found = CommonTable(units, SIZES).of(states)
+    found = CommonTable(units, SIZES).errors_at(states)
     # What neither unit sees is no unknown.
     all_of = [u.table_error_effects(s) for u, s in zip(units, states, strict=True)]
     seen = np.any([columns.any(axis=0) for columns in all_of], axis=0)

@@ -51,8 +51,7 @@ def session(temperature: Temperature | None = None) -> Any:
         SimpleNamespace(start=EPOCH + round(a * NS), end=EPOCH + round(b * NS)) for a, b in PARTS
     )
     return SimpleNamespace(
-        segments=[first, second],
-        turns=[turn],
+        parts=[first, second, turn],
         used_moves=SimpleNamespace(linked=[SimpleNamespace(move=move)]),
         layout=SimpleNamespace(segment=np.array([0, 1, 1, 2, 3])),
         temperature=temperature,
@@ -128,7 +127,7 @@ def test_a_step_is_tried_where_parts_begin_and_in_their_middle() -> None:
     held = session()
     # Two dwells or turns lie before it, and two after.
     assert not len(shapes(held, Course.STEP))
-    held.turns.append(SimpleNamespace(start=EPOCH + 120 * NS, end=EPOCH + 132 * NS))
+    held.parts.append(SimpleNamespace(start=EPOCH + 120 * NS, end=EPOCH + 132 * NS))
     assert (shapes(held, Course.STEP) * 132.0).tolist() == pytest.approx([100.0])
     assert not interrupted(held).any()
     # A stream that was silent from the 91st second to the 99th, and one before the session.

@@ -55,7 +55,7 @@ def test_the_step_of_the_encoders_is_what_half_of_the_turns_show() -> None:
 def test_a_position_held_twice_is_a_mean_by_variances() -> None:
     first, second, *_ = CLEAN.segments
     short = replace(first, statistics=statistics(first.statistics.mean, 40.0))
-    found = replace(CLEAN, segments=(first, second, short)).position_weights()
+    found = replace(CLEAN, segments=(first, second, short)).precision_weights()
     # 120 s and 40 s.
     np.testing.assert_allclose(found, [[0.75] * 6, [1.0] * 6, [0.25] * 6])
 
@@ -252,8 +252,8 @@ def test_a_session_is_gathered_with_what_its_files_state() -> None:
     table = replace(TABLE, azimuth=0.3, positioning=5e-6)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, 'known_noise', lambda *_: (WALK, np.full(6, 7.0)))
-        found = Evidence.of(labelled, session, CLEAN.plan, spec, SITE, table)
-        bare = Evidence.of(labelled, session, CLEAN.plan, spec, SITE, None)
+        found = Evidence.from_session(labelled, session, CLEAN.plan, spec, SITE, table)
+        bare = Evidence.from_session(labelled, session, CLEAN.plan, spec, SITE, None)
         assert found.interruptions == bare.interruptions == ((1, 2),)
     assert (found.azimuth, found.positioning, found.table) == (0.3, 5e-6, table)
     assert (bare.azimuth, bare.positioning, bare.table) == (None, 0.0, None)

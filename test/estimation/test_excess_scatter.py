@@ -151,7 +151,7 @@ def weighed(calm: list[float], beyond: Any) -> Any:
 
 def test_what_is_stated_counts_by_odds_and_what_is_beyond_by_an_even_spread() -> None:
     beyond = np.full((5, 20), -3.0)
-    found = _Drift.of(weighed([0.0, 0.0, 0.0, 1.0], beyond))
+    found = _Drift.weighed(weighed([0.0, 0.0, 0.0, 1.0], beyond))
     known = 0.1 + 0.2 + 0.3 + 0.4 * np.e
     assert found.known == pytest.approx(np.log(known))
     assert found.unknown == pytest.approx(-3.0)
@@ -181,7 +181,7 @@ def test_drift_beyond_is_called_for_at_three_deviations_and_takes_all_the_weight
 def test_larger_noise_takes_from_the_drift_that_is_called_for_what_it_explains() -> None:
     beyond = np.full((5, 20), -50.0)
     beyond[2, 7] = 30.0
-    found = _Drift.of(weighed([0.0] * 4, beyond))
+    found = _Drift.weighed(weighed([0.0] * 4, beyond))
     # Noise gains 5 beside the known, 8 beside the other: the drift is three more likely.
     assert found.highest == pytest.approx(30.0 + 3.0)
     assert found.known == pytest.approx(0.0)
@@ -233,7 +233,7 @@ def grid(triads: list[_Triad]) -> tuple[Any, float]:
 @pytest.mark.parametrize('size', [0.9, 1.2, 5.0])
 def test_positioning_errors_are_the_mean_of_their_posterior(size: float) -> None:
     triads = positioned(size)
-    drifts = [_Drift.of(t) for t in triads]
+    drifts = [_Drift.weighed(t) for t in triads]
     share, joints, stops = _positioning(triads, drifts, VARIANCES)
     each, mean = grid(triads)
     # Without any drift its three hypotheses are one: nine pairs of them for positioning errors,
@@ -250,12 +250,12 @@ def test_positioning_errors_are_the_mean_of_their_posterior(size: float) -> None
 def test_positioning_errors_that_the_likelihood_does_not_ask_for_are_none() -> None:
     triads = positioned(0.0)
     assert 9 * grid(triads)[0].max() < np.exp(4.5)
-    assert _positioning(triads, [_Drift.of(t) for t in triads], VARIANCES) == (0.0, 0.0, 0.0)
+    assert _positioning(triads, [_Drift.weighed(t) for t in triads], VARIANCES) == (0.0, 0.0, 0.0)
 
 
 def test_noise_that_explains_as_much_leaves_no_positioning_errors() -> None:
     plain = positioned(1.2)
-    drifts = [_Drift.of(t) for t in plain]
+    drifts = [_Drift.weighed(t) for t in plain]
     shares = [
         _positioning([replace(t, noise=((np.eye(SIZE), nu),)) for t in plain], drifts, VARIANCES)[0]
         for nu in (np.inf, 10.0, 0.01)
@@ -508,7 +508,7 @@ def test_scatter_of_a_session_is_that_of_both_triads_and_their_positions(
     assert found.shown
     triads = [replace(t, noise=()) for t in _triads(equations, state, _ODDS)]
     spread = [
-        _posterior_drift(t, [(0.75, _Drift.of(t)), (0.25, _Drift.of(t, 4e-10, 1e-10))])
+        _posterior_drift(t, [(0.75, _Drift.weighed(t)), (0.25, _Drift.weighed(t, 4e-10, 1e-10))])
         for t in triads
     ]
     deviations = np.repeat([spread[0][0], spread[1][0]], 3)

@@ -110,7 +110,7 @@ def test_a_stated_azimuth_stands_unless_the_gyros_contradict_it(
     covariance[24, 24] = std**2
     monkeypatch.setattr(fit, 'fit', lambda *_: where)
     monkeypatch.setattr(fit, 'excess', lambda *_: ExcessScatter(NO_POSITIONING_ERRORS, np.zeros(6)))
-    of = SimpleNamespace(of=lambda _: SimpleNamespace(covariance=covariance))
+    of = SimpleNamespace(from_jacobian=lambda _: SimpleNamespace(covariance=covariance))
     monkeypatch.setattr(fit, 'Information', of)
     found = fit.headed(equations, where)
     assert found.any_heading is not trusted
@@ -284,7 +284,7 @@ def test_how_far_an_outlier_is_off_depends_on_how_well_the_noise_is_known(
     near, far = 0.0, 40.0
     while far - near > 0.01:
         middle = (near + far) / 2
-        beyond = outliers._fall(*pushed(middle), rows)[0] > sigma**2
+        beyond = outliers._mean_shift_test(*pushed(middle), rows)[0] > sigma**2
         near, far = (near, middle) if beyond else (middle, far)
     view = pushed(far)
     found = outliers.find_outlier((view, view), outliers.candidates(view[0].evidence, turns=True))
@@ -359,7 +359,7 @@ def test_a_scale_factor_is_told_to_a_thousandth_over_the_session(
     std = np.ones(equations.size)
     # A bias may be as unknown as it is.
     std[-2:] = [1e9, share * 1e-3 / span]
-    found: Any = SimpleNamespace(covariance=np.diag(std**2))
+    found: Any = SimpleNamespace(covariance=np.diag(std**2), std=std)
     monkeypatch.setattr(changing, 'nominal_information', lambda _: found)
     known, parameters = changing._determined(equations)
     assert known.tolist() == [True, told]
@@ -418,7 +418,7 @@ def test_an_instant_is_found_between_those_of_the_grid_and_doubted_by_its_neighb
     assert found.shape * (end - begin) == pytest.approx(wanted, abs=0.5e9)
     # Chi-square is within one of its least: so are the coefficients, within their deviations.
     jacobian, _ = stubbed(found, outputs, whitened, state)
-    std = np.sqrt(np.diag(Information.of(jacobian).covariance))
+    std = np.sqrt(np.diag(Information.from_jacobian(jacobian).covariance))
     assert (np.abs(state - true) < std)[-6:].all()
     doubt = stubbed(found, outputs, changing.shape_covariance, state)
     # Against the integral over a fine line of instants, each with its likelihood.

@@ -183,7 +183,7 @@ def test_every_pair_of_positions_is_judged_alike_whatever_its_order() -> None:
 
 
 def test_equations_that_tell_nothing_of_a_direction_have_no_condition() -> None:
-    found = Information.of(np.array([[3.0, 0.0], [4.0, 0.0]]))
+    found = Information.from_jacobian(np.array([[3.0, 0.0], [4.0, 0.0]]))
     assert found.condition == np.inf
     assert found.observed.tolist() == [True, False]
     assert found.covariance[0, 0] == pytest.approx(1 / 25)
@@ -193,7 +193,7 @@ def test_equations_that_tell_nothing_of_a_direction_have_no_condition() -> None:
 
 def test_the_inverse_is_that_of_the_normal_equations() -> None:
     rows = np.array([[2.0, 1.0, 0.0], [0.0, 3.0, 1e-4], [1.0, 0.0, 2e-4], [0.5, 0.5, -1e-4]])
-    found = Information.of(rows)
+    found = Information.from_jacobian(rows)
     wanted = np.linalg.inv(rows.T @ rows)
     np.testing.assert_allclose(found.covariance, wanted, rtol=1e-9)
     np.testing.assert_allclose(found.gain, wanted @ rows.T, rtol=1e-9, atol=1e-12)
@@ -203,11 +203,11 @@ def test_the_inverse_is_that_of_the_normal_equations() -> None:
 
 
 def test_two_that_are_only_seen_together_are_both_open() -> None:
-    found = Information.of(np.array([[1.0, 1.0, 0.0], [2.0, 2.0, 0.0], [0.0, 0.0, 1.0]]))
+    found = Information.from_jacobian(np.array([[1.0, 1.0, 0.0], [2.0, 2.0, 0.0], [0.0, 0.0, 1.0]]))
     assert found.observed.tolist() == [False, False, True]
     assert found.covariance[2, 2] == pytest.approx(1.0)
     # Fewer equations than unknowns leave some open, too.
-    assert Information.of(np.array([[1.0, 0.0]])).observed.tolist() == [True, False]
+    assert Information.from_jacobian(np.array([[1.0, 0.0]])).observed.tolist() == [True, False]
 
 
 def test_what_is_not_wanted_is_taken_out_of_a_determinant() -> None:

@@ -94,7 +94,7 @@ def rest(start: int, end: int, angles: Any = (0.0,), **other: Any) -> Any:
 
 def between(segments: Any, moves: Any, turns: Any = (), **other: Any) -> list[tuple[int, int]]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr('imu_calib.estimation.moves.ApproximateSensors.of', lambda *_: 'rough')
+        patch.setattr('imu_calib.estimation.moves.ApproximateSensors.fitted', lambda *_: 'rough')
         found = Moves.between(segments, turns, moves, G, WALK, **other)
     assert (found.approximate_sensors == 'rough') is bool(found.linked and not other.get('free'))
     return [(link.first, link.second) for link in found.linked]
@@ -119,7 +119,7 @@ def test_a_move_with_a_turn_in_it_is_left_to_the_turn(start: int, end: int, coun
     turn = SimpleNamespace(start=start, end=end)
     held = [rest(0, 10), rest(20, 30, (1.0,))]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr('imu_calib.estimation.moves.ApproximateSensors.of', lambda *_: None)
+        patch.setattr('imu_calib.estimation.moves.ApproximateSensors.fitted', lambda *_: None)
         found = Moves.between(held, [turn], [move()], G, WALK)
     assert bool(found.linked) is counts
 
@@ -127,7 +127,7 @@ def test_a_move_with_a_turn_in_it_is_left_to_the_turn(start: int, end: int, coun
 def test_a_link_has_the_errors_of_both_ends() -> None:
     held = [rest(0, 10, attitude_error=3e-5), rest(20, 30, (1.0,), attitude_error=4e-5)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr('imu_calib.estimation.moves.ApproximateSensors.of', lambda *_: None)
+        patch.setattr('imu_calib.estimation.moves.ApproximateSensors.fitted', lambda *_: None)
         (link,) = Moves.between(held, [], [move()], G, WALK).linked
         (free,) = Moves.between(held, [], [move()], G, WALK, free=True).linked
     assert link.encoders == pytest.approx(25e-10)

@@ -95,7 +95,7 @@ def test_without_noise_the_sixteen_numbers_are_exact() -> None:
 
 
 def test_the_plain_solution_is_least_squares_over_all_rate_points() -> None:
-    points = RatePoints.of(session(np.random.default_rng(2)))
+    points = RatePoints.from_turns(session(np.random.default_rng(2)))
     weights, _ = points.weights()
     design = np.column_stack([np.ones(len(points.inputs)), points.inputs])
     expected = np.linalg.lstsq(design, points.outputs, rcond=None)[0]
@@ -108,7 +108,7 @@ def test_weights_by_the_spread_beat_plain_ones_and_come_near_true_ones() -> None
     square = np.zeros((3, 4, 4))
     true = np.tile([noise_of(r) ** 2 / TURNS for r in RATES], 3)[:, None] * np.ones(4)
     for seed in range(200):
-        points = RatePoints.of(session(np.random.default_rng(seed)))
+        points = RatePoints.from_turns(session(np.random.default_rng(seed)))
         plain = np.einsum('cut,tc->cu', points.weights()[0], points.outputs)
         for k, variances in enumerate([None, points.pooled(plain), true]):
             weights = points.weights(variances)[0]
@@ -130,7 +130,7 @@ def test_what_estimated_weights_cost_is_what_they_are_off_the_true_ones() -> Non
     runs, fewer, square, stated = 150, 15, np.zeros((4, 4)), np.zeros((4, 4))
     for seed in range(runs):
         evidence = session(np.random.default_rng(seed))
-        points = RatePoints.of(evidence)
+        points = RatePoints.from_turns(evidence)
         plain = np.einsum('cut,tc->cu', points.weights()[0], points.outputs)
         best, found = (
             np.einsum('cut,tc->cu', points.weights(variances)[0], points.outputs)

@@ -46,7 +46,7 @@ def test_each_turn_is_a_rate_about_the_axis_that_is_vertical() -> None:
         turn(lean(1, -1.0, 0.01), 0.5),
         turn(lean(2, 1.0, 0.0), -0.25),
     ]
-    found = RateTestEquations.of(session(*turns))
+    found = RateTestEquations.from_turns(session(*turns))
     assert found.axes.tolist() == [0, 1, 2]
     assert found.inputs.tolist() == pytest.approx([0.5 + UP_RATE, -0.5 - UP_RATE, -0.25 + UP_RATE])
     off = np.zeros((3, 3))
@@ -61,7 +61,7 @@ def test_an_axis_that_nothing_turns_is_named(axis: int, name: str) -> None:
         f'turn about {name} was found: K_g{name.lower()} and the responses of the gyros to {name}'
     )
     with pytest.raises(NotObservable, match=lost):
-        RateTestEquations.of(session(*turns))
+        RateTestEquations.from_turns(session(*turns))
 
 
 def test_several_rates_are_a_slope_and_one_is_an_output_less_the_bias() -> None:

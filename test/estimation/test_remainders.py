@@ -122,7 +122,7 @@ def roughly(ups: Floats, axes: list[int]) -> ApproximateSensors:
             mean = np.concatenate(MODEL.predict(rate * up, 9.8 * up))
             statistics = SimpleNamespace(mean=mean)
             turns.append(SimpleNamespace(up=up, rate=lambda rate=rate: rate, statistics=statistics))
-    return ApproximateSensors.of(segments, turns, forces, np.zeros(6))
+    return ApproximateSensors.fitted(segments, turns, forces, np.zeros(6))
 
 
 def test_rests_and_turns_all_around_tell_what_the_sensors_answer() -> None:

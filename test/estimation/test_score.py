@@ -210,7 +210,7 @@ def test_the_power_that_is_stated_is_that_of_the_test() -> None:
         equations = Equations(evidence)
         state = fit(equations, equations.nominal())
         columns = columns_of([family], equations, state)
-        return WhitenedResiduals.of(equations, state).score(family, columns[family])
+        return WhitenedResiduals.at(equations, state).score(family, columns[family])
 
     without, _ = expectation(())
     least = float(score(noisy(without, 0)).smallest(alpha)[1])
@@ -358,12 +358,12 @@ def chances(evidence: Evidence, *, drifting: bool = True) -> dict[str, float]:
     for course in LOOKED_FOR:
         family = Family(course.value, course=course)
         patterns = columns_of([family], equations, state)[family]
-        score = WhitenedResiduals.of(equations, state).score(family, patterns)
+        score = WhitenedResiduals.at(equations, state).score(family, patterns)
         if drifting:
             scatter = family.scatter(
                 equations, state, float(shapes_of(family, equations)[score.chosen])
             )
-            there = WhitenedResiduals.of(family.with_scatter(equations, scatter), state)
+            there = WhitenedResiduals.at(family.with_scatter(equations, scatter), state)
             score = there.score(family, patterns)
         found[course.value] = score.log_p
     return found

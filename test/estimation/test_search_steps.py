@@ -32,8 +32,8 @@ from imu_calib.estimation.score import (
     with_parameters,
 )
 from imu_calib.estimation.search import (
-    Found,
-    Search,
+    SearchResult,
+    SignificantFamily,
     _akaike_criterion,
     _assigned_sizes,
     _by_alternatives,
@@ -282,10 +282,10 @@ def test_a_model_is_what_was_found_and_can_do_without_it() -> None:
     doubt = tuple((p, 1e-6) for p in ACCEL_CUBIC.parameters)
     model = start.with_found(
         [
-            Found(CUBIC, -9.0),
-            Found(TREND, -9.0),
-            Found(WOBBLE, -9.0, size=2e-5),
-            Found(OF_ACCELS, -9.0, considered=doubt),
+            SignificantFamily(CUBIC, -9.0),
+            SignificantFamily(TREND, -9.0),
+            SignificantFamily(WOBBLE, -9.0, size=2e-5),
+            SignificantFamily(OF_ACCELS, -9.0, considered=doubt),
         ]
     )
     assert model.parameters == (*PARAMETERS, *GYRO_CUBIC.parameters)
@@ -345,7 +345,7 @@ def judged(monkeypatch: pytest.MonkeyPatch, scores: dict[Family, Score]) -> None
     monkeypatch.setattr(module, 'families', lambda _: tuple(scores))
     monkeypatch.setattr(module, 'columns_of', lambda found, *_: {f: ((f, f),) for f in found})
     residuals = SimpleNamespace(score=lambda family, _: scores[family])
-    monkeypatch.setattr(module, 'WhitenedResiduals', SimpleNamespace(of=lambda *_: residuals))
+    monkeypatch.setattr(module, 'WhitenedResiduals', SimpleNamespace(at=lambda *_: residuals))
 
 
 def test_confirmed_is_what_is_significant_beside_the_others_with_rivals_close_by(
@@ -358,12 +358,12 @@ def test_confirmed_is_what_is_significant_beside_the_others_with_rivals_close_by
     near, far = (replace(best, statistic=s) for s in (42.1, 41.9))
     judged(monkeypatch, {CUBIC: best, SENSES: near, OF_ACCELS: far, WOBBLE: near})
     # A chi-square of nine, in the scale of what is there: 18; of the table nothing is a rival.
-    (kept,) = _confirmed(start, trial, trial, [Found(CUBIC, -1.0)])
+    (kept,) = _confirmed(start, trial, trial, [SignificantFamily(CUBIC, -1.0)])
     assert kept.log_p == best.log_p
     assert kept.alternatives == (SENSES,)
     # 16.3 is what three degrees of freedom have once in a thousand, 17.7 once in two thousand.
     judged(monkeypatch, {CUBIC: replace(best, statistic=2 * 17.5), SENSES: best})
-    assert _confirmed(start, trial, trial, [Found(CUBIC, -1.0)]) == ()
+    assert _confirmed(start, trial, trial, [SignificantFamily(CUBIC, -1.0)]) == ()
 
 
 def test_what_spares_outputs_must_spare_more_than_it_has_coefficients(
@@ -372,7 +372,7 @@ def test_what_spares_outputs_must_spare_more_than_it_has_coefficients(
     start = _Model(stated().evidence, PARAMETERS)
     monkeypatch.setattr(_Model, 'on', lambda *_: (trial.equations, trial.state))
     judged(monkeypatch, {CUBIC: score(90.0), SENSES: score(90.0)})
-    both = [Found(CUBIC, -1.0, min_saved_outputs=3), Found(SENSES, -1.0)]
+    both = [SignificantFamily(CUBIC, -1.0, min_saved_outputs=3), SignificantFamily(SENSES, -1.0)]
     first = estimated(down=9)
     for down, names in ((6, ['gyro_asymmetry']), (5, ['gyro_cubic', 'gyro_asymmetry'])):
         trial = estimated(down=down)
@@ -404,7 +404,7 @@ def test_families_are_tried_under_their_own_scatter_until_some_are_shown(
             return score(50.0 if family.name == shown else 1.0, freedom=1e9)
 
         residuals = SimpleNamespace(score=scored)
-        monkeypatch.setattr(module, 'WhitenedResiduals', SimpleNamespace(of=lambda *_: residuals))
+        monkeypatch.setattr(module, 'WhitenedResiduals', SimpleNamespace(at=lambda *_: residuals))
         return _under_own_scatter(equations, equations.nominal(), names)
 
     found = under('term 1')
@@ -490,7 +490,9 @@ def test_what_is_not_confirmed_is_rejected_and_the_search_begins_again(
 
     def shown(_: Any, __: Any, rejected: set[Family]) -> Any:
         tried.append({f.name for f in rejected})
-        return tuple(Found(f, -9.0) for f in (CUBIC, SENSES, OF_ACCELS) if f not in rejected)
+        return tuple(
+            SignificantFamily(f, -9.0) for f in (CUBIC, SENSES, OF_ACCELS) if f not in rejected
+        )
 
     def fitted(model: _Model) -> Any:
         if model.parameters == PARAMETERS:
@@ -513,7 +515,7 @@ def test_what_is_not_confirmed_is_rejected_and_the_search_begins_again(
     found: Any = _searched(start, first, find_terms=True)
     # The last of three leaves the session open; of the other two one is not significant.
     assert tried == [set(), {'accel_cubic'}, {'accel_cubic', 'gyro_asymmetry'}]
-    assert found == (trial, (Found(CUBIC, -9.0),), first, True)
+    assert found == (trial, (SignificantFamily(CUBIC, -9.0),), first, True)
     assert _searched(start, first, find_terms=False) == (first, (), first, False)
     monkeypatch.setattr(module, '_found_families', lambda *_: ())
     assert _searched(start, first, find_terms=True) == (first, (), first, True)
@@ -522,9 +524,9 @@ def test_what_is_not_confirmed_is_rejected_and_the_search_begins_again(
 def test_a_step_is_tried_where_nothing_else_converges_or_outputs_are_set_aside(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def ended(down: int = 0, **more: Any) -> Search:
+    def ended(down: int = 0, **more: Any) -> SearchResult:
         one = estimated(down=down)
-        return Search(
+        return SearchResult(
             one, (), {}, 1e-4, np.zeros((24, 24)), {}, {}, one, np.zeros((24, 24)), **more
         )
 
@@ -540,8 +542,8 @@ def test_a_step_is_tried_where_nothing_else_converges_or_outputs_are_set_aside(
 
     monkeypatch.setattr(module, '_with_a_step', with_a_step)
 
-    def searched(answer: Search | None, *, find_terms: bool = True) -> Any:
-        def search(*_: Any, **__: Any) -> Search:
+    def searched(answer: SearchResult | None, *, find_terms: bool = True) -> Any:
+        def search(*_: Any, **__: Any) -> SearchResult:
             if answer is None:
                 raise NotConverged('no end')
             return answer
@@ -555,7 +557,7 @@ def test_a_step_is_tried_where_nothing_else_converges_or_outputs_are_set_aside(
     tried.clear()
     sound = ended()
     assert searched(sound) is sound
-    named = replace(ended(down=3), found=(Found(STEP, -9.0),))
+    named = replace(ended(down=3), found=(SignificantFamily(STEP, -9.0),))
     assert searched(named) is named
     assert searched(aside := ended(down=3), find_terms=False) is aside
     assert not tried
@@ -614,7 +616,7 @@ def test_a_search_that_comes_to_no_end_is_said_to_be_broken_off(
         raise NotConverged('no end')
 
     monkeypatch.setattr(_Model, 'estimate', lambda _: first)
-    whole = Search(first, (), {}, 1e-4, np.zeros((24, 24)), {}, {}, first, np.zeros((24, 24)))
+    whole = SearchResult(first, (), {}, 1e-4, np.zeros((24, 24)), {}, {}, first, np.zeros((24, 24)))
     monkeypatch.setattr(module, '_search_of', lambda *_, **__: whole)
     monkeypatch.setattr(module, '_found_families', lambda *_: ())
     assert findings(search_terms(first.equations.evidence)) == []
@@ -631,27 +633,29 @@ def test_a_rival_counts_by_its_likelihood_and_by_how_far_parameters_are_off(
     state[:27] = np.arange(27)
     current: Any = SimpleNamespace(equations=equations, state=state)
     squares = iter((10.0, 12.0))
-    monkeypatch.setattr(module, 'current_chi_square', lambda *_: next(squares))
+    monkeypatch.setattr(Equations, 'chi_square', lambda *_: next(squares))
     # By the rival every one of the 24 is larger by two, and what was found is zero.
     monkeypatch.setattr(module, 'fit', lambda _, start: start + 2.0)
-    found = _by_alternatives(current, Found(CUBIC, -9.0, alternatives=(SENSES,)))
+    found = _by_alternatives(current, SignificantFamily(CUBIC, -9.0, alternatives=(SENSES,)))
     off = np.array([*[2.0] * 24, -24.0, -25.0, -26.0])
     # Likelihoods of exp(-10 / 2) and exp(-12 / 2).
     assert found == pytest.approx(np.outer(off, off) * np.exp(-6) / (np.exp(-5) + np.exp(-6)))
-    monkeypatch.setattr(module, 'current_chi_square', lambda *_: 0.0)
+    monkeypatch.setattr(Equations, 'chi_square', lambda *_: 0.0)
 
     def refused(*_: Any) -> Any:
         raise NotConverged('no end')
 
     monkeypatch.setattr(module, 'fit', refused)
-    assert not _by_alternatives(current, Found(CUBIC, -9.0, alternatives=(SENSES,))).any()
+    assert not _by_alternatives(
+        current, SignificantFamily(CUBIC, -9.0, alternatives=(SENSES,))
+    ).any()
 
 
 def test_what_rivals_and_drifts_would_make_is_a_share_of_its_own() -> None:
     doubt = np.diag([4.0, 0.0])
     known = Share(np.diag([1.0, 2.0]), np.array([5.0, 6.0]))
     parts = [estimated(), (), {}, 1e-4, doubt, {}, {}, estimated(), doubt]
-    search = Search(*parts)
+    search = SearchResult(*parts)
     assert search.shares()[Source.TERMS].covariance.tolist() == doubt.tolist()
     search.estimate.shares = lambda: {Source.TERMS: known, Source.NOISE: known}
     both = search.shares()
@@ -674,14 +678,16 @@ def test_of_what_is_off_it_is_said_what_it_would_do(monkeypatch: pytest.MonkeyPa
     every = (CUBIC, TREND, WOBBLE)
     monkeypatch.setattr(module, 'families', lambda _: (*every, SENSES))
     beside: list[Any] = []
-    plain = scores_module.WhitenedResiduals.of(equations, state)
+    plain = scores_module.WhitenedResiduals.at(equations, state)
 
     def residuals(of: Any, _: Any) -> Any:
         beside.append(of.extra)
         return plain
 
-    monkeypatch.setattr(module, 'WhitenedResiduals', SimpleNamespace(of=residuals))
-    found = module._search_of(current, (Found(SENSES, -9.0),), current, weigh_drifts=True)
+    monkeypatch.setattr(module, 'WhitenedResiduals', SimpleNamespace(at=residuals))
+    found = module._search_of(
+        current, (SignificantFamily(SENSES, -9.0),), current, weigh_drifts=True
+    )
     # Drifts are tested beside what seems absent; what was found is no more off.
     assert beside == [(), absent]
     assert list(found.scores) == list(every)

@@ -71,7 +71,7 @@ def test_a_point_is_a_rate_about_up_and_the_noise_of_four_channels() -> None:
     each = np.array([[1.0, 2, 3, 4], [1, 4, 3, 8], [1, 6, 3, 0]])
     other = turn(1, 0.3)
     other.skewed = None
-    found = RatePoints.of(session(turn(0, 0.5, each, 1e-3), other, turn(2, -0.2)))
+    found = RatePoints.from_turns(session(turn(0, 0.5, each, 1e-3), other, turn(2, -0.2)))
     np.testing.assert_allclose(
         found.inputs, [[0.5 + UP_RATE, 0, 0], [0, 0, -0.2 + UP_RATE]], rtol=1e-15
     )
@@ -91,13 +91,13 @@ def test_a_point_is_a_rate_about_up_and_the_noise_of_four_channels() -> None:
 
 @pytest.mark.parametrize('each', [np.ones((1, 4)), np.ones((5, 3)), None])
 def test_one_turn_or_three_channels_tell_no_spread(each: Any) -> None:
-    found = RatePoints.of(session(turn(0, 0.5, each)))
+    found = RatePoints.from_turns(session(turn(0, 0.5, each)))
     assert np.isnan(found.spread).all()
     assert found.freedom.tolist() == [0.0]
 
 
 def test_two_turns_tell_a_spread() -> None:
-    found = RatePoints.of(session(turn(0, 0.5, np.array([np.zeros(4), np.full(4, 2.0)]))))
+    found = RatePoints.from_turns(session(turn(0, 0.5, np.array([np.zeros(4), np.full(4, 2.0)]))))
     assert found.spread.tolist() == [[1.0] * 4]
     assert found.freedom.tolist() == [1.0]
 
@@ -106,14 +106,14 @@ def test_a_point_without_noise_keeps_the_smallest_variance() -> None:
     still = session(turn(0, 0.5))
     still.walk = np.zeros(6)
     still.turns[0].statistics.quantisation_variance = np.zeros(6)
-    assert RatePoints.of(still).own[0, :3].tolist() == [1e-24] * 3
+    assert RatePoints.from_turns(still).own[0, :3].tolist() == [1e-24] * 3
 
 
 def test_without_a_turn_that_it_saw_the_four_are_lost() -> None:
     other = turn(0, 0.5)
     other.skewed = None
     with pytest.raises(NotObservable, match=r'No turn .*: R_gsx, R_gsy, R_gsz, D_gs cannot be'):
-        RatePoints.of(session(other))
+        RatePoints.from_turns(session(other))
 
 
 def test_rates_within_a_twentieth_are_one() -> None:
@@ -290,7 +290,7 @@ def test_what_weights_cost_is_by_their_slopes() -> None:
     for one in turns:
         one.statistics.mean[:3] += 1e-6 * rng.standard_normal(3)
     evidence = session(*turns)
-    them = RatePoints.of(evidence)
+    them = RatePoints.from_turns(evidence)
     variances = them.pooled(np.einsum('cut,tc->cu', them.weights()[0], them.outputs))
     wanted = np.zeros((4, 4))
     for rate in (0.5, 1.5):
@@ -316,7 +316,7 @@ def test_weights_by_what_a_fit_leaves_have_its_freedom() -> None:
     for k, one in enumerate(turns):
         one.statistics.mean[:3] += 1e-6 * np.array([1, -1, 1]) * (-1) ** (k // 3)
     evidence = session(*turns)
-    them = RatePoints.of(evidence)
+    them = RatePoints.from_turns(evidence)
     variances = them.pooled(np.einsum('cut,tc->cu', them.weights()[0], them.outputs))
     wanted = np.zeros(4)
     for rate in (0.5, 1.5):
@@ -372,12 +372,12 @@ def test_turns_without_noise_give_the_sixteen_numbers() -> None:
     assert found.model.skewed is not None
     assert found.model.skewed.response[0] == pytest.approx(COUPLINGS[3, :3], abs=1e-12)
     assert found.model.skewed.bias == pytest.approx(COUPLINGS[3, 3], abs=1e-12)
-    assert found.condition == RatePoints.of(held).weights()[1]
+    assert found.condition == RatePoints.from_turns(held).weights()[1]
     assert [sentence.split(' ')[0] for sentence in found.findings] == ['The', 'Parity', 'The']
     assert 'known to 7 ppm only' in found.findings[2]
     assert np.isnan([found.azimuth, found.azimuth_std, found.earth_up, found.earth_up_std]).all()
     # Points that agree by chance are no better known than their noise leaves them.
-    them = RatePoints.of(held)
+    them = RatePoints.from_turns(held)
     wanted = normal(them.inputs, them.own[:, 0])[1]
     assert found.covariance[9, 9] == pytest.approx(wanted[3, 3], rel=1e-9)
     assert found.covariance[0, 0] == pytest.approx(wanted[0, 0] + (1.01 * 7e-6) ** 2, rel=1e-9)

@@ -356,7 +356,7 @@ def test_angles_between_input_axes_are_told_by_sensors_and_moves_on_any_table(se
     vague = replace(TableErrors(**SIZES), zeros=3000 * ARCSEC, orthogonality=1000 * ARCSEC)
     equations = Equations(replace(evidence, table=replace(TABLE, errors=vague)))
     state = state_at(equations, solution.model)
-    unknown = Information.of(equations.whitened(state)[0]).covariance[:24, :24]
+    unknown = Information.from_jacobian(equations.whitened(state)[0]).covariance[:24, :24]
     assert np.sqrt(np.diag(unknown))[misaligned].max() > 90 * SIZES['zeros']
     widened = np.concatenate([a.std for a in free_of_frame(solution.model, unknown, PARAMETERS)])
     assert np.all(widened < 1.2 * std)

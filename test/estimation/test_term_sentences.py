@@ -11,7 +11,7 @@ import pytest
 from imu_calib.common.units import ARCSEC, DEG_H
 from imu_calib.estimation import term_tests
 from imu_calib.estimation.score import Family, Score
-from imu_calib.estimation.search import Found
+from imu_calib.estimation.search import SignificantFamily
 from imu_calib.estimation.term_tests import (
     TermState,
     TermTest,
@@ -54,9 +54,7 @@ def searched(
     covariance = std**2 * np.eye(30)
     begin = 1_700_000_000 * 10**9
     whole = SimpleNamespace(start=begin, end=begin + 120 * 10**9)
-    evidence = SimpleNamespace(
-        table=table, segments=[whole], turns=[], used_moves=SimpleNamespace(linked=[])
-    )
+    evidence = SimpleNamespace(table=table, parts=[whole], used_moves=SimpleNamespace(linked=[]))
     equations = SimpleNamespace(parameters=PARAMETERS, sensors=24, evidence=evidence, shape=0.5)
     return SimpleNamespace(
         broken_off=False,
@@ -78,50 +76,54 @@ def score(statistic: float, deviation: Any, rank: int = 3, freedom: float = 1e9)
     ('found', 'sentence'),
     [
         (
-            Found(WOBBLE, -20 * LN10, size=2.5 * ARCSEC),
+            SignificantFamily(WOBBLE, -20 * LN10, size=2.5 * ARCSEC),
             'The session shows joint axes that wobble (by chance once in 10^20 sessions): the '
             'standard deviations allow for 2.5 arcsec each, which the description of the table '
             'does not state (wobble).',
         ),
         (
-            Found(TREND, -4.4 * LN10),
+            SignificantFamily(TREND, -4.4 * LN10),
             'The session shows parameters that drift evenly with time (trend, by chance once in '
             '10^4 sessions): it is estimated.',
         ),
         (
             # Never less than a thousand: that is what the search asks for.
-            Found(TREND, -2 * LN10, alternatives=(WARM_UP, CUBIC)),
+            SignificantFamily(TREND, -2 * LN10, alternatives=(WARM_UP, CUBIC)),
             'The session shows parameters that drift evenly with time (trend, by chance once in '
             '10^3 sessions): it is estimated. warm_up or gyro_cubic would explain it as well, and '
             f'the standard deviations allow for that. {TO_TELL}',
         ),
         (
-            Found(STEP, -12 * LN10),
+            SignificantFamily(STEP, -12 * LN10),
             'The session shows biases that step at one instant (step, by chance once in 10^12 '
             'sessions): it is estimated. It is at 2023-11-14 22:14:20.000 UTC. Biases step where a '
             'unit is switched off and on, or is struck; if it was neither, one of its sensors is '
             'not stable. The biases stated are the mean over the session.',
         ),
         (
-            Found(TREND, -5 * LN10, alternatives=(THERMAL,)),
+            SignificantFamily(TREND, -5 * LN10, alternatives=(THERMAL,)),
             'The session shows parameters that drift evenly with time (trend, by chance once in '
             '10^5 sessions): it is estimated. thermal would explain it as well, and the standard '
             f'deviations allow for that. {TO_TELL_HEAT}',
         ),
         (
-            Found(CUBIC, -6 * LN10),
+            SignificantFamily(CUBIC, -6 * LN10),
             'The session shows gyro cubic term (gyro_cubic, by chance once in 10^6 sessions): it '
             'is estimated.',
         ),
         (
-            Found(CUBIC, -6 * LN10, considered=tuple((p, 25e-6) for p in GYRO_CUBIC.parameters)),
+            SignificantFamily(
+                CUBIC, -6 * LN10, considered=tuple((p, 25e-6) for p in GYRO_CUBIC.parameters)
+            ),
             'The session shows gyro cubic term (gyro_cubic, by chance once in 10^6 sessions) and '
             'does not determine it: the standard deviations allow for coefficients of 25 ppm. To '
             'determine it takes turns about each axis at two rates or more, four to tell it from '
             'gyro_rate_dependence.',
         ),
         (
-            Found(CUBIC, -6 * LN10, alternatives=(Family('gyro_asymmetry', GYRO_ASYMMETRY), TREND)),
+            SignificantFamily(
+                CUBIC, -6 * LN10, alternatives=(Family('gyro_asymmetry', GYRO_ASYMMETRY), TREND)
+            ),
             'The session shows gyro cubic term (gyro_cubic, by chance once in 10^6 sessions): it '
             'is estimated. gyro_asymmetry or trend would explain it as well, and the standard '
             'deviations allow for that. To tell them apart takes turns about each axis at two '
@@ -130,7 +132,7 @@ def score(statistic: float, deviation: Any, rank: int = 3, freedom: float = 1e9)
     ],
 )
 def test_what_was_found_is_said_with_its_chance_and_what_would_tell_more(
-    found: Found, sentence: str
+    found: SignificantFamily, sentence: str
 ) -> None:
     assert findings(searched((found,))) == [sentence]
 
@@ -167,7 +169,10 @@ def test_every_family_becomes_what_was_made_of_it() -> None:
     slope = np.zeros((24, 3))
     slope[13, 1], slope[14, 2] = 50.0, 1e-9
     search = searched(
-        (Found(CUBIC, -5 * LN10), Found(TREND, -4 * LN10, considered=((BY_NAME['K_gx'], 1.0),))),
+        (
+            SignificantFamily(CUBIC, -5 * LN10),
+            SignificantFamily(TREND, -4 * LN10, considered=((BY_NAME['K_gx'], 1.0),)),
+        ),
         {TREND: 0.25},
         scores=scores,
         alpha=1e-4,
@@ -281,7 +286,7 @@ def test_an_error_of_the_table_is_said_beside_what_was_known_of_it(
     assumed: Any, whose: str
 ) -> None:
     table = SimpleNamespace(errors=TableErrors(wobble=2 * ARCSEC), not_stated=assumed)
-    found = Found(WOBBLE, -20 * LN10, size=151 * ARCSEC, seen=110 * ARCSEC)
+    found = SignificantFamily(WOBBLE, -20 * LN10, size=151 * ARCSEC, seen=110 * ARCSEC)
     assert findings(searched((found,), table=table)) == [
         'The session shows joint axes that wobble (wobble, by chance once in 10^20 sessions), by '
         f'110 arcsec where {whose}: the standard deviations allow for 151 arcsec each.'

@@ -129,7 +129,7 @@ def test_the_arrowhead_gives_what_one_dense_system_of_all_units_gives(sessions):
     joined = join(alone)
     states = [joined.estimates[k].state for k in range(3)]
     units = [found.equations for found in alone]
-    common = CommonTable(units, CommonSizes.of_one_unit(units[0])).of(states)
+    common = CommonTable(units, CommonSizes.of_one_unit(units[0])).errors_at(states)
     errors = len(common.sources)
     blocks, rows, width = [], [], sum(unit.size - 3 for unit in units) + 3
     first = 3

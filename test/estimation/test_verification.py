@@ -152,7 +152,7 @@ def test_parameters_that_were_not_found_are_not_said_to_have_moved(
 
 def test_a_mistake_whose_remedy_no_imu_has_explains_nothing() -> None:
     """Misalignments a thousand times as large make nothing of any rate, whatever is wrong."""
-    sensors = Sensors.of(calibration().parameters, gyros=True)
+    sensors = Sensors.from_parameters(calibration().parameters, gyros=True)
     values = Triad(np.full((3, 3), 2e-2), np.full(3, 0.01)).vector()
     tried = {mistake.when for mistake in mistakes(sensors, values)}
     assert 'the misalignments are read as radians' not in tried
@@ -405,7 +405,7 @@ def test_by_lengths_what_cannot_explain_a_session_is_not_fitted(
     monkeypatch.setattr(system, 'least_squares', counting(system.least_squares, fitted))
     spoil, gyros, words = DEFECTS[name]
     assert words in symptom(verify(spoil(), by_the_imu_alone()), gyros=gyros)
-    sensors = Sensors.of(calibration().parameters, gyros=gyros)
+    sensors = Sensors.from_parameters(calibration().parameters, gyros=gyros)
     values = calibration().model.values(sensors.parameters)
     # What frees parameters is fitted, and the two triads, and few of the others.
     assert len(fitted) < 20

@@ -15,7 +15,7 @@ from imu_calib.common.stream import Floats
 from imu_calib.estimation.outliers import (
     _UNLIKE,
     MOST_OUTLIERS,
-    _fall,
+    _mean_shift_test,
     candidates,
     downweighted,
     turns_disagree,
@@ -76,7 +76,7 @@ class Linear:
 
 
 def residuals(system: Any) -> WhitenedResiduals:
-    return WhitenedResiduals.of(system, np.zeros(STATE))
+    return WhitenedResiduals.at(system, np.zeros(STATE))
 
 
 def family(judged: Any = None) -> Any:
@@ -161,7 +161,7 @@ def test_an_outlier_takes_what_offsets_of_its_own_would() -> None:
     columns = np.eye(ROWS)[:, rows]
     _, _, residual_values = system.refitted(columns)
     _, _, before = system.refitted(np.zeros((ROWS, 0)))
-    square, rank, freedom = _fall(system, system.solved(), rows)  # type: ignore[arg-type]
+    square, rank, freedom = _mean_shift_test(system, system.solved(), rows)  # type: ignore[arg-type]
     assert square == pytest.approx(before - residual_values)
     assert rank == 3
     # Three quarters of the variance are known by nine degrees of freedom: GUM, G.2b.

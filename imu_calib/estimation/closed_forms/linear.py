@@ -22,18 +22,14 @@ from ..checks import Solution, no_turn_about
 from ..conclusion import SAME_UP, conclude
 from ..equations import Equations
 from ..evidence import Evidence, vertical_axis
+from ..table_effects import Accelerometers
 
-# The closed forms as linear maps from mean outputs to parameters.
-#
 # Per channel i the unknowns are its three responses delta_ij + M_ij and its bias. Each equation of
 # a method reads `coefficients . unknowns = weights . outputs`, so that the estimate follows from
-# one small matrix, and its covariance from that of the outputs (`gains`).
+# one small matrix, and its covariance from that of the outputs (`Gains`).
 
-
-UNKNOWNS = 4
-"""Of a channel: three responses and a bias."""
-BIAS = 3
-"""Its index among them."""
+UNKNOWNS = 4  #: Of a channel: three responses and a bias.
+BIAS = 3  #: Its index among them.
 
 
 @dataclass(eq=False)
@@ -51,11 +47,7 @@ class ChannelSystem:
         self.weights.append(weights)
 
     def solve(self) -> tuple[Floats, float]:
-        """Return the weights (4, size) of outputs for the unknowns, and the condition number.
-
-        Raises:
-            NotObservable: The equations do not determine the channel.
-        """
+        """Return the weights (4, size) of outputs for the unknowns, and the condition number."""
         matrix, weights = np.array(self.coefficients), np.array(self.weights)
         if matrix.shape != (UNKNOWNS, UNKNOWNS):
             raise NotObservable(
@@ -75,15 +67,7 @@ class SolvedTriad:
 
 
 def solve_triad(systems: Sequence[ChannelSystem], outputs: Floats) -> SolvedTriad:
-    """Solve three channels.
-
-    Args:
-        systems: The equations of channels x, y, z.
-        outputs: (size, 3) mean outputs.
-
-    Raises:
-        NotObservable: The equations do not determine a channel.
-    """
+    """Solve channels x, y and z by their systems, for (size, 3) mean outputs."""
     solved = [system.solve() for system in systems]
     gain = np.array([weights for weights, _ in solved])
     unknowns = np.einsum('ium,mi->iu', gain, outputs)
@@ -93,8 +77,7 @@ def solve_triad(systems: Sequence[ChannelSystem], outputs: Floats) -> SolvedTria
 
 ILL_CONDITIONED = 100.0
 """Where two digits are lost, only errors of the attitudes separate the parameters."""
-_SINGULAR = 1e-12
-"""Of the largest singular value: a smaller one is zero but for rounding (1e-16)."""
+_SINGULAR = 1e-12  #: Of the largest singular value: a smaller one is zero but for rounding (1e-16).
 _INVOLVED = 0.1
 """Of a unit vector: parameters with this share in undetermined directions are named."""
 
@@ -163,14 +146,19 @@ class Gains:
         return shares_of(evidence, model, self.derivatives(evidence))
 
     def conclude(
-        self, evidence: Evidence, *, findings: Sequence[str] = (), north_known: bool
+        self,
+        evidence: Evidence,
+        *,
+        model: SensorModel | None = None,
+        accelerometers: Accelerometers | None = None,
+        findings: Sequence[str] = (),
+        north_known: bool,
     ) -> Solution:
-        """Estimate, and check the estimate against the data.
+        """Check the estimate against the data.
 
-        Raises:
-            NotObservable: The data contradicts the estimate.
+        The estimate and its accelerometers are those by these gains, if not given.
         """
-        model = self.model(evidence)
+        model = model or self.model(evidence)
         return conclude(
             evidence,
             model,
@@ -180,18 +168,14 @@ class Gains:
             parameters=self.parameters,
             findings=findings,
             north_known=north_known,
-            accelerometers=lambda other: self.model(other).accel,
+            accelerometers=accelerometers or (lambda other: self.model(other).accel),
         )
 
 
 def shares_of(evidence: Evidence, model: SensorModel, rows: Floats) -> dict[Source, Share]:
     """Return by source the covariance of parameters that are linear in the outputs.
 
-    Args:
-        evidence: The session.
-        model: The sensors.
-        rows: (n, m) derivatives of the parameters by the outputs without moves, NaN for parameters
-            that are not estimated.
+    `rows` (n, m) are their derivatives by the outputs without moves, NaN for those not estimated.
     """
     # A closed form does not use moves.
     equations = Equations(replace(evidence, moves=()))
@@ -209,9 +193,6 @@ def inverse(design: Floats, names: Sequence[str], what: str) -> tuple[Floats, fl
         design: (m, u), its columns of comparable size.
         names: The parameters determined by each column.
         what: Source of the rows, for the message.
-
-    Raises:
-        NotObservable: Columns that cannot be separated; names their parameters.
     """
     rows = np.vstack([design, np.zeros((max(0, design.shape[1] - len(design)), design.shape[1]))])
     left, values, vectors = np.linalg.svd(rows, full_matrices=False)
@@ -234,9 +215,6 @@ def rate_test_weights(evidence: Evidence) -> tuple[Floats, float]:
 
     Least squares of the outputs on the rate about the axis that is up, with a separate offset for
     each attitude: bias, g-sensitivity and vertical Earth rate cancel in it.
-
-    Raises:
-        NotObservable: An axis without turns, or with turns in one sense at one rate only.
 
     Source: Luo 2018, eqs. (2-175) to (2-183), as corrected in docs/mathematics.md, 'Rate test'.
     """
@@ -270,14 +248,10 @@ def position_weights(evidence: Evidence) -> Floats:
     return np.array([1 / names.count(name) for name in names])
 
 
-# Scale factors and misalignments of the gyros from whole turns about each axis.
-#
 # Sources: Cao 2022, section 3.1; Luo 2018, eqs. (2-175) to (2-183); off-axis 2019, section 1.1.1;
 # with the corrections of docs/mathematics.md, 'Rate test'.
 
-
-_ONE_RATE = 0.2
-"""Of the largest rate: spread below which a line has no determined slope."""
+_ONE_RATE = 0.2  #: Of the largest rate: spread below which a line has no determined slope.
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,12 +264,8 @@ class RateTestEquations:
     off_axis: Floats  #: (t, 3) rates of the other axes by the encoders, rad/s.
 
     @classmethod
-    def of(cls, evidence: Evidence) -> RateTestEquations:
-        """Collect the turns of a session.
-
-        Raises:
-            NotObservable: An axis without turns.
-        """
+    def from_turns(cls, evidence: Evidence) -> RateTestEquations:
+        """Collect the turns of a session."""
         axes, inputs, off = [], [], []
         for turn in evidence.turns:
             axis, sign = vertical_axis(turn.up, turn.position)
@@ -310,16 +280,11 @@ class RateTestEquations:
         return cls(outputs, np.array(inputs), np.array(axes), np.array(off))
 
     def add_to(self, system: ChannelSystem, axis: int, first: int) -> None:
-        """Add the equation for the response to one axis.
+        """Add the equation for the response to one body axis to the system of one channel.
 
         Turns at several rates or in both senses: the slope of the output on the input, independent
         of bias and vertical Earth rate. One sense at one rate (a turn by hand): output less bias
         over input, with the bias from elsewhere.
-
-        Args:
-            system: Equations of one channel.
-            axis: Body axis.
-            first: Index of the first turn among the system's outputs.
         """
         mine = np.flatnonzero(self.axes == axis)
         inputs = self.inputs[mine]

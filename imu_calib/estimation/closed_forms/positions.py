@@ -7,7 +7,6 @@ positions'.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from ...model.sensors import SensorModel, parameters_of
 from ...model.terms import G_SENSITIVITIES, G_SENSITIVITY
 from ...session.plan import Plan
 from ..checks import Solution
-from ..conclusion import conclude
 from ..evidence import UP, Evidence
 from .linear import (
     BIAS,
@@ -35,46 +33,34 @@ from .linear import (
     solve_triad,
 )
 
-_PASSES = 2
-"""Rounds: tilts are milliradians, so that each reduces the error to a thousandth."""
+_PASSES = 2  #: Rounds: tilts are milliradians, so that each reduces the error to a thousandth.
 
 
-@dataclass(frozen=True, eq=False)
-class BiasEquation:
-    """The gyro biases as weighted means of the outputs at rest."""
+def solve_gyros(evidence: Evidence, weights: Floats, mean_input: Floats) -> SolvedTriad:
+    """Solve the gyros from the rate test and the biases as weighted means of outputs at rest.
 
-    weights: Floats  #: (s, 3) of the static dwells, per channel.
-    mean_input: Floats  #: (3,) rad/s, weighted mean of the Earth rate.
-
-
-def solve_gyros(evidence: Evidence, bias: BiasEquation) -> SolvedTriad:
-    """Solve the gyros from the rate test and one equation for the bias.
-
-    Raises:
-        NotObservable: An axis without turns.
+    The weights (s, 3) of the static dwells are those of each channel; the mean of the Earth rate
+    by them is (3,) rad/s.
     """
-    test = RateTestEquations.of(evidence)
-    solved = _gyros(evidence, test, bias, test.outputs)
-    for _ in range(_PASSES):
-        outputs = test.outputs - test.off_axis @ solved.triad.response.T
-        solved = _gyros(evidence, test, bias, outputs)
-    return solved
-
-
-def _gyros(
-    evidence: Evidence, test: RateTestEquations, bias: BiasEquation, turned: Floats
-) -> SolvedTriad:
-    """Solve for (t, 3) outputs of turns, as if about exactly the vertical axis."""
+    test = RateTestEquations.from_turns(evidence)
     at_rest = len(evidence.segments)
-    outputs = np.vstack([evidence.outputs()[:, :3], turned])
-    systems = [ChannelSystem(len(outputs)) for _ in range(3)]
-    for channel, system in enumerate(systems):
-        for axis in range(3):
-            test.add_to(system, axis, at_rest)
-        row = np.zeros(len(outputs))
-        row[:at_rest] = bias.weights[:, channel]
-        system.add(np.append(bias.mean_input, 1.0), row)
-    return solve_triad(systems, outputs)
+
+    def solved(turned: Floats) -> SolvedTriad:
+        """Solve for (t, 3) outputs of turns, as if about exactly the vertical axis."""
+        outputs = np.vstack([evidence.outputs()[:, :3], turned])
+        systems = [ChannelSystem(len(outputs)) for _ in range(3)]
+        for channel, system in enumerate(systems):
+            for axis in range(3):
+                test.add_to(system, axis, at_rest)
+            row = np.zeros(len(outputs))
+            row[:at_rest] = weights[:, channel]
+            system.add(np.append(mean_input, 1.0), row)
+        return solve_triad(systems, outputs)
+
+    found = solved(test.outputs)
+    for _ in range(_PASSES):
+        found = solved(test.outputs - test.off_axis @ found.triad.response.T)
+    return found
 
 
 def solve_accelerometers(evidence: Evidence) -> SolvedTriad:
@@ -82,9 +68,6 @@ def solve_accelerometers(evidence: Evidence) -> SolvedTriad:
 
     delta_ij + M_ij = (n_i(u) - n_i(d)) / (2 g); d_i = mean over the axes of (n_i(u) + n_i(d)) / 2:
     Cao 2022, eqs. (15) to (18).
-
-    Raises:
-        NotObservable: An axis that was never up, or never down.
     """
     outputs = evidence.outputs()[:, 3:]
     off_axis = evidence.site.gravity * evidence.off_axis()
@@ -113,7 +96,7 @@ def _accelerometers(evidence: Evidence, outputs: Floats) -> SolvedTriad:
 def _up_and_down(evidence: Evidence) -> tuple[Floats, Floats]:
     """Weights that average an axis's up and down positions, each (3, s, 6 - 3)."""
     axes = evidence.vertical_axes()
-    shares = evidence.position_weights()[:, 3:]
+    shares = evidence.precision_weights()[:, 3:]
     names = [s.position for s in evidence.segments]
     result = []
     for sign, word in ((1, 'up'), (-1, 'down')):
@@ -135,23 +118,16 @@ def _up_and_down(evidence: Evidence) -> tuple[Floats, Floats]:
 def finish(
     evidence: Evidence, gyros: SolvedTriad, *, findings: Sequence[str] = (), north_known: bool
 ) -> Solution:
-    """Solve the accelerometers too, and check both triads against the data.
-
-    Raises:
-        NotObservable: An axis that was never up or down, or data that contradicts the estimate.
-    """
+    """Solve the accelerometers too, and check both triads against the data."""
     accels = solve_accelerometers(evidence)
     model = SensorModel(gyros.triad, accels.triad)
     gains = Gains(gyros.gain, accels.gain, max(gyros.condition, accels.condition))
-    return conclude(
+    return gains.conclude(
         evidence,
-        model,
-        gains.shares(evidence, model),
-        gains.condition,
-        gain=gains.derivatives(evidence),
+        model=model,
+        accelerometers=lambda other: solve_accelerometers(other).triad,
         findings=findings,
         north_known=north_known,
-        accelerometers=lambda other: solve_accelerometers(other).triad,
     )
 
 
@@ -159,22 +135,16 @@ def finish(
 #
 # Each axis in turn is vertical, up twice and down twice. Within such a group the horizontal Earth
 # rate cancels on every gyro for any azimuth, and so does the vertical one: the mean is the bias.
-#
 # Source: Cao 2022, sections 2 to 4; docs/mathematics.md, 'Twelve positions'.
-
 
 _LARGEST_MEAN_INPUT = 3e-3
 """Of the mean input: a complete set cancels to within its positioning errors."""
 
 
 def solve_twelve_position(evidence: Evidence) -> Solution:
-    """Estimate the 24 parameters; the session's azimuth is not used.
-
-    Raises:
-        NotObservable: Names what is missing and what cannot be determined without it.
-    """
+    """Estimate the 24 parameters; the session's azimuth is not used."""
     weights, findings = _bias_weights(evidence)
-    gyros = solve_gyros(evidence, BiasEquation(weights, np.zeros(3)))
+    gyros = solve_gyros(evidence, weights, np.zeros(3))
     return finish(evidence, gyros, findings=findings, north_known=False)
 
 
@@ -182,7 +152,7 @@ def _bias_weights(evidence: Evidence) -> tuple[Floats, list[str]]:
     """Average the groups in which the Earth rate cancels (eqs. 13 and 14)."""
     axes = [axis for axis, _ in evidence.vertical_axes()]
     names = [s.position for s in evidence.segments]
-    shares = evidence.position_weights()[:, :3]
+    shares = evidence.precision_weights()[:, :3]
     inputs = np.transpose(evidence.attitudes(), (0, 2, 1))
     rows, incomplete = [], []
     for axis in range(3):
@@ -215,7 +185,6 @@ def _bias_weights(evidence: Evidence) -> tuple[Floats, list[str]]:
 
 
 # Six positions with a north reference: the baseline of Cao 2022.
-#
 # Source: docs/mathematics.md, 'Twelve positions'.
 
 
@@ -224,21 +193,19 @@ def solve_six_position(evidence: Evidence) -> Solution:
 
     Sessions turned by hand need no north: every hold has a separate unknown heading, and the level
     Earth rate widens the biases' standard deviations.
-
-    Raises:
-        NotObservable: North is unknown, or positions are missing.
     """
     if evidence.azimuth is None and not evidence.plan.by_hand:
         raise NotObservable(
             'Six positions need north: give the azimuth of the table (in its YAML, or with '
             '`azimuth`), or run twelve positions. D_gx, D_gy, D_gz cannot be determined.'
         )
-    gyros = solve_gyros(evidence, _bias_equation(evidence))
+    gyros = solve_gyros(evidence, *_bias_equation(evidence))
     return finish(evidence, gyros, north_known=evidence.azimuth is not None)
 
 
-def _bias_equation(evidence: Evidence) -> BiasEquation:
-    shares = evidence.position_weights()[:, :3]
+def _bias_equation(evidence: Evidence) -> tuple[Floats, Floats]:
+    """Return the weights of dwells and the mean input, as in `solve_gyros`."""
+    shares = evidence.precision_weights()[:, :3]
     positions = len({s.position for s in evidence.segments})
     if not positions:
         raise NotObservable('No position of the plan was found: nothing can be determined.')
@@ -246,8 +213,8 @@ def _bias_equation(evidence: Evidence) -> BiasEquation:
     mean = np.einsum('s,sij->ji', weights.mean(axis=1), evidence.attitudes())
     earth = evidence.site.earth_rate
     if evidence.azimuth is not None:
-        return BiasEquation(weights, mean @ earth)
-    return BiasEquation(weights, mean @ (UP * earth))
+        return weights, mean @ earth
+    return weights, mean @ (UP * earth)
 
 
 # n known positions by least squares, with g-sensitivity: 33 parameters (Luo 2018, section 6).
@@ -255,16 +222,11 @@ def _bias_equation(evidence: Evidence) -> BiasEquation:
 # After the rate test n attitudes at rest: bias and g-sensitivity of the gyros by eqs. (2-184) to
 # (2-186), bias and responses of the accelerometers by (2-187) to (2-189). North must be known.
 
-
 N_POSITIONS_ESTIMATES = parameters_of([G_SENSITIVITY])
 
 
 def solve_n_positions(evidence: Evidence) -> Solution:
-    """Estimate the 33 parameters.
-
-    Raises:
-        NotObservable: North is unknown, or turns or positions do not separate parameters.
-    """
+    """Estimate the 33 parameters."""
     if evidence.azimuth is None:
         raise NotObservable(
             'Positions by least squares need north: give the azimuth of the table (in its YAML, or '
@@ -288,11 +250,7 @@ def solve_n_positions(evidence: Evidence) -> Solution:
 
 
 def check_positions(plan: Plan, parameters: tuple[Parameter, ...] = N_POSITIONS_ESTIMATES) -> None:
-    """Raise if a plan does not separate the parameters of its method, before it is run.
-
-    Raises:
-        NotObservable: Names the parameters.
-    """
+    """Raise if a plan does not separate the parameters of its method, before it is run."""
     held = [p for p in plan.positions if p.dwell > 0]
     ups = np.array([p.up for p in held]).reshape(-1, 3)
     what = f'The {len(held)} positions of plan {plan.name}'
@@ -301,11 +259,7 @@ def check_positions(plan: Plan, parameters: tuple[Parameter, ...] = N_POSITIONS_
 
 
 def check_turns(plan: Plan) -> None:
-    """Raise if a plan does not turn about each axis.
-
-    Raises:
-        NotObservable: Names the parameters.
-    """
+    """Raise if a plan does not turn about each axis."""
     turned = [np.abs(p.up) for p in plan.positions if p.rate_test is not None]
     for axis, name in enumerate('XYZ'):
         if not any(up[axis] > 1 - 1e-6 for up in turned):
@@ -318,20 +272,10 @@ def check_turns(plan: Plan) -> None:
 def force_weights(
     ups: Floats, weights: Floats, what: str, parameters: tuple[Parameter, ...]
 ) -> tuple[Floats, float]:
-    """Fit outputs by a constant and the direction of specific force.
+    """Fit outputs by a constant and the direction (s, 3) of specific force.
 
-    Args:
-        ups: (s, 3) up in body axes.
-        weights: (s,) weight of each row.
-        what: Source of the rows, for the message.
-        parameters: Those that depend on them, for the message.
-
-    Returns:
-        (4, s) weights on the outputs that give the constant and, per g, the response to X, Y, Z;
-        condition number.
-
-    Raises:
-        NotObservable: Names the parameters that the attitudes do not separate.
+    Return (4, s) weights on the outputs that give the constant and, per g, the response to X, Y, Z;
+    and the condition number. `what` and `parameters` are for the message.
 
     Source: Luo 2018, eqs. (2-184) to (2-189), [1 f^T] with f in units of gravity.
     """

@@ -37,18 +37,14 @@ from .linear import (
 )
 from .positions import force_weights
 
-NAME = 'skewed'
-"""The method's name in plans."""
+NAME = 'skewed'  #: The method's name in plans.
 
-_PARAMETERS = parameters_of(skewed=1)
-"""The 24, and those of one skewed gyro."""
+_PARAMETERS = parameters_of(skewed=1)  #: The 24, and those of one skewed gyro.
 
 SKEWED_ESTIMATES = tuple(p for p in _PARAMETERS if p.triad == 'g')
 
-_SAME_RATE = 0.05
-"""Share: rates closer than that count as one rate of the plan."""
-_SLIGHT = 0.01
-"""Of the logarithm of a variance: a step of the numerical derivative."""
+_SAME_RATE = 0.05  #: Share: rates closer than that count as one rate of the plan.
+_SLIGHT = 0.01  #: Of the logarithm of a variance: a step of the numerical derivative.
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +63,8 @@ class RatePoints:
     rate_error: Floats  #: (t,) standard deviation of that, relative.
 
     @classmethod
-    def of(cls, evidence: Evidence) -> RatePoints:
-        """Collect the turns that the skewed gyro also recorded.
-
-        Raises:
-            NotObservable: There are none.
-        """
+    def from_turns(cls, evidence: Evidence) -> RatePoints:
+        """Collect the turns that the skewed gyro also recorded."""
         turns = [t for t in evidence.turns if t.skewed is not None]
         if not turns:
             lost = ', '.join(p.name for p in skewed_parameters(1))
@@ -106,11 +98,7 @@ class RatePoints:
     def weights(self, variances: Floats | None = None) -> tuple[Floats, float]:
         """Return (4 channels, 4, t) weights for responses and bias, and the condition number.
 
-        Args:
-            variances: (t, 4) of the outputs; None: equal weights.
-
-        Raises:
-            NotObservable: Names the parameters that the turns do not separate.
+        The outputs have equal weights, or those by their variances (t, 4).
         """
         scale = float(np.abs(self.inputs).max())
         design = np.column_stack([self.inputs / scale, np.ones(len(self.inputs))])
@@ -130,11 +118,9 @@ class RatePoints:
     def pooled(self, unknowns: Floats) -> Floats:
         """Return the variance (t, 4) of each output, pooled over the points of one |rate|.
 
-        The scatter of single turns about their point, or the residuals of the unweighted fit where
-        each point is one turn: a point's own residual alone would not show the spread.
-
-        Args:
-            unknowns: (4, 4) responses and bias of each channel by the unweighted fit.
+        The scatter of single turns about their point, or the residuals of the unweighted fit, whose
+        responses and biases are (4, 4), where each point is one turn: a point's own residual alone
+        would not show the spread.
         """
         residuals = self.outputs - self.inputs @ unknowns[:, :BIAS].T - unknowns[:, BIAS]
         share = len(residuals) / max(len(residuals) - unknowns.shape[1], 1)
@@ -152,11 +138,8 @@ def solve_skewed(evidence: Evidence) -> Solution:
     """Estimate the 12 parameters of the gyros and the four of the skewed one, weighted.
 
     The accelerometers are not estimated.
-
-    Raises:
-        NotObservable: Turns are missing, or none was recorded by a skewed gyro.
     """
-    points = RatePoints.of(evidence)
+    points = RatePoints.from_turns(evidence)
     plain, condition = points.weights()
     unknowns = np.einsum('cut,tc->cu', plain, points.outputs)
     variances = points.pooled(unknowns)
@@ -204,15 +187,12 @@ def _gain(evidence: Evidence, weights: Floats) -> Floats:
 
 
 def variance_by_weights(evidence: Evidence) -> Floats:
-    """Return the increase of all variances because the weights are estimated.
+    """Return the increase of all 28 variances because the weights are estimated.
 
     To second order: a pooled variance of f degrees of freedom errs by 2/f of its square, and moves
     the weights by their derivative. The scatter of normal noise does not depend on its mean.
-
-    Returns:
-        (28,) in the order of the 24 parameters and the four; NaN for accelerometers.
     """
-    points = RatePoints.of(evidence)
+    points = RatePoints.from_turns(evidence)
     plain, _ = points.weights()
     variances = points.pooled(np.einsum('cut,tc->cu', plain, points.outputs))
     added = np.zeros((4, 4))
@@ -231,9 +211,7 @@ def variance_by_weights(evidence: Evidence) -> Floats:
 def gauss_markov_bound(points: RatePoints, extra: Floats | None = None) -> Floats:
     """Return the least covariance (4, 4) of the skewed gyro's responses and bias (Gauss-Markov).
 
-    Args:
-        points: Turns that it recorded.
-        extra: (t, t) covariance of its outputs beyond walk and pulses, or None.
+    `extra` is the covariance (t, t) of its outputs beyond walk and pulses, or None.
     """
     design = np.column_stack([points.inputs, np.ones(len(points.inputs))])
     covariance = np.diag(points.own[:, 3])
@@ -319,11 +297,7 @@ def _groups(rates: Floats) -> Floats:
 
 
 def solve_rate_24(evidence: Evidence) -> Solution:
-    """Estimate the 24 parameters.
-
-    Raises:
-        NotObservable: North is unknown, or turns or positions are missing.
-    """
+    """Estimate the 24 parameters."""
     if evidence.azimuth is None:
         raise NotObservable(
             'Positions held against north need it: give the azimuth of the table (in its YAML, or '
@@ -349,7 +323,6 @@ def solve_rate_24(evidence: Evidence) -> Solution:
 # Three responses and a bias per channel by least squares over known attitudes. Any arrangement is
 # valid whose matrix [w / omega_ie, 1] is well conditioned at the latitude of the site.
 
-
 GYRO_ESTIMATES = tuple(p for p in PARAMETERS if p.triad == 'g')
 
 _MEANINGLESS = 0.1
@@ -358,12 +331,7 @@ know it better."""
 
 
 def solve_static_six(evidence: Evidence) -> Solution:
-    """Estimate the 12 parameters of the gyros; the accelerometers are not estimated.
-
-    Raises:
-        NotObservable: North is unknown, the attitudes do not separate parameters, or the Earth is
-            too slow for the noise.
-    """
+    """Estimate the 12 parameters of the gyros; the accelerometers are not estimated."""
     require_north(evidence)
     weights, condition = _static_weights(
         evidence.attitudes(),
@@ -376,11 +344,7 @@ def solve_static_six(evidence: Evidence) -> Solution:
 
 
 def check_static_six(plan: Plan, site: Site) -> None:
-    """Raise if a plan does not separate the parameters at a site, before it is run.
-
-    Raises:
-        NotObservable: Names the parameters.
-    """
+    """Raise if a plan does not separate the parameters at a site, before it is run."""
     held = [p for p in plan.positions if p.dwell > 0]
     attitudes = np.array([p.attitude for p in held]).reshape(-1, 3, 3)
     what = f'The {len(held)} positions of plan {plan.name}'
@@ -388,11 +352,7 @@ def check_static_six(plan: Plan, site: Site) -> None:
 
 
 def require_north(evidence: Evidence) -> None:
-    """Raise if the north of a session is unknown.
-
-    Raises:
-        NotObservable: Names the parameters that cannot be determined.
-    """
+    """Raise if the north of a session is unknown."""
     if evidence.azimuth is None:
         lost = ', '.join(response_names('g', axis) for axis in range(3))
         raise NotObservable(
@@ -404,8 +364,7 @@ def require_north(evidence: Evidence) -> None:
 def gyros_only(evidence: Evidence, gyro: Floats, condition: float) -> Solution:
     """Estimate the gyros with (4, s) weights on the static dwells.
 
-    Raises:
-        NotObservable: A response has a relative uncertainty above a tenth.
+    Refuse where a response has a relative uncertainty above a tenth.
     """
     at_rest = replace(evidence, turns=())
     gains = Gains(gyro, None, condition)
@@ -442,21 +401,14 @@ def _static_weights(
 # three axes: X points north and south once each and is level twice, so does Y; Z is up and down
 # twice.
 
-
 _ALONG = 0.99
 """Cosine: 8 degrees; an axis that is off by more is not at a position of this method."""
-_LEAST_RATE = 0.5 * DEG_H
-"""rad/s: that of two degrees from a pole or the equator."""
+_LEAST_RATE = 0.5 * DEG_H  #: rad/s: that of two degrees from a pole or the equator.
 _WORDS = ('X north', 'X south', 'Y north', 'Y south')
 
 
 def solve_off_axis_four(evidence: Evidence) -> Solution:
-    """Estimate the 12 parameters of the gyros; the accelerometers are not estimated.
-
-    Raises:
-        NotObservable: North is unknown, one of the four positions is missing, or the Earth is
-            too slow for the noise.
-    """
+    """Estimate the 12 parameters of the gyros; the accelerometers are not estimated."""
     require_north(evidence)
     weights = _off_axis_weights(evidence.attitudes(), evidence.site, 'the recording')
     # Every column of the four equations is a difference or a mean of all outputs: orthogonal.
@@ -464,11 +416,7 @@ def solve_off_axis_four(evidence: Evidence) -> Solution:
 
 
 def check_off_axis_four(plan: Plan, site: Site) -> None:
-    """Raise if a plan lacks one of the four positions, or for a site where they do not suffice.
-
-    Raises:
-        NotObservable: Names the position and the parameters.
-    """
+    """Raise if a plan lacks one of the four positions, or for a site where they do not suffice."""
     held = [p.attitude for p in plan.positions if p.dwell > 0]
     _off_axis_weights(np.array(held).reshape(-1, 3, 3), site, f'plan {plan.name}')
 
