@@ -43,8 +43,7 @@ from imu_calib.model.earth import Site
 from imu_calib.segmentation.segments import Segment
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.plan import UNPLANNED, Plan, load_plan
-from imu_calib.session.table import Table, load_table, read_table
-from imu_calib.session.table_errors import ASSUMED
+from imu_calib.session.table import ASSUMED, Table, load_table, read_table
 
 PPM, ARCMIN, DEG_H, MICRO_G = 1e-6, DEG / 60, DEG / 3600, 9.80665e-6
 EPOCH = 1_700_000_000

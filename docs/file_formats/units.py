@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from imu_calib.session.table import Turns, read_mount
 from imu_calib.session.units_file import SERIAL, TOPIC
 
-from .keys import REQUIRED, Key, Tables, Value, array, mapping, number, text, whole
-from .table import MOUNT, TURNS
+from .keys import REQUIRED, VALUES, Key, Tables, Value, array, keys_of, mapping, number, text, whole
 
 _UNIT = [
     Key(
@@ -27,7 +27,7 @@ _UNIT = [
     Key('place', text(), 'place on the fixture, for people', ''),
     Key(
         'mount',
-        MOUNT.value,
+        VALUES[read_mount](),
         "its body axes X, Y, Z in those that the table's file mounts: perpendicular, right-handed",
         None,
         '`[x, y, z]`',
@@ -66,6 +66,6 @@ KEYS = [
         REQUIRED,
     )
 ]
-TABLES: Tables = {'units': KEYS, 'unit': _UNIT, 'mount': TURNS}
+TABLES: Tables = {'units': KEYS, 'unit': _UNIT, 'mount': keys_of(Turns)}
 VALUE = mapping(KEYS)
 TITLE = 'Several units on one table: serial numbers, types, topics and mounting'

@@ -171,7 +171,7 @@ def _read_unit(section: Section, folder: Path | None) -> MountedUnit:
         _named(section.text('imu'), folder),
         topic if topic.startswith('/') else f'/{topic}',
         section.text('place', ''),
-        read_mount(section),
+        read_mount(section, 'mount') if section.has('mount') else np.eye(3),
         (float(lever[0]), float(lever[1]), float(lever[2])),
         section.text('port', ''),
         _named(section.text('device', ''), folder),
