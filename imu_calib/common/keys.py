@@ -60,8 +60,10 @@ def key(
     """Return a field with a key of a file, as `FieldKey` describes it; a dimension is a quantity.
 
     `value` is the default of the field where it is not that of the file, `name` the key's where it
-    is not the field's.
+    is not the field's. Where `otherwise` is stated, the key needs not be given.
     """
+    if otherwise and default is REQUIRED:
+        default = None
     if isinstance(read, Dimension):
         read, arguments = Section.quantity, (read,)
     declared = FieldKey(meaning, read, arguments, bounds, default, otherwise, name)

@@ -174,7 +174,6 @@ class Table:
     mount: Floats = key(
         'where the body axes X, Y, Z lie on the last joint: perpendicular and right-handed',
         read_mount,
-        default=None,
         value=np.eye(3),
         otherwise='`[x, y, z]`',
     )
