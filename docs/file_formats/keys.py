@@ -213,13 +213,13 @@ def document(kind: str, title: str, value: Value) -> Schema:
     }
 
 
-def keys_of(kind: type) -> list[Key]:
-    """Return the keys that the fields of a record declare."""
+def keys_of(kind: type, variant: object = 'key') -> list[Key]:
+    """Return the keys that the fields of a record declare, as `field_keys` has them."""
     keys = []
     for each in fields(kind):
         if each.name in parts(kind):
-            keys += keys_of(parts(kind)[each.name])
-        if declared := field_keys(kind).get(each.name):
+            keys += keys_of(parts(kind)[each.name], variant)
+        if declared := field_keys(kind, variant).get(each.name):
             name, default = declared.name, declared.default
             value = VALUES[declared.read](*declared.arguments, **declared.bounds)
             if declared.read is records:

@@ -80,12 +80,15 @@ def part(kind: type) -> Any:
     return field(default_factory=kind, metadata={'part': kind})
 
 
-def field_keys(kind: type) -> dict[str, FieldKey]:
-    """Return the keys that the fields of a record declare, by field."""
+def field_keys(kind: type, variant: object = 'key') -> dict[str, FieldKey]:
+    """Return the keys that the fields of a record declare, by field.
+
+    A field whose key differs from file to file has the keys under their variants in its metadata.
+    """
     return {
         each.name: replace(declared, name=declared.name or each.name)
         for each in fields(kind)
-        if (declared := each.metadata.get('key'))
+        if (declared := each.metadata.get(variant))
     }
 
 
@@ -94,26 +97,26 @@ def parts(kind: type) -> dict[str, type]:
     return {f.name: f.metadata['part'] for f in fields(kind) if 'part' in f.metadata}
 
 
-def read_record(section: Section, kind: type[Record]) -> Record:
+def read_record(section: Section, kind: type[Record], variant: object = 'key') -> Record:
     """Read a whole mapping by the keys that the fields of a record declare.
 
     Raises:
         InputError: File, key, what was found and what was expected.
     """
-    value = _read_part(section, kind)
+    value = _read_part(section, kind, variant)
     section.finish()
     return value
 
 
-def _read_part(section: Section, kind: type[Record]) -> Record:
+def _read_part(section: Section, kind: type[Record], variant: object) -> Record:
     # All are looked for first: none of them is then taken for a misspelling of a missing one.
     stated = {
         name: declared
-        for name, declared in field_keys(kind).items()
+        for name, declared in field_keys(kind, variant).items()
         if section.has(declared.name) or declared.default is not None
     }
     values: dict[str, Any] = {name: declared.value(section) for name, declared in stated.items()}
-    values |= {name: _read_part(section, within) for name, within in parts(kind).items()}
+    values |= {name: _read_part(section, within, variant) for name, within in parts(kind).items()}
     return kind(**values)
 
 
