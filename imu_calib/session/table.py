@@ -207,7 +207,6 @@ class Table:
     clock: float = key(
         'of the rate of the clock that stamps the joint states', read_clock_rate, default='0 ppm'
     )
-    inventory: str = key('inventory number, for people', Section.text, default='')
     assumed: tuple[str, ...] = ()  #: Keys missing in its file: usual values are assumed.
     raised: tuple[str, ...] = ()  #: Keys with stated values below `FINEST`, which replaces them.
     #: The table as described in its file, if a session contradicts that (`as_the_best`); else None.
