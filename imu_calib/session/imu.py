@@ -121,16 +121,12 @@ def _figure(
     value: float = 0.0,
     **rest: Any,
 ) -> Any:
-    """Return a field whose key differs by triad and by the units of the samples.
+    """Return a field with a key for each triad and for the units of the samples.
 
-    Args:
-        meaning: For a person; {} is the quantity that the triad measures.
-        gyro: Dimension of the gyros' value, for all units or by them.
-        accel: The same of the accelerometers.
-        names: Of the keys, if not that of the field.
-        value: Default of the field; in files it is 0.
-        rest: The other arguments of a `FieldKey`, and bounds.
+    Dimensions are those for all units, or by units; a file's default is 0, and the least value,
+    where `rest` says nothing else. {} in the meaning is what the triad measures.
     """
+    bounds = {} if 'above' in rest else {'least': 0}
     keys = {}
     quantities = ('rate', 'specific force')
     for triad, name, quantity, by_units in zip(
@@ -138,7 +134,7 @@ def _figure(
     ):
         each = dict.fromkeys(Units, by_units) if isinstance(by_units, Dimension) else by_units
         for units, dimension in each.items():
-            told = {'default': f'0 {next(iter(dimension.value))}', **rest}
+            told = {'default': f'0 {next(iter(dimension.value))}', **bounds, **rest}
             said = meaning.format(quantity)
             declared = key(said, dimension, value=value, name=name, **told)
             keys[triad, units] = declared.metadata['key']
@@ -174,7 +170,6 @@ class TriadSpec:
         Dimension.ANGLE_RANDOM_WALK,
         Dimension.VELOCITY_RANDOM_WALK,
         ('angle_random_walk', 'velocity_random_walk'),
-        least=0,
     )
     #: rad/s or m/s^2; 0 when not stated.
     bias_instability: float = _figure(
@@ -182,7 +177,6 @@ class TriadSpec:
         'clearly shows less',
         Dimension.RATE,
         Dimension.ACCELERATION,
-        least=0,
     )
     #: rad/s or m/s^2; inf when not stated.
     range: float = _figure(
@@ -199,14 +193,10 @@ class TriadSpec:
         'change of the scale factors with temperature, one standard deviation',
         Dimension.RATIO_PER_KELVIN,
         Dimension.RATIO_PER_KELVIN,
-        least=0,
     )
     #: (rad/s)/K or (m/s^2)/K; 0 when not stated.
     bias_temperature: float = _figure(
-        'the same for the biases',
-        Dimension.RATE_PER_KELVIN,
-        Dimension.ACCELERATION_PER_KELVIN,
-        least=0,
+        'the same for the biases', Dimension.RATE_PER_KELVIN, Dimension.ACCELERATION_PER_KELVIN
     )
     #: rad or m/s, whose remainder carries over to the next sample; 0 otherwise.
     pulse: float = _figure(
@@ -214,7 +204,6 @@ class TriadSpec:
         '([why](../devices.md#questions-that-come-up))',
         {Units.SI: Dimension.ANGLE_PER_PULSE},
         {Units.SI: Dimension.VELOCITY_PER_PULSE},
-        least=0,
     )
 
 
@@ -406,7 +395,7 @@ class Coefficient:
     below: float
 
     @classmethod
-    def of(cls, square: float, deviation: float) -> Coefficient:
+    def from_square(cls, square: float, deviation: float) -> Coefficient:
         """Make one from a squared coefficient and its standard deviation."""
         below = math.sqrt(max(square, 0.0) + _NINETY_FIVE * deviation)
         if square < _SIGNIFICANT * deviation or square <= 0:
@@ -446,7 +435,7 @@ class ChannelNoise:
         return {**found, 'timed': self.timed}
 
     @classmethod
-    def read(cls, document: Mapping[str, Any]) -> ChannelNoise:
+    def from_document(cls, document: Mapping[str, Any]) -> ChannelNoise:
         """Make it from a result of `document`."""
         coefficients = {
             name: Coefficient(
@@ -466,7 +455,7 @@ COEFFICIENTS = ('random_walk', 'bias_instability', 'quantisation', 'rate_random_
 
 def read_noise(document: Mapping[str, Any]) -> dict[str, ChannelNoise]:
     """Return the noise by channel from a calibration's provenance."""
-    return {name: ChannelNoise.read(entry) for name, entry in document.items()}
+    return {name: ChannelNoise.from_document(entry) for name, entry in document.items()}
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from .table_errors import (
     JointPoses,
     TableErrors,
     attitude_errors,
+    error_key,
     read_deviation,
 )
 
@@ -128,22 +129,18 @@ def read_clock_rate(section: Section, name: str) -> float:
 
 @dataclass(frozen=True)
 class Joint:
-    """One axis of the table."""
+    """One axis of the table: angles in rad, rates in rad/s, accelerations in rad/s^2."""
 
     name: str = key('as in joint states and setpoints; no two alike', Section.text)
     #: Unit vector.
     axis: tuple[float, float, float] = key(
         'in the frame of the joint before it; of any length', read_axis
     )
-    #: rad.
     zero: float = key("added to the encoder's angle", Dimension.ANGLE, default='0 deg')
-    #: rad.
     limits: Limits = key(
         'range of rotation; rate tests need a continuous one', read_limits, default='continuous'
     )
-    #: rad/s.
     max_rate: float = key('largest commanded rate', Dimension.RATE, above=0, value=math.inf)
-    #: rad/s^2.
     max_acceleration: float = key(
         'of its starts and stops', Dimension.ANGULAR_ACCELERATION, above=0, value=math.inf
     )
@@ -181,20 +178,13 @@ class Table:
     azimuth: float | None = key(
         "heading of the table's zero, from north about up", read_azimuth, default='unknown'
     )
-    #: Standard deviation, rad.
-    positioning: float = key(
-        'of a stopped joint, not shown by the encoder',
-        read_deviation,
-        default='2 arcsec',
-        value=0.0,
-    )
-    #: Standard deviation, rad.
-    level: float = key(
+    #: rad, as the level.
+    positioning: float = error_key('of a stopped joint, not shown by the encoder', '2 arcsec')
+    level: float = error_key(
         'of the tilt of the table, about either horizontal axis',
-        read_deviation,
+        f'{LEVELLED / ARCSEC:g} arcsec',
+        LEVELLED,
         above=0,
-        default=f'{LEVELLED / ARCSEC:g} arcsec',
-        value=LEVELLED,
     )
     #: Unknown errors of its axes, zeros and encoders.
     errors: TableErrors = part(TableErrors)

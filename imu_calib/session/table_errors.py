@@ -79,22 +79,23 @@ def read_deviation(section: Section, name: str, *, above: float = -math.inf) -> 
 # session estimates the errors of the axes that its moves determine.
 
 
-def _error(meaning: str, assumed: str) -> Any:
-    return key(meaning, read_deviation, default=assumed, value=0.0)
+def error_key(meaning: str, assumed: str, value: float = 0.0, **bounds: Any) -> Any:
+    """Return a field for the standard deviation of an error, and what is assumed without it."""
+    return key(meaning, read_deviation, default=assumed, value=value, **bounds)
 
 
 @dataclass(frozen=True)
 class TableErrors:
     """Standard deviations of a table's unknown errors, rad; 0 for none."""
 
-    zeros: float = _error(
+    zeros: float = error_key(
         'of the zeros of all joints but the first, whose zero is the azimuth', '30 arcsec'
     )
-    orthogonality: float = _error(
+    orthogonality: float = error_key(
         'of each axis to the one before it, about either direction across', '30 arcsec'
     )
-    wobble: float = _error('of an axis as it turns: once and twice per turn, each', '2 arcsec')
-    encoder: float = _error(
+    wobble: float = error_key('of an axis as it turns: once and twice per turn, each', '2 arcsec')
+    encoder: float = error_key(
         'of an encoder within the turn: once and twice per turn, each', '3 arcsec'
     )
 
