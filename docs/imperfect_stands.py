@@ -21,8 +21,7 @@ from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.terms import TERMS, term
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import Plan, load_plan
-from imu_calib.session.table import Table, load_table, read_table
-from imu_calib.session.table_errors import ASSUMED
+from imu_calib.session.table import ASSUMED, Table, load_table, read_table
 from imu_calib.simulation.options import StandOptions, read_imperfections
 from imu_calib.simulation.stand import SimulatedStand
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
+from imu_calib.common.config import Section
+from imu_calib.common.keys import REQUIRED, field_keys, parts, record, records
 from imu_calib.common.units import Dimension
 
 Schema = dict[str, Any]
-
-REQUIRED = object()
-"""The default of a key that must be given."""
 
 _UNSIGNED = r'(?:[0-9]+\.?[0-9]*|\.[0-9]+)'
 _EXPONENT = r'(?:[eE][-+]?[0-9]+)?'
@@ -81,6 +80,11 @@ def quantity(dimension: Dimension, sign: str = '') -> Value:
         {'type': 'string', 'pattern': pattern(dimension, sign)},
         f'{words}, {sign}' if sign else words,
     )
+
+
+def limited(value: Value, most: str) -> Value:
+    """Return a value with words on an upper limit, which no schema can state."""
+    return Value(value.schema, f'{value.words}, at most {most}')
 
 
 def text() -> Value:
@@ -207,6 +211,39 @@ def document(kind: str, title: str, value: Value) -> Schema:
         'title': title,
         **value.schema,
     }
+
+
+def keys_of(kind: type, variant: object = 'key') -> list[Key]:
+    """Return the keys that the fields of a record declare, as `field_keys` has them."""
+    keys = []
+    for each in fields(kind):
+        if each.name in parts(kind):
+            keys += keys_of(parts(kind)[each.name], variant)
+        if declared := field_keys(kind, variant).get(each.name):
+            name, default = declared.name, declared.default
+            value = VALUES[declared.read](*declared.arguments, **declared.bounds)
+            if declared.read is records:
+                most = declared.bounds.get('most')
+                number = '' if most is None else f'1 to {most} '
+                value = Value(value.schema, f'list of {number}{name}, below')
+            keys.append(Key(name, value, declared.meaning, default, declared.otherwise))
+    return keys
+
+
+def _sign(above: float | None = None, least: float | None = None) -> str:
+    return 'above 0' if above is not None else '' if least is None else '0 or more'
+
+
+VALUES: dict[Callable[..., Any], Callable[..., Value]] = {
+    Section.text: text,
+    Section.flag: flag,
+    Section.choice: lambda choices: choice(list(choices)),
+    Section.whole: whole,
+    Section.quantity: lambda dimension, **bounds: quantity(dimension, _sign(**bounds)),
+    record: lambda kind: mapping(keys_of(kind), words='keys, below'),
+    records: lambda kind, most=None: array(mapping(keys_of(kind)), 1, most),
+}
+"""What may stand behind a key, by its reader; the descriptions of files add those of their own."""
 
 
 def table(keys: Sequence[Key]) -> str:

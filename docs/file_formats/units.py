@@ -2,70 +2,35 @@
 
 from __future__ import annotations
 
-from imu_calib.session.units_file import SERIAL, TOPIC
+from imu_calib.session.units_file import (
+    MOST_UNITS,
+    SERIAL,
+    TOPIC,
+    MountedUnit,
+    read_lever,
+    read_matching,
+)
 
-from .keys import REQUIRED, Key, Tables, Value, array, mapping, number, text, whole
-from .table import MOUNT, TURNS
+from . import table
+from .keys import REQUIRED, VALUES, Key, Tables, Value, array, keys_of, mapping, number
 
-_UNIT = [
-    Key(
-        'serial_number',
-        Value(
-            {'type': ['string', 'number'], 'pattern': f'^{SERIAL}$'}, 'text that can name a file'
-        ),
-        'of the unit, also the name of its calibration file; no two alike',
-        REQUIRED,
+_PATTERNS = {
+    SERIAL: Value(
+        {'type': ['string', 'number'], 'pattern': f'^{SERIAL}$'}, 'text that can name a file'
     ),
-    Key('imu', text(), 'name or file of its type', REQUIRED),
-    Key(
-        'topic',
-        Value({'type': 'string', 'pattern': f'^{TOPIC}$'}, 'name of a topic'),
-        'of its `sensor_msgs/Imu` messages; no two alike',
-        None,
-        '`unit_<serial number>/imu/pulses`',
-    ),
-    Key('place', text(), 'place on the fixture, for people', ''),
-    Key(
-        'mount',
-        MOUNT.value,
-        "its body axes X, Y, Z in those that the table's file mounts: perpendicular, right-handed",
-        None,
-        '`[x, y, z]`',
-    ),
-    Key(
-        'lever',
-        array(number(), 3, 3, 'three numbers, m'),
-        'of a simulated unit: from the centre of rotation to its accelerometers, its body axes',
-        None,
-        '`[0, 0, 0]`',
-    ),
-    Key(
-        'port', text(), 'of its device, for a stand: serial port, socket or file', None, 'simulated'
-    ),
-    Key('device', text(), 'name or file of the format of its frames', None, 'as for all units'),
-    Key(
-        'baud',
-        whole(0, 10_000_000),
-        "of a serial port, bit/s; 0: as the device's file says",
-        0,
-    ),
-    Key(
-        'truth',
-        text(),
-        'of a simulated unit: name or file of its true parameters',
-        None,
-        'as for all units',
-    ),
-    Key('seed', whole(0), 'of the noise of a simulated unit', None, "follows the session's"),
-]
+    TOPIC: Value({'type': 'string', 'pattern': f'^{TOPIC}$'}, 'name of a topic'),
+}
+VALUES[read_matching] = lambda pattern, _: _PATTERNS[pattern]
+VALUES[read_lever] = lambda: array(number(), 3, 3, 'three numbers, m')
+_UNIT = keys_of(MountedUnit)
 KEYS = [
     Key(
         'units',
-        array(mapping(_UNIT), 1, 256, 'list of 1 to 256 units, below'),
+        array(mapping(_UNIT), 1, MOST_UNITS, f'list of 1 to {MOST_UNITS} units, below'),
         'on the table, in any order',
         REQUIRED,
     )
 ]
-TABLES: Tables = {'units': KEYS, 'unit': _UNIT, 'mount': TURNS}
+TABLES: Tables = {'units': KEYS, 'unit': _UNIT, 'mount': table.TABLES['mount']}
 VALUE = mapping(KEYS)
 TITLE = 'Several units on one table: serial numbers, types, topics and mounting'

@@ -279,9 +279,9 @@ class Section:
         items = {str(i): item for i, item in enumerate(self.items(name))}
         return tuple(Section(items, self.key(name)).text(key) for key in items)
 
-    def flag(self, name: str, *, default: bool) -> bool:
+    def flag(self, name: str, *, default: bool | None = None) -> bool:
         """Return true or false."""
-        if not self.has(name):
+        if default is not None and not self.has(name):
             return default
         value = self.raw(name)
         if not isinstance(value, bool):

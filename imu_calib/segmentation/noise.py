@@ -164,7 +164,7 @@ def _fit(points: _Points) -> ChannelNoise:
         spread_all = spread(len(units), points.lengths, points.period, squares + own)
         if np.allclose(squares, before, rtol=_SETTLED, atol=0.0):
             break
-    found = {t: Coefficient.of(float(squares[t]), math.sqrt(variances[t])) for t in Term}
+    found = {t: Coefficient.from_square(float(squares[t]), math.sqrt(variances[t])) for t in Term}
     if points.pulse:
         size = points.pulse / math.sqrt(12)
         found[Term.QUANTISATION] = Coefficient(size, 0.0, size)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..common.config import Section, checked, dump
 from ..common.errors import InputError
+from ..common.keys import REQUIRED, key, read_record
 from ..common.rotations import is_covariance
 from ..common.stream import Floats, Units
 from ..common.units import DEG, DEG_H, HOUR, MICRO_G, PPM, Dimension
@@ -66,17 +67,18 @@ class Specification:
         return self.limits.get((parameter.kind, parameter.triad))
 
 
-def read_specification(section: Section) -> Specification:
-    """Read the section `specification` of an IMU's YAML.
+def read_specification(parent: Section, name: str) -> Specification:
+    """Read the limits of an IMU's parameters.
 
     Raises:
         InputError: File, key, what was found and what was expected.
     """
+    section = parent.section(name)
     limits: dict[tuple[ParameterKind, str], float] = {}
-    for triad, name in TRIADS.items():
-        if not section.has(name):
+    for triad, sensors in TRIADS.items():
+        if not section.has(sensors):
             continue
-        mine = section.section(name)
+        mine = section.section(sensors)
         for kind in ParameterKind:
             row = kind.value
             if triad not in row.units or kind is ParameterKind.RESPONSE or not mine.has(row.key):
@@ -86,6 +88,8 @@ def read_specification(section: Section) -> Specification:
     section.finish()
     return Specification(limits)
 
+
+_NEEDED = 'must be given; optional with `si`'
 
 FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
 """Largest counts of 16, 24 and 32 bits, of either sign."""
@@ -109,34 +113,149 @@ NEARLY = 0.999
 and ADCs clip slightly early. A judgement."""
 
 
+def _figure(
+    meaning: str,
+    gyro: Dimension | Mapping[Units, Dimension],
+    accel: Dimension | Mapping[Units, Dimension],
+    names: tuple[str, str] = ('', ''),
+    value: float = 0.0,
+    **rest: Any,
+) -> Any:
+    """Return a field with a key for each triad and for the units of the samples.
+
+    Dimensions are those for all units, or by units; a file's default is 0, and the least value,
+    where `rest` says nothing else. {} in the meaning is what the triad measures.
+    """
+    bounds = {} if 'above' in rest else {'least': 0}
+    keys = {}
+    quantities = ('rate', 'specific force')
+    for triad, name, quantity, by_units in zip(
+        TRIADS.values(), names, quantities, (gyro, accel), strict=True
+    ):
+        each = dict.fromkeys(Units, by_units) if isinstance(by_units, Dimension) else by_units
+        for units, dimension in each.items():
+            told = {'default': f'0 {next(iter(dimension.value))}', **bounds, **rest}
+            said = meaning.format(quantity)
+            declared = key(said, dimension, value=value, name=name, **told)
+            keys[triad, units] = declared.metadata['key']
+    return field(default=value, metadata=keys)
+
+
 @dataclass(frozen=True)
 class TriadSpec:
-    """Three channels of one kind."""
+    """Three channels of one kind: its keys are those of a triad and of the units of its samples."""
 
-    #: Nominal: rad or m/s per pulse or increment, rad/s or m/s^2 per count or rate, 1 for SI.
-    scale_factor: float = 1.0
-    random_walk: float = 0.0  #: rad/sqrt(s) or (m/s)/sqrt(s); 0 when not stated.
-    bias_instability: float = 0.0  #: rad/s or m/s^2; 0 when not stated.
-    range: float = math.inf  #: Largest rate or specific force, rad/s or m/s^2; inf when not stated.
-    #: For SI values computed from a counter: its pulse, rad or m/s, whose remainder carries over to
-    #: the next sample; 0 otherwise.
-    pulse: float = 0.0
-    #: Standard deviation of the temperature coefficient of scale factors, 1/K; 0 when not stated.
-    scale_factor_temperature: float = 0.0
-    bias_temperature: float = 0.0  #: The same of biases, (rad/s)/K or (m/s^2)/K.
+    #: rad or m/s per pulse or increment, rad/s or m/s^2 per count or rate; 1 for SI.
+    scale_factor: float = _figure(
+        'nominal size of one pulse or count, or of the number 1',
+        {
+            Units.PULSES: Dimension.ANGLE_PER_PULSE,
+            Units.COUNTS: Dimension.RATE_PER_COUNT,
+            Units.INCREMENTS: Dimension.ANGLE,
+            Units.RATES: Dimension.RATE,
+        },
+        {
+            Units.PULSES: Dimension.VELOCITY_PER_PULSE,
+            Units.COUNTS: Dimension.ACCELERATION_PER_COUNT,
+            Units.INCREMENTS: Dimension.VELOCITY,
+            Units.RATES: Dimension.ACCELERATION,
+        },
+        value=1.0,
+        default=REQUIRED,
+        above=0,
+    )
+    #: rad/sqrt(s) or (m/s)/sqrt(s); 0 when not stated.
+    random_walk: float = _figure(
+        'white noise of the channels',
+        Dimension.ANGLE_RANDOM_WALK,
+        Dimension.VELOCITY_RANDOM_WALK,
+        ('angle_random_walk', 'velocity_random_walk'),
+    )
+    #: rad/s or m/s^2; 0 when not stated.
+    bias_instability: float = _figure(
+        'drift of a bias within a session; included in every standard deviation, unless the data '
+        'clearly shows less',
+        Dimension.RATE,
+        Dimension.ACCELERATION,
+    )
+    #: rad/s or m/s^2; inf when not stated.
+    range: float = _figure(
+        'largest measurable {}',
+        Dimension.RATE,
+        Dimension.ACCELERATION,
+        value=math.inf,
+        default=None,
+        otherwise='not limited',
+        above=0,
+    )
+    #: 1/K; 0 when not stated.
+    scale_factor_temperature: float = _figure(
+        'change of the scale factors with temperature, one standard deviation',
+        Dimension.RATIO_PER_KELVIN,
+        Dimension.RATIO_PER_KELVIN,
+    )
+    #: (rad/s)/K or (m/s^2)/K; 0 when not stated.
+    bias_temperature: float = _figure(
+        'the same for the biases', Dimension.RATE_PER_KELVIN, Dimension.ACCELERATION_PER_KELVIN
+    )
+    #: rad or m/s, whose remainder carries over to the next sample; 0 otherwise.
+    pulse: float = _figure(
+        'with `units: si` only: the pulse of the counter that the values were computed from '
+        '([why](../devices.md#questions-that-come-up))',
+        {Units.SI: Dimension.ANGLE_PER_PULSE},
+        {Units.SI: Dimension.VELOCITY_PER_PULSE},
+    )
+
+
+_UNITS = {units.value: units for units in Units}
+
+
+def read_triad(section: Section, name: str, triad: str) -> TriadSpec:
+    """Read the figures of a triad in the units of the IMU's file."""
+    units = section.choice('units', _UNITS)
+    return read_record(section.section(name), TriadSpec, (triad, units))
 
 
 @dataclass(frozen=True)
 class ImuSpec:
     """One type of IMU."""
 
-    id: str  #: Name of the unit or of its type.
-    units: Units  #: Units of the numbers of its Imu messages.
-    sample_rate: float | None  #: Nominal, Hz; None when not stated.
-    gyro: TriadSpec  #: The gyro triad.
-    accel: TriadSpec  #: The accelerometer triad.
-    skewed: TriadSpec | None = None  #: A further gyro skewed to the three, None without one.
-    specification: Specification | None = None  #: Limits of its parameters; None when not stated.
+    id: str = key('name of the unit, or of its type', Section.text)
+    units: Units = key(
+        'meaning of the numbers in the Imu messages: whole increments per sample, codes '
+        'proportional to rate and specific force, increments that are no whole numbers (rad, m/s), '
+        'rates in other units than SI (deg/s, g), or rad/s and m/s^2',
+        Section.choice,
+        _UNITS,
+    )
+    #: Hz; None when not stated.
+    sample_rate: float | None = key(
+        'nominal; the true one follows from the stamps', Dimension.FREQUENCY, above=0, default=None
+    )
+    gyro: TriadSpec = key(
+        'the three gyros', read_triad, 'gyro', value=TriadSpec(), otherwise=_NEEDED
+    )
+    accel: TriadSpec = key(
+        'the three accelerometers',
+        read_triad,
+        'accelerometer',
+        value=TriadSpec(),
+        name='accelerometer',
+        otherwise=_NEEDED,
+    )
+    skewed: TriadSpec | None = key(
+        'a further gyro, skewed to the three; the keys of `gyro`',
+        read_triad,
+        'gyro',
+        default=None,
+        name='skewed_gyro',
+    )
+    #: None when not stated.
+    specification: Specification | None = key(
+        'limits of the parameters, for the verdicts of [reports](../report.md)',
+        read_specification,
+        default=None,
+    )
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -239,78 +358,10 @@ def read_imu(section: Section) -> ImuSpec:
     Raises:
         InputError: File, key, what was found and what was expected.
     """
-    units = section.choice('units', {u.value: u for u in Units})
-    rate = None
-    if section.has('sample_rate'):
-        rate = section.quantity('sample_rate', Dimension.FREQUENCY, above=0)
-    gyro = _read_triad(section, 'gyro', _OF_GYROS, units)
-    accel = _read_triad(section, 'accelerometer', _OF_ACCELS, units)
-    skewed, limits = None, None
-    if section.has('skewed_gyro'):
-        skewed = _read_triad(section, 'skewed_gyro', _OF_GYROS, units)
-    if section.has('specification'):
-        limits = read_specification(section.section('specification'))
-    spec = ImuSpec(section.text('id'), units, rate, gyro, accel, skewed, limits)
-    section.finish()
-    return spec
-
-
-@dataclass(frozen=True)
-class _Kind:
-    """Key of a triad's random walk, and the dimensions of its values; `scale` by units."""
-
-    walk_key: str
-    walk: Dimension
-    value: Dimension
-    per_kelvin: Dimension
-    per_pulse: Dimension
-    scale: Mapping[Units, Dimension]
-
-
-_OF_GYROS = _Kind(
-    'angle_random_walk',
-    Dimension.ANGLE_RANDOM_WALK,
-    Dimension.RATE,
-    Dimension.RATE_PER_KELVIN,
-    Dimension.ANGLE_PER_PULSE,
-    {
-        Units.PULSES: Dimension.ANGLE_PER_PULSE,
-        Units.COUNTS: Dimension.RATE_PER_COUNT,
-        Units.INCREMENTS: Dimension.ANGLE,
-        Units.RATES: Dimension.RATE,
-    },
-)
-_OF_ACCELS = _Kind(
-    'velocity_random_walk',
-    Dimension.VELOCITY_RANDOM_WALK,
-    Dimension.ACCELERATION,
-    Dimension.ACCELERATION_PER_KELVIN,
-    Dimension.VELOCITY_PER_PULSE,
-    {
-        Units.PULSES: Dimension.VELOCITY_PER_PULSE,
-        Units.COUNTS: Dimension.ACCELERATION_PER_COUNT,
-        Units.INCREMENTS: Dimension.VELOCITY,
-        Units.RATES: Dimension.ACCELERATION,
-    },
-)
-
-
-def _read_triad(parent: Section, name: str, kind: _Kind, units: Units) -> TriadSpec:
-    si = units is Units.SI
-    if si and not parent.has(name):
-        return TriadSpec()
-    section = parent.section(name)
-    spec = TriadSpec(
-        1.0 if si else section.quantity('scale_factor', kind.scale[units], above=0),
-        section.quantity(kind.walk_key, kind.walk, 0.0, least=0),
-        section.quantity('bias_instability', kind.value, 0.0, least=0),
-        section.quantity('range', kind.value, math.inf, above=0),
-        section.quantity('pulse', kind.per_pulse, 0.0, least=0) if si else 0.0,
-        section.quantity('scale_factor_temperature', Dimension.RATIO_PER_KELVIN, 0.0, least=0),
-        section.quantity('bias_temperature', kind.per_kelvin, 0.0, least=0),
-    )
-    section.finish()
-    return spec
+    if section.choice('units', _UNITS) is not Units.SI:
+        section.raw('gyro')
+        section.raw('accelerometer')
+    return read_record(section, ImuSpec)
 
 
 def check_live(spec: ImuSpec) -> None:
@@ -344,7 +395,7 @@ class Coefficient:
     below: float
 
     @classmethod
-    def of(cls, square: float, deviation: float) -> Coefficient:
+    def from_square(cls, square: float, deviation: float) -> Coefficient:
         """Make one from a squared coefficient and its standard deviation."""
         below = math.sqrt(max(square, 0.0) + _NINETY_FIVE * deviation)
         if square < _SIGNIFICANT * deviation or square <= 0:
@@ -384,7 +435,7 @@ class ChannelNoise:
         return {**found, 'timed': self.timed}
 
     @classmethod
-    def read(cls, document: Mapping[str, Any]) -> ChannelNoise:
+    def from_document(cls, document: Mapping[str, Any]) -> ChannelNoise:
         """Make it from a result of `document`."""
         coefficients = {
             name: Coefficient(
@@ -404,7 +455,7 @@ COEFFICIENTS = ('random_walk', 'bias_instability', 'quantisation', 'rate_random_
 
 def read_noise(document: Mapping[str, Any]) -> dict[str, ChannelNoise]:
     """Return the noise by channel from a calibration's provenance."""
-    return {name: ChannelNoise.read(entry) for name, entry in document.items()}
+    return {name: ChannelNoise.from_document(entry) for name, entry in document.items()}
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -12,18 +12,18 @@ import numpy as np
 
 from ..common.config import Section, checked, numbers_of
 from ..common.errors import InputError
+from ..common.keys import field_keys, key, part, read_record, record, records
 from ..common.rotations import angle_about, rotation
 from ..common.stream import Floats
-from ..common.units import DEG, PPM, Dimension, counted
+from ..common.units import ARCSEC, DEG, PPM, Dimension, counted
 from .table_errors import (
     FINEST,
     LEVELLED,
     JointPoses,
     TableErrors,
-    assumption,
     attitude_errors,
-    counting,
-    read_error_sizes,
+    error_key,
+    read_deviation,
 )
 
 TURN = 2 * math.pi
@@ -45,17 +45,115 @@ _WORST_CLOCK = 1e-3
 _LETTERS = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
 
 
+def read_axis(section: Section, name: str) -> tuple[float, float, float]:
+    """Read the direction of an axis as a unit vector."""
+    return _axis(section.raw(name), section.key(name))
+
+
+def _axis(value: object, where: str) -> tuple[float, float, float]:
+    if isinstance(value, str) and value.removeprefix('-') in _LETTERS:
+        sign = -1.0 if value.startswith('-') else 1.0
+        x, y, z = (sign * c if c else 0.0 for c in _LETTERS[value.removeprefix('-')])
+        return x, y, z
+    components = numbers_of(value)
+    if components is not None and components.shape == (3,):
+        norm = math.hypot(*components)
+        if 0 < norm < math.inf:
+            x, y, z = (float(c) / norm for c in components)
+            return x, y, z
+    raise InputError(f'{where}: found {value!r}, expected x, y, z, -x, -y, -z or three numbers.')
+
+
+@dataclass(frozen=True)
+class Turns:
+    """Rotation of the body axes on the last joint, rad."""
+
+    yaw: float = key('turn about z, in this order', Dimension.ANGLE, default='0 deg')
+    pitch: float = key('turn about y, in this order', Dimension.ANGLE, default='0 deg')
+    roll: float = key('turn about x, in this order', Dimension.ANGLE, default='0 deg')
+
+
+def read_mount(section: Section, name: str) -> Floats:
+    """Read the body axes on the last joint: three axes, or yaw, pitch and roll."""
+    if not isinstance(section.raw(name), list):
+        turns = record(section, name, Turns)
+        mount = np.eye(3)
+        for angle, letter in ((turns.yaw, 'z'), (turns.pitch, 'y'), (turns.roll, 'x')):
+            mount = mount @ rotation(np.array(_LETTERS[letter]), angle)
+        return mount
+    axes = section.items(name)
+    columns = [_axis(a, f'{section.key(name)}[{i}]') for i, a in enumerate(axes)]
+    mount = np.array(columns).T
+    if mount.shape != (3, 3) or not np.allclose(mount.T @ mount, np.eye(3), atol=1e-9):
+        raise InputError(f'{section.key(name)}: expected three perpendicular axes.')
+    if np.linalg.det(mount) < 0:
+        raise InputError(f'{section.key(name)}: the three axes are left-handed.')
+    return mount
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Range of the encoder angle of a joint, rad; infinite for a continuous one."""
+
+    lower: float = key('lowest angle of the encoder', Dimension.ANGLE)
+    upper: float = key('highest angle; above `lower`', Dimension.ANGLE)
+
+
+def read_limits(section: Section, name: str) -> Limits:
+    """Read the limits of a joint: continuous, or lower and upper."""
+    if section.raw(name) == 'continuous':
+        return Limits(-math.inf, math.inf)
+    limits = record(section, name, Limits)
+    if limits.lower >= limits.upper:
+        raise InputError(f'{section.key(name)}: lower is not below upper.')
+    return limits
+
+
+def read_azimuth(section: Section, name: str) -> float | None:
+    """Read a heading, rad; None if it is unknown."""
+    if section.raw(name) == 'unknown':
+        return None
+    return section.quantity(name, Dimension.ANGLE)
+
+
+def read_clock_rate(section: Section, name: str) -> float:
+    """Read the standard deviation of the rate of a table's clock, relative."""
+    clock = section.quantity(name, Dimension.RATIO, least=0)
+    if clock > _WORST_CLOCK:
+        raise InputError(
+            f'{section.key(name)}: found {clock / PPM:g} ppm, expected at most '
+            f'{_WORST_CLOCK / PPM:g} ppm.'
+        )
+    return clock
+
+
 @dataclass(frozen=True)
 class Joint:
-    """One axis of the table."""
+    """One axis of the table: angles in rad, rates in rad/s, accelerations in rad/s^2."""
 
-    name: str  #: As in joint states and setpoints.
-    axis: tuple[float, float, float]  #: Unit vector in the frame of the joint before it.
-    zero: float = 0.0  #: Angle to add to the encoder's, rad.
-    lower: float = -math.inf  #: Lowest encoder angle, rad; -inf for a continuous joint.
-    upper: float = math.inf  #: Highest encoder angle, rad; inf for a continuous joint.
-    max_rate: float = math.inf  #: rad/s.
-    max_acceleration: float = math.inf  #: rad/s^2.
+    name: str = key('as in joint states and setpoints; no two alike', Section.text)
+    #: Unit vector.
+    axis: tuple[float, float, float] = key(
+        'in the frame of the joint before it; of any length', read_axis
+    )
+    zero: float = key("added to the encoder's angle", Dimension.ANGLE, default='0 deg')
+    limits: Limits = key(
+        'range of rotation; rate tests need a continuous one', read_limits, default='continuous'
+    )
+    max_rate: float = key('largest commanded rate', Dimension.RATE, above=0, value=math.inf)
+    max_acceleration: float = key(
+        'of its starts and stops', Dimension.ANGULAR_ACCELERATION, above=0, value=math.inf
+    )
+
+    @property
+    def lower(self) -> float:
+        """Lowest encoder angle, rad; -inf for a continuous joint."""
+        return self.limits.lower
+
+    @property
+    def upper(self) -> float:
+        """Highest encoder angle, rad; inf for a continuous joint."""
+        return self.limits.upper
 
     @property
     def continuous(self) -> bool:
@@ -67,18 +165,38 @@ class Joint:
 class Table:
     """A turntable: joints from the base outwards, and the mount of the unit on the last."""
 
-    name: str  #: Name of the table.
-    joints: tuple[Joint, ...]  #: From the base to the unit.
+    name: str = key('of the table, for messages', Section.text)
+    joints: tuple[Joint, ...] = key('from the base outwards', records, Joint, most=3)
     #: (3, 3) columns are the body axes in the frame of the last joint.
-    mount: Floats = field(default_factory=lambda: np.eye(3))
-    #: Heading of the table's zero against north about up, rad; None when unknown.
-    azimuth: float | None = None
-    #: Standard deviation of the positioning error, which the encoder does not show, rad.
-    positioning: float = 0.0
-    clock: float = 0.0  #: Standard deviation of the rate of its clock, relative; 0 when not stated.
+    mount: Floats = key(
+        'where the body axes X, Y, Z lie on the last joint: perpendicular and right-handed',
+        read_mount,
+        value=np.eye(3),
+        otherwise='`[x, y, z]`',
+    )
+    #: About up, rad; None when unknown.
+    azimuth: float | None = key(
+        "heading of the table's zero, from north about up", read_azimuth, default='unknown'
+    )
+    #: rad, as the level.
+    positioning: float = error_key('of a stopped joint, not shown by the encoder', '2 arcsec')
+    level: float = error_key(
+        'of the tilt of the table, about either horizontal axis',
+        f'{LEVELLED / ARCSEC:g} arcsec',
+        LEVELLED,
+        above=0,
+    )
     #: Unknown errors of its axes, zeros and encoders.
-    errors: TableErrors = field(default_factory=TableErrors)
-    level: float = LEVELLED  #: Standard deviation of its tilt about either level axis, rad.
+    errors: TableErrors = part(TableErrors)
+    simulated: bool = key(
+        'whether it is a simulated one: of others less than 1 arcsec counts as 1 arcsec',
+        Section.flag,
+        default=False,
+    )
+    #: Standard deviation, relative; 0 when not stated.
+    clock: float = key(
+        'of the rate of the clock that stamps the joint states', read_clock_rate, default='0 ppm'
+    )
     assumed: tuple[str, ...] = ()  #: Keys missing in its file: usual values are assumed.
     raised: tuple[str, ...] = ()  #: Keys with stated values below `FINEST`, which replaces them.
     #: The table as described in its file, if a session contradicts that (`as_the_best`); else None.
@@ -91,7 +209,20 @@ class Table:
     @property
     def assumption(self) -> str:
         """Sentences on the assumptions about its errors; empty without."""
-        return assumption(self.name, self.assumed, self.raised)
+        figures = ', '.join(f'{key} {ASSUMED[key] / ARCSEC:g} arcsec' for key in self.assumed)
+        sentences = []
+        if self.assumed:
+            sentences.append(
+                f'Table {self.name} is assumed to be as good as a laboratory table where its file '
+                f'says nothing: {figures} (standard deviations); state its own under these keys.'
+            )
+        if self.raised:
+            sentences.append(
+                f'No error of a table is known below {FINEST / ARCSEC:g} arcsec: as much is '
+                f'assumed of {", ".join(self.raised)} of table {self.name}, of which its file '
+                'states less.'
+            )
+        return ' '.join(sentences)
 
     @property
     def not_stated(self) -> tuple[str, ...]:
@@ -101,25 +232,29 @@ class Table:
     @property
     def understated_errors(self) -> tuple[str, ...]:
         """Keys of errors with stated values below `FINEST`."""
-        sizes = {f.name: getattr(self.errors, f.name) for f in fields(TableErrors)}
-        count = counting(len(self.joints))
-        return tuple(
-            key
-            for key, size in {'positioning': self.positioning, **sizes}.items()
-            if key in count and size < FINEST
-        )
+        return self._errors_below(FINEST)
+
+    def _errors_below(self, least: float) -> tuple[str, ...]:
+        sizes = {'positioning': self.positioning, **vars(self.errors)}
+        return tuple(key for key in self.error_keys if sizes.get(key, math.inf) < least)
+
+    @property
+    def error_keys(self) -> tuple[str, ...]:
+        """Keys of the errors that a table of so many joints has."""
+        between = set() if len(self.joints) > 1 else {'zeros', 'orthogonality'}
+        return tuple(key for key in ASSUMED if key not in between)
+
+    def with_errors(self, keys: Iterable[str], size: float) -> Table:
+        """Return the table with one size of some errors, rad."""
+        sizes = dict.fromkeys(keys, size)
+        positioning = sizes.pop('positioning', self.positioning)
+        return replace(self, positioning=positioning, errors=replace(self.errors, **sizes))
 
     def as_the_best(self) -> Table:
         """Return the table with stated values below `FINEST` raised to it."""
-        found = dict.fromkeys(self.understated_errors, FINEST)
-        positioning = found.pop('positioning', self.positioning)
-        return replace(
-            self,
-            positioning=positioning,
-            errors=replace(self.errors, **found),
-            raised=(*self.raised, *self.understated_errors),
-            described=self,
-        )
+        understated = self.understated_errors
+        raised = (*self.raised, *understated)
+        return replace(self.with_errors(understated, FINEST), raised=raised, described=self)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -332,6 +467,17 @@ def _angle_between(axis: Floats, start: Floats, end: Floats) -> float:
     )
 
 
+ASSUMED = {
+    name: declared.usual
+    for kind in (Table, TableErrors)
+    for name, declared in field_keys(kind).items()
+    if declared.read is read_deviation
+}
+"""Standard deviations assumed where a table's file states none, by key, rad: its defaults."""
+_ROUNDING = 1e-9
+"""Relative tolerance for a number read with its unit."""
+
+
 @checked
 def load_table(name: str | Path) -> Table:
     """Read a table's YAML file, shipped (by name) or the user's (by path).
@@ -348,93 +494,14 @@ def read_table(section: Section) -> Table:
     Raises:
         InputError: File, key, what was found and what was expected.
     """
-    joints = tuple(_read_joint(s) for s in section.sections('joints'))
-    if len({joint.name for joint in joints}) != len(joints):
+    table = read_record(section, Table)
+    if len(set(table.names)) != len(table.joints):
         raise InputError(f'{section.key("joints")}: two joints have the same name.')
-    if len(joints) > 3:
-        raise InputError(f'{section.key("joints")}: found {len(joints)} joints, expected 1 to 3.')
-    azimuth = None
-    if section.has('azimuth') and section.raw('azimuth') != 'unknown':
-        azimuth = section.quantity('azimuth', Dimension.ANGLE)
-    clock = section.quantity('clock', Dimension.RATIO, 0.0, least=0)
-    if clock > _WORST_CLOCK:
-        raise InputError(
-            f'{section.key("clock")}: found {clock / PPM:g} ppm, expected at most '
-            f'{_WORST_CLOCK / PPM:g} ppm.'
-        )
-    errors = read_error_sizes(section, len(joints))
-    sizes = errors.sizes
-    table = Table(
-        section.text('name'),
-        joints,
-        read_mount(section),
-        azimuth,
-        sizes['positioning'],
-        clock,
-        TableErrors(**{f.name: sizes[f.name] for f in fields(TableErrors)}),
-        sizes['level'],
-        errors.assumed,
-        errors.raised,
-    )
-    section.finish()
-    return table
-
-
-def _read_joint(section: Section) -> Joint:
-    limits = (-math.inf, math.inf)
-    if section.has('limits') and section.raw('limits') != 'continuous':
-        pair = section.section('limits')
-        limits = (pair.quantity('lower', Dimension.ANGLE), pair.quantity('upper', Dimension.ANGLE))
-        pair.finish()
-        if limits[0] >= limits[1]:
-            raise InputError(f'{section.key("limits")}: lower is not below upper.')
-    joint = Joint(
-        section.text('name'),
-        _read_axis(section.raw('axis'), section.key('axis')),
-        section.quantity('zero', Dimension.ANGLE, 0.0),
-        *limits,
-        section.quantity('max_rate', Dimension.RATE, above=0),
-        section.quantity('max_acceleration', Dimension.ANGULAR_ACCELERATION, above=0),
-    )
-    section.finish()
-    return joint
-
-
-def _read_axis(value: object, where: str) -> tuple[float, float, float]:
-    if isinstance(value, str) and value.removeprefix('-') in _LETTERS:
-        sign = -1.0 if value.startswith('-') else 1.0
-        x, y, z = (sign * c if c else 0.0 for c in _LETTERS[value.removeprefix('-')])
-        return x, y, z
-    components = numbers_of(value)
-    if components is not None and components.shape == (3,):
-        norm = math.hypot(*components)
-        if 0 < norm < math.inf:
-            x, y, z = (float(c) / norm for c in components)
-            return x, y, z
-    raise InputError(f'{where}: found {value!r}, expected x, y, z, -x, -y, -z or three numbers.')
-
-
-def read_mount(section: Section) -> Floats:
-    """Read the body axes on the last joint: three axes, or yaw, pitch and roll."""
-    if not section.has('mount'):
-        return np.eye(3)
-    if isinstance(section.raw('mount'), list):
-        axes = section.items('mount')
-        columns = [_read_axis(a, f'{section.key("mount")}[{i}]') for i, a in enumerate(axes)]
-        mount = np.array(columns).T
-        if mount.shape != (3, 3) or not np.allclose(mount.T @ mount, np.eye(3), atol=1e-9):
-            raise InputError(f'{section.key("mount")}: expected three perpendicular axes.')
-        if np.linalg.det(mount) < 0:
-            raise InputError(f'{section.key("mount")}: the three axes are left-handed.')
-        return mount
-    angles = section.section('mount')
-    mount = np.eye(3)
-    for name, letter in (('yaw', 'z'), ('pitch', 'y'), ('roll', 'x')):
-        mount = mount @ rotation(
-            np.array(_LETTERS[letter]), angles.quantity(name, Dimension.ANGLE, 0.0)
-        )
-    angles.finish()
-    return mount
+    left_out = [key for key in ASSUMED if not section.has(key)]
+    table = table.with_errors((key for key in left_out if key not in table.error_keys), 0.0)
+    raised = () if table.simulated else table._errors_below(FINEST * (1 - _ROUNDING))
+    assumed = tuple(key for key in table.error_keys if key in left_out)
+    return replace(table.with_errors(raised, FINEST), assumed=assumed, raised=raised)
 
 
 # Motion of a table at its limits: travel times, and courses of piecewise constant acceleration.

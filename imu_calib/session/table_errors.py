@@ -10,7 +10,7 @@ Source: docs/mathematics.md, "The table's own errors".
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ import numpy as np
 from ..common.budget import Share
 from ..common.config import Section
 from ..common.errors import InputError
+from ..common.keys import key
 from ..common.rotations import across
 from ..common.stream import Floats, Units
 from ..common.units import ARCSEC, DEG, PPM, Dimension
@@ -28,37 +29,6 @@ from ..model.sensors import PRODUCTS, SensorModel
 LEVELLED = 20 * ARCSEC
 """Standard deviation of a table's tilt about either axis: a tenth of a millimetre on a metre, five
 divisions of a machinist's level of 0.02 mm/m."""
-
-ASSUMED: Mapping[str, float] = {
-    'positioning': 2 * ARCSEC,
-    'level': LEVELLED,
-    'zeros': 30 * ARCSEC,
-    'orthogonality': 30 * ARCSEC,
-    'wobble': 2 * ARCSEC,
-    'encoder': 3 * ARCSEC,
-}
-"""Standard deviations assumed where a table's file states none, rad: those of a good laboratory
-table.
-
-For units of navigation grade Ruyang Precision, a manufacturer of such tables, requires positions
-within 10 arcsec and axes perpendicular within 5 arcsec ("Standard process for IMU two-dimensional
-calibration using a dual axis turntable", ruya-t.com). As limits of a uniform law (GUM 4.3.7) these
-are 5.8 and 2.9 arcsec. The 5.8 are shared among positioning errors, the encoder's two harmonics and
-those of the wobble: the root of 2^2 + 2 x 3^2 + 2 x 2^2 is 5.5.
-
-A zero is an angle between two joints. Without an autocollimator it is set with the level used for
-levelling the table: on the plate, against gravity, with the axis before vertical to 20 arcsec. The
-root of 20^2 + 20^2 is 28, rounded up. With the 20 arcsec of one levelling, 4 of 60 sessions on
-zeros off by 60 were wrong by up to 6.5 deviations ("zeros 60 arcsec" of docs/imperfect_stands.py);
-only the frame depends on a zero.
-
-Right angles are assumed to be less accurate. A session shows worse positions, but a lean of the
-axes is mostly a rotation of all misalignments, which sensors cannot show. So the assumption is the
-accuracy of a mechanic's square and dial gauge: 0.05 mm on 200 mm, 52 arcsec, and 30 as a uniform
-law (a judgement). With 3 arcsec six of 60 sessions on axes off by 60 were wrong by up to 24
-deviations ("orthogonality 60 arcsec" of docs/imperfect_stands.py). Each session estimates the
-errors of the axes that its moves determine.
-"""
 
 FINEST = 1 * ARCSEC
 """Least standard deviation assumed for any error of a table.
@@ -70,88 +40,69 @@ uniform law 1.2. Autocollimators and polygons, by which tables are measured, are
 judgement).
 """
 
-_BETWEEN_JOINTS = {'zeros', 'orthogonality'}
-_ROUNDING = 1e-9
-"""Relative tolerance for a number read with its unit."""
 _WORST = 1 * DEG
 """Largest error: beyond it the description is wrong, since angles follow errors to first order."""
+
+
+def read_deviation(section: Section, name: str, *, above: float = -math.inf) -> float:
+    """Read the standard deviation of an error of a table: 0, or more than `above`, to 1 deg."""
+    size = section.quantity(name, Dimension.ANGLE)
+    if not 0 <= size <= _WORST or not size > above:
+        lowest = '0' if above < 0 else f'more than {above:g}'
+        raise InputError(
+            f'{section.key(name)}: found {size / DEG:g} deg, expected {lowest} to '
+            f'{_WORST / DEG:g} deg.'
+        )
+    return size
+
+
+# The defaults in files are the standard deviations of a good laboratory table, assumed where a
+# table's file states none.
+#
+# For units of navigation grade Ruyang Precision, a manufacturer of such tables, requires
+# positions within 10 arcsec and axes perpendicular within 5 arcsec ("Standard process for IMU
+# two-dimensional calibration using a dual axis turntable", ruya-t.com). As limits of a uniform
+# law (GUM 4.3.7) these are 5.8 and 2.9 arcsec. The 5.8 are shared among positioning errors, the
+# encoder's two harmonics and those of the wobble: the root of 2^2 + 2 x 3^2 + 2 x 2^2 is 5.5.
+#
+# A zero is an angle between two joints. Without an autocollimator it is set with the level used
+# for levelling the table: on the plate, against gravity, with the axis before vertical to 20
+# arcsec. The root of 20^2 + 20^2 is 28, rounded up. With the 20 arcsec of one levelling, 4 of 60
+# sessions on zeros off by 60 were wrong by up to 6.5 deviations ("zeros 60 arcsec" of
+# docs/imperfect_stands.py); only the frame depends on a zero.
+#
+# Right angles are assumed to be less accurate. A session shows worse positions, but a lean of
+# the axes is mostly a rotation of all misalignments, which sensors cannot show. So the
+# assumption is the accuracy of a mechanic's square and dial gauge: 0.05 mm on 200 mm, 52 arcsec,
+# and 30 as a uniform law (a judgement). With 3 arcsec six of 60 sessions on axes off by 60 were
+# wrong by up to 24 deviations ("orthogonality 60 arcsec" of docs/imperfect_stands.py). Each
+# session estimates the errors of the axes that its moves determine.
+
+
+def error_key(meaning: str, assumed: str, value: float = 0.0, **bounds: Any) -> Any:
+    """Return a field for the standard deviation of an error, and what is assumed without it."""
+    return key(meaning, read_deviation, default=assumed, value=value, **bounds)
 
 
 @dataclass(frozen=True)
 class TableErrors:
     """Standard deviations of a table's unknown errors, rad; 0 for none."""
 
-    zeros: float = 0.0  #: Of each joint's zero except the first's, which is the azimuth.
-    #: Of each joint's axis about either direction across it, except the first's, which is the tilt.
-    orthogonality: float = 0.0
-    #: Of an axis about either direction across it, once and twice per turn, each.
-    wobble: float = 0.0
-    encoder: float = 0.0  #: Error of an encoder within the turn, once and twice per turn, each.
+    zeros: float = error_key(
+        'of the zeros of all joints but the first, whose zero is the azimuth', '30 arcsec'
+    )
+    orthogonality: float = error_key(
+        'of each axis to the one before it, about either direction across', '30 arcsec'
+    )
+    wobble: float = error_key('of an axis as it turns: once and twice per turn, each', '2 arcsec')
+    encoder: float = error_key(
+        'of an encoder within the turn: once and twice per turn, each', '3 arcsec'
+    )
 
     @property
     def exact(self) -> bool:
         """Whether there are no unknown errors."""
         return not any((self.zeros, self.orthogonality, self.wobble, self.encoder))
-
-
-@dataclass(frozen=True)
-class ErrorSizes:
-    """Errors stated in a table's file."""
-
-    sizes: Mapping[str, float]  #: Standard deviations by key, rad.
-    assumed: tuple[str, ...]  #: Keys missing in the file: their values are those of `ASSUMED`.
-    raised: tuple[str, ...]  #: Keys with stated values below `FINEST`, which replaces them.
-
-
-def read_error_sizes(section: Section, joints: int) -> ErrorSizes:
-    """Read a table's own errors from its mapping, and fill in the missing ones.
-
-    Args:
-        section: The mapping. A simulated table may be exact: its stated values are not raised.
-        joints: Number of joints: a single one has no orthogonality.
-
-    Raises:
-        InputError: Key, what was found and what was expected.
-    """
-    counts = counting(joints)
-    least = 0.0 if section.flag('simulated', default=False) else FINEST
-    sizes, raised = {}, []
-    for key, usual in ASSUMED.items():
-        size = section.quantity(key, Dimension.ANGLE, usual if key in counts else 0.0)
-        if not 0 <= size <= _WORST or (key == 'level' and not size):
-            lowest = 'more than 0' if key == 'level' else '0'
-            raise InputError(
-                f'{section.key(key)}: found {size / DEG:g} deg, expected {lowest} to '
-                f'{_WORST / DEG:g} deg.'
-            )
-        if key in counts and key != 'level' and size < least * (1 - _ROUNDING):
-            size = least
-            raised.append(key)
-        sizes[key] = size
-    left_out = tuple(key for key in counts if not section.has(key))
-    return ErrorSizes(sizes, left_out, tuple(raised))
-
-
-def counting(joints: int) -> list[str]:
-    """Return the keys of `ASSUMED` that apply to so many joints."""
-    return [key for key in ASSUMED if joints > 1 or key not in _BETWEEN_JOINTS]
-
-
-def assumption(table: str, assumed: Sequence[str], raised: Sequence[str]) -> str:
-    """Return the sentences on the assumptions for a table, by the keys of `ErrorSizes`."""
-    figures = ', '.join(f'{key} {ASSUMED[key] / ARCSEC:g} arcsec' for key in assumed)
-    sentences = []
-    if assumed:
-        sentences.append(
-            f'Table {table} is assumed to be as good as a laboratory table where its file says '
-            f'nothing: {figures} (standard deviations); state its own under these keys.'
-        )
-    if raised:
-        sentences.append(
-            f'No error of a table is known below {FINEST / ARCSEC:g} arcsec: as much is assumed of '
-            f'{", ".join(raised)} of table {table}, of which its file states less.'
-        )
-    return ' '.join(sentences)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from ..common.config import Section, checked
 from ..common.errors import InputError
 from ..common.files import user_path
+from ..common.keys import key, read_record
 from ..common.stream import Floats
 from .table import Table, read_mount
 
@@ -36,25 +37,84 @@ MOST_UNITS = 256
 """Most units of a session: each topic needs a reader, and no table has room for more."""
 
 
+def read_matching(section: Section, name: str, pattern: str, expected: str) -> str:
+    """Read a text of a pattern."""
+    text = section.text(name)
+    if not re.fullmatch(pattern, text):
+        raise InputError(f'{section.key(name)}: found {text!r}, expected {expected}.')
+    return text
+
+
+def read_lever(section: Section, name: str) -> tuple[float, float, float]:
+    """Read a position in body axes, m."""
+    x, y, z = section.array(name, (3,)).tolist()
+    return x, y, z
+
+
 @dataclass(frozen=True, eq=False)
 class MountedUnit:
     """One of several units on a table."""
 
-    serial_number: str  #: Unit of its type; also the name of its calibration.
-    imu: str  #: Name or file of its type, which describes its numbers.
-    topic: str  #: Of its sensor_msgs/Imu messages, with a leading slash.
-    place: str = ''  #: Its place on the fixture, in words.
-    #: (3, 3) columns are its body axes in those that the table's description mounts.
-    mount: Floats = field(default_factory=lambda: np.eye(3))
-    #: (3,) from the centre of rotation to its accelerometers, its body axes, m; of a simulated
-    #: unit.
-    lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    port: str = ''  #: Of its device; empty if others read it, or if it is simulated.
-    device: str = ''  #: Name or file of the format of its frames; empty for the default.
-    baud: int = 0  #: Of a serial port, bit/s; 0 for that of the device's file.
-    truth: str = ''  #: Name or file of a simulated unit's true parameters; empty for the default.
-    #: Of the noise of a simulated unit; None for one derived from the session's.
-    seed: int | None = None
+    serial_number: str = key(
+        'of the unit, also the name of its calibration file; no two alike',
+        read_matching,
+        SERIAL,
+        'a serial number that can name a file',
+    )
+    imu: str = key('name or file of its type', Section.text)
+    #: With a leading slash.
+    topic: str = key(
+        'of its `sensor_msgs/Imu` messages; no two alike',
+        read_matching,
+        TOPIC,
+        'the name of a topic, as unit_1/imu/pulses',
+        value='',
+        otherwise='`unit_<serial number>/imu/pulses`',
+    )
+    place: str = key('place on the fixture, for people', Section.text, default='')
+    #: (3, 3) columns are its body axes.
+    mount: Floats = key(
+        "its body axes X, Y, Z in those that the table's file mounts: perpendicular, right-handed",
+        read_mount,
+        value=np.eye(3),
+        otherwise='`[x, y, z]`',
+    )
+    #: (3,) m.
+    lever: tuple[float, float, float] = key(
+        'of a simulated unit: from the centre of rotation to its accelerometers, its body axes',
+        read_lever,
+        value=(0.0, 0.0, 0.0),
+        otherwise='`[0, 0, 0]`',
+    )
+    #: Empty if others read it, or if it is simulated.
+    port: str = key(
+        'of its device, for a stand: serial port, socket or file',
+        Section.text,
+        value='',
+        otherwise='simulated',
+    )
+    device: str = key(
+        'name or file of the format of its frames',
+        Section.text,
+        value='',
+        otherwise='as for all units',
+    )
+    baud: int = key(
+        "of a serial port, bit/s; 0: as the device's file says",
+        Section.whole,
+        0,
+        _FASTEST_LINE,
+        default=0,
+    )
+    truth: str = key(
+        'of a simulated unit: name or file of its true parameters',
+        Section.text,
+        value='',
+        otherwise='as for all units',
+    )
+    seed: int | None = key(
+        'of the noise of a simulated unit', Section.whole, 0, otherwise="follows the session's"
+    )
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -161,33 +221,15 @@ def spread_seeds(units: Sequence[MountedUnit], seed: int) -> tuple[int, ...]:
 
 
 def _read_unit(section: Section, folder: Path | None) -> MountedUnit:
-    number = _matching(section, 'serial_number', SERIAL, 'a serial number that can name a file')
-    topic = f'{namespace(number)}/{PULSES}'
-    if section.has('topic'):
-        topic = _matching(section, 'topic', TOPIC, 'the name of a topic, as unit_1/imu/pulses')
-    lever = section.array('lever', (3,)) if section.has('lever') else np.zeros(3)
-    unit = MountedUnit(
-        number,
-        _named(section.text('imu'), folder),
-        topic if topic.startswith('/') else f'/{topic}',
-        section.text('place', ''),
-        read_mount(section),
-        (float(lever[0]), float(lever[1]), float(lever[2])),
-        section.text('port', ''),
-        _named(section.text('device', ''), folder),
-        section.whole('baud', 0, _FASTEST_LINE, 0),
-        _named(section.text('truth', ''), folder),
-        section.whole('seed', 0) if section.has('seed') else None,
+    unit = read_record(section, MountedUnit)
+    topic = unit.topic or f'{unit.name}/{PULSES}'
+    return replace(
+        unit,
+        topic=topic if topic.startswith('/') else f'/{topic}',
+        imu=_named(unit.imu, folder),
+        device=_named(unit.device, folder),
+        truth=_named(unit.truth, folder),
     )
-    section.finish()
-    return unit
-
-
-def _matching(section: Section, key: str, pattern: str, expected: str) -> str:
-    text = section.text(key)
-    if not re.fullmatch(pattern, text):
-        raise InputError(f'{section.key(key)}: found {text!r}, expected {expected}.')
-    return text
 
 
 def _named(name: str, folder: Path | None) -> str:

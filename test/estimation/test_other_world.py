@@ -37,8 +37,7 @@ from imu_calib.estimation import search
 from imu_calib.estimation.solve import NotConverged
 from imu_calib.segmentation.segments import Segment
 from imu_calib.session.plan import UNPLANNED, Plan, load_plan
-from imu_calib.session.table import Table, read_table
-from imu_calib.session.table_errors import ASSUMED
+from imu_calib.session.table import ASSUMED, Table, read_table
 
 
 def calibrated(world: World, unit: Unit, seed: int = 0, plan: Plan | None = None) -> Calibration:

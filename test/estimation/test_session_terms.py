@@ -40,8 +40,7 @@ from imu_calib.model.terms import named_terms
 from imu_calib.recordings.rosbag2 import Kind, open_recording
 from imu_calib.segmentation.stream_facts import Temperature
 from imu_calib.session.imu import load_imu
-from imu_calib.session.table import load_table, read_table
-from imu_calib.session.table_errors import ASSUMED
+from imu_calib.session.table import ASSUMED, load_table, read_table
 from imu_calib.simulation.options import BiasStep, StandOptions, WarmUp
 from imu_calib.simulation.stand import SimulatedStand
 

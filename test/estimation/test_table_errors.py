@@ -50,8 +50,8 @@ from imu_calib.model.alignment import free_of_frame
 from imu_calib.model.parameters import PARAMETERS, ParameterKind
 from imu_calib.segmentation.clock import fit_clock
 from imu_calib.session.imu import load_imu
-from imu_calib.session.table import Table, load_table, read_table
-from imu_calib.session.table_errors import ASSUMED, LEVELLED, TableErrors
+from imu_calib.session.table import ASSUMED, Table, load_table, read_table
+from imu_calib.session.table_errors import LEVELLED, TableErrors
 from imu_calib.simulation.motion import TableSizes, TrueTable
 
 TABLE = load_table('three_axis')

@@ -191,7 +191,7 @@ def test_a_session_shows_the_noise_that_was_put_in_and_no_other() -> None:
     plan = at_one_rate(quick_plan('twelve_position', 60.0))
     result = calibrate(session(plan, stand(), 3), plan)
     document = result.calibration.provenance['noise']
-    seen = {name: ChannelNoise.read(entry) for name, entry in document.items()}
+    seen = {name: ChannelNoise.from_document(entry) for name, entry in document.items()}
     assert list(seen) == ['gx', 'gy', 'gz', 'ax', 'ay', 'az']
     for name, channel in seen.items():
         triad = spec.gyro if name[0] == 'g' else spec.accel

@@ -1,0 +1,135 @@
+"""Keys of files, each declared once: on the field that holds its value.
+
+Loaders read by these declarations; docs/file_formats makes the schemas and tables of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, field, fields, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from .config import Section
+from .errors import InputError
+from .units import Dimension
+
+Record = TypeVar('Record')
+
+REQUIRED = object()
+"""The default of a key that must be given."""
+
+
+@dataclass(frozen=True)
+class FieldKey:
+    """What a field declares of its key."""
+
+    meaning: str  #: For a person.
+    read: Callable[..., Any]  #: Method of a section, or a function of it: called with the name.
+    arguments: tuple[Any, ...]  #: What `read` takes after the name.
+    bounds: Mapping[str, Any]  #: What it takes by keyword.
+    #: Read where the key is left out or empty; `REQUIRED` where it must not be, None where the
+    #: default of the field counts.
+    default: object
+    otherwise: str  #: Words in place of the default.
+    name: str  #: As it is written.
+
+    def value(self, section: Section) -> Any:
+        """Read the key or its default."""
+        if self.default is not REQUIRED and not section.has(self.name):
+            section = Section({self.name: self.default}, section.where)
+        return self.read(section, self.name, *self.arguments, **self.bounds)
+
+    @property
+    def usual(self) -> Any:
+        """The value of a file that leaves the key out."""
+        return self.value(Section({}, self.meaning))
+
+
+def key(
+    meaning: str,
+    read: Callable[..., Any] | Dimension,
+    *arguments: Any,
+    default: object = REQUIRED,
+    value: Any = MISSING,
+    otherwise: str = '',
+    name: str = '',
+    **bounds: Any,
+) -> Any:
+    """Return a field with a key of a file, as `FieldKey` describes it; a dimension is a quantity.
+
+    `value` is the default of the field where it is not that of the file, `name` the key's where it
+    is not the field's. Where `otherwise` is stated, the key needs not be given.
+    """
+    if otherwise and default is REQUIRED:
+        default = None
+    if isinstance(read, Dimension):
+        read, arguments = Section.quantity, (read,)
+    declared = FieldKey(meaning, read, arguments, bounds, default, otherwise, name)
+    metadata = {'key': declared}
+    if isinstance(value, np.ndarray):
+        return field(default_factory=value.copy, metadata=metadata)
+    if value is MISSING and default is not REQUIRED:
+        value = None if default is None else declared.usual
+    return field(default=value, metadata=metadata)
+
+
+def part(kind: type) -> Any:
+    """Return a field for a record whose keys stand among those of the record around it."""
+    return field(default_factory=kind, metadata={'part': kind})
+
+
+def field_keys(kind: type, variant: object = 'key') -> dict[str, FieldKey]:
+    """Return the keys that the fields of a record declare, by field.
+
+    A field whose key differs from file to file has the keys under their variants in its metadata.
+    """
+    return {
+        each.name: replace(declared, name=declared.name or each.name)
+        for each in fields(kind)
+        if (declared := each.metadata.get(variant))
+    }
+
+
+def parts(kind: type) -> dict[str, type]:
+    """Return the records whose keys stand among those of a record, by field."""
+    return {f.name: f.metadata['part'] for f in fields(kind) if 'part' in f.metadata}
+
+
+def read_record(section: Section, kind: type[Record], variant: object = 'key') -> Record:
+    """Read a whole mapping by the keys that the fields of a record declare.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+    """
+    value = _read_part(section, kind, variant)
+    section.finish()
+    return value
+
+
+def _read_part(section: Section, kind: type[Record], variant: object) -> Record:
+    # All are looked for first: none of them is then taken for a misspelling of a missing one.
+    stated = {
+        name: declared
+        for name, declared in field_keys(kind, variant).items()
+        if section.has(declared.name) or declared.default is not None
+    }
+    values: dict[str, Any] = {name: declared.value(section) for name, declared in stated.items()}
+    values |= {name: _read_part(section, within, variant) for name, within in parts(kind).items()}
+    return kind(**values)
+
+
+def record(section: Section, name: str, kind: type[Record]) -> Record:
+    """Read the mapping behind a key."""
+    return read_record(section.section(name), kind)
+
+
+def records(
+    section: Section, name: str, kind: type[Record], most: int | None = None
+) -> tuple[Record, ...]:
+    """Read the list of mappings behind a key."""
+    values = tuple(read_record(each, kind) for each in section.sections(name))
+    if most is not None and len(values) > most:
+        raise InputError(f'{section.key(name)}: found {len(values)} {name}, expected 1 to {most}.')
+    return values
