@@ -150,7 +150,7 @@ setup(
     entry_points={
         'console_scripts': [
             'imu-calib = imu_calib.cli.main:main',
-            *(f'{node} = {NAME}.stand.nodes.programs:{node}' for node in NODES),
+            *(f'{node} = {NAME}.live.nodes.programs:{node}' for node in NODES),
         ]
     },
     zip_safe=False,

@@ -37,10 +37,10 @@ os.environ.setdefault(
 
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock
+from imu_calib.live import middleware as ros
+from imu_calib.live.nodes import topics as qos
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import decode_imu, encode_imu
-from imu_calib.stand import middleware as ros
-from imu_calib.stand.nodes import topics as qos
 
 AIM = 0.1e-3
 AIM_99 = 1e-3
@@ -164,7 +164,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'calibration.yaml'
         file.write_text(named_file('truths', 'cao2022_table1').read_text())
-        module = [sys.executable, '-m', 'imu_calib.stand.nodes.compensator_node']
+        module = [sys.executable, '-m', 'imu_calib.live.nodes.compensator_node']
         kinds = [
             Measured('hand on', [sys.executable, __file__, '--hand-on']),
             Measured('compensate', [*module, '--ros-args', '-p', f'calibration:={file}']),

@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imu_calib.common.stream import ImuBlock
+from imu_calib.live.devices.clock import DeviceClock
+from imu_calib.live.devices.format import Decoder, load_format
 from imu_calib.simulation.hardware import pack
-from imu_calib.stand.devices.clock import DeviceClock
-from imu_calib.stand.devices.format import Decoder, load_format
 
 if TYPE_CHECKING:
     from collections.abc import Callable

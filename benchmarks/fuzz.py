@@ -48,6 +48,7 @@ from imu_calib.common.stream import (
     TemperatureBlock,
 )
 from imu_calib.fleet.recordings import read_manifest
+from imu_calib.live.devices.format import Decoder, FrameFormat, load_format, read_format
 from imu_calib.recordings import cdr_codec as cdr
 from imu_calib.recordings.cdr import Malformed, Messages
 from imu_calib.recordings.cdr_codec import (
@@ -64,7 +65,6 @@ from imu_calib.session.plan import read_plan
 from imu_calib.session.table import load_table, read_table
 from imu_calib.session.units_file import read_units
 from imu_calib.simulation.options import StandOptions, read_imperfections
-from imu_calib.stand.devices.format import Decoder, FrameFormat, load_format, read_format
 
 FLOOR = 8 << 20
 """Bytes that a target may take in addition to ten times its input: tables of checksums, a page
@@ -204,9 +204,9 @@ def _decode_message(kind: Kind, data: bytes) -> None:
 
 def _of_messages() -> Iterator[Target]:
     # Only the runtime without ROS reads single messages itself.
-    from imu_calib.stand.middleware.dds import messages as codec
-    from imu_calib.stand.middleware.dds.message_types import message_class
-    from imu_calib.stand.middleware.running import MESSAGES
+    from imu_calib.live.middleware.dds import messages as codec
+    from imu_calib.live.middleware.dds.message_types import message_class
+    from imu_calib.live.middleware.running import MESSAGES
 
     filled = {
         'ImuCalibration': {'serial_number': 'A1', 'covariance': [1.0] * 300},

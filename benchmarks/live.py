@@ -37,6 +37,8 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
 from imu_calib.common.units import DEG
+from imu_calib.live import middleware as ros
+from imu_calib.live.nodes import topics as qos
 from imu_calib.model.earth import Site
 from imu_calib.recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints, part
 from imu_calib.recordings.rosbag2 import Kind, open_recording
@@ -45,8 +47,6 @@ from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table
 from imu_calib.simulation.options import StandOptions
 from imu_calib.simulation.stand import simulate
-from imu_calib.stand import middleware as ros
-from imu_calib.stand.nodes import topics as qos
 
 PLAN, IMU, TABLE, LATITUDE = 'static_six', 'fog_medium', 'three_axis', 45.0
 MOVE = 2.5
@@ -256,7 +256,7 @@ def main() -> int:
             node = [
                 sys.executable,
                 '-m',
-                'imu_calib.stand.nodes.calibrator_node',
+                'imu_calib.live.nodes.calibrator_node',
                 '--ros-args',
                 *words,
             ]

@@ -23,9 +23,9 @@ os.environ['IMU_CALIB_MIDDLEWARE'] = 'dds'
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from imu_calib.live.middleware import deserialize_message, messages, serialize_message
+from imu_calib.live.middleware.dds.wire import idl_type
 from imu_calib.recordings.definitions import definition
-from imu_calib.stand.middleware import deserialize_message, messages, serialize_message
-from imu_calib.stand.middleware.dds.wire import idl_type
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -35,7 +35,7 @@ os.environ.setdefault(
     '</General></Domain></CycloneDDS>',
 )
 
-from imu_calib.stand import middleware as ros
+from imu_calib.live import middleware as ros
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

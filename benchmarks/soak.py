@@ -32,11 +32,11 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.processes import Processes, free_port, private_network
 from imu_calib.common.files import named_file
 from imu_calib.common.units import ARCSEC
+from imu_calib.live import middleware as ros
+from imu_calib.live.middleware import messages
+from imu_calib.live.nodes import topics as qos
 from imu_calib.session.plan import load_plan
 from imu_calib.simulation.options import StandOptions
-from imu_calib.stand import middleware as ros
-from imu_calib.stand.middleware import messages
-from imu_calib.stand.nodes import topics as qos
 
 GROWN = 4.0
 """MB for each session: pages kept by an allocator; the samples of a static dwell would be three

@@ -4,7 +4,7 @@ from launch.actions import DeclareLaunchArgument, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.parameter_descriptions import ParameterValue
 
-from imu_calib.stand.launching import checks, node
+from imu_calib.live.launching import checks, node
 from launch import LaunchDescription
 
 ARGUMENTS = [

@@ -7,7 +7,7 @@ from launch.actions import Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.parameter_descriptions import ParameterValue
 
-from imu_calib.stand.launching import arguments, checks, node, session_arguments, session_parameters
+from imu_calib.live.launching import arguments, checks, node, session_arguments, session_parameters
 from launch import LaunchDescription
 
 SHARE = Path(get_package_share_directory('imu_calib'))

@@ -7,7 +7,7 @@ from launch.actions import IncludeLaunchDescription, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.parameter_descriptions import ParameterValue
 
-from imu_calib.stand.launching import arguments, checks, node
+from imu_calib.live.launching import arguments, checks, node
 from launch import LaunchDescription
 
 SHARE = Path(get_package_share_directory('imu_calib'))

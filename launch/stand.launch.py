@@ -18,7 +18,7 @@ from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.parameter_descriptions import ParameterValue
 
-from imu_calib.stand.launching import arguments, checks, devices, node, session_arguments
+from imu_calib.live.launching import arguments, checks, devices, node, session_arguments
 from launch import Action, LaunchContext, LaunchDescription
 
 SHARE = Path(get_package_share_directory('imu_calib'))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from imu_calib.common.units import Dimension
-from imu_calib.stand.devices import messages as commands
-from imu_calib.stand.devices.fields import CATALOGUE
-from imu_calib.stand.devices.format import BAUD, COUNTLESS, LONGEST, TICKS_NS, TYPES
-from imu_calib.stand.devices.messages import FLETCHER, LENGTH_TYPES, ORDERS, OWN_KINDS, WORDS
+from imu_calib.live.devices import messages as commands
+from imu_calib.live.devices.fields import CATALOGUE
+from imu_calib.live.devices.format import BAUD, COUNTLESS, LONGEST, TICKS_NS, TYPES
+from imu_calib.live.devices.messages import FLETCHER, LENGTH_TYPES, ORDERS, OWN_KINDS, WORDS
 
 from .keys import (
     REQUIRED,

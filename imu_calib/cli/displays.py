@@ -19,11 +19,11 @@ from rich.text import Text
 
 from ..common.errors import InputError
 from ..common.units import ARCMIN, PPM, significant
+from ..live.devices.health import Severity
+from ..live.web.board import Snapshot, UnitRow
+from ..live.web.drawing import headline, time_left
 from ..reports.plain_table import plain_table
 from ..reports.timeline import READING, Converging
-from ..stand.devices.health import Severity
-from ..stand.web.board import Snapshot, UnitRow
-from ..stand.web.drawing import headline, time_left
 from .processes import START, Nodes, SessionEnd
 from .terminal import ERRORS, OUTPUT, NodeReports
 

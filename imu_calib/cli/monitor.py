@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from ..stand import middleware as ros
-from ..stand.middleware import messages
-from ..stand.nodes import topics as qos
-from ..stand.nodes.topics import listen_to_each
-from ..stand.web.board import Board, UnitsBoard
+from ..live import middleware as ros
+from ..live.middleware import messages
+from ..live.nodes import topics as qos
+from ..live.nodes.topics import listen_to_each
+from ..live.web.board import Board, UnitsBoard
 from .processes import Nodes
 from .terminal import NodeReports
 

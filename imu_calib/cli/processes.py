@@ -25,9 +25,7 @@ import yaml
 from ..common.errors import InputError
 from ..common.files import require, write_whole
 from ..common.lifetime import ENDS_WITH
-from ..session.keywords import node_parameters
-from ..session.plan import load_plan
-from ..stand.network import (
+from ..live.network import (
     LOOPBACK,
     REACH,
     check_domain,
@@ -38,7 +36,9 @@ from ..stand.network import (
     on_interface,
     own_domain,
 )
-from ..stand.web.guard import LOOPBACK_HOST, address, exposure
+from ..live.web.guard import LOOPBACK_HOST, address, exposure
+from ..session.keywords import node_parameters
+from ..session.plan import load_plan
 from .terminal import ERRORS, OUTPUT
 
 START = 30.0
@@ -151,7 +151,7 @@ class Processes:
         name = node.rpartition('/')[2]
         arguments = self._files.arguments(node, parameters, remapped)
         log = self._files.path(node, 'log').open('ab')
-        module = f'{__package__.rpartition(".")[0]}.stand.nodes.{name}'
+        module = f'{__package__.rpartition(".")[0]}.live.nodes.{name}'
         process = subprocess.Popen(
             [sys.executable, '-m', module, *arguments],
             stdin=subprocess.DEVNULL,
@@ -179,21 +179,21 @@ class Processes:
     def join(self, name: str) -> Any:
         """Join the network of the nodes with a node of this command, and return it."""
         os.environ.update({**in_enclave('operator'), **self.environment})
-        from ..stand import middleware as ros
+        from ..live import middleware as ros
 
         ros.init(args=[])
         return ros.Node(name)
 
     def leave(self, node: Any) -> None:
         """Leave the network."""
-        from ..stand import middleware as ros
+        from ..live import middleware as ros
 
         node.destroy_node()
         ros.try_shutdown()
 
     def spin(self, node: Any, seconds: float) -> None:
         """Receive messages for the node of `join`, for a time, s."""
-        from ..stand import middleware as ros
+        from ..live import middleware as ros
 
         until = time.monotonic() + seconds
         while (remaining := until - time.monotonic()) > 0:
@@ -322,7 +322,7 @@ class Embedded:
         # Before the middleware is loaded: the nodes' modules take their names from it.
         self._until_the_end.enter_context(forced('embedded'))
         try:
-            from ..stand.middleware.dds.executor import Container
+            from ..live.middleware.dds.executor import Container
 
             self._container = Container(in_step=in_step)
         except BaseException:
@@ -372,7 +372,7 @@ class Embedded:
         os.environ.update(environment)
         name = node.rpartition('/')[2]
         arguments = self._files.arguments(node, parameters, remapped)
-        module = import_module(f'{__package__.rpartition(".")[0]}.stand.nodes.{name}')
+        module = import_module(f'{__package__.rpartition(".")[0]}.live.nodes.{name}')
         kind = getattr(module, name.title().replace('_', ''))
         log = self._logs[node] = self._files.path(node, 'log').open('a', encoding='utf-8')
         try:
@@ -383,7 +383,7 @@ class Embedded:
 
     def join(self, name: str) -> Any:
         """Return a node of this command among the others; see `Processes.join`."""
-        from ..stand.middleware import Node
+        from ..live.middleware import Node
 
         return self._container.load(name, lambda: Node(name), [], ERRORS.file)
 

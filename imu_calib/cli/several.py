@@ -17,14 +17,14 @@ from ..common.config import load
 from ..common.errors import InputError
 from ..common.files import named_file, read_text, user_path, write_whole
 from ..common.units import significant
+from ..live.devices.format import load_format
+from ..live.devices.source import check_port
+from ..live.nodes.frame_server import SCHEME
 from ..reports.plain_table import plain_table
 from ..reports.tables import engineering
 from ..session.imu import load_imu
 from ..session.plan import load_plan
 from ..session.units_file import PULSES, TRUTHS, MountedUnit, load_units, remaining
-from ..stand.devices.format import load_format
-from ..stand.devices.source import check_port
-from ..stand.nodes.frame_server import SCHEME
 from .options import refuse_with_imus
 from .terminal import OUTPUT, sentence_list
 

@@ -10,14 +10,14 @@ from ..api.streams import removed_on_failure
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.files import shipped, user_path
+from ..live.devices.format import FrameFormat, load_format
+from ..live.devices.source import Baud, check_port, choose_baud, is_serial, too_slow
+from ..live.table_line import tcp_address
 from ..model.earth import LUOYANG
 from ..session.imu import ImuSpec, check_live, load_imu
 from ..session.keywords import AtSite, Numbered, Solved, azimuth_of
 from ..session.plan import load_plan
 from ..session.table import load_table
-from ..stand.devices.format import FrameFormat, load_format
-from ..stand.devices.source import Baud, check_port, choose_baud, is_serial, too_slow
-from ..stand.table_line import tcp_address
 from . import options, several, stand_session
 from . import processes as web_page
 from .processes import network_of_hardware

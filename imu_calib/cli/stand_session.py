@@ -30,18 +30,18 @@ from ..api.stand import (
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError, NotObservable
 from ..common.files import named_file, read_text, user_path, write_whole
+from ..live.devices.format import FrameFormat
+from ..live.devices.health import Reception, Severity
+from ..live.devices.source import Baud, Source, steady_time
+from ..live.network import forced
+from ..live.web.board import Board, UnitsBoard
+from ..live.web.expectation import expectation, units_board
 from ..model.earth import LUOYANG, Site
 from ..reports.tables import parameter_tables
 from ..session.imu import ImuSpec, load_imu
 from ..session.keywords import DEFAULT_TERMS, AtSite
 from ..session.plan import Plan, load_plan
 from ..session.table import Table, load_table
-from ..stand.devices.format import FrameFormat
-from ..stand.devices.health import Reception, Severity
-from ..stand.devices.source import Baud, Source, steady_time
-from ..stand.network import forced
-from ..stand.web.board import Board, UnitsBoard
-from ..stand.web.expectation import expectation, units_board
 from . import options, several
 from . import processes as web_page
 from .displays import Start, follow, view_table

@@ -252,7 +252,7 @@ is for ramps whose onset is slower than a square."""
 _CLOCKS_APART = 0.05
 """Largest difference of the clocks of IMU and table before they are compared, s. A judgement: the
 largest contradiction between arrivals and a device before its stamps are corrected
-(`stand/devices/clock.py`)."""
+(`live/devices/clock.py`)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -337,8 +337,8 @@ def provenance() -> dict[str, object]:
 
 def conversion() -> tuple[Callable[[Calibration], Any], Callable[[Any], Calibration]]:
     """Return what makes a message of a calibration, and what reads it."""
-    from imu_calib.stand.middleware import Time
-    from imu_calib.stand.nodes.convert import calibration_message, calibration_of
+    from imu_calib.live.middleware import Time
+    from imu_calib.live.nodes.convert import calibration_message, calibration_of
 
     stamp = Time(nanoseconds=1).to_msg()
     return lambda calibration: calibration_message(

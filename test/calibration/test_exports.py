@@ -214,7 +214,7 @@ def test_the_c_header_gives_our_values(
 @pytest.mark.parametrize('node', ['/compensator_node', '/robot/compensator_node'])
 def test_the_ros_file_reaches_the_node_in_any_namespace(node: str, tmp_path: Path) -> None:
     needs_modules('cyclonedds')
-    from imu_calib.stand.middleware.dds.arguments import parse
+    from imu_calib.live.middleware.dds.arguments import parse
 
     path = tmp_path / 'params.yaml'
     path.write_text(exported('ros', unit()))

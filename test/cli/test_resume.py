@@ -23,11 +23,11 @@ from imu_calib.cli.processes import Processes
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, Mode
+from imu_calib.live.plan_steps import Phase, Rules
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import encode_imu
 from imu_calib.recordings.rosbag2 import Kind, open_recording
 from imu_calib.recordings.writer import Journal
-from imu_calib.stand.plan_steps import Phase, Rules
 
 try:
     from live import LIMIT, short_plan

@@ -21,12 +21,12 @@ from imu_calib.cli.main import main
 from imu_calib.cli.processes import SessionEnd
 from imu_calib.cli.terminal import NodeReports
 from imu_calib.common.errors import ImuCalibError, InputError
-from imu_calib.stand.devices.source import Source, check_port
-from imu_calib.stand.web.board import Board, Expected
+from imu_calib.live.devices.source import Source, check_port
+from imu_calib.live.web.board import Board, Expected
 
 try:
     from imu_calib.cli import monitor, stand_session
-    from imu_calib.stand.middleware import messages
+    from imu_calib.live.middleware import messages
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 

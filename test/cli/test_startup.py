@@ -21,11 +21,11 @@ from imu_calib.cli import dispatch, main, stand_session
 from imu_calib.cli import stand_session as listening
 from imu_calib.cli.terminal import OUTPUT, NodeReports, NothingComes
 from imu_calib.common.files import named_file
+from imu_calib.live.devices.format import load_format
+from imu_calib.live.devices.health import Reception, Severity
+from imu_calib.live.devices.messages import Command, Commands
+from imu_calib.live.devices.source import Chunk, Source, SourceState, choose_baud
 from imu_calib.session.imu import load_imu
-from imu_calib.stand.devices.format import load_format
-from imu_calib.stand.devices.health import Reception, Severity
-from imu_calib.stand.devices.messages import Command, Commands
-from imu_calib.stand.devices.source import Chunk, Source, SourceState, choose_baud
 
 SIMULATED = load_format('simulated')
 FOG = load_imu('fog_medium')

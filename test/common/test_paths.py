@@ -21,11 +21,11 @@ from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import read_text, write_whole
 from imu_calib.fleet.recordings import read_manifest
+from imu_calib.live.web.shape import table_shape
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.session.keywords import Stated
 from imu_calib.session.table import load_table
 from imu_calib.session.units_file import load_units
-from imu_calib.stand.web.shape import table_shape
 
 
 def names(folder):

@@ -24,13 +24,13 @@ from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
 from imu_calib.common.units import Dimension, parse
 from imu_calib.estimation.methods import METHODS
+from imu_calib.live.devices.format import read_format
 from imu_calib.reports.certificate_fields import read_fields
 from imu_calib.session.imu import read_imu
 from imu_calib.session.plan import METHOD_NAMES, read_plan
 from imu_calib.session.table import load_table, read_table
 from imu_calib.session.units_file import read_units
 from imu_calib.simulation.options import StandOptions, read_imperfections
-from imu_calib.stand.devices.format import read_format
 
 sys.path.insert(0, str(CHECKOUT / 'docs'))
 

@@ -10,12 +10,12 @@ import pytest
 from imu_calib.common.config import Section
 from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup
+from imu_calib.live.plan_steps import Phase
 from imu_calib.model.earth import Site
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table
 from imu_calib.session.units_file import read_units
-from imu_calib.stand.plan_steps import Phase
 
 FOG = load_imu('fog_medium')
 SETUP = Setup(FOG, load_plan('twelve_position'), load_table('three_axis'), Site.at(0.6))

@@ -8,9 +8,9 @@ from loopback import environment, until
 from sessions import truth
 
 from imu_calib.common.stream import ImuBlock
-from imu_calib.stand import middleware as ros
-from imu_calib.stand.nodes import topics as qos
-from imu_calib.stand.nodes.compensator_node import CompensatorNode
+from imu_calib.live import middleware as ros
+from imu_calib.live.nodes import topics as qos
+from imu_calib.live.nodes.compensator_node import CompensatorNode
 
 COUNT = 2000
 STAMP = 1_700_000_000 * 10**9 + np.arange(COUNT) * 1_000_000

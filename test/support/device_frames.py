@@ -9,11 +9,11 @@ import struct
 import yaml
 
 from imu_calib.common.config import Section
-from imu_calib.stand.devices.fields import (
+from imu_calib.live.devices.fields import (
     DeviceTime,
     Number,
 )
-from imu_calib.stand.devices.format import load_format
+from imu_calib.live.devices.format import load_format
 
 NS = 1_000_000_000
 SIMULATED = load_format('simulated')

@@ -10,11 +10,11 @@ import pytest
 from device_frames import frame
 from loopback import environment, patience, until
 
+from imu_calib.live import middleware as ros
+from imu_calib.live.nodes import topics as qos
+from imu_calib.live.nodes.imu_node import ImuNode
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import decode_imu
-from imu_calib.stand import middleware as ros
-from imu_calib.stand.nodes import topics as qos
-from imu_calib.stand.nodes.imu_node import ImuNode
 
 NS = 1_000_000_000
 RATE = 1000

@@ -37,7 +37,7 @@ def needs(*packages, verbs=()):
 
 def needs_nodes():
     """Load the runtime of nodes; conftest.py skips a test or file where none loads."""
-    import_module('imu_calib.stand.middleware')
+    import_module('imu_calib.live.middleware')
 
 
 def needs_modules(*names):

@@ -9,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 
-from imu_calib.stand import middleware as ros
+from imu_calib.live import middleware as ros
 
 M = ros.messages
 KINDS = {

@@ -8,7 +8,7 @@ tolerance is aborted, and the joints stand.
 
 import numpy as np
 
-from imu_calib.stand import middleware as ros
+from imu_calib.live import middleware as ros
 
 ACTION = 'joint_trajectory_controller/follow_joint_trajectory'
 

@@ -17,11 +17,11 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import dispatch, stand_session
 from imu_calib.cli.processes import Embedded, Processes, private_network
 from imu_calib.common.files import named_file
+from imu_calib.live import middleware as ros
+from imu_calib.live.middleware import messages
+from imu_calib.live.nodes import topics as qos
 from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.recordings.rosbag2 import open_recording
-from imu_calib.stand import middleware as ros
-from imu_calib.stand.middleware import messages
-from imu_calib.stand.nodes import topics as qos
 
 NODES = ('stand_node', 'imu_node', 'calibrator_node', 'turntable_node')
 LIMIT = 4.5

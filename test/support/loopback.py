@@ -11,7 +11,7 @@ from pathlib import Path
 
 import processes
 
-from imu_calib.stand.network import LOOPBACK, on_interface, own_domain
+from imu_calib.live.network import LOOPBACK, on_interface, own_domain
 
 SUPPORT = Path(__file__).resolve().parent
 CHECKOUT = SUPPORT.parents[1]

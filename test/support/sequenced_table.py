@@ -9,12 +9,12 @@ import numpy as np
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import JointBlock, Setpoint
 from imu_calib.common.units import DEG
+from imu_calib.live.plan_steps import Rules
+from imu_calib.live.sequencer import Sequencer
 from imu_calib.session.plan import RateTest, load_plan
 from imu_calib.session.table import TURN, load_table
 from imu_calib.simulation.options import TableOptions
 from imu_calib.simulation.table import SimulatedTable
-from imu_calib.stand.plan_steps import Rules
-from imu_calib.stand.sequencer import Sequencer
 
 TABLE = load_table('three_axis')
 ALONE = Rules(supervised=False)

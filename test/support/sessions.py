@@ -93,9 +93,9 @@ class Alone:
 
     def __init__(self, setup: Setup, folder: Path, said: dict[str, str], topics: Any) -> None:
         # Imported here: most tests need no live session.
+        from imu_calib.live.nodes.parameters import StatedUnit
+        from imu_calib.live.nodes.session_reports import Sessions
         from imu_calib.recordings.writer import Journal
-        from imu_calib.stand.nodes.parameters import StatedUnit
-        from imu_calib.stand.nodes.session_reports import Sessions
 
         journal = Journal(folder, said, {topic: kind for kind, topic in topics.items()})
         self.sessions = Sessions([StatedUnit(setup, '', '')], [topics], journal, {})

@@ -13,15 +13,15 @@ from loopback import environment, start, until
 
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import JointBlock, Mode, Setpoint
+from imu_calib.live import middleware as ros
+from imu_calib.live.nodes import topics as qos
+from imu_calib.live.nodes.turntable_node import TurntableNode
+from imu_calib.live.plan_steps import Phase
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import decode_setpoints, encode_joints
 from imu_calib.session.table import load_table
 from imu_calib.simulation.options import TableOptions
 from imu_calib.simulation.table import SimulatedTable
-from imu_calib.stand import middleware as ros
-from imu_calib.stand.nodes import topics as qos
-from imu_calib.stand.nodes.turntable_node import TurntableNode
-from imu_calib.stand.plan_steps import Phase
 
 NAMES = ('outer', 'middle', 'inner')
 STEADY = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
@@ -175,7 +175,7 @@ class Watcher(ros.Node):
 
 
 MAIN = (
-    'import sys\nfrom imu_calib.stand.nodes.programs import turntable_node\n'
+    'import sys\nfrom imu_calib.live.nodes.programs import turntable_node\n'
     'sys.exit(turntable_node())'
 )
 

@@ -1,0 +1,173 @@
+"""Joint states as a table reports them: in its order, continuous, with rates; what is refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from imu_calib.common.stream import JointBlock
+from imu_calib.common.units import DEG
+from imu_calib.live.plan_steps import Encoders, Feedback, FeedbackError
+from imu_calib.session.table import load_table
+
+TABLE = load_table('three_axis')
+NAMES = TABLE.names
+MS, START = 1_000_000, 1_700_000_000_000_000_000
+QUIET, PATIENCE = 1e-4, 0.5
+NAN = math.nan
+
+
+def block(
+    at_ms: list[int],
+    angles: list[tuple[float, float, float]],
+    rates: list[tuple[float, float, float]] | None = None,
+    names: tuple[str, ...] = NAMES,
+) -> JointBlock:
+    stamps = START + np.array(at_ms, dtype=np.int64) * MS
+    return JointBlock(
+        stamps,
+        names,
+        np.array(angles, dtype=float),
+        np.array(rates or [(0.0, 0.0, 0.0)] * len(at_ms), dtype=float),
+    )
+
+
+def encoders() -> Encoders:
+    return Encoders(TABLE, QUIET, PATIENCE)
+
+
+def taken(*blocks: JointBlock) -> list[Feedback]:
+    mine = encoders()
+    return [feedback for one in blocks for feedback in mine.take(one)]
+
+
+def test_joints_come_in_the_order_of_the_table_whatever_that_of_the_message() -> None:
+    mixed = (NAMES[2], 'door', NAMES[0], NAMES[1])
+    stamps = START + np.array([0, 50], dtype=np.int64) * MS
+    angles = np.array([[0.3, 9.0, 0.1, 0.2], [0.3, 9.0, 0.11, 0.2]])
+    found = taken(JointBlock(stamps, mixed, angles, angles * 0.1))
+    assert [f.angles for f in found] == [(0.1, 0.2, 0.3), (0.11, 0.2, 0.3)]
+    assert found[1].rates == pytest.approx((0.011, 0.02, 0.03))
+    assert [f.gap for f in found] == pytest.approx([0.0, 0.05])
+    assert found[0].stamp == START
+
+
+def test_messages_that_lack_a_joint_are_counted_and_named() -> None:
+    mine = encoders()
+    other = JointBlock(
+        START + np.arange(3) * MS, ('door', 'lid'), np.zeros((3, 2)), np.zeros((3, 2))
+    )
+    assert list(mine.take(other)) == []
+    assert mine.ignored == 3
+    assert mine.ignored_names == ('door', 'lid')
+    assert len(list(mine.take(block([0], [(0.0, 0.0, 0.0)])))) == 1
+    assert mine.ignored == 3
+
+
+def test_stamps_that_do_not_advance_are_left_out_and_a_jump_back_is_said() -> None:
+    still = (0.0, 0.0, 0.0)
+    mine = encoders()
+    found = list(mine.take(block([0, 10, 10, 5, 20], [still] * 5)))
+    assert [f.stamp - START for f in found] == [0, 10 * MS, 20 * MS]
+    # Half a second back is patience yet, a millisecond more is not.
+    assert list(mine.take(block([-480], [still]))) == []
+    with pytest.raises(FeedbackError, match=r'jump back by 0\.501 s'):
+        list(mine.take(block([-481], [still])))
+    # The stream begins anew there.
+    (again,) = mine.take(block([-470], [(1.0, 2.0, 3.0)]))
+    assert again.gap == 0.0
+    assert again.angles == (1.0, 2.0, 3.0)
+
+
+@pytest.mark.parametrize('wrong', [NAN, math.inf])
+def test_an_angle_that_is_no_number_is_named(wrong: float) -> None:
+    with pytest.raises(FeedbackError, match=f'give {wrong} as the angle of joint {NAMES[1]}'):
+        taken(block([0], [(0.0, wrong, NAN)]))
+
+
+def test_rates_that_nobody_reports_are_the_mean_of_the_last_tenth_of_a_second() -> None:
+    """Of one joint they are derived, of the others taken as they come."""
+    at = list(range(0, 260, 20))
+    # Slow for 0.1 s, then ten times as fast.
+    way = [0.01 * ms / 1000 if ms <= 100 else 0.001 + 0.1 * (ms - 100) / 1000 for ms in at]
+    found = taken(block(at, [(0.0, w, 0.0) for w in way], [(0.5, NAN, 0.25)] * len(at)))
+    assert found[0].rates == (0.5, 0.0, 0.25)
+    assert [f.rates[0] for f in found] == [0.5] * len(at)
+    assert [f.rates[2] for f in found] == [0.25] * len(at)
+    derived = dict(zip(at, [f.rates[1] for f in found], strict=True))
+    # Before a tenth of a second has come in it is the mean of what has.
+    assert derived[40] == pytest.approx(0.01)
+    assert derived[100] == pytest.approx(0.01)
+    assert derived[140] == pytest.approx((0.06 * 0.01 + 0.04 * 0.1) / 0.1)
+    assert derived[200] == pytest.approx(0.1)
+    assert derived[240] == pytest.approx(0.1)
+
+
+def test_at_rest_is_who_has_not_moved_for_a_tenth_of_a_second() -> None:
+    moved = [(0.0, 0.0, 0.0)] * 8
+    moved[3:] = [(0.0, 0.0, 1.1 * QUIET)] * 5
+    found = taken(block([0, 20, 40, 60, 80, 100, 160, 200], moved))
+    # At 100 ms the joint has moved within the window, at 160 it has stood since 60.
+    assert [f.still for f in found] == [False] * 6 + [True, True]
+    little = [(0.0, 0.9 * QUIET * (k % 2), 0.0) for k in range(6)]
+    found = taken(block([0, 20, 40, 60, 80, 100], little))
+    assert [f.still for f in found] == [False] * 5 + [True]
+
+
+def test_an_encoder_that_wraps_is_followed_through() -> None:
+    rate = 100 * DEG
+    at = list(range(0, 8000, 20))
+    true = [rate * ms / 1000 for ms in at]
+    shown = [(math.remainder(angle, 2 * math.pi), 0.0, 0.0) for angle in true]
+    found = taken(block(at, shown))
+    assert [f.angles[0] for f in found] == pytest.approx(true)
+    # Backwards likewise, and a table that began beyond half a turn stays where it said it was.
+    back = taken(block(at, [(-a, b, c) for a, b, c in shown]))
+    assert [f.angles[0] for f in back] == pytest.approx([-angle for angle in true])
+
+
+def test_a_jump_that_no_wrap_makes_is_left_for_the_watch_to_see() -> None:
+    # Half a turn and a bit; and a whole turn after a gap longer than patience.
+    for at, to in (([0, 20], math.pi + 0.5), ([0, 600], 2 * math.pi)):
+        found = taken(block(at, [(0.0, 0.0, 0.0), (to, 0.0, 0.0)]))
+        assert found[1].angles[0] == to
+    # Within patience a whole turn in no time is a wrap.
+    found = taken(block([0, 20], [(0.0, 0.0, 0.0), (2 * math.pi, 0.0, 0.0)]))
+    assert found[1].angles[0] == pytest.approx(0.0)
+
+
+def test_a_wrap_may_be_five_degrees_off_what_the_table_can_have_turned() -> None:
+    # In 20 ms the outer joint turns 8 deg at the most; a tenth more and 5 deg are granted.
+    reach = 1.1 * TABLE.joints[0].max_rate * 0.02 + 5 * DEG
+    for sign in (1, -1):
+        for beyond, wraps in ((-0.2 * DEG, True), (0.2 * DEG, False)):
+            to = sign * (2 * math.pi - reach - beyond)
+            found = taken(block([0, 20], [(0.0, 0.0, 0.0), (to, 0.0, 0.0)]))
+            expected = to - sign * 2 * math.pi if wraps else to
+            assert found[1].angles[0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize('wild', [math.inf, -math.inf, math.nan])
+def test_a_rate_that_is_no_number_is_that_of_the_angles(wild: float) -> None:
+    angles = [(0.001 * k, 0.0, 0.0) for k in range(20)]
+    found = taken(block([10 * k for k in range(20)], angles, [(wild, 0.5, 0.0)] * 20))
+    assert found[0].rates == (0.0, 0.5, 0.0)
+    assert found[-1].rates == pytest.approx((0.1, 0.5, 0.0))
+
+
+def test_the_mean_rates_are_those_of_the_angles_over_a_tenth_of_a_second() -> None:
+    times = np.arange(31) * 0.01
+    angles = [(float(t * t), 0.0, 0.0) for t in times]
+    found = taken(block([10 * k for k in range(31)], angles, [(2.0, 0.0, 0.0)] * 31))
+    assert found[0].means == ()
+    assert found[-1].means == pytest.approx((0.3 + 0.2, 0.0, 0.0))
+
+
+@pytest.mark.parametrize('far', [1e308, -1e308, 7e6, -7e6])
+def test_an_angle_that_no_table_has_is_refused(far: float) -> None:
+    mine = encoders()
+    list(mine.take(block([0], [(0.0, 0.0, 0.0)])))
+    with pytest.raises(FeedbackError, match='as the angle of joint middle'):
+        list(mine.take(block([10], [(0.0, far, 0.0)])))

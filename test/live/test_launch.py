@@ -1,0 +1,199 @@
+"""What ships for ROS agrees with the nodes: parameter files, documentation, the table's model."""
+
+import re
+import xml.etree.ElementTree as ET
+from importlib import import_module
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+import yaml
+from loopback import CHECKOUT, environment
+
+from imu_calib.cli import dispatch, stand_session
+from imu_calib.cli.processes import free_port
+from imu_calib.common.errors import ImuCalibError
+from imu_calib.common.files import version
+from imu_calib.common.rotations import rotation
+from imu_calib.session.keywords import node_parameters
+from imu_calib.session.table import load_table
+
+try:
+    from imu_calib.live import middleware as ros
+    from imu_calib.live.nodes import parameters as session_parameters
+    from imu_calib.live.nodes import stop as heartbeat
+    from imu_calib.live.nodes.parameters import declare
+except ImuCalibError as error:
+    pytest.skip(str(error), allow_module_level=True)
+
+NODES = {
+    'turntable_node': 'TurntableNode',
+    'imu_node': 'ImuNode',
+    'calibrator_node': 'CalibratorNode',
+    'compensator_node': 'CompensatorNode',
+    'stand_node': 'StandNode',
+    'hand_node': 'HandNode',
+    'ascii_table_node': 'AsciiTableNode',
+    # Where NiceGUI is not, it says so and ends.
+    **({'web_node': 'WebNode'} if find_spec('nicegui') else {}),
+}
+TYPES = {'bool': bool, 'int': int, 'double': float, 'string': str}
+
+
+@pytest.fixture(scope='module')
+def declared(tmp_path_factory):
+    """Start each node; return (default, read-only) of what it declares, by node and name."""
+    with pytest.MonkeyPatch.context() as patched:
+        for name, value in environment().items():
+            patched.setenv(name, value)
+        patched.chdir(tmp_path_factory.mktemp('nodes'))
+        if 'web_node' in NODES:
+            patched.setattr('imu_calib.live.web.page.Server', Unserved)
+        return {name: declared_by(name, kind, patched) for name, kind in NODES.items()}
+
+
+class Unserved:
+    """In place of the server: NiceGUI starts once in a process, and another test may share it."""
+
+    def __init__(self, _, listens):
+        self._listens = listens
+
+    def start(self):
+        """Nothing is served."""
+
+    def stop(self):
+        self._listens.close()
+
+
+def declared_by(name, kind, patched):
+    module, own = import_module(f'imu_calib.live.nodes.{name}'), {}
+
+    def note(node, name, default, text, **more):
+        own[name] = default, more.get('read_only', True)
+        return declare(node, name, default, text, **more)
+
+    for place in (module, session_parameters, heartbeat):
+        patched.setattr(place, 'declare', note)
+    port = free_port()
+    given = {
+        'imu_node': {'port': f'socket://127.0.0.1:{port}'},
+        'calibrator_node': {'latitude': 30.0},
+        'web_node': {'latitude': 30.0, 'port': 0},
+        'stand_node': {'port': port},
+        'hand_node': {'port': port},
+        'ascii_table_node': {'port': f'socket://127.0.0.1:{port}'},
+    }
+    words = [w for k, v in given.get(name, {}).items() for w in ('-p', f'{k}:={v}')]
+    ros.init(args=['--ros-args', *words])
+    try:
+        node = getattr(module, kind)()
+        node.stop()
+        node.destroy_node()
+    finally:
+        ros.try_shutdown()
+    return own
+
+
+def test_the_documentation_names_every_parameter(declared):
+    rows = {}
+    for line in (CHECKOUT / 'docs' / 'parameters.md').read_text().splitlines():
+        cells = [cell.strip() for cell in line.strip('|').split('|')]
+        if len(cells) == 7 and cells[0] in NODES:
+            node, name, kind, default, _, read_only, _ = cells
+            rows[node, name] = kind, default.strip('`'), read_only
+    expected = {
+        (node, name): (_kind(default), _text(default), 'yes' if read_only else 'no')
+        for node, parameters in declared.items()
+        for name, (default, read_only) in parameters.items()
+    }
+    assert rows == expected
+
+
+def _kind(value):
+    return next(kind for kind, of in TYPES.items() if type(value) is of)
+
+
+def _text(value):
+    if isinstance(value, bool):
+        return str(value).lower()
+    return str(value) or "''"
+
+
+@pytest.mark.parametrize('name', ['stand', 'simulated_stand', 'bringup'])
+def test_parameter_files_hold_what_the_nodes_declare(declared, name):
+    content = yaml.safe_load((CHECKOUT / 'config' / 'nodes' / f'{name}.yaml').read_text())
+    for pattern, parameters in content.items():
+        node = pattern.removeprefix('/**/')
+        for key, value in parameters['ros__parameters'].items():
+            default, _ = declared[node][key]
+            assert type(value) is type(default), (node, key)
+
+
+INCLUDED = {
+    'stand': ['stand', 'calibrator'],
+    'simulated_stand': ['simulated_stand', 'stand', 'calibrator'],
+    'bringup': ['bringup'],
+}
+
+
+@pytest.mark.parametrize('name', INCLUDED)
+def test_parameter_files_hold_no_arguments(name):
+    """What a file states for one node outdoes what a launch file states for all.
+
+    That is so where a parameter is given to every node, as SetParameter of launch_ros does.
+    """
+    written = r"DeclareLaunchArgument\(\s*'(\w+)'|^    '(\w+)': \("
+    launched = [(CHECKOUT / 'launch' / f'{n}.launch.py').read_text() for n in INCLUDED[name]]
+    arguments = {a or b for text in launched for a, b in re.findall(written, text, re.M)}
+    arguments |= set(node_parameters()) - {'serial_number'}
+    assert {'namespace', 'params_file'} <= arguments
+    content = yaml.safe_load((CHECKOUT / 'config' / 'nodes' / f'{name}.yaml').read_text())
+    assert not arguments & {key for node in content.values() for key in node['ros__parameters']}
+
+
+def test_a_launched_stand_waits_as_long_as_that_of_the_command_line(tmp_path):
+    arguments = dispatch.build_parser().parse_args(['stand', 'twelve_position'])
+    expected = stand_session.parameters(arguments, tmp_path)['turntable_node']
+    text = (CHECKOUT / 'config' / 'nodes' / 'simulated_stand.yaml').read_text()
+    given = yaml.safe_load(text)['/**/turntable_node']['ros__parameters']
+    timeouts = {key for key in expected if key.endswith('_timeout')}
+    assert timeouts
+    assert {key: given[key] for key in timeouts} == {key: expected[key] for key in timeouts}
+
+
+def test_the_urdf_moves_as_the_table_does():
+    root = ET.parse(CHECKOUT / 'urdf' / 'three_axis.urdf').getroot()
+    table = load_table('three_axis')
+    joints = {joint.find('parent').get('link'): joint for joint in root.findall('joint')}
+    links = {link.get('name') for link in root.findall('link')}
+    rng = np.random.default_rng(0)
+    for angles in rng.uniform(-np.pi, np.pi, (20, 3)):
+        named = dict(zip(table.names, angles, strict=True))
+        link, attitude, met = 'table_base', np.eye(3), []
+        while link in joints:
+            joint = joints[link]
+            link = joint.find('child').get('link')
+            assert link in links
+            if joint.get('type') == 'fixed':
+                continue
+            met.append(joint.get('name'))
+            axis = np.array([float(x) for x in joint.find('axis').get('xyz').split()])
+            attitude = attitude @ rotation(axis, named[joint.get('name')])
+        assert link == 'imu_link'
+        assert tuple(met) == table.names
+        np.testing.assert_allclose(attitude, table.attitude(angles), atol=1e-12)
+    for joint in table.joints:
+        limit = next(j for j in joints.values() if j.get('name') == joint.name).find('limit')
+        assert float(limit.get('velocity')) == pytest.approx(joint.max_rate, rel=1e-6)
+        assert joint.continuous
+
+
+def test_every_installed_node_is_one_of_the_package():
+    text = (CHECKOUT / 'setup.py').read_text()
+    listed = re.search(r'NODES = \(([^)]*)\)', text)[1]
+    assert set(re.findall(r"'(\w+)'", listed)) == {*NODES, 'web_node'}
+
+
+def test_every_package_states_the_version_that_is_installed():
+    packages = [CHECKOUT / 'package.xml', CHECKOUT / 'msg_defs' / 'package.xml']
+    assert [ET.parse(p).findtext('version') for p in packages] == [version(), version()]
