@@ -72,12 +72,11 @@ OTHERS = {
     'reports/certificate_page.py': 'options of Chromium',
     'reports/html.py': 'variables of CSS',
     'segmentation/stream_facts.py': 'a whole command',
-    'stand/middleware/dds/arguments.py': 'options of ROS',
-    'stand/middleware/dds/context.py': 'options of ROS',
-    'stand/middleware/node_life.py': 'options of ROS',
-    'stand/middleware/ros.py': 'a command of ROS',
-    'stand/network.py': 'a whole command',
-    'stand/web/drawing.py': 'variables of CSS',
+    'live/middleware/dds/arguments.py': 'options of ROS',
+    'live/middleware/dds/context.py': 'options of ROS',
+    'live/middleware/ros.py': 'a command of ROS',
+    'live/network.py': 'a whole command',
+    'live/web/drawing.py': 'variables of CSS',
 }
 """Files outside cli that name options, and whose."""
 NO_KEYWORDS = {'reach': 'the function itself', 'network': 'of a stand alone'}

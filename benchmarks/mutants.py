@@ -86,7 +86,7 @@ TESTS = {
         'sample_grid',
         'segmentation',
     ],
-    'stand': ['steps', 'encoders', 'watch', 'idle_watch', 'sequencer'],
+    'live': ['steps', 'encoders', 'watch', 'idle_watch', 'sequencer'],
     'estimation': [
         'term_sentences',
         'whitened_residuals',
