@@ -89,7 +89,7 @@ def read_specification(parent: Section, name: str) -> Specification:
     return Specification(limits)
 
 
-_NEEDED = 'must be given; optional with `si`'
+_NEEDED = 'must be given; optional with si'
 
 FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
 """Largest counts of 16, 24 and 32 bits, of either sign."""

@@ -96,7 +96,7 @@ class Limits:
     """Range of the encoder angle of a joint, rad; infinite for a continuous one."""
 
     lower: float = key('lowest angle of the encoder', Dimension.ANGLE)
-    upper: float = key('highest angle; above `lower`', Dimension.ANGLE)
+    upper: float = key('highest angle; above lower', Dimension.ANGLE)
 
 
 def read_limits(section: Section, name: str) -> Limits:

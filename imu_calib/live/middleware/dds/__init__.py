@@ -2,8 +2,9 @@
 
 from ...network import LEASES
 from ..running import ACTIONS, MESSAGES, InterfaceTypes
+from .action import ActionClient, GoalServer, action_type
 from .context import Clock, ClockType, Time, in_step, init, ok, shutdown, try_shutdown
-from .endpoints import ActionClient, GoalServer, Trigger, action_type
+from .endpoints import Trigger
 from .executor import (
     ExternalShutdownException,
     SingleThreadedExecutor,
