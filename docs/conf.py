@@ -144,7 +144,8 @@ def whole_words(
 ) -> None:
     """Keep napoleon from reading `Of the unit: ...` beside a field as a type and its words."""
     if what == 'attribute':
-        lines.insert(0, '')
+        # An escaped space: a first line without a colon.
+        lines.insert(0, '\\ ')
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
