@@ -204,7 +204,7 @@ def _decode_message(kind: Kind, data: bytes) -> None:
 
 def _of_messages() -> Iterator[Target]:
     # Only the runtime without ROS reads single messages itself.
-    from imu_calib.live.middleware.dds import messages as codec
+    from imu_calib.live.middleware.dds import message_types as codec
     from imu_calib.live.middleware.dds.message_types import message_class
     from imu_calib.live.middleware.running import MESSAGES
 

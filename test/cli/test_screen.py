@@ -277,7 +277,7 @@ def report_status(words, level, text, part='imu_node: stream', value='0'):
         message=text,
         values=[messages.KeyValue(key='bytes', value=value)],
     )
-    words.take(messages.DiagnosticArray(status=[status]))
+    words.receive(messages.DiagnosticArray(status=[status]))
     words.show()
 
 

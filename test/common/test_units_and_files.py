@@ -60,7 +60,8 @@ def test_a_misspelt_key_is_named() -> None:
         ),
         ('id: a\nunits: pulses\ngyro: {}\naccelerometer: {}', "'scale_factor' is missing"),
         (
-            'id: a\nunits: pulses\ngyro: {scale_factor: 0 arcsec/pulse}',
+            'id: a\nunits: pulses\ngyro: {scale_factor: 0 arcsec/pulse}\n'
+            'accelerometer: {scale_factor: 0.01 (m/s)/pulse}',
             'scale_factor: found 0 arcsec/pulse, expected above 0',
         ),
         ('[1, 2', 'not YAML'),

@@ -255,9 +255,9 @@ def test_a_tilted_table_contradicts_no_latitude(tilt: tuple[float, float]) -> No
     assert any('tilted by 3' in text and 'K_a' in text for text in closed.findings)
     # A latitude that is wrong by as much as the tilt is refused on it as on a level table.
     elsewhere = replace(evidence, site=type(SITE).at(LATITUDE - 0.2 * DEG))
-    for method in (joint, twelve_position):
+    for solve in (joint.solve, twelve_position.solve_twelve_position):
         with pytest.raises(NotObservable, match='contradicts the latitude'):
-            method.solve(elsewhere)
+            solve(elsewhere)
 
 
 def test_a_closed_form_that_a_tilt_spoils_says_so() -> None:

@@ -42,22 +42,12 @@ def reported(path):
 def spoken():
     """Return node and part of everything that the sources report."""
     words = CHECKOUT / 'imu_calib' / 'live' / 'nodes' / 'session_reports.py'
-    parts = {
-        ('calibrator_node', part)
-        for file in (words, *map(words.with_name, ('unit_results.py', 'turntable_state.py')))
-        for part in reported(file)
-    }
-    for taken in ('controller.py', 'calibrator_progress.py'):
+    parts = {('calibrator_node', part) for part in reported(words)}
+    for taken in ('run_action.py', 'diagnostics.py'):
         told = reported(words.with_name(taken))
         parts |= {('turntable_node', part) for part in told}
-    for taken in ('applied_calibration.py', 'compensator_reports.py'):
-        parts_of_words = reported(words.with_name(taken))
-        parts |= {('compensator_node', part) for part in parts_of_words}
     for path in (CHECKOUT / 'imu_calib' / 'live' / 'nodes').glob('*_node.py'):
         parts |= {(path.stem, part) for part in reported(path)}
-        if 'Commands(' in path.read_text():
-            taken = path.with_name('commands.py')
-            parts |= {(path.stem, part) for part in reported(taken)}
     return parts | {('imu_node', part) for part in first_texts(HEALTH, 'PartStatus')}
 
 

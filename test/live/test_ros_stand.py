@@ -149,7 +149,7 @@ def test_the_tool_of_ros_cancels_a_goal_of_a_node_without_ros(tmp_path):
         for name in ('stand_node', 'imu_node', 'turntable_node'):
             file = tmp_path / f'{name}.yaml'
             file.write_text(yaml.safe_dump({name: {'ros__parameters': parameters[name]}}))
-            words = ['-m', f'imu_calib.nodes.{name}', '--ros-args', '--params-file', str(file)]
+            words = ['-m', f'imu_calib.live.nodes.{name}', '--ros-args', '--params-file', str(file)]
             net.start(name, [sys.executable, *words], **alone)
         net.wait_for_text('turntable_node', 'Joint states are received.')
         net.start('refused', net.ros('ros2', *GOAL, '{plan: another}'))
@@ -196,7 +196,7 @@ def test_nodes_on_both_runtimes_make_one_stand(on_ros, tmp_path):
         for name in NODES:
             file = tmp_path / f'{name}.yaml'
             file.write_text(yaml.safe_dump({name: {'ros__parameters': parameters[name]}}))
-            words = ['-m', f'imu_calib.nodes.{name}', '--ros-args', '--params-file', str(file)]
+            words = ['-m', f'imu_calib.live.nodes.{name}', '--ros-args', '--params-file', str(file)]
             if name in on_ros:
                 net.start(name, net.ros('python3', *words), IMU_CALIB_MIDDLEWARE='rclpy')
             else:

@@ -134,7 +134,7 @@ def created(monkeypatch, tmp_path):
             flags = {k: '-r' if k.startswith('__') else '-p' for k in own}
             words = [w for k, v in own.items() for w in (flags[k], f'{k}:={v}')]
             ros.init(args=['--ros-args', *words])
-            node = getattr(import_module(f'imu_calib.nodes.{name}'), kind)()
+            node = getattr(import_module(f'imu_calib.live.nodes.{name}'), kind)()
             node.stop()
             node.destroy_node()
             ros.try_shutdown()

@@ -223,7 +223,7 @@ def test_a_table_that_passes_its_goal_is_stopped():
 
 def test_a_joint_beyond_its_limits_is_stopped():
     outer, middle, inner = TABLE.joints
-    middle = replace(middle, lower=-100 * DEG, upper=100 * DEG)
+    middle = replace(middle, limits=(-100 * DEG, 100 * DEG))
     stand = moving(Stand(table=replace(TABLE, joints=(outer, middle, inner))))
     stand.plant = shifted(middle=170 * DEG)
     assert stand.tick().phase is Phase.PAUSED

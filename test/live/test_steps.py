@@ -71,7 +71,7 @@ def test_a_setpoint_says_what_its_step_is():
 
 
 def test_a_hold_is_told_where_the_table_is_within_its_limits():
-    joints = (replace(TABLE.joints[0], lower=-1.0, upper=2.0), *TABLE.joints[1:])
+    joints = (replace(TABLE.joints[0], limits=(-1.0, 2.0)), *TABLE.joints[1:])
     table = replace(TABLE, joints=joints)
     hold = held(step(), (2.5, 0.25, 0.125), 'small', table)
     assert (hold.mode, hold.step, hold.position, hold.plan) == (Mode.HOLD, 3, '9', 'small')
@@ -94,7 +94,7 @@ def test_the_way_home_of_a_plan_is_where_the_table_stood():
 
 @pytest.mark.parametrize(('turns', 'fits'), [(1, True), (2, False)])
 def test_a_turn_ends_within_the_limits_of_its_joint(turns, fits):
-    joints = (replace(TABLE.joints[0], lower=-1.0, upper=2.5 * TURN), *TABLE.joints[1:])
+    joints = (replace(TABLE.joints[0], limits=(-1.0, 2.5 * TURN)), *TABLE.joints[1:])
     turn, table = step(rates=(60 * DEG, 0.0, 0.0), turns=turns), replace(TABLE, joints=joints)
     if fits:
         check(turn, table)

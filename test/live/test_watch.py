@@ -138,7 +138,7 @@ def test_what_is_to_stand_may_stray_by_five_tolerances_and_never_by_the_overshoo
 
 @pytest.mark.parametrize('side', [-1.0, 1.0])
 def test_a_joint_beyond_its_limits_is_a_fault_on_either_side(side):
-    joints = (replace(TABLE.joints[0], lower=-45.0 * DEG, upper=45.0 * DEG), *TABLE.joints[1:])
+    joints = (replace(TABLE.joints[0], limits=(-45.0 * DEG, 45.0 * DEG)), *TABLE.joints[1:])
     table = replace(TABLE, joints=joints)
     step = Step(0, '1', Mode.POSITION, np.array([side * 45.0, 5.0, 0.0]) * DEG, np.zeros(3), 0, 0.0)
     # A motion to the limit may overshoot by half a degree, as any.

@@ -176,7 +176,7 @@ def refused(change: str, moving: bool = False):
             THREE_AXIS,
             joints=(
                 THREE_AXIS.joints[0],
-                replace(THREE_AXIS.joints[1], lower=-1.0, upper=2.0),
+                replace(THREE_AXIS.joints[1], limits=(-1.0, 2.0)),
                 THREE_AXIS.joints[2],
             ),
         ),
