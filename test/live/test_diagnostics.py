@@ -23,7 +23,7 @@ try:
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
-HEALTH = CHECKOUT / 'imu_calib' / 'devices' / 'health.py'
+HEALTH = CHECKOUT / 'imu_calib' / 'live' / 'devices' / 'health.py'
 
 
 def first_texts(path, name, at=0):
@@ -48,6 +48,9 @@ def spoken():
         parts |= {('turntable_node', part) for part in told}
     for path in (CHECKOUT / 'imu_calib' / 'live' / 'nodes').glob('*_node.py'):
         parts |= {(path.stem, part) for part in reported(path)}
+        if 'Commands(' in path.read_text():
+            # By that class of ascii_table_node.
+            parts.add((path.stem, 'source'))
     return parts | {('imu_node', part) for part in first_texts(HEALTH, 'PartStatus')}
 
 

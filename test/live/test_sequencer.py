@@ -19,7 +19,7 @@ from imu_calib.common.stream import JointBlock, Mode
 from imu_calib.common.units import DEG
 from imu_calib.live.plan_steps import Encoders, Feedback, Lead, Overtaken, Phase, Rules
 from imu_calib.live.sequencer import Sequencer
-from imu_calib.session.table import TURN
+from imu_calib.session.table import TURN, Limits
 from imu_calib.simulation.table import SimulatedTable
 
 
@@ -223,7 +223,7 @@ def test_a_table_that_passes_its_goal_is_stopped():
 
 def test_a_joint_beyond_its_limits_is_stopped():
     outer, middle, inner = TABLE.joints
-    middle = replace(middle, limits=(-100 * DEG, 100 * DEG))
+    middle = replace(middle, limits=Limits(-100 * DEG, 100 * DEG))
     stand = moving(Stand(table=replace(TABLE, joints=(outer, middle, inner))))
     stand.plant = shifted(middle=170 * DEG)
     assert stand.tick().phase is Phase.PAUSED
@@ -688,7 +688,7 @@ def test_a_start_while_it_runs_or_without_joint_states_is_refused():
     [
         ({'max_rate': 50 * DEG}, (60 * DEG,), 'outer at 60 deg/s.*allows 50 deg/s'),
         ({'max_acceleration': 9 * DEG}, (60 * DEG,), 'outer.*needs 400 deg, but only one turn'),
-        ({'lower': -10 * DEG, 'upper': 170 * DEG}, (), 'limits'),
+        ({'limits': Limits(-10 * DEG, 170 * DEG)}, (), 'limits'),
     ],
 )
 def test_a_plan_beyond_the_limits_is_refused_at_the_start(change, rates, words):
@@ -1005,7 +1005,7 @@ def test_a_stop_from_the_first_joint_state_is_from_a_rate_that_the_table_has():
 @pytest.mark.parametrize(('angle', 'end'), [(0.9, 1.0), (1.0, 1.0), (1.4, 1.4)])
 @pytest.mark.parametrize('sense', [1, -1])
 def test_a_stop_is_no_way_beyond_the_limits_and_none_back(angle, end, sense):
-    outer = replace(TABLE.joints[0], lower=-1.0, upper=1.0)
+    outer = replace(TABLE.joints[0], limits=Limits(-1.0, 1.0))
     table = replace(TABLE, joints=(outer, *TABLE.joints[1:]))
     rates = (sense * 200 * DEG, 0.0, 0.0)
     fast = at(angles=(sense * angle, 0.0, 0.0), rates=rates, still=False)

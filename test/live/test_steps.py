@@ -14,7 +14,7 @@ from imu_calib.common.units import DEG
 from imu_calib.live.plan_steps import check, end_of, held, motion_time, setpoint_of, steps_of_plan
 from imu_calib.live.sequencer import Obstacles
 from imu_calib.session.plan import Step, load_plan
-from imu_calib.session.table import TURN, load_table
+from imu_calib.session.table import TURN, Limits, load_table
 
 TABLE = load_table('three_axis')
 STILL = np.zeros(3)
@@ -71,7 +71,7 @@ def test_a_setpoint_says_what_its_step_is():
 
 
 def test_a_hold_is_told_where_the_table_is_within_its_limits():
-    joints = (replace(TABLE.joints[0], limits=(-1.0, 2.0)), *TABLE.joints[1:])
+    joints = (replace(TABLE.joints[0], limits=Limits(-1.0, 2.0)), *TABLE.joints[1:])
     table = replace(TABLE, joints=joints)
     hold = held(step(), (2.5, 0.25, 0.125), 'small', table)
     assert (hold.mode, hold.step, hold.position, hold.plan) == (Mode.HOLD, 3, '9', 'small')
@@ -94,7 +94,7 @@ def test_the_way_home_of_a_plan_is_where_the_table_stood():
 
 @pytest.mark.parametrize(('turns', 'fits'), [(1, True), (2, False)])
 def test_a_turn_ends_within_the_limits_of_its_joint(turns, fits):
-    joints = (replace(TABLE.joints[0], limits=(-1.0, 2.5 * TURN)), *TABLE.joints[1:])
+    joints = (replace(TABLE.joints[0], limits=Limits(-1.0, 2.5 * TURN)), *TABLE.joints[1:])
     turn, table = step(rates=(60 * DEG, 0.0, 0.0), turns=turns), replace(TABLE, joints=joints)
     if fits:
         check(turn, table)

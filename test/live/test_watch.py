@@ -10,7 +10,7 @@ from imu_calib.common.units import DEG
 from imu_calib.live.plan_steps import Feedback, Rules
 from imu_calib.live.table_watch import Standing, Watch
 from imu_calib.session.plan import Step
-from imu_calib.session.table import load_table
+from imu_calib.session.table import Limits, load_table
 
 TABLE = load_table('three_axis')  # outer 400 deg/s and 200 deg/s^2
 GOAL = np.array([40.0, 5.0, 0.0])
@@ -138,7 +138,7 @@ def test_what_is_to_stand_may_stray_by_five_tolerances_and_never_by_the_overshoo
 
 @pytest.mark.parametrize('side', [-1.0, 1.0])
 def test_a_joint_beyond_its_limits_is_a_fault_on_either_side(side):
-    joints = (replace(TABLE.joints[0], limits=(-45.0 * DEG, 45.0 * DEG)), *TABLE.joints[1:])
+    joints = (replace(TABLE.joints[0], limits=Limits(-45.0 * DEG, 45.0 * DEG)), *TABLE.joints[1:])
     table = replace(TABLE, joints=joints)
     step = Step(0, '1', Mode.POSITION, np.array([side * 45.0, 5.0, 0.0]) * DEG, np.zeros(3), 0, 0.0)
     # A motion to the limit may overshoot by half a degree, as any.

@@ -18,7 +18,7 @@ from imu_calib.model.earth import EARTH_RATE, Site
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.plan import Plan, Position, RateTest
-from imu_calib.session.table import Joint, Table, load_table
+from imu_calib.session.table import Joint, Limits, Table, load_table
 from imu_calib.simulation.hardware import FRAME, SimulatedHardware, crc16, pack, unpack
 from imu_calib.simulation.imu import SimulatedImu
 from imu_calib.simulation.motion import trapezoid
@@ -176,7 +176,7 @@ def refused(change: str, moving: bool = False):
             THREE_AXIS,
             joints=(
                 THREE_AXIS.joints[0],
-                replace(THREE_AXIS.joints[1], limits=(-1.0, 2.0)),
+                replace(THREE_AXIS.joints[1], limits=Limits(-1.0, 2.0)),
                 THREE_AXIS.joints[2],
             ),
         ),
