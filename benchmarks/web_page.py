@@ -17,7 +17,7 @@ import time
 
 import stand
 
-from imu_calib.cli import processes as web_page
+from imu_calib.cli import web_page as web_page_module
 from imu_calib.cli.processes import free_port
 
 
@@ -78,7 +78,7 @@ def main(rate: float, viewers: int, plan: str, speed: float) -> int:
     for name, used in stand.Watched.used.items():
         before = f'{without[name]:.1f} s' if name in without else '-'
         print(f'{name:16} {before:>8} of processor time without the page, {used:.1f} s with it')
-    if web_page.NODE not in stand.Watched.used:
+    if web_page_module.NODE not in stand.Watched.used:
         print('No page was looked at: the session with it did not run.')
         return 1
     return alone or looked_at or int(not all(seen))

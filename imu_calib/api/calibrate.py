@@ -20,7 +20,7 @@ from ..common.units import counted
 from ..estimation.common_unknowns import TableEstimate
 from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording
-from ..recordings.text import StampSorter
+from ..recordings.stamp_order import StampSorter
 from ..segmentation.stream_facts import Segmented
 from ..session.imu import HOTTEST
 from ..session.keywords import Named, OfSeveral, Session, Stated, with_keywords

@@ -27,8 +27,9 @@ from ..recordings.cdr import Messages
 from ..recordings.cdr_codec import encode_joints, encode_temperatures
 from ..recordings.remote import AnyPath, local, located
 from ..recordings.rosbag2 import Kind, is_storage, open_recording
+from ..recordings.stamp_order import places_by_stamp
 from ..recordings.storage import RecordingError
-from ..recordings.text import Text, places_by_stamp, read_sensors, read_text
+from ..recordings.text import Text, read_sensors, read_text
 from ..recordings.writer import RecordingWriter
 from ..segmentation.stream_facts import SEPARATE_ROWS, gravity_removed, halves, quiet_means
 from ..session.imu import COLDEST, HOTTEST

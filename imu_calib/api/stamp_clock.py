@@ -14,8 +14,8 @@ from ..recordings.rosbag2 import Recording
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from ..recordings.recorded_clock import RecordedClock
     from ..recordings.rosbag2 import Recording
-    from ..recordings.storage import RecordedClock
     from .streams import Streams
 
 

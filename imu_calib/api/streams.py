@@ -22,7 +22,7 @@ from ..common.units import LARGEST, STANDARD_GRAVITY
 from ..estimation.setup import Setup
 from ..recordings.remote import AnyPath, located
 from ..recordings.rosbag2 import Kind, Recording, is_storage, open_recording
-from ..recordings.text import StampSorter
+from ..recordings.stamp_order import StampSorter
 from ..session.imu import ImuSpec, load_imu, read_imu
 from ..session.keywords import Named, Stated
 from ..session.metadata import LEFT_OUT, described_imu, serial_key

@@ -16,7 +16,7 @@ from ..common.parallel import Progress, by_one_thread, silent
 from ..estimation.hand import NAME as FREE_POSITIONS
 from ..estimation.system import observe
 from ..recordings.rosbag2 import Recording, open_recording
-from ..recordings.text import StampSorter
+from ..recordings.stamp_order import StampSorter
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.stream_facts import Temperature
 from ..session.imu import ImuSpec

@@ -30,7 +30,8 @@ from ..model.sensors import SensorModel, Skewed, Triad, parameters_of, terms_of
 from ..model.session_terms import KEY as CHANGES
 from ..model.session_terms import Changes, read_changes
 from ..model.terms import TERMS, Term
-from ..session.imu import ChannelNoise, ImuSpec, TriadSpec, check_plausible, read_noise
+from ..session.imu import ChannelNoise, ImuSpec, TriadSpec, read_noise
+from ..session.plausibility import check_plausible
 from ..session.table_errors import KEY as CLOCK
 from ..session.table_errors import StampingClock, read_clock
 from .provenance import budget_document, read_budget, read_origin

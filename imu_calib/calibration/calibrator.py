@@ -12,7 +12,6 @@ import numpy as np
 from ..common.errors import Contradiction, ImuCalibError, InputError, NotObservable
 from ..common.stream import Block, Mode
 from ..estimation import joint
-from ..estimation.checks import Solution
 from ..estimation.common_unknowns import Contradicting, TableEstimate, join
 from ..estimation.evidence import Evidence
 from ..estimation.information import attainable_std
@@ -20,6 +19,7 @@ from ..estimation.joint import Comparison
 from ..estimation.methods import check_plan, closed_form_of, method, provisional
 from ..estimation.search import SearchResult
 from ..estimation.setup import Setup
+from ..estimation.solution import Solution
 from ..estimation.table_effects import shares_a_table
 from ..model.parameters import AXES, Parameter
 from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms

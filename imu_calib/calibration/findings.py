@@ -9,10 +9,10 @@ from ..common.errors import ImuCalibError
 from ..common.files import version
 from ..common.stream import iso
 from ..common.units import DEG
-from ..estimation.checks import Solution
 from ..estimation.evidence import Evidence
 from ..estimation.joint import Comparison
 from ..estimation.setup import Setup
+from ..estimation.solution import Solution
 from ..model.sensors import terms_of
 from ..model.session_terms import terms_in_words
 from ..segmentation.labelling import Labelled

@@ -13,7 +13,7 @@ import numpy as np
 from ..common.errors import InputError, NotObservable
 from ..common.stream import Block, Floats, ImuBlock, TemperatureBlock, Units
 from ..common.units import ARCMIN, DEG, PPM, STANDARD_GRAVITY, counted
-from ..estimation.checks import Residual, Solution, far_scales
+from ..estimation.checks import far_scales
 from ..estimation.evidence import Evidence
 from ..estimation.free_dwells import FreeEquations
 from ..estimation.hand import (
@@ -33,6 +33,7 @@ from ..estimation.methods import estimated_parameters
 from ..estimation.output_noise import known_noise, walk_of_sensors, with_own_noise
 from ..estimation.predict import ideal_move_by_hand, next_hold
 from ..estimation.setup import Setup
+from ..estimation.solution import Residual, Solution
 from ..model.parameters import AXES, PARAMETERS, ParameterKind
 from ..model.sensors import SensorModel, gravity_covariance
 from ..segmentation.clock import NO_CLOCK

@@ -15,17 +15,17 @@ from ..common.budget import Budget, Source
 from ..common.errors import Contradiction, InputError, NotObservable
 from ..common.stream import Floats
 from ..common.units import counted
-from ..estimation.checks import Solution
 from ..estimation.evidence import Evidence
 from ..estimation.joint import Comparison
 from ..estimation.setup import Setup
+from ..estimation.solution import Solution
 from ..estimation.term_tests import summary
 from ..model.parameters import Parameter
 from ..model.sensors import terms_of
 from ..segmentation.labelling import Labelled
 from ..segmentation.segments import Segment
 from ..segmentation.stream_facts import Move, Segmented, gravity_removed, separate_messages_sentence
-from ..session.imu import check_plausible
+from ..session.plausibility import check_plausible
 from ..session.table_errors import StampingClock, clock_share
 from .agreement import with_gravity
 from .calibration import Calibration, ResidualRow

@@ -24,7 +24,8 @@ from ..live.web.board import Snapshot, UnitRow
 from ..live.web.drawing import headline, time_left
 from ..reports.plain_table import plain_table
 from ..reports.timeline import READING, Converging
-from .processes import START, Nodes, SessionEnd
+from .embedded import Nodes
+from .processes import START, SessionEnd
 from .terminal import ERRORS, OUTPUT, NodeReports
 
 _STYLES = {Severity.OK: 'bold', Severity.WARN: 'bold yellow', Severity.ERROR: 'bold red'}

@@ -12,7 +12,7 @@ from ..live.middleware import messages
 from ..live.nodes import topics as qos
 from ..live.nodes.topics import listen_to_each
 from ..live.web.board import Board, UnitsBoard
-from .processes import Nodes
+from .embedded import Nodes
 from .terminal import NodeReports
 
 _DEEP = 100

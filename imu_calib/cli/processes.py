@@ -2,44 +2,35 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
-import errno
 import os
-import secrets
 import signal
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Collection, Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, Any, TypeAlias
+from typing import IO, Any
 
 import yaml
 
 from ..common.errors import InputError
-from ..common.files import require, write_whole
+from ..common.files import write_whole
 from ..common.lifetime import ENDS_WITH
 from ..live.network import (
     LOOPBACK,
     REACH,
     check_domain,
     check_interface,
-    forced,
     in_enclave,
     interface_variables,
     on_interface,
     own_domain,
 )
-from ..live.web.guard import LOOPBACK_HOST, address, exposure
-from ..session.keywords import node_parameters
-from ..session.plan import load_plan
-from .terminal import ERRORS, OUTPUT
+from .terminal import ERRORS
 
 START = 30.0
 """Longest wait for the nodes to discover each other, s, and between two signs that an old journal
@@ -297,264 +288,3 @@ def _end(process: subprocess.Popen[bytes]) -> None:
             process.kill()
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(timeout=0.5)
-
-
-# The nodes of a stand in this process: the default where nothing needs ROS 2's wire.
-
-_THE_THIRD = 3
-"""Ctrl-C that interrupts at once: the first ends the session in order, the second may be the
-impatience of a person while the table is being stopped."""
-
-
-class Embedded:
-    """The started nodes, with the methods of `processes.Processes`.
-
-    Args:
-        folder: Its folder `nodes` takes parameter files and logs.
-        in_step: Whether simulated hardware, at any speed, makes the time of the nodes.
-    """
-
-    environment: Mapping[str, str] = MappingProxyType({})
-
-    def __init__(self, folder: Path, *, in_step: bool) -> None:
-        self._files = NodeFiles(folder)
-        self._until_the_end = ExitStack()
-        # Before the middleware is loaded: the nodes' modules take their names from it.
-        self._until_the_end.enter_context(forced('embedded'))
-        try:
-            from ..live.middleware.dds.executor import Container
-
-            self._container = Container(in_step=in_step)
-        except BaseException:
-            self._until_the_end.close()
-            raise
-        self._logs: dict[str, IO[str]] = {}
-        self._needless: set[str] = set()
-        self._missed: set[str] = set()
-        self._interruptions = 0
-        self._former: dict[int, Any] = {}
-
-    def __enter__(self) -> Embedded:
-        """Return the nodes; leaving the block ends them. Signals wait for the end of a callback."""
-        for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, 'SIGHUP', signal.SIGTERM)):
-            if signal.getsignal(number) is not signal.SIG_IGN:
-                self._former[number] = signal.signal(number, self._interrupt)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End the nodes in reverse order of their start: the one that runs the plan stops it."""
-        try:
-            self._container.shutdown()
-        finally:
-            self._until_the_end.close()
-            for log in self._logs.values():
-                log.close()
-            for number, handler in self._former.items():
-                signal.signal(number, handler)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the nodes that were started."""
-        return tuple(self._logs)
-
-    def start(
-        self,
-        node: str,
-        parameters: dict[str, Any],
-        *,
-        needed: bool = True,
-        environment: Mapping[str, str] = MappingProxyType({}),
-        remapped: Mapping[str, str] = MappingProxyType({}),
-    ) -> None:
-        """Start a node; see `Processes.start`."""
-        if not needed:
-            self._needless.add(node)
-        os.environ.update(environment)
-        name = node.rpartition('/')[2]
-        arguments = self._files.arguments(node, parameters, remapped)
-        module = import_module(f'{__package__.rpartition(".")[0]}.live.nodes.{name}')
-        kind = getattr(module, name.title().replace('_', ''))
-        log = self._logs[node] = self._files.path(node, 'log').open('a', encoding='utf-8')
-        try:
-            self._container.load(node, kind, arguments, log)
-        except Exception as error:
-            self._logs.pop(node).close()
-            raise InputError(f'{node} does not start: {error}') from error
-
-    def join(self, name: str) -> Any:
-        """Return a node of this command among the others; see `Processes.join`."""
-        from ..live.middleware import Node
-
-        return self._container.load(name, lambda: Node(name), [], ERRORS.file)
-
-    def leave(self, node: Any) -> None:
-        """Remove the node of `join`."""
-        self._container.unload(node.get_name())
-
-    def spin(self, _: Any, seconds: float) -> None:
-        """Let all nodes work for a time, s.
-
-        Raises:
-            KeyboardInterrupt: A signal asks for the end.
-        """
-        self._container.spin(seconds)
-        if self._interruptions:
-            raise KeyboardInterrupt
-
-    def wait(self, seconds: float) -> None:
-        """Let the nodes work while this command waits, s; errors as of `spin`."""
-        self.spin(None, seconds)
-
-    def check(self) -> None:
-        """Check that all needed nodes still run; see `Processes.check`."""
-        for node in self._logs:
-            failure = self._container.failure(node)
-            if not failure:
-                continue
-            if node not in self._needless:
-                raise InputError(f'{node} has ended: {failure}')
-            if node not in self._missed:
-                self._missed.add(node)
-                ERRORS.print(
-                    f'{node} has ended: {failure} The session goes on without it.',
-                    style='yellow',
-                    markup=False,
-                )
-
-    def runs(self, node: str) -> bool:
-        """Return whether a node was started and still runs."""
-        return node in self._logs and not self._container.failure(node)
-
-    def end_all_but(self, kept: Collection[str]) -> None:
-        """End all nodes but some, in reverse order of their start."""
-        for node in [name for name in reversed(self._logs) if name not in kept]:
-            self._container.unload(node)
-            self._logs.pop(node).close()
-
-    def _interrupt(self, *_: Any) -> None:
-        """Note a signal; a node is not interrupted while it writes, or stops the table."""
-        self._interruptions += 1
-        if self._interruptions >= _THE_THIRD:
-            raise KeyboardInterrupt
-
-
-Nodes: TypeAlias = Processes | Embedded
-"""The nodes of a stand, wherever they run."""
-
-
-# The page of `imu-calib stand --web`: its options, its node, and its end.
-
-NODE = 'web_node'
-_PORT = 8080
-"""TCP port that IANA lists for web servers in addition to 80 (http-alt)."""
-_FIRST_FREE = 1024
-"""The first port that any user may serve (ip_unprivileged_port_start, ip(7))."""
-_TOKEN = 'IMU_CALIB_WEB_TOKEN'
-"""As in nodes/web_node."""
-_OF_THE_SESSION = (*node_parameters(), 'units', 'without', 'journal', 'output')
-"""Parameters common to the page and calibrator_node."""
-_TICK = 0.2
-"""s."""
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the page."""
-    page = parser.add_argument_group('a page in the browser', 'Needs the extra `web`.')
-    page.add_argument(
-        '--web',
-        type=int,
-        nargs='?',
-        const=_PORT,
-        metavar='PORT',
-        help=f'show the session at http://{LOOPBACK_HOST}:PORT (default: {_PORT}; 0: a free one); '
-        'the page stays when the session is over, until Ctrl-C',
-    )
-    page.add_argument(
-        '--web-host',
-        default=LOOPBACK_HOST,
-        metavar='HOST',
-        help='interface that serves the page (default: %(default)s, which this machine alone '
-        'reaches; 0.0.0.0: all, without encryption)',
-    )
-    page.add_argument(
-        '--control',
-        action='store_true',
-        help=(
-            'let the page start, pause, abort and resume the plan, for those who have the token '
-            'that is printed; the session then survives a stop of the table'
-        ),
-    )
-
-
-def check(arguments: argparse.Namespace) -> None:
-    """Refuse a page that cannot be served, before anything starts.
-
-    Raises:
-        InputError: Options that do not go together, a port that is taken, or no NiceGUI.
-    """
-    if arguments.web is None:
-        if arguments.control or arguments.web_host != LOOPBACK_HOST:
-            name = '--control' if arguments.control else '--web-host'
-            raise InputError(f'{name} is for the page in the browser; give --web, too.')
-        return
-    if not 0 <= arguments.web < 1 << 16:
-        raise InputError(f'--web: found {arguments.web}, expected a port from 0 to 65535.')
-    if arguments.control and load_plan(arguments.plan).by_hand:
-        raise InputError('--control: a hand holds the unit; no table is to be started.')
-    require('nicegui', '--web', 'web')
-    arguments.web = arguments.web or free_port()
-    host, port = arguments.web_host, arguments.web
-    nothing = f'nothing can be served at {host}, port {port}'
-    try:
-        family = socket.getaddrinfo(host, port)[0][0]
-        socket.create_server((host, port), family=family).close()
-    except OSError as error:
-        # Python adds the address to the words of bind; the name of a host has its own numbers.
-        if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
-            reason = str(error.strerror).partition(' (')[0]
-            raise InputError(
-                f'--web-host: {nothing}: {reason}. Name an interface of this machine, or 0.0.0.0 '
-                'for all.'
-            ) from None
-        reason = os.strerror(error.errno) if error.errno else str(error)
-        other = port + 1 if _FIRST_FREE <= port < (1 << 16) - 1 else _PORT
-        raise InputError(f'--web: {nothing}: {reason}. Name another port: --web {other}.') from None
-
-
-def parameters(
-    arguments: argparse.Namespace, of_the_calibrator: dict[str, Any]
-) -> dict[str, dict[str, Any]]:
-    """Return the parameters of the page's node by its name; empty without a page."""
-    if arguments.web is None:
-        return {}
-    shared = {k: v for k, v in of_the_calibrator.items() if k in _OF_THE_SESSION}
-    own = {'host': arguments.web_host, 'port': arguments.web, 'control': arguments.control}
-    return {NODE: {**shared, **own}}
-
-
-def start(arguments: argparse.Namespace, processes: Nodes, given: dict[str, Any]) -> None:
-    """Start the page, and print its address; the session continues if the page ends."""
-    secret = secrets.token_urlsafe(16) if arguments.control else ''
-    # By the environment, which others cannot read; parameters and logs are in files.
-    processes.start(NODE, given, needed=False, environment={_TOKEN: secret} if secret else {})
-    OUTPUT.print(f'page: {_address(arguments)}', markup=False)
-    if secret:
-        OUTPUT.print(f'token for its buttons: {secret}', markup=False)
-    if exposed := exposure(arguments.web_host):
-        ERRORS.print(exposed, style='yellow', markup=False)
-
-
-def serve_until_interrupted(arguments: argparse.Namespace, processes: Nodes) -> None:
-    """Keep the page after the session, until Ctrl-C."""
-    if arguments.web is None or not processes.runs(NODE):
-        return
-    OUTPUT.print(f'The page stays at {_address(arguments)} until Ctrl-C.', markup=False)
-    try:
-        while processes.runs(NODE):
-            processes.wait(_TICK)
-    except KeyboardInterrupt:
-        return
-
-
-def _address(arguments: argparse.Namespace) -> str:
-    return address(arguments.web_host, arguments.web)

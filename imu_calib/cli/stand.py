@@ -18,8 +18,7 @@ from ..session.imu import ImuSpec, check_live, load_imu
 from ..session.keywords import AtSite, Numbered, Solved, azimuth_of
 from ..session.plan import load_plan
 from ..session.table import load_table
-from . import options, several, stand_session
-from . import processes as web_page
+from . import options, several, stand_session, web_page
 from .processes import network_of_hardware
 from .terminal import OUTPUT, NodeReports
 

@@ -42,13 +42,11 @@ from ..session.imu import ImuSpec, load_imu
 from ..session.keywords import DEFAULT_TERMS, AtSite
 from ..session.plan import Plan, load_plan
 from ..session.table import Table, load_table
-from . import options, several
-from . import processes as web_page
+from . import options, several, web_page
 from .displays import Start, follow, view_table
+from .embedded import Embedded, Nodes
 from .processes import (
     START,
-    Embedded,
-    Nodes,
     Processes,
     SessionEnd,
     free_ports,

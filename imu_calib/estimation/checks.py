@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 import scipy
 
-from ..common.budget import Shares
 from ..common.errors import Contradiction, InputError, NotObservable
 from ..common.rotations import FIVE_SIGMA
 from ..common.stream import Floats
-from ..common.units import ARCSEC, DEG, DEG_H, PPM, significant
-from ..model.alignment import TIMES, wrong_scale_sentences
+from ..common.units import DEG, DEG_H, PPM
 from ..model.earth import EARTH_RATE
-from ..model.parameters import AXES, PARAMETERS, Parameter
+from ..model.parameters import AXES
 from ..model.sensors import SensorModel
-from ..model.session_terms import Changes
+from ..model.wrong_scale import TIMES, wrong_scale_sentences
 from ..session.imu import SCALE_LIMIT
-from ..session.table import Table
-from ..session.table_errors import FINEST
-from .equations import Equations
 from .evidence import Evidence
-from .information import Information
-from .outliers import Estimate
-from .search import SearchResult
-from .term_tests import TermTest
 
 _AXIS_LIMIT = 0.5  #: Of an axis's largest response: beyond it, axes are exchanged, not misaligned.
 _FAR_SCALE = 0.1  #: Share: data sheets allow percents.
@@ -192,162 +181,4 @@ def check_latitude(
         f'The data contradicts the latitude {site.latitude / DEG:.2f} deg: {text}.{fits}',
         seen,
         abs(total - EARTH_RATE) / total_std,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Residual:
-    """Residuals of a static dwell."""
-
-    position: str  #: Id of the plan's position.
-    start: int  #: ns, IMU clock.
-    value: Floats  #: (6,) rad/s and m/s^2.
-    std: Floats  #: (6,) standard deviation of the static dwell's mean.
-
-    @classmethod
-    def of_each(cls, evidence: Evidence, values: Floats, std: Floats) -> tuple[Residual, ...]:
-        """Return those of the dwells of a session, (s, 6) and their standard deviations."""
-        return tuple(
-            cls(str(segment.position), segment.start, value, deviation)
-            for segment, value, deviation in zip(evidence.segments, values, std, strict=True)
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """An estimate of the parameters."""
-
-    model: SensorModel  #: The sensor model.
-    #: (n, n) in the order of `parameters`, SI units. NaN for a triad that was not estimated.
-    covariance: Floats
-    residuals: tuple[Residual, ...]  #: One per static dwell.
-    azimuth: float  #: Heading of the table's zero by the gyros, rad; NaN where not determined.
-    azimuth_std: float  #: Its standard deviation, rad.
-    earth_up: float  #: Vertical Earth rate by the gyros, rad/s.
-    earth_up_std: float  #: Its standard deviation, rad/s.
-    condition: float  #: Condition number of the system solved, columns scaled to unit length.
-    findings: tuple[str, ...]  #: Findings that the user must know, in sentences.
-    #: (6,) standard deviation of drifting biases in the covariance, rad/s and m/s^2; None for a
-    #: method that does not estimate it.
-    bias_drift: Floats | None = None
-    #: (n,) parameters of the rows of the covariance.
-    parameters: tuple[Parameter, ...] = PARAMETERS
-    #: The covariance by source, which adds up to it; None for a method that does not give it.
-    shares: Shares | None = None
-    #: Changes of the parameters during the session; None where not requested.
-    changes: Changes | None = None
-    #: Results for every term and error of the table; empty for a method without tests.
-    tests: tuple[TermTest, ...] = ()
-    #: (n, m + u) derivatives of the parameters by the outputs of dwells and turns, then by those of
-    #: a skewed gyro in the u turns that it recorded; None for a method whose weights depend on the
-    #: data.
-    gain: Floats | None = None
-    #: Result of the joint estimate, used for several units on a table; None for other methods, and
-    #: for a session in progress.
-    search: SearchResult | None = None
-
-    def __post_init__(self) -> None:
-        """Raise if the covariance is of other parameters."""
-        assert self.covariance.shape == (len(self.parameters),) * 2
-
-    @property
-    def std(self) -> Floats:
-        """(n,) standard deviations of the parameters, SI units."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-
-# The file is used as stated until the session shows an error of the table. So small an error cannot
-# be identified: a zero error looks like a joint axis that leans, and a wobble like an encoder
-# error. From then on all errors stated too small are taken as those of the best tables.
-# Source: docs/mathematics.md, 'Tables that are stated exact'.
-
-SHOWN = 0.99
-"""Probability, at even odds, from which on positioning errors are reported: at most one in a
-hundred of sessions without any reaches it, since the mean of their likelihood ratio is one
-(Markov)."""
-
-_WIDER = 1.12
-"""Ratio of standard deviations from which on it is reported: for 4.5 stated deviations the true
-number is then 4.0."""
-
-_FIGURE = f'{significant(FINEST / ARCSEC)} arcsec'
-
-
-def as_the_best(evidence: Evidence) -> Evidence:
-    """Return a session with the table's errors stated too small set to those of the best."""
-    if evidence.table is None:
-        return evidence
-    table = evidence.table.as_the_best()
-    return replace(evidence, table=table, positioning=table.positioning)
-
-
-def contradicted(search: SearchResult) -> bool:
-    """Return whether a session shows errors of a table whose file states too small ones."""
-    evidence = search.estimate.equations.evidence
-    if evidence.plan.by_hand or evidence.table is None or not evidence.table.understated_errors:
-        return False
-    of_table = any(one.family.of_table for one in search.found)
-    return of_table or search.estimate.scatter.positioning_probability >= SHOWN
-
-
-def on_the_best(equations: Equations, state: Floats, std: Floats) -> Floats:
-    """Return the standard deviations (n,) of parameters on a table as good as the best.
-
-    `std` are those by the equations, on the table as its file describes it, at their solution.
-    """
-    better = replace(equations, evidence=as_the_best(equations.evidence))
-    variances = [
-        np.diag(Information.from_jacobian(one.whitened(state)[0]).covariance)[: len(std)]
-        for one in (equations, better)
-    ]
-    return np.asarray(np.sqrt(std**2 + np.maximum(variances[1] - variances[0], 0.0)))
-
-
-def exactness_findings(estimate: Estimate) -> list[str]:
-    """Return sentences on results that depend on implausibly small errors in a table's file."""
-    equations, n = estimate.equations, estimate.equations.sensors
-    table = equations.evidence.table
-    if table is None:
-        return []
-    if table.described is not None:
-        return [
-            f'The session contradicts {_described(table.described)}: {_FIGURE} is assumed of '
-            'each. State what it has.'
-        ]
-    std = np.sqrt(np.diag(estimate.covariance)[:n])
-    return resting_on_the_table(equations, estimate.state, std)
-
-
-def resting_on_the_table(equations: Equations, state: Floats, std: Floats) -> list[str]:
-    """Return a sentence on parameters that depend on a table better than any known one.
-
-    Arguments as for `on_the_best`.
-    """
-    table = equations.evidence.table
-    if equations.evidence.plan.by_hand or table is None or not table.understated_errors:
-        return []
-    there = on_the_best(equations, state, std)
-    times = np.divide(there, std, out=np.ones(len(std)), where=std > 0)
-    worst: dict[tuple[str, str], int] = {}
-    for k in np.argsort(-times):
-        parameter = equations.parameters[k]
-        if times[k] > _WIDER:
-            worst.setdefault((parameter.kind.value.symbol, parameter.triad), int(k))
-    if not worst:
-        return []
-    each = [
-        f'{significant(there[k] / p.unit.scale)} {p.unit.shown} of {p.name} '
-        f'({significant(times[k])} times as large)'
-        for k, p in ((k, equations.parameters[k]) for k in worst.values())
-    ]
-    return [
-        f'The standard deviations are those of {_described(table)}, and no real one is known so '
-        f'well: with {_FIGURE} of each they would be {", ".join(each)}. State what yours has.'
-    ]
-
-
-def _described(table: Table) -> str:
-    return (
-        f'table {table.name} as its file describes it, with less than {_FIGURE} of '
-        f'{", ".join(table.understated_errors)}'
     )

@@ -22,9 +22,9 @@ from ..common.budget import Share, Source
 from ..common.errors import NotObservable
 from ..common.stream import Floats
 from .equations import Equations
+from .estimate import Estimate
 from .evidence import SMALLEST_VARIANCE
 from .modulation import ENCODER_FREEDOM
-from .outliers import Estimate
 from .outputs import Component, whiten
 from .outputs import parts as parts_of
 from .session_model import Nuisance

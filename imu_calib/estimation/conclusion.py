@@ -14,18 +14,11 @@ from ..common.stream import Floats
 from ..common.units import DEG, DEG_H
 from ..model.parameters import PARAMETERS, RESPONSES, Parameter
 from ..model.sensors import SensorModel
-from .checks import (
-    Residual,
-    Solution,
-    check_axes,
-    check_latitude,
-    clock_finding,
-    far_scales,
-    turns_scatter_finding,
-)
+from .checks import check_axes, check_latitude, clock_finding, far_scales, turns_scatter_finding
 from .equations import LEAST_AZIMUTH, Equations
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .session_model import Nuisance
+from .solution import Residual, Solution
 from .table_effects import Accelerometers, Tilt, widened_for_tilt
 
 _SIGNIFICANT = 1e-6

@@ -18,16 +18,8 @@ from ..common.units import ARCMIN, DEG
 from ..model.parameters import BIASES, Parameter, ParameterKind
 from .evidence import SMALLEST_VARIANCE
 from .modulation import encoder_rates, level_gravity, own_parts, stated_changes, unknown_north
-from .outputs import (
-    NO_POSITIONING_ERRORS,
-    Component,
-    Diagonal,
-    Factor,
-    PositioningErrors,
-    add_all,
-    shares,
-    whiten,
-)
+from .outputs import Component, Diagonal, Factor, add_all, shares, whiten
+from .positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 from .session_model import Nuisance, SessionModel, Value
 
 ANY_AZIMUTH = 180 * DEG / np.sqrt(3)

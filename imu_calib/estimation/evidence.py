@@ -21,18 +21,11 @@ from ..session.imu import ImuSpec
 from ..session.plan import Plan
 from ..session.table import Table
 from ..session.table_errors import LEVELLED, TableErrors
+from .arms import Arms, headings
 from .moves import Moves
 from .output_noise import known_noise
-from .outputs import (
-    Arms,
-    AttitudeErrors,
-    OutputLayout,
-    around,
-    headings,
-    of_holds,
-    of_joints,
-    of_stops,
-)
+from .outputs import OutputLayout
+from .positioning_errors import AttitudeErrors, around, of_holds, of_joints, of_stops
 
 UP = np.array([0.0, 0.0, 1.0])  #: In east, north, up.
 _AXIS_TOLERANCE = 0.05

@@ -32,17 +32,17 @@ from ..common.stream import Floats
 from ..model.parameters import BIASES, indices_of
 from ..segmentation.segments import Segment, Turn
 from ..segmentation.stream_facts import Move
-from .bias_drift import (
-    STATED_TIME,
-    BiasDrift,
+from .bias_drift import STATED_TIME, BiasDrift
+from .equations import Equations
+from .evidence import SMALLEST_VARIANCE
+from .likelihood import (
     gain_by_noise,
     log_likelihood,
     log_likelihoods_by_columns,
     log_likelihoods_by_ratio,
 )
-from .equations import Equations
-from .evidence import SMALLEST_VARIANCE
-from .outputs import NO_POSITIONING_ERRORS, Blocks, Component, Diagonal, PositioningErrors, whiten
+from .outputs import Blocks, Component, Diagonal, whiten
+from .positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 """Correlation times of drift on the grid, in lengths of the session: half decades. A drift slower

@@ -19,9 +19,9 @@ from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms, t
 from ..model.session_terms import LOOKED_FOR, Change, Course, session_term
 from ..model.terms import TERMS, Term
 from ..session.table_errors import clock_share
-from . import checks as exact_table
+from . import exact_table
 from . import hand as free_positions
-from .checks import Solution
+from .changing import with_changes
 from .closed_forms import skewed
 from .closed_forms.skewed import RatePoints
 from .equations import Equations
@@ -33,7 +33,8 @@ from .modulation import warms
 from .outputs import Blocks, Component
 from .predict import bias_drift_covariance, expected
 from .setup import Setup
-from .solve import check_observable, with_changes
+from .solution import Solution
+from .solve import check_observable
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,8 @@ from ..model.sensors import SensorModel, Triad, terms_of
 from ..model.session_terms import Change, Changes, Course
 from ..model.terms import ACCEL_ASYMMETRY, ACCEL_CUBIC, ACCEL_QUADRATIC, G_SENSITIVITY, Term
 from ..session.plan import Plan
-from .checks import Solution, check_axes
+from .checks import check_axes
+from .estimate import shares
 from .evidence import Evidence
 from .free_dwells import FreeEquations, at_headings_by_moves
 from .hand_findings import (
@@ -47,9 +48,9 @@ from .hand_findings import (
 )
 from .information import Information
 from .modulation import spans
-from .outliers import shares
 from .outputs import Component, Factor, Indices
 from .score import Family, Score, log_f, scores_of
+from .solution import Solution
 from .solve import least_squares
 from .term_tests import TermState, TermTest, test_of
 

@@ -19,10 +19,10 @@ import numpy as np
 from ..common.errors import Contradiction, InputError
 from ..common.stream import Floats
 from ..common.units import DEG, STANDARD_GRAVITY, significant
-from ..model.alignment import wrong_turns_sentences
 from ..model.parameters import AXES
 from ..model.sensors import SensorModel, Triad
 from ..model.session_terms import session_term
+from ..model.wrong_scale import wrong_turns_sentences
 from ..session.imu import SCALE_LIMIT
 from .evidence import Evidence
 from .free_dwells import measured_latitude, vertical_earth_rate

@@ -22,28 +22,25 @@ from ..model.sensors import parameters_of
 from ..model.session_terms import Change, Changes, Course, names_of
 from ..model.terms import Term
 from .checks import (
-    SHOWN,
-    Residual,
-    Solution,
     WrongLatitude,
-    as_the_best,
     check_axes,
     check_latitude,
     clock_finding,
-    contradicted,
     encoder_finding,
-    exactness_findings,
     far_scales,
     turns_scatter_finding,
 )
 from .conclusion import LeastSquares
 from .equations import Equations
+from .estimate import Estimate, estimate
 from .evidence import Evidence
+from .exact_table import SHOWN, as_the_best, contradicted, exactness_findings
 from .excess_scatter import excess
 from .modulation import instant_of, seconds_of
-from .outliers import Estimate, Outlier, RejectedMove, estimate
+from .outliers import Outlier, RejectedMove
 from .search import SearchResult, search_terms
 from .session_model import Nuisance
+from .solution import Residual, Solution
 from .solve import NotConverged, fit
 from .term_tests import confounded_errors, findings, temperature_finding, tested
 

@@ -14,9 +14,9 @@ from ..model.session_terms import Change, names_of
 from ..model.terms import G_SENSITIVITY, Term
 from ..session.plan import Plan
 from . import hand, joint
-from .checks import Solution
 from .closed_forms import positions, skewed
 from .evidence import Evidence, in_table_time
+from .solution import Solution
 
 JOINT: dict[str, tuple[Term, ...]] = {'joint': (), 'joint_33': (G_SENSITIVITY,)}
 """The estimates from all of a session at once, and the terms that they include."""

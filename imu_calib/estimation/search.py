@@ -23,11 +23,12 @@ from ..common.stream import Floats
 from ..model.parameters import PARAMETERS, Parameter, indices_of
 from ..model.sensors import parameters_of, terms_of
 from ..model.session_terms import Change, Course
+from .changing import with_changes, with_shape
 from .equations import Equations
+from .estimate import Estimate, estimate
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .information import determined, nominal_information
 from .modulation import interrupted
-from .outliers import Estimate, estimate
 from .score import (
     Family,
     Pattern,
@@ -43,7 +44,7 @@ from .score import (
     undecided,
     values_of,
 )
-from .solve import NotConverged, fit, linear_step, with_changes, with_shape
+from .solve import NotConverged, fit, linear_step
 
 CHANCE = 1e-3
 """Chance of finding a family in a session without any, all families together. A choice: one session

@@ -24,9 +24,10 @@ from ..model.earth import Site
 from ..model.parameters import PARAMETERS, Parameter
 from ..model.sensors import SensorModel
 from ..model.session_terms import Change
+from .arms import mean_over_turn
 from .evidence import Evidence
 from .modulation import columns, encoder_rate_errors, rates
-from .outputs import OutputLayout, mean_over_turn
+from .outputs import OutputLayout
 
 # The table stands turned by the azimuth about up and tilted by two small angles, R_nb = Rz(azimuth)
 # Rx(tilt) Ry(tilt) A with A by the encoders, so that the Earth's rate and gravity are constant

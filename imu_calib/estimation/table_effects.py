@@ -26,7 +26,7 @@ from ..segmentation.segments import Segment, Turn
 from ..session.table_errors import TableErrors
 from .equations import Equations
 from .evidence import UP, Evidence
-from .outputs import PositioningErrors, axes_of, stops_of
+from .positioning_errors import PositioningErrors, axes_of, stops_of
 from .session_model import Nuisance
 
 TABLE_STATE = (Nuisance.AZIMUTH, Nuisance.TILT_X, Nuisance.TILT_Y)

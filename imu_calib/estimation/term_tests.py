@@ -17,8 +17,8 @@ from ..model.sensors import terms_of
 from ..model.session_terms import Change, Course, change, largest, names_of
 from ..model.terms import Term
 from ..session.table import Table
+from .estimate import Estimate
 from .modulation import instant_of, temperatures, warms
-from .outliers import Estimate
 from .score import Family, Score
 from .search import SearchResult, SignificantFamily
 

@@ -19,7 +19,7 @@ from ..common.errors import ImuCalibError, InputError
 from ..common.files import named_file, read_text, user_path, version
 from ..common.stream import NS
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS, indices_of
-from ..recordings.definitions import NAME as METADATA
+from ..recordings.metadata_yaml import NAME as METADATA
 from ..recordings.remote import AnyPath, is_url, located
 from ..recordings.rosbag2 import Recording, content_hash, find_files
 from ..recordings.storage import Losses

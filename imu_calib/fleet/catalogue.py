@@ -30,6 +30,7 @@ from ..common.files import other_format, printable, require, user_path, write_wh
 from ..common.parallel import MEMORY, Engine, Progress, WorkerDied, outcomes, silent
 from ..common.units import counted
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
+from ..recordings import metadata_yaml
 from ..session.keywords import Session, Stated, with_keywords
 from ..session.units_file import load_units
 from .batch import CALIBRATED, TaskResult, lost, run
@@ -307,13 +308,12 @@ class Catalogue:
 def _make_room(folder: Path) -> None:
     """Refuse a folder that cannot hold a catalogue."""
     # To query a catalogue takes no recording.
-    from ..recordings import definitions as metadata
 
     if not folder.parent.is_dir():
         raise InputError(f'{folder}: the folder {folder.parent} does not exist.')
     if folder.exists() and not folder.is_dir():
         raise InputError(f'{folder}: is a file, expected the name of a folder.')
-    if (folder / metadata.NAME).is_file():
+    if (folder / metadata_yaml.NAME).is_file():
         raise InputError(f'{folder}: is a recording, expected a folder for the catalogue alone.')
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..common.rotations import rotation_vector
 from ..common.stream import Floats
-from ..common.units import ARCMIN, DEG, STANDARD_GRAVITY
+from ..common.units import ARCMIN
 from .parameters import RESPONSES, Parameter, indices_of
 from .sensors import SensorModel, Triad
 
@@ -105,43 +105,3 @@ def _orthogonal(axes: Floats) -> Floats:
     """Return the orthogonal triad nearest to three axes (rows): their polar factor."""
     left, _, right = np.linalg.svd(axes)
     return np.asarray(left @ right)
-
-
-TIMES = ' A wrong rate of the samples, or unit of their times, does the same.'
-"""For gyros: their rates times time are compared with turned angles."""
-_RANGES = {
-    2.0: 'Counts of half the range that the scale factor is for',
-    0.5: 'Counts of twice the range that the scale factor is for',
-}
-_MISTAKES = {
-    'gyros': {
-        **_RANGES,
-        1 / DEG: 'Rates in deg/s, stated as rad/s,',
-        DEG: 'Rates in rad/s, stated as deg/s,',
-    },
-    'accelerometers': {
-        **_RANGES,
-        STANDARD_GRAVITY: 'Accelerations in m/s^2, stated as g,',
-        1 / STANDARD_GRAVITY: 'Accelerations in g, stated as m/s^2,',
-    },
-}
-"""Factor by which outputs are then too large."""
-_NEAR = 0.1
-"""Relative: scale factors of the cheapest units are 3 % off."""
-
-
-def wrong_scale_sentences(scale: float, name: str) -> str:
-    """Return sentences on what gives sensors so many times the response; empty if unknown."""
-    near = [m for factor, m in _MISTAKES[name].items() if abs(scale / factor - 1) < _NEAR]
-    return ''.join(f' {mistake} do that.' for mistake in near) + (TIMES if name == 'gyros' else '')
-
-
-def wrong_turns_sentences(scale: float, meaning: str) -> str:
-    """Return sentences on gyros that turn gravity `scale` times as far as it turns.
-
-    `meaning` says what contradicts what, without a stop.
-    """
-    return (
-        f'The gyros turn gravity {scale:.3g} times as far as the accelerometers do: {meaning}.'
-        f'{wrong_scale_sentences(scale, "gyros")}'
-    )

@@ -14,7 +14,6 @@ import numpy as np
 from ..common.stream import NS
 from .cdr import Messages
 from .codec import ZSTD_MAGIC, CodecError, ReadAhead, unpack, unpacked_into
-from .definitions import custom_data_of
 from .mcap_records import (
     LONGEST_HEAD,
     RECORD_HEAD,
@@ -28,6 +27,7 @@ from .mcap_records import (
     walk,
 )
 from .mcap_scan import ChannelMessages, ChunkContent, located, log_at, scan, times_at
+from .metadata_yaml import custom_data_of
 from .storage import Cache, Losses, Memory, MessageBatch, Times, Topic, first_and_last
 
 if TYPE_CHECKING:

@@ -24,15 +24,15 @@ from ..common.stream import SetpointBlock
 from .cdr import Malformed, Messages
 from .cdr_codec import decode_imu, decode_joints, decode_setpoints, decode_skew, decode_temperatures
 from .codec import ZSTD_MAGIC, CodecError, unpack, unpack_file
-from .definitions import NAME, Metadata, read_metadata
 from .mcap import McapStorage
+from .metadata_yaml import NAME, Metadata, read_metadata
+from .recorded_clock import RecordedClock
 from .remote import AnyPath, RemotePath, local, located
 from .storage import (
     Cache,
     Losses,
     MessageBatch,
     Piece,
-    RecordedClock,
     RecordingError,
     Storage,
     Times,

@@ -12,8 +12,8 @@ from urllib.parse import quote
 import numpy as np
 
 from .cdr import Messages
-from .definitions import custom_data_of
 from .mcap import LogOrder, time_order
+from .metadata_yaml import custom_data_of
 from .storage import Cache, Described, Losses, MessageBatch, RecordingError, Times, Topic
 
 if TYPE_CHECKING:

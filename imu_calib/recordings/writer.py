@@ -12,7 +12,7 @@ import numpy as np
 
 from ..common.errors import InputError
 from ..common.files import user_path
-from . import definitions as metadata
+from . import metadata_yaml
 from .codec import compressor
 from .definitions import definition
 from .mcap_records import MAGIC
@@ -88,7 +88,7 @@ class RecordingWriter:
                 self.path / self._name, compression, pack, chunk_bytes, CHUNK_NS
             )
             # Until `close`, the metadata would omit the new file.
-            (self.path / metadata.NAME).unlink(missing_ok=True)
+            (self.path / metadata_yaml.NAME).unlink(missing_ok=True)
         if self._custom_data:
             # Written at the start, so that it exists even if the program is killed.
             self._file.add_metadata(_RECORD, self._custom_data)
@@ -113,9 +113,9 @@ class RecordingWriter:
                     f'not as {type_name}.'
                 )
             return
-        profile = metadata.qos_profile(transient_local=transient_local)
+        profile = metadata_yaml.qos_profile(transient_local=transient_local)
         text = definition(type_name)
-        channel = self._file.add_channel(topic, type_name, text, metadata.dump([profile]))
+        channel = self._file.add_channel(topic, type_name, text, metadata_yaml.dump([profile]))
         self._topics[topic] = channel, type_name
         self._profiles[topic] = [profile]
 
@@ -150,8 +150,8 @@ class RecordingWriter:
         known = one.described
         key = one.name, one.type, one.encoding, known, known.metadata
         if key not in self._copies:
-            profiles = metadata.offered_profiles(known.profiles)
-            sound = known.profiles if profiles else metadata.dump([])
+            profiles = metadata_yaml.offered_profiles(known.profiles)
+            sound = known.profiles if profiles else metadata_yaml.dump([])
             stated = None if known.metadata is None else dict(known.metadata)
             if stated is not None and 'offered_qos_profiles' in stated:
                 stated['offered_qos_profiles'] = sound
@@ -226,23 +226,23 @@ class RecordingWriter:
                 counts[one.name] = counts[one.name].merged(other)
         span = (self._file.start_ns, self._file.end_ns) if own else (0, 0)
         files = [former.span for former in self._former]
-        files.append(metadata.FileSpan(self._name, *span, own))
+        files.append(metadata_yaml.FileSpan(self._name, *span, own))
         for topic in (topic for former in self._former for topic in former.topics):
             counts[topic.name] = counts[topic.name].merged(topic) if topic.name in counts else topic
-            self._profiles.setdefault(topic.name, [metadata.qos_profile()])
-        content = metadata.information(
+            self._profiles.setdefault(topic.name, [metadata_yaml.qos_profile()])
+        content = metadata_yaml.information(
             files, [counts[name] for name in sorted(counts)], self._profiles, self._custom_data
         )
-        self._file.add_metadata(_OF_ROSBAG2, {'serialized_metadata': metadata.dump(content)})
+        self._file.add_metadata(_OF_ROSBAG2, {'serialized_metadata': metadata_yaml.dump(content)})
         self._file.close()
-        metadata.write_metadata(self.path, content)
+        metadata_yaml.write_metadata(self.path, content)
 
 
 @dataclass(frozen=True)
 class _FormerFile:
     """A file of the recording that is resumed."""
 
-    span: metadata.FileSpan
+    span: metadata_yaml.FileSpan
     topics: tuple[Topic, ...]
 
 
@@ -287,7 +287,7 @@ def _counted(storage: Storage, progress: Callable[[float], None]) -> _FormerFile
     start = min(starts, default=0) if storage.start_ns is None else storage.start_ns
     end = max(starts, default=0) if storage.end_ns is None else storage.end_ns
     held = sum(topic.count or 0 for topic in topics)
-    return _FormerFile(metadata.FileSpan(storage.path.name, start, end, held), tuple(topics))
+    return _FormerFile(metadata_yaml.FileSpan(storage.path.name, start, end, held), tuple(topics))
 
 
 def _free_name(path: Path) -> str:

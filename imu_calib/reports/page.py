@@ -18,8 +18,7 @@ from ..model.sensors import by_name
 from ..model.session_terms import Change, largest
 from ..model.terms import coefficients_of
 from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, ImuSpec, TriadSpec, TriadUnits
-from . import html as attitudes
-from . import provenance, repeatability, timeline
+from . import attitudes, provenance, repeatability, timeline
 from .budget import budget_section
 from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, scrolling, section, table

@@ -20,7 +20,8 @@ from ..common.stream import (
 )
 from ..common.units import LARGEST, counted
 from ..session.table import Table
-from .false_samples import SCALE_OF_SI, FalseSampleFilter, FalseSamples, Interruptions, Rows
+from .false_samples import SCALE_OF_SI, FalseSampleFilter, FalseSamples, Rows
+from .interruptions import Interruptions
 from .stamp_faults import SetBackClock, SharedStamps, set_back_sentences
 from .stamps import RowBuffer
 from .stream_facts import StreamFacts

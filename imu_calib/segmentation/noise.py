@@ -13,7 +13,7 @@ import numpy as np
 
 from ..common.stream import Floats
 from ..session.imu import ChannelNoise, Coefficient
-from .counters import (
+from .allan import (
     AllanSums,
     Term,
     cluster_sizes,

@@ -22,10 +22,10 @@ from ..common.units import counted
 from ..session.imu import ImuSpec
 from ..session.table import Table
 from .clock import ClockFit, fit_clock
-from .false_samples import interruptions
+from .clock_offset_search import FARTHEST, offset_by_pattern
 from .intake import Ordered, StreamBuffer
+from .interruptions import interruptions
 from .moves import MoveReader
-from .plateaus import FARTHEST, offset_by_pattern
 from .reading import NEAR, IntervalReader
 from .segments import Segment, Turn
 from .statistics import Sensor, sample_period, to_samples

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..common.stream import Floats
-from .counters import AllanSums
+from .allan import AllanSums
 from .stamp_faults import Pace, Timing
 
 CHANNELS = ('gx', 'gy', 'gz', 'ax', 'ay', 'az')

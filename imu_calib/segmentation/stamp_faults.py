@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ..common.rotations import MAD_TO_STD
 from ..common.stream import NS, Floats, Stamps, at
 from ..common.units import counted
-from .false_samples import INTERRUPTION, sample_interval, steps_since
-from .plateaus import FARTHEST
+from .clock_offset_search import FARTHEST
+from .interruptions import INTERRUPTION, sample_interval, steps_since
 from .stamps import SHORT, SampleGrid, read_grid
 
 _STAMPS = 3  #: Last stamps whose samples are counted: an early transfer follows a late one.

@@ -14,10 +14,10 @@ from ..common.rotations import MAD_TO_STD
 from ..common.stream import Floats, Stamps, Units
 from ..common.units import DEG, STANDARD_GRAVITY
 from ..session.imu import FULL_SCALES, NEARLY, ImuSpec, TriadSpec
+from .allan import allan_sums
 from .counters import (
     END_POINT_VARIANCE,
     MeanRate,
-    allan_sums,
     block_edges,
     mean_and_blocks,
     mean_rate,

@@ -28,12 +28,12 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, Units
 from imu_calib.common.units import ARCSEC, DEG, DEG_H, MICRO_G, PPM
-from imu_calib.estimation.checks import Solution
 from imu_calib.estimation.equations import GIVEN_AZIMUTH
+from imu_calib.estimation.estimate import estimate
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.methods import method
-from imu_calib.estimation.outliers import estimate
 from imu_calib.estimation.session_model import Nuisance
+from imu_calib.estimation.solution import Solution
 from imu_calib.model.earth import Site
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel

@@ -37,9 +37,9 @@ from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG
 from imu_calib.estimation import joint
 from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.estimate import estimate
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.free_dwells import Sensors
-from imu_calib.estimation.outliers import estimate
 from imu_calib.estimation.solve import check_observable
 from imu_calib.estimation.system import Observed
 from imu_calib.model.parameters import PARAMETERS, Parameter, ParameterKind
@@ -49,8 +49,9 @@ from imu_calib.model.terms import TERMS, Term
 from imu_calib.reports.provenance import assess, tables
 from imu_calib.reports.tables import comparison_table, in_scale_of, parameter_table, side_by_side
 from imu_calib.segmentation.segments import Segment, Turn
-from imu_calib.session.imu import check_plausible, load_imu
+from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
+from imu_calib.session.plausibility import check_plausible
 from imu_calib.simulation.imu import SimulatedImu
 from imu_calib.simulation.options import ImuOptions
 

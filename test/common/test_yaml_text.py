@@ -5,7 +5,7 @@ import yaml
 
 from imu_calib.common.config import Section, load
 from imu_calib.common.errors import InputError
-from imu_calib.recordings.definitions import custom_data_of, read_metadata
+from imu_calib.recordings.metadata_yaml import custom_data_of, read_metadata
 from imu_calib.reports.certificate_fields import read_fields
 
 TENS = 'a: &a [x,x,x,x,x,x,x,x,x,x]\n' + ''.join(

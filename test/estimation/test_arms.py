@@ -14,10 +14,10 @@ from sessions import SITE
 
 from imu_calib.common.budget import Source
 from imu_calib.common.units import DEG
+from imu_calib.estimation.arms import Arms
 from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.estimate import estimate
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.outliers import estimate
-from imu_calib.estimation.outputs import Arms
 from imu_calib.estimation.session_model import Nuisance
 
 ARM = (0.10, -0.05, 0.08)

@@ -13,8 +13,8 @@ from sessions import at_one_rate, quick_plan, simulated, stand, truth
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCSEC
 from imu_calib.estimation import joint
-from imu_calib.estimation.outliers import Estimate, estimate
-from imu_calib.estimation.outputs import of_joints, of_stops
+from imu_calib.estimation.estimate import Estimate, estimate
+from imu_calib.estimation.positioning_errors import of_joints, of_stops
 from imu_calib.segmentation.segments import Segment, Statistics, Turn
 from imu_calib.session.imu import load_imu
 from imu_calib.session.table import load_table

@@ -18,7 +18,6 @@ from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCSEC, DEG, DEG_H, MICRO_G
 from imu_calib.estimation import joint as joint_findings
 from imu_calib.estimation.checks import (
-    Residual,
     WrongLatitude,
     check_axes,
     check_latitude,
@@ -39,6 +38,7 @@ from imu_calib.estimation.conclusion import (
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.hand import ellipsoid, in_frame_of_accelerometers, scatter_words
 from imu_calib.estimation.joint import Comparison
+from imu_calib.estimation.solution import Residual
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel, Triad
 

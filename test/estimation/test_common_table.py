@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from imu_calib.common.budget import Source
 from imu_calib.estimation.equations import Equations
-from imu_calib.estimation.outputs import PositioningErrors
+from imu_calib.estimation.positioning_errors import PositioningErrors
 from imu_calib.estimation.table_effects import CommonSizes, CommonTable
 from imu_calib.session.table import load_table
 from imu_calib.session.table_errors import TableErrors

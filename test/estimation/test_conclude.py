@@ -15,11 +15,11 @@ from imu_calib.common.budget import Share, Source
 from imu_calib.common.errors import Contradiction, InputError
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCSEC, DEG, DEG_H
-from imu_calib.estimation.checks import Solution
 from imu_calib.estimation.conclusion import _Fit, _fit, _residuals, _Scatter, _tilt, conclude
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.methods import method
+from imu_calib.estimation.solution import Solution
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.session.plan import load_plan
 

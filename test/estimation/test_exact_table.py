@@ -16,8 +16,9 @@ from imu_calib.common.config import Section
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCSEC
 from imu_calib.estimation import joint
-from imu_calib.estimation.checks import Solution, as_the_best
+from imu_calib.estimation.exact_table import as_the_best
 from imu_calib.estimation.setup import Setup
+from imu_calib.estimation.solution import Solution
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.session.imu import load_imu
 from imu_calib.session.table import Table, load_table, read_table

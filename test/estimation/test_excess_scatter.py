@@ -35,7 +35,8 @@ from imu_calib.estimation.excess_scatter import (
     _variances,
     excess,
 )
-from imu_calib.estimation.outputs import NO_POSITIONING_ERRORS, Blocks, Component, PositioningErrors
+from imu_calib.estimation.outputs import Blocks, Component
+from imu_calib.estimation.positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 from imu_calib.model.session_terms import session_term
 
 SIZE = 6

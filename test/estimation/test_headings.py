@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imu_calib.estimation.outputs import headings, mean_over_turn
+from imu_calib.estimation.arms import headings, mean_over_turn
 
 UPS = Rotation.random(5, random_state=2).as_matrix()[:, 2]
 

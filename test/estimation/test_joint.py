@@ -31,15 +31,15 @@ from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCSEC, DEG, DEG_H, MICRO_G
 from imu_calib.estimation import joint
-from imu_calib.estimation.checks import Solution
 from imu_calib.estimation.closed_forms import positions as six_position
 from imu_calib.estimation.closed_forms import positions as twelve_position
 from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.estimate import estimate
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.forecast import forecast
-from imu_calib.estimation.outliers import estimate
 from imu_calib.estimation.session_model import Nuisance
 from imu_calib.estimation.setup import Setup
+from imu_calib.estimation.solution import Solution
 from imu_calib.estimation.solve import fit, start
 from imu_calib.model.earth import Site
 from imu_calib.model.parameters import PARAMETER_NAMES

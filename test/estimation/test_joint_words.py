@@ -16,7 +16,7 @@ from imu_calib.common.units import ARCSEC, DEG
 from imu_calib.estimation import joint
 from imu_calib.estimation import joint as joint_findings
 from imu_calib.estimation.checks import WrongLatitude
-from imu_calib.estimation.outliers import estimate
+from imu_calib.estimation.estimate import estimate
 from imu_calib.estimation.outputs import OutputLayout
 from imu_calib.estimation.session_model import Nuisance
 from imu_calib.estimation.solve import NotConverged

@@ -10,8 +10,8 @@ from scipy.optimize import minimize
 from scipy.stats import chi2, multivariate_normal
 
 from imu_calib.common.stream import Floats
-from imu_calib.estimation.bias_drift import (
-    BiasDrift,
+from imu_calib.estimation.bias_drift import BiasDrift
+from imu_calib.estimation.likelihood import (
     gain_by_noise,
     log_likelihood,
     log_likelihoods_by_columns,

@@ -15,8 +15,8 @@ from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.rotations import rotation
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCSEC, DEG, DEG_H
-from imu_calib.estimation.checks import Solution
 from imu_calib.estimation.methods import check_plan, method
+from imu_calib.estimation.solution import Solution
 from imu_calib.model.earth import EARTH_RATE, Site, normal_gravity
 from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.model.sensors import SensorModel, Triad

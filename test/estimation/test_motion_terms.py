@@ -17,9 +17,9 @@ from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.calibration.verify import Verdict, verify
 from imu_calib.common.errors import NotObservable
 from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.estimate import Estimate, estimate
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.joint import solve
-from imu_calib.estimation.outliers import Estimate, estimate
 from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.system import Observed
 from imu_calib.estimation.term_tests import TermState

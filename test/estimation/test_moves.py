@@ -19,6 +19,7 @@ from imu_calib.common.rotations import rotations_last
 from imu_calib.common.stream import Floats, ImuBlock
 from imu_calib.common.units import ARCSEC, DEG, PPM
 from imu_calib.estimation import joint
+from imu_calib.estimation.arms import ACCEL_DISTANCE, ARM_STD
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.gyro_paths import (
@@ -29,7 +30,6 @@ from imu_calib.estimation.gyro_paths import (
     propagated,
 )
 from imu_calib.estimation.moves import _seconds_of_second_order
-from imu_calib.estimation.outputs import ACCEL_DISTANCE, ARM_STD
 from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.solve import fit
 from imu_calib.model.sensors import SensorModel, Triad

@@ -20,8 +20,8 @@ from imu_calib.common.stream import Floats, Mode
 from imu_calib.common.units import ARCSEC, DEG, PPM
 from imu_calib.estimation import forecast as each_term
 from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.estimate import Estimate, estimate
 from imu_calib.estimation.forecast import forecast, forecast_changes, forecast_terms, information
-from imu_calib.estimation.outliers import Estimate, estimate
 from imu_calib.estimation.predict import duration, expected
 from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.solve import check_observable

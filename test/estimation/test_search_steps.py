@@ -19,7 +19,7 @@ from imu_calib.estimation import score as scores_module
 from imu_calib.estimation import search as module
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.excess_scatter import ExcessScatter
-from imu_calib.estimation.outputs import PositioningErrors
+from imu_calib.estimation.positioning_errors import PositioningErrors
 from imu_calib.estimation.score import (
     Family,
     Score,

@@ -16,7 +16,7 @@ from imu_calib.common.stream import Floats, Units
 from imu_calib.common.units import ARCSEC
 from imu_calib.estimation.equations import ANY_AZIMUTH, GIVEN_AZIMUTH, Equations
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.outputs import PositioningErrors
+from imu_calib.estimation.positioning_errors import PositioningErrors
 from imu_calib.estimation.session_model import Nuisance, SessionModel, Surroundings
 from imu_calib.model.sensors import SensorModel, Triad, parameters_of
 from imu_calib.model.terms import G_SENSITIVITY

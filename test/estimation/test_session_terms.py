@@ -25,11 +25,11 @@ from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, ImuBlock, TemperatureBlock
 from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.estimate import Estimate, estimate
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.joint import solve
 from imu_calib.estimation.methods import method
 from imu_calib.estimation.modulation import instant_of, rates, spans
-from imu_calib.estimation.outliers import Estimate, estimate
 from imu_calib.estimation.score import families
 from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.solve import NotConverged

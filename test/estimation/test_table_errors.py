@@ -38,12 +38,12 @@ from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCMIN, ARCSEC
 from imu_calib.estimation import joint
 from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.estimate import estimate
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.forecast import information, state_at
 from imu_calib.estimation.information import Information
 from imu_calib.estimation.joint import _scatter_findings
-from imu_calib.estimation.outliers import estimate
-from imu_calib.estimation.outputs import PositioningErrors
+from imu_calib.estimation.positioning_errors import PositioningErrors
 from imu_calib.estimation.predict import expected
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.alignment import free_of_frame

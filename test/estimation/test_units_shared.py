@@ -13,7 +13,7 @@ from units_sessions import PULSE, TABLE, TURNED, WALK, solved, tilt, truth
 from imu_calib.calibration.calibrator import estimate_together
 from imu_calib.common.budget import Source, total
 from imu_calib.estimation.common_unknowns import join, own_covariance
-from imu_calib.estimation.outputs import PositioningErrors
+from imu_calib.estimation.positioning_errors import PositioningErrors
 from imu_calib.estimation.session_model import Nuisance
 from imu_calib.estimation.table_effects import CommonSizes, CommonTable
 

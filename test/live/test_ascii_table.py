@@ -23,6 +23,7 @@ from turntable_bench import TABLE as NIMBLE
 
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.common.stream import Mode, Setpoint, SetpointBlock
+from imu_calib.live import table_control
 from imu_calib.live.nodes import ascii_table_node as control
 from imu_calib.live.nodes import topics as qos
 from imu_calib.live.table_line import Follower, Line, Move, Reading, Stop
@@ -537,7 +538,7 @@ class Slow:
 def test_orders_that_are_held_up_midway_are_not_gone_on_with(monkeypatch, follower):
     line = Slow()
     monkeypatch.setattr(control, 'time', line)
-    at_work = control.Control(lambda: line, follower, TABLE.names, lambda: 0, 0.001)
+    at_work = table_control.Control(lambda: line, follower, TABLE.names, lambda: 0, 0.001)
     at_work.start()
     assert until(lambda: 'STATE' in line.lines)
     at_work.command(setpoint())
@@ -551,7 +552,7 @@ def test_orders_that_are_held_up_midway_are_not_gone_on_with(monkeypatch, follow
 
 def test_a_reading_is_stamped_in_the_middle_between_question_and_answer(follower):
     clock = itertools.count(0, 100)
-    at_work = control.Control(Slow, follower, TABLE.names, lambda: next(clock), 0.001)
+    at_work = table_control.Control(Slow, follower, TABLE.names, lambda: next(clock), 0.001)
     at_work.start()
     assert until(lambda: len(at_work._readings) > 3)
     assert at_work.stop(5.0)
@@ -581,7 +582,7 @@ def test_an_answer_to_an_earlier_question_is_none_to_this_one():
 def test_the_third_bad_answer_in_a_row_is_another_device(follower):
     line = Slow()
     line.state = iter(['STATE 0 0 0 0 0 0', 'STAT', '?', 'STATE 0 0 0 0 0 0', *'abcdef'])
-    at_work = control.Control(lambda: line, follower, TABLE.names, lambda: 0, 0.001)
+    at_work = table_control.Control(lambda: line, follower, TABLE.names, lambda: 0, 0.001)
     at_work.start()
     assert until(lambda: at_work.status.breaks == 1)
     assert at_work.stop(5.0)
@@ -591,7 +592,7 @@ def test_the_third_bad_answer_in_a_row_is_another_device(follower):
 
 def test_what_was_wanted_before_the_line_was_open_moves_nothing(follower):
     line = Slow()
-    at_work = control.Control(lambda: line, follower, TABLE.names, lambda: 0, 0.001)
+    at_work = table_control.Control(lambda: line, follower, TABLE.names, lambda: 0, 0.001)
     at_work.command(setpoint())
     at_work.start()
     assert until(lambda: line.lines.count('STATE') > 5)

@@ -15,8 +15,9 @@ from imu_calib.common.stream import ImuBlock
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import encode_imu
 from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.stamp_order import HELD, StampSorter, places_by_stamp
 from imu_calib.recordings.storage import Times
-from imu_calib.recordings.text import HELD, StampSorter, places_by_stamp, read_sensors
+from imu_calib.recordings.text import read_sensors
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.stream_facts import halves
 

@@ -14,7 +14,7 @@ from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, sta
 from imu_calib.common.stream import Floats, Units
 from imu_calib.estimation.output_noise import known_noise
 from imu_calib.reports.provenance import noise_lines
-from imu_calib.segmentation.counters import (
+from imu_calib.segmentation.allan import (
     Term,
     allan_sums,
     cluster_sizes,

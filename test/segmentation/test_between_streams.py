@@ -8,9 +8,9 @@ from ideal import mean_of
 
 from imu_calib.common.stream import Floats, Units
 from imu_calib.segmentation.clock import NO_CLOCK, ClockFit, MeasuredShare
-from imu_calib.segmentation.false_samples import interruption
 from imu_calib.segmentation.gaps import Bridged, Repetition
 from imu_calib.segmentation.intake import StreamBuffer
+from imu_calib.segmentation.interruptions import interruption
 from imu_calib.segmentation.reading import IntervalReader, SeenMotion
 from imu_calib.segmentation.segmenter import Segmenter, clock_jumps, reject_hidden
 from imu_calib.segmentation.segments import Segment

@@ -18,10 +18,11 @@ from ...common.stream import Floats
 from ...model.parameters import PARAMETERS, Parameter, ParameterKind
 from ...model.sensors import SensorModel, Triad, parameters_of
 from ...model.terms import G_SENSITIVITY
-from ..checks import Solution, no_turn_about
+from ..checks import no_turn_about
 from ..conclusion import SAME_UP, conclude
 from ..equations import Equations
 from ..evidence import Evidence, vertical_axis
+from ..solution import Solution
 from ..table_effects import Accelerometers
 
 # Per channel i the unknowns are its three responses delta_ij + M_ij and its bias. Each equation of

@@ -16,8 +16,8 @@ from ...model.parameters import AXES, Parameter
 from ...model.sensors import SensorModel, parameters_of
 from ...model.terms import G_SENSITIVITIES, G_SENSITIVITY
 from ...session.plan import Plan
-from ..checks import Solution
 from ..evidence import UP, Evidence
+from ..solution import Solution
 from .linear import (
     BIAS,
     UNKNOWNS,

@@ -24,8 +24,9 @@ from ...model.earth import EARTH_RATE, Site
 from ...model.parameters import PARAMETERS, ParameterKind, indices_of, skewed_parameters
 from ...model.sensors import SensorModel, Skewed, Triad, parameters_of
 from ...session.plan import Plan
-from ..checks import Solution, check_axes, clock_finding, far_scales
+from ..checks import check_axes, clock_finding, far_scales
 from ..evidence import SMALLEST_VARIANCE, Evidence
+from ..solution import Solution
 from .linear import (
     BIAS,
     Gains,

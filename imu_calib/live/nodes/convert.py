@@ -14,7 +14,8 @@ from ...model.parameters import PARAMETER_NAMES, Parameter
 from ...model.sensors import SensorModel, Skewed, Triad, by_name, parameters_of, terms_of
 from ...model.session_terms import Changes, Course, change
 from ...model.terms import G_SENSITIVITIES, G_SENSITIVITY
-from ...session.imu import ImuSpec, TriadSpec, check_plausible
+from ...session.imu import ImuSpec, TriadSpec
+from ...session.plausibility import check_plausible
 from ...session.table_errors import StampingClock, check_clock
 from ..middleware import Time, messages
 from ..plan_steps import Piece, SequencerState

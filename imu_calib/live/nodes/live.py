@@ -18,7 +18,7 @@ from ...estimation.setup import Setup
 from ...model.parameters import Parameter, skewed_parameters
 from ...recordings.cdr import Malformed, Messages
 from ...recordings.rosbag2 import Kind
-from ...segmentation.false_samples import INTERRUPTION, interruption
+from ...segmentation.interruptions import INTERRUPTION, interruption
 from .shared import JournalPart, SolverPart
 from .topics import TopicIntake
 

@@ -33,7 +33,7 @@ from ...simulation.stand import SimulatedUnit
 from .. import middleware as ros
 from ..middleware import messages
 from . import topics as qos
-from .ascii_table_node import Commands
+from .commands import Commands
 from .diagnostics import Diagnostics, Level
 from .frame_server import IN_MEMORY, Lines, serve_frames
 from .parameters import declare

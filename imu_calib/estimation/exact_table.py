@@ -1,0 +1,113 @@
+"""A table whose file states implausibly small errors: which results depend on that.
+
+The file is used as stated until the session shows an error of the table. So small an error cannot
+be identified: a zero error looks like a joint axis that leans, and a wobble like an encoder error.
+From then on all errors stated too small are taken as those of the best tables.
+
+Source: docs/mathematics.md, 'Tables that are stated exact'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..common.stream import Floats
+from ..common.units import ARCSEC, significant
+from ..session.table import Table
+from ..session.table_errors import FINEST
+from .equations import Equations
+from .estimate import Estimate
+from .evidence import Evidence
+from .information import Information
+from .search import SearchResult
+
+SHOWN = 0.99
+"""Probability, at even odds, from which on positioning errors are reported: at most one in a
+hundred of sessions without any reaches it, since the mean of their likelihood ratio is one
+(Markov)."""
+_WIDER = 1.12
+"""Ratio of standard deviations from which on it is reported: for 4.5 stated deviations the true
+number is then 4.0."""
+_FIGURE = f'{significant(FINEST / ARCSEC)} arcsec'
+
+
+def as_the_best(evidence: Evidence) -> Evidence:
+    """Return a session with the table's errors stated too small set to those of the best."""
+    if evidence.table is None:
+        return evidence
+    table = evidence.table.as_the_best()
+    return replace(evidence, table=table, positioning=table.positioning)
+
+
+def contradicted(search: SearchResult) -> bool:
+    """Return whether a session shows errors of a table whose file states too small ones."""
+    evidence = search.estimate.equations.evidence
+    if evidence.plan.by_hand or evidence.table is None or not evidence.table.understated_errors:
+        return False
+    of_table = any(one.family.of_table for one in search.found)
+    return of_table or search.estimate.scatter.positioning_probability >= SHOWN
+
+
+def on_the_best(equations: Equations, state: Floats, std: Floats) -> Floats:
+    """Return the standard deviations (n,) of parameters on a table as good as the best.
+
+    `std` are those by the equations, on the table as its file describes it, at their solution.
+    """
+    better = replace(equations, evidence=as_the_best(equations.evidence))
+    variances = [
+        np.diag(Information.from_jacobian(one.whitened(state)[0]).covariance)[: len(std)]
+        for one in (equations, better)
+    ]
+    return np.asarray(np.sqrt(std**2 + np.maximum(variances[1] - variances[0], 0.0)))
+
+
+def exactness_findings(estimate: Estimate) -> list[str]:
+    """Return sentences on results that depend on implausibly small errors in a table's file."""
+    equations, n = estimate.equations, estimate.equations.sensors
+    table = equations.evidence.table
+    if table is None:
+        return []
+    if table.described is not None:
+        return [
+            f'The session contradicts {_described(table.described)}: {_FIGURE} is assumed of '
+            'each. State what it has.'
+        ]
+    std = np.sqrt(np.diag(estimate.covariance)[:n])
+    return resting_on_the_table(equations, estimate.state, std)
+
+
+def resting_on_the_table(equations: Equations, state: Floats, std: Floats) -> list[str]:
+    """Return a sentence on parameters that depend on a table better than any known one.
+
+    Arguments as for `on_the_best`.
+    """
+    table = equations.evidence.table
+    if equations.evidence.plan.by_hand or table is None or not table.understated_errors:
+        return []
+    there = on_the_best(equations, state, std)
+    times = np.divide(there, std, out=np.ones(len(std)), where=std > 0)
+    worst: dict[tuple[str, str], int] = {}
+    for k in np.argsort(-times):
+        parameter = equations.parameters[k]
+        if times[k] > _WIDER:
+            worst.setdefault((parameter.kind.value.symbol, parameter.triad), int(k))
+    if not worst:
+        return []
+    each = [
+        f'{significant(there[k] / p.unit.scale)} {p.unit.shown} of {p.name} '
+        f'({significant(times[k])} times as large)'
+        for k, p in ((k, equations.parameters[k]) for k in worst.values())
+    ]
+    return [
+        f'The standard deviations are those of {_described(table)}, and no real one is known so '
+        f'well: with {_FIGURE} of each they would be {", ".join(each)}. State what yours has.'
+    ]
+
+
+def _described(table: Table) -> str:
+    return (
+        f'table {table.name} as its file describes it, with less than {_FIGURE} of '
+        f'{", ".join(table.understated_errors)}'
+    )

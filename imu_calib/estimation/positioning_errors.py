@@ -1,0 +1,160 @@
+"""Effect of positioning errors of a table on the attitudes of dwells and turns.
+
+The difference of a stopped joint from its encoder reading is constant until it moves again: dwells
+and turns in between share that error, about the joint's axis. In addition each stop has a small
+independent rotation, whichever joint moved. Only the sensors show either.
+
+Source: docs/mathematics.md, 'Positioning errors'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.rotations import across
+from ..common.stream import Floats
+from ..common.units import DEG
+from ..segmentation.segments import Segment, Turn
+from ..session.table import TURN, Table
+
+SAME_UP = 0.01
+"""Distance of two unit vectors up below which they count as equal: 0.6 deg, far above encoders'
+noise and far below the 45 deg between attitudes of any plan."""
+_MOVED = 0.05 * DEG
+"""Least difference of the readings of a joint that has moved: far above encoders' noise (seconds of
+arc), far below the moves of any plan."""
+_HEADINGS = 8
+"""Steps over which a turn is averaged: errors have at most three periods in it, axes one."""
+
+
+@dataclass(frozen=True)
+class PositioningErrors:
+    """Standard deviations of positioning errors beyond what the table states, rad."""
+
+    joints: float = 0.0  #: Of a stopped joint, about its axis.
+    stops: float = 0.0  #: Of a stop, about each of three axes.
+
+
+NO_POSITIONING_ERRORS = PositioningErrors()  #: No error beyond that of the table's file.
+
+
+@dataclass(frozen=True, eq=False)
+class AttitudeErrors:
+    """Rotations of attitudes about the body axes by one radian of each of e errors."""
+
+    at_rest: Floats  #: (s, 3, e) of the static dwells.
+    turning: Floats  #: (t, 3, e) of the turns.
+
+    @classmethod
+    def from_columns(cls, columns: list[Floats], dwells: int, parts: int) -> AttitudeErrors:
+        """Split (s + t, 3) rotations into dwells and turns, one column for each error."""
+        whole = np.stack(columns, axis=2) if columns else np.zeros((parts, 3, 0))
+        return cls(whole[:dwells], whole[dwells:])
+
+
+def of_joints(
+    segments: tuple[Segment, ...], turns: tuple[Turn, ...], table: Table | None
+) -> AttitudeErrors:
+    """Return the effect of positioning errors of joints.
+
+    Without joint angles the attitudes show which joint moved: while up stays the same in body axes
+    only the vertical joint turns. The error of the others is then common to all dwells and turns of
+    such a group, about both level axes; that of the vertical joint differs for each dwell.
+    """
+    parts: list[Segment | Turn] = [*segments, *turns]
+    known = [part.angles for part in parts]
+    if table is None or any(angles is None for angles in known):
+        return _by_up(segments, turns)
+    angles = np.array(known).reshape(len(parts), len(table.joints))
+    order = np.argsort([part.start for part in parts], kind='stable')
+    columns: list[Floats] = []
+    for joint in range(angles.shape[1]):
+        about = axes_of(table, joint, angles, turns)
+        for run in stops_of(joint, angles[:, joint], parts, order.tolist()):
+            column = np.zeros((len(parts), 3))
+            column[run] = about[run]
+            columns.append(column)
+    return AttitudeErrors.from_columns(columns, len(segments), len(parts))
+
+
+def of_stops(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeErrors:
+    """Return the effect of independent rotations of stops: three errors for each static dwell."""
+    at_rest = of_holds(segments, ()).at_rest
+    return AttitudeErrors(at_rest, np.zeros((len(turns), *at_rest.shape[1:])))
+
+
+def of_holds(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeErrors:
+    """Return the effect of unknown attitudes by hand: three errors for each hold and turn."""
+    count = len(segments) + len(turns)
+    own = np.eye(count)[:, None, :, None] * np.eye(3)[None, :, None, :]
+    own = own.reshape(count, 3, 3 * count)
+    return AttitudeErrors(own[: len(segments)], own[len(segments) :])
+
+
+def around(angles: Floats, joint: int) -> Floats:
+    """Return the joint angles (8, k) at equal steps of a turn of one joint, from (k,) rad on."""
+    steps = np.repeat(angles[None], _HEADINGS, axis=0)
+    steps[:, joint] += TURN / _HEADINGS * np.arange(_HEADINGS)
+    return steps
+
+
+def axes_of(table: Table, joint: int, angles: Floats, turns: tuple[Turn, ...]) -> Floats:
+    """Return the axis of a joint in body axes, (s + t, 3), the mean over a turn.
+
+    The error of a turning joint is that of its encoder, and is periodic.
+    """
+    about = np.array(table.joint_axis(joint, angles), dtype=float)
+    first = len(angles) - len(turns)
+    for k, turn in enumerate(turns, start=first):
+        if turn.joint == joint:
+            about[k] = 0.0
+        elif turn.joint is not None:
+            about[k] = table.joint_axis(joint, around(angles[k], turn.joint)).mean(axis=0)
+    return about
+
+
+def stops_of(
+    joint: int, readings: Floats, parts: Sequence[Segment | Turn], order: Sequence[int]
+) -> list[list[int]]:
+    """Return the static dwells and turns of each stop of a joint, in time."""
+    found: list[list[int]] = []
+    last = None
+    for k in order:
+        part = parts[k]
+        if isinstance(part, Turn) and part.joint == joint:
+            last = None
+            continue
+        if last is None or abs(readings[k] - last) > _MOVED:
+            found.append([])
+        found[-1].append(k)
+        last = readings[k]
+    return found
+
+
+def _by_up(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeErrors:
+    attitudes = [s.attitude[2] for s in segments if s.attitude is not None]
+    ups = np.array([*attitudes, *(t.up for t in turns)]).reshape(-1, 3)
+    starts = [s.start for s in segments] + [t.start for t in turns]
+    groups = _groups(ups, starts)
+    columns: list[Floats] = []
+    for group in range(int(groups.max(initial=-1)) + 1):
+        mine = groups == group
+        columns += [np.where(mine[:, None], axis, 0.0) for axis in across(ups[mine][0])]
+    own = np.eye(len(ups))[: len(segments), :, None] * ups
+    columns += list(own)
+    return AttitudeErrors.from_columns(columns, len(segments), len(ups))
+
+
+def _groups(ups: Floats, starts: list[int]) -> NDArray[np.intp]:
+    """Number static dwells and turns by runs in time with the same direction of up."""
+    groups = np.zeros(len(starts), dtype=np.intp)
+    current, last = -1, None
+    for k in np.argsort(starts, kind='stable').tolist():
+        if last is None or np.linalg.norm(ups[k] - last) > SAME_UP:
+            current, last = current + 1, ups[k]
+        groups[k] = current
+    return groups
