@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from .api.columns import Columns, read
     from .api.compare import Compared, Conformity, combine, compare, conformity
     from .api.compensate import Compensated, compensate
-    from .api.convert import Converted
-    from .api.convert_text import convert
+    from .api.convert import convert
+    from .api.converted import Converted
     from .api.documents import certificate, export, report
     from .api.inspect import Inspection, inspect
     from .api.predict import Prediction, optimise, predict, reach
@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from .calibration.verify import Verdict, Verification
     from .common.errors import ImuCalibError, InputError, NotObservable
     from .estimation.optimise import Optimum, Reached
-    from .fleet.catalogue import Batch, Catalogue, batch
+    from .fleet.batch import Batch, batch
+    from .fleet.catalogue import Catalogue
     from .fleet.history import history
     from .fleet.page import fleet_report
     from .fleet.results import History
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
     from .session.units_file import MountedUnit, load_units
 
 _WHERE = {
-    'Batch': 'fleet.catalogue',
+    'Batch': 'fleet.batch',
     'Calibration': 'calibration.calibration',
     'Certificate': 'reports.certificate',
     'Catalogue': 'fleet.catalogue',
@@ -59,7 +60,7 @@ _WHERE = {
     'Compared': 'api.compare',
     'Compensated': 'api.compensate',
     'Conformity': 'api.compare',
-    'Converted': 'api.convert',
+    'Converted': 'api.converted',
     'Exported': 'calibration.exports',
     'History': 'fleet.results',
     'ImuCalibError': 'common.errors',
@@ -83,7 +84,7 @@ _WHERE = {
     'UnitResults': 'api.calibrate',
     'Verdict': 'calibration.verify',
     'Verification': 'calibration.verify',
-    'batch': 'fleet.catalogue',
+    'batch': 'fleet.batch',
     'calibrate': 'api.calibrate',
     'calibrate_units': 'api.calibrate',
     'certificate': 'api.documents',
@@ -91,7 +92,7 @@ _WHERE = {
     'compare': 'api.compare',
     'compensate': 'api.compensate',
     'conformity': 'api.compare',
-    'convert': 'api.convert_text',
+    'convert': 'api.convert',
     'export': 'api.documents',
     'history': 'fleet.history',
     'fleet_report': 'fleet.page',

@@ -1,229 +1,537 @@
-"""Common output of all conversions: samples of an IMU, and their description."""
+"""Convert text files, bags of ROS 1 and separate topics to recordings."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from ..common.config import checked
 from ..common.errors import InputError
-from ..common.files import named_file, read_text
-from ..common.parallel import Progress
-from ..common.stream import Floats, ImuBlock, Stamps, Units
-from ..common.units import counted
+from ..common.files import BAG_OF_ROS_1, refuse_device, require, user_path
+from ..common.parallel import Progress, silent
+from ..common.stream import (
+    LAST_SECOND,
+    Floats,
+    ImuBlock,
+    JointBlock,
+    Stamps,
+    TemperatureBlock,
+    Units,
+)
+from ..common.units import Dimension, counted, parse
 from ..recordings.cdr import Messages
-from ..recordings.cdr_codec import encode_imu, encode_rates
-from ..recordings.remote import AnyPath
-from ..recordings.rosbag2 import Kind, Recording, open_recording
+from ..recordings.cdr_codec import encode_joints, encode_temperatures
+from ..recordings.remote import AnyPath, local, located
+from ..recordings.rosbag2 import Kind, is_storage, open_recording
+from ..recordings.stamp_order import places_by_stamp
+from ..recordings.storage import RecordingError
+from ..recordings.text import Text, read_sensors, read_text
 from ..recordings.writer import RecordingWriter
 from ..segmentation.stream_facts import SEPARATE_ROWS, gravity_removed, halves, quiet_means
-from ..session.imu import ImuSpec, load_imu
+from ..session.imu import COLDEST, HOTTEST
 from ..session.keywords import Named
 from ..session.metadata import interpolation_description
-from .columns import columns_of
-from .streams import removed_on_failure
-
-RAW, SI, JOINTS, TEMPERATURE = (
-    '/imu/pulses',
-    '/imu/data_raw',
-    '/turntable/joint_states',
-    '/imu/temperature',
+from .converted import (
+    JOINTS,
+    RAW,
+    RAW_UNITS,
+    SI,
+    TEMPERATURE,
+    Converted,
+    described,
+    joined,
+    rate_of,
+    read_at,
+    resampling,
+    write_imu,
 )
-RAW_UNITS = {'pulse': 1.0, 'count': 1.0}
-_EXAMPLES = {Units.SI: 'si', Units.INCREMENTS: 'increments'}
-"""Shipped descriptions of numbers whose units are stated."""
-_FITTING = {
-    Units.SI: (Units.SI, Units.RATES),
-    Units.INCREMENTS: (Units.INCREMENTS,),
-    Units.PULSES: (Units.PULSES, Units.COUNTS),
-    Units.COUNTS: (Units.PULSES, Units.COUNTS),
-}
-"""Units that a file may state for columns: of whole numbers, a pulse is what the file says."""
-_NUMBERS = {
-    Units.SI: 'rates and accelerations',
-    Units.INCREMENTS: 'angles and velocities per sample',
-    Units.PULSES: 'pulses',
-    Units.COUNTS: 'counts',
-}
-_BLOCK = 1 << 16
-"""Samples written per call; a choice between memory and calls."""
+from .streams import against_si, removed_on_failure
+
+_GYRO = {**Dimension.RATE.value, **Dimension.ANGLE.value, **RAW_UNITS}
+_ACCEL = {**Dimension.ACCELERATION.value, **Dimension.VELOCITY.value, **RAW_UNITS}
+_ANGLE: Mapping[str, float] = Dimension.ANGLE.value
+_STAMP = {'s': 1e9, 'ms': 1e6, 'us': 1e3, 'ns': 1.0}
+"""ns per unit of a time."""
+_CELSIUS = {'degC': 1.0, 'mdegC': 1e-3}
+"""Degrees Celsius per unit of a temperature."""
+_COUNTERS = {2**32 * 1e3: 'microseconds', 2**32 * 1e6: 'milliseconds'}
+"""ns until a counter of 32 bits begins anew, and what it counts: micros() and millis()."""
+_LONGEST_LOSS = 10e9
+"""ns of rows that may be missing where a counter begins anew. A judgement: a clock that is set back
+by a period of 72 minutes or 50 days does not meet it within seconds by chance."""
+_BACKWARDS = 0.01
+"""Largest share of intervals between rows that may be zero or negative: a logger may write a row
+twice or set its clock; a column that is not a time, or has lost digits, shows this throughout."""
+_SLOWEST, _FASTEST = 2.0, 40e3
+"""Rates of rows that an IMU may have, Hz. The fastest MEMS units have 32 kHz, phones and loggers of
+vehicles 10 to 500 Hz. A unit of time that is a thousand times too small turns 50 Hz into 50 kHz,
+one that is a thousand times too large 1 kHz into 1 Hz."""
+_RATES = f'{_SLOWEST:g} Hz to {_FASTEST / 1e3:g} kHz, the rates of IMUs'
 
 
-@dataclass(frozen=True)
-class Converted:
-    """Result of a conversion."""
-
-    path: Path  #: The recording.
-    counts: Mapping[str, int]  #: Number of messages by topic.
-    findings: tuple[str, ...]  #: Messages for the user, in sentences.
-
-    def __repr__(self) -> str:
-        """Return one line."""
-        messages = counted(sum(self.counts.values()), 'message')
-        return f'<Converted: {messages} in {self.path}, {counted(len(self.findings), "finding")}>'
-
-
-def described(imu: Named | None, numbers: Units) -> tuple[dict[str, str], ImuSpec]:
-    """Return the description of the IMU for the recording, as text and as a value.
-
-    Args:
-        imu: Its file; None if not stated.
-        numbers: Of the columns: SI, INCREMENTS (rad and m/s), PULSES or COUNTS.
-
-    Raises:
-        InputError: The meaning of pulses or counts is not stated, or other units are stated.
-    """
-    if imu is None and numbers not in _EXAMPLES:
-        raise InputError(
-            f'`gyro` and `accel` are in {numbers.value}: give `imu`, a file that says what one is '
-            '(config/imus has examples).'
-        )
-    file = named_file('imus', _EXAMPLES[numbers] if imu is None else imu)
-    spec = load_imu(file)
-    if spec.units not in _FITTING[numbers]:
-        raise InputError(
-            f'`imu` {imu}: units: found {spec.units.value}, but the numbers are '
-            f'{_NUMBERS[numbers]}.'
-        )
-    return {'imu_calib.imu': read_text(file)}, spec
-
-
-def write_imu(writer: RecordingWriter, block: ImuBlock, *, raw: bool) -> None:
-    """Write an IMU's samples: raw counts, or rates and forces of unknown covariance."""
-    unknown = np.zeros((_BLOCK, 9))
-    for first in range(0, len(block), _BLOCK):
-        part = slice(first, first + _BLOCK)
-        piece = ImuBlock(block.stamp[part], block.gyro[part], block.accel[part], block.frame_id)
-        covariance = unknown[: len(piece)]
-        encoded: Messages = (
-            encode_imu(piece) if raw else encode_rates(piece, covariance, covariance)
-        )
-        writer.write(RAW if raw else SI, Kind.IMU.type_name, encoded, piece.stamp)
-
-
-# Join gyros and accelerometers of separate topics or messages to one topic.
-
-_OF_SI = ('rad/s', 'm/s^2')
-_SILENT = 2.5
-"""Longest gap between two accelerometer samples to interpolate, in sample intervals: a lost sample
-makes two, and jitter of the stamps adds less than a half."""
-
-
-def joined(
-    path: AnyPath,
+def from_text(
+    text: Text,
     target: Path,
-    gyro_topic: str,
-    accel_topic: str,
+    stamp: str | None,
+    rate: str | None,
+    gyro: str,
+    accel: str,
+    joints: str | None,
+    temperature: str | None,
     imu: Named | None,
-    progress: Progress,
+    accel_text: Text | None = None,
+    accel_stamp: str | None = None,
 ) -> Converted:
-    """Join two topics, or the halves of one, to one topic; copy the other topics unchanged.
+    """Convert the columns of a text file to a recording; arguments as of `convert`.
 
-    Args:
-        path: The recording.
-        target: Folder to create.
-        gyro_topic: Of the rates, rad/s.
-        accel_topic: Of the accelerations, m/s^2, with other stamps.
-        imu: Data sheet of the IMU.
-        progress: Shows the share of copied messages.
+    Accelerometers in a separate file, `accel_text`, are interpolated at the stamps of the gyros.
 
     Raises:
-        InputError: The topics hold too few samples, or pulses; or the joined topic exists.
+        InputError: A column or a unit is missing, or the values are not of an IMU.
     """
-    statements, spec = described(imu, Units.SI)
-    with open_recording(path) as recording:
-        rates, forces = (columns_of(recording, topic) for topic in (gyro_topic, accel_topic))
-    for columns in (rates, forces):
-        if (unit := next(iter(columns.units.values()))) not in _OF_SI:
-            why = 'in other units' if unit == 'rate' else 'which cannot be interpolated'
-            raise InputError(
-                f'{path}: {columns.topic} holds {unit}s, {why}: expected rad/s and m/s^2.'
-            )
-    gyro = np.column_stack([rates[f'angular_velocity.{a}'] for a in 'xyz'])
-    accel = np.column_stack([forces[f'linear_acceleration.{a}'] for a in 'xyz'])
-    gyro_at, accel_at = rates.stamp, forces.stamp
-    findings: list[str] = []
-    if rates.topic == forces.topic and (apart := halves(gyro, accel)) is not None:
-        gyro, gyro_at = gyro[apart[0]], gyro_at[apart[0]]
-        accel, accel_at = accel[apart[1]], accel_at[apart[1]]
-        findings.append(SEPARATE_ROWS)
-    if len(gyro_at) < 2 or len(accel_at) < 2:
-        raise InputError(
-            f'{path}: {gyro_topic} and {accel_topic} hold {len(gyro_at)} and '
-            f'{len(accel_at)} samples: expected two or more of each.'
-        )
-    order = np.argsort(accel_at, kind='stable')
-    accel_at = accel_at[order]
-    stamps, interpolated, within = read_at(accel_at, accel[order], gyro_at)
-    scales = spec.gyro.scale_factor, spec.accel.scale_factor
-    block = ImuBlock(stamps, gyro[within] / scales[0], interpolated / scales[1], 'imu_link')
-    if removed := gravity_removed(quiet_means(interpolated)):
-        findings.append(removed)
-    taken = {rates.topic, forces.topic}
+    sentences: list[str] = []
+    text, stamps = _in_time(text, stamp, rate, sentences)
+    if accel_text is not None:
+        accel_text, forces_at = _in_time(accel_text, accel_stamp or stamp, None, sentences)
+    rates, gyro_unit = _columns(text, gyro, '`gyro`', _GYRO, 3)
+    forces, accel_unit = _columns(accel_text or text, accel, '`accel`', _ACCEL, 3)
+    numbers = _units_of(gyro_unit, accel_unit)
+    data, spec = described(imu, numbers)
     topic = SI if spec.units is Units.SI else RAW
+    if accel_text is None and (apart := halves(rates, forces)) is not None:
+        of_gyro, of_accel = apart
+        sentences.append(SEPARATE_ROWS)
+        gyros = _of_sensor(text, stamps[of_gyro], rates[of_gyro], sentences)
+        accels = _of_sensor(None, stamps[of_accel], forces[of_accel], sentences)
+    elif accel_text is not None:
+        gyros = _of_sensor(text, stamps, rates, sentences)
+        accels = _of_sensor(accel_text, forces_at, forces, sentences)
+    else:
+        times, (rates, forces) = _sound(stamps, rates, forces)
+        sentences += _left_out(text, len(stamps) - len(times))
+        gyros, accels = (times, rates), (times, forces)
+    if not len(gyros[0]):
+        raise InputError(f'{text.path}: no row holds a number in each of the columns named.')
+    if accels[0] is not gyros[0]:
+        before = len(sentences)
+        known = accels[0]
+        exactly = numbers is not Units.SI
+        times, rates, forces = _of_two(*gyros, *accels, sentences, exactly=exactly)
+        if len(sentences) > before:
+            data |= interpolation_description(topic, rate_of(known))
+    if numbers is Units.SI and (removed := gravity_removed(quiet_means(forces))):
+        sentences.append(removed)
+    elif numbers is Units.SI and (seen := against_si(forces, rates)):
+        sentences.append(
+            f'By the units that are stated {seen}: check the columns and units of `gyro` and '
+            '`accel`.'
+        )
+    if not spec.units.whole:
+        # Whole numbers are not converted: the file says what one is.
+        rates, forces = rates / spec.gyro.scale_factor, forces / spec.accel.scale_factor
+    block = ImuBlock(times, rates, forces, 'imu_link')
+    # Read all columns before writing: a wrong name must not leave a partial recording.
+    others = _other_topics(text, stamps, joints, temperature)
     counts = {topic: len(block)}
-    with open_recording(path) as recording:
-        _refuse_taken(recording, topic, taken)
-        data = {**recording.custom_data, **statements}
-        findings += recording.losses
-        if not np.isin(stamps, accel_at).all():
-            data |= interpolation_description(topic, rate_of(accel_at))
-            findings.insert(0, resampling(gyro_at, accel_at, within))
-        with (
-            removed_on_failure(target),
-            RecordingWriter(target, data) as writer,
-            progress('converting') as show,
-        ):
-            writer.copy_records(recording)
-            write_imu(writer, block, raw=topic == RAW)
-            for one in recording.topics:
-                if one.name not in taken:
-                    writer.copy_topic(one)
-            for one, messages, times in recording.messages(show):
-                if one.name not in taken:
-                    writer.copy(one, messages, times)
-                    counts[one.name] = counts.get(one.name, 0) + len(messages)
-    return Converted(target, counts, tuple(findings))
+    with removed_on_failure(target), RecordingWriter(target, data) as writer:
+        write_imu(writer, block, raw=topic == RAW)
+        for name, kind, messages, at in others:
+            writer.write(name, kind.type_name, messages, at)
+            counts[name] = len(at)
+    return Converted(target, counts, tuple(sentences))
 
 
-def _refuse_taken(recording: Recording, target: str, taken: set[str]) -> None:
-    if any(topic.name == target for topic in recording.topics) and target not in taken:
-        raise InputError(f'{recording.path} has a topic {target} already.')
+def _other_topics(
+    text: Text, stamps: Floats, joints: str | None, temperature: str | None
+) -> list[tuple[str, Kind, Messages, Stamps]]:
+    """Return the messages of joints and temperatures, with topic, kind and stamps."""
+    others: list[tuple[str, Kind, Messages, Stamps]] = []
+    if joints is not None:
+        names = tuple(_parted(joints)[0])
+        angles, _ = _columns(text, joints, '`joints`', _ANGLE, len(names))
+        at, (angles,) = _sound(stamps, angles)
+        encoded = encode_joints(JointBlock(at, names, angles, np.full_like(angles, np.nan)))
+        others.append((JOINTS, Kind.JOINTS, encoded, at))
+    if temperature is not None:
+        celsius, _ = _columns(text, temperature, '`temperature`', _CELSIUS, 1)
+        at, (celsius,) = _sound(stamps, celsius)
+        _refuse_no_celsius(celsius, temperature)
+        encoded = encode_temperatures(TemperatureBlock(at, celsius[:, 0]))
+        others.append((TEMPERATURE, Kind.TEMPERATURES, encoded, at))
+    return others
 
 
-def read_at(known: Stamps, values: Floats, wanted_at: Stamps) -> tuple[Stamps, Floats, Stamps]:
-    """Interpolate values (n, 3) linearly at other stamps.
+def _in_time(
+    text: Text, stamp: str | None, rate: str | None, sentences: list[str]
+) -> tuple[Text, Floats]:
+    """Return a table with its rows in the order of their times, and these, ns.
 
-    Returns:
-        Stamps between two samples, the values there, and the indices of those stamps.
+    What was found on the way is added to `sentences`.
+
+    Raises:
+        InputError: They are no times of an IMU's samples.
     """
-    after = np.searchsorted(known, wanted_at, side='left')
-    exact = (after < len(known)) & (known[np.minimum(after, len(known) - 1)] == wanted_at)
-    before = np.clip(after - 1, 0, len(known) - 2)
-    apart = known[before + 1] - known[before]
-    usual = float(np.median(np.diff(known)))
-    between = (after > 0) & (after < len(known)) & (apart <= _SILENT * usual)
-    within = np.flatnonzero(exact | between)
-    at = wanted_at[within]
-    # Stamps since 1970 are exact only as integers.
-    since = (at - known[0]).astype(float), (known - known[0]).astype(float)
-    interpolated = np.column_stack([np.interp(*since, v) for v in values.T])
-    return at, interpolated, within
+    stamps = _stamps(text, stamp, rate, sentences)
+    if rate is None:
+        # Rows without a time stay in their places.
+        known = np.flatnonzero(np.isfinite(stamps))
+        order = places_by_stamp(stamps[known])
+        if order is not None:
+            places = np.arange(len(stamps))
+            places[known] = known[order]
+            late = int(np.count_nonzero(stamps < np.fmax.accumulate(stamps)))
+            sentences.append(
+                f'{late} rows of {text.path.name} came out of the order of their times, and are '
+                'written in that order.'
+            )
+            text, stamps = replace(text, values=text.values[places]), stamps[places]
+        _refuse_what_is_no_time(stamps[np.isfinite(stamps)], f'{text.path}: `stamp` {stamp}')
+    return text, stamps
 
 
-def rate_of(stamps: Stamps) -> float:
-    """Return the rate of samples with these stamps, ns, in Hz."""
-    return 1e9 / float(np.median(np.diff(np.sort(stamps))))
+def _of_sensor(
+    text: Text | None, stamps: Floats, values: Floats, sentences: list[str]
+) -> tuple[Stamps, Floats]:
+    """Return the sound rows of one sensor; what a file lacks is added to `sentences`."""
+    times, (sound,) = _sound(stamps, values)
+    if text is not None:
+        sentences += _left_out(text, len(stamps) - len(times))
+    return times, sound
 
 
-def resampling(gyro: Stamps, accel: Stamps, within: Stamps) -> str:
-    """Return the rates between which the accelerometers were interpolated, as text."""
-    lost = len(gyro) - len(within)
-    loss = f'; {lost} samples of the gyros lie outside these and are left out' if lost else ''
-    return (
-        f'The accelerometers come with {rate_of(accel):.4g} Hz and are read at the stamps of the '
-        f'gyros, {rate_of(gyro):.4g} Hz, on straight lines between their samples, which smooths '
-        f'their noise{loss}.'
+def _units_of(gyro_unit: str, accel_unit: str) -> Units:
+    """Return the kind of numbers in columns of these units.
+
+    Raises:
+        InputError: The two are of different kinds.
+    """
+    kinds = [
+        {'pulse': Units.PULSES, 'count': Units.COUNTS}.get(
+            unit, Units.INCREMENTS if unit in increments else Units.SI
+        )
+        for unit, increments in (
+            (gyro_unit, Dimension.ANGLE.value),
+            (accel_unit, Dimension.VELOCITY.value),
+        )
+    ]
+    if kinds[0] is not kinds[1]:
+        raise InputError(
+            f'`gyro` and `accel`: found {gyro_unit} and {accel_unit}, expected a rate and an '
+            'acceleration, or an angle and a velocity per sample, or both in pulses, or both in '
+            'counts.'
+        )
+    return kinds[0]
+
+
+def _sound(stamps: Floats, *columns: Floats) -> tuple[Stamps, list[Floats]]:
+    """Return the rows in which the stamp and all columns (n, k) are numbers."""
+    known = np.isfinite(np.column_stack([stamps, *columns])).all(axis=1)
+    return stamps[known].astype(np.int64), [values[known] for values in columns]
+
+
+def _of_two(
+    stamps: Stamps,
+    rates: Floats,
+    known: Stamps,
+    forces: Floats,
+    sentences: list[str],
+    *,
+    exactly: bool,
+) -> tuple[Stamps, Floats, Floats]:
+    """Return rates and forces of two files at the stamps of the rates; add to `sentences`."""
+    shared = np.isin(stamps, known)
+    if exactly and not shared.all():
+        raise InputError(
+            f'The rows of the accelerometers have other times than {int((~shared).sum())} of the '
+            f'{len(stamps)} rows of the gyros, and pulses, counts and increments cannot be '
+            'interpolated: state the columns in SI units, or shared times.'
+        )
+    order = np.argsort(known, kind='stable')
+    known, forces = known[order], forces[order]
+    if len(known) < 2 or len(stamps) < 2 or known[-1] < stamps.min() or stamps.max() < known[0]:
+        raise InputError(
+            'The times of the gyros and those of the accelerometers do not overlap: check the '
+            'columns and units of `stamp` and `accel_stamp`.'
+        )
+    times, read, within = read_at(known, forces, stamps)
+    if not shared.all():
+        sentences.append(resampling(stamps, known, within))
+    return times, rates[within], read
+
+
+def _left_out(text: Text, rows: int) -> list[str]:
+    sentences = []
+    if text.broken:
+        lines = counted(text.broken, 'line')
+        verb = 'is no row' if text.broken == 1 else 'are not rows'
+        sentences.append(f'{lines} of {text.path.name} {verb} of numbers; left out.')
+    if rows:
+        verb = 'holds' if rows == 1 else 'hold'
+        sentences.append(
+            f'{counted(rows, "row")} {verb} no number in a column that is needed; left out.'
+        )
+    return sentences
+
+
+def _refuse_no_celsius(celsius: Floats, stated: str) -> None:
+    middle = float(np.median(celsius)) if len(celsius) else 0.0
+    if COLDEST <= middle <= HOTTEST:
+        return
+    milli = stated.endswith(':degC') and COLDEST <= middle / 1000 <= HOTTEST
+    other = f' Thousandths of a degree ({middle / 1000:.1f} degC): mdegC.' if milli else ''
+    raise InputError(
+        f'`temperature` {stated}: the median is {middle:.6g} degrees Celsius, expected '
+        f'{COLDEST:g} to {HOTTEST:g}.{other}'
     )
+
+
+def _stamps(text: Text, stamp: str | None, rate: str | None, sentences: list[str]) -> Floats:
+    """Return the time of each row, ns; add to `sentences` that a counter began anew."""
+    if rate is not None:
+        # A number alone is in Hz, as in `sample_rate`.
+        hertz = parse(f'{rate} Hz' if _is_bare(rate) else rate, Dimension.FREQUENCY, '`rate`')
+        if not _SLOWEST <= hertz <= _FASTEST:
+            raise InputError(f'`rate` {rate}: expected {_RATES}.')
+        return np.asarray(np.rint(np.arange(len(text.values)) * (1e9 / hertz)))
+    assert stamp is not None
+    times = sum(_columns(text, part, '`stamp`', _STAMP, 1)[0] for part in _parts_of_time(stamp))
+    assert isinstance(times, np.ndarray)
+    latest = float(np.nanmax(np.abs(times), initial=0.0)) * 1e-9
+    if latest > LAST_SECOND:
+        raise InputError(
+            f'`stamp` {stamp}: a row is {latest:.3g} s from 1970, more than a message can hold: '
+            f'is it in another unit of {", ".join(_STAMP)}?'
+        )
+    stamps = np.asarray(np.rint(times[:, 0]))
+    sentences += _unwrap(stamps, f'{text.path.name}: `stamp` {stamp}')
+    return stamps
+
+
+def _parts_of_time(stamp: str) -> list[str]:
+    """Split 'sec:s,nanosec:ns', a time in two columns, into these."""
+    parts = stamp.split(',')
+    return parts if all(':' in part for part in parts) else [stamp]
+
+
+def _unwrap(stamps: Floats, column: str) -> list[str]:
+    """Continue stamps, ns, where a counter of 32 bits begins anew; return a sentence on it."""
+    known = np.flatnonzero(np.isfinite(stamps))
+    change = np.diff(stamps[known])
+    for period, unit in _COUNTERS.items():
+        anew = (change + period > 0) & (change + period < _LONGEST_LOSS)
+        if anew.any():
+            stamps[known[1:]] += period * np.cumsum(anew)
+            times = 'once' if anew.sum() == 1 else f'{anew.sum()} times'
+            return [
+                f'{column} begins anew {times}, as a counter of {unit} of 32 bits does: the time '
+                'goes on there.'
+            ]
+    return []
+
+
+def _is_bare(rate: str) -> bool:
+    try:
+        float(rate)
+    except ValueError:
+        return False
+    return True
+
+
+def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
+    """Refuse stamps, ns, that do not increase, or not at the rate of an IMU."""
+    intervals = np.diff(stamps)
+    if not len(intervals):
+        return
+    wrong = np.flatnonzero(intervals <= 0)
+    if len(wrong) > _BACKWARDS * len(intervals):
+        first = int(wrong[0])
+        raise InputError(
+            f'{column}: the time does not increase in {len(wrong)} of {len(intervals)} intervals '
+            f'between rows, first from {stamps[first] * 1e-9:.6f} s to '
+            f'{stamps[first + 1] * 1e-9:.6f} s; at most {_BACKWARDS:.0%} may be so. Name the '
+            'column of the time, written with all its digits and in its order, or give `rate` '
+            'instead; a time in two columns is sec:s,nanosec:ns.'
+        )
+    hertz = 1e9 / float(np.median(intervals))
+    if not _SLOWEST <= hertz <= _FASTEST:
+        unit = column.rpartition(':')[2]
+        units = ((u, hertz * _STAMP[unit] / _STAMP[u]) for u in _STAMP)
+        others = [f'{u} would be {h:.4g} Hz' for u, h in units if _SLOWEST <= h <= _FASTEST]
+        known = f'In another unit, {", ".join(others)}'
+        advice = known if others else 'Name the column of the time'
+        raise InputError(
+            f'{column}: found {hertz:.4g} Hz, by the median of {len(intervals)} intervals between '
+            f'rows; expected {_RATES}. {advice}.'
+        )
+
+
+def _columns(
+    text: Text, stated: str, option: str, units: Mapping[str, float], count: int
+) -> tuple[Floats, str]:
+    """Return columns in SI (pulses and counts unchanged), (n, count), and their unit."""
+    parts, unit = _parted(stated)
+    if unit not in units or len(parts) != count or not all(parts):
+        form = ','.join(['NAME'] * count)
+        raise InputError(
+            f'{option}: found {stated!r}, expected {form}:UNIT, with the unit one of '
+            f'{", ".join(units)}.'
+        )
+    if twice := [name for name in parts if parts.count(name) > 1]:
+        raise InputError(f'{option}: found {stated!r}, which names column {twice[0]} twice.')
+    values = np.column_stack([text.column(name, option) for name in parts])
+    empty = [name for name, column in zip(parts, values.T, strict=True) if np.isnan(column).all()]
+    if empty:
+        raise InputError(
+            f'{option} {stated}: column {empty[0]} of {text.path} holds no number in any row. '
+            'Dates, and times of day with colons, are not read: write seconds, or give `rate` in '
+            'place of `stamp`.'
+        )
+    return values * units[unit], unit
+
+
+def _parted(stated: str) -> tuple[list[str], str]:
+    """Split 'NAME,NAME:UNIT' into names and unit."""
+    names, _, unit = stated.rpartition(':')
+    return [name.strip() for name in names.split(',')], unit.strip()
+
+
+# Convert recordings of other software to recordings that every command reads.
+
+
+@checked
+def convert(
+    source: Named,
+    output: Named,
+    *,
+    stamp: str | None = None,
+    rate: str | None = None,
+    gyro: str | None = None,
+    accel: str | None = None,
+    joints: str | None = None,
+    temperature: str | None = None,
+    delimiter: str | None = None,
+    gyro_topic: str | None = None,
+    accel_topic: str | None = None,
+    accel_file: Named | None = None,
+    accel_stamp: str | None = None,
+    imu: Named | None = None,
+    progress: Progress = silent,
+) -> Converted:
+    """Convert a recording of other software to rosbag2 (mcap).
+
+    State the columns of a text file: 'NAME,NAME,NAME:UNIT', each NAME as in its heading or a place
+    counted from 1. A bag of ROS 1 needs no such options. Gyros and accelerometers on separate
+    topics (`gyro_topic`, `accel_topic`) or in separate text files (`accel_file`) are joined: the
+    accelerometers are interpolated linearly at the stamps of the gyros. So are those in rows or
+    messages of their own: name one topic twice.
+
+    Args:
+        source: Text file, bag of ROS 1, recording of rosbag2, or a URL of one that fsspec reads.
+        output: Folder to create.
+        stamp: Column of each row's time, for instance 't:s' (s, ms, us, ns).
+        rate: Of the rows, if there is no column of time: '200 Hz'; a number alone is in Hz.
+        gyro: Three columns, for instance 'wx,wy,wz:deg/s'; units of rate or angle, pulse, or count.
+        accel: Three columns, for instance '5,6,7:g'; units of acceleration or velocity, pulse,
+            or count.
+        joints: Columns with the names of the table's joints, for instance 'outer,inner:deg'.
+        temperature: One column, 'NAME:degC'.
+        delimiter: Between fields; None detects it.
+        gyro_topic: sensor_msgs/Imu whose angular velocity is used.
+        accel_topic: sensor_msgs/Imu whose linear acceleration is used.
+        accel_file: Text file of the accelerometers, if `source` holds only the gyros.
+        accel_stamp: Column of the time in `accel_file`; None: as `stamp`.
+        imu: Meaning of pulses or counts, written into the recording.
+        progress: Shows the progress; nothing by default.
+
+    Raises:
+        InputError: Unreadable, the options do not match the file, or the output exists.
+    """
+    target = user_path(output)
+    if target.exists():
+        raise InputError(f'{target}: exists already; name a folder that does not.')
+    path = located(source)
+    refuse_device(path)
+    columns = {'stamp': stamp, 'gyro': gyro, 'accel': accel, 'joints': joints}
+    columns |= {'temperature': temperature, 'rate': rate, 'accel_stamp': accel_stamp}
+    columns |= {'accel_file': None if accel_file is None else str(accel_file)}
+    of_ros_1 = path.suffix.lower() == '.bag' or _is_bag_of_ros_1(path)
+    if of_ros_1 or path.is_dir() or is_storage(path):
+        given = [name for name, value in columns.items() if value is not None]
+        if given:
+            raise InputError(f'`{given[0]}` names columns of a text file; {path} is a recording.')
+        if of_ros_1:
+            return _from_ros1(path, target)
+        if path.is_dir() and not any(is_storage(file) for file in path.iterdir()):
+            raise InputError(f'{path} is a folder without a recording; name a file to convert.')
+        if gyro_topic is None or accel_topic is None:
+            raise InputError(
+                f'{path} is a recording of rosbag2 already. Where gyros and accelerometers are on '
+                'topics of their own, give `gyro_topic` and `accel_topic`.'
+            )
+        return joined(path, target, gyro_topic, accel_topic, imu, progress)
+    text, own = read_sensors(path, delimiter)
+    needed = {'`gyro` NAME,NAME,NAME:UNIT': gyro, '`accel` NAME,NAME,NAME:UNIT': accel}
+    needed |= {'`stamp` NAME:UNIT or `rate` HZ': stamp or rate}
+    lacking = [name for name, value in needed.items() if value is None]
+    if gyro is None or accel is None or lacking:
+        other = '' if accel_file else ' Accelerometers in a file of their own: `accel_file`.'
+        raise InputError(
+            f'{path}: its columns are {", ".join(text.names)}. Say which are which: '
+            f'{", ".join(lacking)} {"is" if len(lacking) == 1 else "are"} not stated.{other}'
+        )
+    if stamp is not None and rate is not None:
+        raise InputError(
+            f'`stamp` {stamp} and `rate` {rate} both say when the rows were: give the one or the '
+            'other.'
+        )
+    if accel_file is None and own is None:
+        if accel_stamp is not None:
+            raise InputError('`accel_stamp` is the time in `accel_file`, which is not given.')
+        return from_text(text, target, stamp, rate, gyro, accel, joints, temperature, imu)
+    if stamp is None:
+        raise InputError(
+            'Gyros and accelerometers in rows of their own are joined by the time of the rows: '
+            'give `stamp`, no `rate`.'
+        )
+    forces = own if accel_file is None else read_text(located(accel_file), delimiter)
+    others = (joints, temperature, imu, forces, accel_stamp)
+    return from_text(text, target, stamp, None, gyro, accel, *others)
+
+
+def _is_bag_of_ros_1(path: AnyPath) -> bool:
+    try:
+        with path.open('rb') as file:
+            return file.read(len(BAG_OF_ROS_1)) == BAG_OF_ROS_1
+    except OSError:
+        return False
+
+
+def _from_ros1(path: AnyPath, target: Path) -> Converted:
+    """Convert a bag of ROS 1, with the messages that calibration uses."""
+    require('rosbags', f'{path}: a bag of ROS 1', 'ros1')
+    from rosbags.convert import ConverterError
+    from rosbags.convert import convert as rewritten
+    from rosbags.typesys import Stores, get_typestore
+
+    stores = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)
+    types = [k.type_name for k in (Kind.IMU, Kind.JOINTS, Kind.TEMPERATURES)]
+    bag = Path()
+    try:
+        with removed_on_failure(target), TemporaryDirectory() as folder:
+            # rosbags goes by the ending.
+            bag = Path(folder, 'bag.bag')
+            bag.symlink_to(local(path).resolve())
+            rewritten([bag], target, 'mcap', 9, None, 'none', *stores, [], [], [], types)
+            with open_recording(target) as recording:
+                counts = {topic.name: topic.count or 0 for topic in recording.topics}
+    except (ConverterError, RecordingError) as error:
+        reason = str(error).replace(str(bag), str(path))
+        raise InputError(
+            f'{path}: cannot be converted: {reason} Expected a bag of ROS 1 with one of '
+            f'{", ".join(types)}; rosbag reindex completes one whose recorder did not finish.'
+        ) from None
+    return Converted(target, counts, ())

@@ -29,8 +29,8 @@ from ..estimation.hand import (
     term_words,
 )
 from ..estimation.information import Information, log_determinant
+from ..estimation.known_noise import known_noise, walk_of_sensors, with_own_noise
 from ..estimation.methods import estimated_parameters
-from ..estimation.output_noise import known_noise, walk_of_sensors, with_own_noise
 from ..estimation.predict import ideal_move_by_hand, next_hold
 from ..estimation.setup import Setup
 from ..estimation.solution import Residual, Solution

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from ..common.errors import NotObservable
 from ..common.parallel import MEMORY, Show
 from ..common.units import counted
-from ..fleet.catalogue import batch
+from ..fleet.batch import batch
 from ..session.keywords import Session
 from . import options
 from .dispatch import CommandResult

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ..api.convert_text import convert
+from ..api.convert import convert
 from ..api.inspect import Topic, topics
 from ..common.units import counted
 from . import options

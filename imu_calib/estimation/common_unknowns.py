@@ -24,7 +24,7 @@ from ..common.stream import Floats
 from .equations import Equations
 from .estimate import Estimate
 from .evidence import SMALLEST_VARIANCE
-from .modulation import ENCODER_FREEDOM
+from .output_noise import ENCODER_FREEDOM
 from .outputs import Component, whiten
 from .outputs import parts as parts_of
 from .session_model import Nuisance

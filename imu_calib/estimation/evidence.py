@@ -22,8 +22,8 @@ from ..session.plan import Plan
 from ..session.table import Table
 from ..session.table_errors import LEVELLED, TableErrors
 from .arms import Arms, headings
+from .known_noise import known_noise
 from .moves import Moves
-from .output_noise import known_noise
 from .outputs import OutputLayout
 from .positioning_errors import AttitudeErrors, around, of_holds, of_joints, of_stops
 

@@ -33,7 +33,7 @@ from ..segmentation.segments import Segment, Turn
 from ..segmentation.stream_facts import Move
 from .arms import ACCEL_DISTANCE, ARM_STD
 from .gyro_paths import GyroPath, VelocityIncrement, by_delay, by_places, summed
-from .output_noise import ApproximateSensors, remainder_covariance
+from .remainders import ApproximateSensors, remainder_covariance
 
 _FORESEEN = 1.0
 """Standard deviation of counters' rates from their prediction before a session, pulses a second:

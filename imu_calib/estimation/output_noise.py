@@ -1,301 +1,173 @@
-"""Noise of the sensors: from a session's blocks, and from the data sheet where those are few."""
+"""Parts of the covariance of a session's outputs that do not depend on the prediction."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
-from ..common.errors import NotObservable
-from ..common.rotations import cross
-from ..common.stream import Floats, Units
-from ..model.sensors import SensorModel, Triad
-from ..segmentation.segments import Segment, Statistics, Turn
-from ..segmentation.statistics import pooled_walk
-from ..session.imu import ImuSpec
+from ..common.budget import Source
+from ..common.stream import Floats
+from .evidence import SMALLEST_VARIANCE, Evidence
+from .outputs import Blocks, Component, Diagonal
 
-_SMALLEST = 1e-24
-"""Variance below which the noise is not determined, (m/s^2)^2: rounding of 64-bit numbers."""
-_STATED_FREEDOM = 10.0
-"""Degrees of freedom assigned to a data sheet's random walk: with ten a standard deviation is known
-to 1 / sqrt(20) = 22 %. A judgement of how far units of a type differ."""
-_BY_CHANCE = 1e-3
-"""Probability that by chance any static dwell of a session gets its own noise. A judgement, as of
-groups that scatter (`hand`)."""
-_NEAR, _NEAR_FREEDOM = 3.6, 8.0
-"""Ratio of variances up to which one of so many degrees of freedom is no larger than by chance:
-chi-square of eight is 28.8 once in 2900 times, that of fewer more often, and three dwells or more
-require once in 6000."""
-_STEADILY = 0.9
-"""Share of the squares of the blocks about their mean that a line explains in a dwell that slides:
-of four blocks of noise it explains as much in one direction once in twenty times, in both once in
-a hundred."""
-_AGREES = 0.5
-"""Of the rate by the accelerometers: that by the gyros may differ by so much. A judgement: what
-slides more slowly than gyros resolve spoils no turn."""
-_ENOUGH_FREEDOM = 20.0
-"""Degrees of freedom from which on a random walk needs no allowance for its uncertainty, where no
-data sheet states it: it is then known to 1 / sqrt(40) = 16 %."""
+ENCODER_FREEDOM = 14.0
+"""Least degrees of freedom of an encoder's rate: sixteen blocks less a line's two unknowns
+(`segmentation.plateaus`)."""
+UNREST_FREEDOM = 3.0
+"""Least degrees of freedom of the noise of a single dwell: four blocks less their mean
+(`segmentation.statistics`)."""
+_ANGLES, _VELOCITIES = np.repeat(np.eye(2), 3, axis=1)
+"""(6,) masks, one or zero, of the angles and of the velocities among the outputs of a move."""
 
 
-def stated_walk(spec: ImuSpec) -> Floats:
-    """Return the random-walk coefficients of the data sheet, (6,)."""
-    return np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
+def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, ...]:
+    """Return the independent errors of each output: noise, quantisation, the encoders' noise.
 
-
-def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, Floats]:
-    """Return the random-walk coefficients shown by the data, (6,), and degrees of freedom, (6,).
-
-    Short dwells show little: their scatter may be small by chance, and standard deviations based on
-    it would be far too small. The data sheet's figure is then averaged in like additional blocks,
-    fewer with more data; without one, a standard deviation is added to the estimate.
-
-    Raises:
-        NotObservable: Neither the data nor the IMU's description gives the noise.
+    `inflation` are factors (m,) on these variances, or None. The first six parts are the random
+    walk of the channels.
     """
-    found = pooled_walk([s.statistics for s in segments])
-    stated = stated_walk(spec)
-    known = np.isfinite(found.deviation)
-    if not (known | (stated > 0)).all():
-        raise NotObservable('The noise of the sensors is unknown: no static dwell is long enough.')
-    square = np.where(known, found.square, 0.0)
-    freedom = found.freedom
-    weight = _STATED_FREEDOM**2 / (_STATED_FREEDOM + freedom)
-    blended = (freedom * square + weight * stated**2) / (freedom + weight)
-    doubt = np.where(known & (freedom < _ENOUGH_FREEDOM), found.deviation, 0.0)
-    walk = np.sqrt(np.where(stated > 0, blended, square + doubt))
-    freedom = freedom + np.where(stated > 0, weight, 0.0)
-    return np.asarray(walk), np.asarray(np.maximum(freedom, 1.0))
+    # Most equations of a session differ only in the other parts.
+    if 'own' not in evidence.cache:
+        evidence.cache['own'] = _without_inflation(evidence)
+    parts = cast(tuple[Component, ...], evidence.cache['own'])
+    if inflation is None:
+        return parts
+    total = np.sum([c.part.variances for c in parts if isinstance(c.part, Diagonal)], axis=0)
+    more = total * (inflation - 1)
+    inflated = []
+    for c in range(6):
+        own = np.where(evidence.layout.channels == c, more, 0.0)
+        # Degrees of freedom of the scatter: less the two unknowns of a line.
+        freedom = max(1.0, np.count_nonzero(own) - 2.0)
+        inflated.append(Component(Source.SCATTER, Diagonal(own), freedom))
+    return (*parts, *inflated)
 
 
-def walk_of_sensors(segments: tuple[Segment, ...], spec: ImuSpec) -> Floats:
-    """Return the random walk of the sensors without a hand's, (6,), rad/sqrt(s), (m/s)/sqrt(s).
-
-    NaN where neither gives it: increments of a counter hide it by the pulses.
-
-    By the data sheet, else by the differences of neighbouring samples at rest, less the rounding
-    of counts.
-    """
-    stated = stated_walk(spec)
-    found = np.full(6, np.nan)
-    variances = np.array([s.statistics.sample_variance for s in segments]).reshape(-1, 6)
-    variances = variances[np.isfinite(variances).all(axis=1)]
-    if spec.units is not Units.PULSES and len(variances):
-        rounding = spec.scale**2 / 12 if spec.units is Units.COUNTS else np.zeros(6)
-        period = np.median([s.statistics.duration / s.statistics.samples for s in segments])
-        # The median: one hold may have been knocked.
-        found = np.sqrt(period * np.maximum(np.median(variances, axis=0) - rounding, 0.0))
-    return np.asarray(np.where(stated > 0, stated, found))
-
-
-def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
-    """Give dwells whose accelerometers are noisier than by chance their own noise.
-
-    A unit that sways turns gravity without changing its length: noise along gravity and across it
-    is separated. Each is compared with that of the other dwells by the F test, the largest first; a
-    significantly larger one is removed from theirs before the next is tested.
-
-    Source: docs/mathematics.md, 'Free positions'.
-
-    Returns:
-        The same; those found have an `excess_covariance`, no blocks of their accelerometers, and
-            the rate at which they slide, if they do.
-    """
+def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
+    """Return `own_parts` without factors on the variances."""
+    segments, turns, walk = evidence.segments, evidence.turns, evidence.walk
+    used = evidence.used_moves
     statistics = [s.statistics for s in segments]
-    counts = np.array([[len(b) for b in s.blocks[3:]] for s in statistics]).reshape(-1, 3)
-    uniform = (counts.min(axis=1) == counts.max(axis=1)) & (counts[:, 0] > 1)
-    where = np.flatnonzero(uniform)
-    if len(where) < 3:
-        return segments
-    ups = np.array([statistics[k].mean[3:] for k in where])
-    ups /= np.linalg.norm(ups, axis=1)[:, None]
-    squares = np.array([_squares(statistics[k], u) for k, u in zip(where, ups, strict=True)])
-    freedom = (counts[where, :1] - 1) * np.array([1.0, 2.0])
-    usual = np.ones(squares.shape, dtype=bool)
-    pool = np.zeros(2)
-    for k in (0, 1):
-        usual[:, k] = _alike(squares[:, k], freedom[:, k], _BY_CHANCE / squares.size)
-        share = freedom[:, k] * usual[:, k]
-        pool[k] = share @ squares[:, k] / share.sum()
-    found = list(segments)
-    bias = np.median([s.mean[:3] for s in statistics], axis=0)
-    for k in np.flatnonzero(~usual.all(axis=1)).tolist():
-        along, across = np.where(usual[k], 0.0, squares[k] - pool)
-        up = np.outer(ups[k], ups[k])
-        old = statistics[where[k]]
-        gain = float(old.walk_gain[3:].mean())
-        blocks = (*old.blocks[:3], *(b[:0] for b in old.blocks[3:]))
-        found[where[k]] = replace(
-            segments[where[k]],
-            statistics=replace(old, blocks=blocks),
-            excess_covariance=gain * (along * up + across * (np.eye(3) - up)),
-            sliding=0.0 if usual[k, 1] else _sliding(old, up, bias),
-        )
-    return tuple(found)
+    turned = [t.statistics for t in turns]
+    site = evidence.site
+
+    def joined(at_rest: Sequence[Floats], turned: Sequence[Floats], moved: Floats) -> Floats:
+        rest, turn = (np.array(part).reshape(-1, 6) for part in (at_rest, turned))
+        return evidence.layout.joined(rest, turn, moved)
+
+    by_gyros, by_accels = used.noise(walk)
+    noise = joined(
+        [walk**2 * s.walk_gain for s in statistics],
+        [walk**2 * s.walk_gain for s in turned],
+        by_gyros * _ANGLES + by_accels,
+    )
+    # Effect of the gyros' noise on velocities.
+    none = np.zeros(6)
+    by_rotation = joined([none for _ in segments], [none for _ in turns], by_gyros * _VELOCITIES)
+    quantisation = joined(
+        [s.quantisation_variance for s in statistics],
+        [s.quantisation_variance for s in turned],
+        used.quantisation(),
+    )
+    encoder = joined(
+        [s.encoder_variance(site.gravity) for s in segments],
+        [np.append(t.encoder_variance(), t.lean_variance(site.gravity)) for t in turns],
+        used.encoders(),
+    )
+    total = noise + by_rotation + quantisation + encoder
+    quantisation = quantisation + np.maximum(SMALLEST_VARIANCE - total, 0.0)
+    channel = evidence.layout.channels
+    parts = [
+        Component(Source.NOISE, Diagonal(np.where(channel == c, noise, 0.0)), freedom)
+        for c, freedom in enumerate(evidence.walk_freedom.tolist())
+    ]
+    parts += [
+        Component(Source.NOISE, Diagonal(by_rotation), float(evidence.walk_freedom[:3].sum())),
+        Component(Source.QUANTISATION, Diagonal(quantisation)),
+        Component(Source.ENCODER_NOISE, Diagonal(encoder)),
+    ]
+    if held := used.with_accels:
+        # The remainder of a level channel is an error along both level axes.
+        across = used.by_remainders[list(held)] * (1 - np.eye(3))
+        rows = np.array(evidence.layout.velocity)
+        parts.append(Component(Source.QUANTISATION, Blocks(rows, across)))
+    for k, segment in enumerate(segments):
+        if segment.excess_covariance is not None:
+            rows = evidence.layout.dwell[k : k + 1, 3:]
+            blocks = Blocks(rows, segment.excess_covariance[None])
+            parts.append(Component(Source.NOISE, blocks, UNREST_FREEDOM))
+        if segment.sliding:
+            rows = evidence.layout.dwell[k : k + 1, :3]
+            blocks = Blocks(rows, segment.sliding**2 * np.eye(3)[None])
+            parts.append(Component(Source.NOISE, blocks, UNREST_FREEDOM))
+    return tuple(parts)
 
 
-def _sliding(statistics: Statistics, up: Floats, bias: Floats) -> float:
-    """Return the rate, rad/s, at which gravity turns in a dwell, if it does so steadily; else 0.
-
-    `up` (3, 3) projects on the direction of gravity; `bias` (3,) is the output of the gyros in the
-    other dwells, rad/s.
-
-    The gyros must show it, too: f' = -w x f.
-    """
-    blocks = np.array(statistics.blocks[3:])
-    across = (np.eye(3) - up) @ (blocks[:, :, 0] - blocks[:, :, 0].mean(axis=1)[:, None])
-    time = blocks[0, :, 3] - blocks[0, :, 3].mean()
-    slope = across @ time / (time @ time)
-    if slope @ slope * (time @ time) < _STEADILY * (across**2).sum():
-        return 0.0
-    apart = slope + cross(statistics.mean[:3] - bias, statistics.mean[3:])
-    if np.linalg.norm(apart) > _AGREES * np.linalg.norm(slope):
-        return 0.0
-    return float(np.linalg.norm(slope) / np.linalg.norm(statistics.mean[3:]))
-
-
-def _squares(statistics: Statistics, up: Floats) -> Floats:
-    """Return the squared random walks (2,) of accelerometers along gravity and across it.
-
-    Quantisation is included.
-    """
-    blocks = np.array(statistics.blocks[3:])
-    seen = np.cov(blocks[:, :, 0])
-    along = float(up @ seen @ up)
-    both = np.array([along, (np.trace(seen) - along) / 2])
-    # Quantisation without noise does not distinguish dwells.
-    least = max(_SMALLEST, float(blocks[:, :, 2].mean()))
-    return np.asarray(np.maximum(both, least) / blocks[:, :, 1].mean())
-
-
-def _alike(squares: Floats, freedom: Floats, chance: float) -> NDArray[np.bool_]:
-    """Return which of variances (n,) are alike; at most half of them are not."""
-    alike = np.ones(len(squares), dtype=bool)
-    for _ in range(len(squares) // 2):
-        sums = np.where(alike, freedom * squares, 0.0)
-        others = (sums.sum() - sums) / (np.where(alike, freedom, 0.0).sum() - freedom)
-        ratios = squares / others
-        if not (alike & ((ratios > _NEAR) | (freedom > _NEAR_FREEDOM))).any():
-            # Without `scipy.special`: loading it takes longer than this computation.
-            break
-        odds = scipy.special.fdtrc(freedom, (alike @ freedom) - freedom, ratios)
-        worst = int(np.argmin(np.where(alike, odds, 1.0)))
-        if not odds[worst] < chance:
-            break
-        alike[worst] = False
-    return alike
-
-
-# A counter holds back a remainder e, up to half a pulse either way, and gives it with a later
-# sample, when its axis points elsewhere. In the frame of the attitudes, with C_i the direction of a
-# channel in step i and e_i the remainder after it, the error of a velocity is
-#
-# sum C_i (e_i - e_(i-1)) = sum D_i e_i, D_0 = -C_1, D_i = C_i - C_(i+1), D_n = C_n
-#
-# Where a channel counts gravity the e_i are practically independent. One that stays level while the
-# unit turns about the vertical counts a few pulses in a whole move: its e_i are correlated, and in
-# half a turn its variance can be five times that of both ends alone, in a whole one ten times.
-# Source: docs/mathematics.md, 'Velocities of moves', remainders.
-
-_HARMONICS = 8
-"""Harmonics of the sawtooth e: they hold 93 % of its variance. The others rotate with a ninth of a
-pulse, and count as independent from step to step."""
-
-_RATES = np.array([-1.542, -0.752, -0.235, 0.235, 0.752, 1.542])
-"""Standard deviations that represent a normal distribution: the medians of its six sixths, widened
-to its variance."""
-
-_EVEN = 0.5
-"""Largest standard deviation of a count, pulses, for which six are enough: beyond it phases cover
-more than a turn, which thirty-two sample evenly."""
-_MANY = 32
-"""Equal parts of a normal distribution whose medians represent it beyond that. A choice between
-accuracy and work."""
-
-_RANK = 1e-3
-"""Least singular value of the inputs of a triad, of the largest: dwells and turns are nearly at
-right angles, or do not cover a direction."""
-
-_UNKNOWN = 1e-3
-"""Misalignment of gyros that turns do not show, rad: some arcmin, as data sheets state it."""
-
-
-@dataclass(frozen=True, eq=False)
-class ApproximateSensors:
-    """Approximate sensors, accurate enough to count pulses: a line through all segments."""
-
-    model: SensorModel  #: Without terms, and without the Earth rate.
-    accel_std: Floats  #: (3,) standard deviation of its accelerometers' outputs on the way, m/s^2.
-
-    @classmethod
-    def fitted(
-        cls, segments: Sequence[Segment], turns: Sequence[Turn], forces: Floats, walk: Floats
-    ) -> ApproximateSensors:
-        """Fit the lines to dwells at rest with specific forces (s, 3), body axes, and to turns."""
-        at_rest = np.array([s.statistics.mean for s in segments])
-        turned = np.array([t.statistics.mean[:3] for t in turns]).reshape(-1, 3)
-        rates = np.array([t.rate() * t.up for t in turns]).reshape(-1, 3)
-        gyro, known = _line(
-            np.vstack([np.zeros((len(segments), 3)), rates]), np.vstack([at_rest[:, :3], turned])
-        )
-        accel, determined = _line(forces, at_rest[:, 3:])
-        own = np.mean([s.statistics.variance(walk)[3:] for s in segments], axis=0)
-        # Mean error of a line over its own points.
-        accel_std = own * determined / len(segments)
-        # A bias and three directions.
-        if known < 4:
-            accel_std = accel_std + (_UNKNOWN * float(np.linalg.norm(forces[0]))) ** 2
-        return cls(SensorModel(gyro, accel), np.sqrt(accel_std))
-
-
-def _line(inputs: Floats, outputs: Floats) -> tuple[Triad, int]:
-    """Return the smallest errors that map inputs (s, 3) to outputs (s, 3), and the rank."""
-    size = float(np.abs(inputs).max(initial=0.0)) or 1.0
-    rows = np.hstack([np.full((len(inputs), 1), size), inputs])
-    found, _, rank, _ = np.linalg.lstsq(rows, outputs - inputs, rcond=_RANK)
-    return Triad(found[1:].T, found[0] * size), int(rank)
-
-
-def remainder_covariance(
-    directions: Floats, seconds: Floats, outputs: Floats, accel_std: Floats, pulse: Floats
-) -> Floats:
-    """Return the covariance of a velocity by the remainders of three counters, (3, 3) (m/s)^2.
-
-    The phase of each counter is unknown; its rate is known to `accel_std`.
-
-    Args:
-        directions: (n, 3, 3) transforms components from the body, half way through a step, to the
-            frame.
-        seconds: (n,) lengths of the steps, s.
-        outputs: (n, 3) outputs of the channels in them, m/s^2.
-        accel_std: (3,) their standard deviation, constant over the move, m/s^2.
-        pulse: (3,) size of a pulse, m/s; 0 where values are not counted.
-    """
-    edges = np.concatenate([-directions[:1], -np.diff(directions, axis=0), directions[-1:]])
-    found = np.zeros((3, 3))
-    times = np.append(0.0, np.cumsum(seconds))
-    share = 1 / (2 * np.pi**2 * np.arange(1, _HARMONICS + 1) ** 2)
-    for channel in np.flatnonzero(pulse):
-        held = edges[:, :, channel]
-        counted = np.append(0.0, np.cumsum(outputs[:, channel] * seconds)) / pulse[channel]
-        off = accel_std[channel] / pulse[channel]
-        rates = _RATES if off * times[-1] < _EVEN else _medians()
-        first = np.exp(2j * np.pi * (counted + np.outer(rates * off, times)))
-        following = np.zeros((3, 3))
-        # Each harmonic is a power of the first: a product costs a tenth of an exponential.
-        harmonic = np.ones_like(first)
-        for part in share / len(rates):
-            harmonic *= first
-            sums = harmonic @ held
-            following += part * (sums.T @ sums.conj()).real
-        independent = (1 / 12 - share.sum()) * held.T @ held
-        found += pulse[channel] ** 2 * (following + independent)
+def encoder_rates(
+    evidence: Evidence, rates: Floats, response: Floats, pulled: Floats
+) -> list[Component]:
+    """Return the error of the encoder's rate (t,) rad/s, common to the outputs of a turn."""
+    found = []
+    relative = np.array([t.rate_std(evidence.walk) for t in evidence.turns])
+    for _, rows, seen in encoder_rate_errors(evidence, relative, rates, response, pulled):
+        blocks = Blocks(rows, seen[:, :, None] * seen[:, None, :])
+        found.append(Component(Source.ENCODER_RATE, blocks, ENCODER_FREEDOM))
     return found
 
 
-def _medians() -> Floats:
-    """Return the medians of `_MANY` equal parts of a normal distribution, standard deviations."""
-    return np.asarray(scipy.special.ndtri((2 * np.arange(_MANY) + 1) / (2 * _MANY)))
+def encoder_rate_errors(
+    evidence: Evidence, relative: Floats, rates: Floats, response: Floats, pulled: Floats
+) -> list[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:
+    """Return the effect of a relative error (t,) of the table's rate on the outputs of turns.
+
+    Returns:
+        For turns of gyros alone, and for those whose accelerometers are used: which turns (k,),
+        which outputs (k, 3) or (k, 6), and the effect on them.
+    """
+    turns = evidence.turns
+    ups = np.array([t.up for t in turns]).reshape(-1, 3)
+    seen = (relative * rates)[:, None] * (ups @ response.T)
+    layout, both = evidence.layout, evidence.arms.turns
+    alone = np.delete(np.arange(len(turns)), both)
+    return [
+        (alone, layout.turn[alone], seen[alone]),
+        (
+            both,
+            np.hstack([layout.turn[both], layout.turn_accels]),
+            np.hstack([seen[both], 2 * relative[both][:, None] * pulled]),
+        ),
+    ]
+
+
+def level_gravity(evidence: Evidence, ups: Floats, levelled: float) -> Component:
+    """Return the error in turns by cuts within samples and level gravity on a tilted table.
+
+    `levelled` is the standard deviation of the table's tilt about either axis, rad.
+    """
+    which, rows = evidence.arms.turns, evidence.layout.turn_accels
+    level_gravities = [
+        evidence.turns[k].level_share * levelled * evidence.site.gravity for k in which
+    ]
+    variances = np.zeros(len(evidence.layout))
+    variances[rows] = np.square(level_gravities).reshape(-1, 1) * (1 - ups[which] ** 2)
+    return Component(Source.NORTH, Diagonal(variances))
+
+
+def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Component:
+    """Return the level Earth rate as noise of its size where its direction is unknown.
+
+    By hand every static dwell has an independent heading, and a turn from rest to rest does not
+    average all of it out. Where attitudes are estimated it is in the state.
+    """
+    segments, turns = evidence.segments, evidence.turns
+    by_hand = 1.0 if evidence.plan.by_hand and not evidence.free else 0.0
+    shares = np.array([*(by_hand for _ in segments), *(t.level_share for t in turns)])
+    across = np.eye(3) - ups[:, :, None] * ups[:, None, :]
+    square = (shares * evidence.site.north_rate)[:, None, None] ** 2 / 2
+    rows = np.vstack([evidence.layout.dwell[:, :3], evidence.layout.turn])
+    some = shares > 0
+    blocks = Blocks(rows[some], (response @ across @ response.T * square)[some])
+    return Component(Source.NORTH, blocks)

@@ -31,7 +31,7 @@ from ..session.table import TURN, Course, Table, moving, travel_time
 from .bias_drift import STATED_TIME, BiasDrift
 from .evidence import UP, Evidence, thermal_of
 from .hand import NAME as FREE_POSITIONS
-from .output_noise import stated_walk
+from .known_noise import stated_walk
 from .session_model import Nuisance, SessionModel
 from .setup import Setup
 

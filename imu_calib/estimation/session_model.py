@@ -26,7 +26,8 @@ from ..model.sensors import SensorModel
 from ..model.session_terms import Change
 from .arms import mean_over_turn
 from .evidence import Evidence
-from .modulation import columns, encoder_rate_errors, rates
+from .modulation import columns, rates
+from .output_noise import encoder_rate_errors
 from .outputs import OutputLayout
 
 # The table stands turned by the azimuth about up and tilted by two small angles, R_nb = Rz(azimuth)

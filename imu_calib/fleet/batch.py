@@ -1,341 +1,178 @@
-"""One recording of a batch: its key, and its row."""
+"""A batch: process recordings with Dask workers, and add their rows to a catalogue."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
 import time
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields, replace
-from datetime import datetime, timezone
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, TypeAlias
 
-from ..api.calibrate import serials_in, solve, units_of_recording
-from ..api.streams import recording_at, session_of, units_of
-from ..calibration.results import Result
-from ..common.errors import ImuCalibError, InputError
-from ..common.files import named_file, read_text, user_path, version
-from ..common.stream import NS
-from ..model.parameters import PARAMETER_NAMES, PARAMETERS, indices_of
-from ..recordings.metadata_yaml import NAME as METADATA
-from ..recordings.remote import AnyPath, is_url, located
-from ..recordings.rosbag2 import Recording, content_hash, find_files
-from ..recordings.storage import Losses
-from ..reports.provenance import assess, worst
-from ..session.imu import Specification, load_imu
-from ..session.keywords import NO_PLAN
-from ..session.units_file import MountedUnit, load_units
-from .recordings import OF_ONE, Job
+from ..api.session import as_list
+from ..common.errors import InputError
+from ..common.parallel import MEMORY, Engine, Progress, WorkerDied, outcomes, silent
+from ..common.units import counted
+from ..session.keywords import Session, Stated, with_keywords
+from ..session.units_file import load_units
+from .recordings import OF_ONE, Job, convertible, find_jobs
+from .task import CALIBRATED, TaskResult, lost, run
 
-CALIBRATED = 'calibrated'
-FAILED = 'failed'
+if TYPE_CHECKING:
+    from distributed import Client
+    from typing_extensions import Unpack
+from .catalogue import Catalogue
 
-DEFECT = 70
-"""Exit code of an unforeseen error (EX_SOFTWARE of sysexits.h)."""
-LOST = 137
-"""Exit code of a recording that killed its workers: 128 + SIGKILL, as in a shell."""
-_FOLDERS = {'imu': 'imus', 'plan': 'plans', 'table': 'tables'}
+Task: TypeAlias = Callable[[Job, frozenset[str]], TaskResult]
+_FLUSH, _FLUSH_SHARE, _LATEST_FLUSH = 1.0, 0.05, 60.0
+"""Time between additions to the catalogue: at least 1 s, 5 % of the batch's time, at most 60 s.
+
+Each addition is a file: ten hours give about six hundred. A killed client loses at most a minute.
+"""
+_MOST = 100
+"""Most rows that wait to be added: 70 kB each with the text of the calibration."""
 
 
 @dataclass(frozen=True)
-class TaskResult:
-    """Result of a task."""
+class Batch:
+    """Result of a batch."""
 
-    key: str  #: Key of the task.
-    row: dict[str, Any] | None = None  #: For the catalogue; None if the catalogue has it.
-    calibration: str = ''  #: Text of calibration.yaml; empty without one.
-    others: tuple[TaskResult, ...] = ()  #: Results for the other units of the recording.
+    catalogue: Path  #: Its folder.
+    recordings: int  #: Number of recordings named by the sources.
+    calibrated: int  #: Number of calibrated units: one or several per recording.
+    failed: int  #: Number of units without a calibration, with the reason in their row.
+    known: int  #: Number of units that the catalogue had already.
+    known_failed: int  #: Those among them without a calibration.
+    seconds: float  #: Duration.
+    #: Files in the folders of the sources that are no recordings until `imu_calib.convert` makes
+    #: some of them, or until they are unpacked.
+    convertible: tuple[Path, ...] = ()
 
-    @property
-    def results(self) -> tuple[TaskResult, ...]:
-        """Return the result for each unit."""
-        return (self, *self.others)
+    def __repr__(self) -> str:
+        """Return one line."""
+        return (
+            f'<Batch: {counted(self.recordings, "recording")}, {self.calibrated} calibrated, '
+            f'{self.failed} failed, {self.known} known, in {self.catalogue}>'
+        )
 
 
-def key_of(job: Job, sha256: str) -> str:
-    """Return the key of a task.
+@with_keywords(Session)
+def batch(
+    sources: str | Path | Sequence[str | Path],
+    catalogue: str | Path,
+    *,
+    imus: str | Path | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    memory: str = MEMORY,
+    retry: bool = False,
+    progress: Progress = silent,
+    connected: Callable[[str], None] = lambda _: None,
+    **stated: Unpack[Session],
+) -> Batch:
+    """Calibrate from many recordings in parallel; each result is a row of a catalogue.
 
-    The key is made from the recording's content, all statements with the content of the files that
-    they name, the labels, and the package's version. The recording's name is not included: copies
-    with two names have one key.
+    Finished tasks are not repeated: the key of a task is made from the content of its recording and
+    of all statements. The results are those of `calibrate`, bit for bit, on every worker.
+
+    A script that calls it needs `if __name__ == '__main__':`, because workers load the script too.
 
     Args:
-        job: The task.
-        sha256: Of the recording's content.
+        sources: Recordings, folders, patterns, manifests or URLs (docs/fleet.md).
+        catalogue: Its folder; created if missing.
+        imus: File of several units on one table (docs/files/units.md), for every recording whose
+            manifest states neither one nor several.
+        scheduler: Address of a Dask scheduler (tcp://host:8786); None starts local workers.
+        workers: Number of local workers; None for one per core.
+        memory: Of each local worker ('2GiB').
+        retry: Repeat failed tasks.
+        progress: Shows the progress.
+        connected: Called with the address of Dask's dashboard when work begins.
+        **stated: Keywords of `calibrate` for every recording whose manifest does not state
+            otherwise; files by name or path.
+
+    Returns:
+        The result.
 
     Raises:
-        InputError: A file cannot be read.
+        InputError: A source is wrong, the catalogue cannot be written, no scheduler answers, or
+            Dask is not installed. Unreadable recordings are rows.
     """
-    stated = {one.name: getattr(job.stated, one.name) for one in fields(job.stated)}
-    for name, folder in _FOLDERS.items():
-        if stated[name] not in (None, NO_PLAN):
-            stated[name] = read_text(named_file(folder, stated[name]))
-    whole = [sha256, stated, asdict(job.labels), version()]
-    if job.imus:
-        whole.append(_texts_of(job.imus))
-    return _hashed(whole)
+    session = Stated(**stated)
+    listed = as_list(sources)
+    jobs = find_jobs(listed, session, _units_file(imus, session))
+    kept = Catalogue(catalogue, create=True)
+    engine = Engine(scheduler, workers, memory)
+    done = run_batch(jobs, kept, engine, retry=retry, progress=progress, connected=connected)
+    return replace(done, convertible=tuple(convertible(listed)))
 
 
-def key_of_unit(key: str, serial_number: str) -> str:
-    """Return the key of one of several units, from that of all: they share unknowns."""
-    return _digest(f'{key} {serial_number}')
-
-
-def _hashed(whole: list[Any]) -> str:
-    return _digest(json.dumps(whole, sort_keys=True, default=str))
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
-
-
-def _texts_of(imus: str) -> list[str]:
-    """Return the contents of the file of several units, and of those of their types.
-
-    Raises:
-        InputError: The first is broken. An unreadable type concerns only its units.
-    """
-    units = load_units(imus)
-    return [read_text(user_path(imus)), *(_text_of_type(unit) for unit in units)]
-
-
-def _text_of_type(unit: MountedUnit) -> str:
-    """Return the content of the file of a unit's type; empty if it is unreadable."""
-    try:
-        return read_text(named_file('imus', unit.imu))
-    except (InputError, OSError):
+def _units_file(imus: str | Path | None, stated: Stated) -> str:
+    """Return the file of several units; empty without one."""
+    if imus is None:
         return ''
+    for name in OF_ONE:
+        if (found := getattr(stated, name)) is not None:
+            raise InputError(
+                f'{name}: found {found}, but {imus} (imus) states it for each unit: leave it out.'
+            )
+    load_units(imus)
+    return str(imus)
 
 
-def content_of(path: AnyPath) -> str:
-    """Return the SHA-256 of a recording's storage files, equal to its `sha256`, without opening it.
+def run_batch(
+    jobs: Sequence[Job],
+    catalogue: Catalogue,
+    engine: Engine,
+    *,
+    retry: bool = False,
+    progress: Progress = silent,
+    connected: Callable[[str], None] = lambda _: None,
+    task: Task = run,
+) -> Batch:
+    """Run jobs and add their rows; as `batch`, with another task if one is given.
 
-    Raises:
-        InputError: There is no recording, or it cannot be read.
+    After an interruption the finished tasks are in the catalogue.
     """
-    try:
-        return content_hash(find_files(path, Losses()).paths)
-    except OSError as error:
-        raise InputError(f'{path}: cannot be read ({error.strerror or error}).') from None
+    begun = time.monotonic()
+    count = {'calibrated': 0, 'failed': 0, 'known': 0, 'known_failed': 0}
+    unsaved: list[TaskResult] = []
+    with engine.connected() as client, progress('calibrating') as show:
+        connected(client.dashboard_link)
+        show(0, len(jobs))
+        saved = time.monotonic()
+        known = catalogue.keys(failed=not retry)
+        failed_before = known - catalogue.keys(failed=False)
+        try:
+            for k, ended in enumerate(_each(client, jobs, known, task), 1):
+                for done in ended:
+                    if done.row is None:
+                        count['known'] += 1
+                        count['known_failed'] += done.key in failed_before
+                    else:
+                        count['calibrated' if done.row['status'] == CALIBRATED else 'failed'] += 1
+                        unsaved.append(done)
+                now = time.monotonic()
+                between = max(_FLUSH, min(_FLUSH_SHARE * (now - begun), _LATEST_FLUSH))
+                if now - saved > between or len(unsaved) >= _MOST:
+                    catalogue.add(unsaved, replace=retry)
+                    unsaved.clear()
+                    saved = now
+                rate = k / (now - begun)
+                lost_some = f', {count["failed"]} failed' if count['failed'] else ''
+                show(k, len(jobs), f'{rate:.2g} recordings/s{lost_some}')
+        finally:
+            catalogue.add(unsaved, replace=retry)
+    seconds = time.monotonic() - begun
+    return Batch(catalogue.folder, len(jobs), **count, seconds=seconds, convertible=())
 
 
-def run(job: Job, known: frozenset[str] = frozenset()) -> TaskResult:
-    """Calibrate from one recording, unless its key is known; a failure is a row too."""
-    begun = time.process_time()
-    key, sha256 = '', ''
-    try:
-        path = located(job.recording)
-        sha256 = content_of(path)
-        key = key_of(job, sha256)
-        if key in known:
-            return TaskResult(key)
-        with recording_at(path, sha256) as recording:
-            if _is_of_several(job, recording):
-                return _several(job, recording, key, known, begun)
-            opened = session_of(recording, job.stated)
-            start = recording.start_ns
-            result = solve(opened)
-        row = {**_common(job, key, sha256), **_calibrated(result), **_when(job, start)}
-        row['topic'] = opened.streams.imu
-        row['seconds'] = time.process_time() - begun
-        return TaskResult(key, row, result.calibration.to_yaml())
-    except ImuCalibError as error:
-        sentence, code = str(error), error.exit_code
-    except MemoryError:
-        sentence, code = 'A worker has too little memory for this recording.', DEFECT
-    except Exception as error:
-        # One recording must not end a batch: an unforeseen error is a row as well.
-        sentence = f'Unforeseen error ({type(error).__name__}: {error}): please report it.'
-        code = DEFECT
-    ended = _none_of(job, key, sha256, sentence, code, time.process_time() - begun)
-    # Do not add a second row for the same failure; several units have a key each.
-    return _as_one(TaskResult(one.key) if one.key in known else one for one in ended.results)
-
-
-def _is_of_several(job: Job, recording: Recording) -> bool:
-    """Return whether a recording has several units, and none of them was selected."""
-    if job.imus:
-        return True
-    chosen = any(getattr(job.stated, name) is not None for name in OF_ONE)
-    return not chosen and bool(units_of(recording))
-
-
-def _several(
-    job: Job, recording: Recording, key: str, known: frozenset[str], begun: float
-) -> TaskResult:
-    """Calibrate all units of a recording, unless finished; a failed one is a row too."""
-    imus = job.imus or None
-    keys = [key_of_unit(key, serial) for serial in serials_in(recording, imus)]
-    if known.issuperset(keys):
-        return _as_one(TaskResult(one) for one in keys)
-    found = units_of_recording(recording, imus, job.stated)
-    start, sha256 = recording.start_ns, recording.sha256()
-    # The common work is done once: each unit gets its share of the time.
-    seconds = (time.process_time() - begun) / len(found.units)
-    ended = []
-    for own, unit in zip(keys, found.units, strict=True):
-        if own in known:
-            ended.append(TaskResult(own))
-            continue
-        text = ''
-        if unit.result is None:
-            code = DEFECT if unit.error is None else unit.error.exit_code
-            row = failed(job, own, sha256, str(unit.error), code)
-            row |= {'serial': unit.serial_number, 'imu': unit.imu}
-        else:
-            row = {**_common(job, own, sha256), **_calibrated(unit.result)}
-            text = unit.result.calibration.to_yaml()
-        row |= {**_when(job, start), 'topic': unit.topic, 'seconds': seconds}
-        ended.append(TaskResult(own, row, text))
-    return _as_one(ended)
-
-
-def _as_one(ended: Iterable[TaskResult]) -> TaskResult:
-    first, *others = ended
-    return replace(first, others=tuple(others))
-
-
-def _none_of(
-    job: Job, key: str, sha256: str, sentence: str, code: int, seconds: float = math.nan
-) -> TaskResult:
-    """Return the row of a failed recording, or of each unit if a file lists them."""
-    session = key or unread_key(job, sha256)
-    try:
-        units = load_units(job.imus) if job.imus else ()
-    except ImuCalibError:
-        units = ()
-    if not units:
-        row = failed(job, session, sha256, sentence, code) | {'seconds': seconds}
-        return TaskResult(session, row)
-    ended = []
-    for unit in units:
-        own = key_of_unit(session, unit.serial_number)
-        row = failed(job, own, sha256, sentence, code) | {'seconds': seconds / len(units)}
-        row |= {'serial': unit.serial_number, 'imu': _type_of(unit), 'topic': unit.topic}
-        ended.append(TaskResult(own, row))
-    return _as_one(ended)
-
-
-def _type_of(unit: MountedUnit) -> str:
-    """Return a unit's type; as stated if its file is unreadable."""
-    try:
-        return load_imu(unit.imu).id
-    except ImuCalibError:
-        return unit.imu
-
-
-def failed(job: Job, key: str, sha256: str, sentence: str, code: int) -> dict[str, Any]:
-    """Return the row of a recording without calibration."""
-    row = _common(job, key, sha256)
-    return {**row, **_when(job, None), 'status': FAILED, 'error': sentence, 'exit_code': code}
-
-
-def lost(job: Job) -> TaskResult:
-    """Return the row of a recording that killed its workers, one after the other."""
-    key, sha256 = '', ''
-    try:
-        sha256 = content_of(located(job.recording))
-        key = key_of(job, sha256)
-    except ImuCalibError:
-        # Its row has another key.
-        pass
-    sentence = (
-        'Two workers ended while they calibrated this recording: it needs more memory than they '
-        'have, or it crashes the reader. Run it alone with imu-calib calibrate.'
-    )
-    return _none_of(job, key, sha256, sentence, LOST)
-
-
-def unread_key(job: Job, sha256: str = '') -> str:
-    """Return the key of a task whose recording or statements cannot be read.
-
-    A recording without a hash is identified by its files, so that a copy in another folder has the
-    same key, and one that has changed another; by its path if it has none.
-    """
-    path = job.recording if is_url(job.recording) else str(Path(job.recording).resolve())
-    content = sha256 or _files_of(job.recording) or path
-    return _hashed(['unread', content, asdict(job.stated), asdict(job.labels), job.imus])
-
-
-def _files_of(recording: str) -> list[tuple[str, int, str]]:
-    """Return name, size and, of metadata, text of a recording's files; none of a remote one."""
-    path = Path(recording)
-    if is_url(recording) or not path.exists():
-        return []
-    try:
-        files = sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
-        found = []
-        for file in files:
-            text = file.read_bytes().decode(errors='replace') if file.name == METADATA else ''
-            found.append((file.name, file.stat().st_size, text))
-        return found
-    except OSError:
-        return []
-
-
-def limits_of(specification: Specification | None) -> list[float] | None:
-    """Return the largest amounts of the 24 parameters, NaN without one; None if none are known."""
-    if specification is None:
-        return None
-    limits = [specification.limit(parameter) for parameter in PARAMETERS]
-    return [float('nan') if one is None else one for one in limits]
-
-
-def _common(job: Job, key: str, sha256: str) -> dict[str, Any]:
-    stated, labels = job.stated, job.labels
-    texts = {name: getattr(stated, name) for name in ('serial', 'imu', 'table', 'plan', 'method')}
-    return {
-        'key': key,
-        'recording': job.recording,
-        'sha256': sha256,
-        'status': CALIBRATED,
-        'error': '',
-        'exit_code': 0,
-        **{name: '' if value is None else str(value) for name, value in texts.items()},
-        'topic': stated.imu_topic or '',
-        **{name: getattr(labels, name) for name in ('site', 'stand', 'operator', 'lot')},
-        'version': version(),
-        'at': datetime.now(timezone.utc),
-    }
-
-
-def _when(job: Job, start_ns: int | None) -> dict[str, Any]:
-    if job.labels.date is not None or start_ns is None:
-        return {'date': job.labels.date}
-    # In integer microseconds: a float of seconds is exact only to a tenth of one.
-    seconds, rest = divmod(start_ns, NS)
-    whole = datetime.fromtimestamp(seconds, timezone.utc)
-    return {'date': whole.replace(microsecond=rest // 1000)}
-
-
-def _calibrated(result: Result) -> dict[str, Any]:
-    """Return the entries of a calibration for its row; NaN if a triad was not estimated."""
-    found = result.calibration
-    setup, session = found.provenance, result.session
-    mine = indices_of(PARAMETERS, found.parameters)
-    verdict = worst(assess(found, found.imu.specification))
-    temperature = session.temperature
-    return {
-        'serial': found.serial_number,
-        'imu': found.imu.id,
-        'table': str(setup.get('table') or ''),
-        'plan': str(setup.get('plan') or ''),
-        'method': str(setup['method']),
-        'verdict': '' if verdict is None else verdict.value,
-        'findings': list(found.findings),
-        'latitude': float(setup['latitude_deg']),
-        'temperature': float('nan') if temperature is None else float(temperature.mean),
-        'duration': float(session.duration),
-        'samples': int(session.samples),
-        **dict(zip(PARAMETER_NAMES, found.values[mine].tolist(), strict=True)),
-        **{
-            f'std_{name}': value
-            for name, value in zip(PARAMETER_NAMES, found.std[mine].tolist(), strict=True)
-        },
-        'parameters': [p.name for p in found.parameters],
-        'values': found.values.tolist(),
-        'covariance': found.covariance.ravel().tolist(),
-        'limits': limits_of(found.imu.specification),
-    }
+def _each(
+    client: Client, jobs: Sequence[Job], known: frozenset[str], task: Task
+) -> Iterator[list[TaskResult]]:
+    """Yield the results of the jobs, unit by unit, in the order of completion."""
+    seen: set[str] = set()
+    for number, outcome in outcomes(client, task, jobs, known):
+        done = lost(jobs[number]) if isinstance(outcome, WorkerDied) else outcome
+        # The same recording under two names is one row.
+        yield [TaskResult(one.key) if one.key in seen else one for one in done.results]
+        seen.update(one.key for one in done.results)

@@ -13,34 +13,25 @@ from __future__ import annotations
 
 import os
 import re
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from ..api.session import as_list
 from ..common.config import checked
 from ..common.errors import InputError, NotObservable
 from ..common.files import other_format, printable, require, user_path, write_whole
-from ..common.parallel import MEMORY, Engine, Progress, WorkerDied, outcomes, silent
 from ..common.units import counted
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from ..recordings import metadata_yaml
-from ..session.keywords import Session, Stated, with_keywords
-from ..session.units_file import load_units
-from .batch import CALIBRATED, TaskResult, lost, run
-from .recordings import OF_ONE, Job, convertible, find_jobs
 from .sentences import listed
+from .task import CALIBRATED, TaskResult
 
 if TYPE_CHECKING:
     import pyarrow as pa
-    from distributed import Client
-    from typing_extensions import Unpack
 
 VERSION = 3
 """Version of the columns; a reader refuses a newer one and fills in the columns that an older one
@@ -371,160 +362,3 @@ def rows_of(table: pa.Table) -> Iterable[dict[str, Any]]:
     """Yield a table's rows."""
     for batch in table.to_batches():
         yield from batch.to_pylist()
-
-
-Task: TypeAlias = Callable[[Job, frozenset[str]], TaskResult]
-
-_FLUSH, _FLUSH_SHARE, _LATEST_FLUSH = 1.0, 0.05, 60.0
-"""Time between additions to the catalogue: at least 1 s, 5 % of the batch's time, at most 60 s.
-
-Each addition is a file: ten hours give about six hundred. A killed client loses at most a minute.
-"""
-_MOST = 100
-"""Most rows that wait to be added: 70 kB each with the text of the calibration."""
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Result of a batch."""
-
-    catalogue: Path  #: Its folder.
-    recordings: int  #: Number of recordings named by the sources.
-    calibrated: int  #: Number of calibrated units: one or several per recording.
-    failed: int  #: Number of units without a calibration, with the reason in their row.
-    known: int  #: Number of units that the catalogue had already.
-    known_failed: int  #: Those among them without a calibration.
-    seconds: float  #: Duration.
-    #: Files in the folders of the sources that are no recordings until `imu_calib.convert` makes
-    #: some of them, or until they are unpacked.
-    convertible: tuple[Path, ...] = ()
-
-    def __repr__(self) -> str:
-        """Return one line."""
-        return (
-            f'<Batch: {counted(self.recordings, "recording")}, {self.calibrated} calibrated, '
-            f'{self.failed} failed, {self.known} known, in {self.catalogue}>'
-        )
-
-
-@with_keywords(Session)
-def batch(
-    sources: str | Path | Sequence[str | Path],
-    catalogue: str | Path,
-    *,
-    imus: str | Path | None = None,
-    scheduler: str | None = None,
-    workers: int | None = None,
-    memory: str = MEMORY,
-    retry: bool = False,
-    progress: Progress = silent,
-    connected: Callable[[str], None] = lambda _: None,
-    **stated: Unpack[Session],
-) -> Batch:
-    """Calibrate from many recordings in parallel; each result is a row of a catalogue.
-
-    Finished tasks are not repeated: the key of a task is made from the content of its recording and
-    of all statements. The results are those of `calibrate`, bit for bit, on every worker.
-
-    A script that calls it needs `if __name__ == '__main__':`, because workers load the script too.
-
-    Args:
-        sources: Recordings, folders, patterns, manifests or URLs (docs/fleet.md).
-        catalogue: Its folder; created if missing.
-        imus: File of several units on one table (docs/files/units.md), for every recording whose
-            manifest states neither one nor several.
-        scheduler: Address of a Dask scheduler (tcp://host:8786); None starts local workers.
-        workers: Number of local workers; None for one per core.
-        memory: Of each local worker ('2GiB').
-        retry: Repeat failed tasks.
-        progress: Shows the progress.
-        connected: Called with the address of Dask's dashboard when work begins.
-        **stated: Keywords of `calibrate` for every recording whose manifest does not state
-            otherwise; files by name or path.
-
-    Returns:
-        The result.
-
-    Raises:
-        InputError: A source is wrong, the catalogue cannot be written, no scheduler answers, or
-            Dask is not installed. Unreadable recordings are rows.
-    """
-    session = Stated(**stated)
-    listed = as_list(sources)
-    jobs = find_jobs(listed, session, _units_file(imus, session))
-    kept = Catalogue(catalogue, create=True)
-    engine = Engine(scheduler, workers, memory)
-    done = run_batch(jobs, kept, engine, retry=retry, progress=progress, connected=connected)
-    return replace(done, convertible=tuple(convertible(listed)))
-
-
-def _units_file(imus: str | Path | None, stated: Stated) -> str:
-    """Return the file of several units; empty without one."""
-    if imus is None:
-        return ''
-    for name in OF_ONE:
-        if (found := getattr(stated, name)) is not None:
-            raise InputError(
-                f'{name}: found {found}, but {imus} (imus) states it for each unit: leave it out.'
-            )
-    load_units(imus)
-    return str(imus)
-
-
-def run_batch(
-    jobs: Sequence[Job],
-    catalogue: Catalogue,
-    engine: Engine,
-    *,
-    retry: bool = False,
-    progress: Progress = silent,
-    connected: Callable[[str], None] = lambda _: None,
-    task: Task = run,
-) -> Batch:
-    """Run jobs and add their rows; as `batch`, with another task if one is given.
-
-    After an interruption the finished tasks are in the catalogue.
-    """
-    begun = time.monotonic()
-    count = {'calibrated': 0, 'failed': 0, 'known': 0, 'known_failed': 0}
-    unsaved: list[TaskResult] = []
-    with engine.connected() as client, progress('calibrating') as show:
-        connected(client.dashboard_link)
-        show(0, len(jobs))
-        saved = time.monotonic()
-        known = catalogue.keys(failed=not retry)
-        failed_before = known - catalogue.keys(failed=False)
-        try:
-            for k, ended in enumerate(_each(client, jobs, known, task), 1):
-                for done in ended:
-                    if done.row is None:
-                        count['known'] += 1
-                        count['known_failed'] += done.key in failed_before
-                    else:
-                        count['calibrated' if done.row['status'] == CALIBRATED else 'failed'] += 1
-                        unsaved.append(done)
-                now = time.monotonic()
-                between = max(_FLUSH, min(_FLUSH_SHARE * (now - begun), _LATEST_FLUSH))
-                if now - saved > between or len(unsaved) >= _MOST:
-                    catalogue.add(unsaved, replace=retry)
-                    unsaved.clear()
-                    saved = now
-                rate = k / (now - begun)
-                lost_some = f', {count["failed"]} failed' if count['failed'] else ''
-                show(k, len(jobs), f'{rate:.2g} recordings/s{lost_some}')
-        finally:
-            catalogue.add(unsaved, replace=retry)
-    seconds = time.monotonic() - begun
-    return Batch(catalogue.folder, len(jobs), **count, seconds=seconds, convertible=())
-
-
-def _each(
-    client: Client, jobs: Sequence[Job], known: frozenset[str], task: Task
-) -> Iterator[list[TaskResult]]:
-    """Yield the results of the jobs, unit by unit, in the order of completion."""
-    seen: set[str] = set()
-    for number, outcome in outcomes(client, task, jobs, known):
-        done = lost(jobs[number]) if isinstance(outcome, WorkerDied) else outcome
-        # The same recording under two names is one row.
-        yield [TaskResult(one.key) if one.key in seen else one for one in done.results]
-        seen.update(one.key for one in done.results)

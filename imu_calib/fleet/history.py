@@ -18,11 +18,11 @@ from ..common.stream import Floats
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from ..session.imu import ImuSpec
 from ..session.keywords import Named, as_imu
-from .batch import CALIBRATED, limits_of
 from .catalogue import Catalogue
 from .evaluation import backtest
 from .results import USUAL, History, Rules, Sessions
 from .sentences import listed
+from .task import CALIBRATED, limits_of
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -25,12 +25,12 @@ from ..reports.html import STYLE, document, facts, paragraph, section
 from ..session.imu import ImuSpec
 from ..session.keywords import Named
 from .attention import counts, issues, remarks, types
-from .batch import CALIBRATED
 from .catalogue import Catalogue
 from .evaluation import backtest
 from .history import columns_of, history, times_of
 from .page_contents import AHEAD, Flag, Fleet, Recordings, count, day, sessions_data, units_data
 from .results import USUAL, History, Rules, Sessions
+from .task import CALIBRATED
 
 if TYPE_CHECKING:
     import pyarrow as pa

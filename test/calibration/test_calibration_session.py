@@ -33,7 +33,7 @@ from imu_calib.common.config import Section
 from imu_calib.common.stream import Block, Floats, JointBlock, Mode, SetpointBlock
 from imu_calib.common.units import ARCMIN, DEG, DEG_H, MICRO_G, PPM
 from imu_calib.estimation.closed_forms import positions as twelve_position
-from imu_calib.estimation.output_noise import known_noise
+from imu_calib.estimation.known_noise import known_noise
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.segmentation.segments import Segment, Statistics

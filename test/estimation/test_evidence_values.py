@@ -15,10 +15,10 @@ from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats, Units
 from imu_calib.common.units import ARCSEC, DEG
 from imu_calib.estimation import evidence as module
-from imu_calib.estimation import output_noise as noise_module
+from imu_calib.estimation import known_noise as noise_module
 from imu_calib.estimation.evidence import Evidence, in_table_time, vertical_axis
 from imu_calib.estimation.free_dwells import FreeEquations, at_headings_by_moves
-from imu_calib.estimation.output_noise import known_noise
+from imu_calib.estimation.known_noise import known_noise
 from imu_calib.estimation.positioning_errors import around, axes_of, of_joints, of_stops, stops_of
 from imu_calib.estimation.table_effects import Tilt, tilt_bias, widened_for_tilt
 from imu_calib.model.sensors import SensorModel, Triad

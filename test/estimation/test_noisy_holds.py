@@ -8,7 +8,7 @@ from shaky import GRAVITY, shaky
 from imu_calib.calibration.results import Result
 from imu_calib.common.units import DEG
 from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers
-from imu_calib.estimation.output_noise import with_own_noise
+from imu_calib.estimation.known_noise import with_own_noise
 
 
 def noisy(found: Result) -> list[str]:

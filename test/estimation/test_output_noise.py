@@ -13,7 +13,7 @@ from evidence import four_rests
 from imu_calib.common.budget import Source
 from imu_calib.common.stream import Floats
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.modulation import (
+from imu_calib.estimation.output_noise import (
     encoder_rate_errors,
     encoder_rates,
     level_gravity,

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imu_calib.common.stream import Floats
-from imu_calib.estimation.output_noise import ApproximateSensors, _line, remainder_covariance
+from imu_calib.estimation.remainders import ApproximateSensors, _line, remainder_covariance
 from imu_calib.model.sensors import SensorModel, Triad
 
 PERIOD, PULSE = 0.02, 0.01

@@ -14,7 +14,7 @@ from imu_calib.calibration.results import Result
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG
 from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers, initial_equations
-from imu_calib.estimation.output_noise import with_own_noise
+from imu_calib.estimation.known_noise import with_own_noise
 from imu_calib.segmentation.segments import Segment
 
 SLIDES = 5

@@ -27,9 +27,10 @@ from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.parallel import Engine
-from imu_calib.fleet.batch import DEFECT, LOST, TaskResult, content_of, failed, key_of, run
-from imu_calib.fleet.catalogue import Catalogue, run_batch, schema
+from imu_calib.fleet.batch import run_batch
+from imu_calib.fleet.catalogue import Catalogue, schema
 from imu_calib.fleet.recordings import COLUMNS, Job, Labels, convertible, find_jobs, read_manifest
+from imu_calib.fleet.task import DEFECT, LOST, TaskResult, content_of, failed, key_of, run
 from imu_calib.session.keywords import Stated
 
 needs_modules('pyarrow', 'duckdb', 'distributed')
@@ -406,7 +407,7 @@ def test_what_nobody_foresaw_is_a_row(monkeypatch: pytest.MonkeyPatch, recording
     def broken(*_: object) -> None:
         raise ZeroDivisionError('by zero')
 
-    monkeypatch.setattr('imu_calib.fleet.batch.recording_at', broken)
+    monkeypatch.setattr('imu_calib.fleet.task.recording_at', broken)
     ended = run(Job(str(recordings / 'a')))
     assert ended.row is not None and ended.row['exit_code'] == DEFECT
     assert 'ZeroDivisionError: by zero' in ended.row['error'] and ended.row['sha256']

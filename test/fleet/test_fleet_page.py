@@ -31,11 +31,11 @@ from fleets import STD
 
 from imu_calib.fleet import page_contents as packed
 from imu_calib.fleet.attention import issues
-from imu_calib.fleet.batch import TaskResult, failed
 from imu_calib.fleet.catalogue import Catalogue
 from imu_calib.fleet.page import page, summary
 from imu_calib.fleet.page_contents import Flag, Fleet
 from imu_calib.fleet.recordings import Job
+from imu_calib.fleet.task import TaskResult, failed
 
 EVIL = '<script>hacked=1</script>"\'><img src=x onerror=hacked=1>'
 SLASHED = 'B/1 %#?'

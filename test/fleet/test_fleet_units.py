@@ -12,9 +12,9 @@ import imu_calib
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
-from imu_calib.fleet.batch import LOST, content_of, key_of, lost, run
 from imu_calib.fleet.catalogue import Catalogue
 from imu_calib.fleet.recordings import Job, find_jobs
+from imu_calib.fleet.task import LOST, content_of, key_of, lost, run
 from imu_calib.session.keywords import Stated
 
 needs_modules('pyarrow', 'duckdb', 'distributed')

@@ -18,10 +18,10 @@ import imu_calib
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.files import named_file
-from imu_calib.fleet.batch import CALIBRATED, TaskResult, failed, limits_of
 from imu_calib.fleet.catalogue import Catalogue
 from imu_calib.fleet.recordings import Job, Labels
 from imu_calib.fleet.results import Sessions
+from imu_calib.fleet.task import CALIBRATED, TaskResult, failed, limits_of
 from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS
 from imu_calib.session.imu import load_imu
 

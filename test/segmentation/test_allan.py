@@ -12,7 +12,7 @@ from scipy.optimize import nnls
 from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand
 
 from imu_calib.common.stream import Floats, Units
-from imu_calib.estimation.output_noise import known_noise
+from imu_calib.estimation.known_noise import known_noise
 from imu_calib.reports.provenance import noise_lines
 from imu_calib.segmentation.allan import (
     Term,

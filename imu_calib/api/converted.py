@@ -1,0 +1,229 @@
+"""Common output of all conversions: samples of an IMU, and their description."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..common.errors import InputError
+from ..common.files import named_file, read_text
+from ..common.parallel import Progress
+from ..common.stream import Floats, ImuBlock, Stamps, Units
+from ..common.units import counted
+from ..recordings.cdr import Messages
+from ..recordings.cdr_codec import encode_imu, encode_rates
+from ..recordings.remote import AnyPath
+from ..recordings.rosbag2 import Kind, Recording, open_recording
+from ..recordings.writer import RecordingWriter
+from ..segmentation.stream_facts import SEPARATE_ROWS, gravity_removed, halves, quiet_means
+from ..session.imu import ImuSpec, load_imu
+from ..session.keywords import Named
+from ..session.metadata import interpolation_description
+from .columns import columns_of
+from .streams import removed_on_failure
+
+RAW, SI, JOINTS, TEMPERATURE = (
+    '/imu/pulses',
+    '/imu/data_raw',
+    '/turntable/joint_states',
+    '/imu/temperature',
+)
+RAW_UNITS = {'pulse': 1.0, 'count': 1.0}
+_EXAMPLES = {Units.SI: 'si', Units.INCREMENTS: 'increments'}
+"""Shipped descriptions of numbers whose units are stated."""
+_FITTING = {
+    Units.SI: (Units.SI, Units.RATES),
+    Units.INCREMENTS: (Units.INCREMENTS,),
+    Units.PULSES: (Units.PULSES, Units.COUNTS),
+    Units.COUNTS: (Units.PULSES, Units.COUNTS),
+}
+"""Units that a file may state for columns: of whole numbers, a pulse is what the file says."""
+_NUMBERS = {
+    Units.SI: 'rates and accelerations',
+    Units.INCREMENTS: 'angles and velocities per sample',
+    Units.PULSES: 'pulses',
+    Units.COUNTS: 'counts',
+}
+_BLOCK = 1 << 16
+"""Samples written per call; a choice between memory and calls."""
+
+
+@dataclass(frozen=True)
+class Converted:
+    """Result of a conversion."""
+
+    path: Path  #: The recording.
+    counts: Mapping[str, int]  #: Number of messages by topic.
+    findings: tuple[str, ...]  #: Messages for the user, in sentences.
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        messages = counted(sum(self.counts.values()), 'message')
+        return f'<Converted: {messages} in {self.path}, {counted(len(self.findings), "finding")}>'
+
+
+def described(imu: Named | None, numbers: Units) -> tuple[dict[str, str], ImuSpec]:
+    """Return the description of the IMU for the recording, as text and as a value.
+
+    Args:
+        imu: Its file; None if not stated.
+        numbers: Of the columns: SI, INCREMENTS (rad and m/s), PULSES or COUNTS.
+
+    Raises:
+        InputError: The meaning of pulses or counts is not stated, or other units are stated.
+    """
+    if imu is None and numbers not in _EXAMPLES:
+        raise InputError(
+            f'`gyro` and `accel` are in {numbers.value}: give `imu`, a file that says what one is '
+            '(config/imus has examples).'
+        )
+    file = named_file('imus', _EXAMPLES[numbers] if imu is None else imu)
+    spec = load_imu(file)
+    if spec.units not in _FITTING[numbers]:
+        raise InputError(
+            f'`imu` {imu}: units: found {spec.units.value}, but the numbers are '
+            f'{_NUMBERS[numbers]}.'
+        )
+    return {'imu_calib.imu': read_text(file)}, spec
+
+
+def write_imu(writer: RecordingWriter, block: ImuBlock, *, raw: bool) -> None:
+    """Write an IMU's samples: raw counts, or rates and forces of unknown covariance."""
+    unknown = np.zeros((_BLOCK, 9))
+    for first in range(0, len(block), _BLOCK):
+        part = slice(first, first + _BLOCK)
+        piece = ImuBlock(block.stamp[part], block.gyro[part], block.accel[part], block.frame_id)
+        covariance = unknown[: len(piece)]
+        encoded: Messages = (
+            encode_imu(piece) if raw else encode_rates(piece, covariance, covariance)
+        )
+        writer.write(RAW if raw else SI, Kind.IMU.type_name, encoded, piece.stamp)
+
+
+# Join gyros and accelerometers of separate topics or messages to one topic.
+
+_OF_SI = ('rad/s', 'm/s^2')
+_SILENT = 2.5
+"""Longest gap between two accelerometer samples to interpolate, in sample intervals: a lost sample
+makes two, and jitter of the stamps adds less than a half."""
+
+
+def joined(
+    path: AnyPath,
+    target: Path,
+    gyro_topic: str,
+    accel_topic: str,
+    imu: Named | None,
+    progress: Progress,
+) -> Converted:
+    """Join two topics, or the halves of one, to one topic; copy the other topics unchanged.
+
+    Args:
+        path: The recording.
+        target: Folder to create.
+        gyro_topic: Of the rates, rad/s.
+        accel_topic: Of the accelerations, m/s^2, with other stamps.
+        imu: Data sheet of the IMU.
+        progress: Shows the share of copied messages.
+
+    Raises:
+        InputError: The topics hold too few samples, or pulses; or the joined topic exists.
+    """
+    statements, spec = described(imu, Units.SI)
+    with open_recording(path) as recording:
+        rates, forces = (columns_of(recording, topic) for topic in (gyro_topic, accel_topic))
+    for columns in (rates, forces):
+        if (unit := next(iter(columns.units.values()))) not in _OF_SI:
+            why = 'in other units' if unit == 'rate' else 'which cannot be interpolated'
+            raise InputError(
+                f'{path}: {columns.topic} holds {unit}s, {why}: expected rad/s and m/s^2.'
+            )
+    gyro = np.column_stack([rates[f'angular_velocity.{a}'] for a in 'xyz'])
+    accel = np.column_stack([forces[f'linear_acceleration.{a}'] for a in 'xyz'])
+    gyro_at, accel_at = rates.stamp, forces.stamp
+    findings: list[str] = []
+    if rates.topic == forces.topic and (apart := halves(gyro, accel)) is not None:
+        gyro, gyro_at = gyro[apart[0]], gyro_at[apart[0]]
+        accel, accel_at = accel[apart[1]], accel_at[apart[1]]
+        findings.append(SEPARATE_ROWS)
+    if len(gyro_at) < 2 or len(accel_at) < 2:
+        raise InputError(
+            f'{path}: {gyro_topic} and {accel_topic} hold {len(gyro_at)} and '
+            f'{len(accel_at)} samples: expected two or more of each.'
+        )
+    order = np.argsort(accel_at, kind='stable')
+    accel_at = accel_at[order]
+    stamps, interpolated, within = read_at(accel_at, accel[order], gyro_at)
+    scales = spec.gyro.scale_factor, spec.accel.scale_factor
+    block = ImuBlock(stamps, gyro[within] / scales[0], interpolated / scales[1], 'imu_link')
+    if removed := gravity_removed(quiet_means(interpolated)):
+        findings.append(removed)
+    taken = {rates.topic, forces.topic}
+    topic = SI if spec.units is Units.SI else RAW
+    counts = {topic: len(block)}
+    with open_recording(path) as recording:
+        _refuse_taken(recording, topic, taken)
+        data = {**recording.custom_data, **statements}
+        findings += recording.losses
+        if not np.isin(stamps, accel_at).all():
+            data |= interpolation_description(topic, rate_of(accel_at))
+            findings.insert(0, resampling(gyro_at, accel_at, within))
+        with (
+            removed_on_failure(target),
+            RecordingWriter(target, data) as writer,
+            progress('converting') as show,
+        ):
+            writer.copy_records(recording)
+            write_imu(writer, block, raw=topic == RAW)
+            for one in recording.topics:
+                if one.name not in taken:
+                    writer.copy_topic(one)
+            for one, messages, times in recording.messages(show):
+                if one.name not in taken:
+                    writer.copy(one, messages, times)
+                    counts[one.name] = counts.get(one.name, 0) + len(messages)
+    return Converted(target, counts, tuple(findings))
+
+
+def _refuse_taken(recording: Recording, target: str, taken: set[str]) -> None:
+    if any(topic.name == target for topic in recording.topics) and target not in taken:
+        raise InputError(f'{recording.path} has a topic {target} already.')
+
+
+def read_at(known: Stamps, values: Floats, wanted_at: Stamps) -> tuple[Stamps, Floats, Stamps]:
+    """Interpolate values (n, 3) linearly at other stamps.
+
+    Returns:
+        Stamps between two samples, the values there, and the indices of those stamps.
+    """
+    after = np.searchsorted(known, wanted_at, side='left')
+    exact = (after < len(known)) & (known[np.minimum(after, len(known) - 1)] == wanted_at)
+    before = np.clip(after - 1, 0, len(known) - 2)
+    apart = known[before + 1] - known[before]
+    usual = float(np.median(np.diff(known)))
+    between = (after > 0) & (after < len(known)) & (apart <= _SILENT * usual)
+    within = np.flatnonzero(exact | between)
+    at = wanted_at[within]
+    # Stamps since 1970 are exact only as integers.
+    since = (at - known[0]).astype(float), (known - known[0]).astype(float)
+    interpolated = np.column_stack([np.interp(*since, v) for v in values.T])
+    return at, interpolated, within
+
+
+def rate_of(stamps: Stamps) -> float:
+    """Return the rate of samples with these stamps, ns, in Hz."""
+    return 1e9 / float(np.median(np.diff(np.sort(stamps))))
+
+
+def resampling(gyro: Stamps, accel: Stamps, within: Stamps) -> str:
+    """Return the rates between which the accelerometers were interpolated, as text."""
+    lost = len(gyro) - len(within)
+    loss = f'; {lost} samples of the gyros lie outside these and are left out' if lost else ''
+    return (
+        f'The accelerometers come with {rate_of(accel):.4g} Hz and are read at the stamps of the '
+        f'gyros, {rate_of(gyro):.4g} Hz, on straight lines between their samples, which smooths '
+        f'their noise{loss}.'
+    )
