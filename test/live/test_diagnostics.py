@@ -49,8 +49,8 @@ def spoken():
     for path in (CHECKOUT / 'imu_calib' / 'live' / 'nodes').glob('*_node.py'):
         parts |= {(path.stem, part) for part in reported(path)}
         if 'Commands(' in path.read_text():
-            # By that class of ascii_table_node.
-            parts.add((path.stem, 'source'))
+            taken = path.with_name('commands.py')
+            parts |= {(path.stem, part) for part in reported(taken)}
     return parts | {('imu_node', part) for part in first_texts(HEALTH, 'PartStatus')}
 
 
