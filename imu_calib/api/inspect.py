@@ -20,7 +20,6 @@ from .streams import open_session
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from ..recordings.rosbag2 import Recording
     from .stream_contents import StreamContents
 
 

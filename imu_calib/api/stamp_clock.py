@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from ..recordings.recorded_clock import RecordedClock
-    from ..recordings.rosbag2 import Recording
     from .streams import Streams
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,10 +22,6 @@ from ..session.plan import Plan
 from ..session.table import TURN
 from .stamp_clock import refused_by_stamps
 from .streams import Opened
-
-if TYPE_CHECKING:
-    from ..recordings.rosbag2 import Recording
-
 
 _SAME_UP = 0.999
 """Cosine of 2.6 deg: turns about closer axes belong to the same position. A judgement: the

@@ -41,7 +41,6 @@ from .results import (
 )
 
 if TYPE_CHECKING:
-    from ..estimation.setup import Setup
     from .hand import HandCalibrator
 
 _ENOUGH = 0.5
