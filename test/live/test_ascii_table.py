@@ -24,7 +24,7 @@ from turntable_bench import TABLE as NIMBLE
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.common.stream import Mode, Setpoint, SetpointBlock
 from imu_calib.live import table_control
-from imu_calib.live.nodes import ascii_table_node as control
+from imu_calib.live import table_control as control
 from imu_calib.live.nodes import topics as qos
 from imu_calib.live.table_line import Follower, Line, Move, Reading, Stop
 from imu_calib.recordings.cdr import Messages
@@ -35,7 +35,7 @@ from imu_calib.session.table import load_table
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
     from imu_calib.live import middleware as ros
-    from imu_calib.live.nodes import ascii_table_node as commands
+    from imu_calib.live.nodes import commands
     from imu_calib.live.nodes.ascii_table_node import AsciiTableNode
     from imu_calib.live.nodes.turntable_node import TurntableNode
 except ImuCalibError as error:
