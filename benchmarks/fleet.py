@@ -34,7 +34,8 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')
 
 import imu_calib
 from imu_calib.common.files import named_file
-from imu_calib.common.parallel import Engine, Show
+from imu_calib.common.parallel import Engine
+from imu_calib.common.progress import Show
 from imu_calib.fleet.batch import run_batch
 from imu_calib.fleet.catalogue import Catalogue
 from imu_calib.fleet.recordings import Job, Labels

@@ -52,12 +52,13 @@ from imu_calib.live.devices.format import Decoder, FrameFormat, load_format, rea
 from imu_calib.recordings import cdr_codec as cdr
 from imu_calib.recordings.cdr import Malformed, Messages
 from imu_calib.recordings.cdr_codec import (
+    Kind,
     encode_imu,
     encode_joints,
     encode_setpoints,
     encode_temperatures,
 )
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.reports.certificate_fields import read_fields
 from imu_calib.session.imu import read_imu
 from imu_calib.session.keywords import Stated

@@ -34,7 +34,8 @@ from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.parameters import AXES, PARAMETERS
 from imu_calib.model.sensors import SensorModel, Triad
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.reports.tables import engineering
 from imu_calib.session.imu import ImuSpec, load_imu
 from imu_calib.session.plan import load_plan

@@ -40,8 +40,8 @@ from imu_calib.common.units import DEG
 from imu_calib.live import middleware as ros
 from imu_calib.live.nodes import topics as qos
 from imu_calib.model.earth import Site
-from imu_calib.recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints, part
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind, encode_imu, encode_joints, encode_setpoints, part
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table

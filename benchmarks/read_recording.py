@@ -23,8 +23,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.typesys import Stores, get_typestore
 
 from imu_calib.common.stream import ImuBlock, JointBlock
-from imu_calib.recordings.cdr_codec import encode_imu, encode_joints
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind, encode_imu, encode_joints
+from imu_calib.recordings.rosbag2 import open_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable

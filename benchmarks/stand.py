@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from imu_calib.cli import main, processes, stand_session
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind
+from imu_calib.recordings.rosbag2 import open_recording
 
 TICKS = os.sysconf('SC_CLK_TCK')
 

@@ -22,7 +22,8 @@ import stand
 import yaml
 
 from imu_calib.cli import main, stand_session
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind
+from imu_calib.recordings.rosbag2 import open_recording
 
 SIMULATION = 'stand_node'
 

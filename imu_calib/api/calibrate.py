@@ -11,17 +11,18 @@ from typing import TYPE_CHECKING, Any
 from ..calibration.calibrator import Calibrator, SharedResults, calibrator_of, estimate_together
 from ..calibration.hand import HandCalibrator
 from ..calibration.results import Result
-from ..common.config import checked
+from ..common.arguments import checked
 from ..common.errors import ImuCalibError, InputError, NotObservable, NotStated
 from ..common.files import printable
-from ..common.parallel import Progress, by_one_thread, silent
+from ..common.progress import Progress, silent
 from ..common.stream import Block, Floats, ImuBlock
+from ..common.threads import by_one_thread
 from ..common.units import counted
 from ..estimation.common_unknowns import TableEstimate
 from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording
 from ..recordings.stamp_order import StampSorter
-from ..segmentation.stream_facts import Segmented
+from ..segmentation.segmented import Segmented
 from ..session.imu import HOTTEST
 from ..session.keywords import Named, OfSeveral, Session, Stated, with_keywords
 from ..session.metadata import compensated_already, interpolated_from, serial_key

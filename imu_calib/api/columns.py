@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..calibration.views import draw_columns
-from ..common.config import checked
+from ..common.arguments import checked
 from ..common.errors import InputError
 from ..common.files import require
 from ..common.stream import (
@@ -25,7 +25,8 @@ from ..common.stream import (
     Units,
 )
 from ..common.units import counted
-from ..recordings.rosbag2 import Kind, Recording, open_recording
+from ..recordings.cdr_codec import Kind
+from ..recordings.rosbag2 import Recording, open_recording
 from ..recordings.storage import Topic
 from .streams import recorded_units
 

@@ -15,7 +15,7 @@ from ..calibration.results import Result
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, first_of
 from ..calibration.thermal import combine as of_temperatures
 from ..calibration.views import compared_frame, draw_differences
-from ..common.config import checked
+from ..common.arguments import checked
 from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import counted

@@ -12,16 +12,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..calibration.compensate import Mark, TurnsSeen, noise_gains
-from ..calibration.compensator import Compensator, Reading, WholeStream
+from ..calibration.compensator import Compensator, Reading
+from ..calibration.sample_clock import WholeStream
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_unit, first_of
-from ..common.config import checked
+from ..common.arguments import checked
 from ..common.errors import InputError, NotObservable
-from ..common.parallel import Progress, silent
+from ..common.progress import Progress, silent
 from ..common.stream import ImuBlock, Stamps
 from ..common.units import counted
 from ..recordings.cdr import Malformed, Messages
-from ..recordings.cdr_codec import decode_imu, encode_rates
-from ..recordings.rosbag2 import Kind, Recording, open_recording
+from ..recordings.cdr_codec import Kind, decode_imu, encode_rates
+from ..recordings.rosbag2 import Recording, open_recording
 from ..recordings.storage import Topic
 from ..recordings.writer import RecordingWriter
 from ..session.imu import ImuSpec, compensated_imu

@@ -9,10 +9,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from ..common.config import checked
+from ..common.arguments import checked
 from ..common.errors import InputError
 from ..common.files import BAG_OF_ROS_1, refuse_device, require, user_path
-from ..common.parallel import Progress, silent
+from ..common.progress import Progress, silent
 from ..common.stream import (
     LAST_SECOND,
     Floats,
@@ -24,9 +24,9 @@ from ..common.stream import (
 )
 from ..common.units import Dimension, counted, parse
 from ..recordings.cdr import Messages
-from ..recordings.cdr_codec import encode_joints, encode_temperatures
+from ..recordings.cdr_codec import Kind, encode_joints, encode_temperatures
 from ..recordings.remote import AnyPath, local, located
-from ..recordings.rosbag2 import Kind, is_storage, open_recording
+from ..recordings.rosbag2 import is_storage, open_recording
 from ..recordings.stamp_order import places_by_stamp
 from ..recordings.storage import RecordingError
 from ..recordings.text import Text, read_sensors, read_text

@@ -10,13 +10,13 @@ import numpy as np
 
 from ..common.errors import InputError
 from ..common.files import named_file, read_text
-from ..common.parallel import Progress
+from ..common.progress import Progress
 from ..common.stream import Floats, ImuBlock, Stamps, Units
 from ..common.units import counted
 from ..recordings.cdr import Messages
-from ..recordings.cdr_codec import encode_imu, encode_rates
+from ..recordings.cdr_codec import Kind, encode_imu, encode_rates
 from ..recordings.remote import AnyPath
-from ..recordings.rosbag2 import Kind, Recording, open_recording
+from ..recordings.rosbag2 import Recording, open_recording
 from ..recordings.writer import RecordingWriter
 from ..segmentation.stream_facts import SEPARATE_ROWS, gravity_removed, halves, quiet_means
 from ..session.imu import ImuSpec, load_imu

@@ -15,10 +15,11 @@ from ..calibration.calibration import Calibration
 from ..calibration.exports import Exported, ExportSource
 from ..calibration.results import Result
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, first_of, load_calibration
-from ..common.config import Section, checked
+from ..common.arguments import checked
+from ..common.config import Section
 from ..common.errors import InputError, NotStated
 from ..common.files import user_path, write_whole
-from ..common.parallel import Progress, silent
+from ..common.progress import Progress, silent
 from ..estimation.methods import JOINT
 from ..estimation.term_tests import TermState
 from ..model.earth import MEASURED

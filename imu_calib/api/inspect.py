@@ -8,10 +8,11 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError, NotStated
-from ..common.parallel import Progress, silent
+from ..common.progress import Progress, silent
 from ..common.units import counted
+from ..recordings.cdr_codec import Kind
 from ..recordings.recorded_clock import Extent
-from ..recordings.rosbag2 import Kind, Recording, open_recording
+from ..recordings.rosbag2 import Recording, open_recording
 from ..session.keywords import Named, Session, Stated, with_keywords
 from ..session.metadata import COMPENSATED
 from .stamp_clock import contradiction, difference

@@ -15,7 +15,9 @@ from ..calibration.calibration import Calibration
 from ..calibration.views import predicted_frame
 from ..common.errors import InputError
 from ..common.files import write_whole
-from ..common.parallel import Progress, by_one_thread, run_all, silent
+from ..common.parallel import run_all
+from ..common.progress import Progress, silent
+from ..common.threads import by_one_thread
 from ..common.units import DEG, counted, parse
 from ..estimation import hand as free_positions
 from ..estimation.forecast import (

@@ -14,7 +14,7 @@ import numpy as np
 from ..calibration.calibration import Calibration
 from ..calibration.views import compared_frame, draw_normalised
 from ..common.errors import InputError, NotObservable
-from ..common.parallel import Progress, by_one_thread, silent
+from ..common.progress import Progress, silent
 from ..common.stream import (
     YEAR_2200,
     Block,
@@ -25,14 +25,20 @@ from ..common.stream import (
     Stamps,
     TemperatureBlock,
 )
+from ..common.threads import by_one_thread
 from ..common.units import counted
 from ..estimation.methods import check_plan
 from ..estimation.methods import method as solver
 from ..estimation.setup import Setup
 from ..model.earth import LUOYANG, Site
 from ..recordings.cdr import Messages
-from ..recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints, encode_temperatures
-from ..recordings.rosbag2 import Kind
+from ..recordings.cdr_codec import (
+    Kind,
+    encode_imu,
+    encode_joints,
+    encode_setpoints,
+    encode_temperatures,
+)
 from ..recordings.writer import RecordingWriter
 from ..session.imu import COLDEST, HOTTEST, ImuSpec
 from ..session.keywords import (

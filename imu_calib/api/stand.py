@@ -28,8 +28,8 @@ from ..session.imu import ImuSpec
 from ..session.keywords import Named, OnStand, Stated, with_keywords
 from ..session.plan import Plan
 from ..session.table import Table
-from ..simulation.motion import TrueTable
 from ..simulation.options import StandOptions, load_imperfections
+from ..simulation.true_table import TrueTable
 from .session import TRUE_TABLE
 
 if TYPE_CHECKING:

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import InputError, NotObservable
-from ..common.parallel import Progress
+from ..common.progress import Progress
 from ..common.stream import Block
 from ..common.units import DEG, DEG_H, counted
-from ..estimation.free_dwells import contradicts, measured_latitude, vertical_earth_rate
+from ..estimation.latitude import contradicts, measured_latitude, vertical_earth_rate
 from ..estimation.setup import Setup
 from ..recordings.rosbag2 import Recording
 from ..segmentation.labelling import Labelled, heading, label, up_by_accelerometers, up_words
+from ..segmentation.segmented import Segmented
 from ..segmentation.segments import Segment
-from ..segmentation.stream_facts import Segmented
 from ..session.plan import Plan
 from ..session.table import TURN
 from .stamp_clock import refused_by_stamps

@@ -16,12 +16,13 @@ import numpy as np
 from ..common.config import Section
 from ..common.errors import InputError, NotStated
 from ..common.files import other_encoding, shipped, user_path
-from ..common.parallel import Progress, silent
+from ..common.progress import Progress, silent
 from ..common.stream import Block, Floats, ImuBlock, Units
 from ..common.units import LARGEST, STANDARD_GRAVITY
 from ..estimation.setup import Setup
+from ..recordings.cdr_codec import Kind
 from ..recordings.remote import AnyPath, located
-from ..recordings.rosbag2 import Kind, Recording, is_storage, open_recording
+from ..recordings.rosbag2 import Recording, is_storage, open_recording
 from ..recordings.stamp_order import StampSorter
 from ..session.imu import ImuSpec, load_imu, read_imu
 from ..session.keywords import Named, Stated
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ..recordings.storage import Topic
-    from ..segmentation.stream_facts import Segmented
+    from ..segmentation.segmented import Segmented
 
 
 _SKEW = 'imu/skew'

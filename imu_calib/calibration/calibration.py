@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
+from ..common.arguments import checked
 from ..common.budget import Budget, Share, Source
-from ..common.config import SafeDumper, Section, checked, dump
+from ..common.config import SafeDumper, Section, dump
 from ..common.errors import InputError
 from ..common.files import user_path, write_whole
 from ..common.stream import Floats, Units
@@ -32,8 +33,8 @@ from ..model.session_terms import Changes, read_changes
 from ..model.terms import TERMS, Term
 from ..session.imu import ChannelNoise, ImuSpec, TriadSpec, read_noise
 from ..session.plausibility import check_plausible
-from ..session.table_errors import KEY as CLOCK
-from ..session.table_errors import StampingClock, read_clock
+from ..session.stamping import KEY as CLOCK
+from ..session.stamping import StampingClock, read_clock
 from .provenance import budget_document, read_budget, read_origin
 
 if TYPE_CHECKING:

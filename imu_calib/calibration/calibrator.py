@@ -24,21 +24,19 @@ from ..estimation.table_effects import shares_a_table
 from ..model.parameters import AXES, Parameter
 from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms
 from ..segmentation.labelling import Labelled, label
+from ..segmentation.segmented import Segmented
 from ..segmentation.segmenter import Segmenter
-from ..segmentation.stream_facts import Segmented
 from ..session.plan import Plan, Step
 from ..session.table_errors import clock_share
 from .findings import false_samples_first, loss_findings, losses_of_all_segments
-from .results import (
-    Basis,
-    Result,
-    Review,
+from .mistakes import (
     dead_channels,
     explained,
     joints_in_degrees,
     refuse_separate_messages,
     with_facts,
 )
+from .results import Basis, Result, Review
 
 if TYPE_CHECKING:
     from .hand import HandCalibrator

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from ..common.errors import NotObservable
-from ..common.rotations import FIVE_SIGMA
+from ..common.gaussian import FIVE_SIGMA
 from ..common.stream import Floats
 from ..common.units import ARCMIN, ARCSEC, DEG, DEG_H, MICRO_G, PPM, STANDARD_GRAVITY
 from ..estimation.free_dwells import Sensors

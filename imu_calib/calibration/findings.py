@@ -17,8 +17,8 @@ from ..model.sensors import terms_of
 from ..model.session_terms import terms_in_words
 from ..segmentation.labelling import Labelled
 from ..segmentation.noise import session_noise
-from ..segmentation.stream_facts import Segmented
-from ..session.table_errors import StampingClock
+from ..segmentation.segmented import Segmented
+from ..session.stamping import StampingClock
 
 
 def provenance(

@@ -39,21 +39,14 @@ from ..model.sensors import SensorModel, gravity_covariance
 from ..segmentation.clock import NO_CLOCK
 from ..segmentation.labelling import Labelled
 from ..segmentation.moves import COARSE, MISSING, SATURATED
+from ..segmentation.segmented import Move, Segmented
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.segments import Segment
-from ..segmentation.stream_facts import Move, Segmented
 from ..session.imu import SCALE_LIMIT
 from .calibration import BY_ACCELEROMETERS
 from .findings import false_samples_first, provenance
-from .results import (
-    Result,
-    Review,
-    calibrated,
-    dead_channels,
-    explained,
-    refuse_separate_messages,
-    with_facts,
-)
+from .mistakes import dead_channels, explained, refuse_separate_messages, with_facts
+from .results import Result, Review, calibrated
 
 # Guide a user with the unit in hand: what to do next, and the gain of each further hold.
 #

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from itertools import combinations
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..common.budget import Budget, Source
-from ..common.errors import Contradiction, InputError, NotObservable
+from ..common.errors import InputError, NotObservable
 from ..common.stream import Floats
 from ..common.units import counted
 from ..estimation.evidence import Evidence
@@ -23,13 +19,13 @@ from ..estimation.term_tests import summary
 from ..model.parameters import Parameter
 from ..model.sensors import terms_of
 from ..segmentation.labelling import Labelled
-from ..segmentation.segments import Segment
-from ..segmentation.stream_facts import Move, Segmented, gravity_removed, separate_messages_sentence
+from ..segmentation.segmented import Segmented
 from ..session.plausibility import check_plausible
-from ..session.table_errors import StampingClock, clock_share
-from .agreement import with_gravity
+from ..session.stamping import StampingClock
+from ..session.table_errors import clock_share
 from .calibration import Calibration, ResidualRow
 from .findings import assumption_findings, noise, provenance, stamping
+from .gravity import with_gravity
 
 
 def calibrated(
@@ -175,148 +171,3 @@ class Basis:
             )
             calibration = calibration.with_share(Source.TABLE_CLOCK, share)
         return Result(calibration, solution, self.session, self.labelled, comparison, self)
-
-
-# Mistakes in a recording that explain why its session is refused.
-#
-# They are looked for in refused sessions alone: what is seen in a sound one may have another cause.
-
-
-_FEWEST_MEANS = 2  #: Means of static dwells and turns: one cannot change.
-_ROUNDING = 1e-12
-"""Relative difference of the means of equal numbers: double precision gives some 1e-14."""
-_ROTATED = 0.02
-"""Rotation by the gyros from which on a move counts, rad. A judgement: biases only add to it."""
-_TILTED = 0.3
-"""Tilt by the accelerometers, rad. A judgement: biases of a tenth of g look like 0.2 rad in turns
-about the vertical, as after half of one."""
-_FEWEST_MOVES = 2
-"""Moves of which the median is taken. A judgement: one may be a turn that comes back."""
-_TOO_FAR = math.degrees(1) / 2
-"""Joint angles over rotation from which on they are degrees. True rad give 1, two or three where a
-turn is a whole one and more; degrees give 57 and more."""
-_NO_BIAS = 1.0
-"""rad/s that no gyro reads at rest: ten times the worst zero-rate output of a data sheet."""
-
-_AnyReview = TypeVar('_AnyReview', bound=Review)
-
-
-def refuse_separate_messages(session: Segmented) -> None:
-    """Refuse a session whose gyros and accelerometers come in messages of their own.
-
-    Raises:
-        InputError: They do.
-    """
-    if session.facts.sensors_separate:
-        raise InputError(separate_messages_sentence('TOPIC', session.facts.units))
-
-
-@contextmanager
-def with_facts(session: Segmented) -> Iterator[None]:
-    """Add the facts of the stream to a refusal of its session, and name a cause that they show.
-
-    Raises:
-        InputError: As raised within, with the facts.
-        NotObservable: Likewise.
-    """
-    try:
-        yield
-    except (InputError, NotObservable) as error:
-        kind = Contradiction if _without_gravity(session) else type(error)
-        raise kind(_explained(str(error), session)) from None
-
-
-def explained(review: _AnyReview) -> _AnyReview:
-    """Return the review of an ended session with the facts of the stream in its refusal."""
-    if not review.refusal:
-        return review
-    return replace(review, refusal=_explained(review.refusal, review.session))
-
-
-def _explained(refusal: str, session: Segmented) -> str:
-    if session.facts.sensors_separate:
-        return separate_messages_sentence('TOPIC', session.facts.units)
-    return f'{_without_gravity(session) or refusal} {session.facts.sentence}'.strip()
-
-
-def _without_gravity(session: Segmented) -> str:
-    means = np.array([segment.statistics.mean for segment in session.segments]).reshape(-1, 6)
-    if len(means) and np.median(np.linalg.norm(means[:, :3], axis=1)) > _NO_BIAS:
-        # Something else is in the columns of the gyros: gravity, maybe.
-        return ''
-    return gravity_removed(means[:, 3:])
-
-
-def dead_channels(session: Segmented) -> list[str]:
-    """Return sentences on channels that never change, and on two that are always equal.
-
-    Said only of sessions that are refused: coarse accelerometers of a unit that always stands
-    upright read the same number, too.
-    """
-    at_rest = [segment.statistics.mean for segment in session.segments]
-    turning = [turn.statistics.mean for turn in session.turns]
-    means = np.array([*at_rest, *turning]).reshape(-1, 6)
-    if len(means) < _FEWEST_MEANS:
-        return []
-    sentences = []
-    for first, triad in enumerate(('gyro', 'accelerometer')):
-        # At rest gyros that count coarsely read nothing.
-        if triad == 'gyro' and not turning:
-            continue
-        one = means[:, 3 * first : 3 * first + 3]
-        limit = _ROUNDING * float(np.abs(one).max())
-        sentences += [
-            f'The {triad} {axis} reads {column[0]:.6g} in every static dwell and turn: its channel '
-            'is dead, or its column is that of something else.'
-            for axis, column in zip('xyz', one.T, strict=True)
-            if np.ptp(column) <= limit
-        ]
-        sentences += [
-            f'The {triad}s {"xyz"[j]} and {"xyz"[k]} read the same in every static dwell and turn: '
-            'one of the columns is named twice.'
-            for j, k in combinations(range(3), 2)
-            if np.abs(one[:, j] - one[:, k]).max() <= limit < np.ptp(one[:, j])
-        ]
-    return sentences
-
-
-def joints_in_degrees(session: Segmented) -> str:
-    """Return a sentence that the joint states are degrees; empty if they are not.
-
-    By the gyros alone these could be in other units; gravity, which needs none, agrees.
-    """
-    before = {segment.end: segment for segment in session.segments}
-    after = {segment.start: segment for segment in session.segments}
-    linked = [
-        (move, before[move.start], after[move.end])
-        for move in session.moves
-        if move.start in before and move.end in after
-    ]
-    compared = [_joints_over_rotation(*one) for one in linked]
-    by_gyros, by_gravity = np.array(compared).reshape(-1, 2).T
-    for ratios in (by_gyros[by_gyros > 0], by_gravity[by_gravity > 0]):
-        if len(ratios) < _FEWEST_MOVES or np.median(ratios) < _TOO_FAR:
-            return ''
-    return (
-        f'From dwell to dwell the joint states change by {np.median(by_gyros[by_gyros > 0]):.0f} '
-        'times the angle by which gyros and gravity see the unit turn: they are in degrees. '
-        "Expected rad, as sensor_msgs/JointState has them: correct the table's driver, or convert "
-        'the recording.'
-    )
-
-
-def _joints_over_rotation(move: Move, first: Segment, last: Segment) -> tuple[float, float]:
-    """Return the change of all joints over that seen by gyros and gravity; 0 where it is small."""
-    if first.angles is None or last.angles is None:
-        return 0.0, 0.0
-    joints = float(np.abs(last.angles - first.angles).sum())
-    rotated = float(np.linalg.norm(move.turned, axis=1).sum())
-    tilted = _angle_between(first.statistics.mean[3:], last.statistics.mean[3:])
-    return (
-        joints / rotated if rotated > _ROTATED else 0.0,
-        joints / tilted if tilted > _TILTED else 0.0,
-    )
-
-
-def _angle_between(first: Floats, last: Floats) -> float:
-    return math.atan2(float(np.linalg.norm(np.cross(first, last))), float(first @ last))

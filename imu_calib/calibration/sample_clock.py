@@ -9,9 +9,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.stream import Floats, Stamps
-from ..segmentation.stamp_faults import JITTER
-from ..segmentation.stamps import LAG, MANY, SHORT, Pattern, pattern, sampling_times, usual_interval
+from ..common.stream import Floats, ImuBlock, Stamps
+from ..segmentation.stamp_faults import JITTER, SharedStamps, late_samples
+from ..segmentation.stamps import (
+    AHEAD,
+    LAG,
+    MANY,
+    MISSES_ONE,
+    SHORT,
+    Pattern,
+    pattern,
+    read_grid,
+    sampling_times,
+    usual_interval,
+)
 
 _LEARNT = 32  #: Intervals that determine the usual one: their median holds with ten of them late.
 INTERVAL_KNOWN_AFTER = _LEARNT + 1  #: Samples that show the interval, unless they come in bunches.
@@ -365,3 +376,68 @@ class _Bunch:
     def follow(self, instant: int) -> None:
         """Continue after a sample made at an instant, ns."""
         self._instant = max(self._instant, instant)
+
+
+class WholeStream:
+    """Collect the stamps of a recording's samples without repeats; 8 bytes each.
+
+    Args:
+        rate: Samples per second as stated; None if not stated.
+    """
+
+    def __init__(self, rate: float | None) -> None:
+        self._shared = SharedStamps(rate)
+        self._stamps: list[Stamps] = []
+
+    def add_stamps(self, block: ImuBlock) -> None:
+        """Collect the stamps of samples."""
+        values = np.concatenate([block.gyro, block.accel], axis=1)
+        stamp, kept = self._shared.separate_stamps(block.stamp, values)
+        self._stamps.append(stamp.copy() if kept is None else stamp[kept])
+
+    def instants(self) -> Stamps:
+        """Return the sampling times, (n,) ns."""
+        if not self._stamps:
+            return np.empty(0, np.int64)
+        return made_at(np.concatenate(self._stamps))
+
+    def words(self) -> list[str]:
+        """Return a sentence on samples that shared a stamp."""
+        return self._shared.words()
+
+
+def made_at(stamp: Stamps) -> Stamps:
+    """Return the sampling times of stamps as received, (n,) ns."""
+    steps = np.diff(stamp)
+    pieces = np.split(stamp, np.flatnonzero((steps <= 0) | (steps > LONGEST)) + 1)
+    return np.concatenate([_made(piece) for piece in pieces])
+
+
+def _made(stamp: Stamps) -> Stamps:
+    """Return sampling times for increasing stamps without a long silence, (n,) ns."""
+    steps = np.diff(stamp)
+    if len(stamp) < INTERVAL_KNOWN_AFTER:
+        return stamp
+    middle = float(np.median(steps))
+    irregular = np.flatnonzero((steps < SHORT * middle) | (steps > MISSES_ONE * middle))
+    if not len(irregular):
+        return stamp
+    made = stamp.copy()
+    for part in np.split(irregular, np.flatnonzero(np.diff(irregular) > AHEAD) + 1):
+        first, end = max(0, int(part[0]) - AHEAD), int(part[-1]) + 2 + AHEAD
+        last = len(stamp) if end >= len(stamp) else int(part[-1]) + 2
+        own = slice(int(part[0]) + 1 if first else 0, last)
+        made[own] = _around(stamp[first:end])[own.start - first : own.stop - first]
+    # Jitter of samples that keep their stamps must not reverse the order.
+    numbers = np.arange(len(made))
+    return np.asarray(np.maximum.accumulate(made - numbers) + numbers)
+
+
+def _around(stamp: Stamps) -> Stamps:
+    """Return sampling times of samples of which some did not come one by one, (n,) ns."""
+    made, _ = sampling_times(stamp)
+    if not np.array_equal(made, stamp):
+        return made
+    grid = read_grid(stamp)
+    line = grid.stamps(stamp)
+    return np.asarray(np.where(late_samples(stamp - line, grid.period), line, stamp))

@@ -10,15 +10,16 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..common.config import Section, checked, dump, load
+from ..common.arguments import checked
+from ..common.config import Section, dump, load
 from ..common.errors import InputError
 from ..common.files import user_path, write_whole
 from ..common.stream import Floats
 from ..common.units import counted
 from ..session.imu import ImuSpec
-from ..session.table_errors import StampingClock
-from .agreement import gravity_deviation, without_gravity
+from ..session.stamping import StampingClock
 from .calibration import Calibration, calibration_section
+from .gravity import gravity_deviation, without_gravity
 
 _FORMAT = 1  #: Version of the format of combined calibrations; others are refused.
 _APART = 0.5  #: K: closer ones count as one temperature: a slope between them would be noise.

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from ..common.errors import NotObservable
-from ..common.parallel import MEMORY, Show
+from ..common.parallel import MEMORY
+from ..common.progress import Show
 from ..common.units import counted
 from ..fleet.batch import batch
 from ..session.keywords import Session

@@ -18,7 +18,7 @@ from ..session.imu import ImuSpec, check_live, load_imu
 from ..session.keywords import AtSite, Numbered, Solved, azimuth_of
 from ..session.plan import load_plan
 from ..session.table import load_table
-from . import options, several, stand_session, web_page
+from . import listening, options, several, web_page
 from .processes import network_of_hardware
 from .terminal import OUTPUT, NodeReports
 
@@ -151,50 +151,60 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _begin(arguments: argparse.Namespace) -> None:
     """Run a session from its start."""
+    # Loading what runs a session takes longer than the check of the IMU.
+    from . import resume, stand_session
+
     several.complete(arguments)
     folder = _new_folder(arguments)
     several.check(arguments)
     reports = NodeReports(real=several.is_real(arguments))
     truth = _check(arguments, reports)
     folder.mkdir(parents=True)
-    with stand_session.locked_folder(folder) as claim, stand_session.signals():
+    with resume.locked_folder(folder) as claim, stand_session.signals():
         _save_settings(arguments, folder)
         stand_session.run(arguments, folder, truth, claim, reports)
 
 
 def _save_settings(arguments: argparse.Namespace, folder: Path) -> None:
     """Write the settings of a new session, or leave no folder that could not be resumed."""
+    from . import resume
+
     try:
         with removed_on_failure(folder):
-            stand_session.save_settings(arguments, folder)
+            resume.save_settings(arguments, folder)
     except OSError as error:
         raise InputError(f'{folder}: cannot be written ({error.strerror or error}).') from None
 
 
 def _go_on(arguments: argparse.Namespace) -> None:
     """Resume an interrupted session."""
-    folder = stand_session.restore(arguments)
+    # Loading what runs a session takes longer than the check of the IMU.
+    from . import resume, stand_session
+
+    folder = resume.restore(arguments)
     several.complete(arguments)
     # Nodes of the interrupted stand that are still ending occupy the port.
-    with stand_session.locked_folder(folder) as claim, stand_session.signals():
-        stand_session.check_unfinished(folder)
+    with resume.locked_folder(folder) as claim, stand_session.signals():
+        resume.check_unfinished(folder)
         several.check(arguments)
         real = several.is_real(arguments)
         reports = NodeReports(real=real)
         truth = _check(arguments, reports)
-        arguments.start = 0.0 if real else stand_session.switched_on_at(folder)
+        arguments.start = 0.0 if real else resume.switched_on_at(folder)
         stand_session.run(arguments, folder, truth, claim, reports)
 
 
 def _new_folder(arguments: argparse.Namespace) -> Path:
     """Return the folder to create."""
+    from . import resume
+
     folder = user_path(arguments.output)
     if not folder.exists():
         return folder
-    if stand_session.unfinished(folder):
+    if resume.unfinished(folder):
         raise InputError(
             f'{folder} exists already and holds a session that was interrupted. Go on with it: '
-            f'{stand_session.command(arguments.output)}, or name another folder with -o.'
+            f'{resume.command(arguments.output)}, or name another folder with -o.'
         )
     raise InputError(
         f'{folder} exists already; recordings are not overwritten. Name another folder with -o.'
@@ -206,6 +216,9 @@ def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Cal
 
     They are keyed by serial number; for a single unit by an empty name.
     """
+    # Loading what runs a session takes longer than the check of the IMU.
+    from . import stand_session
+
     web_page.check(arguments)
     _check_table_port(arguments)
     _check_run(arguments)
@@ -226,7 +239,7 @@ def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Cal
             baud = choose_baud(unit.baud or None, frames)
             if not arguments.imus and is_serial(unit.port):
                 _say_baud(arguments, frames, imu, baud)
-            stand_session.listen(unit.port, frames, imu, baud, reports, several.node_of(unit))
+            listening.listen(unit.port, frames, imu, baud, reports, several.node_of(unit))
     for imu in types.values():
         if not real:
             check_live(imu)

@@ -3,36 +3,27 @@
 from __future__ import annotations
 
 import argparse
-import os
-import shlex
 import shutil
 import signal
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rich.live import Live
 from rich.text import Text
 
 from ..api.session import TRUE_TABLE
 from ..api.stand import (
     check_stand,
-    end_of_journal,
     has_simulated_hands,
-    is_finished,
     setup_of_stand,
     true_table_of,
 )
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError, NotObservable
-from ..common.files import named_file, read_text, user_path, write_whole
-from ..live.devices.format import FrameFormat
-from ..live.devices.health import Reception, Severity
-from ..live.devices.source import Baud, Source, steady_time
 from ..live.network import forced
 from ..live.web.board import Board, UnitsBoard
 from ..live.web.expectation import expectation, units_board
@@ -53,214 +44,8 @@ from .processes import (
     network_of_hardware,
     private_network,
 )
+from .resume import JOURNAL, RESULT, command, unfinished
 from .terminal import ERRORS, OUTPUT, NodeReports, NothingComes, sentence_list
-
-# Settings in a stand's folder, used to resume an interrupted session.
-
-
-JOURNAL = 'journal'
-RESULT = 'calibration.yaml'
-_SETTINGS = 'settings'
-_OPTIONS = 'options.yaml'
-_RUNNING = 'running'
-_FILES = {
-    'plan': 'plans',
-    'imu': 'imus',
-    'table': 'tables',
-    'device': 'devices',
-    'truth': 'truths',
-    'imperfections': 'imperfections',
-}
-"""Options that name a file, with its kind."""
-
-_OF_THE_RUN = frozenset(
-    {'command', 'run', 'default_of', 'closing_line', 'output', 'resume', 'start'}
-    | {'web', 'web_host', 'control', 'verbose'}
-)
-"""Options of one run, which do not belong to the session."""
-
-_MAY_CHANGE = frozenset(
-    {'port', 'baud', 'speed', 'network', 'without', 'processes', 'table_port', 'table_baud'}
-)
-"""A device or a network may have another name after a power failure; the speed of a simulation has
-no effect; a unit may have failed permanently."""
-
-_OUTAGE = 10
-"""Time without simulated hardware, s of its time: longer than the accepted silence of joint
-states."""
-
-_PATIENCE = 30.0
-"""Longest wait for the nodes of a killed run, s: they stop the table first, and wait for the
-acknowledgement."""
-
-
-def save_settings(arguments: argparse.Namespace, folder: Path) -> None:
-    """Write the settings of a session into its folder, with paths of the copies there.
-
-    Files are copied: the session is resumed unchanged even if the originals change.
-
-    Raises:
-        InputError: One of the files is missing, or cannot be written.
-    """
-    settings = folder / _SETTINGS
-    settings.mkdir()
-    for option, kind in _FILES.items():
-        name = getattr(arguments, option)
-        if name:
-            write_whole(settings / f'{option}.yaml', read_text(named_file(kind, name)))
-    if arguments.imus:
-        several.save_settings(arguments, settings)
-    kept = {k: v for k, v in vars(arguments).items() if k not in {*_OF_THE_RUN, *_FILES, 'imus'}}
-    # Last: a folder without it does not belong to a stand.
-    write_whole(settings / _OPTIONS, yaml.safe_dump(kept))
-    _point_at_copies(arguments, settings)
-
-
-def restore(arguments: argparse.Namespace) -> Path:
-    """Set the options of the interrupted session; return its folder.
-
-    Raises:
-        InputError: The folder is not a stand's, or options are given that belong to the session.
-    """
-    folder = user_path(arguments.resume)
-    settings = folder / _SETTINGS
-    try:
-        kept: Any = yaml.safe_load((settings / _OPTIONS).read_text(encoding='utf-8'))
-        if not isinstance(kept, dict):
-            raise ValueError('it holds no options')
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        if not folder.is_dir():
-            raise InputError(f'--resume {folder}: there is no such folder.') from None
-        if isinstance(error, FileNotFoundError | NotADirectoryError):
-            raise InputError(f'--resume: {folder} holds no session of imu-calib stand.') from None
-        reason = error.strerror if isinstance(error, OSError) else ' '.join(str(error).split())
-        raise InputError(f'--resume: {settings / _OPTIONS} cannot be read ({reason}).') from None
-    _refuse_other_settings(arguments, folder)
-    if arguments.port and not kept.get('port'):
-        raise InputError(f'--resume {folder}: its hardware is simulated; leave --port out.')
-    for name, value in kept.items():
-        if name not in _MAY_CHANGE or getattr(arguments, name) == arguments.default_of(name):
-            setattr(arguments, name, value)
-    _point_at_copies(arguments, settings)
-    return folder
-
-
-def check_unfinished(folder: Path) -> None:
-    """Refuse to resume a complete session.
-
-    Raises:
-        InputError: It is complete; the text states where the result is, or how to see why there is
-            none.
-    """
-    if not unfinished(folder):
-        raise InputError(_complete(folder))
-
-
-def unfinished(folder: Path) -> bool:
-    """Return whether a folder has a session that can be resumed."""
-    if not (folder / _SETTINGS / _OPTIONS).is_file():
-        return False
-    return not is_finished(folder / JOURNAL)
-
-
-def switched_on_at(folder: Path) -> float:
-    """Return when simulated hardware is switched on again, s after its epoch."""
-    end = end_of_journal(folder / JOURNAL)
-    return 0.0 if end is None else end + _OUTAGE
-
-
-def command(folder: str) -> str:
-    """Return the command that resumes a session in a folder."""
-    return f'imu-calib stand --resume {shlex.quote(folder)}'
-
-
-@contextmanager
-def locked_folder(folder: Path) -> Iterator[int]:
-    """Lock a folder for this run; yield the file descriptor that its nodes must inherit.
-
-    The lock ends with the last process that has it, in every case.
-
-    Raises:
-        InputError: Another stand runs in it.
-    """
-    descriptor = os.open(folder / _RUNNING, os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        _lock(descriptor, folder)
-        os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, str(os.getpid()).encode(), 0)
-        yield descriptor
-    finally:
-        os.close(descriptor)
-
-
-def _lock(descriptor: int, folder: Path) -> None:
-    # What Linux has is imported where it is used.
-    import fcntl
-
-    deadline = time.monotonic() + _PATIENCE
-    waits = False
-    while True:
-        with suppress(BlockingIOError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return
-        number = os.pread(descriptor, 20, 0).decode(errors='replace')
-        if _runs(number):
-            raise InputError(
-                f'{folder}: the stand of this folder still runs (process {number}). End it with '
-                'Ctrl-C first, or let it finish.'
-            )
-        if time.monotonic() > deadline:
-            raise InputError(f'{folder}: nodes of the interrupted stand still run. End them first.')
-        if not waits:
-            waits = True
-            ERRORS.print('The nodes of the interrupted stand are still ending.')
-        time.sleep(0.1)
-
-
-def _runs(number: str) -> bool:
-    try:
-        os.kill(int(number), 0)
-    except (ValueError, ProcessLookupError):
-        return False
-    except PermissionError:
-        return True
-    return True
-
-
-def _point_at_copies(arguments: argparse.Namespace, settings: Path) -> None:
-    for option in (*_FILES, 'imus'):
-        copy = settings / f'{option}.yaml'
-        if copy.is_file():
-            setattr(arguments, option, str(copy))
-
-
-def _refuse_other_settings(arguments: argparse.Namespace, folder: Path) -> None:
-    given = [
-        name
-        for name, value in vars(arguments).items()
-        if name not in _OF_THE_RUN
-        and name not in _MAY_CHANGE
-        and value != arguments.default_of(name)
-    ]
-    if arguments.output != arguments.default_of('output'):
-        given.append('output')
-    if given:
-        named = ', '.join('PLAN' if n == 'plan' else f'--{n.replace("_", "-")}' for n in given)
-        raise InputError(
-            f'--resume {folder}: found {named} too, expected at most --port, --baud, --speed and '
-            '--without: the session goes on with the settings it began with.'
-        )
-
-
-def _complete(folder: Path) -> str:
-    for result in (folder / RESULT, folder / several.CALIBRATIONS):
-        if result.is_file() or (result.is_dir() and any(result.iterdir())):
-            return f'--resume {folder}: its session is complete; the result is {result}.'
-    return (
-        f'--resume {folder}: its session has ended without a result and cannot be resumed. '
-        f'imu-calib calibrate {shlex.quote(str(folder / JOURNAL))} says why.'
-    )
-
 
 _ORDER = (
     'stand_node',
@@ -586,67 +371,3 @@ def _follow(
                     ERRORS.print(text, style='yellow', markup=False)
             if not monitor.is_running:
                 start.check(f'The stand does not start: {monitor.text}.')
-
-
-# Check the first bytes of the IMU before anything starts: whether it is present and as described.
-#
-# The nodes would detect this too, but later: they load slowly and must discover each other.
-
-
-_ROUND = 0.02
-"""Between two checks, s: too short to be noticed."""
-
-_LONGEST = 3.0
-"""Longest wait, s: longer than a host may take to answer (2 s). The nodes wait for slower ones."""
-
-
-def listen(
-    port: str,
-    frames: FrameFormat,
-    imu: ImuSpec,
-    baud: Baud,
-    reports: NodeReports,
-    node: str = 'imu_node',
-) -> None:
-    """Read until the device is confirmed to be the described one, or its silence is reported.
-
-    Args:
-        port: As for `Source`; it is closed at the end.
-        frames: The format of the device's frames.
-        imu: Description of its numbers.
-        baud: Of a serial port.
-        reports: Shows messages.
-        node: Name of the node shown in messages.
-
-    Raises:
-        InputError: The port is invalid.
-        NothingComes: It does not open, or its data does not match the files.
-    """
-    # imu_node continues with the present state of the device.
-    source = Source(port, time.time_ns, baud.rate, commands=frames.commands, restarts=False)
-    reception = Reception(frames, imu, live=source.live)
-    source.start()
-    deadline = time.monotonic() + _LONGEST
-    try:
-        while time.monotonic() < deadline and not _decided(source, reception, reports, node):
-            time.sleep(_ROUND)
-    finally:
-        source.stop()
-
-
-def _decided(source: Source, reception: Reception, reports: NodeReports, node: str) -> bool:
-    """Take new bytes, and show messages; return whether the check is complete."""
-    state, now, steady = source.state, time.time_ns(), steady_time() * 1e-9
-    chunks = source.take()
-    if chunks:
-        reception.take(chunks, now, steady)
-    silent = came = False
-    for status in reception.statuses(state, now, steady):
-        came |= status.figures.get('bytes', '0') != '0'
-        silent |= status.part == 'stream' and status.severity is Severity.ERROR
-        reports.note(f'{node}: {status.part}', status.severity, status.text, came=came)
-    reports.show()
-    if state.ended:
-        # A short recording: no more data will come.
-        return reception.health.has_frames and not chunks
-    return reception.health.judged or (state.open and silent and not came)

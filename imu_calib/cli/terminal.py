@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ..common.errors import InputError
-from ..common.parallel import Show, silent
+from ..common.progress import Show, silent
 
 _WIDTH_OF_A_FILE = 160
 """Characters of a line in a file: wide enough for every table."""

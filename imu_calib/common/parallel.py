@@ -12,12 +12,12 @@ import signal
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, ProcessPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial, wraps
+from functools import partial
 from itertools import islice
 from multiprocessing import active_children, get_context, resource_tracker
-from typing import TYPE_CHECKING, ParamSpec, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 from uuid import uuid4
 
 from .errors import ImuCalibError, InputError
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
 
     from distributed import Client, Future
+from .threads import single_threaded
 
 Task = TypeVar('Task')
 Result = TypeVar('Result')
@@ -341,40 +342,6 @@ def _quiet() -> Iterator[None]:
             logger.setLevel(level)
 
 
-THREADS = 'OMP_NUM_THREADS'
-"""Read by BLAS when numpy is first loaded: commands and nodes set it to 1 before, as for small
-matrices more threads cost time by waiting."""
-
-Arguments = ParamSpec('Arguments')
-
-
-def by_one_thread(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Run a function with one thread of linear algebra, whatever the program's setting.
-
-    Twelve positions are calibrated in three quarters of the time with two idle cores, and in a
-    fifth with busy cores. The limit holds for the whole process until the function returns. Without
-    threadpoolctl, which ROS does not install, there is no limit.
-    """
-
-    @wraps(function)
-    def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-        with _one_thread():
-            return function(*args, **kwargs)
-
-    return limited
-
-
-def _one_thread() -> AbstractContextManager[object]:
-    if os.environ.get(THREADS) == '1':
-        return nullcontext()
-    try:
-        from threadpoolctl import threadpool_limits
-    except ImportError:
-        return nullcontext()
-    limits: AbstractContextManager[object] = threadpool_limits(1, user_api='blas')
-    return limits
-
-
 _CHUNK = 4
 """Tasks handed to a process of a pool at once."""
 
@@ -470,38 +437,3 @@ def _one_by_one(function: Callable[[Task], Result], tasks: list[Task]) -> list[R
 
 def _share(tasks: int, jobs: int) -> int:
     return max(1, min(_CHUNK, tasks // jobs))
-
-
-@contextmanager
-def single_threaded() -> Iterator[None]:
-    """Limit spawned processes to one thread each: small matrices gain nothing from more."""
-    before = os.environ.get(THREADS)
-    os.environ[THREADS] = '1'
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[THREADS]
-        else:
-            os.environ[THREADS] = before
-
-
-class Show(Protocol):
-    """Takes the amount done, the total, and optionally another text."""
-
-    def __call__(self, done: int, total: int, changed: str = ...) -> None:
-        """Show it."""
-
-
-Progress: TypeAlias = Callable[[str], AbstractContextManager[Show]]
-"""Opened with the name of the work ('reading'); yields the function to call with its progress."""
-
-
-@contextmanager
-def silent(_text: str) -> Iterator[Show]:
-    """Show nothing."""
-
-    def show(done: int, total: int, changed: str = '') -> None:
-        """Do nothing."""
-
-    yield show

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..common.errors import NotObservable
 from ..common.stream import Floats
 from ..model.session_terms import Change, Course, names_of
+from .components import whiten
 from .equations import Equations
 from .evidence import Evidence
 from .information import (
@@ -23,7 +24,6 @@ from .information import (
     segments_in_words,
 )
 from .modulation import check_temperature, courses, outermost, shapes
-from .outputs import whiten
 from .solve import least_squares
 
 USEFUL_CHANGE = 1e-3

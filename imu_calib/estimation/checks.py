@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 
 from ..common.errors import Contradiction, InputError, NotObservable
-from ..common.rotations import FIVE_SIGMA
+from ..common.gaussian import FIVE_SIGMA
 from ..common.stream import Floats
 from ..common.units import DEG, DEG_H, PPM
 from ..model.earth import EARTH_RATE

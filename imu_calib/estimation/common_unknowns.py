@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from ..common.budget import Share, Source
 from ..common.errors import NotObservable
 from ..common.stream import Floats
+from .components import Component, whiten
+from .components import parts as parts_of
 from .equations import Equations
 from .estimate import Estimate
 from .evidence import SMALLEST_VARIANCE
 from .output_noise import ENCODER_FREEDOM
-from .outputs import Component, whiten
-from .outputs import parts as parts_of
 from .session_model import Nuisance
 from .table_effects import SHARED, TABLE_STATE, CommonSizes, CommonTable, dwell_counts
 

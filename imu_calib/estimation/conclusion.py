@@ -9,7 +9,8 @@ import numpy as np
 import scipy
 
 from ..common.budget import Share, Shares, Source, total
-from ..common.rotations import FIVE_SIGMA, MAD_TO_STD, angle_between
+from ..common.gaussian import FIVE_SIGMA, MAD_TO_STD
+from ..common.rotations import angle_between
 from ..common.stream import Floats
 from ..common.units import DEG, DEG_H
 from ..model.parameters import PARAMETERS, RESPONSES, Parameter

@@ -16,10 +16,10 @@ from ..common.budget import Share, Source
 from ..common.stream import Floats
 from ..common.units import ARCMIN, DEG
 from ..model.parameters import BIASES, Parameter, ParameterKind
+from .components import Component, Diagonal, Factor, add_all, shares, whiten
 from .evidence import SMALLEST_VARIANCE
 from .modulation import stated_changes
 from .output_noise import encoder_rates, level_gravity, own_parts, unknown_north
-from .outputs import Component, Diagonal, Factor, add_all, shares, whiten
 from .positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 from .session_model import Nuisance, SessionModel, Value
 

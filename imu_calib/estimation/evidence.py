@@ -15,8 +15,9 @@ from ..common.stream import Floats, Units
 from ..model.earth import Site
 from ..segmentation.clock import ClockFit
 from ..segmentation.labelling import Labelled
+from ..segmentation.segmented import Move, Segmented
 from ..segmentation.segments import Segment, Statistics, Turn
-from ..segmentation.stream_facts import Move, Segmented, Temperature
+from ..segmentation.thermometer import Temperature
 from ..session.imu import ImuSpec
 from ..session.plan import Plan
 from ..session.table import Table

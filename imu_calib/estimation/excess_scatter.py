@@ -30,9 +30,10 @@ from numpy.typing import NDArray
 from ..common.budget import Source
 from ..common.stream import Floats
 from ..model.parameters import BIASES, indices_of
+from ..segmentation.segmented import Move
 from ..segmentation.segments import Segment, Turn
-from ..segmentation.stream_facts import Move
 from .bias_drift import STATED_TIME, BiasDrift
+from .components import Blocks, Component, Diagonal, whiten
 from .equations import Equations
 from .evidence import SMALLEST_VARIANCE
 from .likelihood import (
@@ -41,7 +42,6 @@ from .likelihood import (
     log_likelihoods_by_columns,
     log_likelihoods_by_ratio,
 )
-from .outputs import Blocks, Component, Diagonal, whiten
 from .positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)

@@ -24,13 +24,13 @@ from . import hand as free_positions
 from .changing import with_changes
 from .closed_forms import skewed
 from .closed_forms.skewed import RatePoints
+from .components import Blocks, Component
 from .equations import Equations
 from .evidence import Evidence
 from .free_dwells import FreeEquations
 from .information import Information, determined
 from .methods import JOINT, check_plan, method
 from .modulation import warms
-from .outputs import Blocks, Component
 from .predict import bias_drift_covariance, expected
 from .setup import Setup
 from .solution import Solution

@@ -21,7 +21,7 @@ from ..common.rotations import GENERATORS, cross, product, rotations, rotations_
 from ..common.stream import Floats
 from ..model.sensors import SensorModel, delay, places
 from ..model.terms import term
-from ..segmentation.stream_facts import VelocitySteps
+from ..segmentation.segmented import VelocitySteps
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,6 +31,7 @@ from ..model.session_terms import Change, Changes, Course
 from ..model.terms import ACCEL_ASYMMETRY, ACCEL_CUBIC, ACCEL_QUADRATIC, G_SENSITIVITY, Term
 from ..session.plan import Plan
 from .checks import check_axes
+from .components import Component, Factor
 from .estimate import shares
 from .evidence import Evidence
 from .free_dwells import FreeEquations, at_headings_by_moves
@@ -48,7 +49,7 @@ from .hand_findings import (
 )
 from .information import Information
 from .modulation import spans
-from .outputs import Component, Factor, Indices
+from .outputs import Indices
 from .score import Family, Score, log_f, scores_of
 from .solution import Solution
 from .solve import least_squares

@@ -25,7 +25,7 @@ from ..model.session_terms import session_term
 from ..model.wrong_scale import wrong_turns_sentences
 from ..session.imu import SCALE_LIMIT
 from .evidence import Evidence
-from .free_dwells import measured_latitude, vertical_earth_rate
+from .latitude import measured_latitude, vertical_earth_rate
 
 _ASTRAY = 10 * DEG
 """rad, root mean square over the turns: gravity turned by the gyros misses the next hold by more

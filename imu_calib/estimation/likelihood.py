@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from ..common.stream import Floats
-from .outputs import whiten
+from .components import whiten
 
 _BLOCK = 32  #: Columns that are reduced at once; see LAPACK's ILAENV.
 _LARGEST = float(np.log(8.0))

@@ -14,7 +14,7 @@ from ..model.session_terms import Change, names_of
 from ..model.terms import G_SENSITIVITY, Term
 from ..session.plan import Plan
 from . import hand, joint
-from .closed_forms import positions, skewed
+from .closed_forms import gyros_only, positions, skewed
 from .evidence import Evidence, in_table_time
 from .solution import Solution
 
@@ -49,10 +49,10 @@ METHODS: dict[str, Method] = {
         joint='joint_33',
     ),
     'off_axis_four': Method(
-        skewed.solve_off_axis_four, skewed.GYRO_ESTIMATES, skewed.check_off_axis_four
+        gyros_only.solve_off_axis_four, gyros_only.GYRO_ESTIMATES, gyros_only.check_off_axis_four
     ),
     'rate_24': Method(
-        skewed.solve_rate_24,
+        positions.solve_rate_24,
         PARAMETERS,
         lambda plan, _: positions.check_positions(plan, PARAMETERS),
         joint='joint',
@@ -61,7 +61,9 @@ METHODS: dict[str, Method] = {
     skewed.NAME: Method(
         skewed.solve_skewed, skewed.SKEWED_ESTIMATES, lambda plan, _: positions.check_turns(plan)
     ),
-    'static_six': Method(skewed.solve_static_six, skewed.GYRO_ESTIMATES, skewed.check_static_six),
+    'static_six': Method(
+        gyros_only.solve_static_six, gyros_only.GYRO_ESTIMATES, gyros_only.check_static_six
+    ),
     'twelve_position': Method(positions.solve_twelve_position, PARAMETERS, joint='joint'),
 }
 

@@ -29,8 +29,8 @@ from ..common.rotations import cross, cross_matrix, rotation_vector, rotations
 from ..common.stream import Floats
 from ..model.parameters import AXES, PARAMETERS, Parameter, ParameterKind, indices_of
 from ..model.sensors import SensorModel, motion_parameters, regressors
+from ..segmentation.segmented import Move
 from ..segmentation.segments import Segment, Turn
-from ..segmentation.stream_facts import Move
 from .arms import ACCEL_DISTANCE, ARM_STD
 from .gyro_paths import GyroPath, VelocityIncrement, by_delay, by_places, summed
 from .remainders import ApproximateSensors, remainder_covariance

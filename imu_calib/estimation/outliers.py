@@ -17,7 +17,7 @@ from ..common.budget import Source, effective_freedom
 from ..common.stream import Floats
 from ..common.units import DEG
 from ..model.parameters import RESPONSES
-from ..segmentation.stream_facts import Move
+from ..segmentation.segmented import Move
 from .equations import Equations
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .excess_scatter import excess

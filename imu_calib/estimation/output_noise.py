@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ..common.budget import Source
 from ..common.stream import Floats
+from .components import Blocks, Component, Diagonal
 from .evidence import SMALLEST_VARIANCE, Evidence
-from .outputs import Blocks, Component, Diagonal
 
 ENCODER_FREEDOM = 14.0
 """Least degrees of freedom of an encoder's rate: sixteen blocks less a line's two unknowns

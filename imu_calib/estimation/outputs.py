@@ -11,17 +11,12 @@ Source: docs/mathematics.md, 'Accelerometers in turns'.
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
-from ..common.budget import Share, Source
 from ..common.stream import Floats
 
 # Six for each dwell (gyros x y z, accelerometers x y z), then three for each turn (gyros), then
@@ -126,112 +121,3 @@ class OutputLayout:
             (move[list(self.moves_with_accels), 3:], self.velocity),
         )
         return np.concatenate([part.reshape(at.size, *dwell.shape[2:]) for part, at in parts])
-
-
-class Part(Protocol):
-    """A covariance (m, m) of outputs, stored in factors."""
-
-    def add_to(self, matrix: Floats) -> None:
-        """Add it to an (m, m) matrix."""
-
-    def through(self, gain: Floats) -> Floats:
-        """Return its covariance in parameters that are (n, m) times the outputs: (k, n, n).
-
-        The k terms are independent of each other.
-        """
-
-
-@dataclass(frozen=True, eq=False)
-class Diagonal:
-    """Independent errors of every output, whose size is one common estimate."""
-
-    variances: Floats  #: (m,).
-
-    def add_to(self, matrix: Floats) -> None:
-        """Add it to an (m, m) matrix."""
-        matrix[np.diag_indices(len(matrix))] += self.variances
-
-    def through(self, gain: Floats) -> Floats:
-        """Return its covariance in parameters, (1, n, n)."""
-        return np.asarray((gain * self.variances) @ gain.T)[None]
-
-
-@dataclass(frozen=True, eq=False)
-class Factor:
-    """Errors that enter several outputs at once."""
-
-    columns: Floats  #: (m, e) changes of the outputs by one standard deviation of each error.
-
-    def add_to(self, matrix: Floats) -> None:
-        """Add it to an (m, m) matrix."""
-        matrix += self.columns @ self.columns.T
-
-    def through(self, gain: Floats) -> Floats:
-        """Return its covariance in parameters, (1, n, n)."""
-        moved = gain @ self.columns
-        return np.asarray(moved @ moved.T)[None]
-
-
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """Errors that some outputs share, independent between k such groups of g."""
-
-    rows: NDArray[np.intp]  #: (k, g) which outputs.
-    matrices: Floats  #: (k, g, g) their covariances.
-
-    def add_to(self, matrix: Floats) -> None:
-        """Add it to an (m, m) matrix."""
-        matrix[self.rows[:, :, None], self.rows[:, None, :]] += self.matrices
-
-    def through(self, gain: Floats) -> Floats:
-        """Return its covariance in parameters, (k, n, n)."""
-        weights = np.transpose(gain[:, self.rows], (1, 0, 2))
-        return np.asarray(weights @ self.matrices @ np.transpose(weights, (0, 2, 1)))
-
-
-@dataclass(frozen=True, eq=False)
-class Component:
-    """A part of the covariance of the outputs, and its source."""
-
-    source: Source  #: Its source.
-    part: Part  #: The covariance.
-    freedom: float = np.inf  #: Degrees of freedom of its size; infinite where that is known.
-
-
-def whiten(root: NDArray[np.floating[Any]], columns: Floats) -> Floats:
-    """Return outputs (m,) or (m, k) in standard deviations, by the lower root of a covariance."""
-    return np.asarray(scipy.linalg.solve_triangular(root, columns, lower=True, check_finite=False))
-
-
-def add_all(components: Iterable[Component], matrix: Floats) -> None:
-    """Add components to a covariance (m, m): errors that enter several outputs at once."""
-    columns = []
-    for component in components:
-        if isinstance(component.part, Factor):
-            columns.append(component.part.columns)
-        else:
-            component.part.add_to(matrix)
-    if columns:
-        Factor(np.hstack(columns)).add_to(matrix)
-
-
-def parts(
-    components: Iterable[Component], gain: Floats
-) -> defaultdict[Source, list[tuple[Floats, float]]]:
-    """Return independent covariances of parameters that are (n, m) times the outputs, by source.
-
-    Each (n, n), with its degrees of freedom.
-    """
-    found: defaultdict[Source, list[tuple[Floats, float]]] = defaultdict(list)
-    for component in components:
-        terms = component.part.through(gain)
-        found[component.source] += [(term, component.freedom) for term in terms]
-    return found
-
-
-def shares(components: Iterable[Component], gain: Floats) -> dict[Source, Share]:
-    """Return the covariance of parameters that are (n, m) times the outputs, by source.
-
-    Source: docs/mathematics.md, 'Uncertainty budget'.
-    """
-    return {source: Share.from_parts(of) for source, of in parts(components, gain).items() if of}

@@ -27,12 +27,12 @@ from ..model.session_terms import LOOKED_FOR, Change, Course, session_term
 from ..model.terms import TERMS, Term
 from ..session.table_errors import TableErrors
 from .changing import USEFUL_CHANGE, change_of
+from .components import whiten
 from .equations import Equations
 from .excess_scatter import ExcessScatter, excess
 from .information import Information, useful_limit, with_nominal_attitudes
 from .modulation import columns as modulated
 from .modulation import interrupted, shapes, warms
-from .outputs import whiten
 
 _SEEN = 10.0
 """Standard deviations by which a coefficient of the largest useful size must move the outputs: a

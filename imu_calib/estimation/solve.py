@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from ..common.errors import NotObservable
-from ..common.rotations import FIVE_SIGMA
+from ..common.gaussian import FIVE_SIGMA
 from ..common.stream import Floats
 from ..model.parameters import PARAMETERS
 from ..model.sensors import terms_of

@@ -25,16 +25,17 @@ from ..model.earth import EARTH_RATE, Site
 from ..model.parameters import Parameter
 from ..model.sensors import Triad
 from ..segmentation.labelling import label
-from ..segmentation.stream_facts import Segmented
+from ..segmentation.segmented import Segmented
 from ..session.imu import ImuSpec, TriadSpec
 from ..session.plan import Plan
+from ..session.stamping import StampingClock
 from ..session.table import Table
-from ..session.table_errors import StampingClock
+from .components import Component, Diagonal, whiten
 from .equations import Equations
 from .evidence import Evidence, in_table_time
 from .free_dwells import Sensors, Up, compare_lengths, noise_at_rest
 from .information import Information
-from .outputs import Component, Diagonal, Indices, whiten
+from .outputs import Indices
 from .session_model import Nuisance
 from .solve import least_squares, linear_step
 

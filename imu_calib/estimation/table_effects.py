@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.budget import Source
-from ..common.rotations import FIVE_SIGMA, shortest
+from ..common.gaussian import FIVE_SIGMA
+from ..common.rotations import shortest
 from ..common.stream import Floats
 from ..common.units import ARCSEC
 from ..model.parameters import PARAMETERS

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from ..api.session import as_list
 from ..common.errors import InputError
-from ..common.parallel import MEMORY, Engine, Progress, WorkerDied, outcomes, silent
+from ..common.parallel import MEMORY, Engine, WorkerDied, outcomes
+from ..common.progress import Progress, silent
 from ..common.units import counted
 from ..session.keywords import Session, Stated, with_keywords
 from ..session.units_file import load_units

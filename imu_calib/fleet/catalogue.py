@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from ..common.config import checked
+from ..common.arguments import checked
 from ..common.errors import InputError, NotObservable
 from ..common.files import other_format, printable, require, user_path, write_whole
 from ..common.units import counted

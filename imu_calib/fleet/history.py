@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..api.session import as_list
-from ..common.config import checked
+from ..common.arguments import checked
 from ..common.errors import InputError, NotObservable
 from ..common.files import is_shipped
 from ..common.stream import Floats

@@ -16,9 +16,9 @@ from urllib.parse import quote
 import numpy as np
 
 from ..api.streams import page_path
-from ..common.config import checked
+from ..common.arguments import checked
 from ..common.files import require, write_whole
-from ..common.parallel import Progress, silent
+from ..common.progress import Progress, silent
 from ..model.parameters import PARAMETER_NAMES
 from ..reports.charts import tag
 from ..reports.html import STYLE, document, facts, paragraph, section

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..common.rotations import MAD_TO_STD
+from ..common.gaussian import MAD_TO_STD
 from ..common.stream import Floats
 
 # Weighted lines through the sessions of many units at once, with and without steps.

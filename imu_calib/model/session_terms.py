@@ -21,7 +21,7 @@ import numpy as np
 
 from ..common.config import Section
 from ..common.errors import InputError
-from ..common.rotations import is_covariance
+from ..common.gaussian import is_covariance
 from ..common.stream import Floats
 from ..common.units import significant
 from .parameters import PARAMETERS, Parameter, ParameterKind, Unit

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import fields, replace
+from enum import Enum
 from functools import lru_cache
 from struct import Struct
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -24,6 +25,11 @@ from ..common.stream import (
     TemperatureBlock,
 )
 from .cdr import ENCAPSULATION, ORDERS, CdrError, Layout, LayoutReader, Malformed, Messages
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from ..common.stream import Block, Stamps
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -566,3 +572,31 @@ def _encoded_setpoint(setpoint: Setpoint, frame_id: str) -> _Template:
     template.doubles([setpoint.turns])
     template.doubles([setpoint.dwell])
     return template
+
+
+class Kind(Enum):
+    """Kind of a topic's messages; the value begins with the message type's ROS name."""
+
+    IMU = 'sensor_msgs/msg/Imu'
+    JOINTS = 'sensor_msgs/msg/JointState'
+    SETPOINTS = 'imu_calib_msgs/msg/TurntableSetpoint'
+    TEMPERATURES = 'sensor_msgs/msg/Temperature'
+    SKEW = 'sensor_msgs/msg/Imu, a skewed gyro'
+
+    @property
+    def type_name(self) -> str:
+        """Full name of the message type."""
+        return str(self.value).partition(',')[0]
+
+    def decode(self, messages: Messages, malformed: Malformed | None = None) -> Sequence[Block]:
+        """Decode messages of this kind, as `decode_imu` and its siblings do."""
+        return _DECODERS[self](messages, malformed)
+
+
+_DECODERS: dict[Kind, Callable[[Messages, Malformed | None], Sequence[Block]]] = {
+    Kind.IMU: decode_imu,
+    Kind.JOINTS: decode_joints,
+    Kind.SETPOINTS: decode_setpoints,
+    Kind.TEMPERATURES: decode_temperatures,
+    Kind.SKEW: decode_skew,
+}

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..common.stream import NS
 from .cdr import Messages
-from .codec import ZSTD_MAGIC, CodecError, ReadAhead, unpack, unpacked_into
+from .codec import CodecError, ReadAhead, unpack, unpacked_into
 from .mcap_records import (
     LONGEST_HEAD,
     RECORD_HEAD,
@@ -28,197 +27,18 @@ from .mcap_records import (
 )
 from .mcap_scan import ChannelMessages, ChunkContent, located, log_at, scan, times_at
 from .metadata_yaml import custom_data_of
-from .storage import Cache, Losses, Memory, MessageBatch, Times, Topic, first_and_last
+from .storage import Cache, Losses, Memory, MessageBatch, Topic, first_and_last
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from ..common.stream import Stamps
     from .cdr import Bytes, Indices
     from .mcap_scan import ByteFile
     from .remote import AnyPath
 
     _Stored = tuple[ChunkGroup, memoryview, list[dict[int, Indices]]]
     _Content = tuple[Bytes, list[ChunkContent]]
-
-# Put the messages of a topic into the order of their log times.
-#
-# Recorders write messages in that order, but recordings that were merged, joined or cut hold them
-# in another one. A recorder's clock that was set back looks like it, and there the order of the
-# file is the right one: messages of both times would take turns.
-
-
-_HELD = 64 << 20
-"""Bytes of messages that wait for earlier ones: minutes of an IMU. A judgement."""
-_TURNS = 3
-"""Pieces per ascending run up to which a sequence was shuffled: of messages that were exchanged by
-pairs there are three per run. More are two runs that take turns."""
-_FEW = 8
-"""Pieces more than that: messages that come milliseconds late. A judgement."""
-_LEAST_PIECE = 4
-"""Messages per piece of two runs that were shuffled: of a clock that was set back single ones take
-turns. A judgement."""
-_WIDE = 4.0
-"""Times its share of the recording from which on a part holds times from everywhere: shuffled
-itself, not set back. Of a clock that was set back by all of its time it is two."""
-_TWICE = 2.0
-"""Median parts that are there twice from which on the clock was set back: the parts at its ends
-hold both times. A judgement."""
-_SLIGHT = 0.25
-"""Of a median part: topics are logged later than others by less. A judgement."""
-_STAMP = 12
-"""Bytes of a message up to the end of the stamp in its header: encapsulation, s, ns."""
-
-
-def time_order(starts: Stamps, ends: Stamps) -> Indices | None:
-    """Return the order, (n,), in which the parts of a file are read; None for that of the file.
-
-    That is the right one if the clock was set back. `starts` and `ends` are the least and largest
-    log times of the parts, in the order of the file.
-    """
-    in_file = np.arange(len(starts))
-    if (starts[1:] >= starts[:-1]).all():
-        return in_file
-    order = np.argsort(starts, kind='stable')
-    begin, end = starts[order], ends[order]
-    reached = np.maximum.accumulate(end)
-    before = np.append(begin[0], reached[:-1])
-    covered = float(np.maximum(end - np.maximum(begin, before), 0).sum())
-    span = float(np.median(end - begin))
-    if span > _WIDE * covered / len(starts):
-        return order
-    # A part between two runs holds the times of both.
-    fell = np.flatnonzero(starts[1:] < starts[:-1])
-    usual = np.setdiff1d(in_file, [*fell, *(fell + 1)])
-    usual = usual[np.argsort(starts[usual], kind='stable')]
-    if len(usual) < 2:
-        return order
-    reached = np.maximum.accumulate(ends[usual])[:-1]
-    twice = np.minimum(reached, ends[usual][1:]) - starts[usual][1:]
-    set_back = float(twice[twice > _SLIGHT * span].sum()) > _TWICE * span
-    return None if set_back else order
-
-
-class LogOrder:
-    """Messages of one topic, in the order of their log times; batches in order stay as they are.
-
-    No generator, whose frame would keep a batch, and its memory, until the next one.
-
-    Args:
-        batches: Messages, and a log time before which none follows in later batches; None at the
-            end.
-        state: Called where they were in another order.
-    """
-
-    def __init__(
-        self, batches: Iterator[tuple[MessageBatch, int | None]], state: Callable[[], None]
-    ) -> None:
-        self._batches, self._state = batches, state
-        self._ready: list[MessageBatch] = []
-        self._waiting: MessageBatch | None = None
-
-    def __iter__(self) -> LogOrder:
-        """Return itself."""
-        return self
-
-    def __next__(self) -> MessageBatch:
-        """Return the next messages."""
-        while not self._ready:
-            following = next(self._batches, None)
-            if following is None:
-                self._release()
-                break
-            self._accept(*following)
-        if not self._ready:
-            raise StopIteration
-        return self._ready.pop(0)
-
-    def _release(self) -> None:
-        """Let the messages go that wait for earlier ones."""
-        if self._waiting is not None:
-            self._ready.append(self._waiting)
-            self._waiting = None
-
-    def _accept(self, batch: MessageBatch, bound: int | None) -> None:
-        log = batch.log
-        if (log[1:] < log[:-1]).any():
-            order = np.argsort(log, kind='stable')
-            if _is_set_back(log, order) or not _is_better(batch.messages, order):
-                self._release()
-                self._ready.append(batch)
-                return
-            batch = _rows(batch, order)
-            self._state()
-        if self._waiting is not None and self._waiting.log[-1] > batch.log[0]:
-            joined = _joined(self._waiting, batch)
-            if joined is not None:
-                batch, self._waiting = joined, None
-                self._state()
-        self._release()
-        count = len(batch.log)
-        safe = count if bound is None else int(np.searchsorted(batch.log, bound, 'right'))
-        if safe < count and int(batch.messages.size[safe:].sum()) > _HELD:
-            safe = count - (count - safe) // 2
-        if safe:
-            self._ready.append(batch if safe == count else _rows(batch, slice(0, safe)))
-        if safe < count:
-            self._waiting = _copied(batch, slice(safe, None))
-
-
-def _is_set_back(log: Stamps, order: Indices) -> bool:
-    """Return whether two runs of times take turns in an order: not one that was shuffled."""
-    runs = 1 + np.count_nonzero(log[1:] < log[:-1])
-    pieces = 1 + np.count_nonzero(order[1:] != order[:-1] + 1)
-    return bool(pieces > _TURNS * runs + _FEW)
-
-
-def _is_better(messages: Messages, order: Indices) -> bool:
-    """Return whether the stamps in the headers go back less often in another order."""
-    if messages.payload(0).startswith(ZSTD_MAGIC):
-        return True
-    if (messages.size < _STAMP).any():
-        return False
-    seconds, nanoseconds = messages.gather(_STAMP - 8, 8).view('<u4').astype(np.int64).T
-    stamp = seconds * NS + nanoseconds
-    other = stamp[order]
-    return bool((other[1:] < other[:-1]).sum() < (stamp[1:] < stamp[:-1]).sum())
-
-
-def _rows(batch: MessageBatch, rows: slice | Indices) -> MessageBatch:
-    log = batch.log[rows]
-
-    def times() -> Times:
-        return _of_times([batch.times()], rows)
-
-    return MessageBatch(batch.messages.select(rows), log, int(log[0]), batch.position, times)
-
-
-def _copied(batch: MessageBatch, rows: slice | Indices) -> MessageBatch:
-    """Return rows in memory of their own: that of the batch is free for the next ones."""
-    messages = Messages.join(batch.messages.select(rows).payloads())
-    times, log = _of_times([batch.times()], rows), batch.log[rows].copy()
-    return MessageBatch(messages, log, int(log[0]), batch.position, lambda: times)
-
-
-def _joined(first: MessageBatch, second: MessageBatch) -> MessageBatch | None:
-    """Return both in the order of log times; None if messages of both take turns."""
-    log = np.concatenate([first.log, second.log])
-    order = np.argsort(log, kind='stable')
-    pieces = np.count_nonzero(order[1:] != order[:-1] + 1)
-    begin, end = np.searchsorted(log[order], [second.log[0], first.log[-1]])
-    if pieces > _FEW and end - begin < _LEAST_PIECE * pieces:
-        return None
-    messages = Messages.join([*first.messages.payloads(), *second.messages.payloads()])
-    times, log = _of_times([first.times(), second.times()], order), log[order]
-    return MessageBatch(messages.select(order), log, int(log[0]), second.position, lambda: times)
-
-
-def _of_times(several: list[Times], rows: slice | Indices) -> Times:
-    columns: list[Any] = []
-    for field in fields(Times):
-        column = [getattr(times, field.name) for times in several]
-        columns.append(None if column[0] is None else np.concatenate(column)[rows])
-    return Times(*columns)
+from .log_order import LogOrder, time_order
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.rotations import MAD_TO_STD
+from ..common.gaussian import MAD_TO_STD
 
 if TYPE_CHECKING:
     from ..common.stream import Floats, Stamps

@@ -7,7 +7,6 @@ import shutil
 import tempfile
 import weakref
 from dataclasses import dataclass, replace
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +21,6 @@ from ..common.files import (
 )
 from ..common.stream import SetpointBlock
 from .cdr import Malformed, Messages
-from .cdr_codec import decode_imu, decode_joints, decode_setpoints, decode_skew, decode_temperatures
 from .codec import ZSTD_MAGIC, CodecError, unpack, unpack_file
 from .mcap import McapStorage
 from .metadata_yaml import NAME, Metadata, read_metadata
@@ -45,6 +43,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from ..common.stream import Block, Stamps
+from .cdr_codec import Kind
 
 _STORAGE = ('.mcap', '.db3')
 _PACKED = ('.zstd', '.zst')
@@ -528,31 +527,3 @@ def _unpacked(messages: Messages, malformed: Malformed) -> Messages:
         except CodecError as error:
             malformed.add(f'a message does not unpack (zstd: {error})')
     return Messages.join(plain)
-
-
-class Kind(Enum):
-    """Kind of a topic's messages; the value begins with the message type's ROS name."""
-
-    IMU = 'sensor_msgs/msg/Imu'
-    JOINTS = 'sensor_msgs/msg/JointState'
-    SETPOINTS = 'imu_calib_msgs/msg/TurntableSetpoint'
-    TEMPERATURES = 'sensor_msgs/msg/Temperature'
-    SKEW = 'sensor_msgs/msg/Imu, a skewed gyro'
-
-    @property
-    def type_name(self) -> str:
-        """Full name of the message type."""
-        return str(self.value).partition(',')[0]
-
-    def decode(self, messages: Messages, malformed: Malformed | None = None) -> Sequence[Block]:
-        """Decode messages of this kind, as `decode_imu` and its siblings do."""
-        return _DECODERS[self](messages, malformed)
-
-
-_DECODERS: dict[Kind, Callable[[Messages, Malformed | None], Sequence[Block]]] = {
-    Kind.IMU: decode_imu,
-    Kind.JOINTS: decode_joints,
-    Kind.SETPOINTS: decode_setpoints,
-    Kind.TEMPERATURES: decode_temperatures,
-    Kind.SKEW: decode_skew,
-}

@@ -12,7 +12,7 @@ from urllib.parse import quote
 import numpy as np
 
 from .cdr import Messages
-from .mcap import LogOrder, time_order
+from .log_order import LogOrder, time_order
 from .metadata_yaml import custom_data_of
 from .storage import Cache, Described, Losses, MessageBatch, RecordingError, Times, Topic
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from ..common.stream import Block, Stamps
     from .cdr import Messages
-    from .rosbag2 import Kind
+    from .cdr_codec import Kind
     from .storage import Times
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..common.rotations import MAD_TO_STD, angle_between
+from ..common.gaussian import MAD_TO_STD
+from ..common.rotations import angle_between
 from ..common.stream import Floats, Stamps
 from ..common.units import DEG
 from .statistics import Samples, gap_free

@@ -8,15 +8,14 @@ is a whole number (docs/mathematics.md, 'Stamps and lost samples').
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..common.stream import Floats
-from ..common.units import DEG
-from .counters import READING_VARIANCE, all_in_row, runs_of
+from .counters import READING_VARIANCE, runs_of
 from .statistics import Samples, gap_free
 
 LONGEST = 0.1
@@ -295,111 +294,3 @@ def _quadrature() -> tuple[Floats, Floats]:
     """Return nodes and weights over the normal law: exact for polynomials up to degree 13."""
     # Few recordings need it, and numpy loads its polynomials on first use.
     return np.polynomial.hermite_e.hermegauss(7)
-
-
-_FEWEST = 8
-"""Fewest repeated samples in a row that count as frozen: a judgement, fewer cost nothing."""
-
-_CHANCE = 1e-9  #: Probability of so long a repetition anywhere in a segment of sound samples.
-_AROUND = 32  #: Samples before and after a repetition that show whether codes are noisy.
-
-_SAME = 1e-3
-"""Relative difference of a dwell's mean from one sample: a choice, far above that of two estimates
-of the sample interval. A channel that repeats zero has a mean of zero."""
-
-_NOISY = 4
-"""Different codes among them by which a channel is noisy: one at the edge between two codes shows
-two without noise, and three where it drifts to the next edge."""
-
-_TURNS = 10 * DEG
-"""rad/s: a judgement. More than the bias of gyros on a turntable; cheap ones have a few deg/s."""
-
-
-def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
-    """Find the samples (n,) that repeat the one before more often than by chance.
-
-    The chance that two samples in a row are equal is estimated from the rest of the segment: codes
-    of low noise often are. If most of the segment repeats itself, the chance is unknown.
-
-    Args:
-        values: (n, 6) as delivered.
-        counted: Whether they are increments of a counter, which also change at a steady rate. Codes
-            of a rate change by noise alone.
-    """
-    n = len(values)
-    found = np.zeros(n, dtype=bool)
-    if n < 2 * _FEWEST:
-        return found
-    same = all_in_row(values[1:] == values[:-1])
-    first, last = runs_of(same).T
-    others, alike = n - 1, int(same.sum())
-    for k in np.argsort(first - last, kind='stable').tolist():
-        length = int(last[k] - first[k])
-        others, alike = others - length, alike - length
-        chance = (alike + 1) / (others + 2)
-        if length < _FEWEST or others < length or n * chance**length > _CHANCE:
-            break
-        if not counted and not _noisy(values, int(first[k]), int(last[k]) + 1):
-            continue
-        found[first[k] + 1 : last[k] + 1] = True
-    return found
-
-
-@dataclass(frozen=True)
-class Repetition:
-    """How samples of a motion repeat themselves."""
-
-    samples: int  #: Number of samples.
-    share: float  #: Share of samples that repeat the one before.
-    longest: int  #: Most of these in a row.
-    #: (6,) the one repeated so, rad/s and m/s^2; NaN for none.
-    sample: Floats = field(default_factory=lambda: np.full(6, np.nan))
-
-    @classmethod
-    def count_in(cls, values: Floats, rates: Floats) -> Repetition:
-        """Count the repetitions in (n, 6) values as delivered; at least 2.
-
-        Args:
-            values: As delivered.
-            rates: (n, 6) the same, rad/s and m/s^2.
-        """
-        same = all_in_row(values[1:] == values[:-1])
-        runs = runs_of(same)
-        if not len(runs):
-            return cls(len(values), 0.0, 0)
-        lengths = runs[:, 1] - runs[:, 0]
-        most = int(lengths.argmax())
-        # A copy: a view would keep all samples of the motion.
-        repeated = rates[runs[most, 0]].copy()
-        return cls(len(values), float(same.mean()), int(lengths[most]), repeated)
-
-    def continues_in(self, mean: Floats) -> bool:
-        """Return whether a dwell with a mean output (6,), rad/s and m/s^2, repeats the sample."""
-        return bool((np.abs(mean - self.sample) <= _SAME * np.abs(self.sample)).all())
-
-    def is_significant(self, share: float) -> bool:
-        """Return whether the longest repetition exceeds chance, `share` for each."""
-        return self.longest >= _FEWEST and self.samples * share**self.longest < _CHANCE
-
-
-def repeating_a_turn(values: Floats, rates: Floats) -> NDArray[np.bool_]:
-    """Find the samples (n,) of a dwell that repeat one of a turn.
-
-    If a device froze before the table came to rest, the dwell need not hold any other sample to
-    compare with; but a table at rest cannot show the rate of a turn.
-
-    Args:
-        values: (n, 6) as delivered.
-        rates: (n, 3) of the gyros, rad/s.
-    """
-    found = np.zeros(len(values), dtype=bool)
-    same = all_in_row(values[1:] == values[:-1])
-    found[1:] |= same
-    found[:-1] |= same
-    return np.asarray(found & (np.linalg.norm(rates, axis=1) > _TURNS))
-
-
-def _noisy(values: Floats, start: int, stop: int) -> bool:
-    """Return whether a channel has noise around the samples start to stop."""
-    around = np.vstack([values[max(0, start - _AROUND) : start], values[stop : stop + _AROUND]])
-    return any(len(np.unique(channel)) >= _NOISY for channel in around.T)

@@ -18,9 +18,9 @@ from ..common.stream import Floats, Mode, Setpoint
 from ..common.units import DEG
 from ..session.plan import Plan, Position
 from ..session.table import TURN, Table
+from .segmented import FreeMotion, MountShift, Rejected, Segmented
 from .segments import Segment, Turn
 from .statistics import BLOCK_SECONDS
-from .stream_facts import FreeMotion, MountShift, Rejected, Segmented
 
 _AXES = 'XYZ'
 _VERTICAL = 1 * DEG  #: An axis that leans by less is called vertical: names are in whole degrees.

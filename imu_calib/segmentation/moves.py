@@ -21,9 +21,9 @@ from ..common.rotations import cross
 from ..common.stream import Floats
 from ..common.units import DEG
 from .counters import runs_of
+from .segmented import MountShift, Move, Rejected, VelocitySteps
 from .segments import Segment
 from .statistics import Samples, Sensor, gap_free
-from .stream_facts import MountShift, Move, Rejected, VelocitySteps
 
 STEP_ANGLE = 1 * DEG
 """Angle of a step, rad: the second order leaves out a twelfth of its cube at most, 0.1 arcsec."""

@@ -14,14 +14,16 @@ from ..common.units import DEG
 from ..session.table import TURN, Table
 from .clock import ClockSample, MeasuredShare, cells, clock_sample, measured_share
 from .dwells import read_dwell
-from .gaps import LONGEST, Bridged, Repetition, bridged
+from .gaps import LONGEST, Bridged, bridged
 from .intake import StreamBuffer
 from .moves import MoveReader
+from .pace import Pace
+from .repeated_samples import Repetition
+from .segmented import FreeMotion, MountShift, Rejected
 from .segments import Segment, Turn
-from .stamp_faults import Lateness, Pace
+from .stamp_faults import Lateness
 from .stamps import RowBuffer, clock_steps, sampling_times
 from .statistics import Rounding, Samples, Sensor
-from .stream_facts import FreeMotion, MountShift, Rejected
 from .table_motion import Motion, Rest
 from .turns import MARGIN_NS, MotionReadings, read_free_motion, read_turns
 

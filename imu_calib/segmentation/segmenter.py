@@ -27,11 +27,12 @@ from .intake import Ordered, StreamBuffer
 from .interruptions import interruptions
 from .moves import MoveReader
 from .reading import NEAR, IntervalReader
+from .segmented import Move, Segmented
 from .segments import Segment, Turn
 from .statistics import Sensor, sample_period, to_samples
 from .stillness import WINDOW_SECONDS, Quietest, StillnessTracker
-from .stream_facts import Move, Segmented, Thermometer
 from .table_motion import JointTracker, Motion, Rest
+from .thermometer import Thermometer
 from .turns import MARGIN_NS
 
 SEEN = 0.75  #: Of a motion: less seen means that some was lost or beyond the range.

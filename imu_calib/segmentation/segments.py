@@ -9,7 +9,7 @@ import numpy as np
 
 from ..common.stream import Floats
 from .allan import AllanSums
-from .stamp_faults import Pace, Timing
+from .pace import Pace, Timing
 
 CHANNELS = ('gx', 'gy', 'gz', 'ax', 'ay', 'az')
 """Order of every array over channels: three gyros, then three accelerometers."""

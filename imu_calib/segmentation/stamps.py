@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..common.rotations import MAD_TO_STD, MEDIAN_ERROR
+from ..common.gaussian import MAD_TO_STD, MEDIAN_ERROR
 from ..common.stream import Floats, Stamps
 
 # Stamps of samples that come in bunches -> when each sample of a bunch was made.

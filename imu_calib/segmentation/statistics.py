@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.rotations import MAD_TO_STD
+from ..common.gaussian import MAD_TO_STD
 from ..common.stream import Floats, Stamps, Units
 from ..common.units import DEG, STANDARD_GRAVITY
 from ..session.imu import FULL_SCALES, NEARLY, ImuSpec, TriadSpec
@@ -23,8 +23,8 @@ from .counters import (
     mean_rate,
     rate_between,
 )
+from .pace import Pace, Timing
 from .segments import Statistics
-from .stamp_faults import Pace, Timing
 from .stamps import MISSES_ONE, read_grid
 
 BLOCK_SECONDS = 10.0

@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ..common.rotations import MAD_TO_STD
+from ..common.gaussian import MAD_TO_STD
 from ..common.stream import Floats, Stamps
 from ..common.units import DEG, STANDARD_GRAVITY
 from ..model.earth import EARTH_RATE

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.rotations import MAD_TO_STD
+from ..common.gaussian import MAD_TO_STD
 from ..common.stream import Floats, Stamps
 from ..common.units import DEG
 from ..session.table import TURN

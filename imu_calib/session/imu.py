@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ..common.config import Section, checked, dump
+from ..common.arguments import checked
+from ..common.config import Section, dump
 from ..common.errors import InputError
 from ..common.keys import REQUIRED, key, read_record
 from ..common.stream import Floats, Units

@@ -23,7 +23,7 @@ from typing import (
     get_type_hints,
 )
 
-from ..common.config import check
+from ..common.arguments import check
 from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import DEG

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..common.config import Section, checked
+from ..common.arguments import checked
+from ..common.config import Section
 from ..common.errors import InputError
 from ..common.rotations import rotation
 from ..common.stream import Floats, Mode

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.rotations import is_covariance
+from ..common.gaussian import is_covariance
 from ..common.stream import Floats, Units
 from ..common.units import DEG
 from ..model.parameters import TRIADS, Parameter, ParameterKind

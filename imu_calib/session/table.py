@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..common.config import Section, checked, numbers_of
+from ..common.arguments import checked
+from ..common.config import Section, numbers_of
 from ..common.errors import InputError
 from ..common.keys import field_keys, key, part, read_record, record, records
 from ..common.rotations import angle_about, rotation

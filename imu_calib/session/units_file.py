@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..common.config import Section, checked
+from ..common.arguments import checked
+from ..common.config import Section
 from ..common.errors import InputError
 from ..common.files import user_path
 from ..common.keys import key, read_record

@@ -15,7 +15,7 @@ from ..model.sensors import SensorModel
 from ..session.imu import ImuSpec, check_live
 from ..session.plan import Plan
 from ..session.table import TURN
-from .hardware import pack
+from .frames import pack
 from .imu import SimulatedImu
 from .motion import Motion, Track, side_by_side, trapezoid
 from .options import ImuOptions

@@ -15,7 +15,7 @@ from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import ARCSEC, Dimension
 from ..session.table import TURN, Table
-from .motion import TableSizes, TrueTable
+from .true_table import TableSizes, TrueTable
 
 Channels: TypeAlias = float | tuple[float, float, float]
 """One value for three channels, or one for each."""

@@ -13,8 +13,9 @@ from ..common.rotations import rotation
 from ..common.stream import Floats, Mode, Setpoint
 from ..common.units import DEG
 from ..session.table import TURN, Joint, Table
-from .motion import Link, Motion, TableSizes, Track, TrueTable, braking, side_by_side, trapezoid
+from .motion import Link, Motion, Track, braking, side_by_side, trapezoid
 from .options import TableOptions
+from .true_table import TableSizes, TrueTable
 
 _STANDS = 1e-7
 """rad: closer goals need no move: the rounding of a table's inverse kinematics."""

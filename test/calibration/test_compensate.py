@@ -19,9 +19,9 @@ from imu_calib.cli.main import main
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, Units
 from imu_calib.recordings.cdr import Messages
-from imu_calib.recordings.cdr_codec import encode_imu, encode_rates
+from imu_calib.recordings.cdr_codec import Kind, encode_imu, encode_rates
 from imu_calib.recordings.metadata_yaml import dump, qos_profile
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.storage import Described, Topic
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.metadata import SERIAL_NUMBER

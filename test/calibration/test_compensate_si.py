@@ -15,8 +15,8 @@ from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import ImuBlock
 from imu_calib.common.units import DEG
 from imu_calib.model.sensors import SensorModel, Triad
-from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind, encode_imu
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.imu import load_imu
 

@@ -20,8 +20,8 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.stream import TemperatureBlock
 from imu_calib.common.units import DEG_H, MICRO_G
 from imu_calib.model.sensors import SensorModel, Triad
-from imu_calib.segmentation.stream_facts import Thermometer
-from imu_calib.session.table_errors import StampingClock
+from imu_calib.segmentation.thermometer import Thermometer
+from imu_calib.session.stamping import StampingClock
 from imu_calib.simulation.options import ThermalDrift, Warming
 
 TEMPERATURES = (-20.0, 20.0, 55.0)

@@ -15,11 +15,12 @@ from calibrations import known
 from other_world import Damage, Recording, Stop, Unit, World, damaged, joints_of, record
 
 from imu_calib.api.compensate import compensate
-from imu_calib.calibration.compensator import Compensator, WholeStream
+from imu_calib.calibration.compensator import Compensator
+from imu_calib.calibration.sample_clock import WholeStream
 from imu_calib.common.stream import ImuBlock, Units
 from imu_calib.model.sensors import SensorModel
-from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind, encode_imu
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.stamps import sampling_times
 from imu_calib.session.imu import ImuSpec, TriadSpec

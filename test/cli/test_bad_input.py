@@ -40,7 +40,7 @@ from imu_calib.common.stream import (
 )
 from imu_calib.common.units import DEG
 from imu_calib.recordings.cdr import Messages
-from imu_calib.recordings.rosbag2 import Kind
+from imu_calib.recordings.cdr_codec import Kind
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.imu import ImuSpec
 from imu_calib.session.plan import Plan, read_plan

@@ -24,7 +24,8 @@ from imu_calib.common.stream import Floats, ImuBlock
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers
 from imu_calib.model.earth import Site
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.imu import read_imu
 

@@ -42,7 +42,8 @@ from imu_calib.estimation.evidence import SMALLEST_VARIANCE
 from imu_calib.estimation.methods import JOINT
 from imu_calib.model.earth import EARTH_RATE
 from imu_calib.model.sensors import terms_of
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.session.imu import ImuSpec, load_imu, read_imu
 from imu_calib.session.plan import Plan, load_plan
 

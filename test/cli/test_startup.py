@@ -18,7 +18,7 @@ from device_frames import NS, frame
 from loopback import CHECKOUT, until
 
 from imu_calib.cli import dispatch, main, stand_session
-from imu_calib.cli import stand_session as listening
+from imu_calib.cli import listening as listening_module
 from imu_calib.cli.terminal import OUTPUT, NodeReports, NothingComes
 from imu_calib.common.files import named_file
 from imu_calib.live.devices.format import load_format
@@ -253,13 +253,13 @@ def test_silence_is_said_before_the_session_is_loaded(tmp_path, port, capsys, mo
 
 
 def listen(port, words):
-    listening.listen(port, SIMULATED, FOG, choose_baud(None, SIMULATED), words)
+    listening_module.listen(port, SIMULATED, FOG, choose_baud(None, SIMULATED), words)
 
 
 def test_a_device_is_started_and_left_running_for_the_nodes(port):
     commands = Commands((Command(b'go'),), None, (Command(b'halt'),))
     frames = replace(SIMULATED, commands=commands)
-    listening.listen(port[1], frames, FOG, choose_baud(None, frames), NodeReports(real=True))
+    listening_module.listen(port[1], frames, FOG, choose_baud(None, frames), NodeReports(real=True))
     got = b''
     while select.select([port[0]], [], [], 0)[0]:
         got += os.read(port[0], 100)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import imu_calib
-from imu_calib.common.config import checked
+from imu_calib.common.arguments import checked
 from imu_calib.common.errors import ImuCalibError, InputError
 
 OTHERS: dict[str, object] = {'minutes': 30.0, 'wanted': {}}

@@ -24,11 +24,11 @@ from imu_calib.estimation.common_unknowns import (
     own_components,
     own_covariance,
 )
+from imu_calib.estimation.components import Component, Diagonal
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.estimate import Estimate
 from imu_calib.estimation.excess_scatter import ExcessScatter
 from imu_calib.estimation.information import Information
-from imu_calib.estimation.outputs import Component, Diagonal
 from imu_calib.estimation.positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 from imu_calib.estimation.solve import fit
 from imu_calib.estimation.table_effects import CommonSizes, CommonTable

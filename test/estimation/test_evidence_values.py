@@ -22,8 +22,8 @@ from imu_calib.estimation.known_noise import known_noise
 from imu_calib.estimation.positioning_errors import around, axes_of, of_joints, of_stops, stops_of
 from imu_calib.estimation.table_effects import Tilt, tilt_bias, widened_for_tilt
 from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.segmentation.segmented import Move, VelocitySteps
 from imu_calib.segmentation.segments import Turn
-from imu_calib.segmentation.stream_facts import Move, VelocitySteps
 from imu_calib.session.imu import load_imu
 from imu_calib.session.table import load_table
 from imu_calib.session.table_errors import TableErrors

@@ -23,7 +23,7 @@ from imu_calib.model.parameters import PARAMETERS
 from imu_calib.session.imu import load_imu
 from imu_calib.session.table import Table, load_table, read_table
 from imu_calib.session.table_errors import FINEST, TableErrors
-from imu_calib.simulation.motion import TableSizes, TrueTable
+from imu_calib.simulation.true_table import TableSizes, TrueTable
 
 TABLE = load_table('three_axis')
 PLAN = quick_plan('twelve_position', 20.0)

@@ -15,6 +15,7 @@ from scipy.stats import multivariate_normal
 from imu_calib.common.budget import Source
 from imu_calib.estimation import excess_scatter as module
 from imu_calib.estimation.bias_drift import BiasDrift
+from imu_calib.estimation.components import Blocks, Component
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.excess_scatter import (
     _ODDS,
@@ -35,7 +36,6 @@ from imu_calib.estimation.excess_scatter import (
     _variances,
     excess,
 )
-from imu_calib.estimation.outputs import Blocks, Component
 from imu_calib.estimation.positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 from imu_calib.model.session_terms import session_term
 

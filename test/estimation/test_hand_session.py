@@ -28,8 +28,8 @@ from imu_calib.common.units import DEG
 from imu_calib.estimation.forecast import forecast
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
-from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind, encode_imu
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.statistics import Sensor
 from imu_calib.segmentation.table_motion import Motion

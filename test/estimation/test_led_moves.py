@@ -33,7 +33,7 @@ from imu_calib.estimation.moves import (
 )
 from imu_calib.model.parameters import PARAMETERS, ParameterKind
 from imu_calib.model.sensors import SensorModel, Triad
-from imu_calib.segmentation.stream_facts import Move, VelocitySteps
+from imu_calib.segmentation.segmented import Move, VelocitySteps
 
 G = 9.8
 EARTH = np.array([1e-5, 5e-5, 4e-5])

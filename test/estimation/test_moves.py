@@ -35,9 +35,9 @@ from imu_calib.estimation.solve import fit
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.terms import DELAY
 from imu_calib.segmentation.moves import STEP_ANGLE, MoveReader, joined
+from imu_calib.segmentation.segmented import Move, VelocitySteps
 from imu_calib.segmentation.segments import Segment
 from imu_calib.segmentation.statistics import Samples, Sensor, statistics_at_rest
-from imu_calib.segmentation.stream_facts import Move, VelocitySteps
 from imu_calib.session.table import load_table
 from imu_calib.session.table_errors import TableErrors
 

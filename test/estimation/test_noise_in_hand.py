@@ -22,8 +22,7 @@ from imu_calib.common.units import DEG_H
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.model.sensors import SensorModel
-from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.rosbag2 import Kind
+from imu_calib.recordings.cdr_codec import Kind, encode_imu
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.reports.tables import dwell_table
 from imu_calib.session.imu import ImuSpec, TriadSpec

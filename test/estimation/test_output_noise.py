@@ -12,6 +12,7 @@ from evidence import four_rests
 
 from imu_calib.common.budget import Source
 from imu_calib.common.stream import Floats
+from imu_calib.estimation.components import Component, Diagonal
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.output_noise import (
     encoder_rate_errors,
@@ -20,7 +21,7 @@ from imu_calib.estimation.output_noise import (
     own_parts,
     unknown_north,
 )
-from imu_calib.estimation.outputs import Component, Diagonal, OutputLayout
+from imu_calib.estimation.outputs import OutputLayout
 
 GRAVITY, NORTH_RATE = 9.8, 6e-5
 RATES = np.array([0.5, -1.0, 2.0])

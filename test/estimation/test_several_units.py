@@ -15,7 +15,8 @@ from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.files import share_folder
 from imu_calib.common.stream import ImuBlock
-from imu_calib.recordings.rosbag2 import Kind, Recording, open_recording
+from imu_calib.recordings.cdr_codec import Kind
+from imu_calib.recordings.rosbag2 import Recording, open_recording
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.units_file import load_units
 

@@ -52,7 +52,7 @@ from imu_calib.segmentation.clock import fit_clock
 from imu_calib.session.imu import load_imu
 from imu_calib.session.table import ASSUMED, Table, load_table, read_table
 from imu_calib.session.table_errors import LEVELLED, TableErrors
-from imu_calib.simulation.motion import TableSizes, TrueTable
+from imu_calib.simulation.true_table import TableSizes, TrueTable
 
 TABLE = load_table('three_axis')
 SIZES = {

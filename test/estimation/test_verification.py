@@ -31,8 +31,8 @@ from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.sensors import Triad
 from imu_calib.model.terms import G_SENSITIVITY
 from imu_calib.recordings.writer import RecordingWriter
+from imu_calib.segmentation.segmented import Segmented
 from imu_calib.segmentation.segmenter import Segmenter
-from imu_calib.segmentation.stream_facts import Segmented
 from imu_calib.session.metadata import describe
 from imu_calib.session.plan import UNPLANNED, Plan, load_plan
 from imu_calib.session.table import Table, load_table

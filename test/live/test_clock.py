@@ -7,8 +7,8 @@ from loopback import environment, patience, start, until
 from imu_calib.common.errors import ImuCalibError
 from imu_calib.common.stream import ImuBlock
 from imu_calib.live.plan_steps import Phase
-from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind, encode_imu
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import Journal
 
 try:

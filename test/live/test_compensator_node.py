@@ -21,8 +21,8 @@ from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.common.stream import ImuBlock, TemperatureBlock
 from imu_calib.common.units import DEG
 from imu_calib.model.sensors import SensorModel
-from imu_calib.recordings.cdr_codec import encode_imu, encode_temperatures
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind, encode_imu, encode_temperatures
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.imu import load_imu
 

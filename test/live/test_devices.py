@@ -30,7 +30,7 @@ from imu_calib.live.devices.format import Decoder, load_format, read_format
 from imu_calib.live.devices.health import Reception, Severity
 from imu_calib.live.devices.source import Chunk, Source
 from imu_calib.session.imu import load_imu
-from imu_calib.simulation.hardware import pack
+from imu_calib.simulation.frames import pack
 
 FASTCRC = {
     'CRC-8/SMBUS': 'crc8.smbus',

@@ -23,8 +23,7 @@ from imu_calib.live.devices.format import load_format
 from imu_calib.live.devices.health import Reception
 from imu_calib.live.devices.source import Chunk, SourceState
 from imu_calib.recordings.cdr import Messages
-from imu_calib.recordings.cdr_codec import decode_temperatures
-from imu_calib.recordings.rosbag2 import Kind
+from imu_calib.recordings.cdr_codec import Kind, decode_temperatures
 from imu_calib.session.imu import load_imu
 
 # ROS reads this when it loads its messages.

@@ -15,7 +15,8 @@ from installed import ROS, SETUP, has_wheel, needs, without_ros
 from loopback import CHECKOUT, SUPPORT, environment, patience, until
 from ros_stands import LOOK, seen
 
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind
+from imu_calib.recordings.rosbag2 import open_recording
 
 PEER = SUPPORT / 'interop_peer.py'
 RMWS = [pytest.param(rmw, marks=needs(rmw)) for rmw in ('rmw_cyclonedds_cpp', 'rmw_fastrtps_cpp')]

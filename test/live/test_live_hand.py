@@ -26,8 +26,8 @@ from imu_calib.live.nodes import hand_node
 from imu_calib.live.nodes.live import SessionPhase
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.parameters import PARAMETER_NAMES, ParameterKind
-from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind, encode_imu
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
 from imu_calib.simulation.hand import HeldHardware

@@ -15,8 +15,7 @@ from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup
 from imu_calib.live.nodes import live as calibrator_feed
 from imu_calib.live.nodes.live import SessionPhase
-from imu_calib.recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints
-from imu_calib.recordings.rosbag2 import Kind
+from imu_calib.recordings.cdr_codec import Kind, encode_imu, encode_joints, encode_setpoints
 from imu_calib.session.imu import load_imu
 from imu_calib.session.metadata import describe
 from imu_calib.session.plan import RateTest, load_plan

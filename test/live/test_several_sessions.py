@@ -14,8 +14,8 @@ from imu_calib.live.nodes.live import SessionPhase
 from imu_calib.live.nodes.parameters import StatedUnit
 from imu_calib.live.nodes.session_reports import Sessions
 from imu_calib.model.sensors import SensorModel
-from imu_calib.recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind, encode_imu, encode_joints, encode_setpoints
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import Journal
 from imu_calib.session.metadata import LEFT_OUT
 from imu_calib.session.table import load_table

@@ -24,7 +24,8 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import main
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import Mode
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.session.metadata import LEFT_OUT
 from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table

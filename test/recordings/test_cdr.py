@@ -24,6 +24,7 @@ from imu_calib.recordings.cdr_codec import (
     PULSES,
     RATES,
     ImuDecoder,
+    Kind,
     decode_imu,
     decode_joints,
     decode_setpoints,
@@ -37,7 +38,6 @@ from imu_calib.recordings.cdr_codec import (
     rates_payloads,
 )
 from imu_calib.recordings.definitions import definition
-from imu_calib.recordings.rosbag2 import Kind
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STORE.register(get_types_from_msg(definition(Kind.SETPOINTS.type_name), Kind.SETPOINTS.type_name))

@@ -11,8 +11,8 @@ import pytest
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Floats, ImuBlock
 from imu_calib.recordings.cdr import Messages
-from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind, encode_imu
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import FINISHED, Journal, RecordingWriter
 
 NS, EPOCH = 1_000_000_000, 1_700_000_000_000_000_000

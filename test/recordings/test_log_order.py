@@ -11,9 +11,9 @@ from mcap_bytes import Chunked
 
 from imu_calib.common.stream import ImuBlock, Stamps
 from imu_calib.recordings.cdr import Messages
-from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.mcap import time_order
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind, encode_imu
+from imu_calib.recordings.log_order import time_order
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import RecordingWriter
 
 NS = 1_000_000_000

@@ -34,7 +34,7 @@ from imu_calib.reports.repeatability import (
     repeatability_table,
     repeated,
 )
-from imu_calib.segmentation.stream_facts import Rejected
+from imu_calib.segmentation.segmented import Rejected
 from imu_calib.session.imu import ImuSpec, Specification, Verdict, judge, load_imu, read_imu
 
 BROWSER = next(filter(None, map(shutil.which, ('chromium', 'chromium-browser', 'chrome'))), None)

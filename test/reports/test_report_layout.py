@@ -32,7 +32,7 @@ from imu_calib.reports.html import bullets, paragraph
 from imu_calib.reports.page import Contents, page
 from imu_calib.reports.provenance import provenance
 from imu_calib.reports.thermal import thermal_page
-from imu_calib.segmentation.stream_facts import Rejected
+from imu_calib.segmentation.segmented import Rejected
 from imu_calib.session.imu import load_imu
 
 PLAN = at_one_rate(quick_plan('twelve_position', 20.0))

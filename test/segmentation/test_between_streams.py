@@ -8,14 +8,15 @@ from ideal import mean_of
 
 from imu_calib.common.stream import Floats, Units
 from imu_calib.segmentation.clock import NO_CLOCK, ClockFit, MeasuredShare
-from imu_calib.segmentation.gaps import Bridged, Repetition
+from imu_calib.segmentation.gaps import Bridged
 from imu_calib.segmentation.intake import StreamBuffer
 from imu_calib.segmentation.interruptions import interruption
 from imu_calib.segmentation.reading import IntervalReader, SeenMotion
+from imu_calib.segmentation.repeated_samples import Repetition
+from imu_calib.segmentation.segmented import MountShift
 from imu_calib.segmentation.segmenter import Segmenter, clock_jumps, reject_hidden
 from imu_calib.segmentation.segments import Segment
 from imu_calib.segmentation.statistics import Samples, Sensor
-from imu_calib.segmentation.stream_facts import MountShift
 from imu_calib.segmentation.table_motion import Motion
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.table import Joint, Table

@@ -8,9 +8,9 @@ import pytest
 from imu_calib.common.stream import Floats, Units
 from imu_calib.common.units import DEG
 from imu_calib.segmentation.dwells import read_dwell
+from imu_calib.segmentation.segmented import MountShift, Rejected
 from imu_calib.segmentation.segments import Segment
 from imu_calib.segmentation.statistics import Samples, Sensor
-from imu_calib.segmentation.stream_facts import MountShift, Rejected
 from imu_calib.session.imu import ImuSpec, TriadSpec
 
 SPEC = ImuSpec('any', Units.SI, None, TriadSpec(1.0, 1e-4, range=1.0), TriadSpec(1.0, 1e-3))

@@ -23,8 +23,8 @@ from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.estimation.hand import in_frame_of_accelerometers
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
-from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.cdr_codec import Kind, encode_imu
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.false_samples import SCALE_OF_SI, FalseSampleFilter, FalseSamples
 from imu_calib.segmentation.segmenter import Segmenter

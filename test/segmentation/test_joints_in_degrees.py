@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sessions import fed, paper_imu, quick_plan, session
 
-from imu_calib.calibration.results import joints_in_degrees
+from imu_calib.calibration.mistakes import joints_in_degrees
 from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site

@@ -16,8 +16,8 @@ from imu_calib.common.stream import Floats, Mode, Setpoint
 from imu_calib.common.units import DEG
 from imu_calib.segmentation.clock import NO_CLOCK
 from imu_calib.segmentation.labelling import label
+from imu_calib.segmentation.segmented import MountShift, Rejected, Segmented
 from imu_calib.segmentation.segments import Segment, Turn
-from imu_calib.segmentation.stream_facts import MountShift, Rejected, Segmented
 from imu_calib.session.plan import Plan, Position, RateTest
 
 NS = 10**9

@@ -12,9 +12,9 @@ from ideal import mean_of
 from imu_calib.common.stream import Floats, Units
 from imu_calib.common.units import DEG
 from imu_calib.segmentation.moves import STEP_ANGLE, STEP_SECONDS, MoveReader, joined
+from imu_calib.segmentation.segmented import Rejected
 from imu_calib.segmentation.segments import Segment
 from imu_calib.segmentation.statistics import Samples, Sensor
-from imu_calib.segmentation.stream_facts import Rejected
 from imu_calib.session.imu import ImuSpec, TriadSpec
 
 PERIOD = 0.01

@@ -17,8 +17,8 @@ from imu_calib.segmentation.labelling import (
     turn_without_encoder,
     up_by_accelerometers,
 )
+from imu_calib.segmentation.segmented import FreeMotion
 from imu_calib.segmentation.segments import Segment
-from imu_calib.segmentation.stream_facts import FreeMotion
 from imu_calib.session.plan import Plan, Position, RateTest
 
 TURN = 2 * np.pi

@@ -12,8 +12,8 @@ import pytest
 from imu_calib.common.stream import Block, Floats, ImuBlock, JointBlock, SkewBlock, Units
 from imu_calib.common.units import DEG
 from imu_calib.segmentation import segmenter
+from imu_calib.segmentation.segmented import Segmented
 from imu_calib.segmentation.segmenter import Segmenter
-from imu_calib.segmentation.stream_facts import Segmented
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.table import Joint, Table
 

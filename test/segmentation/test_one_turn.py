@@ -12,9 +12,9 @@ import pytest
 from imu_calib.common.stream import Floats, Units
 from imu_calib.common.units import ARCSEC, DEG
 from imu_calib.segmentation.plateaus import find_turns
+from imu_calib.segmentation.segmented import FreeMotion, Rejected
 from imu_calib.segmentation.segments import Turn
 from imu_calib.segmentation.statistics import Samples, Sensor, statistics_between
-from imu_calib.segmentation.stream_facts import FreeMotion, Rejected
 from imu_calib.segmentation.table_motion import Motion
 from imu_calib.segmentation.turns import MotionReadings, _around, read_free_motion, read_turns
 from imu_calib.session.imu import ImuSpec, TriadSpec

@@ -37,8 +37,8 @@ from imu_calib.estimation.setup import Setup
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.clock import fit_clock
 from imu_calib.segmentation.labelling import attitude_words, heading, label, unique, up_words
+from imu_calib.segmentation.segmented import Segmented
 from imu_calib.segmentation.segments import Segment, Turn
-from imu_calib.segmentation.stream_facts import Segmented
 from imu_calib.session.plan import UNPLANNED, Plan, Position, RateTest, load_plan
 from imu_calib.session.table import TURN, load_table
 

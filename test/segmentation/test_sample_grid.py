@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from imu_calib.common.stream import Floats, Stamps
 from imu_calib.common.units import ARCSEC, DEG
-from imu_calib.segmentation.gaps import bridged, filled_at_steady_rate, repeating_samples
-from imu_calib.segmentation.stamp_faults import Pace
+from imu_calib.segmentation.gaps import bridged, filled_at_steady_rate
+from imu_calib.segmentation.pace import Pace
+from imu_calib.segmentation.repeated_samples import repeating_samples
 from imu_calib.segmentation.stamps import clock_steps, read_grid, sampling_times
 from imu_calib.segmentation.statistics import Sensor, gap_free, statistics_at_rest
 from imu_calib.segmentation.table_motion import JointTracker, Motion, Rest

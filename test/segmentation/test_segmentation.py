@@ -21,6 +21,7 @@ from imu_calib.segmentation.clock import ClockSample, fit_clock, measured_share
 from imu_calib.segmentation.dwells import find_step, read_dwell, sound_samples
 from imu_calib.segmentation.intake import StampOrder
 from imu_calib.segmentation.plateaus import find_turns
+from imu_calib.segmentation.segmented import Rejected
 from imu_calib.segmentation.segments import Statistics
 from imu_calib.segmentation.statistics import (
     Samples,
@@ -31,7 +32,6 @@ from imu_calib.segmentation.statistics import (
     statistics_at_rest,
     statistics_between,
 )
-from imu_calib.segmentation.stream_facts import Rejected
 from imu_calib.segmentation.table_motion import JointTracker, Motion, Rest
 from imu_calib.session.imu import load_imu
 from imu_calib.session.table import load_table

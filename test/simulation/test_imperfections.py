@@ -21,7 +21,6 @@ from imu_calib.model.sensors import SensorModel
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import Plan
 from imu_calib.session.table import load_table
-from imu_calib.simulation.motion import TableSizes, TrueJoint, TrueTable
 from imu_calib.simulation.options import (
     BiasStep,
     Delivery,
@@ -34,6 +33,7 @@ from imu_calib.simulation.options import (
     read_imperfections,
 )
 from imu_calib.simulation.stand import SimulatedStand
+from imu_calib.simulation.true_table import TableSizes, TrueJoint, TrueTable
 
 TABLE = load_table('three_axis')
 PLAN = quick_plan('twelve_position', 5.0)

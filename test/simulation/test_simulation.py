@@ -19,7 +19,8 @@ from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.plan import Plan, Position, RateTest
 from imu_calib.session.table import Joint, Limits, Table, load_table
-from imu_calib.simulation.hardware import FRAME, SimulatedHardware, crc16, pack, unpack
+from imu_calib.simulation.frames import FRAME, crc16, pack, unpack
+from imu_calib.simulation.hardware import SimulatedHardware
 from imu_calib.simulation.imu import SimulatedImu
 from imu_calib.simulation.motion import trapezoid
 from imu_calib.simulation.options import (

@@ -22,6 +22,7 @@ from imu_calib.common.stream import (
     TemperatureBlock,
 )
 from imu_calib.recordings.cdr_codec import (
+    Kind,
     encode_imu,
     encode_joints,
     encode_rates,
@@ -30,7 +31,7 @@ from imu_calib.recordings.cdr_codec import (
     part,
 )
 from imu_calib.recordings.definitions import definition
-from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import RecordingWriter
 
 NS = 1_000_000_000

@@ -17,8 +17,8 @@ from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.segmentation.clock import NO_CLOCK
+from imu_calib.segmentation.segmented import Move
 from imu_calib.segmentation.segments import Segment, Statistics
-from imu_calib.segmentation.stream_facts import Move
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
 from imu_calib.simulation.hand import HandSession

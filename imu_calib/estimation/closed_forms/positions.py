@@ -12,7 +12,7 @@ import numpy as np
 
 from ...common.errors import NotObservable
 from ...common.stream import Floats
-from ...model.parameters import AXES, Parameter
+from ...model.parameters import AXES, PARAMETERS, Parameter
 from ...model.sensors import SensorModel, parameters_of
 from ...model.terms import G_SENSITIVITIES, G_SENSITIVITY
 from ...session.plan import Plan
@@ -293,3 +293,25 @@ def _names(parameters: tuple[Parameter, ...]) -> Sequence[str]:
         return names
     own = [', '.join(p.name for p in sensitive if p.column == axis) for axis in range(3)]
     return [f'{a}, {b}' for a, b in zip([bias_names('g'), *own], names, strict=True)]
+
+
+def solve_rate_24(evidence: Evidence) -> Solution:
+    """Estimate the 24 parameters."""
+    if evidence.azimuth is None:
+        raise NotObservable(
+            'Positions held against north need it: give the azimuth of the table (in its YAML, or '
+            f'with `azimuth`). {bias_names("g")} cannot be determined.'
+        )
+    turned, condition = rate_test_weights(evidence)
+    count = len({s.position for s in evidence.segments})
+    mean = position_weights(evidence) / count
+    rates = evidence.attitudes().transpose(0, 2, 1) @ evidence.site.earth_rate
+    gyro = np.zeros((BIAS + 1, len(rates) + len(evidence.turns)))
+    gyro[:BIAS, len(rates) :] = turned
+    gyro[BIAS] = np.concatenate([mean, -(mean @ rates) @ turned])
+    ups = evidence.attitudes()[:, 2]
+    fitted, spread = force_weights(
+        ups, position_weights(evidence), f'{count} positions', PARAMETERS
+    )
+    accel = np.vstack([fitted[1:] / evidence.site.gravity, fitted[:1]])
+    return Gains(gyro, accel, max(condition, spread)).conclude(evidence, north_known=True)

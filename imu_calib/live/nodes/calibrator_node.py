@@ -12,7 +12,7 @@ from typing import Any
 from ...common.errors import InputError
 from ...common.files import user_path
 from ...common.stream import NS
-from ...recordings.rosbag2 import Kind
+from ...recordings.cdr_codec import Kind
 from ...recordings.writer import Journal
 from ...reports.timeline import reading_sentence
 from ...session.metadata import mount_description, unit_description

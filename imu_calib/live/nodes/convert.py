@@ -16,7 +16,7 @@ from ...model.session_terms import Changes, Course, change
 from ...model.terms import G_SENSITIVITIES, G_SENSITIVITY
 from ...session.imu import ImuSpec, TriadSpec
 from ...session.plausibility import check_plausible
-from ...session.table_errors import StampingClock, check_clock
+from ...session.stamping import StampingClock, check_clock
 from ..middleware import Time, messages
 from ..plan_steps import Piece, SequencerState
 

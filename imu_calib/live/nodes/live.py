@@ -17,7 +17,7 @@ from ...common.stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock, a
 from ...estimation.setup import Setup
 from ...model.parameters import Parameter, skewed_parameters
 from ...recordings.cdr import Malformed, Messages
-from ...recordings.rosbag2 import Kind
+from ...recordings.cdr_codec import Kind
 from ...segmentation.interruptions import INTERRUPTION, interruption
 from .shared import JournalPart, SolverPart
 from .topics import TopicIntake

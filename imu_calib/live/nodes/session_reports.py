@@ -19,7 +19,7 @@ from ...common.stream import NS
 from ...common.units import significant
 from ...estimation.setup import Setup
 from ...model.parameters import Parameter
-from ...recordings.rosbag2 import Kind
+from ...recordings.cdr_codec import Kind
 from ...recordings.writer import Journal
 from ...reports.tables import engineering
 from ...session.metadata import LEFT_OUT

@@ -13,7 +13,7 @@ from typing import Any
 from ...common.stream import Block, SetpointBlock
 from ...estimation.setup import Setup
 from ...recordings.cdr import Malformed
-from ...recordings.rosbag2 import Kind
+from ...recordings.cdr_codec import Kind
 from ...session.units_file import MOST_UNITS
 from .. import middleware as ros
 from ..middleware import (

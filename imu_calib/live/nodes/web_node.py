@@ -17,7 +17,7 @@ from typing import Any
 from ...common.files import require, user_path
 from ...common.stream import NS, ImuBlock, JointBlock, TemperatureBlock
 from ...recordings.cdr import Malformed, Messages
-from ...recordings.rosbag2 import Kind
+from ...recordings.cdr_codec import Kind
 from ...session.units_file import load_units, remaining
 from .. import middleware as ros
 from ..middleware import messages

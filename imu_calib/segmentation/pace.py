@@ -1,0 +1,137 @@
+"""Estimate the sample interval from the stamps of a whole session rather than of one segment.
+
+The device has one clock. Where stamps jitter, segments a minute apart determine its interval a
+hundred times better than one of them. Where the stamping clock drifts, the segments do not lie on a
+line, and each is timed by its own stamps. The two estimates are averaged by their variances
+(docs/mathematics.md, 'Stamps and lost samples').
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..common.stream import Floats, Stamps
+from .stamps import SampleGrid, read_grid
+
+_NEAR_WHOLE = 0.25
+"""Of an interval: tolerance of the distance of segments about a whole number of intervals; beyond
+it they lie on two lines."""
+_SURE_PACE = 0.1
+"""Of an interval: largest standard deviation for which the number between is certain."""
+_FEWEST_FREE = 2
+"""Degrees of freedom from which on the scatter of segments about their line is used."""
+_LEAST_STD = 1e-10  #: Of the level of a segment, s: stamps in ns, averaged.
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How a segment was timed."""
+
+    used: float  #: Sample interval used for reading it, s.
+    own: float  #: That by its own stamps, s.
+    own_std: float  #: Its standard deviation, s.
+
+
+@dataclass(frozen=True)
+class _Knot:
+    """The middle of a segment: which sample since the first segment, when, s, and its std, s."""
+
+    number: float
+    time: float
+    std: float
+
+
+class Pace:
+    """Times segments of samples in order; the outcome depends on them alone."""
+
+    def __init__(self) -> None:
+        self._start = 0
+        self._reference = 0.0
+        """First interval found, s: lines are relative to it, against rounding."""
+        self._pieces = np.zeros(4)
+        """Sums of a line (`_line`) through the pieces between jumps, each with its own level."""
+        self._knots: list[_Knot] = []
+        self._known: tuple[float, float] | None = None  #: Cache of `_long`.
+
+    def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
+        """Return the grid of a segment, (n,) stamps in ns, and its timing by all so far."""
+        grid = read_grid(stamp, self._long()[0] or None)
+        if not self._reference:
+            self._start, self._reference = int(stamp[0]), grid.period
+        if np.isfinite(grid.period_std):
+            self._note(float(stamp[0] - self._start) * 1e-9, grid)
+        timing = Timing(grid.period, grid.period, grid.period_std)
+        return grid, replace(timing, used=self.combined(timing)[0])
+
+    def begin_line(self) -> None:
+        """Part what follows from the line so far: the clock was set."""
+        self._pieces += _line(self._knots, self._reference)
+        self._knots, self._known = [], None
+
+    @property
+    def interval(self) -> float:
+        """Interval by all segments so far, s; by the first one where no line fits them."""
+        return self._long()[0] or self._reference
+
+    def combined(self, timing: Timing) -> tuple[float, float]:
+        """Return the interval of a segment by its own stamps and all others, and its std, s."""
+        long, long_std = self._long()
+        if not long:
+            return timing.own, timing.own_std
+        weights = np.array([long_std, timing.own_std]) ** -2.0
+        return float(weights @ [long, timing.own] / weights.sum()), float(weights.sum() ** -0.5)
+
+    def _long(self) -> tuple[float, float]:
+        """Return the interval by the line through all segments, and its std, s; 0 without one."""
+        if self._known is not None:
+            return self._known
+        points, xx, xy, yy = (self._pieces + _line(self._knots, self._reference)).tolist()
+        freedom, self._known = points - 1, (0.0, float('inf'))
+        if freedom >= _FEWEST_FREE and xx > 0:
+            change = xy / xx
+            squares = max(0.0, yy - change * xy) / freedom
+            std = float(np.sqrt(max(1.0, squares) / xx))
+            self._known = self._reference + change, std
+        return self._known
+
+    def _note(self, start: float, grid: SampleGrid) -> None:
+        """Add a segment to the line, or begin another if it does not lie on it."""
+        middle = float(grid.index[grid.kept].mean())
+        # The level of a line has the uncertainty of its slope times the spread of its samples.
+        std = grid.period_std * float(np.std(grid.index[grid.kept]))
+        time = start + grid.origin + middle * grid.period
+        first = self._number_of_first(time, middle, grid)
+        if first is None:
+            self.begin_line()
+            first = 0
+        self._knots.append(_Knot(first + middle, time, max(std, _LEAST_STD)))
+        self._known = None
+
+    def _number_of_first(self, time: float, middle: float, grid: SampleGrid) -> int | None:
+        """Return the index of this segment's first sample in the session; None if uncertain."""
+        if not self._knots:
+            return None
+        last = self._knots[-1]
+        period, error = self.combined(Timing(grid.period, grid.period, grid.period_std))
+        passed = (time - last.time) / period
+        first = last.number + passed - middle
+        if abs(passed) * error / period > _SURE_PACE or abs(first - round(first)) > _NEAR_WHOLE:
+            return None
+        return round(first)
+
+
+def _line(knots: list[_Knot], period: float) -> Floats:
+    """Return sums of the residuals of knots from a line of a given interval.
+
+    (4,): the number of knots less one, and the weighted sums of x^2, x y and y^2 about the mean.
+    """
+    if len(knots) < 2:
+        return np.zeros(4)
+    number, time, std = np.array([(k.number, k.time, k.std) for k in knots]).T
+    weight = std**-2
+    residuals = time - number * period
+    x = number - weight @ number / weight.sum()
+    y = residuals - weight @ residuals / weight.sum()
+    return np.array([len(knots) - 1, weight @ x**2, weight @ (x * y), weight @ y**2])
