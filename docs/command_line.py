@@ -8,7 +8,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from imu_calib.cli.dispatch import COMMANDS, EXIT_CODES, build_parser
+from imu_calib.cli.dispatch import COMMANDS, build_parser
+from imu_calib.cli.outcome import EXIT_CODES
 
 PAGE = Path(__file__).with_suffix('.md')
 

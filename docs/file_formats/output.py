@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from imu_calib.cli.dispatch import FORMAT
+from imu_calib.cli.outcome import FORMAT
 from imu_calib.model.parameters import TRIADS
 
 from .keys import (

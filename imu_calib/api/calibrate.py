@@ -29,9 +29,7 @@ from ..session.metadata import compensated_already, interpolated_from, serial_ke
 from ..session.plan import load_plan
 from ..session.units_file import MountedUnit
 from .compare import specification_of
-from .session import as_units
-from .stamp_clock import clock_findings, refused_by_stamps
-from .streams import (
+from .opening import (
     ASSUMED_BY_HAND,
     Opened,
     ask_for_plan,
@@ -39,8 +37,10 @@ from .streams import (
     open_session,
     recording_at,
     session_of,
-    units_of,
 )
+from .session import as_units
+from .stamp_clock import clock_findings, refused_by_stamps
+from .streams import units_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

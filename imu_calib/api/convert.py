@@ -49,7 +49,8 @@ from .converted import (
     resampling,
     write_imu,
 )
-from .streams import against_si, removed_on_failure
+from .opening import against_si
+from .outputs import removed_on_failure
 
 _GYRO = {**Dimension.RATE.value, **Dimension.ANGLE.value, **RAW_UNITS}
 _ACCEL = {**Dimension.ACCELERATION.value, **Dimension.VELOCITY.value, **RAW_UNITS}

@@ -38,8 +38,9 @@ from ..session.imu import ImuSpec
 from ..session.keywords import NO_PLAN, Named, Stated, as_imu
 from ..session.plan import Plan, load_plan
 from .calibrate import solve
+from .opening import recording_at, session_of
+from .outputs import output_path, page_path
 from .session import as_applied, as_calibration, as_combined, as_list
-from .streams import output_path, page_path, recording_at, session_of
 
 _ALIKE = 0.1
 """In standard deviations: two results of one recording that are closer are the same. A judgement:

@@ -44,8 +44,8 @@ from ..session.imu import ImuSpec
 from ..session.keywords import Named, Optimised, Planned, Stated, as_imu, as_plan, with_keywords
 from ..session.plan import Plan
 from ..session.table import Table
+from .outputs import output_path
 from .session import as_truth
-from .streams import output_path
 
 if TYPE_CHECKING:
     import pandas

@@ -66,8 +66,8 @@ from ..simulation.stand import (
     SimulatedStand,
     SimulatedUnit,
 )
+from .outputs import new_folder, removed_on_failure
 from .session import TRUE_TABLE, as_units, load_truth
-from .streams import new_folder, removed_on_failure
 
 if TYPE_CHECKING:
     import pandas

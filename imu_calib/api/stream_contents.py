@@ -20,8 +20,8 @@ from ..segmentation.segmented import Segmented
 from ..segmentation.segments import Segment
 from ..session.plan import Plan
 from ..session.table import TURN
+from .opening import Opened
 from .stamp_clock import refused_by_stamps
-from .streams import Opened
 
 _SAME_UP = 0.999
 """Cosine of 2.6 deg: turns about closer axes belong to the same position. A judgement: the

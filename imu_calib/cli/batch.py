@@ -13,7 +13,7 @@ from ..common.units import counted
 from ..fleet.batch import batch
 from ..session.keywords import Session
 from . import options
-from .dispatch import CommandResult
+from .outcome import CommandResult
 from .terminal import ERRORS, OUTPUT, progress_bar
 
 

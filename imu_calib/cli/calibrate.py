@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..api.calibrate import UnitResult, UnitResults, calibrate_units, calibrated, holds_several
 from ..api.compare import Conformity, conformity
-from ..api.streams import output_or_default, output_path, recording_path
+from ..api.opening import recording_path
+from ..api.outputs import output_or_default, output_path
 from ..calibration.calibration import Calibration
 from ..common.units import DEG, DEG_H, MICRO_G, PPM, significant
 from ..model.earth import MEASURED, VAGUE
@@ -25,7 +26,7 @@ from ..reports.tables import (
 from ..session.keywords import Session
 from ..session.plan import METHOD_NAMES
 from . import options
-from .dispatch import (
+from .outcome import (
     DONE,
     EXIT_CODES,
     NO_ANSWER,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.documents import FORMATS, certificate
-from ..api.streams import output_path
+from ..api.outputs import output_path
 from .terminal import OUTPUT
 
 

@@ -6,7 +6,7 @@ import argparse
 
 from ..api.compare import Compared, compare
 from ..reports.tables import agreement_lines, comparison_table
-from .dispatch import CommandResult, add_json_option
+from .outcome import CommandResult, add_json_option
 from .terminal import OUTPUT, print_whole
 
 _LONG = 10

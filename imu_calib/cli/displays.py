@@ -21,7 +21,7 @@ from ..common.errors import InputError
 from ..common.units import ARCMIN, PPM, significant
 from ..live.devices.health import Severity
 from ..live.web.board import Snapshot, UnitRow
-from ..live.web.drawing import headline, time_left
+from ..live.web.sentences import headline, time_left
 from ..reports.plain_table import plain_table
 from ..reports.timeline import READING, Converging
 from .embedded import Nodes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.documents import export
-from ..api.streams import output_path
+from ..api.outputs import output_path
 from ..calibration.c_header import EXPORTS
 from . import options
 from .terminal import OUTPUT, sentence_list

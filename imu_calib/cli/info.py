@@ -12,7 +12,7 @@ from ..common.units import DEG, DEG_H, PPM, STANDARD_GRAVITY, counted
 from ..reports.plain_table import plain_table
 from ..session.keywords import Session
 from . import options
-from .dispatch import WRONG_INPUT, CommandResult, add_json_option
+from .outcome import WRONG_INPUT, CommandResult, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return run(given, alone=argv is None)
     except KeyboardInterrupt:
         # During the loading of modules, or a second Ctrl-C during the answer to the first.
-        from .dispatch import report_interruption
+        from .outcome import report_interruption
 
         return report_interruption(given)
 

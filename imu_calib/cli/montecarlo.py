@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.table import Table as Rows
 
+from ..api.outputs import output_path
 from ..api.simulate import montecarlo
-from ..api.streams import output_path
 from ..calibration.views import empty_figure
 from ..common.errors import InputError
 from ..common.files import write_by

@@ -12,12 +12,12 @@ from inspect import Parameter, signature
 from pathlib import Path
 from typing import IO, Any
 
+from ..api.outputs import output_path
 from ..api.session import TRUE_TABLE
-from ..api.streams import output_path
 from ..common.errors import InputError
 from ..common.files import shipped, write_by
 from ..session.keywords import Stated, numeric, statements, types_of
-from .dispatch import finite
+from .outcome import finite
 
 
 def stated(arguments: argparse.Namespace) -> Stated:

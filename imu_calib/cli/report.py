@@ -6,11 +6,11 @@ import argparse
 
 from ..api.compare import Conformity, conformity
 from ..api.documents import written
-from ..api.streams import output_path
+from ..api.outputs import output_path
 from ..reports.provenance import summary
 from ..session.keywords import Session
 from . import options
-from .dispatch import EXIT_CODES, CommandResult, add_json_option, judged_result
+from .outcome import EXIT_CODES, CommandResult, add_json_option, judged_result
 from .terminal import OUTPUT, progress_bar
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..common.files import share_folder
-from .dispatch import write_text
+from .outcome import write_text
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

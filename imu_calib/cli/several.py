@@ -18,8 +18,8 @@ from ..common.errors import InputError
 from ..common.files import named_file, read_text, user_path, write_whole
 from ..common.units import significant
 from ..live.devices.format import load_format
+from ..live.devices.in_memory import SCHEME
 from ..live.devices.source import check_port
-from ..live.nodes.frame_server import SCHEME
 from ..reports.plain_table import plain_table
 from ..reports.tables import engineering
 from ..session.imu import load_imu

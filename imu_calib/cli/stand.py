@@ -6,7 +6,7 @@ import argparse
 import math
 from pathlib import Path
 
-from ..api.streams import removed_on_failure
+from ..api.outputs import removed_on_failure
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.files import shipped, user_path

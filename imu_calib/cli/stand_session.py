@@ -24,7 +24,7 @@ from ..api.stand import (
 )
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError, NotObservable
-from ..live.network import forced
+from ..live.runtime import forced
 from ..live.web.board import Board, UnitsBoard
 from ..live.web.expectation import expectation, units_board
 from ..model.earth import LUOYANG, Site

@@ -9,7 +9,7 @@ from ..calibration.verify import Verdict, Verification
 from ..reports.tables import dwell_table, limits_line, moved_table, turn_table
 from ..session.keywords import Numbered, Read
 from . import options
-from .dispatch import NO_ANSWER, CommandResult, add_json_option
+from .outcome import NO_ANSWER, CommandResult, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from ..api.calibrate import serials_in, solve, units_of_recording
-from ..api.streams import recording_at, session_of, units_of
+from ..api.opening import recording_at, session_of
+from ..api.streams import units_of
 from ..calibration.results import Result
 from ..common.errors import ImuCalibError, InputError
 from ..common.files import named_file, read_text, user_path, version

@@ -28,7 +28,8 @@ from ..session.table import load_table
 from ..session.units_file import PULSES, load_units, remaining
 from .devices.format import load_format
 from .devices.source import check_port
-from .network import LOOPBACK, REACH, check_domain, in_enclave, interface_variables
+from .network import LOOPBACK, REACH, check_domain, interface_variables
+from .security import in_enclave
 
 _MODULES = {
     'numpy': 'python3-numpy',

@@ -13,19 +13,9 @@ from ..common.errors import InputError
 from ..common.stream import Mode, Setpoint
 from ..session.plan import Plan, Step
 from ..session.table import Table
-from .plan_steps import (
-    Feedback,
-    Phase,
-    Rest,
-    Rules,
-    approach_step,
-    check,
-    end_of,
-    held,
-    motion_time,
-    setpoint_of,
-    steps_of_plan,
-)
+from .encoders import Feedback, Rest
+from .plan_steps import approach_step, check, end_of, held, motion_time, setpoint_of, steps_of_plan
+from .rules import Phase, Rules
 from .table_watch import IdleWatch, Standing, Watch
 
 

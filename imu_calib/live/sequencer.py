@@ -10,8 +10,9 @@ from ..common.errors import InputError
 from ..common.stream import JointBlock, Setpoint
 from ..session.plan import Plan
 from ..session.table import Table
+from .encoders import Encoders, Feedback, FeedbackError
 from .plan_run import Leg, Run
-from .plan_steps import Encoders, Feedback, FeedbackError, Phase, Rules, SequencerState
+from .rules import Phase, Rules, SequencerState
 from .table_watch import IdleWatch
 
 _NO_FEEDBACK = 'There are no joint states from the table.'

@@ -9,7 +9,8 @@ from ..common.stream import Mode
 from ..common.units import DEG
 from ..session.plan import Step
 from ..session.table import TURN, Joint, Table, distance_from_rest, travel_time
-from .plan_steps import WINDOW, Feedback, Rules
+from .encoders import WINDOW, Feedback
+from .rules import Rules
 
 _LAG = 1.0
 """Longest time from a setpoint to the first motion, s. A judgement: ten setpoints are sent in

@@ -24,7 +24,7 @@ from imu_calib.cli.processes import Processes
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, Mode
-from imu_calib.live.plan_steps import Phase, Rules
+from imu_calib.live.rules import Phase, Rules
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import Kind, encode_imu
 from imu_calib.recordings.rosbag2 import open_recording

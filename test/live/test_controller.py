@@ -12,7 +12,8 @@ from turntable_bench import NAMES, PATIENT, FakeTable
 from imu_calib.common.stream import JointBlock, Mode
 from imu_calib.common.units import DEG
 from imu_calib.live import middleware as ros
-from imu_calib.live.plan_steps import Overtaken, Phase
+from imu_calib.live.rules import Phase
+from imu_calib.live.trajectory import Overtaken
 from imu_calib.recordings.cdr_codec import encode_joints
 
 session = turntable_bench.session

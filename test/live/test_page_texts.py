@@ -12,7 +12,7 @@ from installed import needs_modules
 from loopback import patience
 
 from imu_calib.common.config import Section
-from imu_calib.live.plan_steps import Phase
+from imu_calib.live.rules import Phase
 from imu_calib.live.web.board import Board, UnitsBoard
 from imu_calib.live.web.expectation import expectation, units_board
 from imu_calib.live.web.guard import Token

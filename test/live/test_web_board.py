@@ -17,12 +17,13 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
 from imu_calib.common.units import DEG
 from imu_calib.live.devices.health import Severity
-from imu_calib.live.plan_steps import Phase
+from imu_calib.live.rules import Phase
 from imu_calib.live.web import drawing
 from imu_calib.live.web.board import Board, SessionOutcome
-from imu_calib.live.web.drawing import STYLE, headline, time_left
+from imu_calib.live.web.drawing import STYLE
 from imu_calib.live.web.expectation import expectation
 from imu_calib.live.web.samples import Dwells
+from imu_calib.live.web.sentences import headline, time_left
 from imu_calib.live.web.shape import table_shape
 from imu_calib.reports.timeline import Courses, Pace, ends_at, in_words
 from imu_calib.session.table import load_table

@@ -10,7 +10,7 @@ import pytest
 from imu_calib.common.config import Section
 from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup
-from imu_calib.live.plan_steps import Phase
+from imu_calib.live.rules import Phase
 from imu_calib.model.earth import Site
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan

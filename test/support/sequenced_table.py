@@ -9,7 +9,7 @@ import numpy as np
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import JointBlock, Setpoint
 from imu_calib.common.units import DEG
-from imu_calib.live.plan_steps import Rules
+from imu_calib.live.rules import Rules
 from imu_calib.live.sequencer import Sequencer
 from imu_calib.session.plan import RateTest, load_plan
 from imu_calib.session.table import TURN, load_table

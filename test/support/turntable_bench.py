@@ -16,7 +16,7 @@ from imu_calib.common.stream import JointBlock, Mode, Setpoint
 from imu_calib.live import middleware as ros
 from imu_calib.live.nodes import topics as qos
 from imu_calib.live.nodes.turntable_node import TurntableNode
-from imu_calib.live.plan_steps import Phase
+from imu_calib.live.rules import Phase
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import decode_setpoints, encode_joints
 from imu_calib.session.table import load_table

@@ -28,7 +28,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any, Protocol
 
-from ..network import require, runtime
+from ..runtime import require, runtime
 from .running import GoalStatus
 
 if TYPE_CHECKING:

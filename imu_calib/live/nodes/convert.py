@@ -18,7 +18,8 @@ from ...session.imu import ImuSpec, TriadSpec
 from ...session.plausibility import check_plausible
 from ...session.stamping import StampingClock, check_clock
 from ..middleware import Time, messages
-from ..plan_steps import Piece, SequencerState
+from ..rules import SequencerState
+from ..trajectory import Piece
 
 _UNITS = {
     Units.PULSES: messages.ImuCalibration.UNIT_PULSES,

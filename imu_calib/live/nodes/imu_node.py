@@ -12,11 +12,11 @@ from ...recordings.cdr_codec import PULSES, RATES, encode_imu, encode_temperatur
 from ...session.imu import load_imu
 from ..devices.format import Samples, load_format
 from ..devices.health import GAP_TIMEOUT, Reception
+from ..devices.in_memory import SCHEME, InMemorySource
 from ..devices.source import Chunk, Source, choose_baud, is_serial
 from ..middleware import Clock, ClockType, ManagedNode, messages, publish_all
 from . import topics as qos
 from .diagnostics import Diagnostics, Level
-from .frame_server import SCHEME, InMemorySource
 from .parameters import declare
 from .programs import entry_point
 

@@ -20,7 +20,7 @@ from ...recordings.cdr import Malformed, Messages
 from ...recordings.cdr_codec import Kind
 from ...segmentation.interruptions import INTERRUPTION, interruption
 from .shared import JournalPart, SolverPart
-from .topics import TopicIntake
+from .subscriptions import TopicIntake
 
 _SKEW_AWAITED = 10.0
 """Longest time for which IMU samples come without the skewed gyro: s, by stamps and by the

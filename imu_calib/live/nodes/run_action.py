@@ -10,14 +10,17 @@ from typing import Any
 
 from ...common.errors import InputError
 from ...common.stream import Mode, Setpoint
+from ..encoders import Feedback
 from ..middleware import ActionClient, GoalServer, Node, actions, messages
 from ..middleware.running import GoalStatus
-from ..plan_steps import Feedback, Lead, Overtaken, Phase
+from ..rules import Phase
 from ..sequencer import Sequencer
 from ..table_watch import SETS_OUT
+from ..trajectory import Lead, Overtaken
 from . import topics as qos
 from .convert import trajectory_message
-from .diagnostics import Diagnostics, state_sentence
+from .diagnostics import Diagnostics
+from .run_reports import state_sentence
 
 _FEEDBACK_PERIOD = 0.5
 """s between two equal feedbacks: the period of turntable/state."""

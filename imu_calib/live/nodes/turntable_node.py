@@ -23,15 +23,17 @@ from ..middleware import (
     serialize_message,
     spin_once,
 )
-from ..plan_steps import SequencerState
+from ..rules import SequencerState
 from ..sequencer import Sequencer
 from . import topics as qos
 from .convert import state_message
-from .diagnostics import CalibratorProgress, Diagnostics, Level, state_figures, state_sentence
-from .parameters import declare, declare_rules
+from .diagnostics import Diagnostics, Level
+from .pacing import Pacing
+from .parameters import declare
 from .programs import entry_point
 from .run_action import Controller, RunAction
-from .stand_node import Pacing
+from .run_reports import CalibratorProgress, state_figures, state_sentence
+from .session_parameters import declare_rules
 from .stop import EmergencyStop, Heartbeat, state_folder
 from .topics import OwnTopics
 
@@ -439,54 +441,6 @@ def _holds(payload: bytes) -> bool:
     """Return whether a serialised setpoint is HOLD, which needs no answer."""
     blocks = decode_setpoints(Messages.join([payload]), Malformed())
     return all(setpoint.mode is Mode.HOLD for block in blocks for setpoint in block.setpoints)
-
-
-class DoneCheck:
-    """Receives turntable/state, and accepts DONE only with independent evidence.
-
-    Any publisher on the topic could end a session. Therefore the calibrator must have received
-    setpoints of every step, no other node may publish the state, and DONE must come twice in
-    succession: the node that runs the plan repeats its state twice a second and would contradict.
-
-    Args:
-        plan: Name of the plan that is calibrated.
-        steps: Number of its steps.
-    """
-
-    def __init__(self, plan: str, steps: int) -> None:
-        self._plan = plan
-        self._steps = steps
-        self._in_succession = 0
-
-    def deny(self) -> None:
-        """Take a state that is not DONE."""
-        self._in_succession = 0
-
-    def refusal(self, plan: str, steps: int, commanded: int, *, alone: bool) -> str:
-        """Take a state that is DONE; return why it is not accepted, else empty.
-
-        Args:
-            plan: Name of the plan in the state.
-            steps: Number of steps in the state.
-            commanded: Number of steps commanded by setpoints.
-            alone: Whether the state has one publisher.
-        """
-        self._in_succession += 1
-        if plan != self._plan:
-            return f'it names the plan {plan or "(none)"}, not {self._plan}'
-        if steps != self._steps:
-            return f'it has {steps} steps, plan {self._plan} has {self._steps}'
-        if commanded < self._steps:
-            first = f'{commanded + 1} to ' if commanded + 1 < self._steps else ''
-            return f'step {first}{self._steps} of {self._plan} was never commanded'
-        if not alone:
-            return 'more than one node publishes the state'
-        return ''
-
-    @property
-    def is_repeated(self) -> bool:
-        """Whether DONE was received more than once in succession."""
-        return self._in_succession > 1
 
 
 if __name__ == '__main__':

@@ -21,7 +21,7 @@ from ...recordings.cdr_codec import Kind
 from ...session.units_file import load_units, remaining
 from .. import middleware as ros
 from ..middleware import messages
-from ..plan_steps import Phase
+from ..rules import Phase
 from ..web.board import (
     Board,
     SessionOutcome,
@@ -35,9 +35,10 @@ from ..web.samples import Dwells
 from ..web.shape import table_shape
 from . import topics as qos
 from .diagnostics import Diagnostics, Level
-from .parameters import StatedUnit, declare, declared_units
+from .parameters import declare
 from .programs import entry_point
-from .topics import listen_to_each, topics_of_unit
+from .session_parameters import StatedUnit, declared_units
+from .subscriptions import listen_to_each, topics_of_unit
 
 TOKEN = 'IMU_CALIB_WEB_TOKEN'
 """Environment variable with the token; without it the node creates one, and prints it."""

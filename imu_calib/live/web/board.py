@@ -13,7 +13,7 @@ from ...model.parameters import Parameter
 from ...reports.timeline import Converging, Courses, Pace, in_words
 from ...session.imu import Specification
 from ..devices.health import Severity
-from ..plan_steps import Phase
+from ..rules import Phase
 from .samples import Streams
 
 

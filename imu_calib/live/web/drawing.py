@@ -4,151 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from html import escape
 
 import numpy as np
 
 from ...common.stream import Units
-from ...common.units import DEG
 from ...model.terms import TERMS
 from ...reports.charts import number, tag
 from ...reports.html import facts
 from ...reports.page import noise_plots
-from ...reports.timeline import Converging, ends_at, in_words
+from ...reports.timeline import Converging
 from ...segmentation.segments import CHANNELS
 from ...session.imu import COVERAGE, ImuSpec
 from ..devices.health import Severity
-from ..plan_steps import Phase
-from .board import NOT_BEGUN, Sentence, SessionOutcome, Snapshot, TableState, UnitRow
+from ..rules import Phase
+from .board import Sentence, SessionOutcome, Snapshot, UnitRow
 from .samples import Streams
-
-_WHOLE = 2.0
-"""Ratio to real time from which a session is called faster. A choice: it is said in whole
-numbers."""
-
-
-_ENDS = {
-    SessionOutcome.FAILED: (Severity.ERROR, 'No calibration'),
-    SessionOutcome.INCOMPLETE: (Severity.WARN, 'Done, but positions are missing'),
-    SessionOutcome.DONE: (Severity.OK, 'The calibration is done'),
-}
-
-
-@dataclass(frozen=True)
-class Headline:
-    """The headline of the page."""
-
-    level: Severity  #: Severity.
-    now: str  #: Present activity, a few words.
-    detail: str = ''  #: Reason or required action; may be empty.
-
-
-def headline(shown: Snapshot) -> Headline:
-    """Return the present activity."""
-    if shown.outcome in _ENDS:
-        return Headline(*_ENDS[shown.outcome], shown.outcome_text)
-    if shown.calibrator_silent:
-        return Headline(
-            Severity.ERROR,
-            'The calibrator is silent',
-            f'No message of calibrator_node has come for {in_words(shown.calibrator_silent)}: has '
-            'it ended? The table is stopped without it.',
-        )
-    if not shown.expected.table:
-        return _in_the_hand(shown)
-    if shown.table is None:
-        return Headline(
-            Severity.WARN, 'Waiting for the table', 'No message of turntable_node has come yet.'
-        )
-    if shown.table_silent:
-        return Headline(
-            Severity.ERROR,
-            'turntable_node is silent',
-            f'No message of turntable_node has come for {in_words(shown.table_silent)}: has it '
-            'ended? A table without setpoints stops by itself.',
-        )
-    return _of_the_table(shown, shown.table)
-
-
-def _in_the_hand(shown: Snapshot) -> Headline:
-    if not shown.progress:
-        return Headline(Severity.WARN, 'Waiting', 'No message of calibrator_node has come yet.')
-    return Headline(Severity.OK, shown.progress)
-
-
-def _of_the_table(shown: Snapshot, table: TableState) -> Headline:
-    where = f'position {table.position}' if table.position else 'its start'
-    if table.phase is Phase.PAUSED:
-        return Headline(Severity.WARN, 'The table has stopped', table.reason)
-    if table.phase is Phase.ABORTED:
-        return Headline(Severity.ERROR, 'The plan was aborted', table.reason)
-    if table.phase is Phase.DONE:
-        return Headline(Severity.OK, 'The plan is done', 'The result is being computed.')
-    if table.phase is Phase.IDLE:
-        return Headline(Severity.OK, 'Nothing moves', table.reason or 'The plan is not started.')
-    words = {
-        Phase.MOVING: f'The table moves to {where}',
-        Phase.SETTLING: f'The table comes to rest at {where}',
-        Phase.TURNING: f'The table turns at {where}',
-        Phase.DWELLING: f'The table stands still at {where}',
-    }
-    return Headline(Severity.OK, words[table.phase], _doing(shown, table))
-
-
-def _doing(shown: Snapshot, table: TableState) -> str:
-    """Return the action of a step as text."""
-    if table.phase is Phase.TURNING:
-        rates = [
-            f'{name} {rate / DEG:.3g} deg/s'
-            for name, rate in zip(table.joints, table.rates, strict=False)
-            if abs(rate) > 0.01 * DEG
-        ]
-        turned = f'{table.turns_done:.1f} turns done'
-        return f'{", ".join([*rates, turned])}.'
-    steps = shown.expected.steps
-    if table.phase is Phase.DWELLING and table.step < len(steps):
-        return steps[table.step].words
-    return ''
-
-
-def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
-    """Return the remaining time, and the time of its end or the basis of the estimate.
-
-    Args:
-        shown: The state.
-        now: Of the wall clock.
-    """
-    if shown.outcome is not SessionOutcome.OPEN:
-        return '0 s', f'it took {in_words(shown.elapsed)}'
-    if not shown.expected.table:
-        return 'as you hold it', f'{in_words(shown.elapsed)} so far'
-    remaining = shown.wall_seconds_left
-    if shown.table is None or shown.silent or math.isnan(remaining):
-        return 'time left not known', ''
-    if shown.table.phase in NOT_BEGUN:
-        return 'the whole plan', 'once it is started'
-    if shown.table.phase is Phase.PAUSED:
-        return in_words(remaining), 'once it goes on'
-    text = f'ends at {ends_at(remaining, now)}'
-    if shown.speed > _WHOLE:
-        text += f' ({shown.speed:.0f} times real time)'
-    return in_words(remaining), text
-
-
-def joint_words(table: TableState) -> list[tuple[str, str, str]]:
-    """Return name, angle and rate of every joint, as text."""
-    return [
-        (name, f'{_rounded(angle / DEG, 3)}\u00b0', f'{_rounded(rate / DEG, 2)} \u00b0/s')
-        for name, angle, rate in zip(table.joints, table.angles, table.rates, strict=False)
-    ]
-
-
-def _rounded(value: float, places: int) -> str:
-    """Return a number without the sign of a zero."""
-    return f'{round(value, places) + 0.0:.{places}f}'
-
+from .sentences import headline, joint_words, time_left
 
 _LEVELS = {Severity.OK: 'ok', Severity.WARN: 'warn', Severity.ERROR: 'error'}
 _SIGNS = {Severity.OK: '\u2713', Severity.WARN: '!', Severity.ERROR: '\u2715'}

@@ -21,7 +21,7 @@ from ...common.errors import InputError
 from ...reports.charts import tag
 from ...session.imu import ImuSpec
 from ..devices.health import Severity
-from ..plan_steps import Phase
+from ..rules import Phase
 from . import drawing
 from .board import SessionOutcome, Snapshot, UnitRow
 from .drawing import STYLE, sign

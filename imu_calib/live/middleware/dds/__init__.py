@@ -3,12 +3,12 @@
 from ...network import LEASES
 from ..running import ACTIONS, MESSAGES, InterfaceTypes
 from .action import ActionClient, GoalServer, action_type
+from .container import run_beside
 from .context import Clock, ClockType, Time, in_step, init, ok, shutdown, try_shutdown
 from .endpoints import Trigger
 from .executor import (
     ExternalShutdownException,
     SingleThreadedExecutor,
-    run_beside,
     spin,
     spin_once,
     spin_until_future_complete,

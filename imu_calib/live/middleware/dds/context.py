@@ -13,7 +13,8 @@ from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
 from ....common.errors import ImuCalibError
 from ....common.stream import NS
-from ...network import refuse_to_pretend, runtime
+from ...runtime import runtime
+from ...security import refuse_to_pretend
 from ..running import domain_id
 from . import memory
 from .arguments import Arguments, parse

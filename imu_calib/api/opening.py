@@ -1,0 +1,213 @@
+"""A recording with everything that a calibrator needs before its session."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..common.errors import InputError, NotStated
+from ..common.files import shipped
+from ..common.progress import Progress, silent
+from ..common.stream import Block, Floats, ImuBlock, Units
+from ..common.units import LARGEST, STANDARD_GRAVITY
+from ..estimation.setup import Setup
+from ..recordings.cdr_codec import Kind
+from ..recordings.remote import AnyPath, located
+from ..recordings.rosbag2 import Recording, open_recording
+from ..recordings.stamp_order import StampSorter
+from ..session.imu import ImuSpec, load_imu
+from ..session.keywords import Stated
+from ..session.plan import UNPLANNED, Plan, load_plan
+from .session import mounted_on, serial_of, site_of, stated_imu, stated_plan, table_of
+
+if TYPE_CHECKING:
+    from ..segmentation.segmented import Segmented
+from .streams import _BY_HAND, _SI, Streams, streams_of
+
+_BLOCKS = 200
+"""Blocks that are examined: some minutes of most recordings, and never more than fit into
+memory."""
+_NEAR_GRAVITY = 0.25
+"""Relative: an accelerometer in the hand with 3 % of scale factor error and 0.15 g of bias, beyond
+the data sheets of the cheapest (MPU-9150). The median length is nearer to gravity than that; g (1),
+mg (1000) and counts are not."""
+_FASTEST = 35.0
+"""rad/s: 2000 deg/s, the widest range of MEMS gyros in use (MPU-9250, BMI088, ICM-20948)."""
+_LONGEST_HOLD = 15.0
+"""s: longer than a hand holds still, shorter than dwells on a table or of a unit that lies. A
+judgement."""
+ASSUMED_SI = (
+    'The units of the IMU are not stated: rad/s and m/s^2 (REP 145) are assumed; the measured '
+    'length of gravity agrees with that. `imu` states them, and the noise of the unit.'
+)
+ASSUMED_BY_HAND = (
+    'No plan is stated and there are no joint states: the session is taken as free positions (a '
+    'unit in the hand). If a plan of a table was run, name it with `plan` (docs/bag.md).'
+)
+
+
+def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
+    """Return the description of an IMU in SI units if the samples agree with it.
+
+    Raises:
+        NotStated: They do not, and their units are not stated.
+        InputError: Gravity was removed from them, or rates and accelerations come apart.
+    """
+    # Loaded here, as the rest of segmentation is: most commands do not need it.
+    from ..segmentation.stream_facts import (
+        gravity_removed,
+        halves,
+        quiet_means,
+        separate_messages_sentence,
+    )
+
+    blocks = [b for _, b in islice(recording.read({topic: Kind.IMU}), _BLOCKS)]
+    samples = [b for b in blocks if isinstance(b, ImuBlock)]
+    force = np.vstack([np.zeros((0, 3)), *(b.accel for b in samples)])
+    rate = np.vstack([np.zeros((0, 3)), *(b.gyro for b in samples)])
+    if halves(rate, force) is not None:
+        raise InputError(f'{recording.path}: {separate_messages_sentence(topic, Units.SI)}')
+    if removed := gravity_removed(quiet_means(force)):
+        raise InputError(f'{recording.path}: {topic}: {removed}')
+    if seen := against_si(force, rate):
+        raise NotStated(
+            f"{recording.path} does not say what the IMU's numbers mean: give `imu` "
+            f'({shipped("imus")}, or a file). They are not rad/s and m/s^2: {seen}.'
+        )
+    return load_imu(_SI)
+
+
+def against_si(force: Floats, rate: Floats) -> str:
+    """Return which of (n, 3) forces and rates are not in SI units; else empty."""
+    lengths = np.linalg.norm(force[(np.abs(force) <= LARGEST).all(axis=1)], axis=1)
+    length = float(np.median(lengths)) if len(lengths) else float('nan')
+    if not abs(length / STANDARD_GRAVITY - 1) < _NEAR_GRAVITY:
+        unit = '; 1 would be g' if abs(length - 1) < _NEAR_GRAVITY else ''
+        return f'the length of the acceleration is {length:.4g} in the median, not 9.8{unit}'
+    finite = np.abs(rate[np.isfinite(rate).all(axis=1)])
+    fastest = float(finite.max()) if len(finite) else 0.0
+    if fastest > _FASTEST:
+        return (
+            f'the gyros read up to {fastest:.4g}, faster than any IMU turns in rad/s; '
+            'deg/s is possible'
+        )
+    return ''
+
+
+def plan_by_hand() -> Plan:
+    """Return the plan without table and order."""
+    return load_plan(_BY_HAND)
+
+
+def is_hand_held(session: Segmented) -> bool:
+    """Return whether the static dwells of a session are as short as in a hand."""
+    seconds = [s.statistics.duration for s in session.segments]
+    return not seconds or float(np.median(seconds)) < _LONGEST_HOLD
+
+
+def ask_for_plan(path: object) -> str:
+    """Return the request to state the plan."""
+    return (
+        f'{path} does not say which plan was run: give `plan` ({shipped("plans")}). '
+        'None is needed where joint states of a table give the attitudes; here are none.'
+    )
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A recording with everything that is needed to calibrate from it."""
+
+    recording: Recording  #: Open for reading.
+    setup: Setup  #: Set-up for the calibrator.
+    streams: Streams  #: Its topics.
+    assumed: tuple[str, ...] = ()  #: Assumptions about what is not stated, in sentences.
+    order: StampSorter = field(default_factory=StampSorter)  #: Sorts the samples of the IMU.
+
+    def blocks(self, progress: Progress = silent) -> Iterator[Block]:
+        """Read the needed topics, in order, the samples of the IMU in that of their stamps."""
+        with progress('reading') as show:
+            blocks = self.recording.read(self.streams.kinds(), show)
+            yield from self.order.sorted_blocks(blocks, self.streams.imu)
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Sentences on what was unreadable or out of order, so far."""
+        return (*self.recording.losses, *self.order.sentences)
+
+
+def recording_path(bag: str | AnyPath) -> AnyPath:
+    """Return the path of a recording: a remote one is fetched once for all that take it.
+
+    Raises:
+        InputError: It is a URL that cannot be read.
+    """
+    return located(bag)
+
+
+def open_session(bag: str | AnyPath, stated: Stated) -> Opened:
+    """Open a recording, and find its set-up.
+
+    Args:
+        bag: As for `calibrate`, or already located.
+        stated: Known facts of the session.
+
+    Raises:
+        InputError: Something is missing, ambiguous or unreadable.
+    """
+    return session_of(recording_at(bag), stated)
+
+
+def recording_at(bag: str | AnyPath, sha256: str | None = None) -> Recording:
+    """Open a recording.
+
+    Args:
+        bag: As for `calibrate`, or already located.
+        sha256: Of its storage files, if known already.
+
+    Raises:
+        InputError: There is none, or it is unreadable.
+    """
+    if bag == '':
+        raise InputError("found '', expected the path of a recording.")
+    return open_recording(bag, sha256)
+
+
+def session_of(recording: Recording, stated: Stated) -> Opened:
+    """Find the set-up of a recording's session.
+
+    Raises:
+        InputError: Something is missing or ambiguous.
+    """
+    streams = streams_of(stated, recording)
+    described = table_of(stated, recording)
+    table = mounted_on(described, stated, recording, streams.imu)
+    known = stated_imu(stated, recording, streams.imu)
+    imu = taken_as_si(recording, streams.imu) if known is None else known[0]
+    plan = stated_plan(stated, recording)
+    if plan is None and streams.joints is not None:
+        # Joint states give the attitudes.
+        plan = UNPLANNED
+    if plan is not None and table is not described:
+        # A unit rotated on the fixture passes other attitudes than those of the plan.
+        plan = UNPLANNED
+    steps = plan_by_hand() if plan is None else plan
+    statements = (*([] if known else [ASSUMED_SI]), *([] if plan else [ASSUMED_BY_HAND]))
+    if streams.skew is None:
+        # The calibrator must not wait for a gyro that the recording lacks.
+        imu = replace(imu, skewed=None)
+    setup = Setup(
+        imu,
+        steps,
+        table if streams.joints is not None else None,
+        site_of(stated, recording, by_hand=steps.by_hand),
+        stated.method,
+        serial_of(stated, recording, streams.imu),
+        stated.sensor_terms,
+        stated.changes,
+        stated.search_terms,
+    )
+    return Opened(recording, setup, streams, statements)

@@ -1,0 +1,93 @@
+"""Outputs of commands: in existing folders, complete or not at all."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..common.errors import InputError
+from ..common.files import user_path
+from ..recordings.rosbag2 import is_storage
+from ..session.keywords import Named
+
+if TYPE_CHECKING:
+    pass
+
+
+def output_path(output: Named) -> Path:
+    """Return the path of a file to be written.
+
+    Raises:
+        InputError: Its folder does not exist, it is a folder itself, or a recording, which nobody
+            can make again.
+    """
+    path = _below_a_folder(output)
+    if path.is_dir():
+        raise InputError(f'{path}: is a folder, expected the name of a file.')
+    if path.is_file() and is_storage(path.resolve()):
+        raise InputError(f'{path} exists already; recordings are not overwritten.')
+    return path
+
+
+def new_folder(output: Named) -> Path:
+    """Return the path of a folder to create.
+
+    Raises:
+        InputError: Its parent folder does not exist, or it exists already.
+    """
+    path = _below_a_folder(output)
+    if path.exists():
+        raise InputError(f'{path} exists already; recordings are not overwritten.')
+    return path
+
+
+def page_path(output: Named) -> Path:
+    """Return the path of an HTML file to be written.
+
+    Raises:
+        InputError: As for `output_path`, or its name is that of a PDF.
+    """
+    path = output_path(output)
+    if path.suffix.lower() == '.pdf':
+        raise InputError(
+            f'{path}: the page is HTML, expected a name that ends in .html; a browser prints it.'
+        )
+    return path
+
+
+def output_or_default(output: str | None, default: str) -> str:
+    """Return the path of -o, or the default if that does not exist yet.
+
+    Raises:
+        InputError: No path is given and the default exists: it may be the only copy of another
+            session's result.
+    """
+    if output is None and user_path(default).exists():
+        raise InputError(
+            f'{default} exists already: name another with -o, or give -o {default} to overwrite it.'
+        )
+    return default if output is None else output
+
+
+def _below_a_folder(output: Named) -> Path:
+    if output == '-':
+        raise InputError(
+            '-: expected a name. /dev/stdout is the standard output, ./- a file of that name.'
+        )
+    path = user_path(output)
+    if not path.parent.is_dir():
+        raise InputError(f'{path}: the folder {path.parent} does not exist.')
+    return path
+
+
+@contextmanager
+def removed_on_failure(folder: Path) -> Iterator[None]:
+    """Remove a new folder if its writing ends early, by Ctrl-C too."""
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
