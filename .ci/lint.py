@@ -75,7 +75,7 @@ OTHERS = {
     'live/middleware/dds/context.py': 'options of ROS',
     'live/middleware/ros.py': 'a command of ROS',
     'session/keywords.py': 'the options themselves',
-    'live/network.py': 'a whole command',
+    'live/runtime.py': 'a whole command',
     'live/web/drawing.py': 'variables of CSS',
 }
 """Files outside cli that name options, and whose."""

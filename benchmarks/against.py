@@ -36,14 +36,23 @@ JOB = """
 import json, sys, time
 from dataclasses import fields, replace
 from pathlib import Path
-from imu_calib.recordings.rosbag2 import open_recording
-from imu_calib.calibration.calibration.calibrator import Calibrator
-from imu_calib.estimation.setup import Setup
-from imu_calib.recordings.rosbag2 import Kind
-from imu_calib.model.earth import Site
-from imu_calib.session.imu import load_imu
-from imu_calib.session.plan import load_plan
-from imu_calib.session.table import load_table
+try:
+    from imu_calib.calibration.calibrator import Calibrator
+    from imu_calib.estimation.setup import Setup
+    from imu_calib.model.earth import Site
+    from imu_calib.recordings.cdr_codec import Kind
+    from imu_calib.recordings.rosbag2 import open_recording
+    from imu_calib.session.imu import load_imu
+    from imu_calib.session.plan import load_plan
+    from imu_calib.session.table import load_table
+except ModuleNotFoundError:  # Before 0.2.0.
+    from imu_calib.bags import open_recording
+    from imu_calib.calibrator import Calibrator, Setup
+    from imu_calib.cdr import Kind
+    from imu_calib.earth import Site
+    from imu_calib.imu import load_imu
+    from imu_calib.plan import load_plan
+    from imu_calib.turntable import load_table
 
 TOPICS = {
     '/imu/pulses': Kind.IMU,

@@ -38,7 +38,7 @@ os.environ.setdefault(
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock
 from imu_calib.live import middleware as ros
-from imu_calib.live.nodes import topics as qos
+from imu_calib.live.nodes import qos
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import decode_imu, encode_imu
 

@@ -207,7 +207,7 @@ def _of_messages() -> Iterator[Target]:
     # Only the runtime without ROS reads single messages itself.
     from imu_calib.live.middleware.dds import message_types as codec
     from imu_calib.live.middleware.dds.message_types import message_class
-    from imu_calib.live.middleware.running import MESSAGES
+    from imu_calib.live.middleware.shared import MESSAGES
 
     filled = {
         'ImuCalibration': {'serial_number': 'A1', 'covariance': [1.0] * 300},

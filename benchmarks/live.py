@@ -38,7 +38,7 @@ from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
 from imu_calib.common.units import DEG
 from imu_calib.live import middleware as ros
-from imu_calib.live.nodes import topics as qos
+from imu_calib.live.nodes import qos
 from imu_calib.model.earth import Site
 from imu_calib.recordings.cdr_codec import Kind, encode_imu, encode_joints, encode_setpoints, part
 from imu_calib.recordings.rosbag2 import open_recording

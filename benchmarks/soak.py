@@ -34,7 +34,7 @@ from imu_calib.common.files import named_file
 from imu_calib.common.units import ARCSEC
 from imu_calib.live import middleware as ros
 from imu_calib.live.middleware import messages
-from imu_calib.live.nodes import topics as qos
+from imu_calib.live.nodes import qos
 from imu_calib.session.plan import load_plan
 from imu_calib.simulation.options import StandOptions
 

@@ -179,7 +179,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == '__version__':
-        return import_module('.version', __name__).version()
+        return import_module('.common.files', __name__).version()
     if name not in _WHERE:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     return getattr(import_module(f'.{_WHERE[name]}', __name__), name)

@@ -6,15 +6,11 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..common.errors import InputError
 from ..common.files import user_path
 from ..recordings.rosbag2 import is_storage
 from ..session.keywords import Named
-
-if TYPE_CHECKING:
-    pass
 
 
 def output_path(output: Named) -> Path:

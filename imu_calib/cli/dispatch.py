@@ -12,15 +12,11 @@ from contextlib import suppress
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from ..common.errors import ImuCalibError, InputError
 from ..common.files import user_path, version
 from ..common.units import point_for_comma
-from .terminal import ERRORS, OUTPUT, as_options
-
-if TYPE_CHECKING:
-    pass
 from .outcome import (
     INTERRUPTED,
     JSON,
@@ -35,6 +31,7 @@ from .outcome import (
     write_document,
     write_text,
 )
+from .terminal import ERRORS, OUTPUT, as_options
 
 # End of a command after Ctrl-C.
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..live import middleware as ros
 from ..live.middleware import messages
-from ..live.nodes import topics as qos
+from ..live.nodes import qos
 from ..live.nodes.subscriptions import listen_to_each
 from ..live.web.board import Board, UnitsBoard
 from .embedded import Nodes

@@ -6,7 +6,6 @@ import argparse
 import math
 from pathlib import Path
 
-from ..api.outputs import removed_on_failure
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.files import shipped, user_path
@@ -167,6 +166,7 @@ def _begin(arguments: argparse.Namespace) -> None:
 
 def _save_settings(arguments: argparse.Namespace, folder: Path) -> None:
     """Write the settings of a new session, or leave no folder that could not be resumed."""
+    from ..api.outputs import removed_on_failure
     from . import resume
 
     try:

@@ -6,7 +6,7 @@ import argparse
 
 from ..api.verify import verify
 from ..calibration.verify import Verdict, Verification
-from ..reports.tables import dwell_table, limits_line, moved_table, turn_table
+from ..reports.verification import dwell_table, limits_line, moved_table, turn_table
 from ..session.keywords import Numbered, Read
 from . import options
 from .outcome import NO_ANSWER, CommandResult, add_json_option

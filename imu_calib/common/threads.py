@@ -6,10 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import wraps
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
-
-if TYPE_CHECKING:
-    pass
+from typing import ParamSpec, TypeVar
 
 THREADS = 'OMP_NUM_THREADS'
 """Read by BLAS when numpy is first loaded: commands and nodes set it to 1 before, as for small

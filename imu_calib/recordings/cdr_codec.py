@@ -590,10 +590,10 @@ class Kind(Enum):
 
     def decode(self, messages: Messages, malformed: Malformed | None = None) -> Sequence[Block]:
         """Decode messages of this kind, as `decode_imu` and its siblings do."""
-        return _DECODERS[self](messages, malformed)
+        return DECODERS[self](messages, malformed)
 
 
-_DECODERS: dict[Kind, Callable[[Messages, Malformed | None], Sequence[Block]]] = {
+DECODERS: dict[Kind, Callable[[Messages, Malformed | None], Sequence[Block]]] = {
     Kind.IMU: decode_imu,
     Kind.JOINTS: decode_joints,
     Kind.SETPOINTS: decode_setpoints,

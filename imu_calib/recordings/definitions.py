@@ -5,13 +5,9 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..common.errors import InputError
 from ..common.files import message_folder
-
-if TYPE_CHECKING:
-    pass
 
 _OWN = 'imu_calib_msgs'
 _RULE = '=' * 80

@@ -10,11 +10,9 @@ from rich.table import Table
 
 from ..calibration.agreement import Agreement, agreement
 from ..calibration.calibration import Calibration
-from ..calibration.diagnosis import ShiftedParameter
-from ..calibration.verify import ComparedQuantity, Quantity, Verdict, Verification
 from ..common.errors import InputError
 from ..common.stream import Floats, at
-from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G
+from ..common.units import ARCSEC, DEG
 from ..estimation.common_unknowns import TableEstimate
 from ..model.alignment import SCALE, SHOWN
 from ..model.parameters import AXES, Parameter, ParameterKind
@@ -384,100 +382,3 @@ def _factor_of(parameter: Parameter, triads: Mapping[str, float], askew: float) 
     if parameter.kind in OF_MOTION:
         return 1.0
     return askew if parameter.row >= len(AXES) else triads[parameter.triad]
-
-
-_SHOWN = {
-    Quantity.GRAVITY: Shown('ug', MICRO_G),
-    Quantity.DIRECTION: Shown('arcsec', ARCSEC),
-    Quantity.EARTH_RATE: Shown('deg/h', DEG_H),
-    Quantity.UP_RATE: Shown('deg/h', DEG_H),
-    Quantity.TURN: Shown('arcsec', ARCSEC),
-    Quantity.TURN_AXIS: Shown('arcsec', ARCSEC),
-}
-_AT_REST = (Quantity.GRAVITY, Quantity.DIRECTION, Quantity.EARTH_RATE, Quantity.UP_RATE)
-_IN_TURNS = (Quantity.TURN, Quantity.TURN_AXIS)
-
-
-def limits_line(verification: Verification) -> str:
-    """Return a sentence on the limits of the verdict."""
-    doubt, rejection = verification.limits
-    return (
-        f'Warning limit {doubt:.1f} standard deviations, rejection limit {rejection:.1f} '
-        '(1 in 100 and 1 in a million sessions of sound data), and the same chances for the '
-        'chi-square of all equations.'
-    )
-
-
-def dwell_table(verification: Verification) -> Table | None:
-    """Return the static dwells, worst first; None without any."""
-    return _verification_table(verification, _AT_REST)
-
-
-def turn_table(verification: Verification) -> Table | None:
-    """Return the turns, worst first; None without any."""
-    return _verification_table(verification, _IN_TURNS)
-
-
-def moved_table(moved: Sequence[ShiftedParameter]) -> Table:
-    """Return the parameters that differ in a session, with their differences."""
-    table = plain_table(('parameter', 'moved by', 'std', 'unit', 'in std'), 'lrrlr')
-    for one in sorted(moved, key=lambda m: -abs(m.difference / m.std)):
-        shown = engineering(one.parameter)
-        std = one.std / shown.scale
-        table.add_row(
-            one.parameter.name,
-            f'{one.difference / shown.scale:+.{decimals(std)}f}',
-            f'{std:.{decimals(std)}f}',
-            shown.unit,
-            f'{one.difference / one.std:+.1f}',
-        )
-    return table
-
-
-def _verification_table(verification: Verification, quantities: Sequence[Quantity]) -> Table | None:
-    mine = [c for c in verification.compared if c.quantity in quantities and c.says_something]
-    if not mine:
-        return None
-    present = [q for q in quantities if any(c.quantity is q for c in mine)]
-    turns = quantities is _IN_TURNS
-    headings = ['position', 'rate, deg/s' if turns else 'at, s']
-    for quantity in present:
-        headings += [f'{quantity.value}, {_SHOWN[quantity].unit}', 'std']
-    table = plain_table([*headings, 'worst/std', ''], f'l{"r" * len(headings)}l')
-    places = {q: _verification_places([c for c in mine if c.quantity is q]) for q in present}
-    for row in sorted(_rows(mine), key=lambda r: -_worst(r)):
-        first = row[0]
-        cells = [first.name, f'{first.rate / DEG:+.4g}' if turns else f'{first.at:.1f}']
-        for quantity in present:
-            one = next((c for c in row if c.quantity is quantity), None)
-            if one is None:
-                cells += ['', '']
-                continue
-            scale, digits = _SHOWN[quantity].scale, places[quantity]
-            sign = '' if quantity in {Quantity.DIRECTION, Quantity.TURN_AXIS} else '+'
-            cells += [f'{one.deviation / scale:{sign}.{digits}f}', f'{one.std / scale:.{digits}f}']
-        worst = _worst(row)
-        passed = sum(worst > limit for limit in verification.limits)
-        table.add_row(*cells, f'{worst:.1f}', str(Verdict(passed)))
-    return table
-
-
-def _rows(compared: Sequence[ComparedQuantity]) -> list[list[ComparedQuantity]]:
-    """Group the quantities of one dwell or one turn; a repeated quantity begins another group."""
-    rows: dict[tuple[str, float, float, int], list[ComparedQuantity]] = {}
-    seen: dict[tuple[str, float, float, Quantity], int] = {}
-    for one in compared:
-        place = (one.name, 0.0 if np.isnan(one.at) else one.at, one.rate)
-        times = seen.get((*place, one.quantity), 0)
-        seen[(*place, one.quantity)] = times + 1
-        rows.setdefault((*place, times), []).append(one)
-    return list(rows.values())
-
-
-def _worst(row: Sequence[ComparedQuantity]) -> float:
-    return max(abs(c.ratio) for c in row)
-
-
-def _verification_places(compared: Sequence[ComparedQuantity]) -> int:
-    scale = _SHOWN[compared[0].quantity].scale
-    return decimals(float(np.median([c.std for c in compared])) / scale)

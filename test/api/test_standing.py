@@ -10,8 +10,7 @@ import pytest
 
 import imu_calib
 from imu_calib.api.session import TRUE_TABLE
-from imu_calib.cli import resume as resume_module
-from imu_calib.cli import stand_session
+from imu_calib.cli import resume, stand_session
 from imu_calib.cli.main import main
 from imu_calib.cli.terminal import as_options
 from imu_calib.common.errors import ImuCalibError, InputError, NotObservable
@@ -37,8 +36,8 @@ def test_a_stand_is_run_to_its_calibration(tmp_path: Path) -> None:
         seed=3,
     )
     assert found.path == folder
-    assert found.recording == folder / resume_module.JOURNAL
-    assert found.calibration.to_yaml() == (folder / resume_module.RESULT).read_text()
+    assert found.recording == folder / resume.JOURNAL
+    assert found.calibration.to_yaml() == (folder / resume.RESULT).read_text()
     assert found.calibration.serial_number == 'unit 7'
     assert found.calibration.provenance['latitude_deg'] == -34.0
     assert found.true_table is not None

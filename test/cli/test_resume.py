@@ -17,9 +17,7 @@ from sequenced_table import Stand as Simulated
 
 from imu_calib.api.calibrate import calibrate
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.cli import dispatch, main
-from imu_calib.cli import resume as resume_module
-from imu_calib.cli import stand_session as resume
+from imu_calib.cli import dispatch, main, resume
 from imu_calib.cli.processes import Processes
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.common.files import named_file
@@ -250,7 +248,7 @@ def ended(folder, *, finished, result=False):
     arguments = dispatch.build_parser().parse_args(['stand', 'twelve_position', '-o', str(folder)])
     folder.mkdir()
     arguments.imu, arguments.truth = 'fog_medium', 'cao2022_table1'
-    resume_module.save_settings(arguments, folder)
+    resume.save_settings(arguments, folder)
     journal = Journal(folder / 'journal', {}, {'/imu/pulses': Kind.IMU})
     write(journal, 10)
     journal.close(finished=finished)
@@ -282,7 +280,7 @@ def test_what_cannot_be_gone_on_with_is_refused(tmp_path, capsys):
     failed = ended(tmp_path / 'failed', finished=True)
     assert 'ended without a result' in refusal_text(capsys, '--resume', str(failed))
     left = ended(tmp_path / 'left', finished=False)
-    with resume_module.locked_folder(left):
+    with resume.locked_folder(left):
         assert f'still runs (process {os.getpid()})' in refusal_text(capsys, '--resume', str(left))
     assert 'found --imu too' in refusal_text(capsys, '--resume', str(left), '--imu', 'si')
     assert 'found PLAN too' in refusal_text(capsys, 'six_position', '--resume', str(left))
@@ -323,7 +321,7 @@ def test_a_real_stand_goes_on_with_its_own_settings_at_another_port(tmp_path):
     for words, port in ([], '/dev/ttyUSB0'), (['--port', '/dev/ttyUSB1'], '/dev/ttyUSB1'):
         given = ['stand', '--resume', str(folder), *words]
         arguments = dispatch.build_parser().parse_args(given)
-        assert resume_module.restore(arguments) == folder
+        assert resume.restore(arguments) == folder
         assert (arguments.port, arguments.latitude) == (port, 48.0)
         assert arguments.plan == str(folder / 'settings' / 'plan.yaml')
         assert arguments.device == str(folder / 'settings' / 'device.yaml')
@@ -331,7 +329,7 @@ def test_a_real_stand_goes_on_with_its_own_settings_at_another_port(tmp_path):
 
 def test_simulated_hardware_is_switched_on_after_what_it_said_before(tmp_path):
     folder = ended(tmp_path / 'stand', finished=False)
-    at = resume_module.switched_on_at(folder)
+    at = resume.switched_on_at(folder)
     with open_recording(folder / 'journal') as recording:
         last = recording.end_ns
     epoch = 1_700_000_000 * 10**9

@@ -16,11 +16,7 @@ from imu_calib.common.budget import Source
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG, PPM
-from imu_calib.estimation import changing as changing_module
-from imu_calib.estimation import estimate as estimate_module
-from imu_calib.estimation import outliers
-from imu_calib.estimation import outliers as estimate
-from imu_calib.estimation import solve as changing
+from imu_calib.estimation import changing, estimate, outliers
 from imu_calib.estimation import solve as fit
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.evidence import Evidence
@@ -317,16 +313,16 @@ def warmed(rise: float = 4.0) -> Evidence:
 
 def test_changes_that_a_session_does_not_tell_go_or_are_refused() -> None:
     twice = Equations(warmed())
-    assert changing_module.with_changes(twice, ()) == (twice, ())
-    found, residuals = changing_module.with_changes(twice, session_term('trend'))
+    assert changing.with_changes(twice, ()) == (twice, ())
+    found, residuals = changing.with_changes(twice, session_term('trend'))
     assert (found.changes, residuals) == (session_term('trend'), ())
     assert found.shape == 0.25
     once = session()
     few = replace(once.evidence, segments=once.evidence.segments[:1], turns=())
     with pytest.raises(NotObservable, match='two static dwells or turns before it and two after'):
-        changing_module.with_changes(Equations(few), session_term('step'))
+        changing.with_changes(Equations(few), session_term('step'))
     with pytest.raises(NotObservable) as refused:
-        changing_module.with_changes(Equations(few), session_term('trend:D_g'))
+        changing.with_changes(Equations(few), session_term('trend:D_g'))
     text = str(refused.value)
     assert text.startswith('1 static dwell and 0 turns do not determine trend (D_gx, D_gy, D_gz)')
     assert ' apart from K_gx, ' in text
@@ -338,18 +334,18 @@ def test_scale_factors_of_choice_go_first(monkeypatch: pytest.MonkeyPatch) -> No
     assert [c.name for c in trend[-2:]] == ['K_g', 'K_a']
     known, without_k_a = np.ones(8, bool), np.array([True] * 7 + [False])
     answers = [(without_k_a, all_of), (known[:7], all_of)]
-    monkeypatch.setattr(changing_module, '_determined', lambda _: answers.pop(0))
-    found, residuals = changing_module.with_changes(session(), trend)
+    monkeypatch.setattr(changing, '_determined', lambda _: answers.pop(0))
+    found, residuals = changing.with_changes(session(), trend)
     assert (found.changes, residuals) == (trend[:7], trend[7:])
     # Where parameters are open, too, nobody knows by which of them: both go.
     answers[:] = [(without_k_a, ~all_of), (known[:6], all_of)]
-    found, residuals = changing_module.with_changes(session(), trend)
+    found, residuals = changing.with_changes(session(), trend)
     assert (found.changes, residuals) == (trend[:6], trend[6:])
     # What was asked for by name stays, and is refused; and so is a bias.
     for changes in (session_term('trend:K_a'), trend[:1]):
         answers[:] = [(known[:1] & False, all_of)] * 2
         with pytest.raises(NotObservable, match=rf'trend \({changes[0].name}\): not observable'):
-            changing_module.with_changes(session(), changes)
+            changing.with_changes(session(), changes)
 
 
 @pytest.mark.parametrize(('share', 'told'), [(0.99, True), (1.01, False), (np.nan, False)])
@@ -357,22 +353,22 @@ def test_a_scale_factor_is_told_to_a_thousandth_over_the_session(
     share: float, told: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     equations = replace(session(), changes=session_term('trend:D_ax+K_a'))
-    span = changing_module.change_of(equations, equations.changes[0])
+    span = changing.change_of(equations, equations.changes[0])
     std = np.ones(equations.size)
     # A bias may be as unknown as it is.
     std[-2:] = [1e9, share * 1e-3 / span]
     found: Any = SimpleNamespace(covariance=np.diag(std**2), std=std)
     monkeypatch.setattr(changing, 'nominal_information', lambda _: found)
-    known, parameters = changing_module._determined(equations)
+    known, parameters = changing._determined(equations)
     assert known.tolist() == [True, told]
     assert len(parameters) == 24
 
 
 def test_a_coefficient_changes_by_all_of_its_course() -> None:
     equations = replace(Equations(warmed()), shape=0.5)
-    rise = changing_module.change_of(equations, change(Course.THERMAL, 'K_a'))
+    rise = changing.change_of(equations, change(Course.THERMAL, 'K_a'))
     assert rise == pytest.approx(4.0, rel=0.1)
-    whole = changing_module.change_of(equations, change(Course.WARM_UP, 'K_a'))
+    whole = changing.change_of(equations, change(Course.WARM_UP, 'K_a'))
     # From one to exp(-2), less what the first and the last part of the session take off.
     assert whole == pytest.approx(1 - np.exp(-2), rel=0.1)
 
@@ -384,12 +380,12 @@ def test_the_time_constant_is_the_one_that_explains_most_and_is_doubted_by_the_o
     outputs = warming.predict(true)
     there = replace(plain, changes=session_term('warm_up'), shape=0.25)
     object.__setattr__(there, 'outputs', outputs)
-    found, state = stubbed(there, outputs, changing_module.with_shape, true)
+    found, state = stubbed(there, outputs, changing.with_shape, true)
     assert found.shape == 0.5
     assert state[:24] == pytest.approx(true[:24], abs=1e-6)
     assert state[-8:] == pytest.approx(true[-8:], rel=1e-3, abs=1e-7)
     # Beside the others of the grid, by so much as they explain the outputs.
-    doubt = stubbed(there, outputs, changing_module.shape_covariance, state)
+    doubt = stubbed(there, outputs, changing.shape_covariance, state)
     off, squares = [], []
     for fraction in [2 ** (k / 2) for k in range(-8, 3)]:
         one = replace(there, shape=fraction)
@@ -400,8 +396,8 @@ def test_the_time_constant_is_the_one_that_explains_most_and_is_doubted_by_the_o
     weights = np.exp(-0.5 * np.array(squares))
     wanted = sum(w * np.outer(o, o) for w, o in zip(weights, off, strict=True)) / weights.sum()
     assert doubt[:24, :24] == pytest.approx(wanted[:24, :24], rel=1e-2, abs=1e-3 * wanted.max())
-    assert changing_module.with_shape(plain, true[:-8]) == (plain, pytest.approx(true[:-8]))
-    assert changing_module.shape_covariance(plain, true[:-8]) is None
+    assert changing.with_shape(plain, true[:-8]) == (plain, pytest.approx(true[:-8]))
+    assert changing.shape_covariance(plain, true[:-8]) is None
 
 
 def test_an_instant_is_found_between_those_of_the_grid_and_doubted_by_its_neighbours() -> None:
@@ -416,13 +412,13 @@ def test_an_instant_is_found_between_those_of_the_grid_and_doubted_by_its_neighb
     stepping = replace(plain, changes=session_term('step'), shape=wanted / (end - begin))
     true = np.append(fit.fit(plain, fit.start(plain)), [2e-6] * 3 + [2e-3] * 3)
     outputs = stepping.predict(true)
-    found, state = stubbed(replace(stepping, shape=0.5), outputs, changing_module.with_shape, true)
+    found, state = stubbed(replace(stepping, shape=0.5), outputs, changing.with_shape, true)
     assert found.shape * (end - begin) == pytest.approx(wanted, abs=0.5e9)
     # Chi-square is within one of its least: so are the coefficients, within their deviations.
     jacobian, _ = stubbed(found, outputs, whitened, state)
     std = np.sqrt(np.diag(Information.from_jacobian(jacobian).covariance))
     assert (np.abs(state - true) < std)[-6:].all()
-    doubt = stubbed(found, outputs, changing_module.shape_covariance, state)
+    doubt = stubbed(found, outputs, changing.shape_covariance, state)
     # Against the integral over a fine line of instants, each with its likelihood.
     fine = found.shape + np.linspace(-3, 3, 241) * 1e9 / (end - begin)
     start, off, squares = np.append(state[:-6], np.zeros(6)), [], []
@@ -495,7 +491,7 @@ def test_a_temperature_matters_where_the_cheapest_units_would_be_off_by_a_deviat
 
 
 def test_shares_by_source_add_up_to_the_covariance_and_name_each_prior() -> None:
-    found = estimate_module.estimate(session(1.0, known=True).evidence)
+    found = estimate.estimate(session(1.0, known=True).evidence)
     shares = found.shares()
     whole = sum(one.covariance for one in shares.values())
     assert whole == pytest.approx(found.covariance[:24, :24], rel=1e-6, abs=1e-22)
@@ -540,7 +536,7 @@ def weighed(
     monkeypatch.setattr(estimate, 'candidates', lambda _, turns: turns)
     monkeypatch.setattr(estimate, 'fit', lambda _, state: state)
     equations = session()
-    return estimate_module._without_outliers(equations, equations.nominal(), turns=turns), asked
+    return estimate._without_outliers(equations, equations.nominal(), turns=turns), asked
 
 
 def test_what_does_not_fit_counts_for_less_by_its_chi_square(

@@ -14,11 +14,7 @@ from imu_calib.common.budget import Source
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG, DEG_H
-from imu_calib.estimation.closed_forms import gyros_only as gyros_only_module
-from imu_calib.estimation.closed_forms import positions as n_positions
-from imu_calib.estimation.closed_forms import positions as positions_module
-from imu_calib.estimation.closed_forms import positions as six_position
-from imu_calib.estimation.closed_forms import positions as twelve_position
+from imu_calib.estimation.closed_forms import gyros_only, positions
 from imu_calib.estimation.closed_forms.linear import (
     Gains,
     inverse,
@@ -41,7 +37,7 @@ from imu_calib.model.session_terms import session_term
 from imu_calib.model.terms import G_SENSITIVITY
 from imu_calib.session.plan import UNPLANNED, load_plan
 
-NAMES = [p.name for p in n_positions.N_POSITIONS_ESTIMATES]
+NAMES = [p.name for p in positions.N_POSITIONS_ESTIMATES]
 
 FELT = replace(TRUE, g_sensitivity=1e-7 * np.arange(9.0).reshape(3, 3))
 
@@ -189,7 +185,7 @@ def test_turns_in_one_sense_at_one_rate_hide_behind_the_biases() -> None:
 def test_clocks_are_a_share_of_their_own() -> None:
     evidence = evidence_of(model=TRUE)
     clock = replace(evidence.clock, rate_std=1e-6)
-    found = twelve_position.solve_twelve_position(replace(evidence, clock=clock)).shares
+    found = positions.solve_twelve_position(replace(evidence, clock=clock)).shares
     assert found is not None
     share = found[Source.CLOCK]
     # 1 ppm, beside what quartz may differ by, of K_g; biases know no clock.
@@ -220,7 +216,7 @@ def test_forces_are_fitted_by_weighted_normal_equations() -> None:
     ('parameters', 'lost'),
     [
         (PARAMETERS, 'K_az, E_axz, E_ayz'),
-        (n_positions.N_POSITIONS_ESTIMATES, 'G_gxz, G_gyz, G_gzz, K_az, E_axz, E_ayz'),
+        (positions.N_POSITIONS_ESTIMATES, 'G_gxz, G_gyz, G_gzz, K_az, E_axz, E_ayz'),
     ],
 )
 def test_what_rests_on_forces_is_named(parameters: Any, lost: str) -> None:
@@ -238,20 +234,18 @@ def test_what_rests_on_forces_is_named(parameters: Any, lost: str) -> None:
 @pytest.mark.parametrize('azimuth', [0.0, 0.7])
 def test_n_positions_give_33_numbers(azimuth: float) -> None:
     evidence = evidence_of('twelve_position_33', FELT, azimuth=azimuth, known=True)
-    found = n_positions.solve_n_positions(evidence)
-    off = found.model.values(n_positions.N_POSITIONS_ESTIMATES) - FELT.values(
-        n_positions.N_POSITIONS_ESTIMATES
+    found = positions.solve_n_positions(evidence)
+    off = found.model.values(positions.N_POSITIONS_ESTIMATES) - FELT.values(
+        positions.N_POSITIONS_ESTIMATES
     )
     assert np.abs(off[:9]).max() < 1e-12
     assert np.abs(off[9:12]).max() < 1e-7 * DEG_H
     assert np.abs(off[12:24]).max() < 1e-11
     assert np.abs(off[24:]).max() < 1e-12
     twice = replace(evidence, segments=evidence.segments + evidence.segments[:1])
-    assert n_positions.solve_n_positions(twice).condition == pytest.approx(
-        found.condition, rel=1e-9
-    )
+    assert positions.solve_n_positions(twice).condition == pytest.approx(found.condition, rel=1e-9)
     with pytest.raises(NotObservable, match=r'D_gx, D_gy, D_gz and the g-sensitivities'):
-        n_positions.solve_n_positions(replace(evidence, azimuth=None))
+        positions.solve_n_positions(replace(evidence, azimuth=None))
 
 
 @pytest.mark.parametrize('azimuth', [0.0, 0.7])
@@ -259,7 +253,7 @@ def test_rates_and_24_positions_give_24_numbers(azimuth: float) -> None:
     plan = load_plan('rate_24')
     held = tuple(replace(p, dwell=p.dwell or 10.0) for p in plan.positions)
     evidence = evidence_of(replace(plan, positions=held), TRUE, azimuth=azimuth, known=True)
-    found = positions_module.solve_rate_24(evidence)
+    found = positions.solve_rate_24(evidence)
     off = found.model.vector() - TRUE.vector()
     assert np.abs(off[:9]).max() < 1e-12
     assert np.abs(off[9:12]).max() < 1e-7 * DEG_H
@@ -273,7 +267,7 @@ def test_rates_and_24_positions_give_24_numbers(azimuth: float) -> None:
     dwells = np.array([p.dwell for p in evidence.plan.positions])
     assert noise == pytest.approx(GYRO_WALK * np.sqrt(np.sum(1 / dwells)) / len(dwells), rel=1e-3)
     with pytest.raises(NotObservable, match=r'`azimuth`\)\. D_gx, D_gy, D_gz cannot'):
-        positions_module.solve_rate_24(replace(evidence, azimuth=None))
+        positions.solve_rate_24(replace(evidence, azimuth=None))
 
 
 def test_a_plan_without_turns_about_an_axis_is_refused() -> None:
@@ -291,7 +285,7 @@ def test_a_plan_without_turns_about_an_axis_is_refused() -> None:
         )
     few = replace(plan, positions=tuple(p for p in plan.positions if abs(p.up[2]) < 0.5))
     with pytest.raises(NotObservable, match=rf'The {len(few.positions)} positions of plan .*G_gxz'):
-        n_positions.check_positions(few)
+        positions.check_positions(few)
 
 
 # Gyros alone
@@ -309,17 +303,17 @@ def off_axis(latitude: float) -> Site:
 def test_four_positions_are_differences_and_a_mean(latitude: float) -> None:
     site = off_axis(latitude)
     north, up = EARTH_RATE * np.cos(34 * DEG), EARTH_RATE * np.sin(latitude * DEG)
-    found = gyros_only_module._off_axis_weights(four(), site, 'here')
+    found = gyros_only._off_axis_weights(four(), site, 'here')
     n, u = 1 / (2 * north), 1 / (4 * up)
     wanted = [[0, -n, n, 0], [n, 0, 0, -n], [u, -u, -u, u], [0.25] * 4]
     np.testing.assert_allclose(found, wanted, atol=1e-9 * n)
     # The first position twice: each half.
-    found = gyros_only_module._off_axis_weights(four()[[0, 0, 1, 2, 3]], site, 'here')
+    found = gyros_only._off_axis_weights(four()[[0, 0, 1, 2, 3]], site, 'here')
     np.testing.assert_allclose(found[1], [n / 2, n / 2, 0, 0, -n], atol=1e-9 * n)
     np.testing.assert_allclose(found[3], [0.125, 0.125, 0.25, 0.25, 0.25])
     inputs = np.array([[0, 1, 1], [-1, 0, -1], [1, 0, -1], [0, -1, 1]]) * [north, north, abs(up)]
     design = np.column_stack([inputs / EARTH_RATE, np.ones(4)])
-    assert gyros_only_module._condition(site) == pytest.approx(np.linalg.cond(design))
+    assert gyros_only._condition(site) == pytest.approx(np.linalg.cond(design))
 
 
 @pytest.mark.parametrize(
@@ -333,9 +327,9 @@ def test_four_positions_are_differences_and_a_mean(latitude: float) -> None:
 def test_an_input_of_half_a_degree_an_hour_is_the_least(
     good: float, bad: float, words: str
 ) -> None:
-    gyros_only_module._off_axis_weights(four(), off_axis(good), 'here')
+    gyros_only._off_axis_weights(four(), off_axis(good), 'here')
     with pytest.raises(NotObservable, match=f'input is too small {words}'):
-        gyros_only_module._off_axis_weights(four(), off_axis(bad), 'here')
+        gyros_only._off_axis_weights(four(), off_axis(bad), 'here')
 
 
 @pytest.mark.parametrize(
@@ -353,14 +347,14 @@ def test_a_position_that_is_missing_is_named(index: int, words: str, lost: str) 
         'cannot be determined.'
     )
     with pytest.raises(NotObservable, match=wanted):
-        gyros_only_module._off_axis_weights(np.delete(four(), index, axis=0), SITE, 'here')
+        gyros_only._off_axis_weights(np.delete(four(), index, axis=0), SITE, 'here')
     # 8 degrees from where it should be are the most: their cosine is 0.990.
     about_z = [Rotation.from_rotvec([0, 0, off * DEG]).as_matrix() for off in (8.0, 8.2)]
     near, far = four(), four()
     near[index], far[index] = about_z[0] @ near[index], about_z[1] @ far[index]
-    gyros_only_module._off_axis_weights(near, SITE, 'here')
+    gyros_only._off_axis_weights(near, SITE, 'here')
     with pytest.raises(NotObservable, match=f'with {words}'):
-        gyros_only_module._off_axis_weights(far, SITE, 'here')
+        gyros_only._off_axis_weights(far, SITE, 'here')
 
 
 def test_z_must_be_up_twice_and_down_twice() -> None:
@@ -368,15 +362,15 @@ def test_z_must_be_up_twice_and_down_twice() -> None:
     wrong = four()
     wrong[0] = about_north @ wrong[0]
     with pytest.raises(NotObservable, match=r'twice in here, found \[-1\.0, -1\.0, -1\.0, 1\.0\]'):
-        gyros_only_module._off_axis_weights(wrong, SITE, 'here')
+        gyros_only._off_axis_weights(wrong, SITE, 'here')
     leaning = four()
     # About where X or Y point: they stay, and Z leaves the vertical.
     lean = [Rotation.from_rotvec([0, off * DEG, 0]).as_matrix() for off in (8.0, 8.2)]
     near, far = leaning.copy(), leaning.copy()
     near[0], far[0] = lean[0] @ near[0], lean[1] @ far[0]
-    gyros_only_module._off_axis_weights(near, SITE, 'here')
+    gyros_only._off_axis_weights(near, SITE, 'here')
     with pytest.raises(NotObservable, match='Z must be up twice'):
-        gyros_only_module._off_axis_weights(far, SITE, 'here')
+        gyros_only._off_axis_weights(far, SITE, 'here')
 
 
 def alone(name: str, walk: float = 1e-9) -> Evidence:
@@ -387,8 +381,8 @@ def alone(name: str, walk: float = 1e-9) -> Evidence:
 @pytest.mark.parametrize(
     ('name', 'solve'),
     [
-        ('off_axis_four', gyros_only_module.solve_off_axis_four),
-        ('static_six', gyros_only_module.solve_static_six),
+        ('off_axis_four', gyros_only.solve_off_axis_four),
+        ('static_six', gyros_only.solve_static_six),
     ],
 )
 def test_gyros_alone_give_twelve_numbers(name: str, solve: Any) -> None:
@@ -404,7 +398,7 @@ def test_gyros_alone_give_twelve_numbers(name: str, solve: Any) -> None:
 
 def test_static_six_is_least_squares_over_its_positions() -> None:
     evidence = alone('static_six')
-    found = gyros_only_module.solve_static_six(evidence)
+    found = gyros_only.solve_static_six(evidence)
     rates = np.array([s.attitude.T @ SITE.earth_rate for s in evidence.segments]) / EARTH_RATE
     design = np.column_stack([rates, np.ones(len(rates))])
     assert found.condition == pytest.approx(np.linalg.cond(design))
@@ -416,7 +410,7 @@ def test_static_six_is_least_squares_over_its_positions() -> None:
     assert noise[NAMES.index('D_gz'), NAMES.index('D_gz')] == pytest.approx(covariance[3, 3])
     # A position held twice counts as one.
     twice = replace(evidence, segments=(*evidence.segments, evidence.segments[0]))
-    assert gyros_only_module.solve_static_six(twice).condition == pytest.approx(found.condition)
+    assert gyros_only.solve_static_six(twice).condition == pytest.approx(found.condition)
 
 
 def test_a_response_known_to_a_tenth_is_the_least() -> None:
@@ -425,10 +419,10 @@ def test_a_response_known_to_a_tenth_is_the_least() -> None:
     tenth = 0.1 * np.sqrt(2) * SITE.north_rate * np.sqrt(dwell)
     of_z = 0.1 * SITE.north_rate / (np.sqrt(2) * SITE.up_rate)
     assert of_z == pytest.approx(0.1023, abs=1e-4)
-    weights = gyros_only_module._off_axis_weights(four(), SITE, 'here')
-    gyros_only_module.gyros_only(alone('off_axis_four', tenth * 0.97), weights, 1.0)
+    weights = gyros_only._off_axis_weights(four(), SITE, 'here')
+    gyros_only.gyros_only(alone('off_axis_four', tenth * 0.97), weights, 1.0)
     with pytest.raises(NotObservable) as refusal:
-        gyros_only_module.solve_off_axis_four(alone('off_axis_four', tenth * 1.03))
+        gyros_only.solve_off_axis_four(alone('off_axis_four', tenth * 1.03))
     assert str(refusal.value) == (
         'The Earth turns too slowly for the noise of these gyros and these dwells: known no better '
         'than to a tenth are K_gx (0.1), K_gy (0.1), K_gz (0.11), E_gxy (0.1), E_gxz (0.11), '
@@ -448,7 +442,7 @@ def lost(name: str, *positions: str) -> Evidence:
 
 def test_an_axis_that_was_never_down_is_named() -> None:
     with pytest.raises(NotObservable) as refusal:
-        twelve_position.solve_twelve_position(lost('twelve_position', '3', '4'))
+        positions.solve_twelve_position(lost('twelve_position', '3', '4'))
     assert str(refusal.value) == (
         'No position with X down was found (missing: 3, 4): K_ax and the responses of the '
         'accelerometers to X cannot be determined.'
@@ -456,7 +450,7 @@ def test_an_axis_that_was_never_down_is_named() -> None:
 
 
 def test_a_group_that_is_not_whole_is_left_out_of_the_biases() -> None:
-    found = twelve_position.solve_twelve_position(lost('twelve_position', '2', '11'))
+    found = positions.solve_twelve_position(lost('twelve_position', '2', '11'))
     assert found.findings[0] == (
         'The gyro biases rest on 1 of 3 groups: in the group of X, Z vertical the Earth rate does '
         'not cancel (missing: 2, 11).'
@@ -466,7 +460,7 @@ def test_a_group_that_is_not_whole_is_left_out_of_the_biases() -> None:
     noise = found.shares[Source.NOISE].covariance[9, 9]  # type: ignore[index]
     assert np.sqrt(noise) == pytest.approx(GYRO_WALK / np.sqrt(4 * 120), rel=1e-3)
     with pytest.raises(NotObservable) as refusal:
-        twelve_position.solve_twelve_position(lost('twelve_position', '2', '6', '11'))
+        positions.solve_twelve_position(lost('twelve_position', '2', '6', '11'))
     assert str(refusal.value) == (
         'In no group of four positions does the Earth rate cancel (missing: 2, 6, 11): D_gx, D_gy, '
         'D_gz cannot be determined without north.'
@@ -475,7 +469,7 @@ def test_a_group_that_is_not_whole_is_left_out_of_the_biases() -> None:
 
 def test_an_axis_that_was_never_vertical_is_no_group() -> None:
     evidence = lost('twelve_position', '9', '10', '11', '12')
-    weights, findings = twelve_position._bias_weights(evidence)
+    weights, findings = positions._bias_weights(evidence)
     np.testing.assert_allclose(weights, np.full((8, 3), 1 / 8))
     assert 'rest on 2 of 3 groups: in the group of Z vertical' in findings[0]
 
@@ -487,17 +481,17 @@ def test_three_thousandths_of_the_earth_rate_may_be_left(off: float, whole: bool
     first, *others = evidence.segments
     turned = Rotation.from_rotvec([0, 0, off / np.sqrt(2)]).as_matrix() @ first.attitude
     segments = (replace(first, attitude=turned), *others)
-    _, findings = twelve_position._bias_weights(replace(evidence, segments=segments))
+    _, findings = positions._bias_weights(replace(evidence, segments=segments))
     assert (findings == []) is whole
 
 
 def test_six_positions_need_north_and_positions() -> None:
     evidence = evidence_of('six_position', TRUE)
     with pytest.raises(NotObservable, match=r'^Six positions need north: .*D_gx, D_gy, D_gz'):
-        six_position.solve_six_position(evidence)
+        positions.solve_six_position(evidence)
     empty = replace(evidence, segments=(), azimuth=0.0)
     with pytest.raises(NotObservable, match='No position of the plan was found'):
-        six_position._bias_equation(empty)
+        positions._bias_equation(empty)
 
 
 def test_six_dwells_of_uneven_length_count_alike() -> None:
@@ -506,11 +500,11 @@ def test_six_dwells_of_uneven_length_count_alike() -> None:
         replace(s, statistics=statistics(s.statistics.mean, 60.0 + 20 * k))
         for k, s in enumerate(evidence.segments)
     )
-    weights, mean_input = six_position._bias_equation(replace(evidence, segments=long))
+    weights, mean_input = positions._bias_equation(replace(evidence, segments=long))
     np.testing.assert_allclose(weights, np.full((6, 3), 1 / 6))
     mean = np.mean([s.attitude.T @ SITE.earth_rate for s in long], axis=0)
     np.testing.assert_allclose(mean_input, mean, atol=1e-20)
-    found = six_position.solve_six_position(replace(evidence, segments=long))
+    found = positions.solve_six_position(replace(evidence, segments=long))
     assert found.model.vector() == pytest.approx(TRUE.vector(), abs=1e-9)
 
 

@@ -24,7 +24,7 @@ from imu_calib.model.earth import Site
 from imu_calib.model.sensors import SensorModel
 from imu_calib.recordings.cdr_codec import Kind, encode_imu
 from imu_calib.recordings.writer import RecordingWriter
-from imu_calib.reports.tables import dwell_table
+from imu_calib.reports.verification import dwell_table
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.plan import load_plan
 

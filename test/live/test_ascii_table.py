@@ -25,7 +25,7 @@ from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.common.stream import Mode, Setpoint, SetpointBlock
 from imu_calib.live import table_control
 from imu_calib.live import table_control as control
-from imu_calib.live.nodes import topics as qos
+from imu_calib.live.nodes import qos
 from imu_calib.live.table_line import Follower, Line, Move, Reading, Stop
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import decode_joints, encode_setpoints

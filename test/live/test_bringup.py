@@ -151,7 +151,7 @@ import time
 import numpy as np
 from imu_calib.live import middleware as ros
 from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.live.nodes import topics as qos
+from imu_calib.live.nodes import qos
 from imu_calib.common.stream import ImuBlock
 
 

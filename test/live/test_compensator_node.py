@@ -28,7 +28,7 @@ from imu_calib.session.imu import load_imu
 
 try:
     from imu_calib.live import middleware as ros
-    from imu_calib.live.nodes import topics as qos
+    from imu_calib.live.nodes import qos
     from imu_calib.live.nodes.convert import (
         calibration_message,
         calibration_of,

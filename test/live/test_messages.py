@@ -26,7 +26,7 @@ try:
         serialize_message,
         type_hash,
     )
-    from imu_calib.live.middleware.running import MESSAGES
+    from imu_calib.live.middleware.shared import MESSAGES
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -148,5 +148,7 @@ def test_the_runtime_loads_neither_recordings_nor_the_definitions_of_all_of_ros(
     modules = json.loads(done.stdout)
     assert 'rosbags.serde.cdr' in modules
     assert not [
-        m for m in modules if m.startswith(('rosbags.typesys.stores.ros', 'imu_calib.bags'))
+        m
+        for m in modules
+        if m.startswith(('rosbags.typesys.stores.ros', 'imu_calib.recordings.rosbag2'))
     ]

@@ -9,8 +9,8 @@ from loopback import environment, until
 
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.live.network import LONGEST_LEASE
+from imu_calib.live.nodes.qos import OnePublisher
 from imu_calib.live.nodes.stop import state_folder
-from imu_calib.live.nodes.topics import OnePublisher
 
 UNKNOWN = '_NODE_NAME_UNKNOWN_'
 
@@ -89,9 +89,8 @@ def test_a_name_comes_later_than_its_publisher_but_not_much():
 def test_two_devices_end_a_session_whatever_their_topic_is_called(monkeypatch, tmp_path, topic):
     try:
         from imu_calib.live import middleware as ros
-        from imu_calib.live.nodes import calibrator_node
-        from imu_calib.live.nodes import topics as qos
-        from imu_calib.live.nodes import topics as subscriptions
+        from imu_calib.live.nodes import calibrator_node, qos
+        from imu_calib.live.nodes import qos as subscriptions
     except ImuCalibError as error:
         pytest.skip(str(error))
     monkeypatch.setattr(subscriptions.ros, 'LEASE', 0.2)

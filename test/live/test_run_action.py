@@ -7,7 +7,7 @@ from turntable_bench import PATIENT
 
 from imu_calib.common.stream import Mode
 from imu_calib.live import middleware as ros
-from imu_calib.live.nodes import topics as qos
+from imu_calib.live.nodes import qos
 from imu_calib.live.rules import Phase
 
 session = turntable_bench.session

@@ -16,7 +16,7 @@ try:
     from live import LIMIT, Progress, Stand, State, short_plan
 
     from imu_calib.live.middleware import messages
-    from imu_calib.live.nodes import topics as qos
+    from imu_calib.live.nodes import qos
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 

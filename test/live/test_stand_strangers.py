@@ -24,7 +24,7 @@ try:
     )
 
     from imu_calib.live import middleware as ros
-    from imu_calib.live.nodes import topics as qos
+    from imu_calib.live.nodes import qos
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 

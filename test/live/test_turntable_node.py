@@ -15,7 +15,7 @@ from turntable_bench import MAIN, NAMES, PATIENT, STEADY
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.common.stream import JointBlock, Mode, Setpoint, SetpointBlock
 from imu_calib.common.units import DEG
-from imu_calib.live.nodes import topics as qos
+from imu_calib.live.nodes import qos
 from imu_calib.recordings.cdr_codec import encode_joints, encode_setpoints
 
 # ROS reads this when it loads its messages.

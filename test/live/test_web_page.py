@@ -14,7 +14,7 @@ from browser import chromium, contrasts
 from installed import needs_modules
 from loopback import CHECKOUT, environment, patience, until
 
-from imu_calib.cli import web_page as web_page_module
+from imu_calib.cli import web_page
 from imu_calib.cli.processes import free_port
 from imu_calib.common.errors import ImuCalibError
 
@@ -81,11 +81,9 @@ def shown(tmp_path):
     ):
         of_the_calibrator = stand.parameters['calibrator_node']
         arguments = type('', (), {'web': port, 'web_host': '127.0.0.1', 'control': True})
-        stand.parameters |= web_page_module.parameters(arguments, of_the_calibrator)
-        given = stand.parameters[web_page_module.NODE]
-        stand.processes.start(
-            web_page_module.NODE, given, environment={'IMU_CALIB_WEB_TOKEN': TOKEN}
-        )
+        stand.parameters |= web_page.parameters(arguments, of_the_calibrator)
+        given = stand.parameters[web_page.NODE]
+        stand.processes.start(web_page.NODE, given, environment={'IMU_CALIB_WEB_TOKEN': TOKEN})
         assert stand.wait(lambda: answers(port)), log_of(stand)
         url = f'http://127.0.0.1:{port}/'
         desk = Viewer(browser, url, viewport={'width': 1280, 'height': 900})

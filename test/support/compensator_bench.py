@@ -9,7 +9,7 @@ from sessions import truth
 
 from imu_calib.common.stream import ImuBlock
 from imu_calib.live import middleware as ros
-from imu_calib.live.nodes import topics as qos
+from imu_calib.live.nodes import qos
 from imu_calib.live.nodes.compensator_node import CompensatorNode
 
 COUNT = 2000

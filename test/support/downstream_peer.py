@@ -112,7 +112,7 @@ class _Robot:
         from rosgraph_msgs.msg import Clock
         from sensor_msgs.msg import Imu
 
-        from imu_calib.live.nodes import topics as qos
+        from imu_calib.live.nodes import qos
 
         self._rclpy, self._clock_type = rclpy, Clock
         self.node = Node('driver')

@@ -11,7 +11,7 @@ from device_frames import frame
 from loopback import environment, patience, until
 
 from imu_calib.live import middleware as ros
-from imu_calib.live.nodes import topics as qos
+from imu_calib.live.nodes import qos
 from imu_calib.live.nodes.imu_node import ImuNode
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import decode_imu

@@ -20,7 +20,7 @@ from imu_calib.cli.processes import Processes, private_network
 from imu_calib.common.files import named_file
 from imu_calib.live import middleware as ros
 from imu_calib.live.middleware import messages
-from imu_calib.live.nodes import topics as qos
+from imu_calib.live.nodes import qos
 from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.recordings.rosbag2 import open_recording
 

@@ -14,7 +14,7 @@ from loopback import environment, start, until
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import JointBlock, Mode, Setpoint
 from imu_calib.live import middleware as ros
-from imu_calib.live.nodes import topics as qos
+from imu_calib.live.nodes import qos
 from imu_calib.live.nodes.turntable_node import TurntableNode
 from imu_calib.live.rules import Phase
 from imu_calib.recordings.cdr import Messages

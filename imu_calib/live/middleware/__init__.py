@@ -29,7 +29,7 @@ import time
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ..runtime import require, runtime
-from .running import GoalStatus
+from .shared import GoalStatus
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -56,8 +56,8 @@ from std_srvs.srv import Trigger
 
 from ...common.errors import ImuCalibError, InputError
 from ..network import LEASES, LONGEST_LEASE
-from .running import ACTIONS, MESSAGES, GoalStatus, InterfaceTypes, WorkerThread
-from .running import domain_id as checked_domain
+from .shared import ACTIONS, MESSAGES, GoalStatus, InterfaceTypes, WorkerThread
+from .shared import domain_id as checked_domain
 
 __all__ = [
     'LEASE',

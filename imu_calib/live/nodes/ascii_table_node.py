@@ -15,7 +15,7 @@ from ..table_line import (
     Line,
     tcp_address,
 )
-from . import topics as qos
+from . import qos
 from .commands import Commands
 from .diagnostics import Diagnostics, Level
 from .parameters import declare

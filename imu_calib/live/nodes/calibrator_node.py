@@ -20,17 +20,17 @@ from ...session.plan import Plan
 from .. import middleware as ros
 from ..middleware import Node, messages
 from ..rules import Phase
-from . import topics as qos
+from . import qos
 from .diagnostics import Diagnostics, Level
 from .done_check import DoneCheck
 from .live import SessionPhase
 from .parameters import declare
 from .programs import entry_point
+from .qos import OnePublisher
 from .session_parameters import StatedUnit, declared_units
 from .session_reports import IMU_TIMEOUT, journal_sentence, session_sentence
 from .sessions import Sessions, UnitResults, progress_of_all
 from .subscriptions import Subscriptions, topics_of_table, topics_of_unit
-from .topics import OnePublisher
 
 STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
 

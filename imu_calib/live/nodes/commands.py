@@ -13,10 +13,10 @@ from ..middleware import drain_sources, messages, open_drain
 from ..table_line import (
     OneSource,
 )
-from . import topics as qos
+from . import qos
 from .diagnostics import Diagnostics
+from .qos import names_of
 from .stop import Heartbeat
-from .topics import names_of
 
 
 class Commands:

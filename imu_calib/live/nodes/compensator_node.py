@@ -27,7 +27,7 @@ from ...recordings.cdr import Malformed, Messages
 from ...recordings.cdr_codec import ImuDecoder, decode_skew, decode_temperatures, rates_payloads
 from .. import middleware as ros
 from ..middleware import messages
-from . import topics as qos
+from . import qos
 from .convert import calibration_of
 from .diagnostics import Diagnostics, Level
 from .parameters import declare

@@ -22,7 +22,7 @@ from ...simulation.hand import HeldHardware
 from ...simulation.options import StandOptions, load_imperfections, switched_on
 from .. import middleware as ros
 from ..middleware import messages
-from . import topics as qos
+from . import qos
 from .diagnostics import Diagnostics, Level
 from .frame_server import (
     IN_MEMORY,

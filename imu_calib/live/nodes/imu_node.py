@@ -15,7 +15,7 @@ from ..devices.health import GAP_TIMEOUT, Reception
 from ..devices.in_memory import SCHEME, InMemorySource
 from ..devices.source import Chunk, Source, choose_baud, is_serial
 from ..middleware import Clock, ClockType, ManagedNode, messages, publish_all
-from . import topics as qos
+from . import qos
 from .diagnostics import Diagnostics, Level
 from .parameters import declare
 from .programs import entry_point

@@ -12,12 +12,12 @@ from ...common.errors import InputError
 from ...common.stream import Mode, Setpoint
 from ..encoders import Feedback
 from ..middleware import ActionClient, GoalServer, Node, actions, messages
-from ..middleware.running import GoalStatus
+from ..middleware.shared import GoalStatus
 from ..rules import Phase
 from ..sequencer import Sequencer
 from ..table_watch import SETS_OUT
 from ..trajectory import Lead, Overtaken
-from . import topics as qos
+from . import qos
 from .convert import trajectory_message
 from .diagnostics import Diagnostics
 from .run_reports import state_sentence

@@ -21,7 +21,7 @@ from ...session.metadata import LEFT_OUT
 from ...session.units_file import namespace
 from .. import middleware as ros
 from ..middleware import messages
-from . import topics as qos
+from . import qos
 from .convert import calibration_message, final_status, refusal_message
 from .diagnostics import Diagnostics, Level, PartOfDiagnostics
 from .live import LiveSession, SessionPhase

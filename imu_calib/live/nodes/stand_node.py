@@ -32,7 +32,7 @@ from ...simulation.options import StandOptions, load_imperfections, switched_on
 from ...simulation.stand import SimulatedUnit
 from .. import middleware as ros
 from ..middleware import messages
-from . import topics as qos
+from . import qos
 from .commands import Commands
 from .diagnostics import Diagnostics, Level
 from .frame_server import IN_MEMORY, Lines, serve_frames

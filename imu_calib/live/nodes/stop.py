@@ -15,8 +15,8 @@ from ...common.errors import InputError
 from ...common.files import user_path
 from .. import middleware as ros
 from ..middleware import Clock, ClockType, messages
-from ..middleware.running import domain_id
-from . import topics as qos
+from ..middleware.shared import domain_id
+from . import qos
 from .parameters import declare
 
 

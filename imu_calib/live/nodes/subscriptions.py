@@ -20,7 +20,7 @@ from ..middleware import (
     messages,
 )
 from ..web.board import Board, UnitsBoard
-from .topics import latched, overridable, stream
+from .qos import latched, overridable, stream
 
 _MOST = 4096
 """Messages taken per call: one second at 4 kHz, so that other callbacks can run."""

@@ -25,17 +25,17 @@ from ..middleware import (
 )
 from ..rules import SequencerState
 from ..sequencer import Sequencer
-from . import topics as qos
+from . import qos
 from .convert import state_message
 from .diagnostics import Diagnostics, Level
 from .pacing import Pacing
 from .parameters import declare
 from .programs import entry_point
+from .qos import OwnTopics
 from .run_action import Controller, RunAction
 from .run_reports import CalibratorProgress, state_figures, state_sentence
 from .session_parameters import declare_rules
 from .stop import EmergencyStop, Heartbeat, state_folder
-from .topics import OwnTopics
 
 _PERIOD = 0.01
 """s between checks of the clocks without joint states: a tenth of a setpoint's period."""

@@ -33,7 +33,7 @@ from ..web.expectation import expectation, units_board
 from ..web.guard import Token, address, exposure
 from ..web.samples import Dwells
 from ..web.shape import table_shape
-from . import topics as qos
+from . import qos
 from .diagnostics import Diagnostics, Level
 from .parameters import declare
 from .programs import entry_point

@@ -1,7 +1,7 @@
 """The subset of rclpy over the wheel `cyclonedds`; see `imu_calib.live.middleware`."""
 
 from ...network import LEASES
-from ..running import ACTIONS, MESSAGES, InterfaceTypes
+from ..shared import ACTIONS, MESSAGES, InterfaceTypes
 from .action import ActionClient, GoalServer, action_type
 from .container import run_beside
 from .context import Clock, ClockType, Time, in_step, init, ok, shutdown, try_shutdown

@@ -7,7 +7,7 @@ from functools import cache
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from ..running import ENDS, GoalStatus
+from ..shared import ENDS, GoalStatus
 from .context import Future
 from .message_types import message_class
 from .qos import DurabilityPolicy, QoSProfile

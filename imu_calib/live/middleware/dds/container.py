@@ -6,7 +6,7 @@ import time
 import traceback
 from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
-from ..running import Work, WorkerThread, guarded
+from ..shared import Work, WorkerThread, guarded
 from . import memory
 from .context import CONTEXT, STEADY, init, try_shutdown
 

@@ -15,7 +15,7 @@ from ....common.errors import ImuCalibError
 from ....common.stream import NS
 from ...runtime import runtime
 from ...security import refuse_to_pretend
-from ..running import domain_id
+from ..shared import domain_id
 from . import memory
 from .arguments import Arguments, parse
 from .message_types import deserialize_message, message_class, serialize_message
