@@ -19,8 +19,8 @@ from ..fleet.sentences import (
     unit_table,
 )
 from . import options
-from .options import row_file, write_rows
 from .outcome import OUTSIDE, CommandResult, add_json_option
+from .row_files import row_file, write_rows
 from .terminal import OUTPUT, print_whole, sentence_list
 
 if TYPE_CHECKING:

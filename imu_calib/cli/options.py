@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
-import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import fields
 from inspect import Parameter, signature
-from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-from ..api.outputs import output_path
 from ..api.session import TRUE_TABLE
 from ..common.errors import InputError
-from ..common.files import shipped, write_by
+from ..common.files import shipped
 from ..session.keywords import Stated, numeric, statements, types_of
-from .outcome import finite
 
 
 def stated(arguments: argparse.Namespace) -> Stated:
@@ -129,45 +123,3 @@ def add_bag(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         'bag', help='folder of rosbag2, one .mcap or .db3 file, or a URL of one (s3://...)'
     )
-
-
-_ENDINGS = ('.csv', '.json')
-
-
-def row_file(stated: str | None) -> Path | None:
-    """Return the requested file, or None.
-
-    Raises:
-        InputError: It has another ending, exists or cannot be written.
-    """
-    if stated is None:
-        return None
-    path = output_path(stated)
-    if path.suffix not in _ENDINGS:
-        raise InputError(f'{path}: found {path.suffix or "no ending"}, expected .csv or .json.')
-    return path
-
-
-def write_rows(
-    path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]], whole: Any
-) -> None:
-    """Write rows to a .csv file, or their source as plain values to a .json file.
-
-    Raises:
-        InputError: It cannot be written; a file that was there is unchanged.
-    """
-
-    def write(file: IO[bytes]) -> None:
-        text = io.TextIOWrapper(file, encoding='utf-8', newline='')
-        if path.suffix == '.json':
-            json.dump(finite(whole), text, indent=1, allow_nan=False)
-        else:
-            writer = csv.DictWriter(text, columns)
-            writer.writeheader()
-            for row in rows:
-                writer.writerow(
-                    {k: json.dumps(v) if isinstance(v, list) else v for k, v in finite(row).items()}
-                )
-        text.detach()
-
-    write_by(path, write)
