@@ -21,7 +21,7 @@ from ..common.stream import Floats
 from ..common.units import counted
 from ..model.parameters import Parameter
 from ..reports.provenance import Assessed, assess, worst
-from ..reports.tables import SideBySide, side_by_side
+from ..reports.side_by_side import SideBySide, side_by_side
 from ..session.imu import COVERAGE, ImuSpec, Specification, Verdict
 from ..session.keywords import Named, as_imu
 from .session import as_applied, as_calibration, as_combined, as_list, name_of

@@ -16,13 +16,8 @@ from ..common.units import DEG, DEG_H, MICRO_G, PPM, significant
 from ..model.earth import MEASURED, VAGUE
 from ..reports.budget import budget_tables
 from ..reports.provenance import noise_lines, summary
-from ..reports.tables import (
-    change_note,
-    change_table,
-    comparison_tables,
-    parameter_tables,
-    table_estimate,
-)
+from ..reports.side_by_side import comparison_tables, table_estimate
+from ..reports.tables import change_note, change_table, parameter_tables
 from ..session.keywords import Session
 from ..session.plan import METHOD_NAMES
 from . import options

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.compare import Compared, compare
-from ..reports.tables import agreement_lines, comparison_table
+from ..reports.side_by_side import agreement_lines, comparison_table
 from .outcome import CommandResult, add_json_option
 from .terminal import OUTPUT, print_whole
 

@@ -150,14 +150,14 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _begin(arguments: argparse.Namespace) -> None:
     """Run a session from its start."""
-    # Loading what runs a session takes longer than the check of the IMU.
-    from . import resume, stand_session
-
     several.complete(arguments)
     folder = _new_folder(arguments)
     several.check(arguments)
     reports = NodeReports(real=several.is_real(arguments))
     truth = _check(arguments, reports)
+    # Loading what runs a session takes longer than the check of the IMU.
+    from . import resume, stand_session
+
     folder.mkdir(parents=True)
     with resume.locked_folder(folder) as claim, stand_session.signals():
         _save_settings(arguments, folder)
@@ -178,7 +178,6 @@ def _save_settings(arguments: argparse.Namespace, folder: Path) -> None:
 
 def _go_on(arguments: argparse.Namespace) -> None:
     """Resume an interrupted session."""
-    # Loading what runs a session takes longer than the check of the IMU.
     from . import resume, stand_session
 
     folder = resume.restore(arguments)
@@ -196,11 +195,11 @@ def _go_on(arguments: argparse.Namespace) -> None:
 
 def _new_folder(arguments: argparse.Namespace) -> Path:
     """Return the folder to create."""
-    from . import resume
-
     folder = user_path(arguments.output)
     if not folder.exists():
         return folder
+    from . import resume
+
     if resume.unfinished(folder):
         raise InputError(
             f'{folder} exists already and holds a session that was interrupted. Go on with it: '

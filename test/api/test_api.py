@@ -27,7 +27,7 @@ from imu_calib.common.units import DEG_H, MICRO_G, PPM
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.session_terms import Changes, split_terms
 from imu_calib.recordings.rosbag2 import open_recording
-from imu_calib.reports.tables import in_scale_of
+from imu_calib.reports.side_by_side import in_scale_of
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
 from imu_calib.simulation.repetition import RunStatistics, Study

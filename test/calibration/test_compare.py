@@ -20,7 +20,8 @@ from imu_calib.common.units import DEG_H, MICRO_G, STANDARD_GRAVITY
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel, Skewed, Triad, parameters_of
 from imu_calib.model.terms import G_SENSITIVITY
-from imu_calib.reports.tables import comparison_table, in_scale_of, parameter_table, side_by_side
+from imu_calib.reports.side_by_side import comparison_table, in_scale_of, side_by_side
+from imu_calib.reports.tables import parameter_table
 from imu_calib.session.imu import load_imu
 
 

@@ -47,7 +47,8 @@ from imu_calib.model.sensors import PRODUCTS, SensorModel, gravity_slope, parame
 from imu_calib.model.session_terms import Changes, Course, change
 from imu_calib.model.terms import TERMS, Term
 from imu_calib.reports.provenance import assess, tables
-from imu_calib.reports.tables import comparison_table, in_scale_of, parameter_table, side_by_side
+from imu_calib.reports.side_by_side import comparison_table, in_scale_of, side_by_side
+from imu_calib.reports.tables import parameter_table
 from imu_calib.segmentation.segments import Segment, Turn
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan

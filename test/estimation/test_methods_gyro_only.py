@@ -20,7 +20,8 @@ from imu_calib.estimation.solution import Solution
 from imu_calib.model.earth import EARTH_RATE, Site, normal_gravity
 from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.model.sensors import SensorModel, Triad
-from imu_calib.reports.tables import comparison_table, parameter_table, side_by_side
+from imu_calib.reports.side_by_side import comparison_table, side_by_side
+from imu_calib.reports.tables import parameter_table
 from imu_calib.session.plan import Plan, load_plan
 from imu_calib.session.table import load_table
 from imu_calib.simulation.stand import simulate
