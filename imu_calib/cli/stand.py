@@ -155,7 +155,6 @@ def _begin(arguments: argparse.Namespace) -> None:
     several.check(arguments)
     reports = NodeReports(real=several.is_real(arguments))
     truth = _check(arguments, reports)
-    # Loading what runs a session takes longer than the check of the IMU.
     from . import resume, stand_session
 
     folder.mkdir(parents=True)
@@ -215,9 +214,6 @@ def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Cal
 
     They are keyed by serial number; for a single unit by an empty name.
     """
-    # Loading what runs a session takes longer than the check of the IMU.
-    from . import stand_session
-
     web_page.check(arguments)
     _check_table_port(arguments)
     _check_run(arguments)
@@ -239,6 +235,9 @@ def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Cal
             if not arguments.imus and is_serial(unit.port):
                 _say_baud(arguments, frames, imu, baud)
             listening.listen(unit.port, frames, imu, baud, reports, several.node_of(unit))
+    # Loading what runs a session takes longer than the check of the IMU.
+    from . import stand_session
+
     for imu in types.values():
         if not real:
             check_live(imu)
