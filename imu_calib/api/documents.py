@@ -1,4 +1,4 @@
-"""Write a calibration and its recording to one HTML file, for the screen and for A4."""
+"""Write reports, certificates and exports of a calibration."""
 
 from __future__ import annotations
 

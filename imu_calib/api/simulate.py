@@ -1,4 +1,4 @@
-"""Simulate a recording of a stand or of a unit in the hand."""
+"""Simulate recordings of a stand or a hand, of several units, and many sessions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Calibrate a unit on a table from a recording or a live stream."""
+"""Calibrate a unit on a table, or several together, from a recording or a live stream."""
 
 from __future__ import annotations
 

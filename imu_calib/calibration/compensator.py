@@ -227,12 +227,12 @@ class Compensator:
     the first one. A skewed gyro's value belongs to the sample of the same stamp; after 50 ms a
     sample is compensated without it. The other topics of a recording are therefore fed before its
     samples. Repeated samples are dropped. If places or delay of the accelerometers are calibrated,
-    a sample waits for the next one (`in_motion`).
+    a sample waits for the next one (`InMotion`).
 
     Args:
         calibration: Single or combined.
         instants: Sampling times of the coming samples, (n,) ns without repeats, if known beforehand
-            (`whole_stream`); None: inferred from their stamps as they come.
+            (`sample_clock.WholeStream`); None: inferred from their stamps as they come.
 
     Raises:
         NotObservable: It cannot be inverted.

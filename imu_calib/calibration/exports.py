@@ -1,4 +1,4 @@
-"""Input and output of an export."""
+"""Exports for imucal, Kalibr and ROS; input and output of every export."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Results of a calibrator: of a completed session, and of one in progress."""
+"""Results of a calibrator, of a completed session and of one in progress."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from .terminal import OUTPUT, NodeReports
 _SLOWEST = 50
 """The slowest rate of a serial port that POSIX names, bit/s."""
 _HIGHEST_RATE, _LARGEST_SEED = 1e5, 1 << 62
-"""Hz, and a seed: the largest parameters that nodes take (nodes/imu_node, nodes/declared)."""
+"""Hz, and a seed: the largest parameters that nodes take (`imu_node`, `parameters.declare`)."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

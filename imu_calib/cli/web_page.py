@@ -24,7 +24,7 @@ _PORT = 8080
 _FIRST_FREE = 1024
 """The first port that any user may serve (ip_unprivileged_port_start, ip(7))."""
 _TOKEN = 'IMU_CALIB_WEB_TOKEN'
-"""As in nodes/web_node."""
+"""As in `web_node`."""
 _OF_THE_SESSION = (*node_parameters(), 'units', 'without', 'journal', 'output')
 """Parameters common to the page and calibrator_node."""
 _TICK = 0.2

@@ -1,4 +1,4 @@
-"""Stamps, in ns, and their dates: since 1970 as in ROS, if they count from then."""
+"""Stamps and their dates, and columns of samples: the form of all data in the suite."""
 
 from __future__ import annotations
 

@@ -417,7 +417,7 @@ def thermal_of(imu: ImuSpec) -> Floats:
 # The clock of the stamps is fast by r against the table's. Pulses over its seconds are 1 / (1 + r)
 # of those over the table's; counts and SI values are unchanged, and angles summed over its seconds
 # are (1 + r) times too large. The remaining error of the rate is an unknown of the equations
-# (`Nuisance.CLOCK`), and the ratio is stored with the calibration (`clock_ratio`).
+# (`Nuisance.CLOCK`), and the ratio is stored with the calibration (`clock`).
 # Source: docs/mathematics.md, 'Clocks'.
 
 

@@ -1,12 +1,8 @@
-"""Accelerometers in whole turns: gravity along the axis, biases, and the lever arm.
+"""The order of a session's outputs in its equations; it is defined in this module only.
 
-A point at p from the axis u of a turn at w accelerates by w x (w x p) = -w^2 p, p at right angles
-to u, on top of gravity. Joint axes that do not intersect change p with each attitude in which the
-unit is turned: its two components are unknowns. The accelerometers of a unit are at different
-places (size effect): the part of the differences that these two do not absorb is a third unknown,
-along the axis.
-
-Source: docs/mathematics.md, 'Accelerometers in turns'.
+Six for each dwell (gyros x y z, accelerometers x y z), then three for each turn (gyros), then three
+for each move (angles), then three for each turn whose accelerometers are used, then three for each
+move whose accelerometers are used (velocities).
 """
 
 from __future__ import annotations
@@ -18,10 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.stream import Floats
-
-# Six for each dwell (gyros x y z, accelerometers x y z), then three for each turn (gyros), then
-# three for each move (angles), then three for each turn whose accelerometers are used, then three
-# for each move whose accelerometers are used (velocities).
 
 Indices = NDArray[np.intp]
 

@@ -1,7 +1,7 @@
 """Compute the evidence that a session of a plan would give, before it is run.
 
 The expected outputs follow from the model, the variances of their means from random walk, pulses
-and durations alone (`readings`).
+and durations alone.
 """
 
 from __future__ import annotations

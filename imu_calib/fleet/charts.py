@@ -1,4 +1,4 @@
-"""Control charts of units: each session is compared with the preceding ones.
+"""Blocks of sessions, control charts of units, and steps between two sessions.
 
 Self-starting: a session minus the mean of its predecessors, over the scatter of these and of the
 type, is a Student deviate. Its normal score is used in the individuals chart, EWMA and T^2, whose

@@ -15,7 +15,7 @@ function make(kind, attributes = {}, ...children) {
   return element;
 }
 
-// As imu_calib/reports/fleet/packed.py packs it.
+// As imu_calib/fleet/page_contents.py packs it.
 async function unpack(id) {
   const text = atob(byId(id).textContent);
   const packed = new Uint8Array(text.length);

@@ -24,7 +24,7 @@ _JITTER = 5 * DEG
 """Largest change of angle between two joint states that stamp jitter may cause, rad. A judgement:
 50 ms at 100 deg/s, and a 72nd of the turn that is recognised."""
 _FASTEST = 1.1
-"""Of a joint's largest rate: the watch stops a turn that is faster (`watch`, `_RATE_TOLERANCE`)."""
+"""Of a joint's largest rate: the watch stops a faster turn (`table_watch`, `_RATE_TOLERANCE`)."""
 
 
 class FeedbackError(InputError):

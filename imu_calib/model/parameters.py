@@ -1,4 +1,4 @@
-"""The kinds of parameters: one row for each, used by every writer, display and check."""
+"""The parameters of the sensor model, and their kinds: one row for each."""
 
 from __future__ import annotations
 
@@ -334,7 +334,7 @@ class Product:
 
 
 NOTHING = Product(scale=0.0)
-"""Of parameters of motion terms (`motion`): at rest they add nothing."""
+"""Of parameters of motion terms (`sensors.MOTION`): at rest they add nothing."""
 
 
 def _triad_parameters(triad: str) -> list[Parameter]:

@@ -225,7 +225,7 @@ class SensorModel:
     """Gyros and accelerometers of one unit, in SI after the nominal scale factor.
 
     n_g = (I + M_g) w + d_g + G f and n_a = (I + M_a) f + d_a, plus the terms. The effect of motion
-    terms of the accelerometers is not included: see `motion`.
+    terms of the accelerometers is not included: see `MOTION`.
 
     Source: Cao 2022, eqs. (1)-(2); Luo 2018, section 6.2, for G; `terms` for the others.
     """

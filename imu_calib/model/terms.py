@@ -2,7 +2,7 @@
 
 Every parameter of a term is multiplied by a product of the instantaneous inputs (`Product`), from
 which prediction, derivatives, inversion and code follow; two terms are observable in motion alone
-(`motion`). `TERMS` is their order in vectors.
+(`sensors.MOTION`). `TERMS` is their order in vectors.
 
 Rates are in units of 60 deg/s, so that the coefficients are ratios of the size of their effect.
 
@@ -38,7 +38,7 @@ class Term:
     #: Its parameters, in order, each with its factor.
     products: tuple[tuple[Parameter, Product], ...]
     needs: str  #: What a session must contain to determine it; ends 'it takes'.
-    #: Its addition to channel i if it is a motion term (`motion`), as text; empty for others.
+    #: Its addition to channel i if it is a motion term, as text; empty for others.
     moving: str = ''
 
     @property

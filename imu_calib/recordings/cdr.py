@@ -1,4 +1,4 @@
-"""Serialised messages in one buffer, and the count of malformed ones."""
+"""Serialised messages in one buffer, their malformed ones, and offsets of their fields."""
 
 from __future__ import annotations
 

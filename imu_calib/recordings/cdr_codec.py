@@ -1,4 +1,4 @@
-"""Serialised messages to columns, in bulk."""
+"""Serialised messages to columns and back, in bulk; the kinds that calibration uses."""
 
 from __future__ import annotations
 
@@ -317,7 +317,7 @@ def _mode(value: int) -> Mode:
         raise CdrError(f'mode {value}, expected {known}') from None
 
 
-# Encode columns as serialised messages, in bulk: the inverse of `decode`, little-endian.
+# Encode columns as serialised messages: the inverse of the above, little-endian.
 #
 # A stamp that does not fit a header raises CdrError.
 

@@ -214,7 +214,7 @@ def counter_share(pulses: float, growth: float, factors: Floats) -> Floats:
 
     The error of a counter of unknown phase is a sawtooth of its true count, a sum of harmonics that
     keep their phase until the walk has smeared it. It is uncorrelated with the walk itself: for any
-    path, its mean over all phases is zero. (counter.py, `_faded_error`, has the same series.)
+    path, its mean over all phases is zero. (`counters._faded_error`, has the same series.)
 
     Args:
         pulses: Mean count per sample.

@@ -38,7 +38,7 @@ _NO_JUMP = 1e-3  #: Chance of a false jump by scatter, at which a jump is still 
 
 _CELL_SECONDS = 0.1
 """s in which the angle of a joint is compared with the gyros'. A judgement, as `_CELL` of
-`apart`."""
+`clock_offset_search`."""
 _MOVING = 0.25  #: Of the largest angle in a cell. A judgement.
 _SURELY_MOVING = 1.0 * DEG  #: rad/s: more than any table at rest shows.
 
@@ -150,7 +150,7 @@ class MeasuredShare:
 
 
 def cells(joint_stamp: Stamps) -> NDArray[np.intp]:
-    """Return the joint states that `seen_by_gyros` uses: the first of each cell, and the last."""
+    """Return the joint states that `measured_share` uses: the first of each cell, and the last."""
     passed = (joint_stamp - float(joint_stamp[0])) * 1e-9
     _, index = np.unique(np.floor(passed / _CELL_SECONDS), return_index=True)
     return np.unique(np.append(index, len(passed) - 1))

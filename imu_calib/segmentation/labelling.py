@@ -1,7 +1,7 @@
 """Name segments: by setpoint, by joint angles, or by the order of the plan alone.
 
 Segments whose attitude is known from joint states but matches no position of the plan are used as
-well: they are named by attitude (`naming`).
+well: they are named by attitude.
 """
 
 from __future__ import annotations
@@ -233,7 +233,7 @@ _SAME_UP = 1e-3
 """One less the cosine: axes within 2.6 deg are one. A judgement: rate tests are 90 deg apart."""
 _OUTAGE = 10_000_000_000
 """ns: a shorter interruption of the IMU's stream may be a cable. A stand that is started anew takes
-longer, and the simulated one at least as long (cli/resume)."""
+longer, and the simulated one at least as long (`cli.resume`)."""
 _PART = ('', 'what lies after it is', 'what lies before it is', 'what lies between is')
 
 

@@ -1,4 +1,4 @@
-"""Samples that share a stamp: those of one transfer, and repeated ones."""
+"""Stamps that are wrong: shared by samples, set back, or late by chance."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class SharedStamps:
 
     A driver that stamps a transfer gives all its samples one stamp. They are samples if no more
     have come than the time since the last stamps has intervals: two devices on one topic bring
-    twice as many, and the order of the stamps passes only one of these (`order`). A sample with the
+    twice as many, and the order of the stamps passes only one of these (`StampOrder`). A sample with the
     values of the one before is a repeat, unless values are so coarse that neighbours with separate
     stamps are as often equal. The result does not depend on how the stream was cut.
 
@@ -189,7 +189,7 @@ class SetBackClock:
 
     The device goes on as before: the first sample with an earlier stamp is taken to be made an
     interval after the last one. Samples that come out of order fill a gap in the stamps, and those
-    that come twice repeat values: both keep their stamps, and `order` drops them.
+    that come twice repeat values: both keep their stamps, and `StampOrder` drops them.
 
     Source: docs/mathematics.md, 'Stamps and lost samples'.
     """

@@ -285,7 +285,7 @@ class SimulatedHardware:
         """Set or clear a fault.
 
         Args:
-            text: See `faults.order`; the prefix of a unit's topic before it selects that unit's
+            text: See `order`; the prefix of a unit's topic before it selects that unit's
                 line, otherwise it is the first one's.
 
         Raises:

@@ -575,7 +575,7 @@ def test_a_batch_that_is_interrupted_says_at_once_what_becomes_of_it(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Engine, 'connected', workers)
-    monkeypatch.setattr('imu_calib.fleet.catalogue.outcomes', interrupted)
+    monkeypatch.setattr('imu_calib.fleet.batch.outcomes', interrupted)
     assert main(['batch', str(recordings), '-o', str(tmp_path / 'c')]) == 130
     assert 'Ending the workers' in said_before_the_workers_ended[0]
     assert 'What was done is kept.' in said_before_the_workers_ended[0]

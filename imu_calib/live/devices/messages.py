@@ -1,4 +1,4 @@
-"""The checksum of a device's frames and messages, as its YAML describes it."""
+"""Checksums, messages and commands of a device, as its YAML describes them."""
 
 from __future__ import annotations
 

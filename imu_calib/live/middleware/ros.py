@@ -187,7 +187,7 @@ def _middleware() -> bytes:
     return str(get_rmw_implementation_identifier()).encode()
 
 
-# rclpy's action server, with goals that the node ends; see `dds.endpoints`.
+# rclpy's action server, with goals that the node ends; see `dds.action`.
 
 
 class ServerGoal:

@@ -112,7 +112,7 @@ def declare_rules(declare: Callable[..., Any]) -> Rules:
     """Declare tolerances and times, and return them.
 
     Args:
-        declare: `declared.declare` of the node.
+        declare: `parameters.declare` of the node.
 
     Raises:
         InputError: A value has another type or lies outside its range.

@@ -107,7 +107,7 @@ def _write(path: Path, text: str) -> None:
     """Write a file so that it survives a power failure.
 
     In place: it counts by being there, and half of it stops the table as the whole does, where a
-    draft beside it (`paths.write_whole`) would not.
+    draft beside it (`files.write_whole`) would not.
     """
     with path.open('w', encoding='utf-8') as file:
         file.write(text)

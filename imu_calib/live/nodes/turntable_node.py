@@ -60,7 +60,7 @@ _LAST_ROUNDS = 20
 
 
 class TurntableNode(Node):
-    """Runs a plan on a table: see `sequencing.Sequencer` for the sequence.
+    """Runs a plan on a table: see `sequencer.Sequencer` for the sequence.
 
     The table's time is that of its joint states: setpoints follow their stamps, and the steady
     clock without them.

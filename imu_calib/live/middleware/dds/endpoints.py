@@ -1,8 +1,4 @@
-"""Publishers, subscriptions, services and actions.
-
-Actions are three services and two topics below their name:
-https://design.ros2.org/articles/actions.html
-"""
+"""Publishers, subscriptions and services."""
 
 from __future__ import annotations
 

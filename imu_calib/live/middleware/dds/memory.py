@@ -287,7 +287,7 @@ class WaitSet:
 
 
 class Graph:
-    """The ROS graph within the process: with the methods of `graph.Graph`."""
+    """The ROS graph within the process: with the methods of `context.Graph`."""
 
     def __init__(self, participant: Participant) -> None:
         self._participant = participant

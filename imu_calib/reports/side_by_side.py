@@ -1,0 +1,232 @@
+"""Calibrations side by side: of several units, and of one unit with significant differences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from rich.table import Table
+
+from ..calibration.agreement import Agreement, agreement
+from ..calibration.calibration import Calibration
+from ..common.errors import InputError
+from ..common.stream import Floats
+from ..common.units import ARCSEC, DEG
+from ..estimation.common_unknowns import TableEstimate
+from ..model.parameters import AXES, Parameter, ParameterKind
+from ..model.sensors import OF_MOTION
+from .plain_table import plain_table
+from .tables import decimals, engineering, section_of
+
+_COARSE = 60 * ARCSEC
+"""Standard deviation from which an angle is shown in degrees."""
+_ANY = 90 * DEG
+"""Prior standard deviation of an unknown heading."""
+_AT_ONCE = 8
+"""Units of one table: with the parameters' names they are 110 characters wide, half a screen."""
+
+
+def comparison_tables(units: Sequence[tuple[str, Calibration]]) -> Iterator[Table]:
+    """Yield tables of all parameters that any unit has, with eight serial numbers in each."""
+    parameters: list[Parameter] = []
+    for _, calibration in units:
+        parameters += [p for p in calibration.parameters if p not in parameters]
+    for first in range(0, len(units), _AT_ONCE):
+        yield _table(units[first : first + _AT_ONCE], parameters)
+
+
+def table_estimate(seen: TableEstimate) -> Table:
+    """Return the table errors estimated from several units, with their prior values."""
+    table = plain_table(('unknown', 'value', 'std', 'beforehand', 'unit'), 'lrrrl')
+    for name, value, std, prior in zip(seen.names, seen.values, seen.std, seen.prior, strict=True):
+        unit, size = ('deg', DEG) if std > _COARSE else ('arcsec', ARCSEC)
+        places = decimals(std / size)
+        before = 'any' if prior > _ANY else f'{prior / size:.3g}'
+        table.add_row(name, f'{value / size:.{places}f}', f'{std / size:.{places}f}', before, unit)
+    return table
+
+
+def _table(units: Sequence[tuple[str, Calibration]], parameters: Sequence[Parameter]) -> Table:
+    serials = [serial for serial, _ in units]
+    table = plain_table(['parameter', *serials, 'unit'], f'l{"r" * len(serials)}l')
+    known = [
+        {
+            p: (float(value), float(std))
+            for p, value, std in zip(c.parameters, c.values, c.std, strict=True)
+        }
+        for _, c in units
+    ]
+    for parameter in parameters:
+        cells = [_cell(parameter, of.get(parameter)) for of in known]
+        if any(cells):
+            table.add_row(parameter.name, *cells, engineering(parameter).unit)
+    return table
+
+
+def _cell(parameter: Parameter, found: tuple[float, float] | None) -> str:
+    """Return value and standard deviation in engineering units; empty without a value."""
+    if found is None or not np.isfinite(found[1]):
+        return ''
+    value, std = (x / engineering(parameter).scale for x in found)
+    places = decimals(std)
+    return f'{value:.{places}f}\u00b1{std:.{places}f}'
+
+
+_MORE = 2
+"""Most further decimals for a difference: a hundredth of the last digit is nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class SideBySide:
+    """Calibrations converted to the nominal scale factors of the first."""
+
+    calibrations: tuple[Calibration, ...]  #: k of them.
+    parameters: tuple[Parameter, ...]  #: The n that all of them estimated.
+    only: tuple[tuple[str, ...], ...]  #: For each the names of its parameters that others lack.
+    agreement: Agreement  #: Which of `parameters` differ by more than the covariances explain.
+    std: Floats  #: (k - 1, n) standard deviations of the differences from the first, SI units.
+
+
+def side_by_side(calibrations: Sequence[Calibration]) -> SideBySide:
+    """Compare two or more calibrations.
+
+    Raises:
+        InputError: Their streams have different units.
+    """
+    first = calibrations[0]
+    in_scale = (first, *(in_scale_of(one, first) for one in calibrations[1:]))
+    known = [
+        {p for p, s in zip(c.parameters, c.std, strict=True) if np.isfinite(s)} for c in in_scale
+    ]
+    common = set.intersection(*known)
+    parameters = tuple(p for p in first.parameters if p in common)
+    only = tuple(
+        tuple(p.name for p in c.parameters if p in mine - common)
+        for c, mine in zip(in_scale, known, strict=True)
+    )
+    return SideBySide(in_scale, parameters, only, *agreement(in_scale, parameters))
+
+
+def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
+    """Return calibrations side by side, with the names, units and order of `parameter_table`."""
+    calibrations, found, std = compared.calibrations, compared.agreement, compared.std
+    two = len(calibrations) == 2
+    numbers = (*names, *(('difference', 'in std') if two else ('chi-square',)))
+    sides = f'l{"r" * len(numbers)}ll'
+    # Columns that do not fit into a line continue in the next: no number and no unit is cut.
+    table = plain_table(('parameter', *numbers, 'unit', ''), sides, no_wrap=True)
+    places = _places(compared)
+    last = None
+    for k, parameter in enumerate(found.parameters):
+        if last is not None and section_of(parameter) != section_of(last):
+            table.add_section()
+        last = parameter
+        values, digits = _shown(parameter, calibrations), places[_alike(parameter)]
+        rest = [f'{found.chi_square[k]:.1f}' if found.freedom[k] else '-']
+        if two:
+            apart = values[0] - values[1]
+            deviation = std[0, k] / parameter.unit.scale
+            ratio = _signed(apart / deviation, 2) if deviation > 0 else '-'
+            rest = [_signed(apart, digits), ratio]
+        table.add_row(
+            parameter.name,
+            *(f'{v:.{digits}f}' for v in values),
+            *rest,
+            engineering(parameter).unit,
+            'differs' if found.differ[k] else '',
+        )
+    return table
+
+
+def _shown(parameter: Parameter, calibrations: Sequence[Calibration]) -> list[float]:
+    """Return the values of a parameter in its unit for people."""
+    scale = engineering(parameter).scale
+    return [float(c.model.values((parameter,))[0]) / scale for c in calibrations]
+
+
+def _signed(value: float, digits: int) -> str:
+    """Return a number with its sign; zero has none."""
+    text = f'{value:+.{digits}f}'
+    return text if float(text) else f'{0:.{digits}f}'
+
+
+def _alike(parameter: Parameter) -> tuple[object, ...]:
+    """Return the key of the rows that have the same decimals: their points are in one column."""
+    return *section_of(parameter), parameter.kind
+
+
+def _places(compared: SideBySide) -> dict[tuple[object, ...], int]:
+    """Return the decimals of rows: two of the deviation, and one of the difference of two."""
+    places: dict[tuple[object, ...], int] = {}
+    for k, parameter in enumerate(compared.parameters):
+        values = _shown(parameter, compared.calibrations)
+        own = decimals(float(np.min(compared.std[:, k])) / engineering(parameter).scale)
+        if len(values) == 2 and (apart := abs(values[0] - values[1])):
+            first = int(np.ceil(-np.log10(apart)))
+            own = max(own, min(first, own + _MORE))
+        places[_alike(parameter)] = max(own, places.get(_alike(parameter), 0))
+    return places
+
+
+def agreement_lines(found: Agreement, count: int) -> list[str]:
+    """Return sentences on significant differences of so many calibrations, with the rule."""
+    if not found.total_freedom:
+        return ['None of them states standard deviations: significance cannot be tested.']
+    rule = (
+        f'A parameter differs where its chi-square ({count - 1} degree{"s" * (count > 2)} of '
+        f'freedom) comes by chance less often than once in {1 / found.limit:.0f}: of a hundred '
+        'comparisons of a unit that has not changed, one marks a parameter.'
+    )
+    every = (
+        f'All parameters together: chi-square {found.total:.1f} with {found.total_freedom} degrees '
+        f'of freedom, chance {found.total_chance:.2g}: '
+        + ('they agree.' if found.consistent else 'they do not agree.')
+    )
+    names = ', '.join(found.names)
+    return [f'Significantly different: {names or "none"}.', rule, every]
+
+
+def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:
+    """Return a calibration converted to the nominal scale factors of another.
+
+    With twice the nominal scale factor the same unit has twice the response: I + M, bias and the
+    coefficients of terms double.
+
+    Raises:
+        InputError: The streams have different units.
+    """
+    mine, its = calibration.imu, other.imu
+    if mine.units is not its.units:
+        raise InputError(
+            f'Calibrations of {its.units.value} and of {mine.units.value} cannot be compared.'
+        )
+    gyro = its.gyro.scale_factor / mine.gyro.scale_factor
+    accel = its.accel.scale_factor / mine.accel.scale_factor
+    if gyro == accel == 1.0:
+        return calibration
+    askew = 1.0
+    if calibration.model.skewed is not None:
+        askew = (its.skewed or its.gyro).scale_factor / (mine.skewed or mine.gyro).scale_factor
+    parameters = calibration.parameters
+    factors = np.array([_factor_of(p, {'g': gyro, 'a': accel}, askew) for p in parameters])
+    # A scale factor error is the response minus one.
+    one = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in parameters])
+    values = (one + calibration.values) * factors - one
+    return replace(
+        calibration,
+        imu=replace(its, id=mine.id),
+        model=calibration.model.with_values(parameters, values),
+        covariance=calibration.covariance * np.outer(factors, factors),
+        budget=None if calibration.budget is None else calibration.budget.scaled(factors),
+    )
+
+
+def _factor_of(parameter: Parameter, triads: Mapping[str, float], askew: float) -> float:
+    """Return the factor of a parameter when its triad's nominal scale factor changes.
+
+    Positions and delays are lengths and times, independent of the units of outputs.
+    """
+    if parameter.kind in OF_MOTION:
+        return 1.0
+    return askew if parameter.row >= len(AXES) else triads[parameter.triad]
