@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..common.errors import InputError
 from ..common.files import user_path
+from ..recordings.metadata_yaml import NAME
 from ..recordings.rosbag2 import is_storage
 from ..session.keywords import Named
 
@@ -23,9 +24,13 @@ def output_path(output: Named) -> Path:
     path = _below_a_folder(output)
     if path.is_dir():
         raise InputError(f'{path}: is a folder, expected the name of a file.')
-    if path.is_file() and is_storage(path.resolve()):
+    if path.is_file() and _is_of_a_recording(path.resolve()):
         raise InputError(f'{path} exists already; recordings are not overwritten.')
     return path
+
+
+def _is_of_a_recording(path: Path) -> bool:
+    return is_storage(path) or (path.name == NAME and any(map(is_storage, path.parent.iterdir())))
 
 
 def new_folder(output: Named) -> Path:

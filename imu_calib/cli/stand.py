@@ -11,7 +11,7 @@ from ..common.errors import InputError
 from ..common.files import shipped, user_path
 from ..live.devices.format import FrameFormat, load_format
 from ..live.devices.source import Baud, check_port, choose_baud, is_serial, too_slow
-from ..live.table_line import tcp_address
+from ..live.table_line import STATE_LINE, BadReply, Line, reading
 from ..model.earth import LUOYANG
 from ..session.imu import ImuSpec, check_live, load_imu
 from ..session.keywords import AtSite, Numbered, Solved, azimuth_of
@@ -23,6 +23,8 @@ from .terminal import OUTPUT, NodeReports
 
 _SLOWEST = 50
 """The slowest rate of a serial port that POSIX names, bit/s."""
+_REPLY = 2.0
+"""s for a controller's first reply: milliseconds; one that wakes may take a second."""
 _HIGHEST_RATE, _LARGEST_SEED = 1e5, 1 << 62
 """Hz, and a seed: the largest parameters that nodes take (`imu_node`, `parameters.declare`)."""
 
@@ -298,7 +300,18 @@ def _check_table_port(arguments: argparse.Namespace) -> None:
     if arguments.table_baud < _SLOWEST:
         found = arguments.table_baud
         raise InputError(f'--table-baud: found {found}, expected {_SLOWEST} bit/s or more.')
-    tcp_address(arguments.table_port)
+    axes = len(load_table(arguments.table).joints)
+    try:
+        line = Line(arguments.table_port, arguments.table_baud, _REPLY)
+        try:
+            reading(line.request(STATE_LINE), axes)
+        finally:
+            line.close()
+    except (OSError, BadReply) as error:
+        raise InputError(
+            f'--table-port: the controller at {arguments.table_port} gives no state of its axes '
+            f'({error}). Switch it on, and check port, baud rate and --table.'
+        ) from None
 
 
 def _check_baud(arguments: argparse.Namespace) -> None:

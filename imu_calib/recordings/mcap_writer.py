@@ -180,8 +180,13 @@ class McapWriter:
         content = _records(channel, sequence, messages, log_time, publish_time)
         ends = np.cumsum(messages.size + _HEAD)
         offsets = chunk.size + ends - messages.size - _HEAD
-        chunk.index.setdefault(channel, []).append(np.stack([log_time, offsets], 1).astype('<u8'))
+        rows = np.stack([log_time, offsets], 1).astype('<u8')
+        # Together, after all that may be interrupted: an index names messages that are there.
         chunk.append(content)
+        if channel in chunk.index:
+            chunk.index[channel].append(rows)
+        else:
+            chunk.index[channel] = [rows]
         chunk.start_ns = min(chunk.start_ns, int(log_time.min()))
         chunk.end_ns = max(chunk.end_ns, int(log_time.max()))
         self.counts[channel] += len(messages)

@@ -27,9 +27,9 @@ class SharedStamps:
 
     A driver that stamps a transfer gives all its samples one stamp. They are samples if no more
     have come than the time since the last stamps has intervals: two devices on one topic bring
-    twice as many, and the order of the stamps passes only one of these (`StampOrder`). A sample with the
-    values of the one before is a repeat, unless values are so coarse that neighbours with separate
-    stamps are as often equal. The result does not depend on how the stream was cut.
+    twice as many, and the order of the stamps passes only one of these (`StampOrder`). A sample
+    with the values of the one before is a repeat, unless values are so coarse that neighbours with
+    separate stamps are as often equal. The result does not depend on how the stream was cut.
 
     Args:
         rate: Samples per second as stated; None to take it from the stream.

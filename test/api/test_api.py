@@ -59,6 +59,7 @@ def test_it_loads_what_is_asked_for_alone() -> None:
 
 
 def test_every_name_is_there_and_no_other() -> None:
+    assert imu_calib.__version__[0].isdigit()
     for name in imu_calib.__all__:
         assert getattr(imu_calib, name).__name__ == name
     assert set(imu_calib.__all__) <= set(dir(imu_calib))

@@ -465,6 +465,9 @@ def test_a_recording_is_not_written_over(cli: CommandLine, recorded: Path, tmp_p
         for output in (storage(bag), tmp_path / 'link.yaml'):
             assert cli('calibrate', given, '-o', output)[0] == 2
             assert storage(bag).read_bytes() == kept
+    described = (bag / 'metadata.yaml').read_bytes()
+    assert cli('calibrate', bag, '-o', bag / 'metadata.yaml')[0] == 2
+    assert (bag / 'metadata.yaml').read_bytes() == described
 
 
 def test_an_input_is_not_written_over(

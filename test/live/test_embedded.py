@@ -19,6 +19,7 @@ from processes import start
 from turntable_bench import TABLE as NIMBLE
 
 from imu_calib.calibration.calibration import Calibration
+from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.units import DEG
@@ -249,6 +250,15 @@ def real(tmp_path):
     process.communicate()
     unit.ended.set()
     controller.close()
+
+
+def test_a_table_that_does_not_answer_is_refused_before_anything_starts(tmp_path, capsys):
+    unit, words = Unit(), ['--device', 'simulated', '--latitude', '34.65']
+    words += ['--port', unit.url, '--table-port', 'socket://127.0.0.1:9']
+    assert main(['stand', 'twelve_position', '-o', str(tmp_path / 'stand'), *words]) == 2
+    unit.ended.set()
+    assert 'the controller at socket://127.0.0.1:9 gives no state' in capsys.readouterr().err
+    assert not (tmp_path / 'stand').exists()
 
 
 def test_a_real_table_is_stopped_when_the_process_vanishes_in_a_turn(real):

@@ -228,6 +228,21 @@ def test_messages_of_any_sizes_come_out_as_they_went_in(tmp_path, sizes):
     assert File(tmp_path / 'own').payloads(IMU) == payloads
 
 
+def test_what_is_interrupted_leaves_a_file_of_what_was_written(tmp_path, monkeypatch):
+    """Ctrl-C within the first message of a topic left an index of nothing, and another error."""
+    payloads, stack = [bytes([k]) * 64 for k in range(3)], np.stack
+    with pytest.raises(KeyboardInterrupt), RecordingWriter(tmp_path / 'own') as writer:
+        writer.write(IMU, KINDS[IMU].type_name, Messages.join(payloads), np.arange(3) + NS)
+
+        def interrupted(*_):
+            monkeypatch.setattr(np, 'stack', stack)
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(np, 'stack', interrupted)
+        writer.write('other', KINDS[IMU].type_name, Messages.join(payloads), np.arange(3) + NS)
+    assert File(tmp_path / 'own').payloads(IMU) == payloads
+
+
 def test_a_chunk_ends_where_it_is_full(tmp_path):
     block, limit = SESSION[IMU], 1 << 14
     with RecordingWriter(tmp_path / 'own', chunk_bytes=limit) as writer:
