@@ -70,7 +70,7 @@ def stand(
     speed: float | None = None,
     **stated: Unpack[OnStand],
 ) -> StandRun:
-    """Run a plan live on a simulated stand: nodes in separate processes, connected by DDS.
+    """Run a plan live on a simulated stand: all nodes in one process of its own.
 
     `simulate` and `calibrate` give the same result much faster. This tests the nodes as on a real
     stand, which only the command can run (`imu-calib stand --port`).

@@ -205,10 +205,13 @@ def _refuse_other_settings(arguments: argparse.Namespace, folder: Path) -> None:
     if arguments.output != arguments.default_of('output'):
         given.append('output')
     if given:
-        named = ', '.join('PLAN' if n == 'plan' else f'--{n.replace("_", "-")}' for n in given)
+        named, known = (
+            ', '.join('PLAN' if n == 'plan' else f'--{n.replace("_", "-")}' for n in names)
+            for names in (given, sorted(_MAY_CHANGE))
+        )
         raise InputError(
-            f'--resume {folder}: found {named} too, expected at most --port, --baud, --speed and '
-            '--without: the session goes on with the settings it began with.'
+            f'--resume {folder}: found {named} too, expected at most {known} and those of the page: '
+            'the session goes on with the settings it began with.'
         )
 
 
