@@ -210,8 +210,8 @@ def _refuse_other_settings(arguments: argparse.Namespace, folder: Path) -> None:
             for names in (given, sorted(_MAY_CHANGE))
         )
         raise InputError(
-            f'--resume {folder}: found {named} too, expected at most {known} and those of the page: '
-            'the session goes on with the settings it began with.'
+            f'--resume {folder}: found {named} too, expected at most {known} and those of the '
+            'page: the session goes on with the settings it began with.'
         )
 
 
