@@ -78,7 +78,7 @@ FULL_DISK = """
 import resource, sys
 from pathlib import Path
 import imu_calib
-from imu_calib.cli.options import write_rows
+from imu_calib.cli.row_files import write_rows
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 
@@ -123,7 +123,7 @@ STAND_ON_A_FULL_DISK = """
 import argparse, resource, sys
 from functools import partial
 from pathlib import Path
-from imu_calib.cli import processes, stand_session as resume, several
+from imu_calib.cli import processes, resume, several
 from imu_calib.common.errors import InputError
 
 folder, imu, imus = map(Path, sys.argv[1:])

@@ -36,7 +36,7 @@ def test_a_product_of_matrices_takes_one_thread(module):
 _DEEP = """
 import sys
 from threadpoolctl import threadpool_info, threadpool_limits
-from imu_calib.common.parallel import by_one_thread
+from imu_calib.common.threads import by_one_thread
 
 def threads():
     return sorted({pool['num_threads'] for pool in threadpool_info() if pool['user_api'] == 'blas'})
