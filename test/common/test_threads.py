@@ -12,7 +12,7 @@ from imu_calib.api.calibrate import calibrate_units, calibrated
 from imu_calib.api.predict import optimise, predicted, shortest
 from imu_calib.api.simulate import montecarlo
 from imu_calib.api.verify import verify
-from imu_calib.common import parallel as threads
+from imu_calib.common import threads
 
 _COUNT = """
 import os, {module}, numpy
