@@ -86,7 +86,6 @@ nitpick_ignore_regex = [
 ]
 
 BORROWED = {
-    DOCS / 'overview.md': ROOT / 'README.md',
     DOCS / 'contributing.md': ROOT / 'CONTRIBUTING.md',
     DOCS / 'changelog.rst': ROOT / 'CHANGELOG.rst',
 }

@@ -196,7 +196,8 @@ def require(library: str, what: str, extra: str) -> None:
     if find_spec(library) is None:
         raise InputError(
             f'{what} needs {library}, which is not installed. Run '
-            f"{sys.executable} -m pip install 'imu_calib[{extra}]', or install {library}."
+            f"{sys.executable} -m pip install '.[{extra}]' in a clone of imu_calib, or install "
+            f'{library}.'
         )
 
 

@@ -272,8 +272,8 @@ class RemotePath:
             # Each protocol has its own exceptions for a host, a file or an option that it lacks.
             raise InputError(
                 f'{url}: cannot be opened ({error}). The extra remote brings what reads S3 and '
-                "HTTP (pip install 'imu_calib[remote]'); other protocols need libraries of their "
-                'own.'
+                "HTTP (pip install '.[remote]' in a clone of imu_calib); other protocols need "
+                'libraries of their own.'
             ) from None
         inside = inside.rstrip('/')
         return cls(url.rstrip('/'), files, inside, _looked_up(url, files, inside))

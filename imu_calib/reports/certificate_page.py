@@ -306,8 +306,8 @@ def pdf(html: str) -> bytes:
     if browser is None:
         raise InputError(
             'A PDF needs WeasyPrint or Chromium, and neither is installed. Run '
-            f"{sys.executable} -m pip install 'imu_calib[pdf]', or write the .html and print it "
-            'from a browser.'
+            f"{sys.executable} -m pip install '.[pdf]' in a clone of imu_calib, or write "
+            'the .html and print it from a browser.'
         )
     return _by_chromium(html, browser)
 

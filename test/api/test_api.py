@@ -182,9 +182,9 @@ def test_what_is_not_installed_is_asked_for(
     folder: Path, result: imu_calib.Result, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr('imu_calib.common.files.find_spec', lambda _: None)
-    with pytest.raises(InputError, match=r"needs pandas.*pip install 'imu_calib\[dataframe\]'"):
+    with pytest.raises(InputError, match=r"needs pandas.*pip install '\.\[dataframe\]'"):
         result.calibration.to_dataframe()
-    with pytest.raises(InputError, match=r"needs matplotlib.*pip install 'imu_calib\[plot\]'"):
+    with pytest.raises(InputError, match=r"needs matplotlib.*pip install '\.\[plot\]'"):
         result.calibration.plot()
     with pytest.raises(InputError, match='needs pandas'):
         imu_calib.read(folder / 'bag', '/imu/pulses').to_dataframe()

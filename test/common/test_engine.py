@@ -204,7 +204,7 @@ def test_nothing_but_a_scheduler_asks_for_dask(
     assert run_all(refused, [0, 2], jobs=1) == [0, 2]
     command = ['montecarlo', 'twelve_position', '--runs', '1', '--scheduler', 'tcp://127.0.0.1:1']
     assert main(command) == 2
-    assert "pip install 'imu_calib[fleet]'" in capsys.readouterr().err
+    assert "pip install '.[fleet]'" in capsys.readouterr().err
 
 
 def test_what_is_no_address_ends_at_once() -> None:

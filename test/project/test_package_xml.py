@@ -17,12 +17,12 @@ from loopback import CHECKOUT
 from imu_calib.recordings import codec
 
 UNDECLARED = {
-    'lz4': 'rosdep has no key for its Python module; README names the package of apt',
+    'lz4': 'rosdep has no key for its Python module; docs/ros.md names the package of apt',
     'compression': 'part of Python from 3.14 on',
-    'backports': 'rosdep has no key; zstandard, which README names, does the same',
+    'backports': 'rosdep has no key; zstandard, which docs/ros.md names, does the same',
     'typing_extensions': 'the type checker alone reads it; no program loads it',
     'threadpoolctl': 'no key of rosdep is known; without it threads are not limited',
-    'zstandard': 'rosdep has no key; README names the package of apt',
+    'zstandard': 'rosdep has no key; docs/ros.md names the package of apt',
     'cyclonedds': 'the runtime without ROS, which takes no dependency of a ROS package',
     'rosbags': 'its key installs by pip, which no package that is released may depend on; '
     'the runtime without ROS needs it, and who converts a ROS 1 recording',

@@ -1,4 +1,4 @@
-"""A clone in a workspace: what the README says builds both packages; what lacks is said."""
+"""A clone in a workspace: what docs/ros.md says builds both packages; what lacks is said."""
 
 import re
 import shutil
@@ -34,8 +34,8 @@ raise SystemExit(EntryPoint(sys.argv[1], sys.argv[2], 'console_scripts').load()(
 
 
 def link():
-    """Return the line of the README that makes both packages visible."""
-    return re.search(r'^ln -s .*$', (CHECKOUT / 'README.md').read_text(), re.MULTILINE)[0]
+    """Return the line of docs/ros.md that makes both packages visible."""
+    return re.search(r'^ln -s .*$', (CHECKOUT / 'docs' / 'ros.md').read_text(), re.MULTILINE)[0]
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def ros_only(test):
 
 
 @ros_only
-def test_the_readme_makes_both_packages_visible(workspace):
+def test_the_page_on_ros_makes_both_packages_visible(workspace):
     assert 'imu_calib_msgs' not in run(workspace, 'colcon list --names-only').stdout.split()
     assert run(workspace, link()).returncode == 0
     listed = run(workspace, 'colcon list --names-only --topological-order')

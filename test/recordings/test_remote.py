@@ -275,7 +275,7 @@ def test_a_url_asks_for_the_library(
 ) -> None:
     monkeypatch.setattr('imu_calib.common.files.find_spec', lambda name: None)
     assert main(['calibrate', 's3://lab/rec']) == 2
-    assert "pip install 'imu_calib[remote]'" in capsys.readouterr().err
+    assert "pip install '.[remote]'" in capsys.readouterr().err
 
 
 def test_a_full_disk_gets_a_sentence(

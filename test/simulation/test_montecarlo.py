@@ -59,7 +59,7 @@ def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ('installed', 'name', 'words'),
     [
-        (False, 'study.png', [f"{sys.executable} -m pip install 'imu_calib[plot]'", '--output']),
+        (False, 'study.png', [f"{sys.executable} -m pip install '.[plot]'", '--output']),
         (True, 'study.xyz', ["found the ending '.xyz'", 'png', 'svg']),
     ],
 )
