@@ -29,13 +29,13 @@ from ..session.metadata import compensated_already, interpolated_from, serial_ke
 from ..session.plan import load_plan
 from ..session.units_file import MountedUnit
 from .compare import specification_of
+from .inputs import Recorded, recording_at
 from .opening import (
     ASSUMED_BY_HAND,
     Opened,
     ask_for_plan,
     is_hand_held,
     open_session,
-    recording_at,
     session_of,
 )
 from .session import as_units
@@ -53,8 +53,9 @@ judgement."""
 
 @with_keywords(Session)
 def calibrate(
-    bag: Named,
+    bag: Recorded,
     *,
+    rate: float | None = None,
     progress: Progress = silent,
     **stated: Unpack[Session],
 ) -> Result:
@@ -64,7 +65,10 @@ def calibrate(
     supplied files (`imu-calib plans` lists plans), paths those of your own.
 
     Args:
-        bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
+        bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads; or a
+            pandas.DataFrame with the columns of `read`, its index the time; or arrays: gyro and
+            accelerometer, (n, 3) each, or one (n, 6).
+        rate: Samples per second of arrays, or of a frame whose index is no time.
         KEYWORDS
         progress: Shows the progress; nothing by default.
         **stated: The keywords from `plan` on, all optional.
@@ -76,15 +80,16 @@ def calibrate(
         InputError: Something is missing, ambiguous, unreadable, or differs from what is stated.
         NotObservable: The data does not determine all parameters; the text states which and why.
     """
-    return calibrated(bag, Stated(**stated), progress)
+    return calibrated(bag, Stated(**stated), progress, rate=rate)
 
 
 @by_one_thread
 def calibrated(
-    bag: str | AnyPath,
+    bag: Recorded | AnyPath,
     stated: Stated,
     progress: Progress = silent,
     *,
+    rate: float | None = None,
     to_be_judged: bool = False,
 ) -> Result:
     """Calibrate from a recording, with the statements as one value; as `calibrate`.
@@ -93,9 +98,10 @@ def calibrated(
         bag: As for `calibrate`.
         stated: Known facts of the session.
         progress: Shows the progress.
+        rate: Samples per second of arrays.
         to_be_judged: Refuse a unit without a specification before the computation.
     """
-    opened = open_session(bag, stated)
+    opened = open_session(bag, stated, rate)
     with opened.recording:
         if to_be_judged:
             specification_of(opened.setup.imu)

@@ -22,13 +22,14 @@ from ..common.stream import ImuBlock, Stamps
 from ..common.units import counted
 from ..recordings.cdr import Malformed, Messages
 from ..recordings.cdr_codec import Kind, decode_imu, encode_rates
-from ..recordings.rosbag2 import Recording, open_recording
+from ..recordings.rosbag2 import Recording
 from ..recordings.storage import Topic
 from ..recordings.writer import RecordingWriter
 from ..session.imu import ImuSpec, compensated_imu
 from ..session.keywords import Named, Stated
 from ..session.metadata import COMPENSATED, compensated_already, compensated_key, stream_description
 from ..session.units_file import TOPIC
+from .inputs import Recorded, recording_at
 from .outputs import new_folder, removed_on_failure
 from .session import as_applied, serial_of, stated_imu
 from .stamp_clock import sample_findings
@@ -71,10 +72,11 @@ class Compensated:
 
 @checked
 def compensate(
-    bag: Named,
+    bag: Recorded,
     calibration: Result | AnyCalibration | Named,
     output: Named,
     *,
+    rate: float | None = None,
     imu: ImuSpec | Named | None = None,
     serial: str | None = None,
     imu_topic: str | None = None,
@@ -87,9 +89,10 @@ def compensate(
     """Copy a recording with its raw IMU stream compensated to rates and forces in SI units.
 
     Args:
-        bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
+        bag: Recording, data frame or arrays, as for `calibrate`.
         calibration: calibration.yaml, single or combined, or a loaded calibration.
         output: Recording to write (mcap): a new folder.
+        rate: Samples per second of arrays, or of a frame whose index is no time.
         imu: Units of the IMU's samples; None: as in the recording, else in the calibration.
         serial: Serial number of the unit.
         imu_topic: The raw stream, if there are several of sensor_msgs/Imu.
@@ -106,7 +109,7 @@ def compensate(
     loaded, name = as_applied(calibration)
     file = Path(calibration).name if isinstance(calibration, str | Path) else ''
     written = new_folder(output)
-    with open_recording(bag) as recording, removed_on_failure(written):
+    with recording_at(bag, rate) as recording, removed_on_failure(written):
         topic = _topic(imu_topic, recording, serial or first_of(loaded).serial_number)
         stated = Stated(imu=imu, serial=serial)
         spec = _check_unit(loaded, name, stated, recording, topic)

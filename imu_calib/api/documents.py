@@ -38,7 +38,8 @@ from ..session.imu import ImuSpec
 from ..session.keywords import NO_PLAN, Named, Stated, as_imu
 from ..session.plan import Plan, load_plan
 from .calibrate import solve
-from .opening import recording_at, session_of
+from .inputs import recording_at
+from .opening import session_of
 from .outputs import output_path, page_path
 from .session import as_applied, as_calibration, as_combined, as_list
 

@@ -17,11 +17,12 @@ from ..common.units import LARGEST, STANDARD_GRAVITY
 from ..estimation.setup import Setup
 from ..recordings.cdr_codec import Kind
 from ..recordings.remote import AnyPath, located
-from ..recordings.rosbag2 import Recording, open_recording
+from ..recordings.rosbag2 import Recording
 from ..recordings.stamp_order import StampSorter
 from ..session.imu import ImuSpec, load_imu
 from ..session.keywords import Stated
 from ..session.plan import UNPLANNED, Plan, load_plan
+from .inputs import Recorded, recording_at
 from .session import mounted_on, serial_of, site_of, stated_imu, stated_plan, table_of
 
 if TYPE_CHECKING:
@@ -148,32 +149,18 @@ def recording_path(bag: str | AnyPath) -> AnyPath:
     return located(bag)
 
 
-def open_session(bag: str | AnyPath, stated: Stated) -> Opened:
+def open_session(bag: Recorded | AnyPath, stated: Stated, rate: float | None = None) -> Opened:
     """Open a recording, and find its set-up.
 
     Args:
         bag: As for `calibrate`, or already located.
         stated: Known facts of the session.
+        rate: Samples per second of arrays.
 
     Raises:
         InputError: Something is missing, ambiguous or unreadable.
     """
-    return session_of(recording_at(bag), stated)
-
-
-def recording_at(bag: str | AnyPath, sha256: str | None = None) -> Recording:
-    """Open a recording.
-
-    Args:
-        bag: As for `calibrate`, or already located.
-        sha256: Of its storage files, if known already.
-
-    Raises:
-        InputError: There is none, or it is unreadable.
-    """
-    if bag == '':
-        raise InputError("found '', expected the path of a recording.")
-    return open_recording(bag, sha256)
+    return session_of(recording_at(bag, rate), stated)
 
 
 def session_of(recording: Recording, stated: Stated) -> Opened:

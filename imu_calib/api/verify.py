@@ -16,7 +16,7 @@ from ..common.progress import Progress, silent
 from ..common.threads import by_one_thread
 from ..estimation.hand import NAME as FREE_POSITIONS
 from ..estimation.system import observe
-from ..recordings.rosbag2 import Recording, open_recording
+from ..recordings.rosbag2 import Recording
 from ..recordings.stamp_order import StampSorter
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.thermometer import Temperature
@@ -24,6 +24,7 @@ from ..session.imu import ImuSpec
 from ..session.keywords import Named, Stated, Verified, with_keywords
 from ..session.metadata import compensated_already
 from ..session.plan import UNPLANNED
+from .inputs import Recorded, recording_at
 from .session import as_applied, serial_of, site_of, stated_imu, stated_plan, table_of
 from .stamp_clock import clock_findings, refused_by_stamps
 from .streams import streams_of
@@ -47,8 +48,9 @@ _THE_SAME = (
 @by_one_thread
 def verify(
     calibration: Result | AnyCalibration | Named,
-    bag: Named,
+    bag: Recorded,
     *,
+    rate: float | None = None,
     another_unit: bool = False,
     progress: Progress = silent,
     **stated: Unpack[Verified],
@@ -57,7 +59,8 @@ def verify(
 
     Args:
         calibration: calibration.yaml, single or combined, or a loaded calibration.
-        bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
+        bag: Recording, data frame or arrays, as for `calibrate`.
+        rate: Samples per second of arrays, or of a frame whose index is no time.
         another_unit: Compare even if calibration and recording name different units.
         progress: Shows the progress.
         **stated: The session, by the keywords of `calibrate` but `method` and `terms`; by default
@@ -71,7 +74,7 @@ def verify(
         NotObservable: The recording contains nothing to compare with.
     """
     loaded, name = as_applied(calibration)
-    with open_recording(bag) as recording:
+    with recording_at(bag, rate) as recording:
         return _verify(loaded, name, recording, Stated(**stated), another_unit, progress)
 
 

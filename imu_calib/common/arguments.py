@@ -20,6 +20,7 @@ Arguments = ParamSpec('Arguments')
 Returned = TypeVar('Returned')
 _ALIASES = {
     'Named': 'str | Path',
+    'Recorded': 'str | Path | DataFrame | ndarray | Sequence',
     'AnyCalibration': 'Calibration | ThermalCalibration',
     'Progress': 'Callable',
 }
@@ -33,6 +34,7 @@ _WORDS = {
     'Path': 'a path',
     'Callable': 'a function',
     'Sequence': 'a list',
+    'ndarray': 'an array',
     'Mapping': 'a mapping',
 }
 _PROTOCOLS: dict[str, Any] = {

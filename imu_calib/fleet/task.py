@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from ..api.calibrate import serials_in, solve, units_of_recording
-from ..api.opening import recording_at, session_of
+from ..api.inputs import recording_at
+from ..api.opening import session_of
 from ..api.streams import units_of
 from ..calibration.results import Result
 from ..common.errors import ImuCalibError, InputError
@@ -132,7 +133,7 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> TaskResult:
         key = key_of(job, sha256)
         if key in known:
             return TaskResult(key)
-        with recording_at(path, sha256) as recording:
+        with recording_at(path, sha256=sha256) as recording:
             if _is_of_several(job, recording):
                 return _several(job, recording, key, known, begun)
             opened = session_of(recording, job.stated)

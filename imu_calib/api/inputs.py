@@ -1,0 +1,183 @@
+"""Recordings as functions take them: paths, data frames of pandas, or arrays with a rate."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, Union
+
+import numpy as np
+
+from ..common.errors import InputError
+from ..common.stream import LAST_SECOND, NS, Floats, Stamps
+from ..recordings.cdr_codec import Kind
+from ..recordings.in_memory import Samples, SamplesInMemory
+from ..recordings.remote import AnyPath, RemotePath
+from ..recordings.rosbag2 import Recording, open_recording
+from ..session.keywords import Named
+
+if TYPE_CHECKING:
+    import pandas
+    from numpy.typing import ArrayLike, NDArray
+
+Recorded: TypeAlias = Union['Named', 'pandas.DataFrame', 'NDArray[Any]', 'Sequence[NDArray[Any]]']
+"""A recording: its path, a data frame, or arrays.
+
+A path is a folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads. A data
+frame has the columns that `imu_calib.read` names, `angular_velocity.x` to `linear_acceleration.z`,
+and may have `temperature` and `position.` and `velocity.` of joints; its index is the time, dates,
+durations or seconds. Arrays are gyro and accelerometer, (n, 3) each, or both as (n, 6), at `rate`
+samples per second.
+"""
+
+_IMU = [f'{name}.{axis}' for name in ('angular_velocity', 'linear_acceleration') for axis in 'xyz']
+_TOPICS = {
+    Kind.IMU: '/imu/data_raw',
+    Kind.JOINTS: '/joint_states',
+    Kind.TEMPERATURES: '/imu/temperature',
+}
+_JOINT = re.compile(r'(position|velocity)\.(.+)')
+
+
+def recording_at(
+    bag: Recorded | AnyPath, rate: float | None = None, *, sha256: str | None = None
+) -> Recording:
+    """Open a recording that is a path, a data frame or arrays.
+
+    Args:
+        bag: As `Recorded`.
+        rate: Samples per second of arrays, or of a frame whose index is no time.
+        sha256: Of the storage files, if known already.
+
+    Raises:
+        InputError: There is none, or its columns, its index, its shape or the rate are wrong.
+    """
+    if rate is not None and not (math.isfinite(rate) and rate > 0):
+        raise InputError(f'`rate`: found {rate:g}, expected samples per second, above 0.')
+    if isinstance(bag, np.ndarray | list | tuple):
+        return SamplesInMemory('arrays', _of_arrays(bag, rate))
+    if not isinstance(bag, str | Path | RemotePath):
+        return SamplesInMemory('data frame', _of_frame(bag, rate))
+    if rate is not None:
+        raise InputError('`rate` is that of arrays: a recording states when each sample was taken.')
+    if bag == '':
+        raise InputError("found '', expected the path of a recording.")
+    return open_recording(bag, sha256)
+
+
+def _of_arrays(given: NDArray[Any] | Sequence[ArrayLike], rate: float | None) -> dict[str, Samples]:
+    """Return arrays as samples that follow each other at a rate.
+
+    Raises:
+        InputError: There is no rate, or they are no samples of six channels.
+    """
+    if rate is None:
+        raise InputError('`rate` is missing: give the samples per second of the arrays.')
+    parts = [given] if isinstance(given, np.ndarray) else list(given)
+    try:
+        found = [np.asarray(part, dtype=np.float64) for part in parts]
+    except (TypeError, ValueError):
+        raise InputError('An array holds something else than numbers, expected numbers.') from None
+    shapes = [array.shape for array in found]
+    count = shapes[0][0] if shapes and shapes[0] else 0
+    if shapes not in ([(count, len(_IMU))], [(count, 3), (count, 3)]):
+        listed = ' and '.join(map(str, shapes)) or 'none'
+        raise InputError(
+            f'Found arrays of shape {listed}, expected gyro and accelerometer, (n, 3) each, or one '
+            'array (n, 6) of both.'
+        )
+    columns = [array[:, k] for array in found for k in range(array.shape[1])]
+    return {_TOPICS[Kind.IMU]: Samples(Kind.IMU, _at_rate(count, rate), columns)}
+
+
+def _at_rate(count: int, rate: float) -> Stamps:
+    """Return stamps of samples at a rate: the first sample ends an interval that begins at 0."""
+    return np.asarray(np.rint(np.arange(1, count + 1) * (NS / rate)), dtype=np.int64)
+
+
+def _of_frame(frame: Any, rate: float | None) -> dict[str, Samples]:
+    """Return a data frame as samples of an IMU, and of joints and temperatures if it has any.
+
+    Where it has several of these, a row whose values of one are all missing has no sample of it, as
+    in a frame that was joined of several.
+
+    Raises:
+        InputError: A column is missing or holds no numbers, or the index is no time.
+    """
+    names = [str(name) for name in frame.columns]
+    missing = [name for name in _IMU if name not in names]
+    if missing:
+        raise InputError(
+            f'The data frame has no column {missing[0]}; it has: {", ".join(names) or "none"}. '
+            f'Expected {_IMU[0]} to {_IMU[-1]}, as `imu_calib.read` names them.'
+        )
+    joints = tuple(
+        dict.fromkeys(found[2] for found in map(_JOINT.fullmatch, names) if found is not None)
+    )
+    wanted = {Kind.IMU: _IMU}
+    if joints:
+        wanted[Kind.JOINTS] = [f'{of}.{j}' for of in ('position', 'velocity') for j in joints]
+    if 'temperature' in names:
+        wanted[Kind.TEMPERATURES] = ['temperature']
+    stamp = _stamps_of(frame, rate)
+    found = {}
+    for kind, of in wanted.items():
+        columns = [_column(frame, name, names) for name in of]
+        own = stamp
+        if len(wanted) > 1:
+            there = ~np.all([np.isnan(column) for column in columns], axis=0)
+            if not there.all():
+                own, columns = stamp[there], [column[there] for column in columns]
+        found[_TOPICS[kind]] = Samples(kind, own, columns, joints if kind is Kind.JOINTS else ())
+    return found
+
+
+def _column(frame: Any, name: str, names: list[str]) -> Floats:
+    """Return a column as numbers; NaN throughout for one that the frame does not have."""
+    if name not in names:
+        return np.full(len(frame), np.nan)
+    if names.count(name) > 1:
+        raise InputError(f'The data frame has several columns {name}, expected one.')
+    try:
+        return np.asarray(frame[name].to_numpy(dtype=np.float64, na_value=np.nan))
+    except (TypeError, ValueError):
+        raise InputError(f'Column {name} of the data frame: expected numbers.') from None
+
+
+def _stamps_of(frame: Any, rate: float | None) -> Stamps:
+    """Return the stamps (n,) of a data frame, ns: its index, or by the rate.
+
+    Raises:
+        InputError: The index is no time, and there is no rate; or there are both.
+    """
+    index = frame.index
+    kind = index.dtype.kind
+    # A frame without an index of its own counts its rows.
+    counted = kind in 'iu' and np.array_equal(index, np.arange(len(index)))
+    is_time = kind in 'mMfiu' and not counted
+    if rate is not None:
+        if is_time:
+            raise InputError(
+                '`rate`: the index of the data frame is a time already; leave `rate` out, or call '
+                '`reset_index(drop=True)`.'
+            )
+        return _at_rate(len(frame), rate)
+    if not is_time:
+        raise InputError(
+            'The index of the data frame counts its rows or is no time: set a DatetimeIndex, '
+            'a TimedeltaIndex or seconds, or give `rate`.'
+        )
+    if index.hasnans:
+        raise InputError('The index of the data frame has missing values, expected a time in each.')
+    if kind in 'mM':
+        unit = 'datetime64[ns]' if kind == 'M' else 'timedelta64[ns]'
+        return np.asarray(index.to_numpy(dtype=unit)).astype(np.int64)
+    seconds = index.to_numpy(dtype=np.float64)
+    if not (np.abs(seconds) <= LAST_SECOND).all():
+        raise InputError(
+            f'The index of the data frame reaches {np.abs(seconds).max():.4g}, beyond all dates in '
+            'seconds: convert it, as by `pandas.to_datetime(frame.index)` from ns.'
+        )
+    return np.asarray(np.rint(seconds * NS), dtype=np.int64)

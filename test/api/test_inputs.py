@@ -1,0 +1,140 @@
+"""Frames and arrays in place of recordings: the same bits, and refusals that say what to do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import imu_calib
+from imu_calib.api.inputs import recording_at
+
+NAMES = [f'{name}.{a}' for name in ('angular_velocity', 'linear_acceleration') for a in 'xyz']
+
+
+@pytest.fixture(scope='module')
+def hand(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session in the hand, in whole counts."""
+    bag = tmp_path_factory.mktemp('hand') / 'bag'
+    imu_calib.simulate('free_positions', bag, imu='mems_counts', latitude=48.1, seed=2)
+    return bag
+
+
+@pytest.fixture(scope='module')
+def frame(hand: Path) -> pd.DataFrame:
+    (topic,) = (t for t, c in imu_calib.read(hand).items() if c.type == 'sensor_msgs/msg/Imu')
+    return imu_calib.read(hand, topic).to_dataframe()
+
+
+@pytest.fixture(scope='module')
+def expected(hand: Path) -> imu_calib.Calibration:
+    return imu_calib.calibrate(hand).calibration
+
+
+STATED: dict[str, Any] = {'imu': 'mems_counts', 'latitude': 48.1, 'plan': 'free_positions'}
+
+
+def same_bits(one: imu_calib.Calibration, other: imu_calib.Calibration) -> bool:
+    values = np.array_equal(one.values, other.values)
+    return values and np.array_equal(one.covariance, other.covariance, equal_nan=True)
+
+
+def test_a_frame_gives_the_bits_of_its_recording(
+    frame: pd.DataFrame, expected: imu_calib.Calibration
+) -> None:
+    found = imu_calib.calibrate(frame, **STATED).calibration
+    assert same_bits(found, expected)
+    assert found.provenance['recording'] == 'data frame'
+
+
+@pytest.mark.parametrize('index', ['dates of a zone', 'durations', 'seconds'])
+def test_the_index_may_be_dates_durations_or_seconds(frame: pd.DataFrame, index: str) -> None:
+    other = frame.copy()
+    since = frame.index - frame.index[0]
+    if index == 'dates of a zone':
+        other.index = frame.index.tz_localize('UTC').tz_convert('Asia/Kolkata')
+    elif index == 'durations':
+        other.index = since.as_unit('us')
+    else:
+        other.index = pd.Index(since.total_seconds())
+    stamps = imu_stamps(other)
+    first = stamps[0] if index != 'dates of a zone' else 0
+    wanted = frame.index.to_numpy().astype('datetime64[ns]').astype(np.int64)
+    # Seconds as floats and microseconds are rounded.
+    assert np.abs(stamps - first - (wanted - (wanted[0] if first == stamps[0] else 0))).max() < 2000
+
+
+def imu_stamps(bag: Any, rate: float | None = None) -> np.ndarray[Any, Any]:
+    from imu_calib.recordings.cdr_codec import Kind
+
+    blocks = recording_at(bag, rate).read({'/imu/data_raw': Kind.IMU})
+    return np.concatenate([block.stamp for _, block in blocks])  # type: ignore[union-attr]
+
+
+def test_arrays_give_the_bits_of_a_frame_of_their_rate(frame: pd.DataFrame) -> None:
+    values = frame[NAMES].to_numpy()
+    by_rate = imu_calib.calibrate(frame.reset_index(drop=True), rate=100.0, **STATED).calibration
+    one = imu_calib.calibrate(values, rate=100.0, **STATED).calibration
+    two = imu_calib.calibrate((values[:, :3], values[:, 3:]), rate=100, **STATED).calibration
+    assert same_bits(one, by_rate)
+    assert same_bits(two, by_rate)
+    assert imu_stamps(values, 100.0)[:2].tolist() == [10_000_000, 20_000_000]
+
+
+def test_a_frame_is_verified_and_compensated_as_its_recording(
+    hand: Path, frame: pd.DataFrame, expected: imu_calib.Calibration, tmp_path: Path
+) -> None:
+    found = imu_calib.verify(expected, frame, latitude=48.1)
+    wanted = imu_calib.verify(expected, hand, latitude=48.1)
+    assert found.verdict is wanted.verdict
+    mine = imu_calib.compensate(frame, expected, tmp_path / 'mine', imu='mems_counts')
+    theirs = imu_calib.compensate(hand, expected, tmp_path / 'theirs')
+    one = imu_calib.read(mine.path, mine.target).to_dataframe()
+    other = imu_calib.read(theirs.path, theirs.target).to_dataframe()
+    pd.testing.assert_frame_equal(one, other, check_exact=True)
+
+
+def test_a_calibration_knows_the_frame_it_was_made_of(frame: pd.DataFrame) -> None:
+    calibration = imu_calib.calibrate(frame, **STATED).calibration
+    assert imu_calib.verify(calibration, frame.copy(), latitude=48.1).own_recording
+    other = frame.copy()
+    other.iloc[0, 0] += 1.0
+    assert not imu_calib.verify(calibration, other, latitude=48.1).own_recording
+
+
+def test_a_frame_joined_of_several_topics_gives_the_bits_of_a_table(tmp_path: Path) -> None:
+    text = Path('config/plans/twelve_position.yaml').read_text(encoding='utf-8')
+    rows = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[').splitlines(True)
+    plan = tmp_path / 'brief.yaml'
+    plan.write_text(''.join('dwell: 3.0 s\n' if r.startswith('dwell:') else r for r in rows))
+    imu_calib.simulate(plan, tmp_path / 'bag', seed=3, latitude=34.65)
+    held = {name: topic.to_dataframe() for name, topic in imu_calib.read(tmp_path / 'bag').items()}
+    joined = held['/imu/pulses'].join(held['/turntable/joint_states'], how='outer')
+    found = imu_calib.calibrate(joined, imu='fog_medium', latitude=34.65)
+    wanted = imu_calib.calibrate(tmp_path / 'bag', plan='none', latitude=34.65)
+    assert same_bits(found.calibration, wanted.calibration)
+
+
+@pytest.mark.parametrize(
+    ('change', 'rate', 'message'),
+    [
+        (lambda f: f.rename(columns={NAMES[0]: 'gx'}), None, 'no column angular_velocity.x; it'),
+        (lambda f: f.reset_index(drop=True), None, 'is no time: set a DatetimeIndex'),
+        (lambda f: f, 100.0, '`rate`: the index of the data frame is a time already'),
+        (lambda f: f.set_index(f.index.astype('int64')), None, 'beyond all dates in seconds'),
+        (lambda f: f.assign(**{NAMES[1]: 'a'}), None, 'Column angular_velocity.y.*expected numb'),
+        (lambda f: f[NAMES].to_numpy(), None, '`rate` is missing'),
+        (lambda f: f[NAMES[:5]].to_numpy(), 100.0, r'shape \(\d+, 5\), expected gyro and acc'),
+        (lambda f: f[NAMES].to_numpy(), 0.0, '`rate`: found 0, expected samples per second'),
+        (lambda f: 'bag', 100.0, '`rate` is that of arrays'),
+        (lambda f: 7, None, '`bag`: found 7, expected a text, a path, a DataFrame, an array or'),
+    ],
+)
+def test_what_is_no_samples_is_refused(
+    frame: pd.DataFrame, change: Any, rate: float | None, message: str
+) -> None:
+    with pytest.raises(imu_calib.InputError, match=message):
+        imu_calib.calibrate(change(frame), rate=rate, **STATED)
