@@ -43,9 +43,9 @@ far below any effect, and above rounding."""
 
 _SETTLED = 0.02
 """Standard deviations by which steps may go on moving the prediction, all outputs together, where
-they do not become smaller any more: each would lower chi-square by less than a thousandth. Causes
-are rounding in a system of a large condition number, and a heading that the session does not show:
-its prior has no pull but shortens every step."""
+they do not become smaller any more or no rounds are left: each would lower chi-square by less than
+a thousandth. Causes are rounding in a system of a large condition number, and a heading that the
+session does not show: its prior has no pull but shortens every step."""
 
 _SLIGHT = 0.1
 """Standard deviations, all outputs together, of a negligible full step: it would lower chi-square
@@ -128,11 +128,10 @@ def least_squares(
         change = float(np.linalg.norm(jacobian @ step))
         tried = moved(state, share * step)
         rounding = _ROUNDING * float(np.linalg.norm(jacobian, axis=0).max())
-        settled = before * (1 - share / 2) < change < _SETTLED
         if not damping and change < _CONVERGED * np.sqrt(len(residuals)):
             # Not the end of the step, which is as good: here the derivatives are known.
             return state
-        if not damping and (settled or change < rounding):
+        if not damping and (_settled(change, before, share) or change < rounding):
             return tried
         no_nearer, before = change > before * _NO_NEARER, change
         ahead = system(tried)
@@ -150,9 +149,17 @@ def least_squares(
             damping = max(_DAMPING, damping * _STRONGER)
             if damping > _STRONGEST:
                 break
-    if not damping and change < _SETTLED:
+    if not damping and _settled(change):
         return state
     return _by_half_steps(begin, system, moved, rounds)
+
+
+def _settled(change: float, before: float = 0.0, share: float = 1.0) -> bool:
+    """Return whether a full step hardly matters, and is hardly shorter than the one before.
+
+    `share` is the part of each step that was taken. Without an earlier step only the first counts.
+    """
+    return before * (1 - share / 2) < change < _SETTLED
 
 
 def _by_half_steps(
@@ -162,17 +169,20 @@ def _by_half_steps(
     rounds: int,
 ) -> State:
     """Go on by half steps, judged by their lengths alone, as `least_squares`."""
-    change = np.inf
+    change = before = np.inf
     for _ in range(rounds):
         jacobian, residuals = system(state)
         if not np.isfinite(jacobian.sum() + residuals.sum()):
             # Steps that nothing holds back have led beyond all numbers.
             break
         step = linear_step(jacobian, residuals)
-        change = float(np.linalg.norm(jacobian @ step))
-        if change < _ARRIVED:
+        change, before = float(np.linalg.norm(jacobian @ step)), change
+        if change < _ARRIVED or _settled(change, before, 0.5):
             return state
         state = moved(state, step / 2)
+    else:
+        if _settled(change):
+            return state
     raise NotConverged(
         f'The least squares did not converge in {rounds} steps (the last would still move the '
         f'outputs by {change / np.sqrt(len(residuals)):.2g} of their standard deviations): no '

@@ -165,7 +165,7 @@ def test_halved_steps_whose_full_one_hardly_moves_have_arrived_when_rounds_end()
     arriving = [1.0] * 5 + [0.019 * 0.93**k for k in range(120)]
     assert walked(arriving)[0] == 50
     with pytest.raises(NotObservable, match='did not converge in 50 steps'):
-        walked([40 * left for left in arriving])
+        walked([4000 * left for left in arriving])
 
 
 def test_small_steps_that_do_not_halve_any_more_have_settled() -> None:
@@ -213,6 +213,23 @@ def test_rounding_ends_it_where_columns_are_long() -> None:
 
         assert least_squares(0, system, moved, 9) == 1
         assert len(states) == end
+
+
+@pytest.mark.parametrize(('left', 'refused'), [(1.6e-4, False), (0.019, False), (0.021, True)])
+def test_half_steps_end_where_full_ones_would(left: float, refused: bool) -> None:
+    """Steps of 8e-6 deviations of each of 400 outputs, for ever, were refused."""
+
+    # Chi-square grows on the way: only the lengths of half steps are left to judge by.
+    def system(state: int) -> tuple[Floats, Floats]:
+        along = np.zeros((400, 1))
+        along[0] = 1.0
+        return along, np.append(10.0 * (state < 1) + left, np.full(399, float(state)))
+
+    if refused:
+        with pytest.raises(NotConverged):
+            least_squares(0, system, lambda state, _: state + 1, 30)
+    else:
+        least_squares(0, system, lambda state, _: state + 1, 30)
 
 
 def test_steps_that_lead_beyond_all_numbers_are_refused() -> None:
