@@ -226,7 +226,8 @@ def keys_of(kind: type, variant: object = 'key') -> list[Key]:
                 most = declared.bounds.get('most')
                 number = '' if most is None else f'1 to {most} '
                 value = Value(value.schema, f'list of {number}{name}, below')
-            keys.append(Key(name, value, declared.meaning, default, declared.otherwise))
+            clause = f' ({declared.source})' if declared.source else ''
+            keys.append(Key(name, value, declared.meaning + clause, default, declared.otherwise))
     return keys
 
 
@@ -236,11 +237,13 @@ def _sign(above: float | None = None, least: float | None = None) -> str:
 
 VALUES: dict[Callable[..., Any], Callable[..., Value]] = {
     Section.text: text,
+    Section.texts: lambda: array(text(), 0),
     Section.flag: flag,
+    Section.number: number,
     Section.choice: lambda choices: choice(list(choices)),
     Section.whole: whole,
     Section.quantity: lambda dimension, **bounds: quantity(dimension, _sign(**bounds)),
-    record: lambda kind: mapping(keys_of(kind), words='keys, below'),
+    record: lambda kind, variant='key': mapping(keys_of(kind, variant), words='keys, below'),
     records: lambda kind, most=None: array(mapping(keys_of(kind)), 1, most),
 }
 """What may stand behind a key, by its reader; the descriptions of files add those of their own."""

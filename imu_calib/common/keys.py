@@ -5,7 +5,7 @@ Loaders read by these declarations; docs/file_formats makes the schemas and tabl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any, TypeVar
 
@@ -34,6 +34,7 @@ class FieldKey:
     default: object
     otherwise: str  #: Words in place of the default.
     name: str  #: As it is written.
+    source: str = ''  #: Clause of a standard that asks for it; empty if none does.
 
     def value(self, section: Section) -> Any:
         """Read the key or its default."""
@@ -55,6 +56,7 @@ def key(
     value: Any = MISSING,
     otherwise: str = '',
     name: str = '',
+    source: str = '',
     **bounds: Any,
 ) -> Any:
     """Return a field with a key of a file, as `FieldKey` describes it; a dimension is a quantity.
@@ -66,7 +68,7 @@ def key(
         default = None
     if isinstance(read, Dimension):
         read, arguments = Section.quantity, (read,)
-    declared = FieldKey(meaning, read, arguments, bounds, default, otherwise, name)
+    declared = FieldKey(meaning, read, arguments, bounds, default, otherwise, name, source)
     metadata = {'key': declared}
     if isinstance(value, np.ndarray):
         return field(default_factory=value.copy, metadata=metadata)
@@ -100,29 +102,41 @@ def parts(kind: type) -> dict[str, type]:
 def read_record(section: Section, kind: type[Record], variant: object = 'key') -> Record:
     """Read a whole mapping by the keys that the fields of a record declare.
 
+    Keys are checked before values: a misspelt one is named, and not what follows from its absence.
+
     Raises:
         InputError: File, key, what was found and what was expected.
     """
-    value = _read_part(section, kind, variant)
+    keys = list(_all_keys(kind, variant))
+    # All are looked for first: none of them is then taken for a misspelling of a missing one.
+    lacking = [each for each in keys if not section.has(each.name)]
+    for each in lacking:
+        if each.default is REQUIRED:
+            section.raw(each.name)
     section.finish()
-    return value
+    return _read_part(section, kind, variant)
+
+
+def _all_keys(kind: type, variant: object) -> Iterator[FieldKey]:
+    """Yield the keys of a record and of its parts."""
+    yield from field_keys(kind, variant).values()
+    for within in parts(kind).values():
+        yield from _all_keys(within, variant)
 
 
 def _read_part(section: Section, kind: type[Record], variant: object) -> Record:
-    # All are looked for first: none of them is then taken for a misspelling of a missing one.
-    stated = {
-        name: declared
+    values: dict[str, Any] = {
+        name: declared.value(section)
         for name, declared in field_keys(kind, variant).items()
-        if section.has(declared.name) or declared.default is not None
+        if declared.default is not None or section.has(declared.name)
     }
-    values: dict[str, Any] = {name: declared.value(section) for name, declared in stated.items()}
     values |= {name: _read_part(section, within, variant) for name, within in parts(kind).items()}
     return kind(**values)
 
 
-def record(section: Section, name: str, kind: type[Record]) -> Record:
+def record(section: Section, name: str, kind: type[Record], variant: object = 'key') -> Record:
     """Read the mapping behind a key."""
-    return read_record(section.section(name), kind)
+    return read_record(section.section(name), kind, variant)
 
 
 def records(

@@ -187,8 +187,8 @@ def _results(
             continue
         value, limit = float(calibration.values[k]), specification.limit(parameter)
         decision = None
-        if fields.rule is not None and limit is not None:
-            decision = decide(value, float(expanded[k]), limit, fields.rule)
+        if fields.conformity.rule is not None and limit is not None:
+            decision = decide(value, float(expanded[k]), limit, fields.conformity.rule)
         numbers = (float(expanded[k]), float(factor[k]), float(freedom[k]))
         found.append(Stated(parameter, value, *numbers, limit, decision))
     return tuple(found)

@@ -5,16 +5,17 @@ Source: ISO/IEC 17025:2017, 7.8.2 and 7.8.4; docs/certificate.md.
 
 from __future__ import annotations
 
-import math
 import re
-from dataclasses import dataclass, field
-from dataclasses import fields as keys_of
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from datetime import date
 from enum import Enum
 from itertools import pairwise
+from typing import Any
 
 from ..common.config import Section
 from ..common.errors import InputError
+from ..common.keys import field_keys, key, read_record, record, records
 
 # Source: ILAC-G8:09/2019, 4.2; JCGM 106:2012, 8; ISO/IEC 17025:2017, 7.8.6.
 
@@ -88,28 +89,65 @@ _DATE = re.compile(r'[0-9]{4}-[0-9]{2}-[0-9]{2}')
 _COUNTRY = re.compile(r'[A-Z]{2}')
 LOCATIONS = ('laboratory', 'customer', 'laboratoryBranch', 'customerBranch', 'other')
 """Places of calibration, in the terms of the DCC."""
-_OF_PERSON = ('name', 'role')
-_OF_ITEM = ('description', 'manufacturer', 'model', 'serial_number', 'condition')
-"""Fields of the unit that ISO/IEC 17025 requires in one clause."""
-CONDITIONS = {
-    'temperature': ('air temperature', '\u00b0C'),
-    'relative_humidity': ('relative humidity', '%'),
-    'air_pressure': ('air pressure', 'hPa'),
-}
-"""Keys of `environment`, their texts, and the units of their numbers."""
+
+
+def read_date(section: Section, name: str) -> date:
+    """Read a day."""
+    raw = section.raw(name)
+    if isinstance(raw, str) and _DATE.fullmatch(raw):
+        try:
+            return date.fromisoformat(raw)
+        except ValueError:
+            pass
+    raise InputError(f'{section.key(name)}: found {raw!r}, expected a date as 2026-01-31.')
+
+
+def read_country(section: Section, name: str) -> str:
+    """Read the code of a country."""
+    raw, country = section.raw(name), section.text(name)
+    if not (isinstance(raw, str) and _COUNTRY.fullmatch(country)):
+        raise InputError(
+            f'{section.key(name)}: found {raw!r}, expected two capitals as in ISO 3166-1, for '
+            'instance DE.'
+        )
+    return country
+
+
+def read_size(section: Section, name: str) -> float:
+    """Read a number of 0 or more."""
+    size = section.number(name)
+    if size < 0:
+        raise InputError(f'{section.key(name)}: found {size:g}, expected 0 or more.')
+    return size
+
+
+def _asked(
+    meaning: str,
+    clause: str,
+    *read: Any,
+    value: Any = '',
+    otherwise: str = 'named as missing',
+) -> Any:
+    """Return a field that the standard asks for: without it there is no certificate but a draft."""
+    return key(meaning, *(read or (Section.text,)), value=value, otherwise=otherwise, source=clause)
+
+
+def _free(meaning: str, *read: Any, value: Any = '') -> Any:
+    """Return a field that may be left out."""
+    return key(meaning, *(read or (Section.text,)), default=None, value=value)
 
 
 @dataclass(frozen=True)
 class Contact:
-    """A laboratory or a customer; texts that are not stated are empty."""
+    """A customer; texts that are not stated are empty."""
 
-    name: str = ''
-    street: str = ''
-    postcode: str = ''
-    city: str = ''
-    country: str = ''
-    email: str = ''
-    phone: str = ''
+    name: str = _asked('full name', '7.8.2.1 e')
+    street: str = _free('street and number')
+    postcode: str = _free('of the town')
+    city: str = _asked('town', '7.8.2.1 e')
+    country: str = _free('a DCC requires it', read_country)
+    email: str = _free('a DCC requires it')
+    phone: str = _free('telephone')
 
     @property
     def lines(self) -> list[str]:
@@ -120,72 +158,174 @@ class Contact:
 
 
 @dataclass(frozen=True)
+class Laboratory(Contact):
+    """A laboratory; its address is asked for."""
+
+    name: str = _asked('full name', '7.8.2.1 b')
+    street: str = _asked('street and number', '7.8.2.1 b')
+    city: str = _asked('town', '7.8.2.1 b')
+    accreditation: str = _free('code of the accreditation; state none that you do not have')
+
+
+@dataclass(frozen=True)
 class Item:
     """The calibrated unit."""
 
-    description: str = ''
-    manufacturer: str = ''
-    model: str = ''
-    serial_number: str = ''
-    customer_id: str = ''
-    condition: str = ''
-    adjustment: str = ''
+    description: str = _asked('what it is', '7.8.2.1 g')
+    manufacturer: str = _asked('its maker', '7.8.2.1 g')
+    model: str = _asked('type', '7.8.2.1 g')
+    serial_number: str = _asked(
+        'of the unit; another one than that of the calibration is refused',
+        '7.8.2.1 g',
+        otherwise='that of the calibration',
+    )
+    customer_id: str = _free('name given by the customer')
+    condition: str = _asked('condition on receipt', '7.8.2.1 g')
+    adjustment: str = _asked('adjustments or repairs, or a statement of none', '7.8.4.1 d')
+
+
+@dataclass(frozen=True)
+class Period:
+    """First and last day of a calibration."""
+
+    first: date = key('first day', read_date, name='from')
+    last: date | None = key('last day', read_date, otherwise='`from`', name='to')
+
+
+def read_period(section: Section, name: str) -> tuple[date, date]:
+    """Read the first and the last day, which may be one."""
+    period = record(section, name, Period)
+    return period.first, period.last or period.first
+
+
+@dataclass(frozen=True)
+class Procedure:
+    """How it was calibrated."""
+
+    name: str = _asked('in words', '7.8.2.1 f')
+    reference: str = _asked('document and revision', '7.8.2.1 f')
 
 
 @dataclass(frozen=True)
 class Condition:
-    """A quantity of the environment."""
+    """A quantity of the environment, in its unit."""
 
-    key: str  #: A key of `CONDITIONS`.
-    value: float  #: In its unit.
-    within: float  #: Half the width of the interval of its variation.
+    value: float = key('mean', Section.number)
+    #: Uniform.
+    within: float = key('half the width of its interval during the calibration', read_size)
+
+
+@dataclass(frozen=True)
+class Environment:
+    """Conditions during the calibration."""
+
+    temperature: Condition | None = _asked(
+        'air temperature, \u00b0C', '7.8.4.1 b', record, Condition, value=None
+    )
+    relative_humidity: Condition | None = _free(
+        'relative humidity, %', record, Condition, value=None
+    )
+    air_pressure: Condition | None = _free('air pressure, hPa', record, Condition, value=None)
+
+    @property
+    def stated(self) -> dict[str, tuple[str, str, Condition]]:
+        """Words, unit and values of those that are stated, by key."""
+        return {
+            name: (*declared.meaning.split(', '), found)
+            for name, declared in field_keys(type(self)).items()
+            if (found := getattr(self, name)) is not None
+        }
 
 
 @dataclass(frozen=True)
 class Equipment:
     """A reference, with its certificate."""
 
-    name: str = ''
-    manufacturer: str = ''
-    model: str = ''
-    serial_number: str = ''
-    certificate: str = ''
-    issued_by: str = ''
-    valid_until: date | None = None
-    traceability: str = ''
+    name: str = _asked('what it is', '7.8.4.1 c')
+    manufacturer: str = _free('its maker')
+    model: str = _free('type')
+    serial_number: str = _asked('serial number', '7.8.4.1 c')
+    certificate: str = _asked('number of its certificate', '7.8.4.1 c')
+    issued_by: str = _asked('who calibrated it', '7.8.4.1 c')
+    valid_until: date | None = _free('last day of use by the laboratory', read_date, value=None)
+    traceability: str = _asked('traceability of its values to the SI', '7.8.4.1 c')
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A statement of conformity."""
+
+    rule: Rule | None = key(
+        'decision rule ([certificate.md](../certificate.md#conformity))',
+        Section.choice,
+        {rule.value: rule for rule in Rule},
+        otherwise='no statement of conformity',
+    )
+    requirement: str = key(
+        'the document with the limits (7.8.6.2)',
+        Section.text,
+        value='',
+        otherwise='with a rule: named as missing',
+    )
 
 
 @dataclass(frozen=True)
 class Signature:
     """Who authorizes the certificate, or worked on it."""
 
-    name: str = ''
-    role: str = ''
+    name: str = _asked('of a person', '7.8.2.1 o')
+    role: str = _asked('function', '7.8.2.1 o')
 
 
 @dataclass(frozen=True)
 class Fields:
     """All statements for a certificate; missing ones are empty or None."""
 
-    number: str = ''
-    replaces: str = ''
-    laboratory: Contact = Contact()
-    accreditation: str = ''
-    location: str = 'laboratory'
-    customer: Contact = Contact()
-    item: Item = Item()
-    received: date | None = None
-    calibrated: tuple[date, date] | None = None
-    issued: date | None = None
-    procedure: str = ''
-    procedure_reference: str = ''
-    environment: tuple[Condition, ...] = ()
-    equipment: tuple[Equipment, ...] = ()
-    rule: Rule | None = None
-    requirement: str = ''
-    remarks: tuple[str, ...] = ()
-    signatures: tuple[Signature, ...] = field(default=())
-    where: str = ''
+    number: str = _asked('of the certificate, unique', '7.8.2.1 d')
+    replaces: str = _free('number of a certificate that this one replaces (7.8.8)')
+    laboratory: Laboratory = _asked(
+        'who calibrated', '7.8.2.1 b', record, Laboratory, value=Laboratory()
+    )
+    location: str = key(
+        'where it was calibrated (7.8.2.1 c)',
+        Section.choice,
+        {word: word for word in LOCATIONS},
+        default='laboratory',
+    )
+    customer: Contact = _asked('for whom', '7.8.2.1 e', record, Contact, value=Contact())
+    item: Item = _asked('the unit', '7.8.2.1 g', record, Item, value=Item())
+    received: date | None = _asked(
+        'date of receipt of the unit', '7.8.2.1 h', read_date, value=None
+    )
+    calibrated: tuple[date, date] | None = _asked(
+        'period of the calibration; it must include the day of the recording',
+        '7.8.2.1 i',
+        read_period,
+        value=None,
+        otherwise='the day of the recording',
+    )
+    issued: date | None = _asked(
+        'when the certificate is issued', '7.8.2.1 j', read_date, value=None
+    )
+    procedure: Procedure = _asked(
+        'of the calibration', '7.8.2.1 f', record, Procedure, value=Procedure()
+    )
+    environment: Environment = _asked(
+        'of the calibration', '7.8.4.1 b', record, Environment, value=Environment()
+    )
+    equipment: tuple[Equipment, ...] = _asked(
+        'references', '7.8.4.1 c', records, Equipment, value=()
+    )
+    conformity: Requirement = key(
+        'requirement and rule (7.8.6)', record, Requirement, default=None, value=Requirement()
+    )
+    remarks: tuple[str, ...] = _free(
+        'additions, deviations and exclusions (7.8.2.1 n)', Section.texts, value=()
+    )
+    signatures: tuple[Signature, ...] = _asked(
+        'who authorizes it, the main signer first', '7.8.2.1 o', records, Signature, value=()
+    )
+    where: str = ''  #: The file, for messages.
 
 
 def read_fields(section: Section) -> Fields:
@@ -194,134 +334,15 @@ def read_fields(section: Section) -> Fields:
     Raises:
         InputError: A key is unknown or of another kind; a missing one is not an error here.
     """
-    contacts = [_contact(section, key) for key in ('laboratory', 'customer')]
-    procedure = _below(section, 'procedure')
-    conformity = _below(section, 'conformity')
-    rules = {rule.value: rule for rule in Rule}
-    laboratory = _below(section, 'laboratory')
-    found = Fields(
-        number=section.text('number', ''),
-        replaces=section.text('replaces', ''),
-        laboratory=contacts[0],
-        accreditation=laboratory.text('accreditation', ''),
-        location=section.choice('location', {word: word for word in LOCATIONS}, 'laboratory'),
-        customer=contacts[1],
-        item=_item(section),
-        received=_date(section, 'received'),
-        calibrated=_period(section),
-        issued=_date(section, 'issued'),
-        procedure=procedure.text('name', ''),
-        procedure_reference=procedure.text('reference', ''),
-        environment=_environment(section),
-        equipment=tuple(map(_equipment, _listed(section, 'equipment'))),
-        rule=conformity.choice('rule', rules) if conformity.has('rule') else None,
-        requirement=conformity.text('requirement', ''),
-        remarks=section.texts('remarks'),
-        signatures=tuple(map(_signature, _listed(section, 'signatures'))),
-        where=section.where,
-    )
-    for part in (procedure, conformity, section):
-        part.finish()
-    _check_order(found, section)
-    return found
-
-
-def _below(section: Section, name: str) -> Section:
-    """Return a mapping below, or an empty one."""
-    return section.section(name) if section.has(name) else Section({}, section.key(name))
-
-
-def _listed(section: Section, name: str) -> list[Section]:
-    return section.sections(name) if section.has(name) else []
-
-
-def _contact(section: Section, name: str) -> Contact:
-    own = _below(section, name)
-    country = own.text('country', '')
-    if own.has('country') and not (
-        isinstance(own.raw('country'), str) and _COUNTRY.fullmatch(country)
-    ):
-        raise InputError(
-            f'{own.key("country")}: found {own.raw("country")!r}, expected two capitals as in ISO '
-            '3166-1, for instance DE.'
-        )
-    texts = {
-        key: own.text(key, '') for key in ('name', 'street', 'postcode', 'city', 'email', 'phone')
-    }
-    if name == 'laboratory':
-        own.has('accreditation')
-    own.finish()
-    return Contact(country=country, **texts)
-
-
-def _item(section: Section) -> Item:
-    own = _below(section, 'item')
-    found = Item(**{key.name: own.text(key.name, '') for key in keys_of(Item)})
-    own.finish()
-    return found
-
-
-def _date(section: Section, name: str) -> date | None:
-    if not section.has(name):
-        return None
-    raw = section.raw(name)
-    if isinstance(raw, str) and _DATE.fullmatch(raw):
-        try:
-            return date.fromisoformat(raw)
-        except ValueError:
-            pass
-    raise InputError(f'{section.key(name)}: found {raw!r}, expected a date as 2026-01-31.')
-
-
-def _period(section: Section) -> tuple[date, date] | None:
-    if not section.has('calibrated'):
-        return None
-    own = section.section('calibrated')
-    first, last = _date(own, 'from'), _date(own, 'to')
-    own.finish()
-    if first is None:
-        raise InputError(f"{own.where}: the key 'from' is missing.")
-    return first, last or first
-
-
-def _environment(section: Section) -> tuple[Condition, ...]:
-    own = _below(section, 'environment')
-    found = []
-    for key in CONDITIONS:
-        if own.has(key):
-            part = own.section(key)
-            within = part.number('within')
-            if within < 0:
-                raise InputError(f'{part.key("within")}: found {within:g}, expected 0 or more.')
-            found.append(Condition(key, part.number('value'), within))
-            part.finish()
-    own.finish()
-    return tuple(found)
-
-
-def _equipment(section: Section) -> Equipment:
-    keys = ('name', 'manufacturer', 'model', 'serial_number', 'certificate', 'issued_by')
-    texts = {key: section.text(key, '') for key in (*keys, 'traceability')}
-    found = Equipment(valid_until=_date(section, 'valid_until'), **texts)
-    section.finish()
-    return found
-
-
-def _signature(section: Section) -> Signature:
-    found = Signature(section.text('name', ''), section.text('role', ''))
-    section.finish()
-    return found
-
-
-def _check_order(fields: Fields, section: Section) -> None:
-    """Refuse impossible dates of a calibration."""
-    first, last = fields.calibrated or (None, None)
-    steps = [('received', fields.received), ('calibrated: from', first)]
-    steps += [('calibrated: to', last), ('issued', fields.issued)]
+    found = replace(read_record(section, Fields), where=section.where)
+    first, last = found.calibrated or (None, None)
+    steps = [('received', found.received), ('calibrated: from', first)]
+    steps += [('calibrated: to', last), ('issued', found.issued)]
     known = [(name, day) for name, day in steps if day is not None]
     for (name, day), (after, later) in pairwise(known):
         if later < day:
             raise InputError(f'{section.key(after)}: found {later}, before {name}, {day}.')
+    return found
 
 
 def missing(fields: Fields, *, dcc: bool, limits: bool) -> list[str]:
@@ -332,39 +353,28 @@ def missing(fields: Fields, *, dcc: bool, limits: bool) -> list[str]:
         dcc: Whether a DCC is written, which requires more.
         limits: Whether there is a specification for statements of conformity.
     """
-    item, lab, customer = fields.item, fields.laboratory, fields.customer
-    required = [
-        ('number', '7.8.2.1 d', fields.number),
-        *((f'laboratory: {k}', '7.8.2.1 b', getattr(lab, k)) for k in ('name', 'street', 'city')),
-        *((f'customer: {k}', '7.8.2.1 e', getattr(customer, k)) for k in ('name', 'city')),
-        *((f'item: {k}', '7.8.2.1 g', getattr(item, k)) for k in _OF_ITEM),
-        ('item: adjustment', '7.8.4.1 d', item.adjustment),
-        ('received', '7.8.2.1 h', fields.received),
-        ('calibrated', '7.8.2.1 i', fields.calibrated),
-        ('issued', '7.8.2.1 j', fields.issued),
-        ('procedure: name', '7.8.2.1 f', fields.procedure),
-        ('procedure: reference', '7.8.2.1 f', fields.procedure_reference),
-        ('environment: temperature', '7.8.4.1 b', _has(fields, 'temperature')),
-        ('equipment', '7.8.4.1 c', fields.equipment),
-        ('signatures', '7.8.2.1 o', fields.signatures),
-    ]
-    references = ('name', 'serial_number', 'certificate', 'issued_by', 'traceability')
-    for k, one in enumerate(fields.equipment):
-        required += [(f'equipment[{k}]: {n}', '7.8.4.1 c', getattr(one, n)) for n in references]
-    for k, person in enumerate(fields.signatures):
-        required += [(f'signatures[{k}]: {n}', '7.8.2.1 o', getattr(person, n)) for n in _OF_PERSON]
-    if fields.rule is not None:
-        required.append(('conformity: requirement', '7.8.6.2', fields.requirement))
-        required.append(('a specification of the unit (`imu`)', '7.8.6.2', limits))
+    found = list(_unstated(fields, ''))
+    for name in ('equipment', 'signatures'):
+        for k, one in enumerate(getattr(fields, name)):
+            found += _unstated(one, f'{name}[{k}]: ')
+    others: list[tuple[str, str, object]] = []
+    if fields.conformity.rule is not None:
+        others.append(('conformity: requirement', '7.8.6.2', fields.conformity.requirement))
+        others.append(('a specification of the unit (`imu`)', '7.8.6.2', limits))
     if dcc:
-        required += [
+        others += [
             (f'{name}: {key}', 'DCC 3.1.2', getattr(contact, key))
-            for name, contact in (('laboratory', lab), ('customer', customer))
+            for name, contact in (('laboratory', fields.laboratory), ('customer', fields.customer))
             for key in ('email', 'country')
         ]
-    return [f'{key} ({clause})' for key, clause, value in required if not value]
+    return found + [f'{key} ({clause})' for key, clause, value in others if not value]
 
 
-def _has(fields: Fields, key: str) -> bool:
-    found = [c for c in fields.environment if c.key == key]
-    return bool(found) and math.isfinite(found[0].value)
+def _unstated(stated: Any, where: str) -> Iterator[str]:
+    """Yield what is not stated of a record, and of the records in it."""
+    for name, declared in field_keys(type(stated)).items():
+        value = getattr(stated, name)
+        if declared.source and not value:
+            yield f'{where}{name} ({declared.source})'
+        elif declared.read is record and value is not None:
+            yield from _unstated(value, f'{where}{name}: ')

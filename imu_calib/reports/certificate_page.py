@@ -22,7 +22,7 @@ from ..common.units import ARCSEC
 from . import provenance
 from .budget import budget_parts, freedom_words
 from .certificate import OUTPUT, Certificate, Stated, groups
-from .certificate_fields import CONDITIONS, Equipment
+from .certificate_fields import Equipment
 from .charts import tag
 from .html import bullets, document, named_rows, paragraph, section, table
 from .tables import decimals, engineering, fixed
@@ -103,7 +103,8 @@ def _or_dash(value: object) -> str:
 def _head(certificate: Certificate) -> str:
     fields = certificate.fields
     replaced = f'replaces certificate {fields.replaces}' if fields.replaces else ''
-    accredited = f' Accreditation {fields.accreditation}.' if fields.accreditation else ''
+    code = fields.laboratory.accreditation
+    accredited = f' Accreditation {code}.' if code else ''
     left = tag('h1', 'Calibration certificate') + paragraph(
         f'Contents by ISO/IEC 17025:2017, 7.8.{accredited}', 'note'
     )
@@ -152,7 +153,7 @@ def _procedure(certificate: Certificate) -> str:
     fields, where = certificate.fields, certificate.calibration.provenance
     unit = provenance.temperature(where)
     rows = [
-        ('procedure', f'{_or_dash(fields.procedure)}; {_or_dash(fields.procedure_reference)}'),
+        ('procedure', f'{_or_dash(fields.procedure.name)}; {_or_dash(fields.procedure.reference)}'),
         ('plan and estimator', f'{provenance.plan(where)}, {where.get("method") or "-"}'),
         ('software', f'imu_calib {version()}'),
         ('recording', f'{where.get("recording") or "-"}, begun {provenance.date(where)}'),
@@ -170,8 +171,7 @@ def _procedure(certificate: Certificate) -> str:
 
 def _environment(certificate: Certificate) -> str:
     texts = []
-    for condition in certificate.fields.environment:
-        words, unit = CONDITIONS[condition.key]
+    for words, unit, condition in certificate.fields.environment.stated.values():
         texts.append(f'{words} ({condition.value:g} \u00b1 {condition.within:g}) {unit}')
     return _or_dash(', '.join(texts))
 
@@ -249,7 +249,7 @@ def _row(result: Stated, *, limits: bool, verdicts: bool) -> list[str]:
 
 def _conformity(certificate: Certificate) -> str:
     fields, worst = certificate.fields, certificate.conformity
-    if fields.rule is None:
+    if fields.conformity.rule is None:
         return section(
             'Conformity', paragraph('No statement of conformity was requested, and none is made.')
         )
@@ -258,8 +258,8 @@ def _conformity(certificate: Certificate) -> str:
     counted = _counted(certificate.results)
     return section(
         'Conformity',
-        paragraph(f'Requirement: {_or_dash(fields.requirement)}.'),
-        paragraph(f'Decision rule: {fields.rule.words}'),
+        paragraph(f'Requirement: {_or_dash(fields.conformity.requirement)}.'),
+        paragraph(f'Decision rule: {fields.conformity.rule.words}'),
         paragraph(f'Statement: {worst.words}. {counted}'),
         kind='whole',
     )

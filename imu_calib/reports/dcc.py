@@ -21,7 +21,7 @@ from ..model.parameters import Parameter
 from . import provenance
 from .budget import MANY
 from .certificate import OUTPUT, Certificate, Stated, groups
-from .certificate_fields import CONDITIONS, Contact, Equipment, Fields
+from .certificate_fields import Contact, Equipment, Fields
 
 DCC, SI = 'https://ptb.de/dcc', 'https://ptb.de/si'
 
@@ -175,9 +175,9 @@ def measurement(certificate: Certificate) -> ET.Element:
     fields, calibration = certificate.fields, certificate.calibration
     method = element(
         'usedMethod',
-        content('name', fields.procedure),
+        content('name', fields.procedure.name),
         content('description', _described(calibration)),
-        text_element('reference', fields.procedure_reference),
+        text_element('reference', fields.procedure.reference),
     )
     results = [
         _result(title, [_quantity(r) for r in some]) for title, some in groups(certificate.results)
@@ -234,11 +234,10 @@ def _equipment(equipment: Equipment) -> ET.Element:
 
 
 def _conditions(certificate: Certificate) -> Iterable[ET.Element]:
-    for condition in certificate.fields.environment:
+    for key, (words, _, condition) in certificate.fields.environment.stated.items():
         uncertainty = expanded(condition.within, _UNIFORM, 1.0, 'uniform')
-        unit, kind = _CONDITIONS[condition.key]
+        unit, kind = _CONDITIONS[key]
         real = number_with_unit(condition.value, unit, uncertainty)
-        words = CONDITIONS[condition.key][0]
         data = element('data', element('quantity', content('name', words), real))
         yield element('influenceCondition', content('name', words), data, refType=kind)
     facts = certificate.calibration.provenance
@@ -367,7 +366,7 @@ def _administration(certificate: Certificate) -> ET.Element:
     fields = certificate.fields
     laboratory = element(
         'calibrationLaboratory',
-        text_element('calibrationLaboratoryCode', fields.accreditation),
+        text_element('calibrationLaboratoryCode', fields.laboratory.accreditation),
         _contact('contact', fields.laboratory),
     )
     return element(
@@ -468,10 +467,10 @@ def _statements(certificate: Certificate) -> list[ET.Element]:
             for e in fields.equipment
         ),
     ]
-    if fields.rule is not None and worst is not None:
+    if fields.conformity.rule is not None and worst is not None:
         found.append(
             statement(
-                f'{fields.requirement}. {fields.rule.words}',
+                f'{fields.conformity.requirement}. {fields.conformity.rule.words}',
                 'basic_conformity',
                 norm=text_element('norm', 'ILAC-G8:09/2019'),
                 conformity=text_element('conformity', worst.value),
