@@ -20,7 +20,7 @@ from imu_calib.reports.certificate_fields import (
     read_size,
 )
 
-from .keys import VALUES, Tables, Value, keys_of, mapping, number
+from .keys import VALUES, Tables, Value, keys_of, mapping_of, number
 
 _DAY = Value(
     {'type': 'string', 'pattern': '^[0-9]{4}-(0[1-9]|1[0-2])-(0[1-9]|[12][0-9]|3[01])$'},
@@ -32,7 +32,7 @@ VALUES.update(
         read_date: lambda: _DAY,
         read_country: lambda: _COUNTRY,
         read_size: lambda: number(least=0),
-        read_period: lambda: mapping(keys_of(Period), words='keys, below'),
+        read_period: lambda: mapping_of(Period),
     }
 )
 
@@ -49,5 +49,5 @@ TABLES: Tables = {
     'conformity': keys_of(Requirement),
     'signatures': keys_of(Signature),
 }
-VALUE = mapping(TABLES['certificate'])
+VALUE = mapping_of(Fields)
 TITLE = 'Fields of a calibration certificate: what the laboratory states'

@@ -231,6 +231,15 @@ def keys_of(kind: type, variant: object = 'key') -> list[Key]:
     return keys
 
 
+CONDITIONS: dict[type, list[Schema]] = {}
+"""What the keys of a record must fulfil together; the descriptions of files fill it."""
+
+
+def mapping_of(kind: type, variant: object = 'key', words: str = 'keys, below') -> Value:
+    """Return the mapping of a record, with the conditions on its keys."""
+    return mapping(keys_of(kind, variant), *CONDITIONS.get(kind, ()), words=words)
+
+
 def _sign(above: float | None = None, least: float | None = None) -> str:
     return 'above 0' if above is not None else '' if least is None else '0 or more'
 
@@ -243,8 +252,8 @@ VALUES: dict[Callable[..., Any], Callable[..., Value]] = {
     Section.choice: lambda choices: choice(list(choices)),
     Section.whole: whole,
     Section.quantity: lambda dimension, **bounds: quantity(dimension, _sign(**bounds)),
-    record: lambda kind, variant='key': mapping(keys_of(kind, variant), words='keys, below'),
-    records: lambda kind, most=None: array(mapping(keys_of(kind)), 1, most),
+    record: mapping_of,
+    records: lambda kind, most=None: array(mapping_of(kind), 1, most),
 }
 """What may stand behind a key, by its reader; the descriptions of files add those of their own."""
 

@@ -5,7 +5,7 @@ Loaders read by these declarations; docs/file_formats makes the schemas and tabl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any, TypeVar
 
@@ -57,6 +57,7 @@ def key(
     otherwise: str = '',
     name: str = '',
     source: str = '',
+    variants: Sequence[object] = ('key',),
     **bounds: Any,
 ) -> Any:
     """Return a field with a key of a file, as `FieldKey` describes it; a dimension is a quantity.
@@ -69,7 +70,7 @@ def key(
     if isinstance(read, Dimension):
         read, arguments = Section.quantity, (read,)
     declared = FieldKey(meaning, read, arguments, bounds, default, otherwise, name, source)
-    metadata = {'key': declared}
+    metadata = dict.fromkeys(variants, declared)
     if isinstance(value, np.ndarray):
         return field(default_factory=value.copy, metadata=metadata)
     if value is MISSING and default is not REQUIRED:

@@ -11,6 +11,7 @@ import numpy as np
 from ..common.arguments import checked
 from ..common.config import Section
 from ..common.errors import InputError
+from ..common.keys import key, read_record, record, records
 from ..common.rotations import rotation
 from ..common.stream import Floats, Mode
 from ..common.units import DEG, Dimension, counted, parse
@@ -41,13 +42,39 @@ METHOD_NAMES = (
 BODY_AXES = {'X': np.array([1.0, 0, 0]), 'Y': np.array([0, 1.0, 0]), 'Z': np.array([0, 0, 1.0])}
 
 
+BY_HAND = 'by hand'
+"""Variant of the keys of a rate test."""
+
+
+def read_rates(section: Section, name: str) -> tuple[float, ...]:
+    """Read rates, rad/s, none of them zero."""
+    rates = tuple(parse(r, Dimension.RATE, section.key(name)) for r in section.items(name))
+    if any(rate == 0 for rate in rates):
+        raise InputError(f'{section.key(name)}: a rate of zero turns nothing.')
+    return rates
+
+
 @dataclass(frozen=True, eq=False)
 class RateTest:
     """Turns about the vertical at a position, before its dwell."""
 
-    #: Signed rates about up, rad/s, in order; empty when the turn is made by hand.
-    rates: tuple[float, ...]
-    turns: int  #: Whole turns at each rate.
+    #: rad/s; empty when the turn is made by hand.
+    rates: tuple[float, ...] = key(
+        'signed rates about up, in order; not with `by_hand`', read_rates, value=()
+    )
+    turns: int = key(
+        'whole turns at each rate; the table adds one for starting and stopping',
+        Section.whole,
+        1,
+        default=1,
+        variants=('key', BY_HAND),
+    )
+
+
+def read_rate_test(section: Section, name: str) -> RateTest:
+    """Read the turns of a plan; those by hand have no rates."""
+    by_hand = section.flag('by_hand', default=False)
+    return record(section, name, RateTest, BY_HAND if by_hand else 'key')
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,16 +230,84 @@ def load_plan(name: str | Path) -> Plan:
     return read_plan(Section.named('plans', name))
 
 
+def read_axes(section: Section, name: str) -> Floats:
+    """Read the directions of the body axes, (3, 3): columns are X, Y, Z in east, north, up."""
+    letters, where = section.items(name), section.key(name)
+    if len(letters) != 3 or not all(isinstance(c, str) and c in COMPASS for c in letters):
+        raise InputError(f'{where}: found {letters}, expected three of E, N, U, W, S, D.')
+    attitude = np.array([COMPASS[letter] for letter in letters]).T
+    if abs(np.linalg.det(attitude) - 1) > 1e-9:
+        raise InputError(f'{where}: X, Y, Z along {letters} do not form a right-handed frame.')
+    return attitude
+
+
+@dataclass(frozen=True, eq=False)
+class Turned:
+    """A rotation about a body axis."""
+
+    about: Floats = key('body axis', Section.choice, BODY_AXES)
+    by: float = key('angle', Dimension.ANGLE)
+
+
+@dataclass(frozen=True, eq=False)
+class StatedPosition:
+    """A position as a file states it."""
+
+    id: str = key('name; no two alike', Section.text)
+    axes: Floats = key(
+        "where X, Y and Z point, in this order, when the table's zero points north; a "
+        'right-handed frame',
+        read_axes,
+    )
+    turned: Turned | None = key('a further turn about a body axis', record, Turned, default=None)
+    dwell: float | None = key(
+        'at this position; 0 only with turns',
+        Dimension.TIME,
+        least=0,
+        otherwise='`dwell` of the plan',
+    )
+    rate_test: bool = key(
+        'whether turns are made here, before the dwell', Section.flag, default=False
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StatedPlan:
+    """A plan as a file states it."""
+
+    name: str = key('of the plan', Section.text)
+    title: str = key('one line for a person', Section.text)
+    source: str = key('document and section', Section.text)
+    method: str = key(
+        'the solver of the plan ([methods](../methods.md))',
+        Section.choice,
+        {name: name for name in METHOD_NAMES},
+    )
+    dwell: float = key(
+        'time to stand still at a position; 30 days in all at most', Dimension.TIME, above=0
+    )
+    by_hand: bool = key(
+        'turned by hand: the angle is known, the rate is not', Section.flag, default=False
+    )
+    rate_test: RateTest | None = key(
+        'turns about the vertical',
+        read_rate_test,
+        otherwise='none; must be given if a position has one',
+    )
+    positions: tuple[StatedPosition, ...] = key('in the order of the run', records, StatedPosition)
+
+
 def read_plan(section: Section) -> Plan:
     """Read a plan from its YAML mapping.
 
     Raises:
         InputError: File, key, what was found and what was expected.
     """
-    by_hand = section.flag('by_hand', default=False)
-    rate_test = _read_rate_test(section, by_hand=by_hand)
-    dwell = section.quantity('dwell', Dimension.TIME, above=0)
-    positions = tuple(_read_position(s, dwell, rate_test) for s in section.sections('positions'))
+    stated = read_record(section, StatedPlan)
+    positions = tuple(
+        _position(stated, *each)
+        for each in zip(stated.positions, section.sections('positions'), strict=True)
+    )
     names = [p.id for p in positions]
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
@@ -223,63 +318,22 @@ def read_plan(section: Section) -> Plan:
             f'{section.where}: its dwells last {standing / _DAY:.4g} days in all, expected at most '
             f'{_LONGEST / _DAY:g}: is their unit right?'
         )
-    plan = Plan(
-        section.text('name'),
-        section.text('title'),
-        section.text('source'),
-        section.choice('method', {name: name for name in METHOD_NAMES}),
-        positions,
-        by_hand,
-    )
-    section.finish()
-    return plan
+    heading = stated.name, stated.title, stated.source, stated.method
+    return Plan(*heading, positions, stated.by_hand)
 
 
-def _read_rate_test(section: Section, *, by_hand: bool) -> RateTest | None:
-    if not section.has('rate_test'):
-        return None
-    test = section.section('rate_test')
-    turns = test.whole('turns', 1, default=1)
-    rates: tuple[float, ...] = ()
-    if not by_hand:
-        key = test.key('rates')
-        rates = tuple(parse(r, Dimension.RATE, key) for r in test.items('rates'))
-        if any(rate == 0 for rate in rates):
-            raise InputError(f'{key}: a rate of zero turns nothing.')
-    test.finish()
-    return RateTest(rates, turns)
-
-
-def _read_position(section: Section, dwell: float, rate_test: RateTest | None) -> Position:
-    name = section.text('id')
-    turns = section.flag('rate_test', default=False)
-    own_dwell = section.quantity('dwell', Dimension.TIME, dwell, least=0)
-    if own_dwell == 0 and not turns:
+def _position(plan: StatedPlan, stated: StatedPosition, section: Section) -> Position:
+    dwell = plan.dwell if stated.dwell is None else stated.dwell
+    if dwell == 0 and not stated.rate_test:
         raise InputError(
             f'{section.key("dwell")}: found {section.raw("dwell")}, expected above 0, as no turns '
             'are made here.'
         )
-    if turns and rate_test is None:
+    if stated.rate_test and plan.rate_test is None:
         raise InputError(
             f'{section.key("rate_test")}: asks for turns, but the plan has no rate_test.'
         )
-    attitude = _read_attitude(section)
-    section.finish()
-    return Position(name, attitude, own_dwell, rate_test if turns else None)
-
-
-def _read_attitude(section: Section) -> Floats:
-    """Read the directions of the body axes X, Y, Z, and a further rotation about one of them."""
-    letters = section.items('axes')
-    where = section.key('axes')
-    if len(letters) != 3 or not all(isinstance(c, str) and c in COMPASS for c in letters):
-        raise InputError(f'{where}: found {letters}, expected three of E, N, U, W, S, D.')
-    attitude = np.array([COMPASS[letter] for letter in letters]).T
-    if abs(np.linalg.det(attitude) - 1) > 1e-9:
-        raise InputError(f'{where}: X, Y, Z along {letters} do not form a right-handed frame.')
-    if section.has('turned'):
-        turned = section.section('turned')
-        axis = turned.choice('about', BODY_AXES)
-        attitude = attitude @ rotation(axis, turned.quantity('by', Dimension.ANGLE))
-        turned.finish()
-    return attitude
+    attitude = stated.axes
+    if stated.turned is not None:
+        attitude = attitude @ rotation(stated.turned.about, stated.turned.by)
+    return Position(stated.id, attitude, dwell, plan.rate_test if stated.rate_test else None)
