@@ -83,16 +83,22 @@ NO_KEYWORDS = {'reach': 'the function itself', 'network': 'of a stand alone'}
 
 
 def literals() -> list[tuple[str, str]]:
-    """Return (file, text) of what is written outside cli, without docstrings."""
+    """Return (file, text) of what is written outside cli, without docstrings and fields.
+
+    Words of a field are of a key of a file.
+    """
     found = []
     for file, tree in TREES.items():
         path = file.relative_to('imu_calib').as_posix()
         if path.startswith('cli/'):
             continue
         nodes = list(ast.walk(tree))
-        documents = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+        others = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+        bodies = (line for node in nodes if isinstance(node, ast.ClassDef) for line in node.body)
+        fields = (line.value for line in bodies if isinstance(line, ast.AnnAssign) and line.value)
+        others |= {id(part) for field in fields for part in ast.walk(field)}
         constants = (node for node in nodes if isinstance(node, ast.Constant))
-        found += [(path, str(node.value)) for node in constants if id(node) not in documents]
+        found += [(path, str(node.value)) for node in constants if id(node) not in others]
     return found
 
 
