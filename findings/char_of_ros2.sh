@@ -15,7 +15,8 @@ python3 -m venv "$folder/venv"
 "$folder/venv/bin/python" - <<'PROGRAM'
 import sys
 
-from mcap_ros2._dynamic import generate_dynamic
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 # type_hashes of share/std_msgs/msg/Char.json in ROS 2 Jazzy (std_msgs 5.3.5).
@@ -26,7 +27,8 @@ byte = bytes([0, 1, 0, 0, 200])  # CDR: little-endian header, then the byte
 types = get_typestore(Stores.ROS2_JAZZY)
 types.register(get_types_from_msg(DEFINITION, NAME))
 by_rosbags = types.deserialize_cdr(byte, NAME).value
-by_mcap = generate_dynamic(NAME, DEFINITION)[NAME](byte).value
+schema = Schema(id=1, name=NAME, encoding='ros2msg', data=DEFINITION.encode())
+by_mcap = DecoderFactory().decoder_for('cdr', schema)(byte).value
 computed = types.hash_rihs01('std_msgs/msg/Char')
 print('the byte 200:', by_rosbags, 'by rosbags,', by_mcap, 'by mcap-ros2-support')
 print('hash by ROS 2:  ', JAZZY)
