@@ -20,6 +20,7 @@ from ..common.stream import (
 )
 from ..common.units import LARGEST, counted
 from ..session.table import Table
+from .counts_after_gaps import CountsAfterGaps
 from .false_samples import SCALE_OF_SI, FalseSampleFilter, FalseSamples, Rows
 from .interruptions import Interruptions
 from .stamp_faults import SetBackClock, SharedStamps, set_back_sentences
@@ -133,6 +134,7 @@ class _Samples:
     ) -> None:
         self.clock = SetBackClock(6)  #: It has the samples first.
         self.shared = SharedStamps(rate)
+        self.after_gaps = CountsAfterGaps(units, scale, of)
         self.false = FalseSampleFilter(units, scale, of)
         self.first: int | None = None  #: Stamp of the first sample, ns; None before it.
         self.last: int | None = None  #: Stamp of the last one, likewise.
@@ -151,6 +153,7 @@ class _Samples:
     def finish(self) -> None:
         """End the stream: buffer the samples that wait."""
         self._append(self._order.finish())
+        self._buffer(self.false.remove(*self.after_gaps.finish()))
         self._buffer(self.false.finish())
 
     def _append(self, ordered: Ordered) -> None:
@@ -159,7 +162,8 @@ class _Samples:
         if self._rows is not None and len(ordered.stamp):
             self.first = int(ordered.stamp[0]) if self.first is None else self.first
             self.last = int(ordered.stamp[-1])
-            self._buffer(self.false.remove(ordered.stamp, ordered.values))
+            rows = self.after_gaps.divide(ordered.stamp, ordered.values)
+            self._buffer(self.false.remove(*rows))
 
     def _buffer(self, rows: Rows) -> None:
         if self._rows is not None and len(rows.stamp):
@@ -339,7 +343,8 @@ class StreamBuffer:
 
     def losses(self, ahead: int = 0) -> list[str]:
         """Return sentences on losses; the IMU's clock is `ahead` (ns) of the table's."""
-        lost = self.false_samples.sentences + self._skew.false.found.sentences
+        lost = self._imu.after_gaps.found.sentences + self._skew.after_gaps.found.sentences
+        lost += self.false_samples.sentences + self._skew.false.found.sentences
         lost += self._losses.sentences() + self._imu.shared.words()
         lost += self._skew.shared.words(' of the skewed gyro')
         cut = 'a motion that this falls into is left out'

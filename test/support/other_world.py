@@ -168,6 +168,8 @@ class Damage:
 
     Attributes:
         lost: Chance that a sample never comes.
+        differenced: Whether the next one that comes holds what lost ones counted: a driver
+            differences a counter.
         twice: That it comes twice.
         late: That it is held up, and all behind it.
         delay: For how long at most, s.
@@ -177,6 +179,7 @@ class Damage:
     """
 
     lost: float = 0.0
+    differenced: bool = False
     twice: float = 0.0
     late: float = 0.0
     delay: float = 0.0
@@ -560,6 +563,7 @@ def damaged(recording: Recording, damage: Damage, draw: random.Random) -> Record
     count = len(recording.imu_stamps)
     free = 0.0
     held: tuple[Vector, Vector] = NOTHING, NOTHING
+    owed: tuple[Vector, Vector] = NOTHING, NOTHING
     for k, made in enumerate(recording.imu_stamps):
         said = recording.gyro[k], recording.accel[k]
         if any(begin <= made < begin + damage.frozen for begin in damage.freezes):
@@ -573,6 +577,9 @@ def damaged(recording: Recording, damage: Damage, draw: random.Random) -> Record
         # Whoever is held up holds up the others; a queue empties by one in 50 us.
         stamp = free = max(ready, free + 5e-5)
         times_sent = 0 if draw.random() < damage.lost else 1 + (draw.random() < damage.twice)
+        if damage.differenced:
+            said = _sum(said[0], owed[0]), _sum(said[1], owed[1])
+            owed = (NOTHING, NOTHING) if times_sent else said
         for _ in range(times_sent):
             sent.imu_stamps.append(stamp)
             sent.gyro.append(said[0])

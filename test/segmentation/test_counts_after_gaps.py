@@ -1,0 +1,99 @@
+"""Samples after gaps that hold the counts of lost ones: of drivers that difference a counter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from other_sessions import MEDIUM, NAVIGATION, errors, fed, recorded
+from other_world import DEG, Damage, Unit, World
+
+from imu_calib.common.stream import Floats, Stamps, Units
+from imu_calib.segmentation.counts_after_gaps import CountsAfterGaps
+from imu_calib.segmentation.gaps import LONGEST
+
+TACTICAL = replace(MEDIUM, gyro_pulse=4.8e-7 * DEG, accel_pulse=2.4e-7)
+GRADES = {'tactical': TACTICAL, 'coarse': MEDIUM, 'navigation': NAVIGATION}
+DIFFERENCED = World(damage=Damage(lost=1e-3, differenced=True))
+
+
+@pytest.mark.parametrize('grade', GRADES)
+def test_counts_of_lost_messages_in_the_next_one_put_nothing_off(grade: str) -> None:
+    unit = GRADES[grade]
+    found = fed(DIFFERENCED, unit, find_terms=True).finish().calibration
+    whole = fed(World(), unit, find_terms=True).finish().calibration
+    off = errors(found, unit)
+    assert np.abs(off).max() < 4.5, np.round(off, 1)
+    # No count is lost: nothing is known less well.
+    assert (found.std[:24] < 1.1 * whole.std[:24]).all()
+    assert found.parameters[24:] == ()
+    said = [f for f in found.findings if f not in whole.findings]
+    assert len(said) == 1 and 'differences a counter over lost messages' in said[0]
+
+
+def test_messages_lost_with_their_counts_are_not_said_to_be_in_the_next() -> None:
+    lossy = World(damage=Damage(lost=1e-3))
+    found = fed(lossy, NAVIGATION).finish().calibration
+    assert any('samples are missing' in f for f in found.findings)
+    assert not any('differences a counter' in f for f in found.findings)
+
+
+def passed(
+    stamp: Stamps, values: Floats, scale: Floats, cuts: list[int], units: Units = Units.PULSES
+) -> tuple[Stamps, Floats, CountsAfterGaps]:
+    counts = CountsAfterGaps(units, scale)
+    rows = [
+        counts.divide(*part)
+        for part in zip(np.split(stamp, cuts), np.split(values, cuts), strict=True)
+    ]
+    rows.append(counts.finish())
+    stamps, columns = zip(*rows, strict=True)
+    return np.concatenate(stamps), np.concatenate(columns), counts
+
+
+def of(unit: Unit, world: World) -> tuple[Stamps, Floats, Floats]:
+    _, imu = recorded(world, unit, 0)
+    scale = np.repeat([unit.gyro_pulse, unit.accel_pulse], 3)
+    return imu.stamp, np.hstack([imu.gyro, imu.accel]), scale
+
+
+def test_counts_are_divided_over_the_lost_ones_and_none_is_lost() -> None:
+    stamp, values, scale = of(MEDIUM, DIFFERENCED)
+    every, _, _ = of(MEDIUM, World())
+    stamps, columns, counts = passed(stamp, values, scale, [])
+    # Stamps are written in ns.
+    assert np.abs(stamps - every).max() <= 1
+    assert (columns.sum(axis=0) == values.sum(axis=0)).all()
+    assert (columns == np.rint(columns)).all()
+    assert counts.found.lost == len(every) - len(stamp)
+
+
+def test_the_result_does_not_depend_on_how_the_stream_is_cut() -> None:
+    stamp, values, scale = of(MEDIUM, DIFFERENCED)
+    stamp, values = stamp[:9000], values[:9000]
+    whole = passed(stamp, values, scale, [])
+    rng = np.random.default_rng(1)
+    for cuts in (sorted(rng.integers(0, 9000, 40).tolist()), list(range(1, 9000))):
+        other = passed(stamp, values, scale, cuts)
+        assert (other[0] == whole[0]).all() and (other[1] == whole[1]).all()
+        assert other[2].found == whole[2].found
+
+
+def test_a_count_over_a_longer_silence_is_left_out() -> None:
+    stamp, values, scale = of(NAVIGATION, World())
+    silent = round(3 * LONGEST * NAVIGATION.rate)
+    stamp = np.delete(stamp, np.s_[1000 : 1000 + silent])
+    counted = values[1000 : 1001 + silent].sum(axis=0)
+    values = np.delete(values, np.s_[1000 : 1000 + silent], axis=0)
+    values[1000] = counted
+    stamps, _, counts = passed(stamp, values, scale, [])
+    assert len(stamps) == len(stamp) - 1
+    assert (counts.found.lost, counts.found.dropped) == (silent, 1)
+
+
+def test_rates_pass_unchanged_and_at_once() -> None:
+    stamp, values, scale = of(MEDIUM, DIFFERENCED)
+    counts = CountsAfterGaps(Units.COUNTS, scale)
+    rows = counts.divide(stamp, values)
+    assert rows.stamp is stamp and rows.values is values
