@@ -502,14 +502,14 @@ def montecarlo(
         truth: The unit's true parameters.
         bias_instability: Let the biases drift by the IMU's figure.
         progress: Shows the progress; nothing by default.
-        **stated: The session, by keywords of `calibrate`; by default on the three-axis table, at
-            Luoyang's latitude. The true latitude and gravity are drawn by their standard
-            deviations. A stated azimuth is known to the calibrator; without one each run has
-            another, unknown azimuth.
+        **stated: The session, by keywords of `calibrate`; by default on the three-axis table (on
+            none if the plan is run by hand), at Luoyang's latitude. The true latitude and gravity
+            are drawn by their standard deviations. A stated azimuth is known to the calibrator;
+            without one each run has another, unknown azimuth.
 
     Raises:
-        InputError: A file is missing or broken, they do not match each other, the plan is run by
-            hand, or no scheduler answers.
+        InputError: A file is missing or broken, they do not match each other, or no scheduler
+            answers.
         NotObservable: No run gave an estimate; the text states why.
     """
     for name, value, least in (('runs', runs, 1), ('jobs', jobs, 1), ('seed', seed, 0)):
@@ -534,17 +534,19 @@ def _study(
     stated: Stated, plan: Plan, imu: ImuSpec, truth: Calibration | Named, *, drifting: bool
 ) -> Study:
     """Return the study to repeat."""
-    table, site = stated.simulated_table(), stated.site(LUOYANG)
+    site = stated.site(LUOYANG)
+    if plan.by_hand:
+        _refuse_table(plan, stated.table, stated.azimuth)
+    table = None if plan.by_hand else stated.simulated_table()
     terms, changes = stated.sensor_terms, stated.changes
     if stated.method is not None:
         # Refuse it before the first run, not in it.
         solver(stated.method, terms, changes)
-    if plan.by_hand:
-        raise InputError(f'Plan {plan.name} is run by hand: only a table can be simulated here.')
-    plan.steps(table)
+    if table is not None:
+        plan.steps(table)
     stand = StandOptions(
         # A uniform error of this half width has the table's stated standard deviation.
-        positioning_error=math.sqrt(3) * table.positioning,
+        positioning_error=0.0 if table is None else math.sqrt(3) * table.positioning,
         bias_instability=drifting,
     )
     setup = Setup(
@@ -557,4 +559,5 @@ def _study(
         changes=changes,
         search_terms=stated.search_terms,
     )
-    return Study(setup, load_truth(truth, imu).model, economical(stand), table.azimuth)
+    azimuth = 0.0 if table is None else table.azimuth
+    return Study(setup, load_truth(truth, imu).model, economical(stand), azimuth)

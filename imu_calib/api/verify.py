@@ -47,8 +47,8 @@ _THE_SAME = (
 @with_keywords(Verified)
 @by_one_thread
 def verify(
-    calibration: Result | AnyCalibration | Named,
     bag: Recorded,
+    calibration: Result | AnyCalibration | Named,
     *,
     rate: float | None = None,
     another_unit: bool = False,
@@ -58,8 +58,8 @@ def verify(
     """Compare a calibration with a recording.
 
     Args:
-        calibration: calibration.yaml, single or combined, or a loaded calibration.
         bag: Recording, data frame or arrays, as for `calibrate`.
+        calibration: calibration.yaml, single or combined, or a loaded calibration.
         rate: Samples per second of arrays, or of a frame whose index is no time.
         another_unit: Compare even if calibration and recording name different units.
         progress: Shows the progress.

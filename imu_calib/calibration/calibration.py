@@ -40,6 +40,9 @@ from .provenance import budget_document, read_budget, read_origin
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
+
+    from .views import LabelledValues
 
 _FORMAT = 1  #: Version of calibration.yaml; others are refused.
 
@@ -324,6 +327,61 @@ class Calibration:
         from .views import compared_frame
 
         return compared_frame(self.parameters, {'value': self.values, 'std': self.std}, {})
+
+    @property
+    def labelled(self) -> LabelledValues:
+        """`values`, `std`, `covariance` and `noise` with their names, as pandas holds them: SI.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        from .views import labelled
+
+        return labelled(self.parameters, self.values, self.std, self.covariance, self.noise)
+
+    def apply(
+        self, gyro: ArrayLike, accel: ArrayLike, *, rate: float | None = None
+    ) -> tuple[Floats, Floats]:
+        """Return rates, rad/s, and specific forces, m/s^2, for samples in memory.
+
+        Samples beyond the range are not marked, and terms of motion (places and delay of the
+        accelerometers) are not subtracted: `imu_calib.compensate` does both, for recordings.
+
+        Args:
+            gyro: (n, 3) as the sensor delivers them, in the units of `imu`.
+            accel: (n, 3) likewise.
+            rate: Samples per second; needed for what is counted over the sample interval.
+
+        Raises:
+            InputError: The arrays do not have three columns each and as many rows, or `rate` is
+                missing.
+            NotObservable: The model cannot be inverted.
+        """
+        raw = np.asarray(gyro, dtype=np.float64), np.asarray(accel, dtype=np.float64)
+        if raw[0].shape != raw[1].shape or raw[0].shape[-1:] != (len(AXES),):
+            raise InputError(
+                f'`gyro`, `accel`: found the shapes {raw[0].shape} and {raw[1].shape}, expected '
+                '(n, 3) of both.'
+            )
+        per_second = 1.0
+        if self.imu.units.per_interval:
+            if rate is None or not rate > 0:
+                raise InputError(
+                    f'`rate`: found {rate}, expected samples per second: outputs of '
+                    f'{self.imu.id} are {self.imu.units.value} counted over the sample interval.'
+                )
+            per_second = rate if self.clock is None else rate * (1 + self.clock.faster)
+        scales = self.imu.gyro.scale_factor, self.imu.accel.scale_factor
+        outputs = (values * scale * per_second for values, scale in zip(raw, scales, strict=True))
+        return self.model.compensate(*outputs)
+
+    def _repr_html_(self) -> str:
+        """Return the parameters as a small table, for a notebook."""
+        from .views import parameter_page
+
+        findings = counted(len(self.findings), 'finding')
+        title = f'{self.unit_name}: {findings}'
+        return parameter_page(title, self.parameters, self.values, self.std)
 
     def plot(self) -> Figure:
         """Draw the parameters with bars of two standard deviations; return the matplotlib Figure.

@@ -92,6 +92,10 @@ class Result:
         of_turns = f' and {counted(turns, "turn")}' if turns else ''
         return f'<Result: {self.calibration} of {dwells}{of_turns}>'
 
+    def _repr_html_(self) -> str:
+        """Return the calibration as a small table, for a notebook."""
+        return self.calibration._repr_html_()
+
     @property
     def terms(self) -> tuple[str, ...]:
         """Sentences on each term, estimated or not, and its smallest detectable size."""

@@ -6,6 +6,9 @@ Every function that makes one raises InputError where pandas or matplotlib is no
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,9 +16,9 @@ import numpy as np
 from ..common.errors import InputError
 from ..common.files import require
 from ..common.stream import Floats, Stamps
-from ..common.units import significant
+from ..common.units import decimals, significant
 from ..model.parameters import Parameter
-from ..session.imu import TRIAD_NAMES, ChannelNoise
+from ..session.imu import COEFFICIENTS, TRIAD_NAMES, ChannelNoise
 
 if TYPE_CHECKING:
     import pandas
@@ -24,6 +27,14 @@ if TYPE_CHECKING:
     from .picture import Picture
 
 _TRIADS = {'g': 'gyros', 'a': 'accelerometers'}
+_NOISE_UNITS = {
+    letter: dict(zip(COEFFICIENTS, units, strict=True))
+    for letter, units in {
+        'g': ('rad/sqrt(s)', 'rad/s', 'rad', '(rad/s)/sqrt(s)'),
+        'a': ('(m/s)/sqrt(s)', 'm/s^2', 'm/s', '(m/s^2)/sqrt(s)'),
+    }.items()
+}
+"""SI units of the coefficients of noise, by the first letter of a channel."""
 _BAR = 2.0  #: Standard deviations of a bar to either side: 95 percent.
 _WHISKERS_95 = (2.5, 97.5)  #: Percentiles that contain 95 %.
 _NORMAL_95 = 1.96  #: Standard deviations that contain 95 % of a normal law.
@@ -50,6 +61,86 @@ def compared_frame(
     columns = {name: values / scale for name, values in shown.items()}
     units = [p.unit.shown for p in parameters]
     return pd.DataFrame({**columns, **plain, 'unit': units}, index=index)
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledValues:
+    """The numbers of a calibration with their names, in SI units."""
+
+    values: pandas.Series[float]  #: By parameter; `attrs['units']` has the units.
+    std: pandas.Series[float]  #: Standard deviations likewise; NaN if not estimated.
+    covariance: pandas.DataFrame  #: By parameter and parameter.
+    #: By channel and coefficient: value, std and unit; NaN if not significant. `below` is the limit
+    #: that it keeps with 95 %, infinite if none is known.
+    noise: pandas.DataFrame
+
+
+def labelled(
+    parameters: Sequence[Parameter],
+    values: Floats,
+    std: Floats,
+    covariance: Floats,
+    noise: Mapping[str, ChannelNoise],
+) -> LabelledValues:
+    """Return numbers with their names: (n,) values and std, (n, n), and noise by channel."""
+    require('pandas', 'A data frame', 'dataframe')
+    import pandas as pd
+
+    index = pd.Index([p.name for p in parameters], name='parameter')
+    series = [pd.Series(of, index, name=name) for of, name in ((values, 'value'), (std, 'std'))]
+    for one in series:
+        one.attrs['units'] = {p.name: p.unit.si for p in parameters}
+    coefficients = [
+        (channel, name, getattr(of, name), _NOISE_UNITS[channel[0]][name])
+        for channel, of in noise.items()
+        for name in COEFFICIENTS
+    ]
+    rows = pd.MultiIndex.from_tuples(
+        [row[:2] for row in coefficients], names=['channel', 'coefficient']
+    )
+    columns = {
+        name: np.array([getattr(row[2], name) for row in coefficients], dtype=np.float64)
+        for name in ('value', 'std', 'below')
+    }
+    return LabelledValues(
+        *series,
+        pd.DataFrame(covariance, index, index),
+        pd.DataFrame({**columns, 'unit': [row[3] for row in coefficients]}, index=rows),
+    )
+
+
+def parameter_page(title: str, parameters: Sequence[Parameter], values: Floats, std: Floats) -> str:
+    """Return parameters as a table of HTML, gyros beside accelerometers, in a notebook's colours.
+
+    Args:
+        title: Above the table.
+        parameters: n of them.
+        values: (n,) SI units.
+        std: (n,) likewise; a parameter without one is left out.
+    """
+    columns: dict[str, list[str]] = {letter: [] for letter in _TRIADS}
+    for parameter, value, deviation in zip(parameters, values, std, strict=True):
+        if np.isfinite(deviation):
+            unit = parameter.unit
+            places = decimals(deviation / unit.scale)
+            number = f'{value / unit.scale:.{places}f}'.replace('-', '\u2212')
+            columns[parameter.triad].append(
+                f'<th>{parameter.name}</th><td>{number} \u00b1 {deviation / unit.scale:.{places}f}'
+                f'</td><td style="text-align:left">{_typeset(unit.shown)}</td>'
+            )
+    empty = '<th></th><td></td><td></td>'
+    rows = [''.join(row) for row in zip_longest(*columns.values(), fillvalue=empty)]
+    head = ''.join(f'<th colspan="3">{_TRIADS[letter]}</th>' for letter in columns)
+    body = ''.join(f'<tr>{row}</tr>' for row in rows)
+    return (
+        f'<table><caption>{escape(title)}</caption><thead><tr>{head}</tr></thead>'
+        f'<tbody>{body}</tbody></table>'
+    )
+
+
+def _typeset(unit: str) -> str:
+    """Return a unit as a page shows it."""
+    return escape(unit.replace('ug', '\u00b5g').replace('^2', '\u00b2'))
 
 
 def predicted_frame(parameters: Sequence[Parameter], std: Floats, best: Floats) -> pandas.DataFrame:

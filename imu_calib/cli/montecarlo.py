@@ -15,8 +15,9 @@ from ..api.simulate import montecarlo
 from ..calibration.views import empty_figure
 from ..common.errors import InputError
 from ..common.files import write_by
+from ..common.units import decimals
 from ..reports.plain_table import plain_table
-from ..reports.tables import decimals, engineering
+from ..reports.tables import engineering
 from ..session.keywords import AtSite, Solved
 from ..session.plan import METHOD_NAMES
 from . import options
@@ -54,7 +55,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--imu', default='fog_medium', metavar='NAME|FILE', help='default: %(default)s'
     )
     parser.add_argument(
-        '--table', default='three_axis', metavar='NAME|FILE', help='default: %(default)s'
+        '--table',
+        metavar='NAME|FILE',
+        help='default: three_axis; none where the plan is run by hand',
     )
     parser.add_argument(
         '--truth', default='cao2022_table1', metavar='NAME|FILE', help='default: %(default)s'

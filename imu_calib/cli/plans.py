@@ -23,9 +23,9 @@ from ..api.session import as_truth
 from ..common.errors import InputError, NotObservable
 from ..common.files import share_folder
 from ..common.stream import Mode
-from ..common.units import DEG, PPM
+from ..common.units import DEG, PPM, decimals
 from ..reports.plain_table import plain_table
-from ..reports.tables import decimals, engineering
+from ..reports.tables import engineering
 from ..session.keywords import AtSite, Solved
 from ..session.plan import METHOD_NAMES, Plan, Position, Step, load_plan
 from ..session.table import Table, load_table

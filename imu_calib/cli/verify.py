@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         NotObservable: The calibration cannot be judged.
     """
     stated = options.keywords(verify, arguments)
-    verification = verify(arguments.calibration, arguments.bag, **stated, progress=progress_bar)
+    verification = verify(arguments.bag, arguments.calibration, **stated, progress=progress_bar)
     _show(verification)
     if verification.verdict is Verdict.FAIL:
         message = f'{arguments.calibration} is rejected by {arguments.bag}.'

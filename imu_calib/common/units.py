@@ -160,6 +160,13 @@ def significant(value: float, digits: int = 2) -> str:
     return text.rstrip('0').rstrip('.') if '.' in text else text
 
 
+def decimals(deviation: float) -> int:
+    """Return the decimals that show a standard deviation with two significant digits."""
+    if not math.isfinite(deviation) or deviation <= 0:
+        return 4
+    return min(max(1 - math.floor(math.log10(deviation)), 0), 9)
+
+
 def parse(text: object, dimension: Dimension, key: str) -> float:
     """Convert a quantity with its unit to SI; `key` names it in errors.
 

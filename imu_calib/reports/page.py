@@ -12,7 +12,7 @@ import numpy as np
 from ..calibration.calibration import Calibration
 from ..calibration.results import Result
 from ..common.stream import Floats
-from ..common.units import DEG_H, MICRO_G, significant
+from ..common.units import DEG_H, MICRO_G, decimals, significant
 from ..model.parameters import Parameter
 from ..model.sensors import by_name
 from ..model.session_terms import Change, largest
@@ -23,7 +23,7 @@ from .budget import budget_section
 from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, scrolling, section, table
 from .provenance import LIMITS, angles_table, assess, outcome, summary, tables, worst, written
-from .tables import FREE_OF_FRAME, change_note, decimals, three_digits
+from .tables import FREE_OF_FRAME, change_note, three_digits
 
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
 """px; layout."""

@@ -19,10 +19,11 @@ from ..calibration.calibration import Calibration
 from ..calibration.gravity import same_place, without_gravity
 from ..common.errors import InputError
 from ..common.stream import Floats
+from ..common.units import decimals
 from ..model.parameters import Parameter
 from .charts import panels, small, tag
 from .html import named_rows, paragraph, table
-from .tables import decimals, engineering, fixed
+from .tables import engineering, fixed
 
 _SURPRISING = 0.001
 """Probability of chance below which the scatter of sessions is significant."""

@@ -9,6 +9,7 @@ from rich.table import Table
 
 from ..calibration.calibration import Calibration
 from ..common.stream import at
+from ..common.units import decimals
 from ..model.alignment import SCALE, SHOWN
 from ..model.parameters import AXES, Parameter
 from ..model.terms import TERMS
@@ -33,13 +34,6 @@ class Shown:
 def engineering(parameter: Parameter) -> Shown:
     """Return the unit that engineers use for a parameter."""
     return Shown(parameter.unit.shown, parameter.unit.scale)
-
-
-def decimals(deviation: float) -> int:
-    """Return the decimals that show a standard deviation with two significant digits."""
-    if not np.isfinite(deviation) or deviation <= 0:
-        return 4
-    return int(np.clip(1 - np.floor(np.log10(deviation)), 0, 9))
 
 
 def fixed(value: float, places: int) -> str:

@@ -8,12 +8,13 @@ from html import escape
 import numpy as np
 
 from ..calibration.thermal import ThermalCalibration, temperature_range
+from ..common.units import decimals
 from ..session.imu import ImuSpec
 from . import provenance
 from .charts import panels, small, tag
 from .html import STYLE, bullets, document, facts, paragraph, section, table
 from .provenance import LIMITS, Assessed, assess, badge, outcome, worst
-from .tables import decimals, engineering, fixed
+from .tables import engineering, fixed
 
 _SIDE_BY_SIDE = 4
 """Temperatures of one table: as many as fit side by side on A4."""

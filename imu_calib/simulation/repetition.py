@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from ..calibration.calibrator import Calibrator
+from ..calibration.calibrator import calibrator_of
 from ..common.errors import NotObservable
 from ..common.parallel import run_all
-from ..common.stream import Floats
+from ..common.stream import Block, Floats
+from ..estimation.hand import in_frame_of_accelerometers
 from ..estimation.setup import Setup
 from ..model.parameters import PARAMETERS, Parameter, indices_of
 from ..model.sensors import SensorModel
+from .hand import as_planned
 from .options import StandOptions
 from .stand import simulate
 
@@ -114,9 +116,6 @@ def run_once(study: Study, seed: int) -> Run:
     setup, azimuth = study.setup, study.azimuth
     if azimuth is None:
         azimuth = float(np.random.default_rng([seed, 1]).uniform(-np.pi, np.pi))
-    table = setup.table
-    if table is None:
-        raise NotObservable(f'Plan {setup.plan.name}: a simulated session needs a table.')
     options = replace(study.options, azimuth=azimuth)
     # The true site is drawn from the uncertainty stated to the calibrator.
     off, north = np.random.default_rng([seed, 2]).standard_normal(2)
@@ -126,19 +125,28 @@ def run_once(study: Study, seed: int) -> Run:
         gravity=here.gravity + float(off) * here.gravity_std,
         latitude=here.latitude + float(north) * here.latitude_std,
     )
-    calibrator = Calibrator(setup)
-    for _, block in simulate(setup.plan, table, setup.imu, study.truth, site, options, seed):
+    calibrator = calibrator_of(setup)
+    blocks: Iterable[Block]
+    if setup.table is None:
+        held = as_planned(setup.plan, np.random.default_rng([seed, 1]))
+        blocks = held.blocks(setup.imu, study.truth, site, options, seed)
+    else:
+        simulated = simulate(setup.plan, setup.table, setup.imu, study.truth, site, options, seed)
+        blocks = (block for _, block in simulated)
+    for block in blocks:
         calibrator.feed(block)
     try:
         calibration = calibrator.finish().calibration
     except NotObservable as error:
         return Run(seed, (), np.empty(0), np.empty(0), str(error))
+    # Attitudes that nobody stated leave the axes to be chosen: those of the accelerometers.
+    truth = in_frame_of_accelerometers(study.truth) if calibration.in_the_hand else study.truth
     # Terms found in some sessions only are not parameters of the study.
     wanted = {*PARAMETERS, *setup.parameters}
     parameters = tuple(p for p in calibration.parameters if p in wanted)
     places = indices_of(parameters, calibration.parameters)
     std = calibration.std[places]
-    wrong = calibration.values[places] - study.truth.values(parameters)
+    wrong = calibration.values[places] - truth.values(parameters)
     return Run(seed, parameters, np.where(np.isfinite(std), wrong, np.nan), std)
 
 

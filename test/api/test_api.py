@@ -62,7 +62,7 @@ def test_every_name_is_there_and_no_other() -> None:
     assert imu_calib.__version__[0].isdigit()
     for name in imu_calib.__all__:
         assert getattr(imu_calib, name).__name__ == name
-    assert set(imu_calib.__all__) <= set(dir(imu_calib))
+    assert dir(imu_calib) == sorted(imu_calib.__all__)
     with pytest.raises(AttributeError, match="no attribute 'calibrat'"):
         imu_calib.calibrat  # noqa: B018
 
@@ -255,7 +255,7 @@ def test_every_result_is_shown_in_one_line(
         imu_calib.conformity(result, 'fog_navigation'),
         imu_calib.export(result, 'c'),
         imu_calib.compensate(folder / 'bag', result, tmp_path / 'compensated'),
-        imu_calib.verify(result, folder / 'bag'),
+        imu_calib.verify(folder / 'bag', result),
         imu_calib.load_plan(plan),
         imu_calib.load_imu('fog_medium'),
         imu_calib.load_table('three_axis'),
@@ -312,7 +312,7 @@ def test_results_are_shown_in_a_line(folder: Path, result: imu_calib.Result) -> 
         r'\d+ turns>',
         str(result),
     )
-    found = imu_calib.verify(result, folder / 'bag')
+    found = imu_calib.verify(folder / 'bag', result)
     assert repr(found).startswith('<Verification: not tested; gyros PASS (chi-square ')
     first, second, *_ = str(found).splitlines()
     assert first.startswith('NOT TESTED: the calibration was made from this recording.')
@@ -336,14 +336,14 @@ def test_verify_judges_values_and_files(
     folder: Path, result: imu_calib.Result, tmp_path: Path
 ) -> None:
     imu_calib.simulate(folder / 'brief.yaml', tmp_path / 'other', seed=4, latitude=34.65)
-    verification = imu_calib.verify(result.calibration, tmp_path / 'other')
+    verification = imu_calib.verify(tmp_path / 'other', result.calibration)
     assert verification.verdict is Verdict.PASS
-    same = imu_calib.verify(result.calibration, folder / 'bag')
+    same = imu_calib.verify(folder / 'bag', result.calibration)
     assert same.findings[0].startswith('The calibration was made from this recording')
     assert same.verdict is Verdict.PASS and same.own_recording
     assert verification.accepted and not same.accepted
     with pytest.raises(InputError, match='another'):
-        imu_calib.verify(result.calibration, tmp_path / 'other', imu='mems_counts')
+        imu_calib.verify(tmp_path / 'other', result.calibration, imu='mems_counts')
 
 
 def test_compensate_writes_rates_and_forces(
@@ -413,7 +413,7 @@ def test_keywords_that_functions_share_are_in_their_signatures_and_others_are_re
     assert verify['plan'].default is None
     assert verify['imu_only'].default is False
     with pytest.raises(TypeError, match=r"^verify\(\) got an unexpected keyword argument 'method'"):
-        imu_calib.verify('calibration.yaml', 'bag', method='joint')  # type: ignore[call-arg]
+        imu_calib.verify('bag', 'calibration.yaml', method='joint')  # type: ignore[call-arg]
 
 
 def test_two_calibrations_are_compared_in_any_form(

@@ -87,8 +87,8 @@ def test_arrays_give_the_bits_of_a_frame_of_their_rate(frame: pd.DataFrame) -> N
 def test_a_frame_is_verified_and_compensated_as_its_recording(
     hand: Path, frame: pd.DataFrame, expected: imu_calib.Calibration, tmp_path: Path
 ) -> None:
-    found = imu_calib.verify(expected, frame, latitude=48.1)
-    wanted = imu_calib.verify(expected, hand, latitude=48.1)
+    found = imu_calib.verify(frame, expected, latitude=48.1)
+    wanted = imu_calib.verify(hand, expected, latitude=48.1)
     assert found.verdict is wanted.verdict
     mine = imu_calib.compensate(frame, expected, tmp_path / 'mine', imu='mems_counts')
     theirs = imu_calib.compensate(hand, expected, tmp_path / 'theirs')
@@ -99,10 +99,10 @@ def test_a_frame_is_verified_and_compensated_as_its_recording(
 
 def test_a_calibration_knows_the_frame_it_was_made_of(frame: pd.DataFrame) -> None:
     calibration = imu_calib.calibrate(frame, **STATED).calibration
-    assert imu_calib.verify(calibration, frame.copy(), latitude=48.1).own_recording
+    assert imu_calib.verify(frame.copy(), calibration, latitude=48.1).own_recording
     other = frame.copy()
     other.iloc[0, 0] += 1.0
-    assert not imu_calib.verify(calibration, other, latitude=48.1).own_recording
+    assert not imu_calib.verify(other, calibration, latitude=48.1).own_recording
 
 
 def test_a_frame_joined_of_several_topics_gives_the_bits_of_a_table(tmp_path: Path) -> None:

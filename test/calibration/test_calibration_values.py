@@ -141,5 +141,5 @@ def test_what_is_loaded_can_be_verified(recordings: dict[str, Path]) -> None:
         calibration = loaded(dump(with_another(document, path, value)), path)
         if calibration is not None and judged < 6:
             judged += 1
-            imu_calib.verify(calibration, recordings['hand'], latitude=34.65)
+            imu_calib.verify(recordings['hand'], calibration, latitude=34.65)
     assert judged == 6

@@ -252,7 +252,7 @@ def test_a_compensated_recording_is_read_as_what_it_is(tmp_path, monkeypatch, ca
     said = 'were compensated by truth.yaml: a calibration made of the raw ones does not apply'
     assert said in ' '.join(left.findings)
     assert said not in ' '.join(raw.findings)
-    assert said in imu_calib.verify(left, 'out').findings[-1]
+    assert said in imu_calib.verify('out', left).findings[-1]
     assert (
         imu_calib.compensate('out', left, 'again')
         .findings[0]

@@ -202,7 +202,7 @@ def test_lengths_find_biases_that_moved_without_a_bias_instability(
     biases = [p.name.startswith('D_g') for p in made.parameters]
     moved = made.values + np.where(biases, off * DEG, 0.0)
     other = replace(made, model=made.model.with_values(made.parameters, moved))
-    found = imu_calib.verify(other, bag, latitude=LATITUDE)
+    found = imu_calib.verify(bag, other, latitude=LATITUDE)
     gyros = found.triads[0]
     assert gyros.verdict is Verdict.FAIL and gyros.diagnosis is not None
     assert 'vanish when the biases are others' in gyros.diagnosis.symptom

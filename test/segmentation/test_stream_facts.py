@@ -110,7 +110,7 @@ def test_samples_out_of_order_give_what_they_give_in_order(hand: Session, tmp_pa
     assert mixed.values.tolist() == sound.values.tolist()
     count = np.count_nonzero(places < np.maximum.accumulate(places))
     assert any(f'{count} IMU samples came out of the order' in text for text in mixed.findings)
-    checked = imu_calib.verify(mixed, path, latitude=LATITUDE)
+    checked = imu_calib.verify(path, mixed, latitude=LATITUDE)
     assert any('came out of the order' in text for text in checked.findings)
 
 

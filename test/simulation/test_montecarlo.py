@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from sessions import study
 
+import imu_calib
 from imu_calib.api import simulate as repeating
 from imu_calib.cli.main import main
 from imu_calib.model.parameters import PARAMETERS
@@ -51,7 +52,7 @@ def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Non
     assert '2 runs of plan twelve_position' in shown
     assert target.read_bytes().startswith(b'\x89PNG')
     assert main(['montecarlo', 'six_position', '--method', 'six_position', '--runs', '1']) == 1
-    assert main(['montecarlo', 'six_position_by_hand', '--runs', '1']) == 2
+    assert main(['montecarlo', 'free_positions', '--table', 'three_axis', '--runs', '1']) == 2
     assert main(['montecarlo', 'twelve_position', '--runs', '0']) == 2
     assert main(['montecarlo', 'twelve_position', '--runs', f'{10**30}']) == 2
 
@@ -84,3 +85,15 @@ def test_a_plot_that_cannot_be_drawn_is_refused_before_the_first_run(
 def test_what_draws_is_an_extra_of_its_own() -> None:
     extras = [r for r in requires('imu_calib') or [] if r.startswith('matplotlib')]
     assert {r.split('extra ==')[1].strip(' "\'') for r in extras} == {'plot', 'test', 'dev'}
+
+
+@pytest.mark.parametrize('plan', ['free_positions', 'six_position_by_hand'])
+def test_a_plan_in_the_hand_is_repeated(plan: str) -> None:
+    found = imu_calib.montecarlo(plan, 'mems_counts', runs=4, seed=5)
+    outcome = found.outcome
+    assert not outcome.refused
+    known = outcome.mean_stated > 0
+    # Of four sessions with 18 to 21 normal errors each: the mean square is 1 within five standard
+    # deviations of a chi-square of 72.
+    square = float((outcome.normalised[:, known] ** 2).mean())
+    assert square == pytest.approx(1.0, abs=5 * np.sqrt(2 / (4 * known.sum())))

@@ -1,0 +1,97 @@
+"""A calibration in a notebook: labelled numbers, samples in memory, a table for the eye."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import imu_calib
+from imu_calib.common.files import named_file
+
+NAMES = [f'{name}.{a}' for name in ('angular_velocity', 'linear_acceleration') for a in 'xyz']
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    bag = tmp_path_factory.mktemp('notebook') / 'bag'
+    imu_calib.simulate('twelve_position', bag, seed=1, latitude=48.1)
+    return bag
+
+
+@pytest.fixture(scope='module')
+def result(bag: Path) -> imu_calib.Result:
+    return imu_calib.calibrate(bag)
+
+
+def test_numbers_are_found_by_the_names_of_their_parameters(result: imu_calib.Result) -> None:
+    mine = result.calibration
+    names = [p.name for p in mine.parameters]
+    at, other = names.index('K_ax'), names.index('D_ay')
+    labelled = mine.labelled
+    assert labelled.values['K_ax'] == mine.values[at]
+    assert labelled.std['K_ax'] == mine.std[at]
+    assert labelled.covariance.loc['K_ax', 'D_ay'] == mine.covariance[at, other]
+    assert labelled.values.attrs['units']['D_ay'] == 'm/s^2'
+    # In the units of engineers, as before.
+    assert mine.to_dataframe()['value']['K_ax'] == mine.values[at] * 1e6
+
+
+def test_noise_is_a_frame_with_units(result: imu_calib.Result) -> None:
+    noise = result.calibration.labelled.noise
+    walk = result.calibration.noise['gx'].random_walk
+    row = noise.loc[('gx', 'random_walk')]
+    assert (row['value'], row['std'], row['unit']) == (walk.value, walk.std, 'rad/sqrt(s)')
+    assert set(noise.loc['ay', 'unit']) == {
+        '(m/s)/sqrt(s)',
+        'm/s^2',
+        'm/s',
+        '(m/s^2)/sqrt(s)',
+    }
+    insignificant = noise[noise['value'].isna()]
+    assert insignificant['std'].isna().all()
+    assert (insignificant['below'] > 0).all()
+
+
+def test_a_truth_without_a_session_has_no_noise() -> None:
+    truth = imu_calib.Calibration.load(named_file('truths', 'mems_counts'))
+    assert truth.labelled.noise.empty
+    assert list(truth.labelled.noise.columns) == ['value', 'std', 'below', 'unit']
+
+
+def test_samples_in_memory_become_what_compensate_writes(
+    bag: Path, result: imu_calib.Result, tmp_path: Path
+) -> None:
+    raw = imu_calib.read(bag, '/imu/pulses').to_dataframe()
+    values = raw[NAMES].to_numpy()
+    done = imu_calib.compensate(bag, result, tmp_path / 'si')
+    written = imu_calib.read(done.path, done.target).to_dataframe()[NAMES].to_numpy()
+    seconds = (raw.index[-1] - raw.index[0]).total_seconds() / (len(raw) - 1)
+    rate, force = result.calibration.apply(values[:, :3], values[:, 3:], rate=1 / seconds)
+    # Intervals of the recording are whole nanoseconds; 1e-6 of the readings covers them.
+    np.testing.assert_allclose(rate, written[:, :3], rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(force, written[:, 3:], rtol=1e-6, atol=1e-9)
+    frames = result.calibration.apply(raw[NAMES[:3]], raw[NAMES[3:]], rate=1 / seconds)
+    np.testing.assert_array_equal(frames[0], rate)
+
+
+def test_pulses_need_a_rate_and_both_sensors_their_columns(result: imu_calib.Result) -> None:
+    apply = result.calibration.apply
+    with pytest.raises(imu_calib.InputError, match=r'`rate`: found None.*pulses counted over'):
+        apply(np.zeros((5, 3)), np.zeros((5, 3)))
+    with pytest.raises(imu_calib.InputError, match=r'found the shapes \(5, 3\) and \(4, 3\)'):
+        apply(np.zeros((5, 3)), np.zeros((4, 3)), rate=100.0)
+
+
+def test_the_table_of_a_notebook_shows_each_parameter_in_its_own_colours(
+    result: imu_calib.Result,
+) -> None:
+    page = result._repr_html_()
+    assert page == result.calibration._repr_html_()
+    for parameter, std in zip(result.calibration.parameters, result.calibration.std, strict=True):
+        assert (f'<th>{parameter.name}</th>' in page) == bool(np.isfinite(std))
+    assert '\u00b1' in page
+    # A dark notebook stays dark.
+    assert not re.search(r'color|background|#[0-9a-f]{3}', page)
