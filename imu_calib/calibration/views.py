@@ -87,8 +87,8 @@ def labelled(
     import pandas as pd
 
     index = pd.Index([p.name for p in parameters], name='parameter')
-    series = [pd.Series(of, index, name=name) for of, name in ((values, 'value'), (std, 'std'))]
-    for one in series:
+    named, deviations = pd.Series(values, index, name='value'), pd.Series(std, index, name='std')
+    for one in (named, deviations):
         one.attrs['units'] = {p.name: p.unit.si for p in parameters}
     coefficients = [
         (channel, name, getattr(of, name), _NOISE_UNITS[channel[0]][name])
@@ -103,7 +103,8 @@ def labelled(
         for name in ('value', 'std', 'below')
     }
     return LabelledValues(
-        *series,
+        named,
+        deviations,
         pd.DataFrame(covariance, index, index),
         pd.DataFrame({**columns, 'unit': [row[3] for row in coefficients]}, index=rows),
     )

@@ -11,10 +11,11 @@ from urllib.parse import quote
 import numpy as np
 
 from ..common.stream import Floats
+from ..common.units import decimals
 from ..model.parameters import PARAMETERS
 from ..reports.charts import drawing, tag
 from ..reports.html import bullets, paragraph, table
-from ..reports.tables import decimals, engineering, fixed
+from ..reports.tables import engineering, fixed
 from ..session.imu import COVERAGE
 from .page_contents import PLACE_OF, Flag, Fleet, Unit, amount, count, day
 from .results import Outlier, Population, Signal, UnitHistory

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.stream import Floats
+from ..common.units import decimals
 from ..model.parameters import PARAMETERS, Parameter
-from ..reports.tables import decimals, engineering, fixed
+from ..reports.tables import engineering, fixed
 from ..session.imu import Verdict
 from . import results
 from .results import Dates, Flags, History, UnitHistory

@@ -14,11 +14,12 @@ from rich.table import Table
 from ..calibration.calibration import Calibration
 from ..common.budget import PROBABILITY, Budget, Source
 from ..common.stream import Floats
+from ..common.units import decimals
 from ..model.parameters import Parameter
 from .charts import drawing, label, tag
 from .html import paragraph, table
 from .plain_table import plain_table
-from .tables import decimals, engineering
+from .tables import engineering
 
 _LEAST = 0.005
 """A source below half a percent of every variance has no column: it would be shown as zero."""

@@ -18,14 +18,14 @@ from ..common.budget import PROBABILITY
 from ..common.errors import InputError
 from ..common.files import version
 from ..common.stream import Units
-from ..common.units import ARCSEC
+from ..common.units import ARCSEC, decimals
 from . import provenance
 from .budget import budget_parts, freedom_words
 from .certificate import OUTPUT, Certificate, Stated, groups
 from .certificate_fields import Equipment
 from .charts import tag
 from .html import bullets, document, named_rows, paragraph, section, table
-from .tables import decimals, engineering, fixed
+from .tables import engineering, fixed
 
 _PAGES = """
 @page {{ size: A4; margin: 20mm 16mm 18mm 20mm;

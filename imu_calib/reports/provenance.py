@@ -11,7 +11,7 @@ from html import escape
 import numpy as np
 
 from ..calibration.calibration import Calibration
-from ..common.units import DEG, DEG_H, MICRO_G, PPM
+from ..common.units import DEG, DEG_H, MICRO_G, PPM, decimals
 from ..model.alignment import SCALE, SHOWN
 from ..model.parameters import Parameter, ParameterKind
 from ..model.terms import TERMS
@@ -28,7 +28,7 @@ from ..session.imu import (
 )
 from .charts import drawing, joined, segment, tag
 from .html import named_rows, table
-from .tables import decimals, engineering, fixed, three_digits
+from .tables import engineering, fixed, three_digits
 
 Facts = Mapping[str, object]
 
