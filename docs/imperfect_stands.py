@@ -49,6 +49,7 @@ CAUSES = {
     'accelerometer drift': 'biases of the accelerometers drift by',
     'gyro scatter': 'gyros .*scatter from dwell to dwell',
     'accelerometer scatter': 'accelerometers .*scatter from dwell to dwell',
+    'motions': 'At the ends of motions',
     'temperature': 'temperature moved',
     'north': 'gyros see north',
     'course': 'The session (?:shows|hints at) .*(trend|warm_up|step)',

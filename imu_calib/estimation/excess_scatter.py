@@ -6,7 +6,9 @@ bias drifts as a first-order Gauss-Markov process, variance s^2 and correlation 
 between the segments by their means and within them by their slopes; gyros and accelerometers see
 the same positioning errors. Correlation times reach to three lengths of the session: a slower drift
 cannot be distinguished from a bias. Each is used only where it raises the likelihood enough, so
-that a session of pure noise keeps its optimal weights. One session determines neither s nor tau
+that a session of pure noise keeps its optimal weights. Motions may scatter more than dwells, where
+motors shake the unit: the ends of all motions have a variance of their own if that explains them
+better than any scatter that the dwells share. One session determines neither s nor tau
 well, nor the positioning errors of a dozen stops: the covariance used is therefore the mean of the
 posterior over a grid; the most likely one would understate the uncertainty.
 
@@ -35,7 +37,7 @@ from ..segmentation.segments import Segment, Turn
 from .bias_drift import STATED_TIME, BiasDrift
 from .components import Blocks, Component, Diagonal, whiten
 from .equations import Equations
-from .evidence import SMALLEST_VARIANCE
+from .evidence import SMALLEST_VARIANCE, Evidence
 from .likelihood import (
     gain_by_noise,
     log_likelihood,
@@ -55,6 +57,10 @@ _POSITIONING_RATIOS = 10.0 ** np.arange(-1, 6.1, 0.5)
 tenth to standard deviations a thousand times the noise."""
 _STOP_SHARES = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
 """Shares of stops in the variance of positioning errors: none, all, and mixtures of both."""
+
+_MOTION_RATIOS = np.append(0.0, 10.0 ** np.arange(-0.5, 8.1, 0.25))
+"""Variances of the scatter of motions on the grid, over the usual variance by noise: quarter
+decades, since the likeliest is used. None, and from a third on."""
 
 _LEAST_GAIN = 4.5
 """Least gain in log likelihood for scatter beyond what is known: chi-square of one size by 9, three
@@ -102,6 +108,9 @@ class _Triad:
     unit_variance: float  #: Variance of a drift whose ratio (`_RATIOS`) is one, SI units squared.
     stated_variance: float  #: Variance of the drift stated, SI units squared.
     log_odds: Floats  #: (shares,) logarithms of the odds of its shares.
+    #: (r, e) effect of the errors of its outputs in motions, for their usual standard deviation.
+    in_motion: Floats
+    motion_variance: float  #: Square of that, rad^2 or (m/s)^2; 0 without motions.
 
     def positioning_covariance(self, joints: float, stops: float) -> Floats:
         """Return the covariance by noise and positioning errors of these variances, rad^2."""
@@ -167,13 +176,15 @@ class ExcessScatter:
     #: Of gyros and accelerometers, whether the excess over the data sheet varies within a thirtieth
     #: of the session, and faster than biases drift by the data sheet.
     fast_drift: tuple[bool, bool] = (False, False)
+    #: Standard deviations of the ends of motions beyond their noise: angles, rad, and velocities,
+    #: m/s. They are in `extra`.
+    in_motion: tuple[float, float] = (0.0, 0.0)
 
     @property
     def shown(self) -> bool:
         """Whether the session shows scatter that is not known beforehand."""
-        return self.positioning_probability > 0 or any(
-            c.source is Source.BIAS_FOUND for c in self.extra
-        )
+        drifting = any(c.source is Source.BIAS_FOUND for c in self.extra)
+        return self.positioning_probability > 0 or drifting or any(self.in_motion)
 
     @property
     def stated(self) -> tuple[Component, ...]:
@@ -204,6 +215,18 @@ def excess(
     triads = _triads(plain, state, odds, doubted=doubted)
     still = [_Drift.weighed(triad) for triad in triads]
     share, joints, stops = _positioning(triads, still, _variances(plain))
+    moving: tuple[Component, ...] = ()
+    in_motion = 0.0, 0.0
+    if share or any(drift.called_for for drift in still):
+        in_motion = (
+            _scatter_in_motion(triads[0], still[0], joints, stops),
+            _scatter_in_motion(triads[1], still[1], joints, stops),
+        )
+    if any(in_motion):
+        moving = scatter_of_motions(plain.evidence, in_motion)
+        triads = _triads(replace(plain, extra=moving), state, odds, doubted=doubted)
+        still = [_Drift.weighed(triad) for triad in triads]
+        share, joints, stops = _positioning(triads, still, _variances(plain))
     found = [[(1 - share, drift)] for drift in still]
     if share:
         for mixture, triad in zip(found, triads, strict=True):
@@ -214,11 +237,61 @@ def excess(
     return ExcessScatter(
         PositioningErrors(math.sqrt(share * joints), math.sqrt(share * stops)),
         np.repeat([deviation for deviation, *_ in spread], 3),
-        tuple(part for _, parts, _, _ in spread for part in parts),
+        (*(part for _, parts, _, _ in spread for part in parts), *moving),
         tuple(part for _, _, spared, _ in spread for part in spared),
         share,
         (spread[0][3], spread[1][3]),
+        in_motion,
     )
+
+
+def scatter_of_motions(evidence: Evidence, in_motion: tuple[float, float]) -> tuple[Component, ...]:
+    """Return the covariance of outputs by the scatter of motions, `ExcessScatter.in_motion`."""
+    found = []
+    for entering, deviation in zip(_ends_of_motions(evidence), in_motion, strict=True):
+        if deviation:
+            variances = (entering * deviation) ** 2
+            freedom = float(np.count_nonzero(entering))
+            found.append(Component(Source.SCATTER, Diagonal(variances), freedom))
+    return tuple(found)
+
+
+def _ends_of_motions(evidence: Evidence) -> tuple[Floats, Floats]:
+    """Return how outputs (m,) follow angles and velocities at the ends of their motions.
+
+    Those of a move are outputs themselves, and the mean over a turn follows by its duration.
+    """
+    layout, found = evidence.layout, np.zeros((2, len(evidence.layout)))
+    per_second = np.array([1 / turn.statistics.duration for turn in evidence.turns])
+    found[0, layout.turn] = per_second[:, None]
+    found[1, layout.turn_accels] = per_second[list(layout.turns_with_accels), None]
+    found[0, layout.move] = found[1, layout.velocity] = 1.0
+    return found[0], found[1]
+
+
+def _scatter_in_motion(triad: _Triad, still: _Drift, joints: float, stops: float) -> float:
+    """Return the standard deviation of a triad in motions, rad or m/s; 0 where none is needed.
+
+    It is needed where it raises the likelihood enough, beside any of the likeliest drifts, alone
+    or with the positioning errors of these variances, rad^2.
+    """
+    if not triad.motion_variance:
+        return 0.0
+    bases = [np.eye(len(triad.residuals)) + drift for _, drift in still.hypotheses(triad)]
+    if joints or stops:
+        base = triad.positioning_covariance(joints, stops)
+        drifts = _Drift.weighed(triad, joints, stops).hypotheses(triad)
+        bases += [base + drift for _, drift in drifts]
+    lines = [
+        log_likelihoods_by_columns(
+            base, (triad.in_motion,), [np.ones(1)], triad.residuals, _MOTION_RATIOS
+        )[0]
+        for base in bases
+    ]
+    best = np.max(lines, axis=0)
+    if best.max() < best[0] + _LEAST_GAIN:
+        return 0.0
+    return math.sqrt(float(_MOTION_RATIOS[int(best.argmax())]) * triad.motion_variance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -492,6 +565,11 @@ def _triad(
     by_joints, by_stops = (
         np.vstack([project.T @ p[rows], np.zeros((len(weights), p.shape[1]))]) for p in positioning
     )
+    ends = _ends_of_motions(evidence)[first // 3][rows]
+    moved = ends > 0
+    noise = equations.own_variances[rows][moved] / ends[moved] ** 2
+    motion_variance = float(np.median(noise)) if moved.any() else 0.0
+    in_motion = (project[moved] * ends[moved, None]).T * math.sqrt(motion_variance)
     # The size of the noise is taken as uncertain at the end only.
     own = equations.own[first : first + 3] if doubted else ()
     return _Triad(
@@ -505,6 +583,8 @@ def _triad(
         unit_variance,
         stated,
         log_odds,
+        np.vstack([in_motion, np.zeros((len(weights), in_motion.shape[1]))]),
+        motion_variance,
     )
 
 

@@ -35,7 +35,7 @@ from .equations import Equations
 from .estimate import Estimate, estimate
 from .evidence import Evidence
 from .exact_table import SHOWN, as_the_best, contradicted, exactness_findings
-from .excess_scatter import excess
+from .excess_scatter import ExcessScatter, excess
 from .modulation import instant_of, seconds_of
 from .outliers import Outlier, RejectedMove
 from .search import SearchResult, search_terms
@@ -153,7 +153,11 @@ def _names_of_moves(moves: Sequence[RejectedMove]) -> str:
 
 def _scatter_findings(found: Estimate, confounded: Sequence[str] = ()) -> list[str]:
     """Report scatter beyond the noise and beyond the files of table and IMU."""
-    return [*_positioning_findings(found, confounded), *_drift_findings(found)]
+    return [
+        *_positioning_findings(found, confounded),
+        *_drift_findings(found),
+        *_motion_findings(found.scatter),
+    ]
 
 
 def _positioning_findings(found: Estimate, confounded: Sequence[str]) -> list[str]:
@@ -227,6 +231,21 @@ def _drift_findings(found: Estimate) -> list[str]:
                 f'description of the IMU states {stated}): the standard deviations allow for it.'
             )
     return notes
+
+
+def _motion_findings(scatter: ExcessScatter) -> list[str]:
+    """Report angles and velocities that scatter at the ends of motions, and not at rest."""
+    angle, velocity = scatter.in_motion
+    sizes = [f'the angles of the gyros by {significant(angle / ARCSEC)} arcsec'] if angle else []
+    if velocity:
+        sizes.append(f'the velocities of the accelerometers by {significant(velocity)} m/s')
+    if not sizes:
+        return []
+    return [
+        f'At the ends of motions {" and ".join(sizes)} scatter more than their noise at rest: the '
+        'standard deviations allow for it. Possible causes: motors or bearings that shake the '
+        'unit, and sensors that are nonlinear in motion.'
+    ]
 
 
 _ANYWHERE = math.radians(30)

@@ -18,9 +18,10 @@ from ..common.stream import Floats
 from ..common.units import DEG
 from ..model.parameters import RESPONSES
 from ..segmentation.segmented import Move
+from .components import Component
 from .equations import Equations
 from .evidence import SMALLEST_VARIANCE, Evidence
-from .excess_scatter import excess
+from .excess_scatter import excess, scatter_of_motions
 from .information import Information
 from .solve import (
     ITERATIONS,
@@ -104,15 +105,17 @@ def moves_that_fit(
     scatter = excess(resting, state)
     kept: tuple[Move, ...] = ()
     while True:
-        fitting, astray = _judged(with_scatter(resting, scatter), state, evidence)
+        shaken = scatter_of_motions(evidence, scatter.in_motion)
+        fitting, astray = _judged(with_scatter(resting, scatter), state, evidence, extra=shaken)
         if not astray:
             return evidence, ()
         if _count(fitting) <= _count(kept):
             return evidence.with_moves(fitting), astray
-        # Moves show positioning errors hidden in the noise of dwells: with those, others may agree.
+        # Moves show positioning errors hidden in the noise of dwells, and how much motors shake the
+        # unit: with those, others may agree.
         kept = fitting
-        moved = replace(resting, evidence=evidence.with_moves(kept))
-        scatter = replace(scatter, positioning=excess(moved, state).positioning)
+        found = excess(replace(resting, evidence=evidence.with_moves(kept)), state)
+        scatter = replace(scatter, positioning=found.positioning, in_motion=found.in_motion)
 
 
 def start_from_moves(resting: Equations, state: Floats, moves: tuple[Move, ...]) -> Floats:
@@ -150,15 +153,20 @@ def _count(moves: Sequence[Move]) -> int:
 
 
 def _judged(
-    resting: Equations, state: Floats, evidence: Evidence, known: Floats | None = None
+    resting: Equations,
+    state: Floats,
+    evidence: Evidence,
+    known: Floats | None = None,
+    extra: tuple[Component, ...] = (),
 ) -> tuple[tuple[Move, ...], tuple[RejectedMove, ...]]:
     """Compare each move with dwells and turns, with their stated scatter.
 
-    `known` is the covariance (n, n) of the state, by dwells and turns if not given.
+    `known` is the covariance (n, n) of the state, by dwells and turns if not given; `extra` is
+    scatter of the moves.
     """
     if known is None:
         known = Information.from_jacobian(resting.whitened(state)[0]).covariance
-    moving = replace(resting, evidence=evidence, extra=())
+    moving = replace(resting, evidence=evidence, extra=extra)
     predicted, jacobian = moving.predict(state), np.nan_to_num(moving.jacobian(state))
     covariance, known = moving.covariance(state), np.nan_to_num(known)
     kept, astray = [], []

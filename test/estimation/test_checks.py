@@ -429,6 +429,7 @@ def scattering(
     step: float = 0.0,
     confounded: tuple[str, ...] = (),
     by_hand: bool = False,
+    moved: tuple[float, float] = (0.0, 0.0),
 ) -> list[str]:
     """Return what is said of an estimate that found positioning errors and drifts."""
     none = np.zeros(6)
@@ -437,6 +438,7 @@ def scattering(
         positioning_probability=probability,
         bias_drift=none if drift is None else drift,
         fast_drift=fast,
+        in_motion=moved,
     )
     instability = none if instability is None else instability
     evidence = SimpleNamespace(
@@ -496,6 +498,13 @@ def test_drifts_are_told_beside_what_the_data_sheet_states() -> None:
     (sentence,) = scattering(drift=swift, fast=(False, True))
     assert 'accelerometers scatter from dwell to dwell by 70 ug' in sentence
     assert 'accel_cross' in sentence
+
+
+def test_scatter_of_motions_is_told_with_its_sizes() -> None:
+    (sentence,) = scattering(moved=(3 * ARCSEC, 0.004))
+    assert 'the angles of the gyros by 3 arcsec and the velocities' in sentence
+    (sentence,) = scattering(moved=(0.0, 0.004))
+    assert 'At the ends of motions the velocities of the accelerometers by 0.004 m/s' in sentence
 
 
 class Links(list[int]):

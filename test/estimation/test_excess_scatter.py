@@ -74,6 +74,8 @@ def triad(**changed: Any) -> _Triad:
         unit_variance=4.0,
         stated_variance=9.0,
         log_odds=ODDS,
+        in_motion=np.zeros((SIZE, 0)),
+        motion_variance=0.0,
     )
     return replace(found, **changed)
 

@@ -35,6 +35,7 @@ from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, JointBlock
 from imu_calib.estimation import search
 from imu_calib.estimation.solve import NotConverged
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.segmentation.segments import Segment
 from imu_calib.session.plan import UNPLANNED, Plan, load_plan
 from imu_calib.session.table import ASSUMED, Table, read_table
@@ -148,6 +149,23 @@ OF_TABLES = [(name, grade) for name in TABLES for grade in ('navigation', 'mediu
 if not ALL:
     # What stands wrong, stops wrong, is read wrong, and shakes.
     OF_TABLES = [OF_TABLES[k] for k in (0, 10, 15, 20)]
+
+
+def test_shaking_in_motions_alone_widens_no_parameter_of_quiet_dwells() -> None:
+    """K_a and D_a were widened by 60 to 130 times: an accelerometer drift was seen in it."""
+    shaking = Shaking(rate=0.05 * DEG, force=0.5, tones=(7.3, 11.9, 23.1, 38.7), moving=True)
+    still, shaken = (
+        fed(world, NAVIGATION, 3, find_terms=True).finish().calibration
+        for world in (World(), World(shaking=shaking))
+    )
+    wider = shaken.std[:24] / still.std[:24]
+    of_accels = [
+        by for p, by in zip(PARAMETERS, wider, strict=True) if p.name.startswith(('K_a', 'D_'))
+    ]
+    assert max(of_accels) < 2
+    assert np.abs(errors(shaken, NAVIGATION)).max() < 4.5
+    (finding,) = [f for f in shaken.findings if 'drift' in f or 'scatter' in f]
+    assert 'At the ends of motions the angles of the gyros' in finding
 
 
 @pytest.fixture(scope='module')

@@ -196,11 +196,13 @@ class Stops:
         joints: Of a joint, unseen by its encoder until it moves again.
         tilt: Of the whole table about east and about north.
         heading: Of the whole table about up.
+        seed: Of the errors.
     """
 
     joints: float = 0.0
     tilt: float = 0.0
     heading: float = 0.0
+    seed: int = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,12 +213,14 @@ class Shaking:
         rate, force: Amplitudes, rad/s and m/s^2.
         tones: Hz.
         decay: From the end of each motion on, s; 0 for a floor that shakes all the time.
+        moving: Whether it shakes during the motions alone.
     """
 
     rate: float
     force: float
     tones: tuple[float, ...]
     decay: float = 0.0
+    moving: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -507,7 +511,7 @@ def schedule(world: World) -> list[Motion]:
 
 def _miss(motions: list[Motion], stops: Stops) -> None:
     """Let every motion end wrong by an error of its joint, and one of the whole table."""
-    noise = normals(random.Random(12))
+    noise = normals(random.Random(stops.seed))
     missing, leaning = NOTHING, NOTHING
     for motion in motions:
         after = list(missing)
@@ -684,6 +688,9 @@ class Swung:
         if self.shaking.decay:
             since = time - motion.end
             size = math.exp(-since / self.shaking.decay) if since > 0 else 0.0
+        elif self.shaking.moving:
+            along = (time - motion.start) / max(motion.end - motion.start, 1e-9)
+            size = math.sin(math.pi * along) ** 2 if 0 < along < 1 else 0.0
         now = []
         for c, phases in enumerate(self.phases):
             swing = 0.0
