@@ -84,19 +84,19 @@ setup = Setup(load_imu('fog_medium'), load_plan('twelve_position'), load_table('
 warm = Calibrator(setup)
 kept = list(blocks())
 for block in kept:
-    warm.feed(block)
+    warm.add_block(block)
 warm.snapshot().review()
 live, spent, fed = Calibrator(setup), 0.0, 0.0
 marks = {round(len(kept) * k / 6) for k in range(1, 7)}
 for k, block in enumerate(kept, 1):
-    fed += taken(lambda: live.feed(block))
+    fed += taken(lambda: live.add_block(block))
     if k in marks:
         spent += taken(lambda: live.snapshot().review())
 found.update({'feeding': fed, 'live reviews': spent})
 begun = [block for block in kept[:150] if hasattr(block, 'stamp')]
 small = sorted((p for b in begun for p in pieces(b, 2)), key=lambda p: p.stamp[0])
 node = Calibrator(setup)
-found['feeding two samples at a time'] = taken(lambda: [node.feed(block) for block in small])
+found['feeding two samples at a time'] = taken(lambda: [node.add_block(block) for block in small])
 print(json.dumps(found))
 """
 

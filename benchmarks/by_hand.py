@@ -47,7 +47,7 @@ def one(setup: Setup, truth: SensorModel, seed: int) -> np.ndarray:
     calibrator = calibrator_of(setup)
     options = ImuOptions(bias_instability=False)
     for block in session(setup, seed).blocks(setup.imu, truth, setup.site, options, seed):
-        calibrator.feed(block)
+        calibrator.add_block(block)
     return calibrator.finish().calibration.model.vector() - truth.vector()
 
 

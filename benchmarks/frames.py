@@ -58,9 +58,9 @@ def in_bulk(data: bytes, piece: int) -> int:
     form = load_format('simulated')
     decoder, clock = Decoder(form), DeviceClock(form.time, form.counter, 1 / RATE)
     for start in range(0, len(data), piece):
-        samples = decoder.feed(data[start : start + piece])
+        samples = decoder.decode_bytes(data[start : start + piece])
         arrival = np.full(len(samples), start // 44 * (1_000_000_000 // RATE))
-        clock.feed(samples.time, samples.counter, arrival)
+        clock.elapsed_times(samples.time, samples.counter, arrival)
     return decoder.counts.frames
 
 

@@ -178,7 +178,7 @@ def _line(frames: FrameFormat) -> bytes:
         for at, value in frames.constant:
             row[0, at] = value
         if sums is not None and check is not None:
-            value = int(sums.of(row[:, check.first : check.end])[0])
+            value = int(sums.of_rows(row[:, check.first : check.end])[0])
             order = 'little' if check.number.order == '<' else 'big'
             content = value.to_bytes(check.number.size, order)
             row[0, check.number.offset : check.number.end] = np.frombuffer(content, np.uint8)
@@ -189,7 +189,7 @@ def _line(frames: FrameFormat) -> bytes:
 def _decode_line(frames: FrameFormat, data: bytes) -> None:
     decoder = Decoder(frames)
     for start in range(0, len(data), 97):
-        decoder.feed(data[start : start + 97])
+        decoder.decode_bytes(data[start : start + 97])
 
 
 def _of_wire() -> Iterator[Target]:

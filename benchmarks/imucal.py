@@ -103,7 +103,7 @@ def run(unit: Unit, seed: int) -> tuple[Floats, Floats, Floats]:
     calibrator = Calibrator(Setup(unit.spec, plan, table, SITE, 'joint'))
     blocks: list[ImuBlock] = []
     for _, block in stand.blocks():
-        calibrator.feed(block)
+        calibrator.add_block(block)
         if isinstance(block, ImuBlock):
             blocks.append(block)
     try:
@@ -180,7 +180,7 @@ def by_hand(counts: Path | None) -> None:
     calibrator = Calibrator(Setup(spec, load_plan('six_position_by_hand'), None, site))
     with open_recording(HAND) as recording:
         for _, block in recording.read({'/imu/raw': Kind.IMU}):
-            calibrator.feed(block)
+            calibrator.add_block(block)
     try:
         ours = calibrator.finish().calibration
     except NotObservable as error:

@@ -165,7 +165,7 @@ def session(name: str, seed: int, *terms: tuple[Term, ...]) -> list[Calibration]
     )
     for _, block in simulate(plan, table, imu, model, SITE, options, seed):
         for calibrator in calibrators:
-            calibrator.feed(block)
+            calibrator.add_block(block)
     return [c.finish().calibration for c in calibrators]
 
 

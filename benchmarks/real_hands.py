@@ -71,7 +71,7 @@ class Recording(NamedTuple):
         """Return a calibrator with all of its data."""
         found = HandCalibrator(Setup(self.imu, load_plan('free_positions'), None, self.site))
         gyro, accel = self.values[:, :3], self.values[:, 3:]
-        found.feed(ImuBlock(self.stamp, gyro, accel, 'imu'))
+        found.add_block(ImuBlock(self.stamp, gyro, accel, 'imu'))
         return found
 
 

@@ -79,7 +79,7 @@ def session(grade: str, seed: int, condition: str) -> dict[str, Any]:
     calibrator = Calibrator(setup)
     try:
         for block in blocks(condition, simulated):
-            calibrator.feed(block)
+            calibrator.add_block(block)
         result = calibrator.finish()
     except ImuCalibError as error:
         return {**row, 'refused': str(error), 'code': version()}

@@ -35,7 +35,7 @@ def bias_error(plan: Plan, table: Table, azimuth: float) -> np.ndarray:
     )
     calibrator = Calibrator(Setup(imu, plan, table, SITE, plan.method))
     for _, block in simulate(plan, table, imu, TRUTH.model, SITE, options, seed=1):
-        calibrator.feed(block)
+        calibrator.add_block(block)
     found = calibrator.finish().calibration.model.gyro.bias
     return (found - TRUTH.model.gyro.bias) / DEG_H
 

@@ -59,7 +59,7 @@ def calibrated(name: str, pair: int = 0, *, drifting: bool = False) -> Calibrati
     calibrator = Calibrator(Setup(imu, plan, table, SITE, name))
     seed = FIRST_SEED + 2 * pair + list(AZIMUTH).index(name)
     for _, block in simulate(plan, table, imu, unit.model, SITE, options, seed):
-        calibrator.feed(block)
+        calibrator.add_block(block)
     return calibrator.finish().calibration
 
 

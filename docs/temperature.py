@@ -51,7 +51,7 @@ def calibrated(celsius: float, seed: int) -> Calibration:
     )
     calibrator = Calibrator(Setup(imu, plan, table, SITE))
     for _, block in simulate(plan, table, imu, TRUTH, SITE, options, seed):
-        calibrator.feed(block)
+        calibrator.add_block(block)
     return calibrator.finish().calibration
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from imu_calib.calibration.thermal import MOST
-from imu_calib.common.budget import Source
+from imu_calib.common.budget import ErrorSource
 from imu_calib.common.stream import Units
 from imu_calib.model.alignment import GROUPS
 from imu_calib.model.parameters import AXES, MOST_SKEWED, TRIADS
@@ -123,7 +123,7 @@ _COVARIANCE = [
     Key('matrix', _ROWS, 'their covariance, SI units: symmetric, positive semidefinite', REQUIRED),
 ]
 _LINE = [
-    Key('source', choice([s.value for s in Source]), 'of uncertainty', REQUIRED),
+    Key('source', choice([s.value for s in ErrorSource]), 'of uncertainty', REQUIRED),
     Key('evaluation', text(), f"'A' by statistics, 'B' by other means; {_READERS}"),
     Key('description', text(), f'in words; {_READERS}'),
     Key(

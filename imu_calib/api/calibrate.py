@@ -118,7 +118,7 @@ def solve(opened: Opened, progress: Progress = silent) -> Result:
     calibrator = calibrator_of(opened.setup)
     with refused_by_stamps(opened.recording, opened.streams):
         for block in opened.blocks(progress):
-            calibrator.feed(block)
+            calibrator.add_block(block)
     return documented(opened, finished(opened, calibrator))
 
 
@@ -202,7 +202,7 @@ def _fits_holds_and_turns(opened: Opened, session: Segmented) -> bool:
     setup = replace(opened.setup, plan=load_plan(_HOLDS_AND_TURNS))
     calibrator = calibrator_of(setup)
     for block in replace(opened, order=StampSorter()).blocks():
-        calibrator.feed(block)
+        calibrator.add_block(block)
     try:
         calibrator.finish()
     except (InputError, NotObservable):
@@ -425,16 +425,16 @@ class _UnitSession:
         """Feed a block of a topic to the calibrator, samples in the order of their stamps."""
         assert self.opened is not None
         if topic == self.opened.streams.imu and isinstance(block, ImuBlock):
-            self.feed(self.opened.order.add(block))
+            self.add_blocks(self.opened.order.sort_block(block))
         else:
-            self.feed([block])
+            self.add_blocks([block])
 
-    def feed(self, blocks: Sequence[Block]) -> None:
+    def add_blocks(self, blocks: Sequence[Block]) -> None:
         """Feed the calibrator; its error does not affect other units."""
         try:
             for block in blocks:
                 if self.calibrator is not None:
-                    self.calibrator.feed(block)
+                    self.calibrator.add_block(block)
         except ImuCalibError as error:
             self.error, self.calibrator = error, None
 
@@ -482,4 +482,4 @@ def _feed_units(recording: Recording, sessions: Sequence[_UnitSession], progress
                 one.receive(topic, block)
     for one in sessions:
         if one.opened is not None:
-            one.feed(one.opened.order.finish())
+            one.add_blocks(one.opened.order.finish())

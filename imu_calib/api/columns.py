@@ -184,10 +184,10 @@ def _fields(block: Block) -> dict[str, NDArray[Any]]:
     if isinstance(block, TemperatureBlock):
         return {'temperature': block.celsius}
     assert isinstance(block, SetpointBlock), 'skewed gyros are read as sensor_msgs/Imu'
-    return _of_setpoints(block.setpoints)
+    return _setpoint_columns(block.setpoints)
 
 
-def _of_setpoints(setpoints: tuple[Setpoint, ...]) -> dict[str, NDArray[Any]]:
+def _setpoint_columns(setpoints: tuple[Setpoint, ...]) -> dict[str, NDArray[Any]]:
     names = list(dict.fromkeys(joint for s in setpoints for joint in s.joints))
     found: dict[str, NDArray[Any]] = {
         'plan': np.array([s.plan for s in setpoints], dtype=object),

@@ -118,7 +118,7 @@ def compensate(
         clock = sample_findings(recording, topic.name, spec.units)
         loaded = _with_data_sheet(loaded, spec)
         compensator = Compensator(loaded, stamps.instants())
-        further_topics = _take_aside(compensator, recording, topic, progress)
+        further_topics = _read_ahead(compensator, recording, topic, progress)
         meant = stream_description(
             recording.custom_data,
             target,
@@ -193,19 +193,19 @@ class _Stream:
         repeats, kept = self.compensator.repeats, []
         readings = []
         for block in blocks:
-            readings += self.compensator.take(block)
+            readings += self.compensator.compensate_block(block)
             mask = self.compensator.kept
             kept.append(np.ones(len(block), np.bool_) if mask is None else mask)
         if self.compensator.repeats > repeats:
             log_time = log_time[np.concatenate(kept)]
         self._times.append(log_time)
-        self._put(writer, readings)
+        self._write_readings(writer, readings)
 
     def finish(self, writer: RecordingWriter) -> None:
         """Write the samples that waited for the end."""
-        self._put(writer, self.compensator.finish())
+        self._write_readings(writer, self.compensator.finish())
 
-    def _put(self, writer: RecordingWriter, readings: list[Reading]) -> None:
+    def _write_readings(self, writer: RecordingWriter, readings: list[Reading]) -> None:
         # Dropped samples are the oldest that were not written.
         self._next_times(self.compensator.dropped - self._dropped)
         self._dropped = self.compensator.dropped
@@ -305,7 +305,7 @@ def _all_stamps(
     return stamps
 
 
-def _take_aside(
+def _read_ahead(
     compensator: Compensator, recording: Recording, topic: Topic, progress: Progress
 ) -> list[str]:
     """Read the data that belongs to samples before the samples; return its topics."""
@@ -323,7 +323,7 @@ def _take_aside(
     if named:
         with progress('reading') as show:
             for _, block in recording.read(named, show):
-                compensator.take(block)
+                compensator.compensate_block(block)
     return sorted(named)
 
 

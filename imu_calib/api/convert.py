@@ -106,11 +106,11 @@ def from_text(
     if accel_text is None and (apart := halves(rates, forces)) is not None:
         of_gyro, of_accel = apart
         sentences.append(SEPARATE_ROWS)
-        gyros = _of_sensor(text, stamps[of_gyro], rates[of_gyro], sentences)
-        accels = _of_sensor(None, stamps[of_accel], forces[of_accel], sentences)
+        gyros = _sensor_rows(text, stamps[of_gyro], rates[of_gyro], sentences)
+        accels = _sensor_rows(None, stamps[of_accel], forces[of_accel], sentences)
     elif accel_text is not None:
-        gyros = _of_sensor(text, stamps, rates, sentences)
-        accels = _of_sensor(accel_text, forces_at, forces, sentences)
+        gyros = _sensor_rows(text, stamps, rates, sentences)
+        accels = _sensor_rows(accel_text, forces_at, forces, sentences)
     else:
         times, (rates, forces) = _sound(stamps, rates, forces)
         sentences += _left_out(text, len(stamps) - len(times))
@@ -121,7 +121,7 @@ def from_text(
         before = len(sentences)
         known = accels[0]
         exactly = numbers is not Units.SI
-        times, rates, forces = _of_two(*gyros, *accels, sentences, exactly=exactly)
+        times, rates, forces = _interpolated_forces(*gyros, *accels, sentences, exactly=exactly)
         if len(sentences) > before:
             data |= interpolation_description(topic, rate_of(known))
     if numbers is Units.SI and (removed := gravity_removed(quiet_means(forces))):
@@ -194,7 +194,7 @@ def _in_time(
     return text, stamps
 
 
-def _of_sensor(
+def _sensor_rows(
     text: Text | None, stamps: Floats, values: Floats, sentences: list[str]
 ) -> tuple[Stamps, Floats]:
     """Return the sound rows of one sensor; what a file lacks is added to `sentences`."""
@@ -234,7 +234,7 @@ def _sound(stamps: Floats, *columns: Floats) -> tuple[Stamps, list[Floats]]:
     return stamps[known].astype(np.int64), [values[known] for values in columns]
 
 
-def _of_two(
+def _interpolated_forces(
     stamps: Stamps,
     rates: Floats,
     known: Stamps,

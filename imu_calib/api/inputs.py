@@ -57,9 +57,9 @@ def recording_at(
     if rate is not None and not (math.isfinite(rate) and rate > 0):
         raise InputError(f'`rate`: found {rate:g}, expected samples per second, above 0.')
     if isinstance(bag, np.ndarray | list | tuple):
-        return SamplesInMemory('arrays', _of_arrays(bag, rate))
+        return SamplesInMemory('arrays', _samples_of_arrays(bag, rate))
     if not isinstance(bag, str | Path | RemotePath):
-        return SamplesInMemory('data frame', _of_frame(bag, rate))
+        return SamplesInMemory('data frame', _samples_of_frame(bag, rate))
     if rate is not None:
         raise InputError('`rate` is that of arrays: a recording states when each sample was taken.')
     if bag == '':
@@ -67,7 +67,9 @@ def recording_at(
     return open_recording(bag, sha256)
 
 
-def _of_arrays(given: NDArray[Any] | Sequence[ArrayLike], rate: float | None) -> dict[str, Samples]:
+def _samples_of_arrays(
+    given: NDArray[Any] | Sequence[ArrayLike], rate: float | None
+) -> dict[str, Samples]:
     """Return arrays as samples that follow each other at a rate.
 
     Raises:
@@ -97,7 +99,7 @@ def _at_rate(count: int, rate: float) -> Stamps:
     return np.asarray(np.rint(np.arange(1, count + 1) * (NS / rate)), dtype=np.int64)
 
 
-def _of_frame(frame: Any, rate: float | None) -> dict[str, Samples]:
+def _samples_of_frame(frame: Any, rate: float | None) -> dict[str, Samples]:
     """Return a data frame as samples of an IMU, and of joints and temperatures if it has any.
 
     Where it has several of these, a row whose values of one are all missing has no sample of it, as

@@ -51,7 +51,7 @@ ASSUMED_BY_HAND = (
 )
 
 
-def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
+def assumed_si_imu(recording: Recording, topic: str) -> ImuSpec:
     """Return the description of an IMU in SI units if the samples agree with it.
 
     Raises:
@@ -173,7 +173,7 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
     described = table_of(stated, recording)
     table = mounted_on(described, stated, recording, streams.imu)
     known = stated_imu(stated, recording, streams.imu)
-    imu = taken_as_si(recording, streams.imu) if known is None else known[0]
+    imu = assumed_si_imu(recording, streams.imu) if known is None else known[0]
     plan = stated_plan(stated, recording)
     if plan is None and streams.joints is not None:
         # Joint states give the attitudes.

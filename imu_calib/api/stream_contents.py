@@ -124,7 +124,7 @@ def _contents_by_hand(setup: Setup, blocks: Iterable[Block]) -> tuple[Segmented,
 
     calibrator = HandCalibrator(setup)
     for block in blocks:
-        calibrator.feed(block)
+        calibrator.add_block(block)
     session = calibrator.segmented()
     return session, calibrator.refusal(session)
 
@@ -135,7 +135,7 @@ def _on_table(setup: Setup, blocks: Iterable[Block]) -> tuple[Segmented, str]:
 
     calibrator = Calibrator(setup)
     for block in blocks:
-        calibrator.feed(block)
+        calibrator.add_block(block)
     review = calibrator.review()
     return review.session, review.refusal
 

@@ -160,7 +160,7 @@ def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -
                 ' Where they are units on one table, `serial` chooses one whose number the '
                 'recording holds, and a calibration with `imus` takes all.'
             )
-            several = _apart(recording, filled) or several
+            several = _join_hint(recording, filled) or several
         raise NotStated(
             f'{recording.path}: {len(filled)} topics of type {kind.type_name}: {listed}. '
             f'Choose with {option}.{several}'
@@ -168,7 +168,7 @@ def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -
     return filled[0].name
 
 
-def _apart(recording: Recording, topics: Sequence[Topic]) -> str:
+def _join_hint(recording: Recording, topics: Sequence[Topic]) -> str:
     """Return the way to join topics of which one has rates alone; empty if each has both.
 
     Only samples in SI are joined.

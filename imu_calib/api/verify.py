@@ -112,7 +112,7 @@ def _verify(
     with refused_by_stamps(recording, streams):
         with progress('reading') as show:
             for block in order.sorted_blocks(recording.read(kinds, show), streams.imu):
-                segmenter.feed(block)
+                segmenter.add_block(block)
         session = segmenter.finish()
         calibration, notes = _at_temperature(loaded, session.temperature)
         try:

@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 
 from ..common.arguments import checked
-from ..common.budget import Budget, Share, Source
+from ..common.budget import Budget, ErrorSource, Share
 from ..common.config import SafeDumper, Section, dump
 from ..common.errors import InputError
 from ..common.files import user_path, write_whole
@@ -166,7 +166,7 @@ class Calibration:
         walk = np.where(stated > 0, stated, self.sensor_walk).tolist()
         return replace(self, provenance={**self.provenance, 'sensor_random_walk': walk})
 
-    def with_share(self, source: Source, share: Share) -> Calibration:
+    def with_share(self, source: ErrorSource, share: Share) -> Calibration:
         """Return the calibration with the contribution of another source to its covariance."""
         budget = None if self.budget is None else self.budget.with_share(source, share)
         return replace(self, covariance=self.covariance + share.covariance, budget=budget)
@@ -496,7 +496,7 @@ class Calibration:
             else None,
             read_clock(section.section(CLOCK)) if section.has(CLOCK) else None,
         )
-        section.finish()
+        section.refuse_unknown_keys()
         check_plausible(calibration, section.where)
         calibration._check_stated_std(section)
         return calibration
@@ -563,7 +563,7 @@ def _read_covariance(
                 f'{block.key("parameters")}: not the {count} parameters in their order.'
             )
         covariance[np.ix_(known, known)] = block.array('matrix', (count, count))
-        block.finish()
+        block.refuse_unknown_keys()
     else:
         covariance[np.ix_(known, known)] = 0.0
     return covariance
@@ -606,7 +606,7 @@ def _finish_spec(section: Section, scale: float) -> TriadSpec:
     if not (scale > 0 and limit > 0):
         key, found = ('range', limit) if scale > 0 else ('scale_factor', scale)
         raise InputError(f'{section.key(key)}: found {found:g}, expected above 0.')
-    section.finish()
+    section.refuse_unknown_keys()
     return TriadSpec(scale, range=limit)
 
 
@@ -631,7 +631,7 @@ def _check_std(section: Section, expected: Mapping[str, Any]) -> None:
                 raise InputError(
                     f'{section.key(key)}: not the square roots of the variances in covariance.'
                 )
-    section.finish()
+    section.refuse_unknown_keys()
 
 
 def _read_residual(row: Section) -> ResidualRow:
@@ -640,5 +640,5 @@ def _read_residual(row: Section) -> ResidualRow:
         for key in ('gyro', 'accelerometer')
     )
     residual = ResidualRow(row.text('position'), row.number('time'), gyro, accel)
-    row.finish()
+    row.refuse_unknown_keys()
     return residual

@@ -112,9 +112,9 @@ class Calibrator:
         self._segmenter = Segmenter(setup.imu, setup.table)
         self._gathered: tuple[tuple[object, ...], Evidence] | None = None
 
-    def feed(self, block: Block) -> None:
+    def add_block(self, block: Block) -> None:
         """Take a block of any topic."""
-        self._segmenter.feed(block)
+        self._segmenter.add_block(block)
 
     def finish(self) -> Result:
         """End the session and solve.

@@ -315,7 +315,7 @@ class Compensator:
         """Number of steps between stamps that are no sample interval."""
         return self._clock.irregular_steps
 
-    def take(self, block: Block) -> list[Reading]:
+    def compensate_block(self, block: Block) -> list[Reading]:
         """Take a block of any topic; return the samples that are ready."""
         if isinstance(block, TemperatureBlock):
             # It counts for samples half a second younger.

@@ -146,7 +146,7 @@ def _units(sensors: Sensors, values: Floats) -> Iterator[Hypothesis]:
     si = 'rad/s' if sensors.gyros else 'm/s^2'
     for unit, size in _BIAS_UNITS[sensors.gyros].items():
         for words, by in _both_ways(unit, si, size):
-            yield _of_unit('the biases', words, _but(values, bias=bias * by))
+            yield _unit_hypothesis('the biases', words, _but(values, bias=bias * by))
     matrices = [
         *(
             ('the misalignments', words, diagonal + cross * by)
@@ -162,14 +162,14 @@ def _units(sensors: Sensors, values: Floats) -> Iterator[Hypothesis]:
     for what, words, matrix in matrices:
         # A response without limit explains any rate at rest.
         if is_of_strapdown(np.eye(3) + matrix):
-            yield _of_unit(what, words, _but(values, matrix))
+            yield _unit_hypothesis(what, words, _but(values, matrix))
 
 
 def _both_ways(unit: str, si: str, size: float) -> tuple[tuple[tuple[str, str], float], ...]:
     return ((unit, si), size), ((si, unit), 1 / size)
 
 
-def _of_unit(what: str, words: tuple[str, str], values: Floats) -> Hypothesis:
+def _unit_hypothesis(what: str, words: tuple[str, str], values: Floats) -> Hypothesis:
     found, expected = words
     why = f'They are in {found} where {expected} are expected.'
     return Hypothesis(f'{what} are read as {found}', why, values)
@@ -472,10 +472,10 @@ def _readings(system: TriadSystem, values: Floats) -> Iterator[Hypothesis]:
         )
     share = system.share(values)
     if share > 0:
-        yield Hypothesis(*_of_scale(system, share), values, share)
+        yield Hypothesis(*_scale_cause(system, share), values, share)
 
 
-def _of_scale(system: TriadSystem, share: float) -> tuple[str, str]:
+def _scale_cause(system: TriadSystem, share: float) -> tuple[str, str]:
     """Return condition and cause of a scale change; a small one is common to all channels."""
     if abs(share - 1) > _FAR:
         words = share_in_words(share, gyros=system.gyros)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..common.budget import Share, Source
+from ..common.budget import ErrorSource, Share
 from ..common.stream import Floats
 from ..common.units import DEG, PPM
 from ..model.earth import MEASURED, VAGUE, Site, normal_gravity
@@ -23,7 +23,9 @@ def with_gravity(calibration: Calibration, site: Site) -> Calibration:
     """Return a calibration that includes the uncertainty of its gravity."""
     share = gravity_covariance(calibration.model, calibration.parameters, site.gravity_relative_std)
     findings = (*calibration.findings, *_findings(calibration, site))
-    return replace(calibration.with_share(Source.GRAVITY, Share.known(share)), findings=findings)
+    return replace(
+        calibration.with_share(ErrorSource.GRAVITY, Share.known(share)), findings=findings
+    )
 
 
 def gravity_deviation(calibration: Calibration) -> Floats:
@@ -71,7 +73,7 @@ def _findings(calibration: Calibration, site: Site) -> list[str]:
     if not calibration.has_accelerometers:
         return []
     if not site.height_assumed:
-        return _of_another_place(site)
+        return _latitude_contradiction(site)
     return [
         'The height of the site was not stated and is taken as 0 m: gravity is known to '
         f'{site.gravity_relative_std / PPM:.0f} ppm (1 sigma), and so are all K_a alike. '
@@ -79,7 +81,7 @@ def _findings(calibration: Calibration, site: Site) -> list[str]:
     ]
 
 
-def _of_another_place(site: Site) -> list[str]:
+def _latitude_contradiction(site: Site) -> list[str]:
     """Return a sentence if a measured gravity does not agree with the latitude."""
     if site.gravity_source != MEASURED or site.latitude_std > 0.99 * VAGUE:
         return []

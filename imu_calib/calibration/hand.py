@@ -284,10 +284,10 @@ class HandCalibrator:
         self._setup = setup
         self._segmenter = Segmenter(setup.imu, None)
 
-    def feed(self, block: Block) -> None:
+    def add_block(self, block: Block) -> None:
         """Take a block."""
         if isinstance(block, ImuBlock | TemperatureBlock):
-            self._segmenter.feed(block)
+            self._segmenter.add_block(block)
 
     def finish(self) -> Result:
         """End the session and solve.

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.budget import LEAST_FREEDOM, PROBABILITY, Budget, BudgetLine, Source
+from ..common.budget import LEAST_FREEDOM, PROBABILITY, Budget, BudgetLine, ErrorSource
 from ..common.config import Section, as_number, numbers_of
 from ..common.errors import InputError
 from ..common.stream import Floats
@@ -66,7 +66,7 @@ def read_origin(section: Section) -> dict[str, Any]:
             'temperature': lambda name: _temperature(mine.section(name)),
             'clock': lambda name: _clock(mine.section(name)),
             'closed_form': lambda name: _closed_form(mine.section(name)),
-            'versions': lambda name: _each(mine.section(name), Section.text),
+            'versions': lambda name: _read_each(mine.section(name), Section.text),
             'tests_of_terms': lambda name: _tests(mine.section(name)),
             'noise': lambda name: _noise(mine.section(name)),
         },
@@ -81,7 +81,7 @@ def _read(section: Section, readers: Mapping[str, Reader]) -> dict[str, Any]:
     }
 
 
-def _each(section: Section, read: Callable[[Section, str], Any]) -> dict[str, Any]:
+def _read_each(section: Section, read: Callable[[Section, str], Any]) -> dict[str, Any]:
     """Return the values of a mapping whose keys are names, all read alike; none may be empty."""
     return {name: read(section, name) for name in section.names()}
 
@@ -149,13 +149,15 @@ def _closed_form(section: Section) -> dict[str, Any]:
         {
             **dict.fromkeys(('method', 'refusal'), section.text),
             'joint_std_over_closed_form': lambda name: _number(section, name, 0.0),
-            'difference_in_std': lambda name: _each(section.section(name), Section.number),
+            'difference_in_std': lambda name: _read_each(section.section(name), Section.number),
         },
     )
 
 
 def _tests(section: Section) -> dict[str, Any]:
-    return _each(section, lambda tests, name: _test(tests.section(name), tests.key(name), name))
+    return _read_each(
+        section, lambda tests, name: _test(tests.section(name), tests.key(name), name)
+    )
 
 
 def _test(section: Section, where: str, name: str) -> dict[str, Any]:
@@ -173,7 +175,7 @@ def _test(section: Section, where: str, name: str) -> dict[str, Any]:
             'log10_p': lambda key: _number(section, key, -LARGEST, 0.0),
             'probability': lambda key: _number(section, key, 0.0, 1.0),
             'found_from': lambda key: _numbers(section, key, len(known) or None),
-            'would_move': lambda key: _each(section.section(key), _moved),
+            'would_move': lambda key: _read_each(section.section(key), _moved),
         },
     )
     for one in found.get('would_move') or ():
@@ -192,7 +194,7 @@ def _moved(section: Section, name: str) -> dict[str, Any]:
             f'{mine.key("parameter")}: found {moved["parameter"]!r}, expected the name of a '
             'parameter.'
         )
-    mine.finish()
+    mine.refuse_unknown_keys()
     return moved
 
 
@@ -200,7 +202,7 @@ _NAMES = {parameter.name for parameter in parameters_of(TERMS, skewed=MOST_SKEWE
 
 
 def _noise(section: Section) -> dict[str, Any]:
-    return _each(section, lambda channels, name: _channel(channels.section(name)))
+    return _read_each(section, lambda channels, name: _channel(channels.section(name)))
 
 
 def _channel(section: Section) -> dict[str, Any]:
@@ -209,7 +211,7 @@ def _channel(section: Section) -> dict[str, Any]:
     found = {key: _number(section, key, 0.0) for key in names if section.has(key)}
     curve = {key: _numbers(section, key, least=_LEAST if key == 'tau' else 0.0) for key in CURVE}
     timed = section.flag('timed', default=False)
-    section.finish()
+    section.refuse_unknown_keys()
     if len({len(values) for values in curve.values()}) > 1:
         raise InputError(f'{section.where}: found {", ".join(CURVE)} of different lengths.')
     return {**found, **curve, 'timed': timed}
@@ -290,7 +292,7 @@ def read_budget(section: Section, parameters: Sequence[Parameter], variances: Fl
         )
     lines = []
     for entry in section.sections('sources'):
-        source = entry.choice('source', {s.value: s for s in Source})
+        source = entry.choice('source', {s.value: s for s in ErrorSource})
         std = _row(entry, 'standard_uncertainty', known)
         freedom = _row(entry, 'degrees_of_freedom', known)
         if not (std[known] <= LARGEST).all():
@@ -301,11 +303,11 @@ def read_budget(section: Section, parameters: Sequence[Parameter], variances: Fl
             )
         for key in ('evaluation', 'description'):
             entry.text(key, '')
-        entry.finish()
+        entry.refuse_unknown_keys()
         lines.append(BudgetLine(source, std, freedom))
     for key in _FOLLOWS:
         section.has(key)
-    section.finish()
+    section.refuse_unknown_keys()
     budget = Budget(tuple(lines))
     doubt = np.abs(budget.variances.sum(axis=0) - variances)[known]
     if not (doubt <= _ROUNDED * variances[known] + _NOTHING).all():

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.budget import Budget, Source
+from ..common.budget import Budget, ErrorSource
 from ..common.errors import InputError, NotObservable
 from ..common.stream import Floats
 from ..common.units import counted
@@ -173,5 +173,5 @@ class Basis:
             share = clock_share(
                 calibration.model, calibration.parameters, setup.imu.units, setup.table.clock
             )
-            calibration = calibration.with_share(Source.TABLE_CLOCK, share)
+            calibration = calibration.with_share(ErrorSource.TABLE_CLOCK, share)
         return Result(calibration, solution, self.session, self.labelled, comparison, self)

@@ -130,7 +130,7 @@ class SampleClock:
         if self._typical:
             return self._follow(stamp)
         self._held = np.concatenate([self._held, stamp])
-        return self._learn()
+        return self._infer_first_interval()
 
     def finish(self) -> Times:
         """End the stream: return the timing of waiting samples; one alone has no interval."""
@@ -147,7 +147,7 @@ class SampleClock:
         self.untimed += len(stamp)
         return Times(np.full(len(stamp), self._stated), stamp)
 
-    def _learn(self) -> Times:
+    def _infer_first_interval(self) -> Times:
         """Infer the interval from the first samples whose stamps show one."""
         before = _NONE
         while len(self._held) - self._looked > _LEARNT:

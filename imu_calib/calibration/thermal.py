@@ -252,7 +252,7 @@ def read_calibration(section: Section) -> AnyCalibration:
     if section.has('order') and section.raw('order') != 'lines':
         order = section.whole('order', 1, MOST)
     parts = section.sections('calibrations')
-    section.finish()
+    section.refuse_unknown_keys()
     names = [part.where for part in parts]
     where = f'{section.key("calibrations")}: '
     return combine([Calibration.read(part) for part in parts], names, order, where)

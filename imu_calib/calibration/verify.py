@@ -139,11 +139,11 @@ def _forces(
     for place, f, c, attitude in zip(_at_rest(system), forces, covariances, attitudes, strict=True):
         length = float(np.linalg.norm(f))
         std = float(np.sqrt(f @ c @ f)) / length
-        yield _of_one_component(*place, Quantity.GRAVITY, length - g, std)
+        yield _compare_component(*place, Quantity.GRAVITY, length - g, std)
         if len(attitude):
             off = ((attitude @ f)[:2] - level) / g
             across = (attitude @ c @ attitude.T)[:2, :2] / g**2
-            yield _of_two_components(*place, 0.0, Quantity.DIRECTION, off, across)
+            yield _compare_angle(*place, 0.0, Quantity.DIRECTION, off, across)
 
 
 def _rates(system: TriadSystem, rates: Floats, covariances: Floats) -> Iterator[ComparedQuantity]:
@@ -153,8 +153,8 @@ def _rates(system: TriadSystem, rates: Floats, covariances: Floats) -> Iterator[
     deviations = np.sqrt(spread) / (lengths + EARTH_RATE)
     every = zip(rates, covariances, ups, lengths.tolist(), deviations.tolist(), strict=True)
     for place, (w, c, up, length, std) in zip(_at_rest(system), every, strict=True):
-        yield _of_one_component(*place, Quantity.EARTH_RATE, length - EARTH_RATE, std)
-        yield _of_one_component(
+        yield _compare_component(*place, Quantity.EARTH_RATE, length - EARTH_RATE, std)
+        yield _compare_component(
             *place, Quantity.UP_RATE, float(w @ up) - up_rate, float(np.sqrt(up @ c @ up))
         )
 
@@ -177,18 +177,18 @@ def _turns(
         std = float(np.sqrt(turn.up @ c @ turn.up)) * seconds
         yield ComparedQuantity(place, np.nan, rate, Quantity.TURN, off, std, off / std)
         level = np.linalg.svd(turn.up[None])[2][1:] / (rate + site.up_rate)
-        yield _of_two_components(
+        yield _compare_angle(
             place, np.nan, rate, Quantity.TURN_AXIS, level @ w, level @ c @ level.T
         )
 
 
-def _of_one_component(
+def _compare_component(
     name: str, at: float, quantity: Quantity, deviation: float, std: float
 ) -> ComparedQuantity:
     return ComparedQuantity(name, at, 0.0, quantity, deviation, std, deviation / std)
 
 
-def _of_two_components(
+def _compare_angle(
     name: str, at: float, rate: float, quantity: Quantity, vector: Floats, spread: Floats
 ) -> ComparedQuantity:
     """Compare an angle of two components: chi-square with two degrees of freedom."""

@@ -45,7 +45,7 @@ _WORST_FIRST = (WRONG_INPUT, NO_ANSWER, OUTSIDE, DONE)
 """Exit codes by precedence: unreadable input, no result, outside the specification, success."""
 
 
-def of_several(arguments: argparse.Namespace) -> bool:
+def has_several_units(arguments: argparse.Namespace) -> bool:
     """Return whether the command line or the recording has several units.
 
     Raises:
@@ -229,7 +229,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     """Calibrate and print."""
     # Examined before it is read: a remote recording is fetched once for both.
     arguments.bag = recording_path(arguments.bag)
-    if of_several(arguments):
+    if has_several_units(arguments):
         return run_several(arguments)
     path = output_path(output_or_default(arguments.output, _FILE))
     judged = arguments.specification

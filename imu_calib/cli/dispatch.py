@@ -165,7 +165,7 @@ def run(argv: Sequence[str], *, alone: bool) -> int:
     OUTPUT.stderr = as_json
     if alone:
         end_once()
-        _take_any_text()
+        _escape_stdout()
     try:
         arguments = (_loaded if alone else _parsed)(argv)
     except KeyboardInterrupt:
@@ -199,7 +199,7 @@ def run(argv: Sequence[str], *, alone: bool) -> int:
     return code
 
 
-def _take_any_text() -> None:
+def _escape_stdout() -> None:
     """Let stdout take what its encoding lacks, as stderr does: a name of a file ends no command."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors='backslashreplace')

@@ -93,11 +93,11 @@ def _print_all(found: History, on: np.datetime64) -> None:
             f'\n{imu or "no type"}: {one.units} units, {one.sessions} sessions', markup=False
         )
         print_whole(population_table(one))
-    sentence_list('Units', _of_units(found, on))
+    sentence_list('Units', _unit_sentences(found, on))
     sentence_list('Stands and catalogue', list(found.findings))
 
 
-def _of_units(found: History, on: np.datetime64) -> list[str]:
+def _unit_sentences(found: History, on: np.datetime64) -> list[str]:
     """Return sentences on units that are due, drift, stepped, are out of control or differ."""
     due = [u for u in found.units if not u.outside and u.forecast.recalibrate <= on]
     groups = (

@@ -9,7 +9,7 @@ import time
 
 from ..live.devices.format import FrameFormat
 from ..live.devices.health import Reception, Severity
-from ..live.devices.source import Baud, Source, steady_time
+from ..live.devices.source import Baud, DeviceReader, steady_time
 from ..session.imu import ImuSpec
 from .terminal import NodeReports
 
@@ -30,7 +30,7 @@ def listen(
     """Read until the device is confirmed to be the described one, or its silence is reported.
 
     Args:
-        port: As for `Source`; it is closed at the end.
+        port: As for `DeviceReader`; it is closed at the end.
         frames: The format of the device's frames.
         imu: Description of its numbers.
         baud: Of a serial port.
@@ -42,7 +42,7 @@ def listen(
         NothingComes: It does not open, or its data does not match the files.
     """
     # imu_node continues with the present state of the device.
-    source = Source(port, time.time_ns, baud.rate, commands=frames.commands, restarts=False)
+    source = DeviceReader(port, time.time_ns, baud.rate, commands=frames.commands, restarts=False)
     reception = Reception(frames, imu, live=source.live)
     source.start()
     deadline = time.monotonic() + _LONGEST
@@ -53,12 +53,12 @@ def listen(
         source.stop()
 
 
-def _decided(source: Source, reception: Reception, reports: NodeReports, node: str) -> bool:
+def _decided(source: DeviceReader, reception: Reception, reports: NodeReports, node: str) -> bool:
     """Take new bytes, and show messages; return whether the check is complete."""
     state, now, steady = source.state, time.time_ns(), steady_time() * 1e-9
-    chunks = source.take()
+    chunks = source.pop_chunks()
     if chunks:
-        reception.take(chunks, now, steady)
+        reception.decode_chunks(chunks, now, steady)
     silent = came = False
     for status in reception.statuses(state, now, steady):
         came |= status.figures.get('bytes', '0') != '0'

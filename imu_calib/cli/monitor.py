@@ -67,7 +67,7 @@ class Monitor:
     def _on_diagnostics(self, message: Any) -> None:
         self._reports.receive(message)
         if isinstance(self._board, UnitsBoard):
-            self._board.take_diagnostics(message, time.monotonic())
+            self._board.on_diagnostics(message, time.monotonic())
 
     def spin(self, seconds: float) -> None:
         """Receive messages for a time, and show the reports of the nodes.
@@ -138,7 +138,7 @@ class Monitor:
     def _on_state(self, message: Any) -> None:
         self._state = message
         if self._board is not None:
-            self._board.take_state(message, time.monotonic())
+            self._board.on_state(message, time.monotonic())
         now = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
         stopped = message.phase in {message.PAUSED, message.ABORTED}
         self.stopped = message.reason if stopped else ''
@@ -150,7 +150,7 @@ class Monitor:
     def _on_progress(self, message: Any) -> None:
         self._progress = message
         if self._board is not None:
-            self._board.take_progress(message, time.monotonic())
+            self._board.on_progress(message, time.monotonic())
         now = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
         if now > 0:
             self._span = (self._span[0] or now, now)
@@ -159,7 +159,7 @@ class Monitor:
 
     def _on_calibration(self, message: Any) -> None:
         if isinstance(self._board, Board):
-            self._board.take_calibration(message)
+            self._board.on_calibration(message)
         if message.status in {message.VALID, message.INCOMPLETE}:
             self.outcome = True, message.status_text
         elif message.status == message.REFUSED:

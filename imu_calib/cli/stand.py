@@ -143,7 +143,7 @@ def run(arguments: argparse.Namespace) -> None:
         NotObservable: The session gives no calibration; the text states why.
     """
     if arguments.resume:
-        _go_on(arguments)
+        _resume_session(arguments)
     elif arguments.plan:
         _begin(arguments)
     else:
@@ -177,7 +177,7 @@ def _save_settings(arguments: argparse.Namespace, folder: Path) -> None:
         raise InputError(f'{folder}: cannot be written ({error.strerror or error}).') from None
 
 
-def _go_on(arguments: argparse.Namespace) -> None:
+def _resume_session(arguments: argparse.Namespace) -> None:
     """Resume an interrupted session."""
     from . import resume, stand_session
 

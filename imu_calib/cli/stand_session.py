@@ -173,11 +173,11 @@ def _print_result(
         f'\n{calibration.provenance["samples"]} samples, {outcome.duration:.0f} s of the stand in '
         f'{seconds:.0f} s; recording: {folder / JOURNAL}, result: {folder / RESULT}'
     )
-    sentence_list('Worth knowing', [*_of_true_table(arguments, folder), *calibration.findings])
+    sentence_list('Worth knowing', [*_true_table_hint(arguments, folder), *calibration.findings])
     return []
 
 
-def _of_true_table(arguments: argparse.Namespace, folder: Path) -> list[str]:
+def _true_table_hint(arguments: argparse.Namespace, folder: Path) -> list[str]:
     """Say which comparison with the truth shows errors of a table that is described as exact."""
     table = load_table(arguments.table)
     if not (table.understated_errors and (folder / TRUE_TABLE).exists()):

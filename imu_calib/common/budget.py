@@ -24,7 +24,7 @@ LEAST_FREEDOM = 1.0
 factors beyond 12.7 are of no use."""
 
 
-class Source(Enum):
+class ErrorSource(Enum):
     """A source of uncertainty; the value is its name in files."""
 
     evaluation: str
@@ -34,7 +34,7 @@ class Source(Enum):
     words: str
     """Description of the source, and the origin of its size."""
 
-    def __new__(cls, name: str, evaluation: str, heading: str, words: str) -> Source:
+    def __new__(cls, name: str, evaluation: str, heading: str, words: str) -> ErrorSource:
         """Make a member of a row below."""
         source = object.__new__(cls)
         source._value_ = name
@@ -123,7 +123,7 @@ class Share:
         return cls(np.asarray(added), effective_freedom(variances, freedom))
 
 
-Shares = Mapping[Source, Share]
+Shares = Mapping[ErrorSource, Share]
 """A covariance by source."""
 
 
@@ -151,7 +151,7 @@ def effective_freedom(variances: Floats, freedom: Floats) -> Floats:
 class BudgetLine:
     """One source of a budget."""
 
-    source: Source  #: The source.
+    source: ErrorSource  #: The source.
     std: Floats  #: (n,) its contribution to the standard deviation of each parameter, SI units.
     freedom: Floats  #: (n,) degrees of freedom.
 
@@ -166,7 +166,7 @@ class Budget:
     def from_shares(cls, shares: Shares) -> Budget:
         """Return the budget of a covariance that is the sum of shares."""
         lines = []
-        for source in Source:
+        for source in ErrorSource:
             if source not in shares:
                 continue
             # Differences of nearly equal covariances may leave rounding below zero.
@@ -176,9 +176,9 @@ class Budget:
                 lines.append(BudgetLine(source, std, shares[source].freedom))
         return cls(tuple(lines))
 
-    def with_share(self, source: Source, share: Share) -> Budget:
-        """Return the budget with another source, in the order of `Source`."""
-        order = list(Source)
+    def with_share(self, source: ErrorSource, share: Share) -> Budget:
+        """Return the budget with another source, in the order of `ErrorSource`."""
+        order = list(ErrorSource)
         added = Budget.from_shares({source: share}).lines
         lines = sorted((*self.lines, *added), key=lambda line: order.index(line.source))
         return Budget(tuple(lines))

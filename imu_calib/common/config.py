@@ -324,7 +324,7 @@ class Section:
         """Return a list of mappings."""
         return [Section(v, f'{self.key(name)}[{i}]') for i, v in enumerate(self.items(name))]
 
-    def finish(self) -> None:
+    def refuse_unknown_keys(self) -> None:
         """Refuse unknown keys."""
         unknown = sorted(set(self._data) - set(self._known))
         if unknown:

@@ -114,7 +114,7 @@ def read_record(section: Section, kind: type[Record], variant: object = 'key') -
     for each in lacking:
         if each.default is REQUIRED:
             section.raw(each.name)
-    section.finish()
+    section.refuse_unknown_keys()
     return _read_part(section, kind, variant)
 
 

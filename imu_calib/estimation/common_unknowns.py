@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..common.budget import Share, Source
+from ..common.budget import ErrorSource, Share
 from ..common.errors import NotObservable
 from ..common.stream import Floats
 from .components import Component, whiten
@@ -51,14 +51,16 @@ determine even where the table is known."""
 class SharedEstimate(Estimate):
     """Least-squares result of one of several units."""
 
-    by_source: dict[Source, Share] | None = None  #: The covariance of its parameters by source.
+    by_source: dict[ErrorSource, Share] | None = (
+        None  #: The covariance of its parameters by source.
+    )
 
-    def shares(self) -> dict[Source, Share]:
+    def shares(self) -> dict[ErrorSource, Share]:
         """Return the covariance of the parameters by source."""
         found = dict(self.by_source or {})
         if self.between is not None:
             n = self.equations.sensors
-            found[Source.TIME_CONSTANT] = Share.known(self.between[:n, :n])
+            found[ErrorSource.TIME_CONSTANT] = Share.known(self.between[:n, :n])
         return found
 
 
@@ -368,7 +370,7 @@ class _System:
             np.asarray(factor, dtype=np.float64),
         )
 
-    def _shares(self, k: int) -> dict[Source, Share]:
+    def _shares(self, k: int) -> dict[ErrorSource, Share]:
         """Return by source the covariance of a unit's parameters.
 
         Its own errors, those of the other units, and the priors of the common unknowns: they add
@@ -386,20 +388,20 @@ class _System:
                 found[source].append((prior @ prior.T, freedom))
                 row += kept
         others = [self._information_on_common(j) for j in range(len(self._units)) if j != k]
-        found[Source.OTHER_UNITS] += [
+        found[ErrorSource.OTHER_UNITS] += [
             (by_common @ information @ by_common.T, freedom)
             for estimates in others
             for information, freedom in estimates
         ]
-        sources = [Source.AZIMUTH, Source.TILT, Source.TILT, *self._errors.sources]
+        sources = [ErrorSource.AZIMUTH, ErrorSource.TILT, ErrorSource.TILT, *self._errors.sources]
         spread = by_common * np.sqrt(np.diag(self._prior))
         for source, prior in zip(sources, spread.T, strict=True):
             covariance = np.outer(prior, prior)
-            stated = self._common.stated_share if source is Source.POSITIONING_STATED else 1.0
-            freedom = ENCODER_FREEDOM if source is Source.ENCODER_RATE else np.inf
+            stated = self._common.stated_share if source is ErrorSource.POSITIONING_STATED else 1.0
+            freedom = ENCODER_FREEDOM if source is ErrorSource.ENCODER_RATE else np.inf
             found[source].append((stated * covariance, freedom))
             if stated < 1:
-                found[Source.POSITIONING_FOUND].append(((1 - stated) * covariance, freedom))
+                found[ErrorSource.POSITIONING_FOUND].append(((1 - stated) * covariance, freedom))
         return {source: Share.from_parts(parts) for source, parts in found.items() if parts}
 
     def _information_on_common(self, k: int) -> list[tuple[Floats, float]]:

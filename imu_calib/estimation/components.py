@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..common.budget import Share, Source
+from ..common.budget import ErrorSource, Share
 from ..common.stream import Floats
 
 
@@ -80,7 +80,7 @@ class Blocks:
 class Component:
     """A part of the covariance of the outputs, and its source."""
 
-    source: Source  #: Its source.
+    source: ErrorSource  #: Its source.
     part: Part  #: The covariance.
     freedom: float = np.inf  #: Degrees of freedom of its size; infinite where that is known.
 
@@ -104,19 +104,19 @@ def add_all(components: Iterable[Component], matrix: Floats) -> None:
 
 def parts(
     components: Iterable[Component], gain: Floats
-) -> defaultdict[Source, list[tuple[Floats, float]]]:
+) -> defaultdict[ErrorSource, list[tuple[Floats, float]]]:
     """Return independent covariances of parameters that are (n, m) times the outputs, by source.
 
     Each (n, n), with its degrees of freedom.
     """
-    found: defaultdict[Source, list[tuple[Floats, float]]] = defaultdict(list)
+    found: defaultdict[ErrorSource, list[tuple[Floats, float]]] = defaultdict(list)
     for component in components:
         terms = component.part.through(gain)
         found[component.source] += [(term, component.freedom) for term in terms]
     return found
 
 
-def shares(components: Iterable[Component], gain: Floats) -> dict[Source, Share]:
+def shares(components: Iterable[Component], gain: Floats) -> dict[ErrorSource, Share]:
     """Return the covariance of parameters that are (n, m) times the outputs, by source.
 
     Source: docs/mathematics.md, 'Uncertainty budget'.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ..common.budget import Share, Shares, Source, total
+from ..common.budget import ErrorSource, Share, Shares, total
 from ..common.gaussian import FIVE_SIGMA, MAD_TO_STD
 from ..common.rotations import angle_between
 from ..common.stream import Floats
@@ -135,13 +135,13 @@ def conclude(
     accel = _fit(equations, state, 3) if with_accels else None
     widened, freedom, sentences = _widened_by_scatter(equations, state, covariance, gyro, accel)
     notes += sentences
-    beyond = {Source.SCATTER: Share(widened - covariance, freedom)}
+    beyond = {ErrorSource.SCATTER: Share(widened - covariance, freedom)}
     rate, earth = gyro.vector, gyro.covariance * gyro.scatter.ratio
     if accel is not None and accelerometers is not None and not evidence.plan.by_hand:
         tilt = _tilt(accel)
         rate, earth = tilt.levelled(rate, earth)
         tilted, sentences = widened_for_tilt(evidence, model.accel, widened, accelerometers, tilt)
-        beyond[Source.TILT] = Share.known(tilted - widened)
+        beyond[ErrorSource.TILT] = Share.known(tilted - widened)
         widened = tilted
         notes += sentences
     residuals = _residuals(evidence, gyro, accel)

@@ -12,7 +12,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from ..common.budget import Share, Source
+from ..common.budget import ErrorSource, Share
 from ..common.stream import Floats
 from ..common.units import ARCMIN, DEG
 from ..model.parameters import BIASES, Parameter, ParameterKind
@@ -145,27 +145,29 @@ class Equations(SessionModel):
         if self.considered:
             parameters, deviations = zip(*self.considered, strict=True)
             columns = self.parameter_derivatives(state, parameters) * np.array(deviations)
-            found.append(Component(Source.TERMS, Factor(columns)))
+            found.append(Component(ErrorSource.TERMS, Factor(columns)))
         if self.layout.moves_with_accels:
             # The effect of lever arms and the accelerometers' delay on the velocities of moves.
             known = self.held | {p.kind for p in self.parameters}
             rate, model = self.surroundings(state).rate, self.model(state)
             by_moves = evidence.used_moves.shared_velocity_errors(model, rate, known)
-            for source, in_moves in zip((Source.ARM, Source.DELAY), by_moves, strict=True):
-                found.append(Component(source, Factor(self._of_moves(in_moves))))
+            for source, in_moves in zip(
+                (ErrorSource.ARM, ErrorSource.DELAY), by_moves, strict=True
+            ):
+                found.append(Component(source, Factor(self._at_move_outputs(in_moves))))
         if (by_table := self.table_error_effects(state)).shape[1]:
-            found.append(Component(Source.TABLE, Factor(by_table)))
+            found.append(Component(ErrorSource.TABLE, Factor(by_table)))
         if evidence.site.latitude_std:
             slope = self.latitude_derivatives(state) * evidence.site.latitude_std
-            found.append(Component(Source.LATITUDE, Factor(slope[:, None])))
+            found.append(Component(ErrorSource.LATITUDE, Factor(slope[:, None])))
         if evidence.temperature is not None and evidence.thermal.any():
             # By the coefficients that the data sheet states.
             changes, sizes = stated_changes(self.parameters, evidence.thermal)
             warmth = self.columns(changes, self.jacobian(state)) * sizes
-            found.append(Component(Source.TEMPERATURE, Factor(warmth)))
+            found.append(Component(ErrorSource.TEMPERATURE, Factor(warmth)))
         return tuple(found)
 
-    def _of_moves(self, in_moves: Floats) -> Floats:
+    def _at_move_outputs(self, in_moves: Floats) -> Floats:
         """Return values (m, 6, ...) of moves in the order of the outputs, zero for all others."""
         at_rest, turned = (
             np.zeros((count, *in_moves.shape[1:]))
@@ -184,27 +186,27 @@ class Equations(SessionModel):
         result.flags.writeable = False
         return result
 
-    def shares(self, state: Floats, gain: Floats) -> dict[Source, Share]:
+    def shares(self, state: Floats, gain: Floats) -> dict[ErrorSource, Share]:
         """Return by source the covariance of parameters that are gain (p, m) times the outputs."""
         return shares((*self.own, *self.shared(state)), gain)
 
     @property
-    def prior_sources(self) -> tuple[tuple[Source, list[int], float], ...]:
+    def prior_sources(self) -> tuple[tuple[ErrorSource, list[int], float], ...]:
         """Sources of the priors in `prior_rows`, and degrees of freedom of their size."""
         return (
-            (Source.AZIMUTH, [Nuisance.AZIMUTH], np.inf),
-            (Source.TILT, [Nuisance.TILT_X, Nuisance.TILT_Y], np.inf),
-            (Source.CLOCK, [Nuisance.CLOCK], self.evidence.clock_freedom),
-            (Source.ARM, list(range(len(Nuisance), self.nuisances)), np.inf),
+            (ErrorSource.AZIMUTH, [Nuisance.AZIMUTH], np.inf),
+            (ErrorSource.TILT, [Nuisance.TILT_X, Nuisance.TILT_Y], np.inf),
+            (ErrorSource.CLOCK, [Nuisance.CLOCK], self.evidence.clock_freedom),
+            (ErrorSource.ARM, list(range(len(Nuisance), self.nuisances)), np.inf),
         )
 
     def _positioning_error_parts(self, state: Floats) -> list[Component]:
         """Return the parts of the covariance by positioning errors, stated and found."""
         found = self.positioning
         sizes = (
-            (Source.POSITIONING_STATED, 0, self.evidence.positioning),
-            (Source.POSITIONING_FOUND, 0, found.joints),
-            (Source.STOPS, 1, found.stops),
+            (ErrorSource.POSITIONING_STATED, 0, self.evidence.positioning),
+            (ErrorSource.POSITIONING_FOUND, 0, found.joints),
+            (ErrorSource.STOPS, 1, found.stops),
         )
         parts = [
             Component(source, Factor(self.positioning_error_effects(state)[which] * size))
@@ -212,7 +214,9 @@ class Equations(SessionModel):
             if size
         ]
         if self.evidence.plan.by_hand and (square := found.joints**2 + found.stops**2):
-            parts.append(Component(Source.STOPS, Factor(self._by_tilt_cosines(state) * square)))
+            parts.append(
+                Component(ErrorSource.STOPS, Factor(self._by_tilt_cosines(state) * square))
+            )
         return parts
 
     def _by_tilt_cosines(self, state: Floats) -> Floats:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ..common.budget import Share, Source
+from ..common.budget import ErrorSource, Share
 from ..common.stream import Floats
 from ..model.parameters import PARAMETERS, Parameter
 from ..model.sensors import motion_parameters
@@ -79,17 +79,17 @@ class Estimate:
         down = 0 if inflation is None else int(np.count_nonzero(inflation > 1))
         return down + 3 * len(self.rejected_moves)
 
-    def shares(self) -> dict[Source, Share]:
+    def shares(self) -> dict[ErrorSource, Share]:
         """Return the covariance of the parameters by source: of the outputs, and of the priors."""
         found = shares(self.equations, self.state, self.gain)
         if self.between is not None:
-            found[Source.TIME_CONSTANT] = Share.known(
+            found[ErrorSource.TIME_CONSTANT] = Share.known(
                 self.between[: self.equations.sensors, : self.equations.sensors]
             )
         return found
 
 
-def shares(equations: Equations, state: Floats, gain: Floats) -> dict[Source, Share]:
+def shares(equations: Equations, state: Floats, gain: Floats) -> dict[ErrorSource, Share]:
     """Return the covariance of the parameters by source: of the outputs, and of the priors.
 
     `gain` (n, m + k) are derivatives of the state by outputs and priors in standard deviations.

@@ -26,7 +26,7 @@ from .arms import Arms, headings
 from .known_noise import known_noise
 from .moves import Moves
 from .outputs import OutputLayout
-from .positioning_errors import AttitudeErrors, around, of_holds, of_joints, of_stops
+from .positioning_errors import AttitudeErrors, around, hold_errors, joint_errors, stop_errors
 
 UP = np.array([0.0, 0.0, 1.0])  #: In east, north, up.
 _AXIS_TOLERANCE = 0.05
@@ -264,11 +264,11 @@ class Evidence:
         In the hand both are the same.
         """
         if self.plan.by_hand:
-            held = of_holds(self.segments, self.turns)
+            held = hold_errors(self.segments, self.turns)
             return held, held
         return (
-            of_joints(self.segments, self.turns, self.table),
-            of_stops(self.segments, self.turns),
+            joint_errors(self.segments, self.turns, self.table),
+            stop_errors(self.segments, self.turns),
         )
 
     @property

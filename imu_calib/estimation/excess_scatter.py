@@ -29,7 +29,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..common.budget import Source
+from ..common.budget import ErrorSource
 from ..common.stream import Floats
 from ..model.parameters import BIASES, indices_of
 from ..segmentation.segmented import Move
@@ -183,13 +183,13 @@ class ExcessScatter:
     @property
     def shown(self) -> bool:
         """Whether the session shows scatter that is not known beforehand."""
-        drifting = any(c.source is Source.BIAS_FOUND for c in self.extra)
+        drifting = any(c.source is ErrorSource.BIAS_FOUND for c in self.extra)
         return self.positioning_probability > 0 or drifting or any(self.in_motion)
 
     @property
     def stated(self) -> tuple[Component, ...]:
         """The part of `extra` that the data sheet states."""
-        return tuple(c for c in self.extra if c.source is Source.BIAS_STATED)
+        return tuple(c for c in self.extra if c.source is ErrorSource.BIAS_STATED)
 
 
 def excess(
@@ -252,7 +252,7 @@ def scatter_of_motions(evidence: Evidence, in_motion: tuple[float, float]) -> tu
         if deviation:
             variances = (entering * deviation) ** 2
             freedom = float(np.count_nonzero(entering))
-            found.append(Component(Source.SCATTER, Diagonal(variances), freedom))
+            found.append(Component(ErrorSource.SCATTER, Diagonal(variances), freedom))
     return tuple(found)
 
 
@@ -496,10 +496,10 @@ def _posterior_drift(
     total = kept * triad.stated_variance + float((by_ratio @ _RATIOS).sum()) * triad.unit_variance
     parts, rows = [], triad.rows[None]
     if kept * triad.stated_variance:
-        parts.append(Component(Source.BIAS_STATED, Blocks(rows, kept * stated[None])))
+        parts.append(Component(ErrorSource.BIAS_STATED, Blocks(rows, kept * stated[None])))
     if by_ratio.any():
-        parts.append(Component(Source.BIAS_FOUND, Blocks(rows, found[None])))
-    spared = Component(Source.BIAS_STATED, Blocks(rows, (1 - kept) * stated[None]))
+        parts.append(Component(ErrorSource.BIAS_FOUND, Blocks(rows, found[None])))
+    spared = Component(ErrorSource.BIAS_STATED, Blocks(rows, (1 - kept) * stated[None]))
     swift = bool(by_ratio.any()) and int(by_ratio.sum(axis=1).argmax()) == 0
     # In a session of five hours the first of the times is nearest to that of the data sheet.
     swift &= math.sqrt(_TIMES[0] * _TIMES[1]) * drifting.span < STATED_TIME

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..common.budget import Source
+from ..common.budget import ErrorSource
 from ..common.errors import NotObservable
 from ..common.stream import Floats
 from ..model.parameters import AXES, PARAMETERS, Parameter
@@ -186,7 +186,7 @@ def information_of(equations: Equations, truth: SensorModel, extra: Floats | Non
     if extra is not None:
         m = len(equations.outputs)
         part = Blocks(np.arange(m)[None], extra[None, :m, :m])
-        equations = replace(equations, extra=(Component(Source.BIAS_STATED, part),))
+        equations = replace(equations, extra=(Component(ErrorSource.BIAS_STATED, part),))
     return Information.from_jacobian(equations.whitened(state_at(equations, truth))[0])
 
 
@@ -263,11 +263,13 @@ def forecast_terms(
         return ()
     included = terms_of(found.parameters)
     return tuple(
-        _of_term(term, found, setup, truth, drifting) for term in TERMS if term not in included
+        _forecast_term(term, found, setup, truth, drifting)
+        for term in TERMS
+        if term not in included
     )
 
 
-def _of_term(
+def _forecast_term(
     term: Term, found: Forecast, setup: Setup, truth: SensorModel, drifting: bool
 ) -> TermForecast:
     more = replace(setup, terms=(*setup.terms, term))
@@ -297,13 +299,13 @@ def forecast_changes(
     plain = Equations(found.evidence, modelled)
     before = information_of(plain, truth, extra).std
     return tuple(
-        _of_changes(session_term(f'{course.value}:{kind}'), plain, before, truth, extra)
+        _forecast_change(session_term(f'{course.value}:{kind}'), plain, before, truth, extra)
         for course in (*LOOKED_FOR, *([Course.THERMAL] if warms(found.evidence) else []))
         for kind in course.by_default
     )
 
 
-def _of_changes(
+def _forecast_change(
     changes: tuple[Change, ...],
     plain: Equations,
     before: Floats,

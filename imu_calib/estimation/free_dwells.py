@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.budget import Source
+from ..common.budget import ErrorSource
 from ..common.rotations import across, cross, rotations
 from ..common.stream import Floats
 from ..model.earth import EARTH_RATE, Site
@@ -113,12 +113,12 @@ class FreeEquations(Equations):
         return np.vstack([super().prior_rows(state), rows])
 
     @property
-    def prior_sources(self) -> tuple[tuple[Source, list[int], float], ...]:
+    def prior_sources(self) -> tuple[tuple[ErrorSource, list[int], float], ...]:
         """Sources of the priors in `prior_rows`, and degrees of freedom of their size."""
         north = range(
             self.nuisances, self.nuisances + self.north_slice.stop - self.north_slice.start
         )
-        return ((Source.NORTH, list(north), np.inf),)
+        return ((ErrorSource.NORTH, list(north), np.inf),)
 
     def moved(self, state: Floats, step: Floats) -> tuple[FreeEquations, Floats]:
         """Return the equations in attitudes turned by the end of a step (n,), and the state."""

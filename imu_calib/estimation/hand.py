@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from ..common.budget import Share, Shares, Source
+from ..common.budget import ErrorSource, Share, Shares
 from ..common.errors import InputError, NotObservable
 from ..common.stream import Floats
 from ..common.units import DEG, STANDARD_GRAVITY, counted, significant
@@ -258,7 +258,7 @@ class _State:
         time = (starts + ends) / (2 * ends.max())
         order = np.pi * np.arange(1, len(equations.evidence.segments))
         columns = self.drifting(name, np.sqrt(2) * np.cos(order * time[:, None]) / order) * size
-        extra = (*equations.extra, Component(Source.BIAS_FOUND, Factor(columns)))
+        extra = (*equations.extra, Component(ErrorSource.BIAS_FOUND, Factor(columns)))
         return replace(
             self,
             equations=replace(equations, extra=extra),

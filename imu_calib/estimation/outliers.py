@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..common.budget import Source, effective_freedom
+from ..common.budget import ErrorSource, effective_freedom
 from ..common.stream import Floats
 from ..common.units import DEG
 from ..model.parameters import RESPONSES
@@ -203,7 +203,7 @@ def turns_downweighted(equations: Equations, state: Floats) -> tuple[Equations, 
     basis = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])[0]
     free = 1 - (basis**2).sum(axis=1)
     largest = 1.0
-    for axes, outputs in _of_turns(equations.evidence):
+    for axes, outputs in _turn_axes(equations.evidence):
         for axis, channel in product(range(3), range(3)):
             rows = outputs[axes == axis, channel]
             freedom, square = float(free[rows].sum()), float(residuals[rows] @ residuals[rows])
@@ -213,7 +213,7 @@ def turns_downweighted(equations: Equations, state: Floats) -> tuple[Equations, 
     return equations, largest
 
 
-def _of_turns(evidence: Evidence) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+def _turn_axes(evidence: Evidence) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
     """Return the axes (k,) of turns with the rows (k, 3) of their gyros; of accelerometers too."""
     axes = np.array([int(np.argmax(np.abs(turn.up))) for turn in evidence.turns], dtype=int)
     rows = evidence.layout
@@ -229,7 +229,7 @@ def turns_disagree(evidence: Evidence, outliers: Sequence[Outlier]) -> bool:
     rows = [o.rows[0] for o in outliers]
     return any(
         ((axes == axis) & np.isin(outputs[:, 0], rows)).sum() > MOST_OUTLIERS * (axes == axis).sum()
-        for axes, outputs in _of_turns(evidence)
+        for axes, outputs in _turn_axes(evidence)
         for axis in range(3)
     )
 
@@ -321,7 +321,7 @@ def _mean_shift_test(
     """
     prepared = _cleaned(equations, state)
     found = equations.shares(state, prepared[1][rows])
-    shares = [share for source, share in found.items() if source is not Source.SCATTER]
+    shares = [share for source, share in found.items() if source is not ErrorSource.SCATTER]
     variances = np.array([np.diag(share.covariance) for share in shares])
     freedom = effective_freedom(variances, np.array([share.freedom for share in shares]))
     square, rank = _chi_square_decrease(prepared, rows)

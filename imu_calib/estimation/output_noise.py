@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.budget import Source
+from ..common.budget import ErrorSource
 from ..common.stream import Floats
 from .components import Blocks, Component, Diagonal
 from .evidence import SMALLEST_VARIANCE, Evidence
@@ -42,7 +42,7 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
         own = np.where(evidence.layout.channels == c, more, 0.0)
         # Degrees of freedom of the scatter: less the two unknowns of a line.
         freedom = max(1.0, np.count_nonzero(own) - 2.0)
-        inflated.append(Component(Source.SCATTER, Diagonal(own), freedom))
+        inflated.append(Component(ErrorSource.SCATTER, Diagonal(own), freedom))
     return (*parts, *inflated)
 
 
@@ -81,28 +81,28 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
     quantisation = quantisation + np.maximum(SMALLEST_VARIANCE - total, 0.0)
     channel = evidence.layout.channels
     parts = [
-        Component(Source.NOISE, Diagonal(np.where(channel == c, noise, 0.0)), freedom)
+        Component(ErrorSource.NOISE, Diagonal(np.where(channel == c, noise, 0.0)), freedom)
         for c, freedom in enumerate(evidence.walk_freedom.tolist())
     ]
     parts += [
-        Component(Source.NOISE, Diagonal(by_rotation), float(evidence.walk_freedom[:3].sum())),
-        Component(Source.QUANTISATION, Diagonal(quantisation)),
-        Component(Source.ENCODER_NOISE, Diagonal(encoder)),
+        Component(ErrorSource.NOISE, Diagonal(by_rotation), float(evidence.walk_freedom[:3].sum())),
+        Component(ErrorSource.QUANTISATION, Diagonal(quantisation)),
+        Component(ErrorSource.ENCODER_NOISE, Diagonal(encoder)),
     ]
     if held := used.with_accels:
         # The remainder of a level channel is an error along both level axes.
         across = used.by_remainders[list(held)] * (1 - np.eye(3))
         rows = np.array(evidence.layout.velocity)
-        parts.append(Component(Source.QUANTISATION, Blocks(rows, across)))
+        parts.append(Component(ErrorSource.QUANTISATION, Blocks(rows, across)))
     for k, segment in enumerate(segments):
         if segment.excess_covariance is not None:
             rows = evidence.layout.dwell[k : k + 1, 3:]
             blocks = Blocks(rows, segment.excess_covariance[None])
-            parts.append(Component(Source.NOISE, blocks, UNREST_FREEDOM))
+            parts.append(Component(ErrorSource.NOISE, blocks, UNREST_FREEDOM))
         if segment.sliding:
             rows = evidence.layout.dwell[k : k + 1, :3]
             blocks = Blocks(rows, segment.sliding**2 * np.eye(3)[None])
-            parts.append(Component(Source.NOISE, blocks, UNREST_FREEDOM))
+            parts.append(Component(ErrorSource.NOISE, blocks, UNREST_FREEDOM))
     return tuple(parts)
 
 
@@ -114,7 +114,7 @@ def encoder_rates(
     relative = np.array([t.rate_std(evidence.walk) for t in evidence.turns])
     for _, rows, seen in encoder_rate_errors(evidence, relative, rates, response, pulled):
         blocks = Blocks(rows, seen[:, :, None] * seen[:, None, :])
-        found.append(Component(Source.ENCODER_RATE, blocks, ENCODER_FREEDOM))
+        found.append(Component(ErrorSource.ENCODER_RATE, blocks, ENCODER_FREEDOM))
     return found
 
 
@@ -153,7 +153,7 @@ def level_gravity(evidence: Evidence, ups: Floats, levelled: float) -> Component
     ]
     variances = np.zeros(len(evidence.layout))
     variances[rows] = np.square(level_gravities).reshape(-1, 1) * (1 - ups[which] ** 2)
-    return Component(Source.NORTH, Diagonal(variances))
+    return Component(ErrorSource.NORTH, Diagonal(variances))
 
 
 def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Component:
@@ -170,4 +170,4 @@ def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Componen
     rows = np.vstack([evidence.layout.dwell[:, :3], evidence.layout.turn])
     some = shares > 0
     blocks = Blocks(rows[some], (response @ across @ response.T * square)[some])
-    return Component(Source.NORTH, blocks)
+    return Component(ErrorSource.NORTH, blocks)

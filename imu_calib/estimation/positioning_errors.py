@@ -56,7 +56,7 @@ class AttitudeErrors:
         return cls(whole[:dwells], whole[dwells:])
 
 
-def of_joints(
+def joint_errors(
     segments: tuple[Segment, ...], turns: tuple[Turn, ...], table: Table | None
 ) -> AttitudeErrors:
     """Return the effect of positioning errors of joints.
@@ -81,13 +81,13 @@ def of_joints(
     return AttitudeErrors.from_columns(columns, len(segments), len(parts))
 
 
-def of_stops(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeErrors:
+def stop_errors(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeErrors:
     """Return the effect of independent rotations of stops: three errors for each static dwell."""
-    at_rest = of_holds(segments, ()).at_rest
+    at_rest = hold_errors(segments, ()).at_rest
     return AttitudeErrors(at_rest, np.zeros((len(turns), *at_rest.shape[1:])))
 
 
-def of_holds(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeErrors:
+def hold_errors(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeErrors:
     """Return the effect of unknown attitudes by hand: three errors for each hold and turn."""
     count = len(segments) + len(turns)
     own = np.eye(count)[:, None, :, None] * np.eye(3)[None, :, None, :]

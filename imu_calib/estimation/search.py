@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ..common.budget import Share, Source
+from ..common.budget import ErrorSource, Share
 from ..common.errors import NotObservable
 from ..common.stream import Floats
 from ..model.parameters import PARAMETERS, Parameter, indices_of
@@ -98,16 +98,16 @@ class SearchResult:
     #: Whether the search did not end: nothing is on though something may be needed.
     broken_off: bool = False
 
-    def shares(self) -> dict[Source, Share]:
+    def shares(self) -> dict[ErrorSource, Share]:
         """Return the covariance of the parameters by source, alternatives included."""
         shares = self.estimate.shares()
-        known = shares.get(Source.TERMS)
+        known = shares.get(ErrorSource.TERMS)
         if self.undecided_covariance.any() and known is not None:
-            shares[Source.TERMS] = Share(
+            shares[ErrorSource.TERMS] = Share(
                 known.covariance + self.undecided_covariance, known.freedom
             )
         elif self.undecided_covariance.any():
-            shares[Source.TERMS] = Share.known(self.undecided_covariance)
+            shares[ErrorSource.TERMS] = Share.known(self.undecided_covariance)
         return shares
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..common.budget import Source
+from ..common.budget import ErrorSource
 from ..common.errors import NotObservable
 from ..common.rotations import rotations
 from ..common.stream import Floats, Units
@@ -265,7 +265,7 @@ class TriadSystem:
             self.evidence,
             self.sensors.parameters,
             levelled=None if self.gyros else _ANY_TILT,
-            extra=(Component(Source.BIAS_STATED, Diagonal(drifts**2)),),
+            extra=(Component(ErrorSource.BIAS_STATED, Diagonal(drifts**2)),),
             considered=self.considered,
         )
 

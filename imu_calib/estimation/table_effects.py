@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.budget import Source
+from ..common.budget import ErrorSource
 from ..common.gaussian import FIVE_SIGMA
 from ..common.rotations import shortest
 from ..common.stream import Floats
@@ -35,25 +35,25 @@ TABLE_STATE = (Nuisance.AZIMUTH, Nuisance.TILT_X, Nuisance.TILT_Y)
 
 SHARED = frozenset(
     {
-        Source.POSITIONING_STATED,
-        Source.POSITIONING_FOUND,
-        Source.STOPS,
-        Source.TABLE,
-        Source.LATITUDE,
-        Source.ENCODER_RATE,
-        Source.ENCODER_NOISE,
+        ErrorSource.POSITIONING_STATED,
+        ErrorSource.POSITIONING_FOUND,
+        ErrorSource.STOPS,
+        ErrorSource.TABLE,
+        ErrorSource.LATITUDE,
+        ErrorSource.ENCODER_RATE,
+        ErrorSource.ENCODER_NOISE,
     }
 )
 """Sources whose errors are the same for all units on a table."""
 
 _COLUMN_SOURCES = (
-    Source.POSITIONING_STATED,
-    Source.POSITIONING_STATED,
-    Source.TABLE,
-    Source.LATITUDE,
-    Source.ENCODER_RATE,
-    Source.STOPS,
-    Source.ENCODER_NOISE,
+    ErrorSource.POSITIONING_STATED,
+    ErrorSource.POSITIONING_STATED,
+    ErrorSource.TABLE,
+    ErrorSource.LATITUDE,
+    ErrorSource.ENCODER_RATE,
+    ErrorSource.STOPS,
+    ErrorSource.ENCODER_NOISE,
 )
 """Source of each array of columns that `CommonTable._unit_columns` returns, in its order.
 
@@ -66,7 +66,7 @@ class CommonErrors:
     """The errors that enter the outputs of all units."""
 
     #: Source of each of the k errors, in units of its prior standard deviation.
-    sources: tuple[Source, ...]
+    sources: tuple[ErrorSource, ...]
     #: Name of each, for messages; empty for one that is not determined separately.
     names: tuple[str, ...]
     #: (k,) prior standard deviation of each error with a name, rad; 0 for the others.
@@ -100,7 +100,7 @@ class CommonTable:
         self._turns = _numbered_by_time([_times(e, e.turns) for e in evidences])
         self.stated = max(e.positioning for e in evidences)
         self.positioning = sizes.positioning
-        self._joint_errors, self._joint_names = _of_joints(evidences)
+        self._joint_errors, self._joint_names = _joint_effects(evidences)
         self._table_attitude_errors = [
             e.with_table_errors(sizes.errors).table_attitude_errors
             if e.table
@@ -190,7 +190,7 @@ def dwell_counts(units: Sequence[Equations]) -> tuple[list[int], int]:
     return [len(np.unique(mine)) for mine in dwells], _count(dwells)
 
 
-def _of_joints(evidences: Sequence[Evidence]) -> tuple[list[tuple[Floats, Floats]], list[str]]:
+def _joint_effects(evidences: Sequence[Evidence]) -> tuple[list[tuple[Floats, Floats]], list[str]]:
     """Return the effect of positioning errors of joints, one error for all units at each stop.
 
     Rotations (s, 3, e) and (t, 3, e) of each unit, and the names of the stops.

@@ -144,7 +144,7 @@ def run_batch(
         known = catalogue.keys(failed=not retry)
         failed_before = known - catalogue.keys(failed=False)
         try:
-            for k, ended in enumerate(_each(client, jobs, known, task), 1):
+            for k, ended in enumerate(_results_of_each(client, jobs, known, task), 1):
                 for done in ended:
                     if done.row is None:
                         count['known'] += 1
@@ -167,7 +167,7 @@ def run_batch(
     return Batch(catalogue.folder, len(jobs), **count, seconds=seconds, convertible=())
 
 
-def _each(
+def _results_of_each(
     client: Client, jobs: Sequence[Job], known: frozenset[str], task: Task
 ) -> Iterator[list[TaskResult]]:
     """Yield the results of the jobs, unit by unit, in the order of completion."""

@@ -266,7 +266,7 @@ class Correlations:
     """
 
     def __init__(self, scores: list[Floats]) -> None:
-        flat = [_whole(one) for one in scores]
+        flat = [_complete_scores(one) for one in scores]
         self._sum = sum((q.T @ q for q in flat), np.zeros((SIZE, SIZE)))
         self._count = sum(len(q) for q in flat)
 
@@ -277,7 +277,7 @@ class Correlations:
             scores: (n, 24) NaN if unknown; T^2 is NaN if the others have too few sessions.
             false_alarm: At each session.
         """
-        own = _whole(scores)
+        own = _complete_scores(scores)
         others = self._sum - own.T @ own
         m = self._count - len(own)
         found = tuple(np.full(len(scores), np.nan) for _ in range(3))
@@ -297,7 +297,7 @@ class Correlations:
         return found[0], found[1], found[2]
 
 
-def _whole(scores: Floats) -> Floats:
+def _complete_scores(scores: Floats) -> Floats:
     """Return the scores (m, 24) of sessions with all parameters, outliers clipped."""
     flat = scores.reshape(-1, SIZE)
     return np.clip(flat[np.isfinite(flat).all(axis=1)], -_CLIPPED, _CLIPPED)

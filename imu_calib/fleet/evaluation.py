@@ -454,9 +454,9 @@ def backtest(sessions: Sessions, limits: Mapping[str, Floats], rules: Rules = US
             *(stand_sentence(one) for one in stands.shifts),
             *stands.findings,
             *dropped,
-            *_of_serials(units),
-            *_of_limits(by_type, limits),
-            *_of_covariances(by_type, sessions),
+            *_shared_serials(units),
+            *_missing_limits(by_type, limits),
+            *_missing_deviations(by_type, sessions),
         ),
     )
 
@@ -523,7 +523,7 @@ def _stands(
     )
 
 
-def _of_serials(units: Mapping[tuple[str, str], list[int]]) -> list[str]:
+def _shared_serials(units: Mapping[tuple[str, str], list[int]]) -> list[str]:
     count = Counter(serial for _, serial in units)
     return [
         f'Serial number {serial} occurs with the types '
@@ -534,7 +534,7 @@ def _of_serials(units: Mapping[tuple[str, str], list[int]]) -> list[str]:
     ]
 
 
-def _of_limits(by_type: Mapping[str, object], limits: Mapping[str, Floats]) -> list[str]:
+def _missing_limits(by_type: Mapping[str, object], limits: Mapping[str, Floats]) -> list[str]:
     without = [i for i in by_type if i not in limits or not np.isfinite(limits[i]).any()]
     return [
         f'No specification of {imu or "a type without a name"} is known: when its units '
@@ -543,7 +543,7 @@ def _of_limits(by_type: Mapping[str, object], limits: Mapping[str, Floats]) -> l
     ]
 
 
-def _of_covariances(by_type: Mapping[str, list[list[int]]], sessions: Sessions) -> list[str]:
+def _missing_deviations(by_type: Mapping[str, list[list[int]]], sessions: Sessions) -> list[str]:
     found = []
     for imu, units in by_type.items():
         rows = np.concatenate([np.array(rows) for rows in units])

@@ -418,7 +418,7 @@ def sessions_data(fleet: Fleet) -> str:
     values, std = rows.values[sessions], rows.std[sessions]
     differences, steps = packed_differences(values, std)
     codes, scales = deviations(std)
-    shift = _of_sessions(units, lambda h: h.values - h.corrected)
+    shift = _session_values(units, lambda h: h.values - h.corrected)
     arrays: dict[str, NDArray[np.generic]] = {
         'date': minutes(rows.date[chosen]),
         **indices,
@@ -427,10 +427,10 @@ def sessions_data(fleet: Fleet) -> str:
         'known': np.isfinite(values).T.astype(np.uint8),
         'std': codes,
         'shift': short(np.nan_to_num(shift).T),
-        'score': scores(_of_sessions(units, lambda h: h.charts.score)).T,
-        'ewma': scores(_of_sessions(units, lambda h: h.charts.ewma)).T,
-        't2': short(_of_sessions(units, lambda h: h.charts.t2[:, None], 1)),
-        't2_limit': short(_of_sessions(units, lambda h: h.charts.t2_limit[:, None], 1)),
+        'score': scores(_session_values(units, lambda h: h.charts.score)).T,
+        'ewma': scores(_session_values(units, lambda h: h.charts.ewma)).T,
+        't2': short(_session_values(units, lambda h: h.charts.t2[:, None], 1)),
+        't2_limit': short(_session_values(units, lambda h: h.charts.t2_limit[:, None], 1)),
         'slope': short(_by_parameter(histories, lambda h: h.trend.slope)),
         'slope_std': short(_by_parameter(histories, lambda h: h.trend.std)),
         'level': short(_by_parameter(histories, lambda h: h.trend.level)),
@@ -490,7 +490,7 @@ def _because(history: UnitHistory | None) -> int:
     return -1 if history is None else PLACE_OF.get(history.forecast.parameter, -1)
 
 
-def _of_sessions(
+def _session_values(
     units: Sequence[Unit], what: Callable[[UnitHistory], Floats], width: int = _NUMBER
 ) -> Floats:
     """Return (n, width) values of all sessions, by unit; none for a unit without history."""

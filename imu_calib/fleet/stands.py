@@ -87,7 +87,7 @@ def crossed(
     size = np.bincount(own)
     weight = 1 / np.maximum(variance[there], np.finfo(float).tiny)
     columns = np.column_stack([np.eye(count)[stands[there]], trends[there], values[there]])
-    plain = _less_units(columns, own, weight)
+    plain = _centred_by_unit(columns, own, weight)
     rank = _rank(plain[:, :-1], weight)
     rest = int(there.sum()) - len(size) - rank
     comparable = rank == columns.shape[1] - 2
@@ -99,7 +99,7 @@ def crossed(
     share = np.sqrt(np.maximum(1 - 1 / size[own], 0.0))
     trust = np.ones(len(own))
     for _ in range(_ROUNDS):
-        less = _less_units(columns, own, weight * trust)
+        less = _centred_by_unit(columns, own, weight * trust)
         coefficients, _ = _solved(less[:, :-1], weight * trust, less[:, -1])
         deviations = (less[:, -1] - less[:, :-1] @ coefficients) * np.sqrt(weight)
         z = np.divide(deviations, share, out=np.zeros_like(deviations), where=share > 0)
@@ -149,7 +149,7 @@ def reproducibility(effects: Effects) -> float:
     return float(np.sqrt(found))
 
 
-def _less_units(columns: Floats, units: NDArray[np.int64], weight: Floats) -> Floats:
+def _centred_by_unit(columns: Floats, units: NDArray[np.int64], weight: Floats) -> Floats:
     """Return columns (n, p) minus their weighted mean over the sessions of each unit."""
     total = np.bincount(units, weight)
     means = np.column_stack([np.bincount(units, weight * one) / total for one in columns.T])
@@ -293,7 +293,9 @@ def judge_stands(
                 'and the offset of a stand cannot be separated from the drift of the units. Bring '
                 'units back to a stand on which they were.'
             )
-    findings += _apart([[every[k] for k in g] for g in groups], int(np.sum(~known)), len(names))
+    findings += _incomparable(
+        [[every[k] for k in g] for g in groups], int(np.sum(~known)), len(names)
+    )
     return Stands(
         names=tuple(every),
         sessions=np.bincount(stand_of[known], minlength=len(every)),
@@ -569,7 +571,7 @@ def corrections(stands: Stands, names: Sequence[str]) -> Floats:
     return found
 
 
-def _apart(groups: list[list[str]], unknown: int, sessions: int) -> list[str]:
+def _incomparable(groups: list[list[str]], unknown: int, sessions: int) -> list[str]:
     """Return sentences on stands that cannot be compared, with reasons."""
     if not sessions:
         return []

@@ -77,7 +77,7 @@ class Encoders:
         self._past: deque[tuple[int, tuple[float, ...]]] = deque()
         self._turns = [0.0] * len(table.joints)
 
-    def take(self, block: JointBlock) -> Iterator[Feedback]:
+    def read_feedback(self, block: JointBlock) -> Iterator[Feedback]:
         """Yield the joint states of a block whose stamps increase.
 
         Messages that lack a joint of the table are skipped and counted: other joints may share the

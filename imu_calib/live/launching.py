@@ -308,7 +308,7 @@ def _stated_number(parameter: NodeParameter) -> Callable[[str], None]:
     return _or('nan', check) if limited else check
 
 
-def _whole(lower: int, upper: int) -> Callable[[str], None]:
+def _whole_number(lower: int, upper: int) -> Callable[[str], None]:
     def check(text: str) -> None:
         try:
             value = yaml.safe_load(text)
@@ -356,7 +356,7 @@ def _file(text: str) -> None:
         raise InputError(f'found no such file, expected one. {text} is missing.')
 
 
-_BAUD = _whole(50, 10_000_000)
+_BAUD = _whole_number(50, 10_000_000)
 """bit/s: from the lowest rate in POSIX to more than the fastest adapter."""
 _CHECKS: dict[str, Callable[[str], Any]] = {
     'plan': load_plan,
@@ -369,8 +369,8 @@ _CHECKS: dict[str, Callable[[str], Any]] = {
     'port': _unless_empty(check_port),
     'baud': _or('0', _BAUD),
     'table_baud': _BAUD,
-    'frame_port': _whole(1, 65535),
-    'seed': _whole(0, 2**62),
+    'frame_port': _whole_number(1, 65535),
+    'seed': _whole_number(0, 2**62),
     **{name: _stated_number(node_parameters()[name]) for name in numeric(Session)},
     'speed': _number(0.0, 1e6),
     'true_azimuth': _number(-360.0, 360.0),

@@ -187,7 +187,7 @@ class Itinerary:
         if self.current is not None:
             self._queue.appendleft(self.current)
 
-    def take(self) -> Step | None:
+    def pop_step(self) -> Step | None:
         """Return the next step; None after the last one."""
         return self._queue.popleft() if self._queue else None
 
@@ -310,7 +310,7 @@ class Run:
         if not self.orders.is_sent:
             return ''
         there, fault = self.orders.check(now)
-        return fault or self._go_on(now, there)
+        return fault or self._advance_leg(now, there)
 
     def review(self, stamp: int, repeat_steps: Sequence[int], at: Feedback) -> str:
         """Process the calibrator's reply in REVIEWING; return a sentence on a fault.
@@ -357,7 +357,7 @@ class Run:
         self._enter(leg, at)
         self.orders.stop(self.itinerary.current, at)
 
-    def _go_on(self, now: Feedback, there: bool) -> str:
+    def _advance_leg(self, now: Feedback, there: bool) -> str:
         """Go on to the next leg where it is due; return a sentence on a fault, or nothing."""
         if there and self.leg in {Leg.STOPPING, Leg.MOVING}:
             return self._next(now) if self.leg is Leg.STOPPING else self._arrive(now)
@@ -366,7 +366,7 @@ class Run:
             self._enter(Leg.DWELLING, now)
             elapsed = 0.0
         if self.leg is Leg.DWELLING and elapsed >= self._dwell:
-            return self._finish(now)
+            return self._end_step(now)
         if self.leg is Leg.REVIEWING and elapsed > self._rules.repeat_wait:
             self.remark = (
                 f'The calibrator did not report within {self._rules.repeat_wait:g} s '
@@ -377,7 +377,7 @@ class Run:
 
     def _next(self, at: Feedback) -> str:
         """Begin the next step; after the last one ask the calibrator, then go home."""
-        step = self.itinerary.take()
+        step = self.itinerary.pop_step()
         if step is None and self._rules.supervised and not self.itinerary.is_returning:
             self._stop(Leg.REVIEWING, at)
             return ''
@@ -410,7 +410,7 @@ class Run:
         self.orders.watch_goal(tuple(end_of(current).tolist()), now)
         return ''
 
-    def _finish(self, now: Feedback) -> str:
+    def _end_step(self, now: Feedback) -> str:
         if self.itinerary.is_returning:
             self._stop(Leg.HOME, now)
             return ''

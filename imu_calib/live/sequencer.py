@@ -120,7 +120,7 @@ class Supervision:
         """Set whether the calibrator is present; to resume a session, its steps are needed too."""
         self.present = present and not (self._resumes and self._done is None)
 
-    def take_skipped(self) -> frozenset[int]:
+    def pop_skipped(self) -> frozenset[int]:
         """Return the steps to skip, once: the next start runs all."""
         if not self._resumes or self._done is None:
             return frozenset()
@@ -358,14 +358,14 @@ class Sequencer:
         if fault := self._run.review(stamp, repeat_steps, self._feedback):
             self.fail(fault)
 
-    def take(self, block: JointBlock) -> bool:
+    def add_joint_states(self, block: JointBlock) -> bool:
         """Take joint states; return whether their stamps increase."""
         advanced = False
         rest = self._run.rest if self.running else None
         if rest is not None:
             block = self._encoders.pass_over(block, rest)
         try:
-            for now in self._encoders.take(block):
+            for now in self._encoders.read_feedback(block):
                 self._feedback, self._obstacles.feedback, advanced = now, '', True
                 self._follow(now)
         except FeedbackError as error:
@@ -439,7 +439,7 @@ class Sequencer:
     def _go(self) -> None:
         """Continue once the table is at rest."""
         self._stage = _Stage.RUNNING
-        self._run.go(self._feedback, self._supervision.take_skipped())
+        self._run.go(self._feedback, self._supervision.pop_skipped())
 
     def _follow(self, now: Feedback) -> None:
         """Process a joint state of a running plan."""

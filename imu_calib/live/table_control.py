@@ -111,7 +111,7 @@ class Control:
         """Return the state of the line."""
         return Status(*self._link, self._follower.refusal, self._bad, self._breaks)
 
-    def take(self) -> JointBlock | None:
+    def pop_joint_states(self) -> JointBlock | None:
         """Return the joint states since the last call, None if there are none."""
         taken = [self._readings.popleft() for _ in range(len(self._readings))]
         if not taken:

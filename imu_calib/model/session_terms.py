@@ -307,7 +307,7 @@ def read_changes(section: Section, parameters: Sequence[Parameter], covariance: 
             raise InputError(
                 f'{row.key("unit")}: found {unit!r}, expected {coefficients[-1].si!r}.'
             )
-        row.finish()
+        row.refuse_unknown_keys()
     k = len(coefficients)
     own = section.array('covariance', (k, k))
     cross = section.array('cross_covariance', (len(parameters), k))
@@ -326,7 +326,7 @@ def read_changes(section: Section, parameters: Sequence[Parameter], covariance: 
         )
     shapes = (section.number(key, float('nan')) for key in ('time_constant', 'instant'))
     read = Changes(tuple(coefficients), np.array(values), own, cross, *shapes)
-    section.finish()
+    section.refuse_unknown_keys()
     return read
 
 

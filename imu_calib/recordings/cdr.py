@@ -111,7 +111,7 @@ class Malformed:
     count: int = 0  #: Messages skipped so far.
     reason: str = ''  #: What was wrong with the first of them.
 
-    def add(self, reason: str) -> None:
+    def count_skipped(self, reason: str) -> None:
         """Count one more message."""
         self.count += 1
         self.reason = self.reason or reason
@@ -290,7 +290,7 @@ class LayoutReader:
         )
         return values
 
-    def finish(self) -> Layout:
+    def end_layout(self) -> Layout:
         """Return the layout; the message must end here, except for padding.
 
         Middlewares pad a message up to 4 or 8 bytes; more than that is another type.

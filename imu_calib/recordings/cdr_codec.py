@@ -149,7 +149,7 @@ def part(block: AnyBlock, start: int, stop: int) -> AnyBlock:
 def _leave_out(reason: str, malformed: Malformed | None) -> None:
     if malformed is None:
         raise CdrError(f'Malformed message: {reason}.')
-    malformed.add(reason)
+    malformed.count_skipped(reason)
 
 
 def _decode(
@@ -230,7 +230,7 @@ def _imu_layout(payload: bytes) -> Layout:
     reader.column('angular_velocity_covariance', 9)
     reader.column('linear_acceleration', 3)
     reader.column('linear_acceleration_covariance', 9)
-    return reader.finish()
+    return reader.end_layout()
 
 
 def _imu_block(layout: Layout, messages: Messages, rows: Bytes) -> ImuBlock:
@@ -250,7 +250,7 @@ def _joint_layout(payload: bytes) -> Layout:
         if width not in {0, len(names)}:
             raise CdrError(f'{width} values of {column} for {len(names)} joint names')
     reader.sequence('effort')
-    # No finish(): older middlewares pad empty sequences, and what follows them is not needed.
+    # No end_layout(): older middlewares pad empty sequences, and what follows them is not needed.
     return reader.layout()
 
 
@@ -274,7 +274,7 @@ def _temperature_layout(payload: bytes) -> Layout:
     reader = _header(payload)
     reader.column('temperature', 1)
     reader.column('variance', 1)
-    return reader.finish()
+    return reader.end_layout()
 
 
 def _temperature_block(layout: Layout, messages: Messages, rows: Bytes) -> TemperatureBlock:
@@ -303,7 +303,7 @@ def _decoded_setpoint(payload: bytes) -> tuple[Any, ...] | str:
             float(reader.number('d')),
             float(reader.number('d')),
         )
-        reader.finish()
+        reader.end_layout()
     except CdrError as error:
         return str(error)
     return content

@@ -168,11 +168,11 @@ def message_text(type_name: str) -> str:
     if type_name in _BUILT_IN:
         return _BUILT_IN[type_name]
     if '/action/' in type_name:
-        return _of_action(type_name)
+        return _action_definition(type_name)
     return _text_of_file(type_name)
 
 
-def _of_action(type_name: str) -> str:
+def _action_definition(type_name: str) -> str:
     """Return the text of one of the messages of an action, for instance pkg/action/Name_Goal."""
     package, _, short = type_name.partition('/action/')
     name, _, part = short.partition('_')

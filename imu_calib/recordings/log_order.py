@@ -171,7 +171,7 @@ def _rows(batch: MessageBatch, rows: slice | Indices) -> MessageBatch:
     log = batch.log[rows]
 
     def times() -> Times:
-        return _of_times([batch.times()], rows)
+        return _select_times([batch.times()], rows)
 
     return MessageBatch(batch.messages.select(rows), log, int(log[0]), batch.position, times)
 
@@ -179,7 +179,7 @@ def _rows(batch: MessageBatch, rows: slice | Indices) -> MessageBatch:
 def _copied(batch: MessageBatch, rows: slice | Indices) -> MessageBatch:
     """Return rows in memory of their own: that of the batch is free for the next ones."""
     messages = Messages.join(batch.messages.select(rows).payloads())
-    times, log = _of_times([batch.times()], rows), batch.log[rows].copy()
+    times, log = _select_times([batch.times()], rows), batch.log[rows].copy()
     return MessageBatch(messages, log, int(log[0]), batch.position, lambda: times)
 
 
@@ -192,11 +192,11 @@ def _joined(first: MessageBatch, second: MessageBatch) -> MessageBatch | None:
     if pieces > _FEW and end - begin < _LEAST_PIECE * pieces:
         return None
     messages = Messages.join([*first.messages.payloads(), *second.messages.payloads()])
-    times, log = _of_times([first.times(), second.times()], order), log[order]
+    times, log = _select_times([first.times(), second.times()], order), log[order]
     return MessageBatch(messages.select(order), log, int(log[0]), second.position, lambda: times)
 
 
-def _of_times(several: list[Times], rows: slice | Indices) -> Times:
+def _select_times(several: list[Times], rows: slice | Indices) -> Times:
     columns: list[Any] = []
     for field in fields(Times):
         column = [getattr(times, field.name) for times in several]

@@ -112,7 +112,7 @@ class McapStorage:
             if len(content) == length - RECORD_HEAD:
                 yield bytes(content)
             else:
-                self._losses.add(f'{self.path.name}: an attachment is cut off.')
+                self._losses.add_loss(f'{self.path.name}: an attachment is cut off.')
 
     @property
     def custom_data(self) -> Mapping[str, str]:
@@ -181,18 +181,18 @@ class McapStorage:
             with self.path.open('rb', buffering=0) as file:
                 buffer = self._unpack(chunk, _read(file, chunk.data, chunk.stored))
             if buffer is not None:
-                self._learn(buffer)
+                self._add_described(buffer)
 
-    def _learn(self, buffer: Bytes) -> None:
+    def _add_described(self, buffer: Bytes) -> None:
         offsets, _ = walk(buffer)
         ops = buffer[offsets]
         for offset in offsets[(ops == Op.SCHEMA) | (ops == Op.CHANNEL)].tolist():
             op, length = struct.unpack_from('<BQ', buffer.data, offset)
             start = offset + RECORD_HEAD
             try:
-                self._catalogue.add(op, buffer[start : start + length].tobytes())
+                self._catalogue.add_record(op, buffer[start : start + length].tobytes())
             except RecordError as error:
-                self._losses.add(f'{self.path.name}: {error}.')
+                self._losses.add_loss(f'{self.path.name}: {error}.')
 
     def _fetch(self, group: ChunkGroup) -> _Stored:
         """Read the stored bytes of chunks into memory."""
@@ -231,7 +231,7 @@ class McapStorage:
     def _located(self, ahead: ReadAhead[_Stored, _Content], group: ChunkGroup) -> UnpackedChunks:
         """Find the messages of chunks while the thread continues to unpack."""
         buffer, parts = ahead.load(group)
-        return UnpackedChunks(buffer, located(parts, buffer, self._losses.add))
+        return UnpackedChunks(buffer, located(parts, buffer, self._losses.add_loss))
 
     def _unpack(
         self, chunk: Chunk, stored: memoryview, memory: memoryview | None = None
@@ -264,7 +264,7 @@ class McapStorage:
             return None
         buffer = np.frombuffer(stored, np.uint8)
         _, end = walk(buffer)
-        self._losses.add(
+        self._losses.add_loss(
             f'{self.path.name}: {chunk} is cut off by the end of the file; of its {chunk.size} '
             f'bytes the first {end} are used.'
         )
@@ -275,7 +275,7 @@ class McapStorage:
         counts = chunk.counts or {}
         held = ', '.join(f'{n} of {topics.get(i, f"channel {i}")}' for i, n in counts.items())
         what = f'its messages ({held})' if held else 'its messages'
-        self._losses.add(f'{self.path.name}: {chunk} {why}; {what} are left out.')
+        self._losses.add_loss(f'{self.path.name}: {chunk} {why}; {what} are left out.')
 
 
 def _time_order(chunks: Sequence[Chunk], channels: frozenset[int]) -> Indices | None:

@@ -104,18 +104,18 @@ class Catalogue:
             merged.setdefault(name, {}).update(pairs)
         return merged
 
-    def add(self, op: int, content: bytes) -> None:
+    def add_record(self, op: int, content: bytes) -> None:
         """Store a record, if it is of a relevant kind.
 
         Raises:
             RecordError: It contradicts the format.
         """
         try:
-            self._add(op, Fields(content))
+            self._add_content(op, Fields(content))
         except (struct.error, ValueError) as error:
             raise RecordError(f'record with opcode {op}: {error}') from None
 
-    def _add(self, op: int, fields: Fields) -> None:
+    def _add_content(self, op: int, fields: Fields) -> None:
         if op == Op.SCHEMA:
             key = fields.number('H')
             name, language, text = fields.string(), fields.string(), fields.block()
@@ -387,7 +387,7 @@ def chunks_of(catalogue: Catalogue, end: int) -> list[Chunk] | None:
         return None
     if catalogue.attachments != len(catalogue.attachments_at):
         return None
-    chunks = [_of_summary(entry) for entry in entries]
+    chunks = [_chunk_of_index(entry) for entry in entries]
     counts: dict[int, int] = {}
     for chunk in chunks:
         for channel, count in (chunk.counts or {}).items():
@@ -397,7 +397,7 @@ def chunks_of(catalogue: Catalogue, end: int) -> list[Chunk] | None:
     return chunks if counts == stated and stated.keys() <= catalogue.channels.keys() else None
 
 
-def _of_summary(entry: ChunkIndex) -> Chunk:
+def _chunk_of_index(entry: ChunkIndex) -> Chunk:
     stored, size = entry.sizes
     data = entry.start + entry.length - stored
     # The message indexes adjoin; the last one ends where all of them do.

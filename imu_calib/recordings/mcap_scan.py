@@ -127,7 +127,7 @@ class _Scanner:
             for offset in offsets.tolist():
                 op, length = struct.unpack_from('<BQ', summary, offset)
                 content = offset + RECORD_HEAD
-                catalogue.add(op, summary[content : content + length])
+                catalogue.add_record(op, summary[content : content + length])
         except RecordError:
             # The data section repeats it.
             return
@@ -198,11 +198,11 @@ class _Scanner:
             f'is cut off at byte {self.cut_at} of {position}' if self.cut_at else 'has no footer'
         )
         where += ' (zeros follow)' if self.zeros else ''
-        self.losses.add(f'{self.name} {where}: its recorder did not finish{known}.')
+        self.losses.add_loss(f'{self.name} {where}: its recorder did not finish{known}.')
 
     def _small(self, op: int, position: int, length: int, following: int) -> int | None:
         try:
-            self.found.catalogue.add(op, self._read(position + RECORD_HEAD, length))
+            self.found.catalogue.add_record(op, self._read(position + RECORD_HEAD, length))
         except RecordError:
             return None
         return following
@@ -215,7 +215,7 @@ class _Scanner:
         starts = [s for s in self.chunk_starts if position < s < self.end]
         following = min(starts, default=self.end)
         what = 'the rest' if following == self.end else f'{following - position} bytes'
-        self.losses.add(
+        self.losses.add_loss(
             f'{self.name} holds no valid record at byte {position}: {what} cannot be read.'
         )
         if self.found.chunks:

@@ -66,7 +66,7 @@ class McapWriter:
         self._chunk_index: list[bytes] = []
         self._metadata_index: list[bytes] = []
         self._attachment_index: list[bytes] = []
-        self._put(MAGIC + record(Op.HEADER, string('ros2') + string('imu_calib')))
+        self._write_whole(MAGIC + record(Op.HEADER, string('ros2') + string('imu_calib')))
         self.counts: dict[int, int] = {}
         self.start_ns = 2**63 - 1
         self.end_ns = 0
@@ -111,7 +111,7 @@ class McapWriter:
         """Write a metadata record at once."""
         content = record(Op.METADATA, string(name) + strings(pairs))
         place = struct.pack('<QQ', self._file.tell(), len(content)) + string(name)
-        self._put(content)
+        self._write_whole(content)
         self._metadata_index.append(record(Op.METADATA_INDEX, place))
 
     def add_attachment(self, content: bytes) -> None:
@@ -120,7 +120,7 @@ class McapWriter:
         times, names = fields.numbers('QQ'), string(fields.string()) + string(fields.string())
         whole = record(Op.ATTACHMENT, content)
         place = self._file.tell(), len(whole), *times, fields.number('Q')
-        self._put(whole)
+        self._write_whole(whole)
         index = struct.pack('<5Q', *place) + names
         self._attachment_index.append(record(Op.ATTACHMENT_INDEX, index))
 
@@ -211,7 +211,7 @@ class McapWriter:
         place = times + struct.pack('<QQI', start, len(chunk_record), len(offsets)) + offsets
         place += struct.pack('<Q', len(indexes)) + string(self._compression)
         place += struct.pack('<QQ', len(packed), len(content))
-        self._put(chunk_record + indexes)
+        self._write_whole(chunk_record + indexes)
         self._chunk_index.append(record(Op.CHUNK_INDEX, place))
         self.start_ns = min(self.start_ns, chunk.start_ns)
         self.end_ns = max(self.end_ns, chunk.end_ns)
@@ -220,11 +220,11 @@ class McapWriter:
     def close(self) -> None:
         """Write the summary and the footer, and close the file."""
         self.flush()
-        self._put(b''.join(self._chunk.parts))
-        self._put(record(Op.DATA_END, struct.pack('<I', 0)))
+        self._write_whole(b''.join(self._chunk.parts))
+        self._write_whole(record(Op.DATA_END, struct.pack('<I', 0)))
         summary = self._summary(self._file.tell())
         crc = zlib.crc32(summary[:-12])
-        self._put(summary[:-12] + struct.pack('<I', crc) + MAGIC)
+        self._write_whole(summary[:-12] + struct.pack('<I', crc) + MAGIC)
         self._file.close()
 
     @property
@@ -232,7 +232,7 @@ class McapWriter:
         """Bytes in the open chunk."""
         return self._chunk.size
 
-    def _put(self, content: bytes) -> None:
+    def _write_whole(self, content: bytes) -> None:
         """Write all of it or none of it."""
         start = self._file.tell()
         remaining = memoryview(content)

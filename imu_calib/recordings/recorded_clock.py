@@ -85,7 +85,7 @@ class RecordedClock:
         """Earliest and latest log time; None without messages."""
         return self._log
 
-    def add(self, stamp: Stamps, log: Stamps) -> None:
+    def add_messages(self, stamp: Stamps, log: Stamps) -> None:
         """Add messages with header stamps (n,) and log times (n,), ns."""
         if not len(stamp):
             return

@@ -102,7 +102,9 @@ def find_files(path: AnyPath, losses: Losses) -> StorageFiles:
         )
     if metadata.files is None:
         names = ', '.join(p.name for p in present)
-        losses.add(f'{path.name}: {metadata.problem}; the storage files found are used: {names}.')
+        losses.add_loss(
+            f'{path.name}: {metadata.problem}; the storage files found are used: {names}.'
+        )
         return StorageFiles(tuple(present), metadata)
     return StorageFiles(_listed(metadata.files, present, path.name, losses), metadata)
 
@@ -116,7 +118,9 @@ def _listed(
     for name in names:
         path = by_name.get(name) or by_name.get(_bare(name))
         if path is None:
-            losses.add(f'{folder}: {name}, which {NAME} names, is missing; its messages are lost.')
+            losses.add_loss(
+                f'{folder}: {name}, which {NAME} names, is missing; its messages are lost.'
+            )
         elif path not in paths:
             paths.append(path)
     extra = [p.name for p in present if p not in paths]
@@ -126,7 +130,7 @@ def _listed(
             f'); found {", ".join(extra)}.'
         )
     if extra:
-        losses.add(f'{folder}: {", ".join(extra)} not named by {NAME}, left out.')
+        losses.add_loss(f'{folder}: {", ".join(extra)} not named by {NAME}, left out.')
     return tuple(paths)
 
 
@@ -183,7 +187,7 @@ def _unpack(path: AnyPath, scratch: Scratch, losses: Losses) -> Path:
     target = scratch.folder() / _bare(path.name)
     problem = unpack_file(path, target)
     if problem:
-        losses.add(
+        losses.add_loss(
             f'{path.name} is damaged ({problem}); the {target.stat().st_size} bytes that unpack '
             'are used.'
         )
@@ -232,7 +236,7 @@ def _open_all(paths: Sequence[AnyPath], scratch: Scratch, losses: Losses) -> lis
     if not storages:
         raise problems[0]
     for problem in problems:
-        losses.add(f'{problem} The other files of the recording are used.')
+        losses.add_loss(f'{problem} The other files of the recording are used.')
     return storages
 
 
@@ -389,7 +393,7 @@ class Recording:
         for topic, count in found.items():
             stated = self._counts.get(topic, count)
             if count < stated:
-                self._losses.add(
+                self._losses.add_loss(
                     f'{self.path.name}: metadata.yaml counts {stated} messages of {topic}, but '
                     f'only {count} were found.'
                 )
@@ -433,7 +437,7 @@ class Recording:
     def _state_malformed(self, malformed: Mapping[str, Malformed]) -> None:
         for topic, found in malformed.items():
             if found.count:
-                self._losses.add(
+                self._losses.add_loss(
                     f'{self.path.name}: {found.count} malformed messages of {topic} are left out; '
                     f'the first: {found.reason}.'
                 )
@@ -479,7 +483,7 @@ def _decoded(
             log_ns, position = batch.log_ns, base + batch.position
             blocks = kind.decode(_unpacked(batch.messages, malformed), malformed)
             if len(stamps := _stamps(blocks)) == len(batch.messages):
-                clock.add(stamps, batch.log)
+                clock.add_messages(stamps, batch.log)
             # The blocks do not share memory with the messages, which is free for the next ones.
             del batch
             for block in blocks:
@@ -525,5 +529,5 @@ def _unpacked(messages: Messages, malformed: Malformed) -> Messages:
         try:
             plain.append(unpack(payload, 'zstd', _LARGEST_MESSAGE))
         except CodecError as error:
-            malformed.add(f'a message does not unpack (zstd: {error})')
+            malformed.count_skipped(f'a message does not unpack (zstd: {error})')
     return Messages.join(plain)

@@ -95,7 +95,7 @@ class RowQueries:
                     last, row = int(log[-1]), ids[-1]
                     yield _messages(rows), log, -LAST_ROW
             except DAMAGE as error:
-                self._losses.add(
+                self._losses.add_loss(
                     f'{self._name}: rows after log time {last / 1e9:.3f} s cannot be read '
                     f'({damage_text(error)}).'
                 )
@@ -139,7 +139,7 @@ class RowQueries:
             return rows, None
         following = self._next_readable(database, last + 1)
         where = f'rows {last + 1} to {following - 1}' if following else f'the rows after {last}'
-        self._losses.add(f'{self._name}: {where} cannot be read ({damage_text(error)}).')
+        self._losses.add_loss(f'{self._name}: {where} cannot be read ({damage_text(error)}).')
         return rows, following
 
     def _next_readable(self, database: sqlite3.Connection, damaged: int) -> int | None:
@@ -287,7 +287,7 @@ class SqliteStorage:
         expected = _stated_size(head)
         if self.size < expected:
             # SQLite itself would read zeros if the last page is cut off.
-            self._losses.add(
+            self._losses.add_loss(
                 f'{self.path.name} is cut off: {self.size} of {expected} bytes are there.'
             )
 
@@ -322,12 +322,14 @@ class SqliteStorage:
             if self._immutable:
                 raise
             self._immutable = True
-            self._losses.add(f'{log.name} cannot be read ({error}): the latest messages are lost.')
+            self._losses.add_loss(
+                f'{log.name} cannot be read ({error}): the latest messages are lost.'
+            )
             self._describe()
         except DAMAGE:
             self._tolerant = True
             self._describe()
-            self._losses.add(f'{self.path.name} is damaged; what can be read of it is used.')
+            self._losses.add_loss(f'{self.path.name} is damaged; what can be read of it is used.')
 
     def _describe(self) -> None:
         """Read the description in the file."""
@@ -342,7 +344,7 @@ class SqliteStorage:
             self.topics: dict[str, Topic] = {}
             for key, name, kind, encoding in rows.fetchall():
                 if not isinstance(key, int):
-                    self._losses.add(
+                    self._losses.add_loss(
                         f'{self.path.name}: topic {name} has no number; its messages are left out.'
                     )
                     continue

@@ -60,12 +60,12 @@ class StampSorter:
         """Pass blocks on, those of a topic of Imu messages in the order of their stamps."""
         for name, block in blocks:
             if name == topic and isinstance(block, ImuBlock):
-                yield from self.add(block)
+                yield from self.sort_block(block)
             else:
                 yield block
         yield from self.finish()
 
-    def add(self, block: ImuBlock) -> list[ImuBlock]:
+    def sort_block(self, block: ImuBlock) -> list[ImuBlock]:
         """Add samples; return those that are in order by now."""
         held = self._held
         self._held = ImuBlock(

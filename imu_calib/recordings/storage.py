@@ -105,14 +105,14 @@ class Losses:
     def __init__(self) -> None:
         self.sentences: list[str] = []
 
-    def add(self, sentence: str) -> None:
+    def add_loss(self, sentence: str) -> None:
         """State a loss; one that two topics encounter counts once."""
         if sentence not in self.sentences:
             self.sentences.append(sentence)
 
     def add_order(self, name: str) -> None:
         """State that a file holds messages in another order than that of their log times."""
-        self.add(
+        self.add_loss(
             f'{name}: its messages do not lie in the order of their log times, and are read in '
             'that order.'
         )

@@ -210,10 +210,10 @@ class RecordingWriter:
         if not self._open:
             return
         with _disk_errors_in_words(self.path):
-            self._finish()
+            self._end_file()
         self._open = False
 
-    def _finish(self) -> None:
+    def _end_file(self) -> None:
         self._file.flush()
         counts = {
             name: Topic(name, kind, self._file.counts[channel], self._encodings.get(name, 'cdr'))

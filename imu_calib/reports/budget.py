@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from ..calibration.calibration import Calibration
-from ..common.budget import PROBABILITY, Budget, Source
+from ..common.budget import PROBABILITY, Budget, ErrorSource
 from ..common.stream import Floats
 from ..common.units import decimals
 from ..model.parameters import Parameter
@@ -42,30 +42,30 @@ MANY = 1000.0
 """Degrees of freedom above which the coverage factor is that of a Gaussian."""
 
 _COLOURS = {
-    Source.NOISE: '#0072b2',
-    Source.QUANTISATION: '#8ecbee',
-    Source.BIAS_STATED: '#00704f',
-    Source.BIAS_FOUND: '#86d1b0',
-    Source.POSITIONING_STATED: '#c24e00',
-    Source.POSITIONING_FOUND: '#f7b27a',
-    Source.STOPS: '#8a3300',
-    Source.ENCODER_RATE: '#6a3d9a',
-    Source.ENCODER_NOISE: '#cab2d6',
-    Source.AZIMUTH: '#7a4a12',
-    Source.TILT: '#d3b277',
-    Source.ARM: '#3f6f5f',
-    Source.DELAY: '#a8c9bd',
-    Source.TABLE: '#9c5c8f',
-    Source.NORTH: '#4d4d4d',
-    Source.CLOCK: '#b0006d',
-    Source.TABLE_CLOCK: '#f4a6cd',
-    Source.GRAVITY: '#f0d000',
-    Source.LATITUDE: '#6b7300',
-    Source.SCATTER: '#b3261e',
-    Source.TIME_CONSTANT: '#5a2a83',
-    Source.TEMPERATURE: '#ff9da7',
-    Source.TERMS: '#2f6f6f',
-    Source.OTHER_UNITS: '#9db4c0',
+    ErrorSource.NOISE: '#0072b2',
+    ErrorSource.QUANTISATION: '#8ecbee',
+    ErrorSource.BIAS_STATED: '#00704f',
+    ErrorSource.BIAS_FOUND: '#86d1b0',
+    ErrorSource.POSITIONING_STATED: '#c24e00',
+    ErrorSource.POSITIONING_FOUND: '#f7b27a',
+    ErrorSource.STOPS: '#8a3300',
+    ErrorSource.ENCODER_RATE: '#6a3d9a',
+    ErrorSource.ENCODER_NOISE: '#cab2d6',
+    ErrorSource.AZIMUTH: '#7a4a12',
+    ErrorSource.TILT: '#d3b277',
+    ErrorSource.ARM: '#3f6f5f',
+    ErrorSource.DELAY: '#a8c9bd',
+    ErrorSource.TABLE: '#9c5c8f',
+    ErrorSource.NORTH: '#4d4d4d',
+    ErrorSource.CLOCK: '#b0006d',
+    ErrorSource.TABLE_CLOCK: '#f4a6cd',
+    ErrorSource.GRAVITY: '#f0d000',
+    ErrorSource.LATITUDE: '#6b7300',
+    ErrorSource.SCATTER: '#b3261e',
+    ErrorSource.TIME_CONSTANT: '#5a2a83',
+    ErrorSource.TEMPERATURE: '#ff9da7',
+    ErrorSource.TERMS: '#2f6f6f',
+    ErrorSource.OTHER_UNITS: '#9db4c0',
 }
 """Neighbours also differ in lightness, for colour-blind readers."""
 
@@ -91,7 +91,7 @@ class _Shown:
         return cls(parameters, rows, budget, np.any(budget.fractions[:, rows] > _LEAST, axis=1))
 
     @property
-    def sources(self) -> list[Source]:
+    def sources(self) -> list[ErrorSource]:
         return [x.source for x, wide in zip(self.budget.lines, self.wide, strict=True) if wide]
 
     @property

@@ -34,7 +34,7 @@ def element(name: str, *parts: ET.Element | None, text: str = '', **attributes: 
     return made
 
 
-def of_si(name: str, text: str, *parts: ET.Element) -> ET.Element:
+def si_element(name: str, text: str, *parts: ET.Element) -> ET.Element:
     """Return an element of D-SI."""
     made = ET.Element(f'{{{SI}}}{name}')
     made.text = text or None
@@ -85,10 +85,10 @@ def number_with_unit(
     value: float, unit: str, uncertainty: ET.Element | None = None, label: str = ''
 ) -> ET.Element:
     """Return a value in a unit of D-SI, with its uncertainty if it has one."""
-    parts = [of_si('label', label)] if label else []
-    parts += [of_si('value', _number(value)), of_si('unit', unit)]
+    parts = [si_element('label', label)] if label else []
+    parts += [si_element('value', _number(value)), si_element('unit', unit)]
     parts += [] if uncertainty is None else [uncertainty]
-    return of_si('real', '', *parts)
+    return si_element('real', '', *parts)
 
 
 def _number(value: float) -> str:
@@ -97,13 +97,13 @@ def _number(value: float) -> str:
 
 def expanded(uncertainty: float, factor: float, probability: float, shape: str) -> ET.Element:
     """Return an expanded uncertainty with its coverage."""
-    return of_si(
+    return si_element(
         'expandedUnc',
         '',
-        of_si('uncertainty', _number(uncertainty)),
-        of_si('coverageFactor', f'{factor:.6f}'),
-        of_si('coverageProbability', f'{probability:.4g}'),
-        of_si('distribution', shape),
+        si_element('uncertainty', _number(uncertainty)),
+        si_element('coverageFactor', f'{factor:.6f}'),
+        si_element('coverageProbability', f'{probability:.4g}'),
+        si_element('distribution', shape),
     )
 
 

@@ -243,7 +243,7 @@ class StreamBuffer:
         """False samples of the IMU."""
         return self._imu.false.found
 
-    def take_imu(self, block: ImuBlock) -> None:
+    def add_imu(self, block: ImuBlock) -> None:
         """Add samples."""
         values = np.concatenate([block.gyro, block.accel], axis=1)
         self.facts.count_samples(block.stamp, values)
@@ -253,14 +253,14 @@ class StreamBuffer:
         self.interruptions.add_stamps(stamp)
         self._imu.clean(stamp, values)
 
-    def take_skew(self, block: SkewBlock) -> None:
+    def add_skew(self, block: SkewBlock) -> None:
         """Add the skewed gyro's samples."""
         # It is handled as the first channel of an IMU.
         imu = block.as_imu()
         values = np.hstack([imu.gyro, imu.accel])
         self._skew.clean(*self._skew.clock.continue_stamps(block.stamp, values))
 
-    def take_joints(self, block: JointBlock) -> Ordered:
+    def add_joints(self, block: JointBlock) -> Ordered:
         """Add joint states; return those in final order, columns as the table's.
 
         Messages that lack a joint of the table are left out and counted.
@@ -291,7 +291,7 @@ class StreamBuffer:
             f'{", ".join(self._table.names)}.'
         )
 
-    def take_setpoints(self, block: SetpointBlock) -> None:
+    def add_setpoints(self, block: SetpointBlock) -> None:
         """Add setpoints."""
         last = _request(self._setpoints[-1][0]) if self._setpoints else None
         for setpoint in block.setpoints:

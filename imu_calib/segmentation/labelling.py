@@ -302,7 +302,7 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
         labelled = replace(labelled, segments=named_by_plan)
     if not session.mount_shifts:
         return labelled
-    return _of_one_mounting(labelled, session.mount_shifts, setpoints, session.start or 0)
+    return _keep_one_mounting(labelled, session.mount_shifts, setpoints, session.start or 0)
 
 
 def _with_own_names(labelled: Labelled, plan: Plan) -> Labelled:
@@ -379,7 +379,7 @@ def _shortest_used(segments: Sequence[Segment]) -> float:
     return min(BLOCK_SECONDS, SHORT_DWELL * usual)
 
 
-def _of_one_mounting(
+def _keep_one_mounting(
     labelled: Labelled, mount_shifts: Sequence[MountShift], setpoints: _Setpoints, zero: int
 ) -> Labelled:
     """Keep the data measured while the unit sat in its mount in one orientation.

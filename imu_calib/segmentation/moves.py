@@ -101,7 +101,7 @@ class MoveReader:
             self._open, self._begin, self._seen, self._reason = [], segment.end, segment.end, ''
         self.motion(samples, delivered)
 
-    def finish(self, period: float) -> tuple[Move, ...]:
+    def timed_moves(self, period: float) -> tuple[Move, ...]:
         """Return the moves in order.
 
         Args:

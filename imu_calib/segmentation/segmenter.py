@@ -174,7 +174,7 @@ class Segmenter:
     @property
     def moves(self) -> tuple[Move, ...]:
         """Moves between these static dwells so far."""
-        return self._reader.moves.finish(self._reader.pace.interval)
+        return self._reader.moves.timed_moves(self._reader.pace.interval)
 
     @property
     def quietest(self) -> Quietest | None:
@@ -194,18 +194,18 @@ class Segmenter:
             return None
         return tracker.rest_since, tracker.known_until
 
-    def feed(self, block: Block) -> None:
+    def add_block(self, block: Block) -> None:
         """Add a block; ignored after the end."""
         if self._ended is not None:
             return
         if isinstance(block, ImuBlock):
-            self._intake.take_imu(block)
+            self._intake.add_imu(block)
         elif isinstance(block, JointBlock):
-            self._follow_joints(self._intake.take_joints(block))
+            self._follow_joints(self._intake.add_joints(block))
         elif isinstance(block, SetpointBlock):
-            self._intake.take_setpoints(block)
+            self._intake.add_setpoints(block)
         elif isinstance(block, SkewBlock):
-            self._intake.take_skew(block)
+            self._intake.add_skew(block)
         elif isinstance(block, TemperatureBlock):
             self._thermometer.add_temperatures(block)
         self._process()

@@ -172,7 +172,7 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
     gap_variance = samples.gaps * samples.bridged / (used * samples.period) ** 2
     span = round((samples.stamp[-1] - samples.stamp[0]) * 1e-9 / samples.period) + 1
     seconds = _block_seconds(parts)
-    found = [[_of_channel(part, c, walk[c], seconds) for c in range(6)] for part in parts]
+    found = [[_channel_blocks(part, c, walk[c], seconds) for c in range(6)] for part in parts]
     best = [_combine([row[c][0] for row in found], walk[c]) for c in range(6)]
     starts = [float(part.stamp[0] - parts[0].stamp[0]) * 1e-9 for part in parts]
     blocks = tuple(_joined(starts, [row[c][1] for row in found]) for c in range(6))
@@ -254,7 +254,7 @@ def _between(samples: Samples, channel: int, first: float, last: float, walk: fl
     return rate_between(pulses, samples.period, first, last, walk / pulse).scaled(pulse)
 
 
-def _of_channel(
+def _channel_blocks(
     samples: Samples, channel: int, walk: float, seconds: float
 ) -> tuple[MeanRate, _Blocks]:
     """Return the mean of a channel, and the middles and means of its blocks.

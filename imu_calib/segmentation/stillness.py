@@ -84,7 +84,7 @@ class _Level:
     def holds(self, rate: Floats) -> bool:
         return bool((np.abs(rate - self.rate) < _STEADY_RATE).all())
 
-    def add(self, rate: Floats, up: Floats) -> None:
+    def add_rest(self, rate: Floats, up: Floats) -> None:
         found = next((one for one in self.ups if up @ one.up >= _OTHER_WAY_UP), None)
         if found is None:
             self.ups.append(_Attitude(up, rate))
@@ -167,7 +167,7 @@ class GyroOffset:
     def _add(self, rate: Floats, up: Floats) -> None:
         for level in self._levels:
             if level.holds(rate):
-                level.add(rate, up)
+                level.add_rest(rate, up)
                 return
         if len(self._levels) == _MOST_LEVELS:
             self._levels.remove(min(self._levels, key=lambda level: level.support))

@@ -22,7 +22,7 @@ SEPARATE_ROWS = (
 Halves = tuple[NDArray[np.bool_], NDArray[np.bool_]]
 
 
-def of_one_sensor(gyro: Floats, accel: Floats) -> Halves:
+def rows_of_one_sensor(gyro: Floats, accel: Floats) -> Halves:
     """Return which rows are of gyros alone, and which of accelerometers alone, (n,) each.
 
     All channels of the other are 0 or NaN.
@@ -60,8 +60,8 @@ def separate_messages_sentence(topic: str, units: Units) -> str:
 
 
 def halves(gyro: Floats, accel: Floats) -> Halves | None:
-    """Return `of_one_sensor` if each sensor has rows of its own; None if rows hold both."""
-    found = of_one_sensor(gyro, accel)
+    """Return `rows_of_one_sensor` if each sensor has rows of its own; None if rows hold both."""
+    found = rows_of_one_sensor(gyro, accel)
     alone = [int(rows.sum()) for rows in found]
     return found if are_separate(alone[0], alone[1], len(gyro)) else None
 
@@ -120,7 +120,7 @@ class StreamFacts:
         zero = values == 0
         self._zero += [np.count_nonzero(zero[:, k : k + 3].all(axis=1)) for k in (0, 3)]
         self._alone += [
-            np.count_nonzero(rows) for rows in of_one_sensor(values[:, :3], values[:, 3:])
+            np.count_nonzero(rows) for rows in rows_of_one_sensor(values[:, :3], values[:, 3:])
         ]
         sizes = np.where(np.isfinite(values), np.abs(values), 0.0)
         largest = sizes.max(axis=0)

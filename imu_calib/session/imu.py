@@ -83,8 +83,8 @@ def read_specification(parent: Section, name: str) -> Specification:
             if triad not in row.units or kind is ParameterKind.RESPONSE or not mine.has(row.key):
                 continue
             limits[kind, triad] = mine.quantity(row.key, row.units[triad].dimension, above=0)
-        mine.finish()
-    section.finish()
+        mine.refuse_unknown_keys()
+    section.refuse_unknown_keys()
     return Specification(limits)
 
 

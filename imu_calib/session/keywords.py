@@ -345,7 +345,7 @@ def as_table(table: Table | Named) -> Table:
     return table if isinstance(table, Table) else load_table(table)
 
 
-def _of_statements(kind: type[Kind]) -> type[Kind]:
+def _statement_class(kind: type[Kind]) -> type[Kind]:
     """Make a frozen dataclass with a field for each statement, and the fields that it has."""
     own = dict(kind.__annotations__)
     kind.__annotations__ = {**types_of(Session), **own}
@@ -354,7 +354,7 @@ def _of_statements(kind: type[Kind]) -> type[Kind]:
     return dataclass(frozen=True)(kind)
 
 
-@_of_statements
+@_statement_class
 class Stated:
     """Statements of a caller on a session, by name; None uses the recording or a default."""
 

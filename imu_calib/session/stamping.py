@@ -64,7 +64,7 @@ def read_clock(section: Section) -> StampingClock:
         section.number('faster'),
         section.number('faster_std'),
     )
-    section.finish()
+    section.refuse_unknown_keys()
     check_clock(clock, section.where)
     return clock
 

@@ -166,7 +166,7 @@ def read_units(section: Section, folder: Path | None = None) -> tuple[MountedUni
     if len(parts) > MOST_UNITS:
         raise InputError(f'{section.key("units")}: found {len(parts)} units, at most {MOST_UNITS}.')
     units = tuple(_read_unit(part, folder) for part in parts)
-    section.finish()
+    section.refuse_unknown_keys()
     for what, found in (
         ('serial_number', [unit.name for unit in units]),
         ('topic', [unit.topic for unit in units]),

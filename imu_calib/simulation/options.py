@@ -249,8 +249,8 @@ def read_imperfections(
             )
         part = section.section(key)
         options = read(part, options)
-        part.finish()
-    section.finish()
+        part.refuse_unknown_keys()
+    section.refuse_unknown_keys()
     return options
 
 
@@ -275,7 +275,7 @@ def _table(part: Section, options: StandOptions, table: Table | None, seed: int)
             tilt.quantity('east', Dimension.ANGLE, 0.0),
             tilt.quantity('north', Dimension.ANGLE, 0.0),
         )
-        tilt.finish()
+        tilt.refuse_unknown_keys()
         options = replace(options, tilt=both)
     # Files of version 0.1.0 call them arrivals.
     key = 'positioning' if part.has('positioning') else 'arrivals'
@@ -289,7 +289,7 @@ def _table(part: Section, options: StandOptions, table: Table | None, seed: int)
             stop_tilt=_size(positioning, 'tilt'),
             stop_heading=_size(positioning, 'heading'),
         )
-        positioning.finish()
+        positioning.refuse_unknown_keys()
     if table is None or sizes == TableSizes():
         return options
     return replace(options, true=TrueTable.drawn(table, sizes, seed))
@@ -332,7 +332,7 @@ def _samples(part: Section, options: StandOptions) -> StandOptions:
             frozen_every=frozen.quantity('every', Dimension.TIME, above=0),
             frozen_for=_size(frozen, 'for', None, Dimension.TIME),
         )
-        frozen.finish()
+        frozen.refuse_unknown_keys()
     return replace(options, delivery=delivery)
 
 
@@ -345,7 +345,7 @@ def _mounting(part: Section, options: StandOptions) -> StandOptions:
             s.quantity('frequency', Dimension.FREQUENCY, usual.frequency, above=0),
             s.quantity('decay', Dimension.TIME, usual.decay, above=0),
         )
-        s.finish()
+        s.refuse_unknown_keys()
         options = replace(options, vibration=ringing)
     if part.has('floor'):
         s, still = part.section('floor'), Shake()
@@ -359,7 +359,7 @@ def _mounting(part: Section, options: StandOptions) -> StandOptions:
             raise InputError(
                 f'{s.where}: found lowest {shake.lowest:g} Hz above highest {shake.highest:g} Hz.'
             )
-        s.finish()
+        s.refuse_unknown_keys()
         options = replace(options, shake=shake)
     return options
 
@@ -385,8 +385,8 @@ def _temperature(part: Section, options: StandOptions) -> StandOptions:
             _channels(accel, 'bias', Dimension.ACCELERATION_PER_KELVIN),
             _channels(accel, 'scale_factor', Dimension.RATIO_PER_KELVIN),
         )
-        gyro.finish()
-        accel.finish()
+        gyro.refuse_unknown_keys()
+        accel.refuse_unknown_keys()
     if part.has('warm_up'):
         s = part.section('warm_up')
         fading = WarmUp(
@@ -394,7 +394,7 @@ def _temperature(part: Section, options: StandOptions) -> StandOptions:
             _channels(s, 'accelerometer', Dimension.ACCELERATION),
             s.quantity('time_constant', Dimension.TIME, fading.time_constant, above=0),
         )
-        s.finish()
+        s.refuse_unknown_keys()
     return replace(options, warming=warming, thermal_drift=drift, warm_up=fading)
 
 
@@ -429,7 +429,7 @@ def _harmonics(part: Section, key: str) -> tuple[float, float]:
         return 0.0, 0.0
     s = part.section(key)
     pair = _size(s, 'once'), _size(s, 'twice')
-    s.finish()
+    s.refuse_unknown_keys()
     return pair
 
 

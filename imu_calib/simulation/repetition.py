@@ -134,7 +134,7 @@ def run_once(study: Study, seed: int) -> Run:
         simulated = simulate(setup.plan, setup.table, setup.imu, study.truth, site, options, seed)
         blocks = (block for _, block in simulated)
     for block in blocks:
-        calibrator.feed(block)
+        calibrator.add_block(block)
     try:
         calibration = calibrator.finish().calibration
     except NotObservable as error:

@@ -62,12 +62,12 @@ def test_it_says_what_the_command_says(tmp_path: Path, capsys: pytest.CaptureFix
 def test_a_simulated_table_with_errors_that_its_description_lacks_is_said(tmp_path: Path) -> None:
     """Misalignments are then tens of standard deviations off: a beginner must know why."""
     exact = argparse.Namespace(table='three_axis')
-    assert stand_session._of_true_table(exact, tmp_path) == []
+    assert stand_session._true_table_hint(exact, tmp_path) == []
     (tmp_path / TRUE_TABLE).write_text('')
-    (sentence,) = stand_session._of_true_table(exact, tmp_path)
+    (sentence,) = stand_session._true_table_hint(exact, tmp_path)
     assert f'the errors of {tmp_path / TRUE_TABLE}' in sentence
     assert 'its description, three_axis, states none' in sentence
     described = tmp_path / 'mine.yaml'
     shipped = named_file('tables', 'three_axis').read_text()
     described.write_text(shipped.replace('simulated: true', ''))
-    assert stand_session._of_true_table(argparse.Namespace(table=str(described)), tmp_path) == []
+    assert stand_session._true_table_hint(argparse.Namespace(table=str(described)), tmp_path) == []

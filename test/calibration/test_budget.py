@@ -22,7 +22,7 @@ from sessions import LATITUDE, at_one_rate, calibrate, quick_plan, session, stan
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.thermal import read_calibration
 from imu_calib.cli.main import main
-from imu_calib.common.budget import Budget, BudgetLine, Share, Source, effective_freedom, total
+from imu_calib.common.budget import Budget, BudgetLine, ErrorSource, Share, effective_freedom, total
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
@@ -72,17 +72,17 @@ METHODS = [
     ('six_position', 'six_position'),
 ]
 WHATEVER_THE_METHOD = {
-    Source.NOISE,
-    Source.QUANTISATION,
-    Source.POSITIONING_STATED,
-    Source.ENCODER_RATE,
-    Source.ENCODER_NOISE,
-    Source.CLOCK,
-    Source.TABLE_CLOCK,
-    Source.GRAVITY,
-    Source.LATITUDE,
+    ErrorSource.NOISE,
+    ErrorSource.QUANTISATION,
+    ErrorSource.POSITIONING_STATED,
+    ErrorSource.ENCODER_RATE,
+    ErrorSource.ENCODER_NOISE,
+    ErrorSource.CLOCK,
+    ErrorSource.TABLE_CLOCK,
+    ErrorSource.GRAVITY,
+    ErrorSource.LATITUDE,
     # What cuts within samples leave of the level Earth rate in a turn.
-    Source.NORTH,
+    ErrorSource.NORTH,
 }
 
 
@@ -91,7 +91,7 @@ def test_the_sources_in_the_file_add_up_to_the_covariance_in_the_file(plan: str,
     document = yaml.safe_load(made(plan, name).to_yaml())
     written = document['uncertainty_budget']
     sources = {entry['source']: entry for entry in written['sources']}
-    joint = {Source.AZIMUTH, Source.TILT, Source.ARM, Source.DELAY}
+    joint = {ErrorSource.AZIMUTH, ErrorSource.TILT, ErrorSource.ARM, ErrorSource.DELAY}
     priors = joint if name.startswith('joint') else set()
     assert set(sources) == {s.value for s in WHATEVER_THE_METHOD | priors}
     variances = [np.square(entry['standard_uncertainty']) for entry in sources.values()]
@@ -153,7 +153,7 @@ def loaded(plan: str = 'twelve_position', heading: float = 0.0) -> Evidence:
     )
 
 
-def std_of(solution: Solution, source: Source) -> Floats:
+def std_of(solution: Solution, source: ErrorSource) -> Floats:
     assert solution.shares is not None
     return np.sqrt(np.diag(solution.shares[source].covariance))
 
@@ -172,21 +172,23 @@ def test_six_positions_err_by_what_their_means_and_differences_make_of_each_sour
     # Cao 2022, eqs. (15) to (18): K_a is half a difference over g, D_a the mean of all six.
     found = six_positions()
     walk = ACCEL_WALK / np.sqrt(DWELL)
-    assert std_of(found, Source.NOISE)[D_A] == pytest.approx(walk / np.sqrt(6), rel=1e-6)
+    assert std_of(found, ErrorSource.NOISE)[D_A] == pytest.approx(walk / np.sqrt(6), rel=1e-6)
     half = walk / np.sqrt(2) / SITE.gravity
-    assert std_of(found, Source.NOISE)[K_A] == pytest.approx(half, rel=1e-6)
-    assert std_of(found, Source.QUANTISATION)[D_A] == pytest.approx(1e-6 / np.sqrt(6), rel=1e-6)
+    assert std_of(found, ErrorSource.NOISE)[K_A] == pytest.approx(half, rel=1e-6)
+    assert std_of(found, ErrorSource.QUANTISATION)[D_A] == pytest.approx(
+        1e-6 / np.sqrt(6), rel=1e-6
+    )
     # A level channel reads g times the error of the attitude: four positions of the six.
     reads = SITE.gravity * ARCSEC * np.sqrt(4) / 6
-    assert std_of(found, Source.ENCODER_NOISE)[D_A] == pytest.approx(reads, rel=1e-6)
+    assert std_of(found, ErrorSource.ENCODER_NOISE)[D_A] == pytest.approx(reads, rel=1e-6)
     gyro_bias = GYRO_WALK / np.sqrt(6 * DWELL)
     # What the Earth rate that is taken off owes to the responses comes on top: a percent.
-    assert std_of(found, Source.NOISE)[D_G] == pytest.approx(gyro_bias, rel=0.01)
+    assert std_of(found, ErrorSource.NOISE)[D_G] == pytest.approx(gyro_bias, rel=0.01)
 
 
 def test_six_positions_err_by_the_arrivals_in_the_directions_that_these_have() -> None:
     # Up and down each have an arrival of their own; turns keep that of their axis.
-    found = std_of(six_positions(), Source.POSITIONING_STATED) / POSITIONING
+    found = std_of(six_positions(), ErrorSource.POSITIONING_STATED) / POSITIONING
     assert found[of('E_gxy', 'E_gyx', 'E_gzx')] == pytest.approx(1.0, rel=0.01)
     across = {'E_axy': 'K_ax', 'E_ayx': 'K_ay', 'E_azx': 'K_az'}
     for name, own in across.items():
@@ -201,7 +203,7 @@ def test_an_error_of_the_encoders_rate_goes_into_the_slope_on_the_rates() -> Non
     centred = rates - rates.mean()
     # Each turn errs by its share of its rate, weighted as a line's slope weighs it.
     slope = np.linalg.norm(centred * rates * 2 * PPM) / (centred @ centred)
-    share = six_positions().shares[Source.ENCODER_RATE]
+    share = six_positions().shares[ErrorSource.ENCODER_RATE]
     found = np.sqrt(np.diag(share.covariance))
     assert found[K_G[0]] == pytest.approx(RESPONSES[K_G[0]] * slope, rel=1e-4)
     # Fourteen for each turn: the fast ones count most, all together as Welch and Satterthwaite say.
@@ -215,23 +217,23 @@ def test_the_rate_between_the_clocks_goes_into_every_scale_factor_of_pulses(
     plan: str, name: str
 ) -> None:
     evidence = loaded(plan)
-    found = std_of(method(name)(evidence), Source.CLOCK)
+    found = std_of(method(name)(evidence), ErrorSource.CLOCK)
     std = evidence.clock_rate()[1]
     assert found[K_G] == pytest.approx(RESPONSES[K_G] * std, rel=0.01)
     # The interval that divides the pulses of accelerometers is the table's, through the stamps'.
     assert found[K_A] == pytest.approx(RESPONSES[K_A] * std, rel=0.01)
     # Counts and SI values are rates by themselves, against rates by the table's clock.
-    rates = std_of(method(name)(replace(evidence, units=Units.COUNTS)), Source.CLOCK)
+    rates = std_of(method(name)(replace(evidence, units=Units.COUNTS)), ErrorSource.CLOCK)
     assert (rates[[*K_G, *K_A]] < 1e-3 * std).all()
 
 
 def test_the_degrees_of_freedom_are_those_of_the_estimates_behind_them() -> None:
     shares = six_positions().shares
     # One walk for each channel: of each 30.
-    assert shares[Source.NOISE].freedom[K_A] == pytest.approx(30.0)
+    assert shares[ErrorSource.NOISE].freedom[K_A] == pytest.approx(30.0)
     # Thirty motions, a rate and an offset.
-    assert shares[Source.CLOCK].freedom[K_G] == pytest.approx(28.0)
-    assert np.isinf(shares[Source.POSITIONING_STATED].freedom[0])
+    assert shares[ErrorSource.CLOCK].freedom[K_G] == pytest.approx(28.0)
+    assert np.isinf(shares[ErrorSource.POSITIONING_STATED].freedom[0])
 
 
 def perfect(plan: str, model: SensorModel, **known: float) -> Evidence:
@@ -254,7 +256,7 @@ def test_a_wrong_latitude_does_what_the_budget_says_of_it(plan: str, name: str) 
     found = method(name)(right)
     wrong = replace(SITE, latitude=SITE.latitude + std, latitude_std=std)
     moved = method(name)(replace(right, site=wrong)).model.vector() - found.model.vector()
-    of_latitude = std_of(found, Source.LATITUDE)[:24]
+    of_latitude = std_of(found, ErrorSource.LATITUDE)[:24]
     # To first order; rounding in sums of gravity is some 1e-14.
     assert of_latitude == pytest.approx(np.abs(moved), rel=0.02, abs=1e-13)
 
@@ -264,9 +266,9 @@ def test_a_table_that_stands_off_its_azimuth_does_what_the_budget_says_of_it() -
     found = method('joint')(right)
     off = perfect('six_position', truth().model, azimuth=GIVEN_AZIMUTH)
     moved = method('joint')(off).model.vector() - found.model.vector()
-    assert std_of(found, Source.AZIMUTH)[D_G] == pytest.approx(np.abs(moved[D_G]), rel=0.02)
+    assert std_of(found, ErrorSource.AZIMUTH)[D_G] == pytest.approx(np.abs(moved[D_G]), rel=0.02)
     # North of the Earth rate, one arc minute wide, in the mean of the headings.
-    assert std_of(found, Source.AZIMUTH)[D_G].max() < SITE.north_rate * GIVEN_AZIMUTH
+    assert std_of(found, ErrorSource.AZIMUTH)[D_G].max() < SITE.north_rate * GIVEN_AZIMUTH
 
 
 def test_a_tilted_table_does_what_the_budget_says_of_it() -> None:
@@ -288,7 +290,7 @@ def test_a_tilted_table_does_what_the_budget_says_of_it() -> None:
         )
         moved = estimate(replace(evidence, segments=segments)).state[:24] - state[:24]
         square += moved**2
-    found = std_of(method('joint')(evidence), Source.TILT)
+    found = std_of(method('joint')(evidence), ErrorSource.TILT)
     # Six rests do not see one of the tilts: it is in how channel z answers to X and Y.
     assert found[of('E_azx')[0]] == pytest.approx(RESPONSES[K_A[2]] * LEVELLED, rel=0.01)
     assert found**2 == pytest.approx(square, rel=0.05, abs=(1e-3 * LEVELLED) ** 2)
@@ -322,7 +324,7 @@ def test_biases_that_drift_as_stated_do_what_the_budget_says_of_them() -> None:
         outputs += [mean[:3] for mean in turned] + [mean[3:] for mean in turned]
         errors[run] = weights @ np.concatenate(outputs)
     spread = np.sqrt(np.mean(errors**2, axis=0))
-    stated = np.sqrt(np.diag(found.shares()[Source.BIAS_STATED].covariance))
+    stated = np.sqrt(np.diag(found.shares()[ErrorSource.BIAS_STATED].covariance))
     # What the session says against the data sheet takes a little off.
     share = np.repeat(found.scatter.bias_drift[[0, 3]] / INSTABILITY[[0, 3]], 12)
     assert (share > 0.8).all()
@@ -348,10 +350,10 @@ def test_what_the_session_shows_beyond_what_is_stated_has_lines_of_its_own() -> 
     budget = Budget.from_shares(found.shares)
     lines = {line.source: line for line in budget.lines}
     e_a = slice(NAMES.index('E_axy'), NAMES.index('D_ax'))
-    assert lines[Source.POSITIONING_FOUND].std[e_a].min() > 10 * ARCSEC
-    assert lines[Source.NOISE].std[e_a].max() < ARCSEC
+    assert lines[ErrorSource.POSITIONING_FOUND].std[e_a].min() > 10 * ARCSEC
+    assert lines[ErrorSource.NOISE].std[e_a].max() < ARCSEC
     # A mean over the posterior of the variance holds the doubt of its size already.
-    assert np.isinf(lines[Source.POSITIONING_FOUND].freedom).all()
+    assert np.isinf(lines[ErrorSource.POSITIONING_FOUND].freedom).all()
     assert budget.std == pytest.approx(found.std, rel=1e-9)
 
 
@@ -365,17 +367,17 @@ def test_turns_that_disagree_are_a_source_of_their_own(name: str) -> None:
         for k, t in enumerate(evidence.turns)
     )
     found = method(name)(replace(evidence, turns=turns))
-    scattered = std_of(found, Source.SCATTER)
-    assert scattered[K_G[0]] > std_of(found, Source.NOISE)[K_G].max()
+    scattered = std_of(found, ErrorSource.SCATTER)
+    assert scattered[K_G[0]] > std_of(found, ErrorSource.NOISE)[K_G].max()
     # Six turns about each axis, less the two unknowns of a line, in three channels at most.
-    assert 1 <= found.shares[Source.SCATTER].freedom[K_G[0]] <= 36
+    assert 1 <= found.shares[ErrorSource.SCATTER].freedom[K_G[0]] <= 36
     assert np.sqrt(np.diag(total(found.shares))) == pytest.approx(found.std, rel=1e-9)
 
 
 @pytest.mark.parametrize(('plan', 'name'), METHODS)
 def test_the_doubt_of_gravity_is_that_of_every_response_to_force(plan: str, name: str) -> None:
     calibration = made(plan, name)
-    (line,) = [x for x in calibration.budget.lines if x.source is Source.GRAVITY]
+    (line,) = [x for x in calibration.budget.lines if x.source is ErrorSource.GRAVITY]
     doubt = PLACE.gravity_std / PLACE.gravity
     assert line.std[K_A] == pytest.approx((1 + calibration.values[K_A]) * doubt, rel=1e-12)
     assert not line.std[:12].any()
@@ -387,7 +389,7 @@ def test_a_gravity_as_measured_is_exact_and_has_no_line() -> None:
     plan = at_one_rate(quick_plan('twelve_position', 12.0))
     found = calibrate(session(plan, stand(), 1), plan, site=measured).calibration
     sources = {line.source for line in found.budget.lines}
-    assert not sources & {Source.GRAVITY, Source.LATITUDE, Source.TABLE_CLOCK}
+    assert not sources & {ErrorSource.GRAVITY, ErrorSource.LATITUDE, ErrorSource.TABLE_CLOCK}
 
 
 @pytest.mark.parametrize('units', [Units.PULSES, Units.COUNTS])
@@ -429,7 +431,7 @@ def test_a_table_states_its_clock_and_a_calibration_counts_it(tmp_path) -> None:
         with pytest.raises(InputError, match=words):
             load_table(path)
     calibration = made('twelve_position', 'joint')
-    (line,) = [x for x in calibration.budget.lines if x.source is Source.TABLE_CLOCK]
+    (line,) = [x for x in calibration.budget.lines if x.source is ErrorSource.TABLE_CLOCK]
     assert line.std[K_A] == pytest.approx((1 + calibration.values[K_A]) * TABLE_CLOCK)
     assert calibration.provenance['table_clock_std'] == TABLE_CLOCK
 
@@ -447,7 +449,7 @@ def test_degrees_of_freedom_add_up_as_in_the_guides_example() -> None:
 )
 def test_the_coverage_factor_is_students(freedom: float, factor: float) -> None:
     # JCGM 100:2008, table G.2, 95 %.
-    line = BudgetLine(Source.NOISE, np.array([2.0]), np.array([freedom]))
+    line = BudgetLine(ErrorSource.NOISE, np.array([2.0]), np.array([freedom]))
     assert Budget((line,)).coverage_factor == pytest.approx(factor, abs=0.005)
     assert Budget((line,)).expanded == pytest.approx(2 * factor, abs=0.01)
 
@@ -461,7 +463,7 @@ def test_each_source_is_missed_where_it_is_left_out(plan: str, name: str) -> Non
     for source in found.shares:
         rest = {s: share for s, share in found.shares.items() if s is not source}
         lost = 1 - np.diag(total(rest)) / np.diag(found.covariance)
-        silent = source is Source.NORTH or not found.shares[source].covariance.any()
+        silent = source is ErrorSource.NORTH or not found.shares[source].covariance.any()
         assert silent or lost.max() > 1e-6, source
 
 
@@ -524,7 +526,7 @@ def test_the_screen_shows_the_budget_in_80_columns(recording, tmp_path, capsys) 
 
 
 def test_columns_of_all_sources_keep_to_80_letters() -> None:
-    names = [source.heading for source in Source]
+    names = [source.heading for source in ErrorSource]
     shares = np.full((2, len(names)), 0.01)
     shown: Any = SimpleNamespace(headings=names, fractions=shares, parameters=PARAMETERS[:2])
     tables = _share_tables(shown)
@@ -539,12 +541,12 @@ def test_columns_of_all_sources_keep_to_80_letters() -> None:
 def test_free_positions_tell_noise_pulses_and_what_trembles() -> None:
     calibration = by_hand(0).calibration
     lines = {line.source: line for line in calibration.budget.lines}
-    assert {Source.NOISE, Source.QUANTISATION, Source.NORTH} <= set(lines)
+    assert {ErrorSource.NOISE, ErrorSource.QUANTISATION, ErrorSource.NORTH} <= set(lines)
     assert calibration.budget.std == pytest.approx(calibration.std, rel=1e-9)
     known = calibration.std > 0
-    assert np.isfinite(lines[Source.NOISE].freedom[known]).all()
+    assert np.isfinite(lines[ErrorSource.NOISE].freedom[known]).all()
     # A share of the noise and one of the pulses: neither is all of it.
-    assert (lines[Source.QUANTISATION].std[K_A] < calibration.std[K_A]).all()
+    assert (lines[ErrorSource.QUANTISATION].std[K_A] < calibration.std[K_A]).all()
 
 
 def test_what_concerns_no_estimated_parameter_has_no_row_and_no_column() -> None:
@@ -594,6 +596,6 @@ def test_what_is_known_of_a_latitude_goes_with_the_recording() -> None:
 def test_covariance_and_budget_grow_by_the_same_share() -> None:
     calibration = made('six_position', 'six_position')
     share = Share.known(np.diag(calibration.std**2))
-    more = calibration.with_share(Source.SCATTER, share)
+    more = calibration.with_share(ErrorSource.SCATTER, share)
     assert more.budget.std == pytest.approx(more.std)
     assert more.std == pytest.approx(np.sqrt(2) * calibration.std)

@@ -19,7 +19,7 @@ from sessions import truth
 
 import imu_calib
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.common.budget import Budget, BudgetLine, Source
+from imu_calib.common.budget import Budget, BudgetLine, ErrorSource
 from imu_calib.common.config import dump, load
 from imu_calib.common.errors import InputError
 from imu_calib.reports.page import Contents, page
@@ -126,7 +126,7 @@ def test_one_changed_value_is_refused_by_its_key_or_does_no_harm(
 
 
 def test_a_budget_of_exact_parameters_has_no_picture_and_no_certificate(tmp_path: Path) -> None:
-    line = BudgetLine(Source.NOISE, np.zeros(24), np.full(24, np.inf))
+    line = BudgetLine(ErrorSource.NOISE, np.zeros(24), np.full(24, np.inf))
     exact = replace(truth(), budget=Budget((line,)))
     assert 'Uncertainty budget' not in imu_calib.report(exact, tmp_path / 'r.html').read_text()
     with pytest.raises(InputError, match='no uncertainty budget'):

@@ -49,7 +49,7 @@ def rows(path):
 
 def expected(block=SESSION[IMU]):
     compensator = Compensator(truth())
-    readings = [*compensator.take(block), *compensator.finish()]
+    readings = [*compensator.compensate_block(block), *compensator.finish()]
     payloads = []
     for r in readings:
         si = ImuBlock(r.stamp, r.values.rate, r.values.force, r.frame_id)

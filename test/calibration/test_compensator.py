@@ -49,10 +49,10 @@ def run(calibration, topics, seed=None):
         for piece in rng.permutation(np.array(pieces, dtype=object)) if seed else pieces:
             if seed is not None and len(piece) > 1:
                 middle = int(rng.integers(0, len(piece)))
-                readings += compensator.take(cut(piece, 0, middle))
-                readings += compensator.take(cut(piece, middle, len(piece)))
+                readings += compensator.compensate_block(cut(piece, 0, middle))
+                readings += compensator.compensate_block(cut(piece, middle, len(piece)))
             elif len(piece):
-                readings += compensator.take(piece)
+                readings += compensator.compensate_block(piece)
     readings += compensator.finish()
     stamps = np.concatenate([r.stamp for r in readings]) if readings else np.empty(0, np.int64)
     return compensator, stamps, concatenated([r.values for r in readings]) if readings else None
@@ -97,7 +97,10 @@ def test_what_is_no_number_is_told_from_what_is_marked_otherwise():
     accel = whole.accel.copy()
     accel[1] = np.nan
     compensator = Compensator(at(20.0))
-    readings = compensator.take(ImuBlock(whole.stamp, whole.gyro, accel)) + compensator.finish()
+    readings = (
+        compensator.compensate_block(ImuBlock(whole.stamp, whole.gyro, accel))
+        + compensator.finish()
+    )
     found = np.concatenate([reading.numbers for reading in readings])
     assert found.tolist() == [True, False, True, True]
 
@@ -121,9 +124,9 @@ def test_a_temperature_outside_is_marked_and_the_end_is_held():
 
 def test_a_new_calibration_takes_over_from_the_next_sample():
     compensator = Compensator(at(20.0))
-    first = compensator.take(cut(block(), 0, 1000))
+    first = compensator.compensate_block(cut(block(), 0, 1000))
     compensator.replace(at(20.0, 0.1))
-    then = compensator.take(cut(block(), 1000, COUNT))
+    then = compensator.compensate_block(cut(block(), 1000, COUNT))
     for readings, scale, rows in ((first, 0.0, slice(0, 1000)), (then, 0.1, slice(1000, COUNT))):
         _, _, whole = run(at(20.0, scale), [block()])
         values = concatenated([r.values for r in readings])

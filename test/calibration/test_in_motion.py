@@ -35,7 +35,7 @@ def compensated(unit: Unit, calibration: Calibration, sizes: Sequence[int] = (10
         if first >= len(stamps):
             break
         part = slice(first, first + size)
-        readings += compensator.take(ImuBlock(stamps[part], gyro[part], accel[part]))
+        readings += compensator.compensate_block(ImuBlock(stamps[part], gyro[part], accel[part]))
         first += size
     readings += compensator.finish()
     assert compensator.waiting == 0
@@ -97,7 +97,7 @@ def test_the_noise_of_a_change_passes_through_places_and_delay() -> None:
     found = []
     for calibration in sure:
         compensator = Compensator(calibration)
-        readings = compensator.take(ImuBlock(stamps, outputs[:, :3], outputs[:, 3:]))
+        readings = compensator.compensate_block(ImuBlock(stamps, outputs[:, :3], outputs[:, 3:]))
         readings += compensator.finish()
         found.append(concatenated([r.values for r in readings]).force_covariance)
     noise = Compensation(sure[0]).noise(np.array([tau]))[0]
@@ -118,7 +118,9 @@ def test_samples_across_a_gap_are_not_beside_each_other() -> None:
 
     def forces(rows: slice) -> np.ndarray:
         compensator = Compensator(known(terms=True))
-        readings = compensator.take(ImuBlock(stamps[rows], outputs[rows, :3], outputs[rows, 3:]))
+        readings = compensator.compensate_block(
+            ImuBlock(stamps[rows], outputs[rows, :3], outputs[rows, 3:])
+        )
         readings += compensator.finish()
         return concatenated([r.values for r in readings]).force
 

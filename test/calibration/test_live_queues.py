@@ -46,31 +46,31 @@ def test_a_temperature_counts_for_samples_half_a_second_after_it() -> None:
     # The bias is the temperature; the unit stands still.
     compensator = Compensator(combine([brick_at(0.0, 0.0), brick_at(100.0, 100.0)], ['a', 'b']))
     assert compensator.waits_for_temperature
-    assert compensator.take(samples(0, 40)) == []
+    assert compensator.compensate_block(samples(0, 40)) == []
     assert (compensator.waiting, compensator.dropped) == (40, 0)
     # The first counts for all before it.
-    first = compensator.take(temperature(100, 10.0))
+    first = compensator.compensate_block(temperature(100, 10.0))
     assert rates(first) == pytest.approx([-10.0] * 40)
     assert (compensator.waiting, compensator.waits_for_temperature) == (0, False)
-    assert compensator.take(temperature(120, 20.0)) == []
+    assert compensator.compensate_block(temperature(120, 20.0)) == []
     assert compensator.celsius == 20.0
-    then = compensator.take(samples(40, 800))
+    then = compensator.compensate_block(samples(40, 800))
     assert rates(then) == pytest.approx([-10.0] * (620 - 40) + [-20.0] * (800 - 620))
     assert [r.frame_id for r in then] == ['imu', 'imu']
     assert compensator.period == pytest.approx(1e-3)
     assert not compensator.counts
     # What is no number is none.
-    assert compensator.take(temperature(300, np.nan)) == []
+    assert compensator.compensate_block(temperature(300, np.nan)) == []
     assert compensator.celsius == 20.0
 
 
 def test_a_temperature_that_hardly_moves_is_the_one_before() -> None:
     compensator = Compensator(combine([brick_at(0.0, 0.0), brick_at(100.0, 100.0)], ['a', 'b']))
-    compensator.take(temperature(0, 10.0))
+    compensator.compensate_block(temperature(0, 10.0))
     # From 10 to 10.0099 nothing is prepared anew; 10.0101 is a hundredth more.
-    compensator.take(temperature(50, 10.0099))
-    compensator.take(temperature(100, 10.0101))
-    found = rates(compensator.take(samples(0, 700)))
+    compensator.compensate_block(temperature(50, 10.0099))
+    compensator.compensate_block(temperature(100, 10.0101))
+    found = rates(compensator.compensate_block(samples(0, 700)))
     assert found == pytest.approx([-10.0] * 600 + [-10.0101] * 100, abs=1e-9)
 
 
@@ -78,8 +78,8 @@ def test_beyond_what_was_seen_samples_are_marked_until_the_temperature_is_back()
     # Seen from 19 to 22 degC, and taken to count five kelvin further.
     compensator = Compensator(brick_at(20.0, 3.0))
     for k, celsius in enumerate((27.0, 27.1, 13.9, 14.0)):
-        compensator.take(temperature(100.0 * k, celsius))
-    readings = compensator.take(samples(0, 1000))
+        compensator.compensate_block(temperature(100.0 * k, celsius))
+    readings = compensator.compensate_block(samples(0, 1000))
     marks = np.concatenate([r.values.marks for r in readings]).tolist()
     hot = int(Mark.TEMPERATURE)
     assert marks == [0] * 600 + [hot] * 200 + [0] * 200
@@ -91,7 +91,7 @@ def test_while_no_temperature_comes_the_oldest_make_room(monkeypatch: pytest.Mon
     monkeypatch.setattr(module, '_MOST_WAITING', 50)
     compensator = Compensator(combine([brick_at(0.0), brick_at(100.0)], ['a', 'b']))
     for first in (0, 40, 50, 51):
-        assert compensator.take(samples(first, first + (40 if not first else 10))) == []
+        assert compensator.compensate_block(samples(first, first + (40 if not first else 10))) == []
     # Blocks of 40, 10, 10 and 10: at 60 the first is too much.
     assert (compensator.dropped, compensator.waiting) == (40, 30)
     assert compensator.finish() == []
@@ -101,12 +101,12 @@ def test_while_no_temperature_comes_the_oldest_make_room(monkeypatch: pytest.Mon
 def test_what_comes_again_and_again_is_dropped_and_the_rest_goes_on() -> None:
     compensator = Compensator(brick_at(20.0))
     still = replace(samples(0, 33), stamp=np.full(33, START))
-    assert compensator.take(still) == []
+    assert compensator.compensate_block(still) == []
     assert (compensator.repeats, compensator.dropped, compensator.waiting) == (32, 0, 1)
     # The first of these is the one of before.
-    assert compensator.take(samples(0, 20)) == []
+    assert compensator.compensate_block(samples(0, 20)) == []
     assert (compensator.repeats, compensator.waiting) == (33, 20)
-    assert [len(out) for out in compensator.take(samples(20, 60))] == [1, 19, 40]
+    assert [len(out) for out in compensator.compensate_block(samples(20, 60))] == [1, 19, 40]
     assert (compensator.irregular_steps, compensator.dropped) == (0, 0)
 
 
@@ -114,7 +114,7 @@ def test_stamps_that_stand_still_wait_for_a_second_at_most() -> None:
     # No repeats: the values go on.
     compensator = Compensator(brick_at(20.0))
     values = np.arange(5000.0)[:, None] * np.ones(3)
-    taken = compensator.take(ImuBlock(np.full(5000, START), values, values, 'imu'))
+    taken = compensator.compensate_block(ImuBlock(np.full(5000, START), values, values, 'imu'))
     assert compensator.repeats == 0
     # Those that waited for so long need no time between samples: they are in SI units.
     assert (compensator.dropped, sum(map(len, taken)) + compensator.waiting) == (0, 5000)
@@ -130,14 +130,14 @@ def test_a_sample_waits_fifty_milliseconds_for_its_skewed_gyro() -> None:
     # Samples that come ten times as fast as stated would wait for others.
     calibration = replace(calibration, imu=replace(calibration.imu, sample_rate=1000.0))
     compensator = Compensator(calibration)
-    assert compensator.take(samples(0, 40)) == []
+    assert compensator.compensate_block(samples(0, 40)) == []
     # What came says that those before it have none.
-    (out,) = compensator.take(skewed(3.0, 5.0, 6.0))
+    (out,) = compensator.compensate_block(skewed(3.0, 5.0, 6.0))
     assert len(out) == 7
     assert (compensator.alone, compensator.waiting) == (4, 33)
     assert out.values.parity is None
     # At 57 ms a sample of 7 ms has waited for fifty.
-    (out,) = compensator.take(samples(40, 58))
+    (out,) = compensator.compensate_block(samples(40, 58))
     assert out.stamp.tolist() == at(7.0).tolist()
     assert (compensator.alone, compensator.waiting) == (5, 50)
     ended = compensator.finish()
@@ -150,8 +150,8 @@ def test_values_of_the_same_stamp_belong_together() -> None:
     model = SensorModel(skewed=with_skew().skewed)
     compensator = Compensator(known(BRICK, model))
     stamps = [*range(33), 40.5]
-    compensator.take(SkewBlock(at(*stamps), np.full(34, 3**0.5)))
-    (out,) = compensator.take(samples(0, 33, 1.0))
+    compensator.compensate_block(SkewBlock(at(*stamps), np.full(34, 3**0.5)))
+    (out,) = compensator.compensate_block(samples(0, 33, 1.0))
     assert compensator.alone == 0
     assert out.values.parity is not None
     assert np.abs(out.values.parity).max() < 2e-5
@@ -163,15 +163,15 @@ def test_a_calibration_that_cannot_be_applied_leaves_the_one_before() -> None:
     flat = known(BRICK, SensorModel(Triad(np.diag([0.0, 0.0, -1.0]), np.zeros(3))))
     with pytest.raises(NotObservable):
         compensator.replace(flat)
-    assert rates(compensator.take(samples(0, 40))) == pytest.approx([-3.0] * 40)
+    assert rates(compensator.compensate_block(samples(0, 40))) == pytest.approx([-3.0] * 40)
     compensator.replace(brick_at(20.0, 4.0))
-    assert rates(compensator.take(samples(40, 42))) == pytest.approx([-4.0] * 2)
+    assert rates(compensator.compensate_block(samples(40, 42))) == pytest.approx([-4.0] * 2)
     # The temperature in use is that of the other, too.
-    compensator.take(temperature(0, 30.0))
-    compensator.take(samples(600, 601))
+    compensator.compensate_block(temperature(0, 30.0))
+    compensator.compensate_block(samples(600, 601))
     compensator.replace(combine([brick_at(0.0, 0.0), brick_at(100.0, 100.0)], ['a', 'b']))
     assert not compensator.waits_for_temperature
-    assert rates(compensator.take(samples(601, 602))) == pytest.approx([-30.0])
+    assert rates(compensator.compensate_block(samples(601, 602))) == pytest.approx([-30.0])
 
 
 @pytest.mark.parametrize('interval', [0.0, -0.001])

@@ -59,7 +59,7 @@ def out_of(block: ImuBlock, size: int, instants: Any = None) -> tuple[Any, Any, 
     readings = []
     for a, b in pairwise([*range(0, len(block), size), len(block)]):
         rows = slice(a, b)
-        readings += compensator.take(
+        readings += compensator.compensate_block(
             ImuBlock(block.stamp[rows], block.gyro[rows], block.accel[rows], 'imu')
         )
     readings += compensator.finish()

@@ -21,7 +21,7 @@ from imu_calib.cli.main import main
 from imu_calib.cli.processes import SessionEnd
 from imu_calib.cli.terminal import NodeReports
 from imu_calib.common.errors import ImuCalibError, InputError
-from imu_calib.live.devices.source import Source, check_port
+from imu_calib.live.devices.source import DeviceReader, check_port
 from imu_calib.live.web.board import Board, Expected
 
 try:
@@ -262,7 +262,7 @@ def test_a_port_that_does_not_open_says_what_to_do(error, words):
     def fails():
         raise error
 
-    source = Source('socket://127.0.0.1:1', time.time_ns)
+    source = DeviceReader('socket://127.0.0.1:1', time.time_ns)
     source._kind, source._where = fails, ()
     source.start()
     assert until(lambda: 'does not open' in source.state.text)

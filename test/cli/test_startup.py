@@ -23,13 +23,13 @@ from imu_calib.common.files import named_file
 from imu_calib.live.devices.format import load_format
 from imu_calib.live.devices.health import Reception, Severity
 from imu_calib.live.devices.messages import Command, Commands
-from imu_calib.live.devices.source import Chunk, Source, SourceState, choose_baud
+from imu_calib.live.devices.source import Chunk, DeviceReader, ReaderState, choose_baud
 from imu_calib.session.imu import load_imu
 
 SIMULATED = load_format('simulated')
 FOG = load_imu('fog_medium')
-OPEN = SourceState(True, False, 'It is open.')
-ENDED = SourceState(False, True, 'It was read to its end.')
+OPEN = ReaderState(True, False, 'It is open.')
+ENDED = ReaderState(False, True, 'It was read to its end.')
 
 SLOW = ('scipy.special', 'scipy.linalg', 'scipy.optimize', 'scipy.stats', 'matplotlib')
 """A quarter of a second of every command each, and none is used before something is solved."""
@@ -305,7 +305,7 @@ def test_frames_as_described_are_nothing_to_be_said(port, capsys):
 
 @pytest.mark.parametrize('restarts', [False, True])
 def test_a_port_that_is_handed_on_keeps_its_control_lines(port, restarts):
-    source = Source(port[1], time.time_ns, restarts=restarts)
+    source = DeviceReader(port[1], time.time_ns, restarts=restarts)
     source.start()
     assert until(lambda: source.state.open)
     lowered = termios.tcgetattr(port[0])[2] & termios.HUPCL
@@ -322,18 +322,18 @@ def format_status(reception, steady, state=OPEN):
 def test_a_greeting_is_no_other_device():
     reception = Reception(SIMULATED, FOG)
     format_status(reception, 10.0)
-    reception.take([Chunk(b'U' * 44 * 40, 10 * NS, 10 * NS)], 10 * NS, 10.0)
+    reception.decode_chunks([Chunk(b'U' * 44 * 40, 10 * NS, 10 * NS)], 10 * NS, 10.0)
     assert format_status(reception, 10.4).severity is Severity.OK
-    reception.take([Chunk(frame(0, 0, [0] * 6), 10 * NS, 10 * NS)], 10 * NS, 10.4)
+    reception.decode_chunks([Chunk(frame(0, 0, [0] * 6), 10 * NS, 10 * NS)], 10 * NS, 10.4)
     assert format_status(reception, 60.0).severity is Severity.OK
 
 
 def test_bytes_without_a_frame_are_another_device_after_a_greeting():
     reception = Reception(SIMULATED, FOG)
     format_status(reception, 9.0)
-    reception.take([Chunk(b'U' * 44 * 10, 10 * NS, 10 * NS)], 10 * NS, 10.0)
+    reception.decode_chunks([Chunk(b'U' * 44 * 10, 10 * NS, 10 * NS)], 10 * NS, 10.0)
     assert format_status(reception, 10.6).severity is Severity.OK
-    reception.take([Chunk(b'U' * 44 * 10, 10 * NS, 10 * NS)], 10 * NS, 10.7)
+    reception.decode_chunks([Chunk(b'U' * 44 * 10, 10 * NS, 10 * NS)], 10 * NS, 10.7)
     word = format_status(reception, 10.7)
     assert word.severity is Severity.ERROR
     assert word.text.startswith('Bytes are received, but no frame of the format simulated')
@@ -344,7 +344,7 @@ def test_a_recording_without_a_frame_is_one_of_another_device(data):
     reception = Reception(SIMULATED, FOG)
     format_status(reception, 10.0)
     if data:
-        reception.take([Chunk(data, 10 * NS, 10 * NS)], 10 * NS, 10.1)
+        reception.decode_chunks([Chunk(data, 10 * NS, 10 * NS)], 10 * NS, 10.1)
     assert format_status(reception, 10.3, ENDED).severity is Severity.OK
     word = format_status(reception, 10.7, ENDED)
     assert word.severity is Severity.ERROR
@@ -366,7 +366,7 @@ def test_a_port_that_does_not_open_yet_is_not_called_silent():
         words = reception.statuses(state, int(steady * NS), steady)
         return next(word for word in words if word.part == 'stream')
 
-    shut = SourceState(False, False, 'It does not open.')
+    shut = ReaderState(False, False, 'It does not open.')
     assert stream(10.0, shut).severity is Severity.WARN
     assert stream(20.0, shut).severity is Severity.WARN
     assert stream(20.1, OPEN).severity is Severity.WARN

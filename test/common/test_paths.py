@@ -16,7 +16,7 @@ from sessions import truth
 
 import imu_calib
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.common.budget import Budget, BudgetLine, Source
+from imu_calib.common.budget import Budget, BudgetLine, ErrorSource
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import read_text, write_whole
@@ -103,7 +103,7 @@ for name, write in writers.items():
 
 
 def test_a_full_disk_leaves_every_file_as_it_was(tmp_path):
-    noise = BudgetLine(Source.NOISE, np.full(24, 1e-6), np.full(24, np.inf))
+    noise = BudgetLine(ErrorSource.NOISE, np.full(24, 1e-6), np.full(24, np.inf))
     calibration = replace(truth(), covariance=1e-12 * np.eye(24), budget=Budget((noise,)))
     calibration.save(tmp_path / 'calibration.yaml')
     before = {'calibration.yaml': (tmp_path / 'calibration.yaml').read_text()}

@@ -12,7 +12,7 @@ from other_world import World, attitude, place
 from scipy.stats import chi2
 from sessions import SITE
 
-from imu_calib.common.budget import Source
+from imu_calib.common.budget import ErrorSource
 from imu_calib.common.units import DEG
 from imu_calib.estimation.arms import Arms
 from imu_calib.estimation.equations import Equations
@@ -112,7 +112,7 @@ def test_turns_that_no_table_times_have_no_accelerometers() -> None:
 
 def test_what_accelerometers_say_in_turns_is_weighed_by_arms_in_the_budget() -> None:
     result = estimate(evidence())
-    share = result.shares()[Source.ARM]
+    share = result.shares()[ErrorSource.ARM]
     # Turns at two rates tell arms from biases: next to nothing is left of the priors.
     square, total = np.diag(share.covariance), np.diag(result.covariance)[:24]
     assert 0 < (square / total).max() < 0.05

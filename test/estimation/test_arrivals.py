@@ -14,7 +14,7 @@ from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCSEC
 from imu_calib.estimation import joint
 from imu_calib.estimation.estimate import Estimate, estimate
-from imu_calib.estimation.positioning_errors import of_joints, of_stops
+from imu_calib.estimation.positioning_errors import joint_errors, stop_errors
 from imu_calib.segmentation.segments import Segment, Statistics, Turn
 from imu_calib.session.imu import load_imu
 from imu_calib.session.table import load_table
@@ -58,7 +58,7 @@ def leaned(angles: Floats, which: int) -> Floats:
 
 
 def test_rests_between_which_a_joint_stands_share_its_error() -> None:
-    found = of_joints(RESTS, TURNS, TABLE)
+    found = joint_errors(RESTS, TURNS, TABLE)
     columns = np.concatenate([found.at_rest, found.turning])
     felt = [set(np.flatnonzero(np.abs(columns[:, :, k]).max(axis=1) > 1e-9)) for k in range(8)]
     # About the axis that is vertical the unit goes round: of a level one nothing is left.
@@ -71,7 +71,7 @@ def test_rests_between_which_a_joint_stands_share_its_error() -> None:
 
 
 def test_an_inner_joint_tilts_the_axis_of_a_turn_and_the_turning_one_does_not() -> None:
-    found = of_joints(RESTS, TURNS, TABLE).turning[0]
+    found = joint_errors(RESTS, TURNS, TABLE).turning[0]
     inner = leaned(np.deg2rad([120.0, 90, 0]), 2)
     assert found[:, 6] == pytest.approx(inner, abs=1e-5)
     assert not found[:, :3].any()
@@ -79,7 +79,7 @@ def test_an_inner_joint_tilts_the_axis_of_a_turn_and_the_turning_one_does_not() 
 
 def test_what_lies_outside_a_turning_joint_goes_round() -> None:
     # The inner joint turns about the vertical: the middle one's axis passes all directions.
-    found = of_joints((rest(0, 0, 0, 0),), (turn(2, 2, 0, 0, 0),), TABLE)
+    found = joint_errors((rest(0, 0, 0, 0),), (turn(2, 2, 0, 0, 0),), TABLE)
     outer, middle, *rest_of = np.moveaxis(found.turning[0], 1, 0)
     assert outer == pytest.approx(TABLE.mount.T @ [0, 0, 1])
     assert middle == pytest.approx(np.zeros(3), abs=1e-12)
@@ -87,7 +87,7 @@ def test_what_lies_outside_a_turning_joint_goes_round() -> None:
 
 
 def test_every_stop_leans_for_itself() -> None:
-    found = of_stops(RESTS, TURNS)
+    found = stop_errors(RESTS, TURNS)
     assert found.at_rest.shape == (4, 3, 12)
     assert not found.turning.any()
     total = np.einsum('iae,jbe->iajb', found.at_rest, found.at_rest)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from evidence import evidence_of
 
-from imu_calib.common.budget import Source, total
+from imu_calib.common.budget import ErrorSource, total
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.units import ARCSEC
 from imu_calib.estimation import common_unknowns as module
@@ -206,24 +206,31 @@ def test_the_likelihood_is_that_of_all_outputs_but_for_a_constant() -> None:
 
 def test_what_others_say_and_what_is_stated_have_shares_of_their_own() -> None:
     shares = system().estimate(0).shares()
-    assert Source.OTHER_UNITS in shares
-    stated, beyond = (shares[s] for s in (Source.POSITIONING_STATED, Source.POSITIONING_FOUND))
+    assert ErrorSource.OTHER_UNITS in shares
+    stated, beyond = (
+        shares[s] for s in (ErrorSource.POSITIONING_STATED, ErrorSource.POSITIONING_FOUND)
+    )
     # Four parts of thirteen of the variance are stated.
     assert stated.covariance * 9 == pytest.approx(beyond.covariance * 4)
-    assert np.isfinite(shares[Source.CLOCK].covariance).all()
+    assert np.isfinite(shares[ErrorSource.CLOCK].covariance).all()
     more = replace(system().estimate(0), between=np.eye(alone()[0].equations.size))
-    assert more.shares()[Source.TIME_CONSTANT].covariance.tolist() == np.eye(24).tolist()
+    assert more.shares()[ErrorSource.TIME_CONSTANT].covariance.tolist() == np.eye(24).tolist()
     assert SharedEstimate.shares(replace(more, by_source=None, between=None)) == {}
 
 
 def test_what_no_other_unit_has_is_a_units_own() -> None:
     unit = alone()[0].equations
     sources = {c.source for c in own_components(unit, alone()[0].state)}
-    assert Source.NOISE in sources
-    assert not sources & {Source.POSITIONING_STATED, Source.STOPS, Source.TABLE, Source.LATITUDE}
+    assert ErrorSource.NOISE in sources
+    assert not sources & {
+        ErrorSource.POSITIONING_STATED,
+        ErrorSource.STOPS,
+        ErrorSource.TABLE,
+        ErrorSource.LATITUDE,
+    }
     outputs = len(unit.outputs)
     quiet = replace(unit, evidence=replace(unit.evidence, walk=np.zeros(6)))
-    extra = Component(Source.BIAS_FOUND, Diagonal(np.arange(float(outputs))))
+    extra = Component(ErrorSource.BIAS_FOUND, Diagonal(np.arange(float(outputs))))
     found = np.diag(own_covariance(replace(quiet, extra=(extra,)), alone()[0].state))
     assert found[0] == 1e-24
     assert found[1:3] == pytest.approx([1.0, 2.0])

@@ -10,7 +10,7 @@ import pytest
 from evidence import SITE, evidence_of
 from scipy.spatial.transform import Rotation
 
-from imu_calib.common.budget import Source
+from imu_calib.common.budget import ErrorSource
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.positioning_errors import PositioningErrors
 from imu_calib.estimation.table_effects import CommonSizes, CommonTable
@@ -69,7 +69,7 @@ def states(units: list[Equations]) -> list[Any]:
     return [equations.nominal() for equations in units]
 
 
-def of(found: Any, source: Source) -> list[Any]:
+def of(found: Any, source: ErrorSource) -> list[Any]:
     """The columns of a source, of each unit."""
     which = [k for k, one in enumerate(found.sources) if one is source]
     return [columns[:, which] for columns in found.columns]
@@ -88,10 +88,10 @@ def test_joints_that_stop_err_once_for_all_units(units: Any, states: Any) -> Non
     ]
     # The larger of the two stated sizes, and what was found on top of it.
     size = np.hypot(3e-6, 4e-6)
-    stated = np.array([s is Source.POSITIONING_STATED for s in found.sources])
+    stated = np.array([s is ErrorSource.POSITIONING_STATED for s in found.sources])
     np.testing.assert_allclose(found.sizes[stated], size)
     assert not found.sizes[~stated].any()
-    first, second = of(found, Source.POSITIONING_STATED)
+    first, second = of(found, ErrorSource.POSITIONING_STATED)
     for equations, state, columns, rests in zip(
         units, states, (first, second), ((0, 1, 2), (1, 2)), strict=True
     ):
@@ -110,7 +110,7 @@ def test_joints_that_stop_err_once_for_all_units(units: Any, states: Any) -> Non
 
 def test_stops_and_encoders_err_about_the_axes_of_the_table(units: Any, states: Any) -> None:
     found = CommonTable(units, SIZES).errors_at(states)
-    for source, size in ((Source.STOPS, 7e-6), (Source.ENCODER_NOISE, 2e-6)):
+    for source, size in ((ErrorSource.STOPS, 7e-6), (ErrorSource.ENCODER_NOISE, 2e-6)):
         both = of(found, source)
         # Three rests of three axes; an error about up shows in no force and hardly in a rate.
         for equations, state, columns, rests in zip(
@@ -121,9 +121,9 @@ def test_stops_and_encoders_err_about_the_axes_of_the_table(units: Any, states: 
                 lean[own, :, 3 * k : 3 * k + 3] = equations.evidence.table.mount.T * size
             wanted = equations.attitude_error_effects(state, lean, np.zeros((1, 3, 9)))
             np.testing.assert_allclose(columns[:, :9], wanted, atol=1e-18)
-        extra = 0 if source is Source.STOPS else 3
+        extra = 0 if source is ErrorSource.STOPS else 3
         assert both[0].shape[1] <= 9 + extra
-    turning = of(found, Source.ENCODER_NOISE)[0][units[0].layout.turn[0], 9:]
+    turning = of(found, ErrorSource.ENCODER_NOISE)[0][units[0].layout.turn[0], 9:]
     lean = np.eye(3)[None] * 3e-6
     wanted = units[0].attitude_error_effects(states[0], np.zeros((3, 3, 3)), lean)
     rows = units[0].layout.turn[0]
@@ -137,11 +137,11 @@ def test_latitude_table_and_rates_err_for_all(units: Any, states: Any) -> None:
     all_of = [u.table_error_effects(s) for u, s in zip(units, states, strict=True)]
     seen = np.any([columns.any(axis=0) for columns in all_of], axis=0)
     for k, (equations, state) in enumerate(zip(units, states, strict=True)):
-        latitude = of(found, Source.LATITUDE)[k][:, 0]
+        latitude = of(found, ErrorSource.LATITUDE)[k][:, 0]
         np.testing.assert_allclose(latitude, equations.latitude_derivatives(state) * 1e-4)
-        rates = of(found, Source.ENCODER_RATE)[k]
+        rates = of(found, ErrorSource.ENCODER_RATE)[k]
         np.testing.assert_allclose(rates, equations.encoder_rate_effects(state))
-        table = of(found, Source.TABLE)[k]
+        table = of(found, ErrorSource.TABLE)[k]
         np.testing.assert_allclose(table, equations.table_error_effects(state)[:, seen], atol=1e-18)
 
 

@@ -11,7 +11,7 @@ import pytest
 from evidence import ACCEL_WALK, GYRO_WALK, SITE, evidence_of, statistics
 from scipy.spatial.transform import Rotation
 
-from imu_calib.common.budget import Share, Source
+from imu_calib.common.budget import ErrorSource, Share
 from imu_calib.common.errors import Contradiction, InputError
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCSEC, DEG, DEG_H
@@ -48,7 +48,7 @@ def concluded(evidence: Evidence, *, accels: bool = False, north: bool = False) 
     variances = VARIANCES.copy()
     if not accels:
         variances[12:] = np.nan
-    shares = {Source.NOISE: Share.known(np.diag(variances))}
+    shares = {ErrorSource.NOISE: Share.known(np.diag(variances))}
     gain = np.full((24, 3), 2.0)
     return conclude(evidence, TRUE, shares, 3.5, gain=gain, findings=['First.'], north_known=north)
 
@@ -74,9 +74,9 @@ def test_a_sound_session_is_concluded_as_it_is() -> None:
     assert np.diag(found.covariance)[:12].tolist() == VARIANCES[:12].tolist()
     assert (found.gain == 2.0).all()
     assert found.shares is not None
-    assert list(found.shares) == [Source.NOISE, Source.SCATTER]
-    assert not found.shares[Source.SCATTER].covariance[:12, :12].any()
-    assert np.isinf(found.shares[Source.SCATTER].freedom).all()
+    assert list(found.shares) == [ErrorSource.NOISE, ErrorSource.SCATTER]
+    assert not found.shares[ErrorSource.SCATTER].covariance[:12, :12].any()
+    assert np.isinf(found.shares[ErrorSource.SCATTER].freedom).all()
     # Twelve dwells of 120 s; up, east and north each are seen by one channel's worth of all.
     std = GYRO_WALK / np.sqrt(12 * 120)
     assert found.azimuth == pytest.approx(0.3, abs=1e-6)
@@ -132,7 +132,7 @@ def test_gyros_that_scatter_from_dwell_to_dwell_are_widened_by_that() -> None:
         'widened.'
     )
     assert found.shares is not None
-    added = found.shares[Source.SCATTER]
+    added = found.shares[ErrorSource.SCATTER]
     assert np.diag(added.covariance)[:12] == pytest.approx(VARIANCES[:12] * (ratio - 1), rel=1e-9)
     assert added.freedom.tolist() == [30.0] * 12 + [np.inf] * 12
 
@@ -146,7 +146,7 @@ def test_what_two_dwells_of_a_group_have_in_common_counts_once() -> None:
     _, _, square = gyro_rows(evidence)
     found = concluded(evidence)
     assert found.shares is not None
-    freedom = found.shares[Source.SCATTER].freedom[0]
+    freedom = found.shares[ErrorSource.SCATTER].freedom[0]
     groups = {tuple(np.round(s.attitude[2]).astype(int)) for s in evidence.segments}
     assert len(groups) == 6
     assert freedom == 14
@@ -220,7 +220,7 @@ def test_accelerometers_are_held_to_responses_biases_and_tilts() -> None:
     assert own[12:] == pytest.approx(VARIANCES[12:] * ratio, rel=2e-3)
     assert f'the accelerometers scatter {np.sqrt(ratio):.1f} times' in found.findings[1]
     assert found.shares is not None
-    assert found.shares[Source.SCATTER].freedom.tolist() == [np.inf] * 12 + [22.0] * 12
+    assert found.shares[ErrorSource.SCATTER].freedom.tolist() == [np.inf] * 12 + [22.0] * 12
 
 
 def test_a_tilted_table_is_no_scatter_of_the_accelerometers() -> None:
@@ -265,7 +265,7 @@ def test_turns_that_scatter_widen_scale_factors_and_misalignments_alone() -> Non
     assert own[9:12] == pytest.approx(VARIANCES[9:12])
     assert 'Between turns the gyros scatter' in found.findings[1]
     assert found.shares is not None
-    assert found.shares[Source.SCATTER].freedom[:12].tolist() == [freedom] * 9 + [np.inf] * 3
+    assert found.shares[ErrorSource.SCATTER].freedom[:12].tolist() == [freedom] * 9 + [np.inf] * 3
     # Both: the fewer degrees of freedom count, and both factors.
     off = np.zeros((RESTS, 6))
     off[:, :3] = 1e-5 * np.outer(np.tile([1, -1], 6), [1, -2, 1.5])
@@ -276,7 +276,7 @@ def test_turns_that_scatter_widen_scale_factors_and_misalignments_alone() -> Non
     assert own[:9] == pytest.approx(VARIANCES[:9] * ratio * square / freedom, rel=1e-3)
     assert own[9:12] == pytest.approx(VARIANCES[9:12] * ratio)
     assert found.shares is not None
-    assert found.shares[Source.SCATTER].freedom[:12].tolist() == [freedom] * 9 + [30] * 3
+    assert found.shares[ErrorSource.SCATTER].freedom[:12].tolist() == [freedom] * 9 + [30] * 3
 
 
 def test_two_turns_about_an_axis_leave_nothing_to_compare() -> None:
@@ -341,7 +341,7 @@ def test_a_latitude_that_the_gyros_contradict_is_refused_but_in_the_hand() -> No
 @pytest.mark.parametrize('triad', ['gyro', 'accel'])
 def test_each_triad_is_held_to_its_axes(triad: str) -> None:
     wrong = replace(TRUE, **{triad: Triad(2 * np.eye(3), np.zeros(3))})
-    shares = {Source.NOISE: Share.known(np.diag(VARIANCES))}
+    shares = {ErrorSource.NOISE: Share.known(np.diag(VARIANCES))}
     options: Any = {'gain': np.zeros((24, 3)), 'findings': (), 'north_known': False}
     what = {'gyro': 'gyros answer 3 .* whole turns', 'accel': 'accelerometers answer 3 .* gravity'}
     with pytest.raises(InputError, match=what[triad]):
@@ -378,7 +378,7 @@ def test_a_closed_form_is_widened_by_what_the_tilt_does_to_it() -> None:
         return Triad(np.zeros((3, 3)), np.array([0, 0, session.outputs()[0, 3]]))
 
     variances = np.full(24, 1e-12)
-    shares = {Source.NOISE: Share.known(np.diag(variances))}
+    shares = {ErrorSource.NOISE: Share.known(np.diag(variances))}
     options: Any = {'gain': np.zeros((24, 3)), 'findings': (), 'north_known': False}
     found = conclude(evidence, TRUE, shares, 1.0, accelerometers=solver, **options)
     tilted, level = (
@@ -386,7 +386,7 @@ def test_a_closed_form_is_widened_by_what_the_tilt_does_to_it() -> None:
         for attitude in (attitudes[0], CLEAN.segments[0].attitude)
     )
     assert found.shares is not None
-    added = found.shares[Source.TILT].covariance
+    added = found.shares[ErrorSource.TILT].covariance
     assert added[23, 23] == pytest.approx((tilted - level) ** 2, rel=1e-3)
     assert np.count_nonzero(added) == 1
     assert found.covariance[23, 23] == pytest.approx(1e-12 + added[23, 23])
@@ -398,7 +398,7 @@ def test_a_closed_form_is_widened_by_what_the_tilt_does_to_it() -> None:
     by_hand = replace(evidence, plan=replace(CLEAN.plan, by_hand=True))
     found = conclude(by_hand, TRUE, shares, 1.0, accelerometers=solver, **options)
     assert found.shares is not None
-    assert Source.TILT not in found.shares
+    assert ErrorSource.TILT not in found.shares
 
 
 def test_a_session_without_noise_scatters_by_nothing() -> None:

@@ -19,7 +19,13 @@ from imu_calib.estimation import known_noise as noise_module
 from imu_calib.estimation.evidence import Evidence, in_table_time, vertical_axis
 from imu_calib.estimation.free_dwells import FreeEquations, at_headings_by_moves
 from imu_calib.estimation.known_noise import known_noise
-from imu_calib.estimation.positioning_errors import around, axes_of, of_joints, of_stops, stops_of
+from imu_calib.estimation.positioning_errors import (
+    around,
+    axes_of,
+    joint_errors,
+    stop_errors,
+    stops_of,
+)
 from imu_calib.estimation.table_effects import Tilt, tilt_bias, widened_for_tilt
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.segmentation.segmented import Move, VelocitySteps
@@ -342,7 +348,7 @@ def test_rests_between_which_a_joint_stays_share_its_error() -> None:
     segments = tuple(
         replace(CLEAN.segments[k], start=k, angles=one) for k, one in enumerate(angles)
     )
-    found = of_joints(segments, (), TABLE).at_rest
+    found = joint_errors(segments, (), TABLE).at_rest
     # Joint 0 stops twice, joint 1 twice, joint 2 once.
     runs = [(0, [0]), (0, [1, 2]), (1, [0, 1]), (1, [2]), (2, [0, 1, 2])]
     assert found.shape == (3, 3, 5)
@@ -359,7 +365,7 @@ def test_without_angles_up_tells_what_moved() -> None:
         replace(CLEAN.segments[k], start=10 * k, attitude=a) for k, a in enumerate(attitudes)
     )
     turns = (replace(CLEAN.turns[0], start=15, up=np.array([0, 0.009, 1.0])),)
-    found = of_joints(segments, turns, None)
+    found = joint_errors(segments, turns, None)
     # Three runs with two level errors each, and a vertical one of each rest.
     assert found.at_rest.shape == (4, 3, 10)
     assert found.turning.shape == (1, 3, 10)
@@ -376,11 +382,11 @@ def test_without_angles_up_tells_what_moved() -> None:
         np.testing.assert_allclose(found.at_rest[k, :, 6 + k], ups[k])
         assert np.count_nonzero(found.at_rest[k, :, 6:]) == 1
     apart = replace(turns[0], up=np.array([0, 0.011, 1.0]))
-    assert of_joints(segments, (apart,), None).at_rest.shape[2] == 4 + 2 * 5 - 2
+    assert joint_errors(segments, (apart,), None).at_rest.shape[2] == 4 + 2 * 5 - 2
 
 
 def test_each_stop_has_three_errors_of_its_own() -> None:
-    found = of_stops(CLEAN.segments[:2], CLEAN.turns[:1])
+    found = stop_errors(CLEAN.segments[:2], CLEAN.turns[:1])
     assert found.at_rest[0].tolist() == np.eye(3, 6).tolist()
     assert found.at_rest[1].tolist() == np.eye(3, 6, 3).tolist()
     assert found.turning.shape == (1, 3, 6)

@@ -12,7 +12,7 @@ from evidence import evidence_of
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
-from imu_calib.common.budget import Source
+from imu_calib.common.budget import ErrorSource
 from imu_calib.estimation import excess_scatter as module
 from imu_calib.estimation.bias_drift import BiasDrift
 from imu_calib.estimation.components import Blocks, Component
@@ -332,11 +332,11 @@ def test_drift_is_the_mean_of_its_posterior() -> None:
     assert deviation == pytest.approx(np.sqrt(size))
     span = there.bias_drift.span
     kernels = [there.bias_drift.kernel(t) for t in (1000 / span, 0.1, 3.0)]
-    assert [part.source for part in parts] == [Source.BIAS_STATED, Source.BIAS_FOUND]
+    assert [part.source for part in parts] == [ErrorSource.BIAS_STATED, ErrorSource.BIAS_FOUND]
     assert dense(parts[0]) == pytest.approx(stated * 9.0 * kernels[0])
     found = 4.0 * 0.375 * (ratios[0] * kernels[1] + ratios[1] * kernels[2])
     assert dense(parts[1]) == pytest.approx(found)
-    assert [part.source for part in spared] == [Source.BIAS_STATED]
+    assert [part.source for part in spared] == [ErrorSource.BIAS_STATED]
     assert dense(spared[0]) == pytest.approx((1 - stated) * 9.0 * kernels[0])
     assert not swift
     assert dense(parts[0]).shape == (SIZE, SIZE)
@@ -562,7 +562,7 @@ def test_a_session_without_rests_or_without_noise_shows_no_scatter() -> None:
 def test_scatter_is_shown_where_something_is_not_known_beforehand() -> None:
     stated, beyond = (
         Component(source, Blocks(np.arange(1)[None], np.eye(1)[None]))
-        for source in (Source.BIAS_STATED, Source.BIAS_FOUND)
+        for source in (ErrorSource.BIAS_STATED, ErrorSource.BIAS_FOUND)
     )
     known = ExcessScatter(NO_POSITIONING_ERRORS, np.zeros(6), (stated,))
     assert not known.shown

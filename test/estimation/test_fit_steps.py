@@ -12,7 +12,7 @@ import pytest
 from evidence import evidence_of
 from scipy.stats import chi2
 
-from imu_calib.common.budget import Source
+from imu_calib.common.budget import ErrorSource
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG, PPM
@@ -495,7 +495,13 @@ def test_shares_by_source_add_up_to_the_covariance_and_name_each_prior() -> None
     shares = found.shares()
     whole = sum(one.covariance for one in shares.values())
     assert whole == pytest.approx(found.covariance[:24, :24], rel=1e-6, abs=1e-22)
-    assert {Source.NOISE, Source.AZIMUTH, Source.TILT, Source.CLOCK, Source.ARM} <= shares.keys()
+    assert {
+        ErrorSource.NOISE,
+        ErrorSource.AZIMUTH,
+        ErrorSource.TILT,
+        ErrorSource.CLOCK,
+        ErrorSource.ARM,
+    } <= shares.keys()
     assert found.nuisance(Nuisance.TILT_X) == (
         found.state[25],
         pytest.approx(found.covariance[25, 25] ** 0.5),
@@ -507,7 +513,7 @@ def test_shares_by_source_add_up_to_the_covariance_and_name_each_prior() -> None
     moves: Any = ('one', 'two')
     assert replace(found, equations=down, rejected_moves=moves).downweighted_outputs == 3 + 6
     between = np.arange(found.equations.size**2, dtype=float).reshape(found.equations.size, -1)
-    doubted = replace(found, between=between).shares()[Source.TIME_CONSTANT]
+    doubted = replace(found, between=between).shares()[ErrorSource.TIME_CONSTANT]
     assert doubted.covariance.tolist() == between[:24, :24].tolist()
 
 

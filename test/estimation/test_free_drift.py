@@ -16,7 +16,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.hand import HandCalibrator
 from imu_calib.calibration.results import Result
 from imu_calib.calibration.verify import verify
-from imu_calib.common.budget import Source
+from imu_calib.common.budget import ErrorSource
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG
 from imu_calib.estimation.hand import ESTIMATES
@@ -51,7 +51,7 @@ def session(drift: tuple[float, float], holds: int, seed: int, settling: float =
     gyro = gyro + np.outer(course, drift[0] * ALONG)
     accel = accel + np.outer(course, drift[1] * ALONG)
     found = HandCalibrator(Setup(IMU, load_plan('free_positions'), None, SITE))
-    found.feed(replace(block, gyro=gyro, accel=accel))
+    found.add_block(replace(block, gyro=gyro, accel=accel))
     return found.finish()
 
 
@@ -145,4 +145,4 @@ def test_a_drift_that_settles_is_allowed_for() -> None:
     for false in ('unevenly', 'Outliers', 'respond to specific force', 'times the noise'):
         assert false not in said(found)
     assert found.solution.shares is not None
-    assert Source.BIAS_FOUND in found.solution.shares
+    assert ErrorSource.BIAS_FOUND in found.solution.shares

@@ -47,7 +47,7 @@ def session(squares: tuple[float, ...], seed: int, on_faces: bool = False) -> Re
 
 def fed(squares: tuple[float, ...], seed: int, on_faces: bool = False) -> HandCalibrator:
     found = HandCalibrator(Setup(IMU, load_plan('free_positions'), None, SITE))
-    found.feed(recorded(squares, seed, on_faces))
+    found.add_block(recorded(squares, seed, on_faces))
     return found
 
 
@@ -100,7 +100,7 @@ def test_another_session_verifies_the_terms_and_another_unit_fails() -> None:
     found = session(SQUARES, 0).calibration
     for squares, verdict in ((SQUARES, Verdict.PASS), (NONE, Verdict.FAIL)):
         segmenter = Segmenter(IMU, None)
-        segmenter.feed(recorded(squares, 5, False))
+        segmenter.add_block(recorded(squares, 5, False))
         observed = observe(segmenter.finish(), IMU, SITE, UNPLANNED, None)
         (judged,) = [t for t in verify(found, observed).triads if not t.gyros]
         assert judged.verdict is verdict

@@ -134,7 +134,7 @@ def test_the_level_earth_rate_is_one_vector_and_no_noise_of_each_hold() -> None:
         free = HandCalibrator(Setup(spec, load_plan('free_positions'), None, SITE))
         options = ImuOptions(bias_instability=False)
         for block in spread_holds(18, seed).blocks(spec, unit(seed), SITE, options, seed):
-            free.feed(block)
+            free.add_block(block)
         found = free.finish().calibration
         wrong = found.values - in_frame_of_accelerometers(unit(seed)).vector()
         covariance = found.covariance[np.ix_(gyros, gyros)]
@@ -226,7 +226,7 @@ def test_north_goes_round_with_the_earth_from_hold_to_hold() -> None:
     ups = np.array([p.up for p in plan.positions])
     session = shortest_turns(ups, np.array([p.dwell for p in plan.positions]))
     for block in session.blocks(si, unit(0), SITE, ImuOptions(), 0):
-        free.feed(block)
+        free.add_block(block)
     found = free.finish().calibration
     # Numbers without noise are taken for 1e-9 rad/s at each of 30 holds: what is left of north,
     # 1e-7 rad/s in the last of them, would show.
@@ -313,7 +313,7 @@ def test_a_plan_that_is_not_holds_alone_is_refused_beforehand(plan: str, reason:
 def test_numbers_in_si_without_any_noise_are_solved() -> None:
     free = HandCalibrator(Setup(load_imu('si'), load_plan('free_positions'), None, SITE))
     for block in spread_holds(30).blocks(load_imu('si'), unit(0), SITE, ImuOptions(), 0):
-        free.feed(block)
+        free.add_block(block)
     found = free.finish().calibration
     wrong = found.values - in_frame_of_accelerometers(unit(0)).vector()
     # Coning leaves 1e-5 rad in a turn at 200 Hz, four times that at 100 Hz, shared by 29 turns.
@@ -329,7 +329,7 @@ def test_a_lost_turn_costs_little_and_is_said() -> None:
     middle = 1_700_000_000_000_000_000 + int((session.holds[3, 1] + session.holds[4, 0]) / 2 * 1e9)
     for block in session.blocks(SPEC, unit(0), SITE, ImuOptions(), 0):
         keep = np.abs(block.stamp - middle) > 50_000_000
-        free.feed(
+        free.add_block(
             replace(block, stamp=block.stamp[keep], gyro=block.gyro[keep], accel=block.accel[keep])
         )
     found = free.finish()

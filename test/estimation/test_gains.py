@@ -10,7 +10,7 @@ import pytest
 from evidence import GYRO_WALK, SITE, TRUE, evidence_of, statistics
 from scipy.spatial.transform import Rotation
 
-from imu_calib.common.budget import Source
+from imu_calib.common.budget import ErrorSource
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG, DEG_H
@@ -187,7 +187,7 @@ def test_clocks_are_a_share_of_their_own() -> None:
     clock = replace(evidence.clock, rate_std=1e-6)
     found = positions.solve_twelve_position(replace(evidence, clock=clock)).shares
     assert found is not None
-    share = found[Source.CLOCK]
+    share = found[ErrorSource.CLOCK]
     # 1 ppm, beside what quartz may differ by, of K_g; biases know no clock.
     std = 1e-6 / np.sqrt(1 + (1e-6 / 50e-6) ** 2)
     k_gy = NAMES.index('K_gy')
@@ -263,7 +263,7 @@ def test_rates_and_24_positions_give_24_numbers(azimuth: float) -> None:
     design = np.column_stack([np.ones(len(ups)), ups])
     assert found.condition == pytest.approx(max(turned, np.linalg.cond(design)))
     # A bias is the mean of 24, each of its own noise.
-    noise = np.sqrt(np.diag(found.shares[Source.NOISE].covariance))[9]  # type: ignore[index]
+    noise = np.sqrt(np.diag(found.shares[ErrorSource.NOISE].covariance))[9]  # type: ignore[index]
     dwells = np.array([p.dwell for p in evidence.plan.positions])
     assert noise == pytest.approx(GYRO_WALK * np.sqrt(np.sum(1 / dwells)) / len(dwells), rel=1e-3)
     with pytest.raises(NotObservable, match=r'`azimuth`\)\. D_gx, D_gy, D_gz cannot'):
@@ -403,7 +403,7 @@ def test_static_six_is_least_squares_over_its_positions() -> None:
     design = np.column_stack([rates, np.ones(len(rates))])
     assert found.condition == pytest.approx(np.linalg.cond(design))
     covariance = np.linalg.inv(design.T @ design) * 1e-18 / evidence.plan.positions[0].dwell
-    noise = found.shares[Source.NOISE].covariance  # type: ignore[index]
+    noise = found.shares[ErrorSource.NOISE].covariance  # type: ignore[index]
     assert noise[NAMES.index('K_gx'), NAMES.index('K_gx')] == pytest.approx(
         covariance[0, 0] / EARTH_RATE**2, rel=1e-6
     )
@@ -457,7 +457,7 @@ def test_a_group_that_is_not_whole_is_left_out_of_the_biases() -> None:
     )
     assert found.model.gyro.bias == pytest.approx(TRUE.gyro.bias, abs=1e-6 * DEG_H)
     # Four dwells of 120 s.
-    noise = found.shares[Source.NOISE].covariance[9, 9]  # type: ignore[index]
+    noise = found.shares[ErrorSource.NOISE].covariance[9, 9]  # type: ignore[index]
     assert np.sqrt(noise) == pytest.approx(GYRO_WALK / np.sqrt(4 * 120), rel=1e-3)
     with pytest.raises(NotObservable) as refusal:
         positions.solve_twelve_position(lost('twelve_position', '2', '6', '11'))

@@ -55,7 +55,7 @@ def result() -> Result:
     calibrator = Calibrator(setup)
     with open_recording(RECORDING) as recording:
         for _, block in recording.read({'/imu/raw': Kind.IMU}):
-            calibrator.feed(block)
+            calibrator.add_block(block)
     return calibrator.finish()
 
 
@@ -121,7 +121,7 @@ def test_an_earth_rate_from_anywhere_is_in_the_deviations(method: str) -> None:
     for seed in range(runs):
         calibrator = Calibrator(setup)
         for block in quiet_session(seed):
-            calibrator.feed(block)
+            calibrator.add_block(block)
         found = calibrator.finish().calibration
         assert not any('scatter' in finding for finding in found.findings)
         square += ((found.values - truth.vector()) / found.std) ** 2

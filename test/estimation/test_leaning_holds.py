@@ -72,7 +72,7 @@ def solved(tilts: list[tuple[float, float]], seed: int, method: str | None = Non
     calibrator = Calibrator(
         Setup(SPEC, load_plan('six_position_by_hand'), None, SITE, method, search_terms=True)
     )
-    calibrator.feed(ImuBlock(stamp, np.array(gyro), np.array(accel)))
+    calibrator.add_block(ImuBlock(stamp, np.array(gyro), np.array(accel)))
     return calibrator.finish()
 
 

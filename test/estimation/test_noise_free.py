@@ -87,7 +87,7 @@ def test_a_stream_without_noise_is_verified_in_fast_turns() -> None:
     plan, table = plan_of('twelve_position'), load_table('three_axis')
     segmenter = Segmenter(SPEC, table)
     for _, block in session(plan, STATES_NO_NOISE, seed=2, spec=SPEC):
-        segmenter.feed(block)
+        segmenter.add_block(block)
     observed = observe(segmenter.finish(), SPEC, SITE, plan, table)
     assert verify(found('twelve_position'), observed).verdict is Verdict.PASS
 
@@ -106,7 +106,7 @@ def test_clocks_that_many_turns_compare_explain_what_they_differ_by() -> None:
     first = calibrate(session(plan, options, seed=1, spec=SPEC), plan, spec=SPEC).calibration
     segmenter = Segmenter(SPEC, table)
     for _, block in session(plan, options, seed=2, spec=SPEC):
-        segmenter.feed(block)
+        segmenter.add_block(block)
     verification = verify(first, observe(segmenter.finish(), SPEC, SITE, plan, table))
     assert verification.verdict is Verdict.PASS
     assert not verification.findings

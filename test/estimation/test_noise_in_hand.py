@@ -56,7 +56,7 @@ def by_hand(units: Units = Units.SI, *, stated: bool = False) -> Calibration:
     imu = ImuSpec('my_imu', units, RATE, *triads)
     site = Site.at(float(LATITUDE), gravity=GRAVITY)
     calibrator = HandCalibrator(Setup(imu, load_plan('free_positions'), None, site))
-    calibrator.feed(block)
+    calibrator.add_block(block)
     made = calibrator.finish().calibration
     return Calibration.from_yaml(made.to_yaml(), 'calibration.yaml')
 

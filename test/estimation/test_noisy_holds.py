@@ -73,7 +73,7 @@ def test_a_session_that_has_ended_says_the_same_again() -> None:
     assert np.array_equal(first.calibration.values, again.calibration.values)
     assert np.array_equal(first.calibration.covariance, again.calibration.covariance)
     assert ended.segmented() is ended.segmented()
-    ended.feed(session(False).block)
+    ended.add_block(session(False).block)
     assert len(ended.segmented().segments) == len(first.session.segments)
 
 

@@ -285,7 +285,7 @@ def test_a_clock_that_is_set_within_a_dwell_puts_no_parameter_off(
     last = ninth_dwell()
     end = last.start + 31 * 10**9 if until is None else last.start + round(until * 1e9)
     begin = last.start - round((37.99 if until is None else 17.0) * 1e9)
-    feed = Calibrator.feed
+    feed = Calibrator.add_block
 
     def set_and_cut(self: Calibrator, block: Any) -> None:
         held = block.stamp < last.end
@@ -299,7 +299,7 @@ def test_a_clock_that_is_set_within_a_dwell_puts_no_parameter_off(
             )
         feed(self, block)
 
-    monkeypatch.setattr(Calibrator, 'feed', set_and_cut)
+    monkeypatch.setattr(Calibrator, 'add_block', set_and_cut)
     result = fed(World(), MEDIUM).review().result
     assert result is not None
     assert np.abs(errors(result.calibration, MEDIUM)).max() < 3.5

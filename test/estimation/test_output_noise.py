@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from evidence import four_rests
 
-from imu_calib.common.budget import Source
+from imu_calib.common.budget import ErrorSource
 from imu_calib.common.stream import Floats
 from imu_calib.estimation.components import Component, Diagonal
 from imu_calib.estimation.evidence import Evidence
@@ -138,7 +138,7 @@ def held() -> Evidence:
     return replace(evidence, segments=segments, turns=turns, walk_freedom=freedom)
 
 
-def summed(evidence: Evidence, source: Source, inflation: Floats | None = None) -> Floats:
+def summed(evidence: Evidence, source: ErrorSource, inflation: Floats | None = None) -> Floats:
     total = np.zeros((len(evidence.layout),) * 2)
     for component in own_parts(evidence, inflation):
         if component.source is source:
@@ -149,8 +149,8 @@ def summed(evidence: Evidence, source: Source, inflation: Floats | None = None) 
 def test_each_output_has_walk_pulses_and_encoders_of_its_own() -> None:
     evidence = held()
     layout, walk, gravity = evidence.layout, evidence.walk, evidence.site.gravity
-    noise, pulses = summed(evidence, Source.NOISE), summed(evidence, Source.QUANTISATION)
-    encoders = summed(evidence, Source.ENCODER_NOISE)
+    noise, pulses = summed(evidence, ErrorSource.NOISE), summed(evidence, ErrorSource.QUANTISATION)
+    encoders = summed(evidence, ErrorSource.ENCODER_NOISE)
     for k, s in enumerate(evidence.segments):
         np.testing.assert_allclose(noise[layout.dwell[k]], walk**2 / 120)
         np.testing.assert_allclose(pulses[layout.dwell[k]], np.arange(1.0, 7) * 1e-16 * (k + 1))
@@ -168,7 +168,7 @@ def test_each_output_has_walk_pulses_and_encoders_of_its_own() -> None:
 def test_noise_is_as_sure_as_the_walk_of_its_channel() -> None:
     evidence = held()
     channels = evidence.layout.channels
-    noises = [c for c in own_parts(evidence, None) if c.source is Source.NOISE]
+    noises = [c for c in own_parts(evidence, None) if c.source is ErrorSource.NOISE]
     assert [c.freedom for c in noises] == [10, 11, 12, 13, 14, 15, 33]
     for channel, component in enumerate(noises[:6]):
         assert isinstance(component.part, Diagonal)
@@ -177,8 +177,8 @@ def test_noise_is_as_sure_as_the_walk_of_its_channel() -> None:
 
 def test_what_has_no_noise_keeps_the_smallest_variance() -> None:
     evidence = replace(four_rests(), walk=np.zeros(6))
-    np.testing.assert_allclose(summed(evidence, Source.QUANTISATION), 1e-24)
-    assert not summed(evidence, Source.NOISE).any()
+    np.testing.assert_allclose(summed(evidence, ErrorSource.QUANTISATION), 1e-24)
+    assert not summed(evidence, ErrorSource.NOISE).any()
 
 
 def test_inflation_is_scatter_by_channels() -> None:
@@ -188,11 +188,11 @@ def test_inflation_is_scatter_by_channels() -> None:
     inflation[evidence.layout.dwell[0, 3]] = 3.0
     own = sum(
         summed(evidence, source)
-        for source in (Source.NOISE, Source.QUANTISATION, Source.ENCODER_NOISE)
+        for source in (ErrorSource.NOISE, ErrorSource.QUANTISATION, ErrorSource.ENCODER_NOISE)
     )
-    found = summed(evidence, Source.SCATTER, inflation)
+    found = summed(evidence, ErrorSource.SCATTER, inflation)
     np.testing.assert_allclose(found, own * (inflation - 1), rtol=1e-12)
-    scatter = [c for c in own_parts(evidence, inflation) if c.source is Source.SCATTER]
+    scatter = [c for c in own_parts(evidence, inflation) if c.source is ErrorSource.SCATTER]
     # Four outputs of one channel less a line's two unknowns, and of the others one at least.
     assert [c.freedom for c in scatter] == [1, 2, 1, 1, 1, 1]
-    assert Source.SCATTER not in {c.source for c in own_parts(evidence, None)}
+    assert ErrorSource.SCATTER not in {c.source for c in own_parts(evidence, None)}

@@ -94,7 +94,7 @@ def channel(matrix: Floats) -> ChannelSystem:
     """Equations of which each has an output of its own."""
     system = ChannelSystem(len(matrix))
     for row, weights in zip(matrix, np.eye(len(matrix)), strict=True):
-        system.add(row, weights)
+        system.add_equation(row, weights)
     return system
 
 

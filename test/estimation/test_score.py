@@ -15,7 +15,7 @@ from other_world import DEG, Stop, Terms, Unit, World
 from sessions import SITE, truth
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.common.budget import Source, total
+from imu_calib.common.budget import ErrorSource, total
 from imu_calib.common.rotations import rotation
 from imu_calib.common.stream import Floats
 from imu_calib.estimation.equations import Equations
@@ -162,7 +162,7 @@ def test_looking_for_terms_changes_nothing_where_there_are_none() -> None:
     plain, searched = (fed(UPRIGHT, NAVIGATION, 1, find_terms=on).finish() for on in (False, True))
     assert searched.calibration.values.tobytes() == plain.calibration.values.tobytes()
     assert searched.solution.shares is not None
-    drifts = searched.solution.shares[Source.TERMS].covariance
+    drifts = searched.solution.shares[ErrorSource.TERMS].covariance
     assert (plain.solution.covariance + drifts).tobytes() == searched.solution.covariance.tobytes()
     # Where no drift shows deviations grow by some hundredths, those of K_az most.
     assert (
@@ -268,7 +268,7 @@ def test_a_term_that_shows_in_part_is_named_and_widens_what_it_touches() -> None
     assert np.abs(off).max() < TOO_FAR
     assert found.shares is not None
     assert total(found.shares) == pytest.approx(found.covariance, rel=1e-6, abs=1e-20)
-    assert (np.diag(found.shares[Source.TERMS].covariance)[12:] > 0).any()
+    assert (np.diag(found.shares[ErrorSource.TERMS].covariance)[12:] > 0).any()
 
 
 def test_the_screen_says_what_a_session_cannot_show() -> None:

@@ -12,7 +12,7 @@ from evidence import evidence_of
 from scipy.stats import f as f_distribution
 from scipy.stats import norm, t
 
-from imu_calib.common.budget import Share, Source
+from imu_calib.common.budget import ErrorSource, Share
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.units import ARCMIN, ARCSEC, DEG, MICRO_G
 from imu_calib.estimation import score as scores_module
@@ -656,14 +656,14 @@ def test_what_rivals_and_drifts_would_make_is_a_share_of_its_own() -> None:
     known = Share(np.diag([1.0, 2.0]), np.array([5.0, 6.0]))
     parts = [estimated(), (), {}, 1e-4, doubt, {}, {}, estimated(), doubt]
     search = SearchResult(*parts)
-    assert search.shares()[Source.TERMS].covariance.tolist() == doubt.tolist()
-    search.estimate.shares = lambda: {Source.TERMS: known, Source.NOISE: known}
+    assert search.shares()[ErrorSource.TERMS].covariance.tolist() == doubt.tolist()
+    search.estimate.shares = lambda: {ErrorSource.TERMS: known, ErrorSource.NOISE: known}
     both = search.shares()
-    assert both[Source.TERMS].covariance.tolist() == [[5.0, 0.0], [0.0, 2.0]]
-    assert both[Source.TERMS].freedom is known.freedom
-    assert both[Source.NOISE] is known
+    assert both[ErrorSource.TERMS].covariance.tolist() == [[5.0, 0.0], [0.0, 2.0]]
+    assert both[ErrorSource.TERMS].freedom is known.freedom
+    assert both[ErrorSource.NOISE] is known
     none = replace(search, undecided_covariance=np.zeros((2, 2)))
-    assert none.shares() == {Source.TERMS: known, Source.NOISE: known}
+    assert none.shares() == {ErrorSource.TERMS: known, ErrorSource.NOISE: known}
 
 
 def test_of_what_is_off_it_is_said_what_it_would_do(monkeypatch: pytest.MonkeyPatch) -> None:

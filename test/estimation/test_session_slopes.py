@@ -11,7 +11,7 @@ import pytest
 from evidence import GYRO_WALK, SITE, four_rests
 from scipy.spatial.transform import Rotation
 
-from imu_calib.common.budget import Source
+from imu_calib.common.budget import ErrorSource
 from imu_calib.common.stream import Floats, Units
 from imu_calib.common.units import ARCSEC
 from imu_calib.estimation.equations import ANY_AZIMUTH, GIVEN_AZIMUTH, Equations
@@ -182,10 +182,10 @@ def test_priors_are_those_of_table_and_clocks() -> None:
     exact = replace(evidence, clock=replace(evidence.clock, rate_std=0.0))
     assert at(exact)[0].prior[1][Nuisance.CLOCK] == 1e-15
     sources = {source: (which, freedom) for source, which, freedom in equations.prior_sources}
-    assert sources[Source.AZIMUTH] == ([0], np.inf)
-    assert sources[Source.TILT] == ([1, 2], np.inf)
-    assert sources[Source.CLOCK] == ([3], 28)
-    assert sources[Source.ARM] == (list(range(4, equations.nuisances)), np.inf)
+    assert sources[ErrorSource.AZIMUTH] == ([0], np.inf)
+    assert sources[ErrorSource.TILT] == ([1, 2], np.inf)
+    assert sources[ErrorSource.CLOCK] == ([3], 28)
+    assert sources[ErrorSource.ARM] == (list(range(4, equations.nuisances)), np.inf)
 
 
 def test_outputs_are_whitened_by_their_covariance() -> None:
@@ -208,7 +208,7 @@ def test_outputs_are_whitened_by_their_covariance() -> None:
     np.testing.assert_allclose(wider.own_variances[:6], 4 * equations.own_variances[:6])
 
 
-def part(equations: Equations, state: Floats, *sources: Source) -> Floats:
+def part(equations: Equations, state: Floats, *sources: ErrorSource) -> Floats:
     """The covariance of the outputs by some sources."""
     found = np.zeros((len(equations.outputs), len(equations.outputs)))
     for component in equations.shared(state):
@@ -221,27 +221,27 @@ def test_what_outputs_have_in_common_has_its_source() -> None:
     evidence = four_rests()
     equations, state = at(evidence, positioning=PositioningErrors(3e-6, 7e-6))
     joints, stops = equations.positioning_error_effects(state)
-    got = part(equations, state, Source.POSITIONING_FOUND)
+    got = part(equations, state, ErrorSource.POSITIONING_FOUND)
     np.testing.assert_allclose(got, 9e-12 * joints @ joints.T, atol=1e-20)
-    got = part(equations, state, Source.STOPS)
+    got = part(equations, state, ErrorSource.STOPS)
     np.testing.assert_allclose(got, 49e-12 * stops @ stops.T, atol=1e-20)
-    assert not part(equations, state, Source.POSITIONING_STATED).any()
+    assert not part(equations, state, ErrorSource.POSITIONING_STATED).any()
     stated, _ = at(replace(evidence, positioning=2e-6))
-    got = part(stated, state, Source.POSITIONING_STATED)
+    got = part(stated, state, ErrorSource.POSITIONING_STATED)
     np.testing.assert_allclose(got, 4e-12 * joints @ joints.T, atol=1e-20)
-    assert not part(stated, state, Source.POSITIONING_FOUND, Source.STOPS).any()
+    assert not part(stated, state, ErrorSource.POSITIONING_FOUND, ErrorSource.STOPS).any()
     site = replace(SITE, latitude_std=1e-3)
     doubtful, _ = at(replace(evidence, site=site))
     slope = doubtful.latitude_derivatives(state) * 1e-3
-    np.testing.assert_allclose(part(doubtful, state, Source.LATITUDE), np.outer(slope, slope))
-    assert not part(equations, state, Source.LATITUDE).any()
+    np.testing.assert_allclose(part(doubtful, state, ErrorSource.LATITUDE), np.outer(slope, slope))
+    assert not part(equations, state, ErrorSource.LATITUDE).any()
 
 
 def test_parameters_in_doubt_count_with_their_deviations() -> None:
     doubted = PARAMETERS[24:26]
     equations, state = at(four_rests(), considered=tuple(zip(doubted, (2e-5, 3e-5), strict=True)))
     columns = equations.parameter_derivatives(state, doubted) * [2e-5, 3e-5]
-    np.testing.assert_allclose(part(equations, state, Source.TERMS), columns @ columns.T)
+    np.testing.assert_allclose(part(equations, state, ErrorSource.TERMS), columns @ columns.T)
 
 
 def test_a_table_that_leaves_something_open_leans() -> None:
@@ -254,7 +254,7 @@ def test_a_table_that_leaves_something_open_leans() -> None:
     equations, state = at(replace(held, segments=segments, turns=turns, table=table))
     assert equations.table_error_effects(state).shape[1] > 0
     columns = equations.table_error_effects(state)
-    np.testing.assert_allclose(part(equations, state, Source.TABLE), columns @ columns.T)
+    np.testing.assert_allclose(part(equations, state, ErrorSource.TABLE), columns @ columns.T)
     # One deviation of an error turns the attitude of a rest by so much.
     state[equations.clock_index] = 0.0
     columns = equations.table_error_effects(state)

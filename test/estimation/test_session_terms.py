@@ -19,7 +19,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.calibration.thermal import ThermalCalibration, by_temperature, load_calibration
 from imu_calib.cli.main import main
-from imu_calib.common.budget import Source
+from imu_calib.common.budget import ErrorSource
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.files import named_file
@@ -68,7 +68,7 @@ def warmed(calibrator: Calibrator) -> Calibrator:
     seconds = np.arange(last // 10**9 - EPOCH + 1)
     stamps = (EPOCH + seconds) * 10**9
     for part in np.array_split(seconds, 7):
-        calibrator.feed(TemperatureBlock(stamps[part], 20.0 + RISE * part))
+        calibrator.add_block(TemperatureBlock(stamps[part], 20.0 + RISE * part))
     return calibrator
 
 
@@ -300,7 +300,7 @@ def test_a_warm_up_fades_at_a_rate_that_is_found(warming: tuple[Evidence, Floats
     kept = found.covariance[:24, :24]
     scale = np.sqrt(np.outer(np.diag(kept), np.diag(kept)))
     assert np.abs((total - kept) / scale).max() < 1e-6
-    assert np.diag(shares[Source.TIME_CONSTANT].covariance)[21] > 0
+    assert np.diag(shares[ErrorSource.TIME_CONSTANT].covariance)[21] > 0
 
 
 BLAMED = ('drift by', 'scatter', 'given less weight', 'elsewhere')
@@ -511,9 +511,9 @@ def stepped_session(
             seconds = (block.stamp - begin) * 1e-9
             for kept in (seconds < silent[0], seconds > silent[1]):
                 parts = (block.stamp[kept], block.gyro[kept], block.accel[kept])
-                calibrator.feed(ImuBlock(*parts, block.frame_id))
+                calibrator.add_block(ImuBlock(*parts, block.frame_id))
         else:
-            calibrator.feed(block)
+            calibrator.add_block(block)
     evidence = gathered(calibrator)
     starts, stops = spans(evidence)
     last = (instant_of(evidence, 1.0) - begin) * 1e-9

@@ -30,7 +30,7 @@ from imu_calib.calibration.findings import assumption_findings
 from imu_calib.calibration.results import Result
 from imu_calib.cli.calibrate import show
 from imu_calib.cli.main import main
-from imu_calib.common.budget import Source
+from imu_calib.common.budget import ErrorSource
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import share_folder
@@ -212,11 +212,11 @@ def test_a_table_that_is_taken_as_exact_is_not() -> None:
 def test_the_budget_has_a_line_for_it() -> None:
     solution = joint.solve(recorded(1))
     exact = joint.solve(replace(evidence_of(), table=TABLE))
-    share = solution.shares[Source.TABLE].covariance
+    share = solution.shares[ErrorSource.TABLE].covariance
     # Misalignments are against axes that nobody knows better; biases of gyros hardly feel them.
     assert np.sqrt(share[3, 3]) > 0.5 * solution.std[3]
     assert np.sqrt(share[9, 9]) < 0.2 * solution.std[9]
-    assert Source.TABLE not in exact.shares
+    assert ErrorSource.TABLE not in exact.shares
 
 
 def test_what_a_file_leaves_out_is_assumed_and_not_exact(unstated: Result) -> None:
@@ -228,8 +228,8 @@ def test_what_a_file_leaves_out_is_assumed_and_not_exact(unstated: Result) -> No
     whole = np.hypot(ASSUMED['zeros'], ASSUMED['orthogonality'])
     assert calibration.std[misaligned].max() == pytest.approx(whole, rel=0.1)
     assert {line.source for line in calibration.budget.lines} > {
-        Source.TABLE,
-        Source.POSITIONING_STATED,
+        ErrorSource.TABLE,
+        ErrorSource.POSITIONING_STATED,
     }
 
 
@@ -289,7 +289,7 @@ def test_a_session_on_such_a_table_is_reviewed_from_its_first_block_on() -> None
             calls.add((bool(review.session.segments), bool(review.session.turns)))
         if len(calls) == 3:
             break
-        calibrator.feed(block)
+        calibrator.add_block(block)
     assert calls == {(False, False), (False, True), (True, True)}
 
 
@@ -301,7 +301,7 @@ def test_nothing_is_assumed_of_a_table_that_states_all_nor_without_one() -> None
         assert table.level == LEVELLED == 20 * ARCSEC
     alone = calibrate(session(BRIEF, seed=1), BRIEF, imu_only=True).calibration
     assert not any('assumed' in finding for finding in alone.findings)
-    assert Source.TABLE not in {line.source for line in alone.budget.lines}
+    assert ErrorSource.TABLE not in {line.source for line in alone.budget.lines}
     hand = Evidence((), (), PLAN, SITE, fit_clock([]), None, np.ones(6))
     assert (hand.levelling, hand.positioning) == (LEVELLED, 0.0)
 
@@ -336,7 +336,7 @@ def test_the_level_that_a_table_states_is_the_prior_of_its_tilts(level: float) -
     # Accelerometers in turns would: those that no table times do not count.
     evidence = replace(evidence_of('six_position'), azimuth=0.0, table=replace(TABLE, level=level))
     evidence = replace(evidence, turns=tuple(replace(t, seconds=None) for t in evidence.turns))
-    share = joint.solve(evidence).shares[Source.TILT].covariance
+    share = joint.solve(evidence).shares[ErrorSource.TILT].covariance
     place = next(k for k, p in enumerate(PARAMETERS) if p.name == 'E_azx')
     assert np.sqrt(share[place, place]) == pytest.approx(level, rel=0.01)
 

@@ -11,7 +11,7 @@ from loopback import CHECKOUT
 
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.calibration.results import Result
-from imu_calib.common.budget import Source
+from imu_calib.common.budget import ErrorSource
 from imu_calib.common.stream import Floats
 from imu_calib.estimation.term_tests import TermState, summary
 
@@ -30,8 +30,8 @@ def ramp() -> tuple[Result, Result, Floats]:
     one = Calibrator(setup)
     other = Calibrator(replace(setup, search_terms=False))
     for block in blocks(condition, simulated):
-        one.feed(block)
-        other.feed(block)
+        one.add_block(block)
+        other.add_block(block)
     wanted = truth(unit_of(grade, ''), simulated)
     return one.finish(), other.finish(), wanted
 
@@ -51,7 +51,7 @@ def test_a_drift_of_scale_factors_that_hides_is_in_their_deviations(
     assert looked.calibration.changes is None
     shares = looked.solution.shares
     assert shares is not None
-    share = shares[Source.TERMS].covariance
+    share = shares[ErrorSource.TERMS].covariance
     assert looked.solution.covariance == pytest.approx(plain.solution.covariance + share)
     # Neither biases nor misalignments pay for it.
     wider = np.sqrt(np.diag(looked.solution.covariance) / np.diag(plain.solution.covariance))

@@ -11,7 +11,7 @@ import units_world as world
 from units_sessions import PULSE, TABLE, TURNED, WALK, solved, tilt, truth
 
 from imu_calib.calibration.calibrator import estimate_together
-from imu_calib.common.budget import Source, total
+from imu_calib.common.budget import ErrorSource, total
 from imu_calib.estimation.common_unknowns import join, own_covariance
 from imu_calib.estimation.positioning_errors import PositioningErrors
 from imu_calib.estimation.session_model import Nuisance
@@ -100,7 +100,7 @@ def test_positioning_errors_are_those_of_the_table(sessions):
 def test_the_budget_of_each_unit_adds_up_to_its_covariance(sessions):
     for result in sessions[0].shared.results:
         solution = result.solution
-        assert Source.OTHER_UNITS in solution.shares
+        assert ErrorSource.OTHER_UNITS in solution.shares
         added, whole = total(solution.shares), solution.covariance
         assert np.abs(added - whole).max() < 1e-9 * np.abs(whole).max()
 
@@ -112,13 +112,13 @@ def test_what_other_units_say_has_the_degrees_of_freedom_of_their_noise(sessions
     turns = len(alone[0].turns)
     for k, result in enumerate(sessions[0].shared.results):
         others = np.delete(of_channels, k, axis=0)
-        freedom = result.solution.shares[Source.OTHER_UNITS].freedom
+        freedom = result.solution.shares[ErrorSource.OTHER_UNITS].freedom
         # Welch-Satterthwaite: at least those of the worst term, at most the sum (three units'
         # channels at even parts). Quantisation is known, and is under a tenth of the variance.
         assert (freedom >= others.min()).all()
         assert (freedom[:3] < 1.1 * others.sum()).all()
         # Sixteen blocks less a line's two unknowns, for each turn.
-        freedom = result.solution.shares[Source.ENCODER_RATE].freedom
+        freedom = result.solution.shares[ErrorSource.ENCODER_RATE].freedom
         assert (freedom[:3] >= 14).all()
         assert (freedom[:3] <= 14 * turns * (1 + 1e-9)).all()
 

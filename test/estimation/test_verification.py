@@ -59,7 +59,7 @@ def segmented(
     blocks = session(plan, stand(azimuth=HEADING), seed, table=mounted or table)
     for _, block in blocks:
         if table is not None or isinstance(block, ImuBlock):
-            segmenter.feed(block)
+            segmenter.add_block(block)
     return segmenter.finish()
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from imu_calib.common.budget import Share, Source
+from imu_calib.common.budget import ErrorSource, Share
 from imu_calib.common.stream import Floats
 from imu_calib.estimation.outliers import (
     _UNLIKE,
@@ -51,11 +51,13 @@ class Linear:
         jacobian = np.vstack([white @ self.design, self.prior])
         return jacobian, np.append(white @ self.outputs, self.prior_left) - jacobian @ state
 
-    def shares(self, _: Floats, gain: Floats) -> dict[Source, Share]:
+    def shares(self, _: Floats, gain: Floats) -> dict[ErrorSource, Share]:
         """Return what noise, known by few degrees of freedom, and a known rest make of a gain."""
         return {
-            Source.NOISE: Share(0.75 * gain @ self.covariance @ gain.T, np.full(len(gain), FEW)),
-            Source.TABLE: Share.known(0.25 * gain @ self.covariance @ gain.T),
+            ErrorSource.NOISE: Share(
+                0.75 * gain @ self.covariance @ gain.T, np.full(len(gain), FEW)
+            ),
+            ErrorSource.TABLE: Share.known(0.25 * gain @ self.covariance @ gain.T),
         }
 
     def solved(self) -> Floats:

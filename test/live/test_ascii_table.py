@@ -193,7 +193,7 @@ class Leader(ros.Node):
             kinds.TurntableSetpoint, 'turntable/setpoint', qos.command()
         )
         self.joints = ros.open_drain(self, kinds.JointState, 'turntable/joint_states', qos.stream())
-        self.create_subscription(kinds.DiagnosticArray, '/diagnostics', self.take_diagnostics, 100)
+        self.create_subscription(kinds.DiagnosticArray, '/diagnostics', self.on_diagnostics, 100)
         self.create_timer(0.02, self.tick, clock=STEADY)
 
     def tick(self):
@@ -203,7 +203,7 @@ class Leader(ros.Node):
             for payload in encode_setpoints(SetpointBlock((now,))).payloads():
                 self.output.publish(payload)
 
-    def take_diagnostics(self, message):
+    def on_diagnostics(self, message):
         for status in message.status:
             self.statuses[status.name.partition(': ')[2]] = status
 
@@ -556,7 +556,7 @@ def test_a_reading_is_stamped_in_the_middle_between_question_and_answer(follower
     at_work.start()
     assert until(lambda: len(at_work._readings) > 3)
     assert at_work.stop(5.0)
-    assert at_work.take().stamp[:3].tolist() == [50, 250, 450]
+    assert at_work.pop_joint_states().stamp[:3].tolist() == [50, 250, 450]
 
 
 def test_an_answer_to_an_earlier_question_is_none_to_this_one():

@@ -11,7 +11,7 @@ from imu_calib.live.devices.clock import DeviceClock
 from imu_calib.live.devices.fields import FrameCounter, Number
 from imu_calib.live.devices.format import Decoder, load_format
 from imu_calib.live.devices.health import Health, Severity
-from imu_calib.live.devices.source import Source
+from imu_calib.live.devices.source import DeviceReader
 
 NS = 1_000_000_000
 MS = 1_000_000
@@ -65,9 +65,9 @@ def stamped(clock, made, arrival, *, time=None, counter=None, set_by=None):
         steady = arrival[part]
         columns = [None if column is None else column[part] for column in (time, counter)]
         if set_by is None:
-            parts.append(clock.feed(*columns, steady))
+            parts.append(clock.elapsed_times(*columns, steady))
         else:
-            elapsed = clock.feed(*columns, steady + set_by[part], steady)
+            elapsed = clock.elapsed_times(*columns, steady + set_by[part], steady)
             parts.append(elapsed + clock.set_by)
     clock.settle()
     return clock.offset + np.concatenate(parts)
@@ -90,8 +90,10 @@ def received(name, numbers, rate):
     frames = [sent(name, k) for k in numbers.tolist()]
     parts = []
     for part in delivered(arrival):
-        samples = decoder.feed(b''.join(frames[part]))
-        parts.append(clock.feed(samples.time, samples.counter, arrival[part], arrival[part]))
+        samples = decoder.decode_bytes(b''.join(frames[part]))
+        parts.append(
+            clock.elapsed_times(samples.time, samples.counter, arrival[part], arrival[part])
+        )
     clock.settle()
     return made, clock.offset + np.concatenate(parts), clock, decoder.counts
 
@@ -314,7 +316,7 @@ def test_a_clock_that_is_set_is_an_error_for_ten_seconds_and_then_a_warning(tmp_
     clock = DeviceClock(form.time, form.counter, 1 / RATE)
     health = Health(form, RATE, 0.5)
     (tmp_path / 'line').write_bytes(b'')
-    state = Source(str(tmp_path / 'line'), lambda: 0).state
+    state = DeviceReader(str(tmp_path / 'line'), lambda: 0).state
 
     def clock_status(seconds):
         words = health.statuses(state, Decoder(form).counts, clock, START, seconds)
@@ -324,7 +326,7 @@ def test_a_clock_that_is_set_is_an_error_for_ten_seconds_and_then_a_warning(tmp_
     data = columns('clock and counter', made)
     for part in (slice(0, half), slice(half, None)):
         before = clock_status(0.0)
-        clock.feed(
+        clock.elapsed_times(
             data['time'][part],
             data['counter'][part],
             (arrival + set_by)[part],
@@ -341,9 +343,9 @@ def test_a_clock_that_is_set_is_an_error_for_ten_seconds_and_then_a_warning(tmp_
 def test_a_device_that_falls_silent_is_found_though_the_hosts_clock_was_set_back():
     form = load_format('simulated')
     health = Health(form, RATE, 0.5)
-    samples = Decoder(form).feed(b'')
+    samples = Decoder(form).decode_bytes(b'')
     assert not health.silent(START, 0.0)
-    samples = Decoder(form).feed(frame(0, 0, [0] * 6))
-    health.take(samples, np.array([0]), 44, START, 0.0)
+    samples = Decoder(form).decode_bytes(frame(0, 0, [0] * 6))
+    health.add_received(samples, np.array([0]), 44, START, 0.0)
     assert not health.silent(START - 20 * NS, 0.4)
     assert health.silent(START - 20 * NS, 0.6)

@@ -17,7 +17,7 @@ from imu_calib.common.errors import InputError
 from imu_calib.live.devices.checksum import Checksums, Fletcher, Sum
 from imu_calib.live.devices.format import Decoder, read_format
 from imu_calib.live.devices.messages import Command, Commands
-from imu_calib.live.devices.source import Source
+from imu_calib.live.devices.source import DeviceReader
 
 
 def described(checksum=None, **keys):
@@ -47,7 +47,7 @@ def refusal(**keys):
 )
 def test_fletcher_of_modulus_255_is_that_of_the_literature(text, value):
     rows = np.frombuffer(text, np.uint8)[None]
-    assert Checksums(Fletcher(255), len(text)).of(rows).tolist() == [value]
+    assert Checksums(Fletcher(255), len(text)).of_rows(rows).tolist() == [value]
 
 
 # Printed in the manuals: MIP's ping and its answer, and a poll of UBX (b5 62 0a 04 00 00 0e 34).
@@ -58,7 +58,7 @@ def test_fletcher_of_modulus_255_is_that_of_the_literature(text, value):
 def test_fletcher_of_modulus_256_is_that_of_mip_and_ubx(covered, sent):
     data = bytes.fromhex(covered)
     rows = np.frombuffer(data, np.uint8)[None]
-    (value,) = Checksums(Fletcher(256), len(data)).of(rows).tolist()
+    (value,) = Checksums(Fletcher(256), len(data)).of_rows(rows).tolist()
     assert value.to_bytes(2, 'little') == bytes.fromhex(sent)
 
 
@@ -74,7 +74,7 @@ def test_fletcher_of_many_long_messages_is_that_of_each(modulus, messages):
         return second * 256 + first
 
     rows = np.frombuffer(b''.join(messages), np.uint8).reshape(-1, 300)
-    assert Checksums(Fletcher(modulus), 300).of(rows).tolist() == list(map(alone, messages))
+    assert Checksums(Fletcher(modulus), 300).of_rows(rows).tolist() == list(map(alone, messages))
 
 
 @settings(max_examples=50)
@@ -87,9 +87,9 @@ def test_sums_of_words_add_words(word, order, name, messages):
     added = [
         sum(int.from_bytes(m[k : k + size], name) for k in range(0, 16, size)) for m in messages
     ]
-    found = Checksums(Sum(32, negated=False, word=word, order=order), 16).of(rows)
+    found = Checksums(Sum(32, negated=False, word=word, order=order), 16).of_rows(rows)
     assert found.tolist() == [a % 2**32 for a in added]
-    negated = Checksums(Sum(16, negated=True, word=word, order=order), 16).of(rows).tolist()
+    negated = Checksums(Sum(16, negated=True, word=word, order=order), 16).of_rows(rows).tolist()
     assert all((a + n) % 2**16 == 0 for a, n in zip(added, negated, strict=True))
 
 
@@ -97,11 +97,17 @@ def test_the_words_of_a_sum_have_the_byte_order_of_the_checksum():
     body = b'\xaa\x55' + bytes(range(20))
     high, low = struct.unpack('>11H', body), struct.unpack('<11H', body)
     check = {'kind': 'sum', 'word': 16, 'offset': 22}
-    assert Decoder(described(check)).feed(body + struct.pack('<H', sum(low) % 2**16)).end.size
+    assert (
+        Decoder(described(check)).decode_bytes(body + struct.pack('<H', sum(low) % 2**16)).end.size
+    )
     check |= {'byte_order': 'big'}
     line = body + struct.pack('>H', sum(high) % 2**16)
-    assert Decoder(described(check)).feed(line).end.size
-    assert not Decoder(described(check)).feed(body + struct.pack('<H', sum(low) % 2**16)).end.size
+    assert Decoder(described(check)).decode_bytes(line).end.size
+    assert (
+        not Decoder(described(check))
+        .decode_bytes(body + struct.pack('<H', sum(low) % 2**16))
+        .end.size
+    )
 
 
 def test_other_messages_whose_bytes_are_no_whole_words_are_none():
@@ -111,7 +117,7 @@ def test_other_messages_whose_bytes_are_no_whole_words_are_none():
         body = bytes([1, 2, length]) + bytes(length - 5)
         total = sum(struct.unpack(f'<{len(body) // 2}H', body[: len(body) // 2 * 2]))
         decoder = Decoder(described(others=[other]))
-        decoder.feed(body + struct.pack('<H', total) + bytes(30))
+        decoder.decode_bytes(body + struct.pack('<H', total) + bytes(30))
         assert decoder.counts.others == known
 
 
@@ -148,7 +154,7 @@ def test_numbers_of_every_order_are_read(kind, order):
     }
     frames = described('none', fields=fields)
     line = (b'\xaa\x55' + bytes(12) + bytes.fromhex(sent)).ljust(24, b'\0')
-    assert Decoder(frames).feed(2 * line).celsius.tolist() == [value, value]
+    assert Decoder(frames).decode_bytes(2 * line).celsius.tolist() == [value, value]
 
 
 @pytest.mark.filterwarnings('error')
@@ -160,7 +166,7 @@ def test_a_signalling_nan_is_no_number_and_no_warning(order):
         'accelerometer': {'type': 'i16', 'offset': [14, 16, 18]},
     }
     decoder = Decoder(described('none', fields=fields))
-    samples = decoder.feed(b'\xaa\x55' + bytes.fromhex(sent) + bytes(18))
+    samples = decoder.decode_bytes(b'\xaa\x55' + bytes.fromhex(sent) + bytes(18))
     assert len(samples) == 0
     assert decoder.counts.unusable == 1
 
@@ -174,7 +180,7 @@ def test_fp16_32_is_exact(number):
     }
     whole, fraction = divmod(number, 2**32)
     line = b'\xaa\x55' + struct.pack('>Ih', fraction, whole) + bytes(16)
-    assert Decoder(described('none', fields=fields)).feed(line).gyro[0, 0] * 2**32 == number
+    assert Decoder(described('none', fields=fields)).decode_bytes(line).gyro[0, 0] * 2**32 == number
 
 
 def test_what_has_a_fraction_is_no_counter_and_a_time_of_its_own_unit():
@@ -186,7 +192,7 @@ def test_what_has_a_fraction_is_no_counter_and_a_time_of_its_own_unit():
     assert 'a counter is a whole number' in refusal(fields=fields | {'counter': number})
     frames = described('none', fields=fields | {'time': {**number, 'unit': 's'}})
     line = b'\xaa\x55' + bytes(12) + struct.pack('<Ih', 2**31, 3) + bytes(4)
-    assert Decoder(frames).feed(line).time * frames.time.unit == 3_500_000_000
+    assert Decoder(frames).decode_bytes(line).time * frames.time.unit == 3_500_000_000
 
 
 @pytest.mark.parametrize(
@@ -270,7 +276,7 @@ def device():
 
 
 def test_commands_start_a_device_whenever_the_line_opens_and_stop_it_at_the_end(device):
-    source = Source(device.url, time.time_ns, commands=Commands(BEGIN, None, END))
+    source = DeviceReader(device.url, time.time_ns, commands=Commands(BEGIN, None, END))
     source.start()
     device.accept()
     assert until(lambda: device.has(b'\xfe\x00\r$GO\r\n'))
@@ -278,13 +284,15 @@ def test_commands_start_a_device_whenever_the_line_opens_and_stop_it_at_the_end(
     device.accept()
     assert until(lambda: device.has(b'\xfe\x00\r$GO\r\n'))
     device.line.sendall(b'a sample')
-    assert until(lambda: sum(len(c.data) for c in source.take()))
+    assert until(lambda: sum(len(c.data) for c in source.pop_chunks()))
     source.stop()
     assert until(lambda: device.has(b'\xfe\x00\r$GO\r\n$STOP\r\n'))
 
 
 def test_a_listener_that_leaves_the_device_as_it_is_does_not_stop_it(device):
-    source = Source(device.url, time.time_ns, commands=Commands(BEGIN, None, END), restarts=False)
+    source = DeviceReader(
+        device.url, time.time_ns, commands=Commands(BEGIN, None, END), restarts=False
+    )
     source.start()
     device.accept()
     assert until(lambda: device.has(b'\xfe\x00\r$GO\r\n'))
@@ -295,7 +303,7 @@ def test_a_listener_that_leaves_the_device_as_it_is_does_not_stop_it(device):
 
 
 def test_a_device_that_fell_silent_is_started_again(device):
-    source = Source(device.url, time.time_ns, commands=Commands((Command(b'go'),), 0.5))
+    source = DeviceReader(device.url, time.time_ns, commands=Commands((Command(b'go'),), 0.5))
     source.start()
     device.accept()
     assert until(lambda: device.has(b'go'))
@@ -310,7 +318,7 @@ def test_a_serial_port_is_sent_the_commands():
 
     ours, theirs = pty.openpty()
     tty.setraw(theirs)
-    source = Source(os.ttyname(theirs), time.time_ns, commands=Commands(BEGIN, None, END))
+    source = DeviceReader(os.ttyname(theirs), time.time_ns, commands=Commands(BEGIN, None, END))
     source.start()
     got = b''
     while len(got) < 8:
@@ -326,8 +334,8 @@ def test_a_serial_port_is_sent_the_commands():
 def test_a_recording_is_sent_nothing(tmp_path):
     (tmp_path / 'line.bin').write_bytes(b'recorded')
     commands = Commands(BEGIN, 0.5, END)
-    source = Source(str(tmp_path / 'line.bin'), time.time_ns, commands=commands)
+    source = DeviceReader(str(tmp_path / 'line.bin'), time.time_ns, commands=commands)
     source.start()
     assert until(lambda: source.state.ended)
-    assert b''.join(c.data for c in source.take()) == b'recorded'
+    assert b''.join(c.data for c in source.pop_chunks()) == b'recorded'
     source.stop()

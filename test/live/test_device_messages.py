@@ -10,7 +10,7 @@ from imu_calib.common.errors import InputError
 from imu_calib.live.devices.clock import DeviceClock
 from imu_calib.live.devices.format import Decoder, load_format, read_format
 from imu_calib.live.devices.health import Health, Severity
-from imu_calib.live.devices.source import Source
+from imu_calib.live.devices.source import DeviceReader
 
 NS = 1_000_000_000
 DAY = 864_000_000
@@ -33,11 +33,11 @@ def status_of(name, *frames):
     form = load_format(name)
     health = Health(form, None, 0.5)
     decoder = Decoder(form)
-    samples = decoder.feed(b''.join(frames))
+    samples = decoder.decode_bytes(b''.join(frames))
     assert len(samples) == len(frames)
-    health.take(samples, np.arange(len(frames)) * 1_000_000, 100, NS, 0.0)
+    health.add_received(samples, np.arange(len(frames)) * 1_000_000, 100, NS, 0.0)
     clock = DeviceClock(form.time, form.counter, 1e-3)
-    state = Source('socket://127.0.0.1:1', lambda: 0).state
+    state = DeviceReader('socket://127.0.0.1:1', lambda: 0).state
     words = health.statuses(state, decoder.counts, clock, NS, 0.0)
     (status,) = (word for word in words if word.part == 'status')
     return status.severity, status.text
@@ -89,8 +89,8 @@ def test_an_mti_that_did_not_pass_its_self_test_is_said():
 def stamped(lines, arrival, sample_rate=400):
     form = load_format('xsens_mti')
     decoder, clock = Decoder(form), DeviceClock(form.time, form.counter, 1 / sample_rate)
-    samples = decoder.feed(b''.join(lines))
-    elapsed = clock.feed(samples.time, samples.counter, arrival)
+    samples = decoder.decode_bytes(b''.join(lines))
+    elapsed = clock.elapsed_times(samples.time, samples.counter, arrival)
     return clock, decoder.counts, elapsed
 
 
@@ -139,7 +139,7 @@ def test_other_messages_of_an_mti_are_no_lost_frames_and_no_damage():
     wake_up, error = xbus(0x3E, b''), xbus(0x42, b'\x29')
     line = b''.join([wake_up, *lines[:500], error, *lines[500:]])
     decoder = Decoder(load_format('xsens_mti'))
-    samples = decoder.feed(line)
+    samples = decoder.decode_bytes(line)
     counts = decoder.counts
     assert (counts.frames, counts.others) == (900, 102)
     assert (counts.lost, counts.bad, counts.skipped, counts.restarts) == (0, 0, 0, 0)
@@ -151,7 +151,7 @@ def test_frames_that_are_lost_between_other_messages_are_counted():
     for missing in (65_511, 65_512, 65_540, 65_623, 65_624):
         del lines[missing]
     decoder = Decoder(load_format('xsens_mti'))
-    decoder.feed(b''.join(lines.values()))
+    decoder.decode_bytes(b''.join(lines.values()))
     # 65 623 is a pressure: nobody can know that from here, and a count is missing all the same.
     assert decoder.counts.lost == 5
 
@@ -160,10 +160,10 @@ def test_a_jump_is_not_made_of_many_other_messages_in_a_row():
     order = [mti(k, 25 * k) for k in range(100)] + [baro(k) for k in range(100, 140)]
     order += [mti(k, 25 * (k - 40)) for k in range(140, 400)]
     decoder = Decoder(load_format('xsens_mti'))
-    samples = decoder.feed(b''.join(order))
+    samples = decoder.decode_bytes(b''.join(order))
     form = load_format('xsens_mti')
     clock = DeviceClock(form.time, form.counter, 1 / 400)
-    elapsed = clock.feed(samples.time, samples.counter, np.arange(360) * 2_500_000)
+    elapsed = clock.elapsed_times(samples.time, samples.counter, np.arange(360) * 2_500_000)
     assert (np.diff(elapsed) == 2_500_000).all()
     assert clock.jumps == 0
 
@@ -177,9 +177,9 @@ def test_how_the_line_is_cut_changes_nothing(seed):
     lines.insert(200, b'\xfa\xff\x36\xf0')
     line = b''.join(lines)
     whole = Decoder(load_format('xsens_mti'))
-    expected = whole.feed(line)
+    expected = whole.decode_bytes(line)
     decoder = Decoder(load_format('xsens_mti'))
-    parts = [decoder.feed(p) for p in cut(line, rng.integers(0, len(line), 60).tolist())]
+    parts = [decoder.decode_bytes(p) for p in cut(line, rng.integers(0, len(line), 60).tolist())]
     assert np.array_equal(np.concatenate([p.counter for p in parts]), expected.counter)
     assert decoder.counts == whole.counts
 
@@ -187,14 +187,14 @@ def test_how_the_line_is_cut_changes_nothing(seed):
 def test_a_message_that_is_damaged_is_skipped_bytes():
     bad = baro(1)[:-1] + bytes([baro(1)[-1] ^ 1])
     decoder = Decoder(load_format('xsens_mti'))
-    decoder.feed(mti(0, 0) + bad + mti(2, 50))
+    decoder.decode_bytes(mti(0, 0) + bad + mti(2, 50))
     assert (decoder.counts.others, decoder.counts.skipped) == (0, len(bad))
     assert decoder.counts.lost == 1
 
 
 def test_without_others_in_its_file_a_device_has_none():
     decoder = Decoder(load_format('kvh_1750'))
-    decoder.feed(kvh(0) + baro(1) + kvh(2))
+    decoder.decode_bytes(kvh(0) + baro(1) + kvh(2))
     assert (decoder.counts.others, decoder.counts.lost) == (0, 1)
     assert decoder.counts.skipped == len(baro(1))
 
@@ -214,7 +214,7 @@ def test_messages_of_a_fixed_length_with_a_crc_are_known():
     body = b'\xaa\x66info'
     message = body + struct.pack('>H', binascii.crc_hqx(body, 0xFFFF))
     decoder = Decoder(read_format(described(others=others)))
-    decoder.feed(frame(0, 0, [0] * 6) + message + frame(1, 1, [0] * 6))
+    decoder.decode_bytes(frame(0, 0, [0] * 6) + message + frame(1, 1, [0] * 6))
     counts = decoder.counts
     assert (counts.frames, counts.others, counts.skipped, counts.lost) == (2, 1, 0, 0)
 

@@ -21,7 +21,7 @@ from imu_calib.live.devices.clock import DeviceClock
 from imu_calib.live.devices.fields import DeviceTime, FrameCounter, Number
 from imu_calib.live.devices.format import Decoder, load_format, read_format
 from imu_calib.live.devices.health import Reception, Severity
-from imu_calib.live.devices.source import Chunk, Source
+from imu_calib.live.devices.source import Chunk, DeviceReader
 from imu_calib.session.imu import load_imu
 from imu_calib.simulation.frames import pack
 
@@ -50,7 +50,7 @@ def frames(count, first=0, seed=24):
 
 def decoded(pieces, form=SIMULATED):
     decoder = Decoder(form)
-    return decoder, [decoder.feed(piece) for piece in pieces]
+    return decoder, [decoder.decode_bytes(piece) for piece in pieces]
 
 
 def counters(blocks):
@@ -64,17 +64,17 @@ def test_every_crc_of_the_catalogue_is_that_of_fastcrc(name, messages, padding):
     family, algorithm = FASTCRC[name].split('.')
     crc = getattr(pytest.importorskip(f'fastcrc.{family}'), algorithm)
     rows = np.frombuffer(b''.join(messages), np.uint8).reshape(-1, 7)
-    found = Checksums(CATALOGUE[name], 7, padding).of(rows)
+    found = Checksums(CATALOGUE[name], 7, padding).of_rows(rows)
     assert found.tolist() == [crc(m + bytes(padding)) for m in messages]
 
 
 @given(st.lists(st.binary(min_size=7, max_size=7), min_size=1, max_size=20))
 def test_sums_of_many_messages_are_those_of_each(messages):
     rows = np.frombuffer(b''.join(messages), np.uint8).reshape(-1, 7)
-    assert Checksums(Sum(16), 7).of(rows).tolist() == [sum(m) for m in messages]
-    negated = Checksums(Sum(8, negated=True), 7).of(rows)
+    assert Checksums(Sum(16), 7).of_rows(rows).tolist() == [sum(m) for m in messages]
+    negated = Checksums(Sum(8, negated=True), 7).of_rows(rows)
     assert all((sum(m) + int(n)) % 256 == 0 for m, n in zip(messages, negated, strict=True))
-    folded = Checksums(Xor(0x5A), 7).of(rows).tolist()
+    folded = Checksums(Xor(0x5A), 7).of_rows(rows).tolist()
     assert folded == [int(np.bitwise_xor.reduce([0x5A, *m])) for m in messages]
 
 
@@ -181,9 +181,9 @@ def test_what_comes_before_the_first_frame_is_counted_by_itself_too():
 def test_damage_is_said_of_a_line_that_was_read_at_once(tmp_path, line, said):
     """As the whole of a file is, before its first report."""
     (tmp_path / 'line').write_bytes(b'')
-    state = Source(str(tmp_path / 'line'), lambda: 0).state
+    state = DeviceReader(str(tmp_path / 'line'), lambda: 0).state
     reception = Reception(SIMULATED, load_imu('fog_medium'), 1000.0, live=False)
-    reception.take([Chunk(line, NS, NS)], NS, 1.0)
+    reception.decode_chunks([Chunk(line, NS, NS)], NS, 1.0)
     (stream,) = (s for s in reception.statuses(state, NS, 1.0) if s.part == 'stream')
     assert stream.text.startswith(said)
     assert (stream.severity is Severity.OK) == (said == 'Frames come in.')
@@ -287,7 +287,7 @@ def test_a_frame_of_big_endian_floats_with_valid_bits():
     line = b''
     for k, status in ((126, 0x77), (127, 0x67), (1, 0x73)):
         body = struct.pack('>I6f2Bh', 0xFE81FF55, 0.5, -0.25, 1e-3, 1, 2, -3, status, k, -7)
-        line += body + struct.pack('>I', int(crc.of(np.frombuffer(body, np.uint8)[None])[0]))
+        line += body + struct.pack('>I', int(crc.of_rows(np.frombuffer(body, np.uint8)[None])[0]))
     decoder, (samples,) = decoded([line], by_text(KVH_LIKE))
     assert samples.gyro[0].tolist() == [0.5, -0.25, float(np.float32(1e-3))]
     np.testing.assert_allclose(samples.accel[0], [9.80665, 19.6133, -29.41995], rtol=1e-15)
@@ -299,7 +299,7 @@ def test_a_frame_of_big_endian_floats_with_valid_bits():
 def test_a_channel_that_is_no_number_is_left_out_and_said():
     crc = Checksums(CATALOGUE['CRC-32/MPEG-2'], 32)
     body = struct.pack('>I6f2Bh', 0xFE81FF55, np.nan, 0, 0, 0, 0, 0, 0x77, 1, 20)
-    line = body + struct.pack('>I', int(crc.of(np.frombuffer(body, np.uint8)[None])[0]))
+    line = body + struct.pack('>I', int(crc.of_rows(np.frombuffer(body, np.uint8)[None])[0]))
     decoder, (samples,) = decoded([line], by_text(KVH_LIKE))
     assert len(samples) == 0
     assert decoder.counts.unusable == 1
@@ -315,7 +315,7 @@ def test_a_frame_of_24_bit_numbers_with_a_padded_crc():
         body = b'\x93' + three(1, -1, -(2**23)) + b'\x80' + three(5, 6, 2**23 - 1) + b'\x00'
         body += bytes([k, 0x93])
         padded = np.frombuffer(body + b'\x00', np.uint8)[None]
-        line += body + struct.pack('>I', int(crc.of(padded)[0]))
+        line += body + struct.pack('>I', int(crc.of_rows(padded)[0]))
     decoder, (samples,) = decoded([line], by_text(STIM_LIKE))
     assert samples.gyro[0].tolist() == [1, -1, -(2**23)]
     assert samples.accel[0].tolist() == [5, -6, 2**23 - 1]
@@ -342,11 +342,11 @@ def test_frames_of_the_simulated_unit_with_a_skewed_gyro_hold_its_count():
     skew = np.array([7.0, -8, 9, -10, 2**30])
     stamps = np.arange(1, 6) * 10_000_000
     line = pack(ImuBlock(stamps, counts[:, :3], counts[:, 3:]), np.full(5, 21.5), skew=skew)
-    samples = Decoder(load_format('simulated_skewed')).feed(line)
+    samples = Decoder(load_format('simulated_skewed')).decode_bytes(line)
     assert np.array_equal(samples.skew, skew)
     assert np.array_equal(np.hstack([samples.gyro, samples.accel]), counts)
     assert samples.celsius == pytest.approx(21.5)
-    assert Decoder(SIMULATED).feed(line).skew is None
+    assert Decoder(SIMULATED).decode_bytes(line).skew is None
 
 
 def test_a_frame_of_registers_with_a_skewed_channel_in_some_bits():
@@ -399,7 +399,7 @@ COUNTER = FrameCounter(Number('u', 4, 2, '<'), 2**32)
 def fed(clock, time_, counter, arrival, batch=10):
     """Feed in batches; return stamps once the clock is settled."""
     parts = [
-        clock.feed(
+        clock.elapsed_times(
             None if time_ is None else time_[k : k + batch],
             None if counter is None else counter[k : k + batch],
             arrival[k : k + batch],
@@ -584,14 +584,14 @@ def test_without_time_or_rate_there_are_no_stamps():
 
 def read_all(source, count):
     got = []
-    assert until(lambda: got.extend(source.take()) or sum(len(c.data) for c in got) >= count)
+    assert until(lambda: got.extend(source.pop_chunks()) or sum(len(c.data) for c in got) >= count)
     source.stop()
     return b''.join(c.data for c in got)
 
 
 def test_a_file_is_read_to_its_end(tmp_path):
     (tmp_path / 'frames.bin').write_bytes(content := np.random.default_rng(0).bytes(100_000))
-    source = Source(str(tmp_path / 'frames.bin'), time.time_ns)
+    source = DeviceReader(str(tmp_path / 'frames.bin'), time.time_ns)
     source.start()
     assert read_all(source, 100_000) == content
     assert until(lambda: source.state.ended)
@@ -600,7 +600,9 @@ def test_a_file_is_read_to_its_end(tmp_path):
 def test_a_full_queue_holds_the_sender_back():
     server = socket.create_server(('127.0.0.1', 0))
     server.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 16)
-    source = Source(f'socket://127.0.0.1:{server.getsockname()[1]}', time.time_ns, capacity=1 << 14)
+    source = DeviceReader(
+        f'socket://127.0.0.1:{server.getsockname()[1]}', time.time_ns, capacity=1 << 14
+    )
     source.start()
     device, _ = server.accept()
     device.setblocking(False)
@@ -629,7 +631,7 @@ def test_a_full_queue_holds_the_sender_back():
 
 def test_a_broken_connection_is_opened_again():
     server = socket.create_server(('127.0.0.1', 0))
-    source = Source(f'socket://127.0.0.1:{server.getsockname()[1]}', time.time_ns)
+    source = DeviceReader(f'socket://127.0.0.1:{server.getsockname()[1]}', time.time_ns)
     source.start()
     device, _ = server.accept()
     assert until(lambda: source.state.open)
@@ -649,7 +651,7 @@ def test_a_serial_port_is_read_as_it_comes():
 
     ours, theirs = pty.openpty()
     tty.setraw(theirs)
-    source = Source(os.ttyname(theirs), time.time_ns, 921600)
+    source = DeviceReader(os.ttyname(theirs), time.time_ns, 921600)
     source.start()
     assert until(lambda: source.state.open)
     content = b''.join(frames(50))
@@ -662,11 +664,11 @@ def test_a_serial_port_is_read_as_it_comes():
 @pytest.mark.parametrize('url', ['', 'socket://here', 'udp://127.0.0.1:port', 'no/such/file.bin'])
 def test_a_port_that_cannot_be_is_refused(url):
     with pytest.raises(InputError):
-        Source(url, time.time_ns)
+        DeviceReader(url, time.time_ns)
 
 
 def test_a_port_that_is_not_there_yet_is_said_and_tried_again():
-    source = Source('/dev/ttyNoSuchPort', time.time_ns)
+    source = DeviceReader('/dev/ttyNoSuchPort', time.time_ns)
     source.start()
     assert until(lambda: 'does not open' in source.state.text)
     source.stop()

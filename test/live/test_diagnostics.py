@@ -155,7 +155,7 @@ def test_a_table_that_rests_and_is_led_lives_in_longer_steps(wire, monkeypatch):
     assert spin(lambda: len(steps) > 2)
     assert set(steps) == {0.1}
     # Setpoints come; then the table is held.
-    assert spin(lambda: pace.take_setpoint(0.0) or steps[-1] == 0.2)
+    assert spin(lambda: pace.record_setpoint(0.0) or steps[-1] == 0.2)
     pace.use_wall_clock()
     assert spin(lambda: steps[-1] == 0.1)
 
@@ -166,7 +166,7 @@ def test_a_table_that_is_held_keeps_to_the_wall_clock(monkeypatch, speed, held):
     monkeypatch.setattr(stand_node.time, 'monotonic', lambda: wall[0])
     pace, now = stand_node._Pace(speed), 0.0
     # A step led, and then the table is held.
-    pace.take_setpoint(now)
+    pace.record_setpoint(now)
     assert pace.rest(now, connected=True) == 0.0
     pace.use_wall_clock()
     while wall[0] < 1010.0:

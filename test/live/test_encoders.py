@@ -40,7 +40,7 @@ def encoders() -> Encoders:
 
 def taken(*blocks: JointBlock) -> list[Feedback]:
     mine = encoders()
-    return [feedback for one in blocks for feedback in mine.take(one)]
+    return [feedback for one in blocks for feedback in mine.read_feedback(one)]
 
 
 def test_joints_come_in_the_order_of_the_table_whatever_that_of_the_message() -> None:
@@ -59,24 +59,24 @@ def test_messages_that_lack_a_joint_are_counted_and_named() -> None:
     other = JointBlock(
         START + np.arange(3) * MS, ('door', 'lid'), np.zeros((3, 2)), np.zeros((3, 2))
     )
-    assert list(mine.take(other)) == []
+    assert list(mine.read_feedback(other)) == []
     assert mine.ignored == 3
     assert mine.ignored_names == ('door', 'lid')
-    assert len(list(mine.take(block([0], [(0.0, 0.0, 0.0)])))) == 1
+    assert len(list(mine.read_feedback(block([0], [(0.0, 0.0, 0.0)])))) == 1
     assert mine.ignored == 3
 
 
 def test_stamps_that_do_not_advance_are_left_out_and_a_jump_back_is_said() -> None:
     still = (0.0, 0.0, 0.0)
     mine = encoders()
-    found = list(mine.take(block([0, 10, 10, 5, 20], [still] * 5)))
+    found = list(mine.read_feedback(block([0, 10, 10, 5, 20], [still] * 5)))
     assert [f.stamp - START for f in found] == [0, 10 * MS, 20 * MS]
     # Half a second back is patience yet, a millisecond more is not.
-    assert list(mine.take(block([-480], [still]))) == []
+    assert list(mine.read_feedback(block([-480], [still]))) == []
     with pytest.raises(FeedbackError, match=r'jump back by 0\.501 s'):
-        list(mine.take(block([-481], [still])))
+        list(mine.read_feedback(block([-481], [still])))
     # The stream begins anew there.
-    (again,) = mine.take(block([-470], [(1.0, 2.0, 3.0)]))
+    (again,) = mine.read_feedback(block([-470], [(1.0, 2.0, 3.0)]))
     assert again.gap == 0.0
     assert again.angles == (1.0, 2.0, 3.0)
 
@@ -168,6 +168,6 @@ def test_the_mean_rates_are_those_of_the_angles_over_a_tenth_of_a_second() -> No
 @pytest.mark.parametrize('far', [1e308, -1e308, 7e6, -7e6])
 def test_an_angle_that_no_table_has_is_refused(far: float) -> None:
     mine = encoders()
-    list(mine.take(block([0], [(0.0, 0.0, 0.0)])))
+    list(mine.read_feedback(block([0], [(0.0, 0.0, 0.0)])))
     with pytest.raises(FeedbackError, match='as the angle of joint middle'):
-        list(mine.take(block([10], [(0.0, far, 0.0)])))
+        list(mine.read_feedback(block([10], [(0.0, far, 0.0)])))

@@ -21,7 +21,7 @@ from loopback import CHECKOUT, patience, until
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.live.devices.format import load_format
 from imu_calib.live.devices.health import Reception
-from imu_calib.live.devices.source import Chunk, SourceState
+from imu_calib.live.devices.source import Chunk, ReaderState
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import Kind, decode_temperatures
 from imu_calib.session.imu import load_imu
@@ -36,7 +36,7 @@ except ImuCalibError as error:
 
 bench = imu_bench.bench
 
-OPEN = SourceState(True, False, 'It is open.')
+OPEN = ReaderState(True, False, 'It is open.')
 
 
 def test_every_sample_arrives_once_with_a_stamp_on_the_hosts_time_line(bench):
@@ -144,7 +144,7 @@ def test_silence_is_an_error_that_says_since_when_and_ends_with_the_next_frame(b
 def test_silence_is_half_a_second_without_a_frame(seconds, silent):
     reception = Reception(load_format('simulated'), load_imu('fog_medium'))
     reception.statuses(OPEN, 0, 0.0)
-    reception.take([Chunk(frame(0, 0, [0] * 6), NS, NS)], NS, 1.0)
+    reception.decode_chunks([Chunk(frame(0, 0, [0] * 6), NS, NS)], NS, 1.0)
     later = 1.0 + seconds
     assert reception.health.silent(round(later * NS), later) is silent
     (word,) = (w for w in reception.statuses(OPEN, round(later * NS), later) if w.part == 'stream')
@@ -156,7 +156,7 @@ def test_silence_in_simulated_time_is_told_by_the_clock_on_the_wall():
     reception.statuses(OPEN, 0, 0.0)
     before = datetime.now()
     # The host's time is that of a simulation: the first seconds of 1970.
-    reception.take([Chunk(frame(0, 0, [0] * 6), NS, NS)], NS, 1.0)
+    reception.decode_chunks([Chunk(frame(0, 0, [0] * 6), NS, NS)], NS, 1.0)
     after = datetime.now()
     (word,) = (w for w in reception.statuses(OPEN, 3 * NS, 3.0) if w.part == 'stream')
     assert any(f'{moment:%H:%M:%S}' in word.text for moment in (before, after))

@@ -52,8 +52,8 @@ class Session:
         self.advice = []
 
     def goes_on(self, seconds):
-        samples = self.decoder.feed(self.hand.advance(seconds))
-        self.calibrator.feed(ImuBlock(samples.time, samples.gyro, samples.accel))
+        samples = self.decoder.decode_bytes(self.hand.advance(seconds))
+        self.calibrator.add_block(ImuBlock(samples.time, samples.gyro, samples.accel))
 
     def advises(self):
         review = self.calibrator.snapshot().review()
@@ -125,7 +125,7 @@ def test_the_hand_goes_where_it_is_told_and_nowhere_while_it_waits():
     hand.advise(1, direction('Y down'))
     line = b''.join(hand.advance(0.1) for _ in range(40))
     assert hand.holds == 2
-    accel = Decoder(load_format('simulated')).feed(line).accel[-50:].mean(axis=0)
+    accel = Decoder(load_format('simulated')).decode_bytes(line).accel[-50:].mean(axis=0)
     force = TRUTH.model.compensate(np.zeros(3), accel * SPEC.accel.scale_factor)[1]
     # A hand aims to within a few degrees.
     assert force @ [0, -1, 0] > SITE.gravity * np.cos(15 * DEG)
@@ -231,8 +231,8 @@ def test_six_holds_and_three_turns_by_hand_live_are_those_of_the_recording(tmp_p
     offline = Calibrator(setup)
     with open_recording(recording) as held:
         for _, block in held.read({'/imu/raw': Kind.IMU}):
-            offline.feed(block)
-            session.take(Kind.IMU, encode_imu(block).payloads(), int(block.stamp[-1]))
+            offline.add_block(block)
+            session.add_messages(Kind.IMU, encode_imu(block).payloads(), int(block.stamp[-1]))
     assert session.guidance is None
     ended(session)
     assert session.phase is SessionPhase.FINISHED, session.failure

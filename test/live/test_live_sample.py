@@ -31,7 +31,7 @@ def compensated(decoder: ImuDecoder, compensator: Compensator, payload: bytes) -
     """Do with a message what the node does."""
     given = []
     for block in decoder.decode([payload], Malformed()):
-        for reading in compensator.take(block):
+        for reading in compensator.compensate_block(block):
             v = reading.values
             si = ImuBlock(reading.stamp, v.rate, v.force, reading.frame_id)
             given += rates_payloads(si, v.rate_covariance, v.force_covariance)
@@ -72,7 +72,7 @@ def test_one_sample_is_given_as_among_many() -> None:
     singly = [g for payload in stream for g in compensated(decoder, compensator, payload)]
     together: list[bytes] = []
     blocks = ImuDecoder().decode(stream, Malformed())
-    for reading in Compensator(calibration).take(blocks[0]):
+    for reading in Compensator(calibration).compensate_block(blocks[0]):
         v = reading.values
         block = ImuBlock(reading.stamp, v.rate, v.force, reading.frame_id)
         together += encode_rates(block, v.rate_covariance, v.force_covariance).payloads()

@@ -12,7 +12,7 @@ from loopback import patience, until
 from sessions import SITE, Alone, at_one_rate, ended, paper_imu, quick_plan, stand
 
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.common.budget import Source
+from imu_calib.common.budget import ErrorSource
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
 from imu_calib.estimation.setup import Setup
@@ -74,7 +74,7 @@ def fed_at_once(wire, setup):
     calibrator = Calibrator(setup)
     for kind, payloads in wire.items():
         for block in kind.decode(Messages.join(payloads)):
-            calibrator.feed(block)
+            calibrator.add_block(block)
     return calibrator
 
 
@@ -93,7 +93,7 @@ def send(session, wire, rng, start=0.0, stop=1.0):
         first = min(open_, key=lambda k: at[k] / len(wire[k]))
         kind = first if at[kind] / len(wire[kind]) > at[first] / len(wire[first]) + 0.02 else kind
         count = int(rng.integers(1, 2000))
-        session.take(kind, wire[kind][at[kind] : min(at[kind] + count, ends[kind])], now)
+        session.add_messages(kind, wire[kind][at[kind] : min(at[kind] + count, ends[kind])], now)
         at[kind] += count
         now += int(rng.integers(0, 10**9))
 
@@ -113,7 +113,7 @@ def offline(folder):
     calibrator = Calibrator(SETUP)
     with open_recording(folder) as recording:
         for _, block in recording.read({topic: kind for kind, topic in TOPICS.items()}):
-            calibrator.feed(block)
+            calibrator.add_block(block)
     return calibrator.finish().calibration
 
 
@@ -166,7 +166,7 @@ def test_terms_are_looked_for_when_a_session_ends_and_not_at_every_review(wire):
     assert same(final, whole.finish().calibration)
     # This unit has none: it is the same estimate, but for drifts that are not excluded.
     plain, searched = review.result.solution, end.result.solution
-    drifts = searched.shares[Source.TERMS].covariance
+    drifts = searched.shares[ErrorSource.TERMS].covariance
     assert np.array_equal(on_the_way.model.vector(), final.model.vector())
     assert np.array_equal(plain.covariance + drifts, searched.covariance)
 
@@ -203,7 +203,7 @@ def test_a_journal_is_not_gone_on_with_by_a_clock_that_was_set_back(tmp_path, wi
     crashed.close()
 
     session = begin(tmp_path / 'journal')
-    session.take(first, wire[first][:100], 1_700_000_000_000_000_000)
+    session.add_messages(first, wire[first][:100], 1_700_000_000_000_000_000)
     assert session.phase is SessionPhase.FAILED
     assert 'the clock was set back, or a simulation began anew' in session.failure
     assert str(tmp_path / 'journal') in session.failure
@@ -304,7 +304,7 @@ def test_joint_states_of_others_end_no_session_and_its_journal_can_be_reprocesse
     odd = [('gripper',), ('outer', 'middle'), (), ('outer', 'outer', 'middle', 'inner')]
     for k, names in enumerate(odd):
         # Far ahead in time: what is not of the table must not say how far the session has come.
-        session.take(Kind.JOINTS, joint_states(names, 5, 1_800_000_000_000_000_000), k)
+        session.add_messages(Kind.JOINTS, joint_states(names, 5, 1_800_000_000_000_000_000), k)
     rng = np.random.default_rng(1)
     send(session, wire, rng)
     send(clean, wire, np.random.default_rng(2))
@@ -321,7 +321,7 @@ def test_joint_states_of_others_end_no_session_and_its_journal_can_be_reprocesse
 
 def test_joint_states_of_others_alone_are_named_as_they_come_and_at_the_end(tmp_path, wire):
     session = begin(tmp_path / 'journal')
-    session.take(Kind.JOINTS, joint_states(('gripper',), 5), 1)
+    session.add_messages(Kind.JOINTS, joint_states(('gripper',), 5), 1)
     send(session, {Kind.IMU: wire[Kind.IMU][:5000]}, np.random.default_rng(3))
     assert session.phase is not SessionPhase.FAILED
     ended(session)
@@ -379,8 +379,8 @@ def test_setpoints_of_another_plan_end_no_session_and_are_not_recorded(tmp_path,
     session = begin(tmp_path / 'journal')
     (block,) = Kind.SETPOINTS.decode(Messages.join(wire[Kind.SETPOINTS][:1]))
     mine = SetpointBlock((replace(block.setpoints[0], plan='mine', position='nowhere'),))
-    session.take(Kind.SETPOINTS, encode_setpoints(mine).payloads(), 1)
-    session.take(Kind.IMU, wire[Kind.IMU][:3000], 2)
+    session.add_messages(Kind.SETPOINTS, encode_setpoints(mine).payloads(), 1)
+    session.add_messages(Kind.IMU, wire[Kind.IMU][:3000], 2)
     session.solve()
     assert until(lambda: session.poll() or session.review is not None)
     assert session.phase is not SessionPhase.FAILED, session.failure

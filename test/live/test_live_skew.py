@@ -60,7 +60,7 @@ def send(session, wire, without=frozenset()):
     now = 1_700_000_000_000_000_000
     for kind, payloads in wire:
         if kind not in without:
-            session.take(kind, payloads, now)
+            session.add_messages(kind, payloads, now)
             now += 10**6
 
 

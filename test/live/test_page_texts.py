@@ -105,18 +105,18 @@ def tell(board):
     """Messages whose texts all hold markup."""
     names = [MARKUP, MARKUP, MARKUP]
     for phase in (Phase.DWELLING, Phase.PAUSED):
-        board.take_state(
+        board.on_state(
             state(100.0, phase, position_id=MARKUP, reason=MARKUP, joint_names=names), 1.0
         )
-    board.take_progress(progress(100.0, 1e-3, text=MARKUP), 1.0)
-    board.take_diagnostics(diagnostics(f'imu_node: {MARKUP}', 2, MARKUP, rate=MARKUP), 1.0)
-    board.take_diagnostics(diagnostics('imu_node: stream', 1, MARKUP, rate=MARKUP), 1.0)
+    board.on_progress(progress(100.0, 1e-3, text=MARKUP), 1.0)
+    board.on_diagnostics(diagnostics(f'imu_node: {MARKUP}', 2, MARKUP, rate=MARKUP), 1.0)
+    board.on_diagnostics(diagnostics('imu_node: stream', 1, MARKUP, rate=MARKUP), 1.0)
 
 
 def test_names_are_text_and_a_script_in_a_text_does_not_run(expected, shown):
     board = Board(named(expected))
     tell(board)
-    board.take_answer(MARKUP)
+    board.set_answer(MARKUP)
     shown.show(board)
     with chromium() as browser:
         page = shown.opened(browser)
@@ -135,7 +135,7 @@ def test_names_are_text_and_a_script_in_a_text_does_not_run(expected, shown):
         )
         page.wait_for_timeout(500)
         assert page.evaluate('window.ran === undefined')
-        board.take_calibration(calibration('VALID', MARKUP))
+        board.on_calibration(calibration('VALID', MARKUP))
         page.locator('.banner[data-phase=done]').wait_for()
         assert MARKUP in page.locator('.banner').inner_text()
         assert page.locator('#injected').count() == 0
@@ -144,7 +144,7 @@ def test_names_are_text_and_a_script_in_a_text_does_not_run(expected, shown):
 
 def test_serial_numbers_and_places_of_several_units_are_text(shown):
     board = units_board(SETUP, read_units(Section.parse(UNITS, 'units.yaml')))
-    board.take_state(state(100.0, Phase.PAUSED, reason=MARKUP), 1.0)
+    board.on_state(state(100.0, Phase.PAUSED, reason=MARKUP), 1.0)
     shown.show(board)
     with chromium() as browser:
         page = shown.opened(browser)
@@ -167,7 +167,7 @@ def test_the_plans_column_says_what_it_assumes_of_the_biases(expected, shown):
 
 def test_a_result_stays_when_the_stand_has_ended(expected, shown):
     board = Board(expected)
-    board.take_calibration(calibration('VALID'))
+    board.on_calibration(calibration('VALID'))
     shown.show(board)
     with chromium() as browser:
         page = shown.opened(browser)
@@ -178,7 +178,7 @@ def test_a_result_stays_when_the_stand_has_ended(expected, shown):
 
 def test_a_table_that_is_not_heard_is_not_started(expected, shown):
     board = Board(expected)
-    board.take_state(state(100.0, Phase.PAUSED), 1.0)
+    board.on_state(state(100.0, Phase.PAUSED), 1.0)
     shown.show(board)
     with chromium() as browser:
         page = shown.opened(browser)
@@ -194,7 +194,7 @@ def test_a_table_that_is_not_heard_is_not_started(expected, shown):
 
 def test_a_lost_connection_is_the_headline_and_leaves_no_buttons(expected, shown):
     board = Board(expected)
-    board.take_state(state(100.0, Phase.PAUSED), 1.0)
+    board.on_state(state(100.0, Phase.PAUSED), 1.0)
     shown.show(board)
     with chromium() as browser:
         page = shown.opened(browser, viewport={'width': 390, 'height': 844})

@@ -13,7 +13,7 @@ from imu_calib.common.stream import Units
 from imu_calib.live.devices.clock import DeviceClock
 from imu_calib.live.devices.format import Decoder, load_format, read_format
 from imu_calib.live.devices.health import Health, Severity
-from imu_calib.live.devices.source import Source
+from imu_calib.live.devices.source import DeviceReader
 from imu_calib.session.imu import load_imu, read_imu
 
 NS = 1_000_000_000
@@ -39,7 +39,7 @@ format_of = cache(load_format)
 
 def decoded(name, *pieces):
     decoder = Decoder(format_of(name))
-    return decoder.counts, [decoder.feed(piece) for piece in pieces]
+    return decoder.counts, [decoder.decode_bytes(piece) for piece in pieces]
 
 
 def test_frames_that_a_kvh_1750_sent_are_read_and_the_damaged_one_is_not():
@@ -122,7 +122,7 @@ def test_the_stamps_of_a_real_device_have_its_nominal_rate(name):
     clock = DeviceClock(form.time, form.counter, 1 / imu.sample_rate)
     _, (samples,) = decoded(name, b''.join(DEVICES[name](k) for k in range(1000)))
     arrival = np.rint((1 + np.arange(1000)) * period).astype(np.int64)
-    elapsed = clock.feed(samples.time, samples.counter, arrival)
+    elapsed = clock.elapsed_times(samples.time, samples.counter, arrival)
     assert (np.diff(elapsed) == period).all()
     assert clock.jumps == 0
 
@@ -143,9 +143,9 @@ def test_what_a_device_says_of_itself_reaches_the_diagnostics(
     clock = DeviceClock(form.time, form.counter, 1e-3)
     health = Health(form, None, 0.5)
     counts, (samples,) = decoded(name, make(1) + make(2, **fault))
-    health.take(samples, np.array([0, 1_000_000]), 100, NS, 0.0)
+    health.add_received(samples, np.array([0, 1_000_000]), 100, NS, 0.0)
     (tmp_path / 'line').write_bytes(b'')
-    state = Source(str(tmp_path / 'line'), lambda: 0).state
+    state = DeviceReader(str(tmp_path / 'line'), lambda: 0).state
     status = {word.part: word for word in health.statuses(state, counts, clock, NS, 0.0)}['status']
     assert (status.severity, status.text) == (severity, f'The device reports: {words}.')
     assert status.figures == {words: '1 frames'}
@@ -165,7 +165,7 @@ def test_the_device_that_the_documentation_writes_down_reads_the_frame_beside_it
 
     form, imu = read_format(block('device')), read_imu(block('imu'))
     frame = bytes.fromhex(re.search(r'<!-- frame -->\n +([0-9A-F ]+)\n', text)[1])
-    samples = Decoder(form).feed(frame)
+    samples = Decoder(form).decode_bytes(frame)
     assert len(samples) == 1
     assert samples.counter[0] == 1
     assert samples.time[0] * form.time.unit == 5_000_000

@@ -173,7 +173,7 @@ def test_noise_of_encoder_and_stamps_is_no_fault():
 @pytest.mark.parametrize('rate', [5.0, 20.0])
 def test_joint_states_may_come_seldom(rate):
     stand = Stand(small_plan(rates=(200 * DEG,)), wrapped=True)
-    take, last = stand.sequencer.take, [-1.0]
+    take, last = stand.sequencer.add_joint_states, [-1.0]
 
     def thinned(block):
         now = (block.stamp[-1] - EPOCH) * 1e-9
@@ -183,7 +183,7 @@ def test_joint_states_may_come_seldom(rate):
                 JointBlock(block.stamp[-1:], block.names, block.position[-1:], block.velocity[-1:])
             )
 
-    stand.sequencer.take = thinned
+    stand.sequencer.add_joint_states = thinned
     state = stand.started().run(lambda s: s.phase in {Phase.DONE, Phase.PAUSED})
     assert state.phase is Phase.DONE, state.reason
     assert stand.stands()
@@ -193,7 +193,9 @@ def test_joint_states_at_a_hundredth_of_their_rate_do_not_move_the_table():
     sequencer = Sequencer(small_plan(), TABLE, ALONE)
     for second in range(5):
         stamp = np.array([EPOCH + second * 10**9])
-        sequencer.take(JointBlock(stamp, TABLE.names, np.zeros((1, 3)), np.zeros((1, 3))))
+        sequencer.add_joint_states(
+            JointBlock(stamp, TABLE.names, np.zeros((1, 3)), np.zeros((1, 3)))
+        )
         if second == 1:
             sequencer.start()
         sent = sequencer.setpoint(int(stamp[0]))
@@ -280,7 +282,9 @@ def test_joint_states_of_a_table_that_dwells_say_the_same_however_they_come(happ
         sequencer = deepcopy(stand.sequencer)
         for k in range(0, count, size):
             part = slice(k, min(k + size, count))
-            sequencer.take(JointBlock(stamps[part], stand.names, angles[part], rates[part]))
+            sequencer.add_joint_states(
+                JointBlock(stamps[part], stand.names, angles[part], rates[part])
+            )
         seen.append((sequencer.state(), sequencer.feedback, sequencer.revision))
     assert seen[0] == seen[1] == seen[2]
     ended = happens is not of_nothing or dwell < 5.0
@@ -382,7 +386,7 @@ def test_joint_states_of_others_change_nothing_and_are_counted(names):
         np.full((1, len(names)), 99.0),
         np.zeros((1, len(names))),
     )
-    stand.run(lambda state: stand.sequencer.take(stranger) or state.phase is Phase.DONE)
+    stand.run(lambda state: stand.sequencer.add_joint_states(stranger) or state.phase is Phase.DONE)
     count, latest = stand.sequencer.ignored
     assert count > 100
     assert latest == names
@@ -406,7 +410,7 @@ def test_no_plan_starts_while_the_calibrator_cannot_go_on():
 def test_stamps_that_jump_back_stop_the_table():
     stand = moving(Stand())
     block = JointBlock(np.array([EPOCH - 10**9]), TABLE.names, np.zeros((1, 3)), np.zeros((1, 3)))
-    assert not stand.sequencer.take(block)
+    assert not stand.sequencer.add_joint_states(block)
     assert stand.sequencer.state().phase is Phase.PAUSED
     pauses(stand, 'jump back')
     recovers(stand)
@@ -701,8 +705,8 @@ def test_a_plan_beyond_the_limits_is_refused_at_the_start(change, rates, words):
     table = replace(TABLE, joints=joints)
     sequencer = Sequencer(plan, table, ALONE)
     stamp = np.array([EPOCH])
-    sequencer.take(JointBlock(stamp, table.names, np.array([[0.0, 175 * DEG, 0]]) * (not rates),
-                              np.zeros((1, 3))))  # fmt: skip
+    angles = np.array([[0.0, 175 * DEG, 0]]) * (not rates)
+    sequencer.add_joint_states(JointBlock(stamp, table.names, angles, np.zeros((1, 3))))
     with pytest.raises(InputError, match=words if rates else '175 deg.*allows -10 to 170 deg'):
         sequencer.start()
     assert sequencer.setpoint(EPOCH) is None
@@ -973,7 +977,7 @@ def reported(rate, angles, wild, joint=0, count=20):
     course[:, joint] += 0.01 * rate * np.arange(count)
     rates = np.zeros((count, 3))
     rates[:, joint] = wild
-    *_, last = encoders.take(JointBlock(stamps, TABLE.names, course, rates))
+    *_, last = encoders.read_feedback(JointBlock(stamps, TABLE.names, course, rates))
     return last
 
 
@@ -990,7 +994,7 @@ def test_a_stop_from_a_jump_of_an_encoder_that_reports_no_rate_is_no_motion():
     course = np.zeros((20, 3))
     course[15:, 0] = 0.3
     stamps = EPOCH + 10_000_000 * np.arange(20)
-    *_, last = encoders.take(JointBlock(stamps, TABLE.names, course, np.zeros((20, 3))))
+    *_, last = encoders.read_feedback(JointBlock(stamps, TABLE.names, course, np.zeros((20, 3))))
     piece = Lead(TABLE).piece(setpoint(Mode.HOLD, stamp=last.stamp - EPOCH), last)
     assert piece.course.angles.tolist() == [[0.3, 0.0, 0.0]]
 
@@ -1116,7 +1120,7 @@ def led(until, seconds=120.0, act=None):
         angles, rates = controller.at(time)
         stamp = EPOCH + round(time * 1e9)
         block = JointBlock(np.array([stamp]), TABLE.names, angles[None], rates[None])
-        sequencer.take(block)
+        sequencer.add_joint_states(block)
         if sequencer.state().phase is Phase.IDLE:
             sequencer.start()
         if act is not None:

@@ -66,10 +66,10 @@ def send(sessions, wire, start=0.0, stop=1.0, without=()):
     for k in range(round(start * rounds), round(stop * rounds)):
         for kind, topic in COMMON.items():
             if part := share(wire[topic], k, rounds):
-                sessions.take_common(kind, part, NOW + k)
+                sessions.add_common_messages(kind, part, NOW + k)
         for place, (serial, topic) in enumerate(TOPICS.items()):
             if serial not in without and not sessions.all[place].is_over:
-                sessions.all[place].take(Kind.IMU, share(wire[topic], k, rounds), NOW + k)
+                sessions.all[place].add_messages(Kind.IMU, share(wire[topic], k, rounds), NOW + k)
 
 
 def share(all_, k, rounds):

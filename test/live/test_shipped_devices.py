@@ -184,7 +184,7 @@ format_of = cache(load_format)
 
 def decoded(name, *pieces):
     decoder = Decoder(format_of(name))
-    return decoder.counts, [decoder.feed(piece) for piece in pieces]
+    return decoder.counts, [decoder.decode_bytes(piece) for piece in pieces]
 
 
 @pytest.mark.parametrize('name', [name for name, device in DEVICES.items() if device.si])
@@ -291,7 +291,7 @@ def test_stamps_have_the_rate_that_the_start_commands_ask_for(name):
     clock = DeviceClock(form.time, form.counter, 1 / imu.sample_rate)
     _, (samples,) = decoded(name, b''.join(line_of(name)))
     arrival = np.rint((1 + np.arange(300)) * period).astype(np.int64)
-    elapsed = clock.feed(samples.time, samples.counter, arrival)
+    elapsed = clock.elapsed_times(samples.time, samples.counter, arrival)
     assert (np.diff(elapsed) == period).all()
     assert form.bits_per_second(imu.sample_rate) <= form.baud
 

@@ -792,7 +792,9 @@ def test_a_calibrator_that_fails_stops_a_run_whoever_it_is(running, plan):
     diagnostics = SimpleNamespace(report=lambda *_: None)
     progress = CalibratorProgress(sequencer, diagnostics, 1.0, lambda _: False)
     kind = ros.messages.CalibrationProgress
-    assert progress.take(kind(plan=plan, state=kind.FAILED, text='full.'), 0.0) == (plan == 'tiny')
+    assert progress.on_progress(kind(plan=plan, state=kind.FAILED, text='full.'), 0.0) == (
+        plan == 'tiny'
+    )
     assert failed == ['The calibrator has failed: full.'] * running
 
 
@@ -829,7 +831,7 @@ def test_progress_counts_of_one_publisher_only(alone):
     progress = CalibratorProgress(sequencer, diagnostics, 1.0, lambda _: alone)
     message = ros.messages.CalibrationProgress(plan='tiny', state=1, step=4, repeat_steps=[2])
     message.header.stamp.sec = 7
-    assert progress.take(message, 10.0)
+    assert progress.on_progress(message, 10.0)
     assert messages == [('review', 7 * 10**9, [2]), ('done', 4, [2])] * alone
     # That somebody is there is heard in any case; what he says is not believed.
     progress.check(11.0)

@@ -22,21 +22,21 @@ mounted = board_messages.mounted
 def board(mounted):
     """A session in which A1 is well, B has lost samples, and C3 is left out."""
     board = units_board(SETUP, mounted)
-    board.take_state(state(100.0), 1.0)
+    board.on_state(state(100.0), 1.0)
     of_all = progress(100.0, 2e-6, serial_numbers=['A1', '<B>'])
-    board.take_progress(of_all, 1.0)
+    board.on_progress(of_all, 1.0)
     for name, std in (('unit_A1', 1e-6), ('unit__B_', 2e-6)):
-        board.each[name].take_progress(progress(100.0, std), 1.0)
+        board.each[name].on_progress(progress(100.0, std), 1.0)
         device = diagnostics(f'{name}/imu_node: stream', 0, 'Frames come in.', rate='1000.00 Hz')
         device.status[0].values.append(SimpleNamespace(key='lost frames', value='0'))
-        board.take_diagnostics(device, 1.0)
+        board.on_diagnostics(device, 1.0)
         heard = diagnostics(f'calibrator_node: {name}: stream', 0, 'It comes in.', samples='7')
-        board.take_diagnostics(heard, 1.0)
+        board.on_diagnostics(heard, 1.0)
     lost = diagnostics(
         'unit__B_/imu_node: stream', 1, 'Frames are lost on the way.', rate='999.00 Hz'
     )
     lost.status[0].values.append(SimpleNamespace(key='lost frames', value='12'))
-    board.take_diagnostics(lost, 1.0)
+    board.on_diagnostics(lost, 1.0)
     return board
 
 
@@ -77,18 +77,18 @@ def test_of_all_each_parameter_is_expected_of_the_unit_that_is_worst(board):
 
 def test_the_session_has_ended_when_all_that_take_part_have(board):
     for name in ('unit_A1', 'unit__B_'):
-        board.each[name].take_calibration(calibration('VALID'))
+        board.each[name].on_calibration(calibration('VALID'))
         assert board.snapshot(3.0).outcome is SessionOutcome.OPEN
     last = progress(200.0, 1e-6, serial_numbers=['A1', '<B>'], state=3, text='2 of 2 units.')
-    board.take_progress(last, 3.0)
+    board.on_progress(last, 3.0)
     assert board.snapshot(3.0).outcome is SessionOutcome.DONE
     assert board.unit_rows(3.0)[0].words == 'Calibrated'
 
 
 def test_a_unit_without_a_result_is_not_passed_over(board):
-    board.each['unit_A1'].take_calibration(calibration('VALID'))
-    board.each['unit__B_'].take_calibration(calibration('REFUSED', 'It was never still.'))
-    board.take_progress(progress(200.0, 1e-6, serial_numbers=['A1', '<B>'], state=3), 3.0)
+    board.each['unit_A1'].on_calibration(calibration('VALID'))
+    board.each['unit__B_'].on_calibration(calibration('REFUSED', 'It was never still.'))
+    board.on_progress(progress(200.0, 1e-6, serial_numbers=['A1', '<B>'], state=3), 3.0)
     assert board.snapshot(3.0).outcome is SessionOutcome.INCOMPLETE
     assert board.unit_rows(3.0)[1].words == 'No calibration: It was never still.'
 

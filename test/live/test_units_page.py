@@ -35,7 +35,7 @@ def shown(mounted, tmp_path):
     board.clock = [1.0]
     imus = {unit.name: load_imu(unit.imu) for unit in mounted}
     for name, imu in imus.items():
-        board.each[name].take_streams(Dwells(imu).streams)
+        board.each[name].set_streams(Dwells(imu).streams)
     listens = server.listening_socket('127.0.0.1', 0)
     source = page.PageContent(
         'Stand: twelve_position',
@@ -57,15 +57,13 @@ def shown(mounted, tmp_path):
 def take_samples(board, names, seconds, std):
     """What the nodes say of a moment at which the samples of some units come."""
     now = board.clock[0] = seconds - 99.0
-    board.take_state(state(seconds), now)
-    board.take_progress(
-        progress(seconds, max(std.values()), serial_numbers=['A1', '<B>', 'C3']), now
-    )
+    board.on_state(state(seconds), now)
+    board.on_progress(progress(seconds, max(std.values()), serial_numbers=['A1', '<B>', 'C3']), now)
     for name in names:
-        board.each[name].take_progress(progress(seconds, std[name]), now)
+        board.each[name].on_progress(progress(seconds, std[name]), now)
         device = diagnostics(f'{name}/imu_node: stream', 0, 'Frames come in.')
-        board.take_diagnostics(device, now)
-        board.take_diagnostics(
+        board.on_diagnostics(device, now)
+        board.on_diagnostics(
             diagnostics(f'calibrator_node: {name}: stream', 0, 'It comes in.'), now
         )
 

@@ -44,47 +44,47 @@ def test_what_happens_now_follows_the_tables_phase(expected):
         (Phase.DWELLING, 'stands still at position 2'),
         (Phase.DONE, 'The plan is done'),
     ):
-        board.take_state(state(100.0, phase), 1.0)
+        board.on_state(state(100.0, phase), 1.0)
         first = headline(board.snapshot(1.0))
         assert words in first.now
         assert first.level is Severity.OK
-    board.take_state(state(100.0, Phase.TURNING, rates=[0.0, 0.0, 30 * DEG], turns_done=2.4), 1.0)
+    board.on_state(state(100.0, Phase.TURNING, rates=[0.0, 0.0, 30 * DEG], turns_done=2.4), 1.0)
     assert headline(board.snapshot(1.0)).detail == 'inner 30 deg/s, 2.4 turns done.'
 
 
 def test_a_table_that_has_stopped_says_why_and_a_silent_leader_is_told(expected):
     board = Board(expected)
-    board.take_state(state(100.0, Phase.PAUSED, reason='Joint inner stalls.'), 1.0)
+    board.on_state(state(100.0, Phase.PAUSED, reason='Joint inner stalls.'), 1.0)
     first = headline(board.snapshot(1.0))
     assert first.level is Severity.WARN
     assert first.detail == 'Joint inner stalls.'
     assert time_left(board.snapshot(1.0), NOON) == ('10 min 0 s', 'once it goes on')
-    board.take_state(state(100.0), 1.0)
+    board.on_state(state(100.0), 1.0)
     assert 'silent' not in headline(board.snapshot(5.0)).now
     first = headline(board.snapshot(9.0))
     assert first.level is Severity.ERROR
     assert '8 s' in first.detail
-    board.take_state(state(108.0), 9.0)
-    board.take_progress(progress(100.0, 1e-3), 1.0)
+    board.on_state(state(108.0), 9.0)
+    board.on_progress(progress(100.0, 1e-3), 1.0)
     assert headline(board.snapshot(9.0)).now == 'The calibrator is silent'
 
 
 def test_a_node_that_falls_silent_is_wrong_until_it_speaks_or_the_session_is_over(expected):
     board = Board(expected)
-    board.take_diagnostics(diagnostics('imu_node: stream', 0, 'Frames come in.'), 1.0)
-    board.take_diagnostics(diagnostics('stand_node: table', 1, 'It is late.'), 6.5)
+    board.on_diagnostics(diagnostics('imu_node: stream', 0, 'Frames come in.'), 1.0)
+    board.on_diagnostics(diagnostics('stand_node: table', 1, 'It is late.'), 6.5)
     assert [s.text for s in board.snapshot(7.0).problems] == [
         'No message has come for 6 s: has it ended?',
         'It is late.',
     ]
-    board.take_diagnostics(diagnostics('imu_node: stream', 2, 'No frame has come.'), 7.0)
+    board.on_diagnostics(diagnostics('imu_node: stream', 2, 'No frame has come.'), 7.0)
     assert [s.text for s in board.snapshot(7.0).problems] == [
         'No frame has come.',
         'It is late.',
     ]
     # The banner says how it ended, and why.
-    board.take_calibration(calibration('VALID'))
-    board.take_diagnostics(
+    board.on_calibration(calibration('VALID'))
+    board.on_diagnostics(
         diagnostics('calibrator_node: calibration', 1, 'There are findings.'), 59.0
     )
     assert board.snapshot(60.0).problems == ()
@@ -92,10 +92,10 @@ def test_a_node_that_falls_silent_is_wrong_until_it_speaks_or_the_session_is_ove
 
 def test_deviations_shrink_towards_what_the_plan_predicts(expected):
     board = Board(expected)
-    board.take_progress(progress(1000.0, math.nan), 0.0)
+    board.on_progress(progress(1000.0, math.nan), 0.0)
     assert not any(row.determined for row in board.snapshot(0.0).rows)
     for seconds, std in ((1010.0, 4e-6), (1020.0, 3.99e-6), (1030.0, 2e-6)):
-        board.take_progress(progress(seconds, std), 0.0)
+        board.on_progress(progress(seconds, std), 0.0)
     row = board.snapshot(0.0).rows[0]
     # Less than a percent is no news.
     assert row.course == ((10.0, 4e-6), (30.0, 2e-6))
@@ -105,12 +105,12 @@ def test_deviations_shrink_towards_what_the_plan_predicts(expected):
     assert row.limit == FOG.specification.limit(row.parameter)
     # Cao 2022: a plan of twelve positions and this unit reach some ppm and tenths of deg/h.
     assert 1e-6 < row.predicted < 5e-6
-    board.take_calibration(calibration('PROVISIONAL', K_gx=0.004))
+    board.on_calibration(calibration('PROVISIONAL', K_gx=0.004))
     row = board.snapshot(0.0).rows[0]
     assert row.verdict.value == 'fail'
     assert board.snapshot(0.0).outcome is SessionOutcome.OPEN
     # Another session has nothing of the one before.
-    board.take_progress(progress(500.0, math.nan), 0.0)
+    board.on_progress(progress(500.0, math.nan), 0.0)
     assert board.snapshot(0.0).rows[0].course == ()
 
 
@@ -133,17 +133,17 @@ def test_how_a_session_ends(expected):
         ('REFUSED', SessionOutcome.FAILED, Severity.ERROR),
     ):
         board = Board(expected)
-        board.take_state(state(100.0), 1.0)
-        assert board.take_calibration(calibration(status, 'Why.'))
+        board.on_state(state(100.0), 1.0)
+        assert board.on_calibration(calibration(status, 'Why.'))
         shown = board.snapshot(1.0)
         assert shown.outcome is outcome
         assert headline(shown).level is level
         assert headline(shown).detail == 'Why.'
     board = Board(expected)
-    board.take_progress(progress(10.0, 1.0, state=4, text='The disk is full.'), 1.0)
+    board.on_progress(progress(10.0, 1.0, state=4, text='The disk is full.'), 1.0)
     assert headline(board.snapshot(1.0)).detail == 'The disk is full.'
     # ~/reset begins another one.
-    board.take_progress(progress(10.0, 1.0, state=0), 1.0)
+    board.on_progress(progress(10.0, 1.0, state=0), 1.0)
     assert board.snapshot(1.0).outcome is SessionOutcome.OPEN
 
 
@@ -151,7 +151,7 @@ def test_the_time_left_is_by_the_clock_on_the_wall(expected):
     board = Board(expected)
     assert time_left(board.snapshot(0.0), NOON)[0] == 'time left not known'
     for k in range(10):
-        board.take_state(state(100.0 + 20.0 * k, seconds_left=600.0 - 20.0 * k), float(k))
+        board.on_state(state(100.0 + 20.0 * k, seconds_left=600.0 - 20.0 * k), float(k))
     remaining, rests_on = time_left(board.snapshot(9.0), NOON)
     # 420 s of the stand, 20 of which go by in one.
     assert remaining == '21 s'
@@ -168,15 +168,15 @@ def test_a_pause_changes_neither_the_time_left_nor_the_share(expected):
         return time_left(snapshot, NOON)[0], snapshot.share
 
     for k in range(10):
-        board.take_state(state(100.0 + 20.0 * k, seconds_left=600.0 - 20.0 * k), float(k))
+        board.on_state(state(100.0 + 20.0 * k, seconds_left=600.0 - 20.0 * k), float(k))
     before = shown(9.0)
     assert before[0] == '21 s'
     for k in range(120):
-        board.take_state(state(281.0 + k, Phase.PAUSED, seconds_left=420.0), 10.0 + k)
+        board.on_state(state(281.0 + k, Phase.PAUSED, seconds_left=420.0), 10.0 + k)
         assert shown(10.0 + k) == before
     for k in range(10):
         left = 420.0 - 20.0 * k
-        board.take_state(state(401.0 + 20.0 * k, seconds_left=left), 130.0 + k)
+        board.on_state(state(401.0 + 20.0 * k, seconds_left=left), 130.0 + k)
         assert time_left(board.snapshot(130.0 + k), NOON)[0] == f'{round(left / 20)} s'
         assert shown(130.0 + k)[1] == pytest.approx(1 - left / 600)
 
@@ -185,37 +185,37 @@ def test_a_pause_changes_neither_the_time_left_nor_the_share(expected):
 def test_a_plan_that_begins_anew_has_no_step_done(expected, end):
     """IDLE: turntable_node was started anew. What the calibrator has is of the run before."""
     board = Board(expected)
-    board.take_state(state(0.0, Phase.IDLE, step=0), 0.0)
+    board.on_state(state(0.0, Phase.IDLE, step=0), 0.0)
     for step in range(26):
-        board.take_state(state(10.0 + step, step=step, seconds_left=500.0), 1.0 + step)
-    board.take_progress(progress(36.0, 1e-3, step=26, repeat_steps=[7]), 27.0)
+        board.on_state(state(10.0 + step, step=step, seconds_left=500.0), 1.0 + step)
+    board.on_progress(progress(36.0, 1e-3, step=26, repeat_steps=[7]), 27.0)
     assert (board.snapshot(27.0).seen, board.snapshot(27.0).repeats) == (26, (7,))
-    board.take_state(state(37.0, end, step=25, seconds_left=0.0), 28.0)
+    board.on_state(state(37.0, end, step=25, seconds_left=0.0), 28.0)
     for step in range(9):
-        board.take_state(state(40.0 + step, step=step, seconds_left=600.0), 30.0 + step)
+        board.on_state(state(40.0 + step, step=step, seconds_left=600.0), 30.0 + step)
         shown = board.snapshot(30.0 + step)
         assert shown.seen == step
         assert shown.repeats == ((7,) if step > 7 else ())
         assert shown.share == pytest.approx(step / (600 + step))
     # Paused, it is gone on with.
-    board.take_state(state(50.0, Phase.PAUSED, step=8), 40.0)
-    board.take_state(state(51.0, step=8), 41.0)
+    board.on_state(state(50.0, Phase.PAUSED, step=8), 40.0)
+    board.on_state(state(51.0, step=8), 41.0)
     assert board.snapshot(41.0).seen == 8
 
 
 def test_a_session_that_is_gone_on_with_keeps_its_steps(expected):
     board = Board(expected)
-    board.take_state(state(0.0, Phase.IDLE, step=0), 0.0)
-    board.take_progress(progress(1.0, 1e-3, step=12, repeat_steps=[]), 1.0)
-    board.take_state(state(2.0, Phase.MOVING, step=3), 2.0)
+    board.on_state(state(0.0, Phase.IDLE, step=0), 0.0)
+    board.on_progress(progress(1.0, 1e-3, step=12, repeat_steps=[]), 1.0)
+    board.on_state(state(2.0, Phase.MOVING, step=3), 2.0)
     assert board.snapshot(2.0).seen == 12
 
 
 @pytest.mark.parametrize('phase', [Phase.IDLE, Phase.ABORTED])
 def test_what_has_not_begun_is_not_done(expected, phase):
     board = Board(expected)
-    board.take_state(state(100.0), 0.0)
-    board.take_state(state(200.0, phase, seconds_left=0.0), 1.0)
+    board.on_state(state(100.0), 0.0)
+    board.on_state(state(200.0, phase, seconds_left=0.0), 1.0)
     assert time_left(board.snapshot(1.0), NOON) == ('the whole plan', 'once it is started')
     assert board.snapshot(1.0).share == 0.0
 
@@ -245,9 +245,9 @@ def test_durations_and_ends_in_words():
 
 def test_the_plan_shows_what_is_done_runs_comes_and_is_to_be_repeated(expected):
     board = Board(expected)
-    board.take_state(state(100.0, step=5), 1.0)
+    board.on_state(state(100.0, step=5), 1.0)
     # What runs, and what has just been run, is still to be worked through.
-    board.take_progress(progress(100.0, 1.0, step=6, repeat_steps=[2, 4, 5]), 1.0)
+    board.on_progress(progress(100.0, 1.0, step=6, repeat_steps=[2, 4, 5]), 1.0)
     page = ElementTree.fromstring(f'<div>{drawing.plan(board.snapshot(1.0))}</div>')
     kinds = [item.get('class') for item in page.find('ol')]
     assert kinds[:7] == ['done', 'done', 'again', 'done', 'done', 'now', 'next']
@@ -258,9 +258,9 @@ def test_the_plan_shows_what_is_done_runs_comes_and_is_to_be_repeated(expected):
 def test_no_text_of_a_node_is_taken_for_markup(expected):
     evil = '<script>alert(1)</script><img src=x onerror=alert(1)>'
     board = Board(replace(expected, imu=evil))
-    board.take_state(state(100.0, Phase.PAUSED, reason=evil, joint_names=[evil] * 3), 1.0)
-    board.take_progress(progress(100.0, 1.0, next_attitudes=[evil]), 1.0)
-    board.take_diagnostics(diagnostics(f'imu_node: {evil}', 2, evil, **{evil: evil}), 1.0)
+    board.on_state(state(100.0, Phase.PAUSED, reason=evil, joint_names=[evil] * 3), 1.0)
+    board.on_progress(progress(100.0, 1.0, next_attitudes=[evil]), 1.0)
+    board.on_diagnostics(diagnostics(f'imu_node: {evil}', 2, evil, **{evil: evil}), 1.0)
     shown = board.snapshot(1.0)
     by_hand = replace(shown, expected=replace(expected, steps=()))
     parts = [
@@ -296,11 +296,11 @@ def test_the_noise_of_dwells_is_the_data_sheets_random_walk():
     dwells = Dwells(FOG)
     for k in range(4):
         begin = int(k * 200e9)
-        dwells.add(begin)
+        dwells.begin_dwell(begin)
         for block in blocks(FOG, 120.0, 100.0, begin, rng):
-            dwells.take(block)
+            dwells.add_samples(block)
             dwells.update()
-        dwells.moves(begin + int(120e9))
+        dwells.end_dwell(begin + int(120e9))
     found = dwells.streams
     assert found.dwells == 4
     assert found.rate == pytest.approx(100.0, rel=1e-6)
@@ -319,20 +319,20 @@ def test_the_curve_grows_while_a_dwell_goes_on_and_turns_do_not_count():
     dwells = Dwells(FOG)
     moving = list(blocks(FOG, 20.0, 100.0, 0, rng))
     for block in moving:
-        dwells.take(block)
+        dwells.add_samples(block)
         dwells.update()
     assert dwells.streams.revision == 0
-    dwells.add(int(20e9))
+    dwells.begin_dwell(int(20e9))
     revisions = []
     for block in blocks(FOG, 60.0, 100.0, int(20e9), rng):
-        dwells.take(block)
+        dwells.add_samples(block)
         dwells.update()
         revisions.append(dwells.streams.revision)
     assert revisions[-1] > 3
     assert dwells.streams.dwells == 0
     # Samples of before, from a second publisher or a clock that was set back, are left out.
     before = dwells.streams.taken
-    dwells.take(moving[0])
+    dwells.add_samples(moving[0])
     assert dwells.streams.taken == before
 
 
@@ -374,9 +374,9 @@ def test_the_terminal_shows_deviations_predictions_limits_and_the_time_left(expe
     console = Console(width=100, record=True, file=io.StringIO())
     console.print(view_table(board.snapshot(0.0), NOON, 100))
     assert 'time left not known' in console.export_text()
-    board.take_state(state(100.0), 0.0)
-    board.take_progress(progress(90.0, math.nan), 0.0)
-    board.take_progress(progress(100.0, 4e-6), 0.0)
+    board.on_state(state(100.0), 0.0)
+    board.on_progress(progress(90.0, math.nan), 0.0)
+    board.on_progress(progress(100.0, 4e-6), 0.0)
     for columns in (100, 60):
         console = Console(width=columns, record=True, file=io.StringIO())
         console.print(view_table(board.snapshot(0.0), NOON, columns))
@@ -395,8 +395,8 @@ def test_the_terminal_shows_deviations_predictions_limits_and_the_time_left(expe
 def test_verdicts_are_seen_on_a_phone(browser, expected, tmp_path):
     """390 px: every column stands within its card, and none on another."""
     board = Board(expected)
-    board.take_progress(progress(1010.0, 4.321e-6), 0.0)
-    board.take_calibration(calibration('PROVISIONAL', K_gx=0.004))
+    board.on_progress(progress(1010.0, 4.321e-6), 0.0)
+    board.on_calibration(calibration('PROVISIONAL', K_gx=0.004))
     table = f'<div class="stand"><div class="card">{drawing.parameters(board.snapshot(0.0))}</div>'
     page = tmp_path / 'page.html'
     meta = '<!doctype html><meta charset="utf-8">'

@@ -193,7 +193,7 @@ def test_samples_out_of_order_are_sorted_however_the_stream_is_cut() -> None:
         order, done = StampSorter(), []
         for k in range(0, count, size):
             part = places[k : k + size]
-            done += order.add(ImuBlock(stamp[part], values[part], -values[part]))
+            done += order.sort_block(ImuBlock(stamp[part], values[part], -values[part]))
         done += order.finish()
         assert np.concatenate([b.stamp for b in done]).tolist() == stamp.tolist()
         assert np.concatenate([b.accel for b in done])[:, 2].tolist() == (-values[:, 2]).tolist()
@@ -208,7 +208,7 @@ def test_a_clock_that_is_set_back_is_not_sorted() -> None:
     assert places_by_stamp(far * 1_000_000) is None
     order = StampSorter()
     zeros = np.zeros((len(stamp), 3))
-    done = [*order.add(ImuBlock(stamp, zeros, zeros)), *order.finish()]
+    done = [*order.sort_block(ImuBlock(stamp, zeros, zeros)), *order.finish()]
     assert np.concatenate([b.stamp for b in done]).tolist() == stamp.tolist()
     assert order.sentences == ()
 

@@ -44,7 +44,7 @@ KINDS = {SCHEMA, CHANNEL, METADATA, CHUNK_INDEX, Op.ATTACHMENT_INDEX, METADATA_I
 def learnt(*whole: bytes) -> Catalogue:
     catalogue = Catalogue()
     for one in whole:
-        catalogue.add(one[0], one[9:])
+        catalogue.add_record(one[0], one[9:])
     return catalogue
 
 
@@ -118,7 +118,7 @@ def test_records_of_other_kinds_say_nothing_of_the_file() -> None:
     for op in range(1, 20):
         found = Catalogue()
         # Zeros are empty fields of any kind.
-        found.add(op, bytes(100))
+        found.add_record(op, bytes(100))
         assert (found == Catalogue()) is (op not in KINDS), op
 
 
@@ -135,7 +135,7 @@ def test_what_contradicts_the_format_is_refused_by_its_opcode(
     op: int, content: bytes, problem: str
 ) -> None:
     with pytest.raises(RecordError, match=f'^record with opcode {op}: .*{problem}'):
-        Catalogue().add(op, content)
+        Catalogue().add_record(op, content)
 
 
 def test_a_field_may_end_with_the_record() -> None:

@@ -30,7 +30,7 @@ Change = Callable[[Stamps], Stamps]
 def clock_of(stamp: Stamps, log: Stamps) -> RecordedClock:
     clock = RecordedClock()
     for k in range(0, len(stamp), 1000):
-        clock.add(stamp[k : k + 1000], log[k : k + 1000])
+        clock.add_messages(stamp[k : k + 1000], log[k : k + 1000])
     return clock
 
 
@@ -73,7 +73,7 @@ def test_memory_does_not_grow_with_the_recording() -> None:
     clock = RecordedClock()
     for k in range(300):
         at = np.arange(k * 10_000, (k + 1) * 10_000) * 1_000_000
-        clock.add(at, at + 5)
+        clock.add_messages(at, at + 5)
     held = sum(v.nbytes for v in vars(clock).values() if isinstance(v, np.ndarray))
     assert held < 1 << 20
     assert clock.stamps is not None

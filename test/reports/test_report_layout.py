@@ -21,7 +21,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.results import Result
 from imu_calib.calibration.thermal import combine
 from imu_calib.cli.main import main
-from imu_calib.common.budget import Share, Source
+from imu_calib.common.budget import ErrorSource, Share
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.rotations import rotations
@@ -297,7 +297,7 @@ def test_every_source_of_uncertainty_can_be_drawn(result: Result) -> None:
     budget = result.calibration.budget
     assert budget is not None
     large = Share.known(np.diag(np.diag(result.calibration.covariance)))
-    for source in Source:
+    for source in ErrorSource:
         more = budget.with_share(source, large)
         found = budget_section(replace(result.calibration, budget=more))
         assert source.heading in found[0]

@@ -105,7 +105,7 @@ def calibrated_in_hand(stamp: Stamps, values: Floats, *, si: bool) -> Result:
     if si:
         values = values * np.repeat([MEMS.gyro.scale_factor, MEMS.accel.scale_factor], 3)
     calibrator = HandCalibrator(Setup(spec, HAND, None, HAND_SITE))
-    calibrator.feed(block(stamp, values))
+    calibrator.add_block(block(stamp, values))
     return calibrator.finish()
 
 
@@ -143,7 +143,7 @@ def test_in_the_hand_false_samples_are_missing_ones(spoil: Spoil, share: float, 
 def calibrated_on_table(blocks: Iterable[Block], spec: ImuSpec) -> Result:
     calibrator = Calibrator(Setup(spec, PLAN, TABLE, SITE))
     for one in blocks:
-        calibrator.feed(one)
+        calibrator.add_block(one)
     return calibrator.finish()
 
 
@@ -228,7 +228,7 @@ def test_values_in_any_unit_have_those_that_si_has(
     found = []
     for of, seen in ((spec, values), (other, values / np.repeat(value, 3))):
         segmenter = Segmenter(of, None)
-        segmenter.feed(block(stamp, seen))
+        segmenter.add_block(block(stamp, seen))
         found.append(segmenter.finish().false_samples)
     assert found[1] == found[0]
     assert (found[0].on_all_axes, found[0].spikes) == (len(rows[::2]), len(rows[1::2]))
@@ -442,6 +442,6 @@ def test_a_stream_in_one_sample_blocks_ends_whole() -> None:
     stamp, values = (one[:300] for one in in_hand())
     segmenter = Segmenter(MEMS, None)
     for k in range(len(stamp)):
-        segmenter.feed(block(stamp[k : k + 1], values[k : k + 1]))
+        segmenter.add_block(block(stamp[k : k + 1], values[k : k + 1]))
     found = segmenter.finish()
     assert found.duration == pytest.approx((stamp[-1] - stamp[0]) * 1e-9)

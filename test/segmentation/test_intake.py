@@ -141,8 +141,8 @@ def joints(seconds: list[float], names: tuple[str, ...] = ('a', 'b')) -> JointBl
 def test_streams_that_do_not_overlap_are_of_two_clocks(first: int, ahead: int, apart: bool) -> None:
     """The IMU's clock is known to be ahead by some seconds: by these the streams may meet."""
     intake = StreamBuffer(TABLE, skewed=False)
-    intake.take_imu(imu(10, 11, 12, 13, 14, 15))
-    intake.take_joints(joints([10 + first + k for k in range(6)]))
+    intake.add_imu(imu(10, 11, 12, 13, 14, 15))
+    intake.add_joints(joints([10 + first + k for k in range(6)]))
     assert any('two clocks' in said for said in intake.losses(ahead * NS)) is apart
 
 
@@ -150,7 +150,7 @@ def test_samples_wait_until_they_are_dropped() -> None:
     intake = StreamBuffer(TABLE, skewed=False)
     assert (intake.duration, intake.first_stamp, intake.last_stamp) == (0.0, None, None)
     assert not intake.is_complete_until(0)
-    intake.take_imu(imu(*range(1, 201)))
+    intake.add_imu(imu(*range(1, 201)))
     assert intake.samples == 200
     # The last one waits for the next.
     assert (intake.first_stamp, intake.last_stamp) == (NS, 199 * NS)
@@ -161,7 +161,7 @@ def test_samples_wait_until_they_are_dropped() -> None:
     assert intake.is_complete_until(certain)
     assert not intake.is_complete_until(certain + 1)
     assert intake.imu.values[:2].tolist() == [[0, 1, 2, 1, 1, 1], [3, 4, 5, 1, 1, 1]]
-    intake.take_imu(imu(201))
+    intake.add_imu(imu(201))
     intake.finish()
     assert (intake.samples, intake.last_stamp, intake.duration) == (201, 201 * NS, 200.0)
     assert intake.is_complete_until(201 * NS)
@@ -173,16 +173,16 @@ def test_samples_wait_until_they_are_dropped() -> None:
 def test_a_skewed_gyro_is_awaited() -> None:
     intake = StreamBuffer(TABLE, skewed=True)
     assert intake.skew is not None
-    intake.take_imu(imu(*range(1, 301)))
+    intake.add_imu(imu(*range(1, 301)))
     assert not intake.is_complete_until(NS)
     stamp = np.arange(1, 201) * NS
-    intake.take_skew(SkewBlock(stamp, np.where(stamp == 2 * NS, np.nan, 7.0)))
+    intake.add_skew(SkewBlock(stamp, np.where(stamp == 2 * NS, np.nan, 7.0)))
     certain = int(intake.skew.stamp[-1])
     assert 100 * NS < certain < 199 * NS
     assert intake.is_complete_until(certain)
     assert not intake.is_complete_until(certain + 1)
     assert intake.skew.values[:1].tolist() == [[7.0, 0, 0, 0, 0, 0]]
-    intake.take_skew(SkewBlock(stamp[:1], np.array([7.0])))
+    intake.add_skew(SkewBlock(stamp[:1], np.array([7.0])))
     intake.finish()
     assert intake.skew.stamp.tolist() == [NS, *(k * NS for k in range(3, 201))]
     intake.remove_until(199 * NS)
@@ -194,16 +194,16 @@ def test_a_skewed_gyro_is_awaited() -> None:
         '1.000 s',
     ]
     plain = StreamBuffer(TABLE, skewed=False)
-    plain.take_skew(SkewBlock(stamp, np.ones(200)))
+    plain.add_skew(SkewBlock(stamp, np.ones(200)))
     assert plain.skew is None
 
 
 def test_rows_that_came_twice_are_counted_across_blocks() -> None:
     intake = StreamBuffer(None, skewed=False)
-    intake.take_imu(imu(1, 2, value=5.0))
-    intake.take_imu(imu(2, 3, 3, value=5.0))
-    intake.take_imu(imu(3, 4, value=6.0))
-    intake.take_imu(imu())
+    intake.add_imu(imu(1, 2, value=5.0))
+    intake.add_imu(imu(2, 3, 3, value=5.0))
+    intake.add_imu(imu(3, 4, value=6.0))
+    intake.add_imu(imu())
     assert intake.losses() == [
         '2 samples dropped as duplicates, the first at 2.000 s',
         '1 sample came with the stamp of the one before, up to 2 with one stamp, the first at '
@@ -217,11 +217,11 @@ def test_rows_that_came_twice_are_counted_across_blocks() -> None:
 
 def test_joints_come_in_the_order_of_the_table() -> None:
     intake = StreamBuffer(TABLE, skewed=False)
-    found = intake.take_joints(joints([1, 2, 3], ('b', 'q', 'a')))
+    found = intake.add_joints(joints([1, 2, 3], ('b', 'q', 'a')))
     assert found.stamp.tolist() == [NS, 2 * NS]
     assert found.values.tolist() == [[3.0, 1.0]] * 2
-    assert intake.take_joints(joints([9], ('a',))).stamp.tolist() == []
-    assert intake.take_joints(joints([9, 10], ())).stamp.tolist() == []
+    assert intake.add_joints(joints([9], ('a',))).stamp.tolist() == []
+    assert intake.add_joints(joints([9, 10], ())).stamp.tolist() == []
     assert intake.finish().values.tolist() == [[3.0, 1.0]]
     assert intake.foreign_joints == ''
     expected = 'not all joints of table bench (a, b)'
@@ -231,11 +231,11 @@ def test_joints_come_in_the_order_of_the_table() -> None:
         'The joint states name further joints (q), which are not of table bench: they are ignored',
     ]
     other = StreamBuffer(TABLE, skewed=False)
-    other.take_joints(joints([1], ('x', 'y')))
-    other.take_joints(joints([2], ('z',)))
+    other.add_joints(joints([1], ('x', 'y')))
+    other.add_joints(joints([2], ('z',)))
     assert other.foreign_joints == 'The joint states name x, y; z; table bench has a, b.'
     alone = StreamBuffer(None, skewed=False)
-    assert alone.take_joints(joints([1, 2])).stamp.tolist() == []
+    assert alone.add_joints(joints([1, 2])).stamp.tolist() == []
     assert (alone.foreign_joints, alone.losses()) == ('', [])
 
 
@@ -252,8 +252,8 @@ def test_joints_come_in_the_order_of_the_table() -> None:
 )
 def test_table_and_unit_are_heard_at_the_same_time(states: list[float], words: str) -> None:
     intake = StreamBuffer(TABLE, skewed=False)
-    intake.take_imu(imu(1, 5, 9))
-    intake.take_joints(joints(states))
+    intake.add_imu(imu(1, 5, 9))
+    intake.add_joints(joints(states))
     intake.finish()
     assert [line.startswith(words) for line in intake.losses()] == ([True] if words else [])
 
@@ -263,11 +263,11 @@ def test_the_first_of_equal_setpoints_is_kept() -> None:
         return Setpoint(stamp, 'p', step, position, mode, (), (), (), 1, 0.0)
 
     intake = StreamBuffer(TABLE, skewed=False)
-    intake.take_setpoints(SetpointBlock((requested(1, 0), requested(2, 0), requested(3, 1))))
-    intake.take_setpoints(
+    intake.add_setpoints(SetpointBlock((requested(1, 0), requested(2, 0), requested(3, 1))))
+    intake.add_setpoints(
         SetpointBlock((requested(4, 1), requested(5, 1, 'b'), requested(6, 1, 'b')))
     )
-    intake.take_setpoints(SetpointBlock((requested(7, 1, 'b', Mode.HOLD), requested(8, 0))))
+    intake.add_setpoints(SetpointBlock((requested(7, 1, 'b', Mode.HOLD), requested(8, 0))))
     assert [s.stamp for s in intake.setpoints] == [1, 3, 5, 7, 8]
 
 

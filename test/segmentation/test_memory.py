@@ -49,8 +49,8 @@ def rested(segmenter: Segmenter, samples: int) -> None:
         pulses = np.diff(np.floor(np.outer([number[0] - 1, *number], np.full(6, 0.3))), axis=0)
         pulses += rng.integers(-1, 2, pulses.shape)
         still = np.zeros((10, 3))
-        segmenter.feed(JointBlock(stamp[::10], names, still, still))
-        segmenter.feed(ImuBlock(stamp, pulses[:, :3], pulses[:, 3:], 'imu'))
+        segmenter.add_block(JointBlock(stamp[::10], names, still, still))
+        segmenter.add_block(ImuBlock(stamp, pulses[:, :3], pulses[:, 3:], 'imu'))
 
 
 def test_a_rest_is_read_without_copies_of_it() -> None:
@@ -111,7 +111,7 @@ def test_a_session_ten_times_as_long_holds_no_more() -> None:
     with traced() as held:
         for k in range(10):
             for block in once:
-                segmenter.feed(later(block, k * span))
+                segmenter.add_block(later(block, k * span))
             rounds.append(held())
         found = copy.copy(segmenter).moves
     # Where a round ends and the next begins the table stands, or is turned back at a bound.

@@ -57,7 +57,7 @@ def joint(motions: Any = MOTIONS) -> JointBlock:
 def found(*blocks: Block, spec: ImuSpec = IDEAL, table: Table | None = BENCH) -> Segmented:
     reader = Segmenter(spec, table)
     for block in blocks:
-        reader.feed(block)
+        reader.add_block(block)
     return reader.finish()
 
 
@@ -445,9 +445,9 @@ def test_how_still_it_stands_is_known_as_it_comes_in() -> None:
     reader = Segmenter(IDEAL, None)
     assert (reader.still, reader.quietest) == (None, None)
     imu = unit(())
-    reader.feed(only(imu, slice(0, 255)))
+    reader.add_block(only(imu, slice(0, 255)))
     assert reader.quietest is None
-    reader.feed(only(imu, slice(255, 4000)))
+    reader.add_block(only(imu, slice(255, 4000)))
     # The last samples wait for those that show them sound, 0.6 s, and half a minute ahead is
     # looked at.
     assert reader.still == (START + 110_000_000, START + 9_300_000_000)

@@ -515,7 +515,7 @@ def test_a_snapshot_holds_what_was_found_and_goes_on_by_itself() -> None:
     assert all(a is b for a, b in zip(found, snapshot._segmenter.segments, strict=True))
     for one in (going, snapshot):
         for _, block in blocks[half:]:
-            one.feed(block)
+            one.add_block(block)
     one, other = (c._segmenter.finish() for c in (going, snapshot))
     pairs = zip(one.segments, other.segments, strict=True)
     assert all(np.array_equal(a.statistics.mean, b.statistics.mean) for a, b in pairs)

@@ -168,7 +168,7 @@ def test_setpoints_are_moved_on_with_the_joint_states() -> None:
     intake = StreamBuffer(table, skewed=False)
     true, values = rows(3000)
     angles = np.hstack([values, values[:, :1]])
-    intake.take_joints(
+    intake.add_joints(
         JointBlock(set_back(true, 2000, 2.0), table.names, angles, np.full_like(angles, np.nan))
     )
     instants = [
@@ -178,7 +178,7 @@ def test_setpoints_are_moved_on_with_the_joint_states() -> None:
         (3, true[2900] - 2 * NS),
     ]
     nowhere = Setpoint(0, 'plan', 0, '1', Mode.POSITION, table.names, (0.0,) * 3, (), 0.0, 5.0)
-    intake.take_setpoints(
+    intake.add_setpoints(
         SetpointBlock(tuple(replace(nowhere, stamp=int(at), step=step) for step, at in instants))
     )
     intake.finish()
@@ -220,10 +220,10 @@ def session(
     calibrator = Calibrator(
         Setup(spec(unit), plan, load_table('three_axis'), site, search_terms=True)
     )
-    calibrator.feed(joints)
+    calibrator.add_block(joints)
     for k in range(0, len(imu.stamp), size or len(imu.stamp)):
         part = slice(k, k + (size or len(imu.stamp)))
-        calibrator.feed(ImuBlock(imu.stamp[part], imu.gyro[part], imu.accel[part]))
+        calibrator.add_block(ImuBlock(imu.stamp[part], imu.gyro[part], imu.accel[part]))
     return calibrator.finish()
 
 
@@ -301,8 +301,8 @@ def test_after_a_clock_that_nothing_tells_nothing_is_used() -> None:
     noise = np.random.default_rng(3).integers(-3, 4, imu.gyro.shape)
     unlike = replace(imu, gyro=np.where((passed > 88)[:, None], noise, imu.gyro))
     segmenter = Segmenter(spec(MEDIUM), load_table('three_axis'))
-    segmenter.feed(joints)
-    segmenter.feed(replace(unlike, stamp=stamp))
+    segmenter.add_block(joints)
+    segmenter.add_block(replace(unlike, stamp=stamp))
     found = segmenter.finish()
     assert found.segments
     assert all((one.start - START) * 1e-9 < 99 for one in (*found.segments, *found.turns))

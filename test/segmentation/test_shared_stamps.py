@@ -118,12 +118,12 @@ def sharing(block: ImuBlock, size: int) -> ImuBlock:
 def test_a_session_of_a_second_simulation_is_as_good_as_without(
     monkeypatch: pytest.MonkeyPatch, size: int
 ) -> None:
-    feed = Calibrator.feed
+    feed = Calibrator.add_block
 
     def share(self: Calibrator, block: Block) -> None:
         feed(self, sharing(block, size) if isinstance(block, ImuBlock) else block)
 
-    monkeypatch.setattr(Calibrator, 'feed', share)
+    monkeypatch.setattr(Calibrator, 'add_block', share)
     found = fed(World(), MEDIUM).finish().calibration
     off = errors(found, MEDIUM)
     assert np.abs(off).max() < 4.5, np.round(off, 1)
@@ -153,7 +153,7 @@ def test_a_session_in_the_hand_is_as_good_as_without() -> None:
     def solved(blocks: list[ImuBlock]) -> Calibration:
         calibrator = Calibrator(Setup(HELD, load_plan('six_position_by_hand'), None, SITE))
         for block in blocks:
-            calibrator.feed(block)
+            calibrator.add_block(block)
         return calibrator.finish().calibration
 
     alone, shared = solved(list(by_hand(1))), solved(list(by_hand(10)))

@@ -122,7 +122,7 @@ def test_what_is_late_is_said_and_nothing_else(share: float) -> None:
     for seed in (2, 3):
         reader = Segmenter(paper_imu(), load_table('three_axis'))
         for _, block in session(plan(), stand(delivery=late), seed=seed):
-            reader.feed(block)
+            reader.add_block(block)
         (losses,) = reader.finish().losses
         found = re.match(
             r'(\d+) IMU samples \((.*) %\) are stamped late, by up to (.*?), the', losses
@@ -238,7 +238,7 @@ def test_sessions_that_begin_with_turns_of_minutes_tell_how_far_clocks_are_apart
     first = replace(whole, positions=whole.positions[:3])
     reader = Segmenter(paper_imu(), load_table('three_axis'))
     for _, block in session(first, stand(clock_offset=ahead), seed=1):
-        reader.feed(block)
+        reader.add_block(block)
     found = reader.finish()
     assert len(found.segments) == 3
     assert found.clock.offset == pytest.approx(ahead, abs=0.01)

@@ -40,7 +40,7 @@ def unit(bias: float, seed: int = 0) -> SensorModel:
 
 def calibrated(session: Shaky) -> Result:
     calibrator = HandCalibrator(Setup(COUNTS, load_plan('free_positions'), None, SITE))
-    calibrator.feed(session.block)
+    calibrator.add_block(session.block)
     return calibrator.finish()
 
 
@@ -185,7 +185,7 @@ def test_turns_beyond_the_range_are_left_out_and_said() -> None:
     assert 0 < sum(clipped) < 15
     spec = replace(COUNTS, gyro=replace(COUNTS.gyro, range=limit))
     calibrator = HandCalibrator(Setup(spec, load_plan('free_positions'), None, SITE))
-    calibrator.feed(held.block)
+    calibrator.add_block(held.block)
     found = calibrator.finish().calibration
     (findings,) = (
         finding for finding in found.findings if f'{sum(clipped)} turns are lost' in finding
@@ -250,7 +250,7 @@ def test_a_session_without_holds_says_how_still_it_was_and_what_to_do() -> None:
     stamp = 1_650_000_000_000_000_000 + np.arange(1, rows + 1) * 10_000_000
     block = ImuBlock(stamp, np.rint(gyro / SCALES[0]), np.rint(force / SCALES[1]))
     calibrator = HandCalibrator(Setup(COUNTS, load_plan('free_positions'), None, SITE))
-    calibrator.feed(block)
+    calibrator.add_block(block)
     with pytest.raises(NotObservable, match=r'quietest two seconds.*deg/s and .* g.*Hold the unit'):
         calibrator.finish()
 
@@ -264,7 +264,7 @@ def test_a_session_is_solved_alike_however_it_is_cut_and_whenever_it_is_looked_a
     halfway = None
     while first < len(block.stamp):
         last = first + int(rng.integers(1, 300))
-        pieces.feed(_part(block, first, last))
+        pieces.add_block(_part(block, first, last))
         if halfway is None and last > 0.6 * len(block.stamp):
             halfway = last, pieces.snapshot().review()
         first = last
@@ -272,7 +272,7 @@ def test_a_session_is_solved_alike_however_it_is_cut_and_whenever_it_is_looked_a
     assert halfway is not None
     seen, review = halfway
     ended = HandCalibrator(setup)
-    ended.feed(_part(block, 0, seen))
+    ended.add_block(_part(block, 0, seen))
     assert review.result is not None
     assert np.array_equal(review.result.calibration.values, ended.finish().calibration.values)
 
@@ -287,7 +287,7 @@ def test_what_waits_for_a_judgement_is_bounded() -> None:
     _, held = Hand(100, 3.0, 2.0).session()
     longest = 0
     for first in range(0, len(held.block.stamp), 100):
-        segmenter.feed(_part(held.block, first, first + 100))
+        segmenter.add_block(_part(held.block, first, first + 100))
         longest = max(longest, len(segmenter._intake.imu))
     # Half a minute, the rest or turn before it (up to 5 s), and two seconds beside each.
     assert longest < 100 * (30 + 5 + 2 * 2 + 1)

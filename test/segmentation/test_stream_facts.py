@@ -170,10 +170,10 @@ def test_a_live_session_that_is_refused_at_its_end_says_the_facts_too() -> None:
     site = Site.at(LATITUDE * DEG, gravity=9.8, latitude_std=0.0)
     setup = Setup(load_imu('si'), load_plan('free_positions'), None, site)
     calibrator = HandCalibrator(setup)
-    calibrator.feed(ImuBlock(STAMP, NOISE[:, :3], NOISE[:, 3:]))
+    calibrator.add_block(ImuBlock(STAMP, NOISE[:, :3], NOISE[:, 3:]))
     assert 'The stream' not in calibrator.snapshot().review().refusal
     assert calibrator.snapshot().conclude().refusal.endswith('100 Hz; none missing, in order.')
     apart = HandCalibrator(setup)
     alternate = np.arange(len(STAMP))[:, None] % 2
-    apart.feed(ImuBlock(STAMP, NOISE[:, :3] * alternate, NOISE[:, 3:] * (1 - alternate)))
+    apart.add_block(ImuBlock(STAMP, NOISE[:, :3] * alternate, NOISE[:, 3:] * (1 - alternate)))
     assert 'in messages of their own' in apart.conclude().refusal

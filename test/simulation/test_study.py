@@ -129,7 +129,7 @@ def test_axes_further_off_than_is_stated_are_named_and_nothing_else(stated: int)
     errors = replace(setup.table.errors, orthogonality=stated * ARCSEC)
     calibrator = Calibrator(replace(setup, table=replace(setup.table, errors=errors, assumed=())))
     for block in recorded:
-        calibrator.feed(block)
+        calibrator.add_block(block)
     (finding,) = calibrator.finish().calibration.findings
     assert finding.startswith('The session shows joint axes that are not at right angles')
     assert f'the description of the table states {stated} arcsec' in finding

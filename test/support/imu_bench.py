@@ -71,14 +71,14 @@ class Listener(ros.Node):
         }
         self.payloads = {topic: [] for topic in self.drains}
         self.statuses = {}
-        self.create_subscription(kinds.DiagnosticArray, '/diagnostics', self.take_diagnostics, 100)
+        self.create_subscription(kinds.DiagnosticArray, '/diagnostics', self.on_diagnostics, 100)
         self.create_timer(0.005, self.take, clock=STEADY)
 
     def take(self):
         for topic, drain in self.drains.items():
             self.payloads[topic] += ros.drain(drain)
 
-    def take_diagnostics(self, message):
+    def on_diagnostics(self, message):
         for status in message.status:
             part = status.name.partition(': ')[2]
             figures = {v.key: v.value for v in status.values}

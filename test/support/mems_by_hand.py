@@ -37,7 +37,7 @@ def unit(seed: int) -> SensorModel:
 def calibrator(session: HandSession, model: SensorModel, seed: int, **options: object):
     free = HandCalibrator(Setup(SPEC, load_plan('free_positions'), None, SITE))
     for block in session.blocks(SPEC, model, SITE, ImuOptions(**options), seed):
-        free.feed(block)
+        free.add_block(block)
     return free
 
 

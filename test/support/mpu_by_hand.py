@@ -42,7 +42,7 @@ def calibrator(held: Shaky, pieces: int = 1) -> HandCalibrator:
     found = HandCalibrator(Setup(IMU, load_plan('free_positions'), None, SITE))
     for rows in np.array_split(np.arange(len(held.block.stamp)), pieces):
         block = held.block
-        found.feed(ImuBlock(block.stamp[rows], block.gyro[rows], block.accel[rows], 'imu'))
+        found.add_block(ImuBlock(block.stamp[rows], block.gyro[rows], block.accel[rows], 'imu'))
     return found
 
 

@@ -102,7 +102,7 @@ def fed(
     setup = Setup(spec, plan, table, site, search_terms=find_terms)
     calibrator = Calibrator(setup)
     for block in recorded(world, unit, seed):
-        calibrator.feed(block)
+        calibrator.add_block(block)
     return calibrator
 
 

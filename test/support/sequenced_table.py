@@ -64,7 +64,7 @@ class Stand:
         stamps = EPOCH + np.rint((times + self.jitter(len(times))) * 1e9).astype(np.int64)
         if not self.silent:
             block = JointBlock(stamps, self.names, angles[:, self.columns], rates[:, self.columns])
-            self.sequencer.take(block)
+            self.sequencer.add_joint_states(block)
         revision = self.sequencer.revision
         if revision != self.last_sent or self.time - self.sent_at >= 0.1 - 1e-9:
             self.send()

@@ -177,7 +177,7 @@ def fed(blocks: Iterable[Named], setup: Setup) -> Calibrator:
     """Feed blocks to a calibrator."""
     calibrator = Calibrator(setup)
     for _, block in blocks:
-        calibrator.feed(block)
+        calibrator.add_block(block)
     return calibrator
 
 

@@ -30,8 +30,8 @@ def solved(table, unit, counts):
     calibrator = Calibrator(Setup(spec, UNPLANNED, mounted, site))
     stamp = EPOCH + np.round(table.time * 1e9).astype(np.int64)
     rates = np.zeros_like(table.read)
-    calibrator.feed(JointBlock(stamp, TABLE.names, table.read, rates))
-    calibrator.feed(ImuBlock(stamp[1:][: len(counts)], counts[:, :3], counts[:, 3:], 'imu'))
+    calibrator.add_block(JointBlock(stamp, TABLE.names, table.read, rates))
+    calibrator.add_block(ImuBlock(stamp[1:][: len(counts)], counts[:, :3], counts[:, 3:], 'imu'))
     return calibrator.finish()
 
 

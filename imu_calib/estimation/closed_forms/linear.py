@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...common.budget import Share, Source
+from ...common.budget import ErrorSource, Share
 from ...common.errors import NotObservable
 from ...common.stream import Floats
 from ...model.parameters import PARAMETERS, Parameter, ParameterKind
@@ -42,7 +42,7 @@ class ChannelSystem:
     coefficients: list[Floats] = field(default_factory=list)
     weights: list[Floats] = field(default_factory=list)  #: (size,) of the outputs in each equation.
 
-    def add(self, coefficients: Floats, weights: Floats) -> None:
+    def add_equation(self, coefficients: Floats, weights: Floats) -> None:
         """Add an equation: (4,) coefficients of responses and bias, (size,) weights of outputs."""
         self.coefficients.append(coefficients)
         self.weights.append(weights)
@@ -142,7 +142,7 @@ class Gains:
                 row[:] = np.nan
         return rows
 
-    def shares(self, evidence: Evidence, model: SensorModel) -> dict[Source, Share]:
+    def shares(self, evidence: Evidence, model: SensorModel) -> dict[ErrorSource, Share]:
         """Return the covariance (n, n) by source, NaN for parameters that are not estimated."""
         return shares_of(evidence, model, self.derivatives(evidence))
 
@@ -173,7 +173,7 @@ class Gains:
         )
 
 
-def shares_of(evidence: Evidence, model: SensorModel, rows: Floats) -> dict[Source, Share]:
+def shares_of(evidence: Evidence, model: SensorModel, rows: Floats) -> dict[ErrorSource, Share]:
     """Return by source the covariance of parameters that are linear in the outputs.
 
     `rows` (n, m) are their derivatives by the outputs without moves, NaN for those not estimated.
@@ -183,7 +183,7 @@ def shares_of(evidence: Evidence, model: SensorModel, rows: Floats) -> dict[Sour
     state = np.concatenate([model.vector(), np.zeros(equations.nuisances)])
     found = equations.shares(state, rows)
     clock = rows @ equations.jacobian(state)[:, equations.clock_index] * evidence.clock_rate()[1]
-    found[Source.CLOCK] = Share.from_parts([(np.outer(clock, clock), evidence.clock_freedom)])
+    found[ErrorSource.CLOCK] = Share.from_parts([(np.outer(clock, clock), evidence.clock_freedom)])
     return found
 
 
@@ -299,4 +299,4 @@ class RateTestEquations:
         else:
             coefficients[axis], coefficients[BIAS] = inputs.mean(), 1.0
             weights[first + mine] = 1 / len(mine)
-        system.add(coefficients, weights)
+        system.add_equation(coefficients, weights)

@@ -54,7 +54,7 @@ def solve_gyros(evidence: Evidence, weights: Floats, mean_input: Floats) -> Solv
                 test.add_to(system, axis, at_rest)
             row = np.zeros(len(outputs))
             row[:at_rest] = weights[:, channel]
-            system.add(np.append(mean_input, 1.0), row)
+            system.add_equation(np.append(mean_input, 1.0), row)
         return solve_triad(systems, outputs)
 
     found = solved(test.outputs)
@@ -86,10 +86,10 @@ def _accelerometers(evidence: Evidence, outputs: Floats) -> SolvedTriad:
         for axis in range(3):
             coefficients = np.zeros(UNKNOWNS)
             coefficients[axis] = 2 * evidence.site.gravity
-            system.add(coefficients, up[axis] - down[axis])
+            system.add_equation(coefficients, up[axis] - down[axis])
         coefficients = np.zeros(UNKNOWNS)
         coefficients[BIAS] = 1.0
-        system.add(coefficients, (up + down).sum(axis=0) / 6)
+        system.add_equation(coefficients, (up + down).sum(axis=0) / 6)
     return solve_triad(systems, outputs)
 
 
@@ -115,7 +115,7 @@ def _up_and_down(evidence: Evidence) -> tuple[Floats, Floats]:
     return result[0], result[1]
 
 
-def finish(
+def finish_solution(
     evidence: Evidence, gyros: SolvedTriad, *, findings: Sequence[str] = (), north_known: bool
 ) -> Solution:
     """Solve the accelerometers too, and check both triads against the data."""
@@ -145,7 +145,7 @@ def solve_twelve_position(evidence: Evidence) -> Solution:
     """Estimate the 24 parameters; the session's azimuth is not used."""
     weights, findings = _bias_weights(evidence)
     gyros = solve_gyros(evidence, weights, np.zeros(3))
-    return finish(evidence, gyros, findings=findings, north_known=False)
+    return finish_solution(evidence, gyros, findings=findings, north_known=False)
 
 
 def _bias_weights(evidence: Evidence) -> tuple[Floats, list[str]]:
@@ -200,7 +200,7 @@ def solve_six_position(evidence: Evidence) -> Solution:
             '`azimuth`), or run twelve positions. D_gx, D_gy, D_gz cannot be determined.'
         )
     gyros = solve_gyros(evidence, *_bias_equation(evidence))
-    return finish(evidence, gyros, north_known=evidence.azimuth is not None)
+    return finish_solution(evidence, gyros, north_known=evidence.azimuth is not None)
 
 
 def _bias_equation(evidence: Evidence) -> tuple[Floats, Floats]:

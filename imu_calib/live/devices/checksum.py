@@ -106,7 +106,7 @@ class Checksums:
             self._tables, self._constant = _contributions(algorithm, length, padding)
             self._places = 256 * np.arange(length)
 
-    def of(self, rows: Bytes) -> Words:
+    def of_rows(self, rows: Bytes) -> Words:
         """Return the (n,) checksums of (n, length) bytes."""
         if isinstance(self._algorithm, Sum):
             return _sums(rows, self._algorithm)

@@ -46,7 +46,7 @@ class Delays:
             return None
         return min(delay for _, delay in [*self._windows[-1:], self._current])
 
-    def add(self, elapsed: Stamps, arrival: Stamps) -> None:
+    def add_delays(self, elapsed: Stamps, arrival: Stamps) -> None:
         """Take (n,) samples, ns."""
         if len(arrival) == 0:
             return
@@ -55,13 +55,13 @@ class Delays:
         starts = np.flatnonzero(np.diff(number, prepend=number[0] - 1))
         lowest = np.minimum.reduceat(delay, starts)
         for window, least in zip(number[starts].tolist(), lowest.tolist(), strict=True):
-            self._add(window, least)
+            self._add_least(window, least)
         least = int(lowest.min())
         self.lowest = least if self.lowest is None else min(self.lowest, least)
         if len(self._windows) > _MOST_WINDOWS:
             self._merge()
 
-    def _add(self, window: int, least: int) -> None:
+    def _add_least(self, window: int, least: int) -> None:
         if self._current is not None and self._current[0] == window:
             self._current = window, min(self._current[1], least)
             return
@@ -75,7 +75,7 @@ class Delays:
         self._width *= 2
         self._windows, self._current = [], None
         for window, least in [*windows, *([] if current is None else [current])]:
-            self._add(window // 2, least)
+            self._add_least(window // 2, least)
 
     def drift(self) -> Drift | None:
         """Fit a line to the delays of complete windows."""
@@ -113,7 +113,7 @@ class HostClock:
         """By how much the host's clock was ahead of the steady one at the first reading, ns."""
         return self._first or 0
 
-    def feed(self, host: Stamps, steady: Stamps) -> tuple[Stamps, list[tuple[int, int]]]:
+    def find_steps(self, host: Stamps, steady: Stamps) -> tuple[Stamps, list[tuple[int, int]]]:
         """Take (n,) readings of both clocks, ns, at least one.
 
         Returns:
@@ -286,7 +286,7 @@ class DeviceClock:
             return None
         return (self.offset - self._host.first - self._line.recent) / NS
 
-    def feed(
+    def elapsed_times(
         self,
         time: Indices | None,
         counter: Indices | None,
@@ -311,13 +311,13 @@ class DeviceClock:
         settings: list[tuple[int, int]] = []
         self.set_by = np.zeros(len(arrival), np.int64)
         if steady is not None:
-            self.set_by, settings = self._host.feed(arrival, steady)
+            self.set_by, settings = self._host.find_steps(arrival, steady)
             arrival = steady
         begins = self._first_arrival is None
         if self._first_arrival is None:
             self._first_arrival = self._arrival = int(arrival[0])
         past = np.diff(arrival, prepend=self._arrival).clip(min=0).astype(np.float64)
-        steps = self._stepper.feed(time, counter, past, begins=begins)
+        steps = self._stepper.time_steps(time, counter, past, begins=begins)
         exact = self._elapsed + np.cumsum(steps.nanoseconds)
         elapsed = np.rint(exact).astype(np.int64)
         uncorrected = int(elapsed[-1])
@@ -326,7 +326,7 @@ class DeviceClock:
                 self._place_by_arrival(elapsed, finding.index, arrival)
             self._note(int(elapsed[finding.index]), finding.seconds, finding.reason)
         known = self._compare(elapsed, arrival, steady is not None)
-        self._line.add(elapsed[:known], arrival[:known])
+        self._line.add_delays(elapsed[:known], arrival[:known])
         for index, by in settings:
             self._note(int(elapsed[index]), by / NS, "The host's clock was set; stamps follow it.")
         # The fraction of a nanosecond is kept: a thousand roundings a second would add up.

@@ -122,8 +122,8 @@ def read_format(section: Section) -> FrameFormat:
         baud=section.whole('baud', *BAUD) if section.has('baud') else None,
         commands=read_commands(section),
     )
-    fields.finish()
-    section.finish()
+    fields.refuse_unknown_keys()
+    section.refuse_unknown_keys()
     frame.refuse_overlap(result)
     return result
 
@@ -166,7 +166,7 @@ class _Frame:
             Channel(self.number(section, offset), scale)
             for offset, scale in zip(offsets, scales, strict=True)
         )
-        section.finish()
+        section.refuse_unknown_keys()
         return channels
 
     def channel(self, fields: Section, name: str) -> Channel | None:
@@ -176,7 +176,7 @@ class _Frame:
         section = fields.section(name)
         (scale,) = numbers(section, 'scale', 1)
         channel = Channel(self.number(section), scale, section.number('zero', 0.0))
-        section.finish()
+        section.refuse_unknown_keys()
         return channel
 
     def counter(self, fields: Section) -> FrameCounter | None:
@@ -190,7 +190,7 @@ class _Frame:
         highest = min(number.modulus, COUNTLESS)
         modulus = section.whole('modulus', 2, highest, highest)
         step = section.whole('step', 1, modulus - 1, 1)
-        section.finish()
+        section.refuse_unknown_keys()
         return FrameCounter(number, modulus, step)
 
     def time(self, fields: Section) -> DeviceTime | None:
@@ -218,7 +218,7 @@ class _Frame:
                 else [section.whole('modulus', 2, highest)]
             )
             *shorter, modulus = sorted(found)
-        section.finish()
+        section.refuse_unknown_keys()
         return DeviceTime(number, tick, modulus, tuple(shorter))
 
     def faults(self, fields: Section) -> tuple[Fault, ...]:
@@ -234,8 +234,8 @@ class _Frame:
                 raise InputError(f'{section.key("type")}: a status is unsigned, u8 to u64.')
             for entry in section.sections('faults'):
                 faults.append(_fault(entry, number))
-                entry.finish()
-            section.finish()
+                entry.refuse_unknown_keys()
+            section.refuse_unknown_keys()
         if len(faults) > _MOST_FAULTS:
             raise InputError(
                 f'{fields.key("status")}: found {len(faults)} faults, at most {_MOST_FAULTS}.'
@@ -276,7 +276,7 @@ def _constant(section: Section, length: int) -> tuple[tuple[int, int], ...]:
         for entry in section.sections('constant'):
             first = entry.whole('offset', len(sync), length - 1)
             constant |= {first + k: b for k, b in enumerate(whole_list(entry, 'bytes', 0, 255))}
-            entry.finish()
+            entry.refuse_unknown_keys()
     if max(constant) >= length:
         raise InputError(f'{section.where}: constant bytes reach beyond the length of {length}.')
     return tuple(sorted(constant.items()))
@@ -311,7 +311,7 @@ def _check(section: Section, frame: _Frame, constants: int) -> FrameCheck | None
             'words, of which the checksum is the sum.'
         )
     padding = check.whole('padding', 0, 64, 0)
-    check.finish()
+    check.refuse_unknown_keys()
     return FrameCheck(algorithm, number, covered[0], covered[1] + 1, padding)
 
 
@@ -408,7 +408,7 @@ class Decoder:
         self._counted_others = 0
         self.counts = Counts()
 
-    def feed(self, data: bytes) -> Samples:
+    def decode_bytes(self, data: bytes) -> Samples:
         """Take the next bytes; return the samples of the frames that they complete."""
         buffer = np.frombuffer(self._tail + data, np.uint8)
         length = self._format.length
@@ -440,10 +440,10 @@ class Decoder:
         # The first frame ends an incomplete message before it.
         apart[:1] = True
         for k in np.flatnonzero(apart).tolist():
-            self._others.take(buffer[ends[k] : starts[k]].tobytes())
+            self._others.add_bytes(buffer[ends[k] : starts[k]].tobytes())
             counted[k] = self._others.close()
             known = known if k else self._others.size
-        self._others.take(buffer[ends[-1] :].tobytes())
+        self._others.add_bytes(buffer[ends[-1] :].tobytes())
         return counted, known
 
     def _count_skipped(self) -> None:
@@ -469,7 +469,7 @@ class Decoder:
             return starts, np.empty(0, np.int64)
         candidates = self._candidates(buffer, step * length)
         good = self._holds(_frames(buffer, candidates, length))
-        found = _apart(candidates[good], length)
+        found = _without_overlaps(candidates[good], length)
         return np.concatenate([starts, found]), candidates[~good]
 
     def _candidates(self, buffer: Bytes, first: int) -> Indices:
@@ -495,7 +495,7 @@ class Decoder:
         if check is None or self._checksums is None:
             return np.ones(len(rows), bool)
         return np.asarray(
-            self._checksums.of(rows[:, check.first : check.end]) == check.number.read(rows)
+            self._checksums.of_rows(rows[:, check.first : check.end]) == check.number.read(rows)
         )
 
     def _count_bad(self, bad: Indices, starts: Indices) -> None:
@@ -596,7 +596,7 @@ def _frames(buffer: Bytes, starts: Indices, length: int) -> Bytes:
     return np.lib.stride_tricks.sliding_window_view(buffer, length)[starts]
 
 
-def _apart(starts: Indices, length: int) -> Indices:
+def _without_overlaps(starts: Indices, length: int) -> Indices:
     """Drop starts within the frame before."""
     if len(starts) < 2 or (np.diff(starts) >= length).all():
         return starts

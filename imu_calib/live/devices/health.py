@@ -14,7 +14,7 @@ from ...common.units import STANDARD_GRAVITY
 from ...session.imu import GRAVITY_FACTOR, ImuSpec
 from .clock import DeviceClock
 from .format import Counts, Decoder, FrameFormat, Samples
-from .source import Baud, Chunk, SourceState, too_slow
+from .source import Baud, Chunk, ReaderState, too_slow
 
 _SPAN_NS = 500_000_000
 """ns examined: the first half second. A judgement: five pieces, of which two may contain shocks,
@@ -43,7 +43,7 @@ class Gravity:
         """Whether the check is complete."""
         return self._verdict is not None
 
-    def take(self, accel: Floats, elapsed: Stamps) -> str:
+    def check_samples(self, accel: Floats, elapsed: Stamps) -> str:
         """Take samples; return why the numbers contradict the file.
 
         Args:
@@ -169,7 +169,7 @@ class Health:
         self._faults: Counter[str] = Counter()
         self._faults_new: set[str] = set()
 
-    def take(
+    def add_received(
         self, samples: Samples, elapsed: Stamps, received: int, now: int, steady: float
     ) -> None:
         """Take received data.
@@ -188,7 +188,7 @@ class Health:
                 self._first_bytes = steady
         if len(samples) == 0:
             return
-        self._misfit = self._gravity.take(samples.accel, elapsed)
+        self._misfit = self._gravity.check_samples(samples.accel, elapsed)
         self._received_at, self._received_steady = now, steady
         # For a person, whose clock is not that of a simulation.
         self._last_seen = datetime.now()
@@ -248,7 +248,7 @@ class Health:
         return late and passed > min(self._gap_timeout, _PATIENCE)
 
     def statuses(
-        self, state: SourceState, counts: Counts, clock: DeviceClock, now: int, steady: float
+        self, state: ReaderState, counts: Counts, clock: DeviceClock, now: int, steady: float
     ) -> list[PartStatus]:
         """Return the present statuses."""
         if self._begun is None and (state.open or state.ended):
@@ -264,7 +264,7 @@ class Health:
             *self._status(steady),
         ]
 
-    def _port(self, state: SourceState) -> PartStatus:
+    def _port(self, state: ReaderState) -> PartStatus:
         figures = {'bytes': str(self._bytes)}
         if not (state.open or state.ended):
             severity = Severity.ERROR if state.tried else Severity.WARN
@@ -297,7 +297,7 @@ class Health:
         self._events = {k: v for k, v in self._events.items() if steady - v[1] < _KEPT}
 
     def _stream(
-        self, state: SourceState, counts: Counts, clock: DeviceClock, now: int, steady: float
+        self, state: ReaderState, counts: Counts, clock: DeviceClock, now: int, steady: float
     ) -> PartStatus:
         figures = {
             'rate': 'unknown' if self._rate is None else f'{self._rate:.2f} Hz',
@@ -314,7 +314,7 @@ class Health:
             figures['other messages'] = str(counts.others)
         return PartStatus('stream', *self._stream_sentence(state, now, steady), figures)
 
-    def _stream_sentence(self, state: SourceState, now: int, steady: float) -> tuple[Severity, str]:
+    def _stream_sentence(self, state: ReaderState, now: int, steady: float) -> tuple[Severity, str]:
         if self._received_at is None:
             return self._before_the_first(now)
         if self.silent(now, steady) and not state.ended:
@@ -344,7 +344,7 @@ class Health:
             )
         return Severity.WARN, 'The first frame has not come yet.'
 
-    def _what_comes(self, state: SourceState, steady: float) -> PartStatus:
+    def _what_comes(self, state: ReaderState, steady: float) -> PartStatus:
         """Return whether the data agrees with the files of device and IMU."""
         if self._received_at is None and (what := self._strange(state, steady)):
             return PartStatus(
@@ -360,7 +360,7 @@ class Health:
             'format', Severity.OK, f'Frames of the format {self._format.name} are read.'
         )
 
-    def _strange(self, state: SourceState, steady: float) -> str:
+    def _strange(self, state: ReaderState, steady: float) -> str:
         """Return a sentence on data without frames; empty if frames may still come."""
         first, last = self._first_bytes, self._last_bytes
         enough = self._bytes >= _STRANGE * self._format.length
@@ -459,7 +459,7 @@ class Reception:
         self.health = Health(frames, nominal, gap_timeout, caution, imu)
         self._received = 0
 
-    def take(self, chunks: list[Chunk], now: int, steady: float) -> tuple[Samples, Stamps]:
+    def decode_chunks(self, chunks: list[Chunk], now: int, steady: float) -> tuple[Samples, Stamps]:
         """Take bytes; return n samples, possibly none, and their (n,) times.
 
         Args:
@@ -468,15 +468,15 @@ class Reception:
             steady: Monotonic time of the host, which is never simulated.
         """
         data = b''.join(chunk.data for chunk in chunks)
-        samples = self._decoder.feed(data)
+        samples = self._decoder.decode_bytes(data)
         ends = self._received + np.cumsum([len(chunk.data) for chunk in chunks], dtype=np.int64)
         self._received += len(data)
         times = np.array([(chunk.arrival, chunk.steady) for chunk in chunks], np.int64)
         arrival, steady_arrival = times[np.searchsorted(ends, samples.end)].T
-        elapsed = self.clock.feed(samples.time, samples.counter, arrival, steady_arrival)
-        self.health.take(samples, elapsed, len(data), now, steady)
+        elapsed = self.clock.elapsed_times(samples.time, samples.counter, arrival, steady_arrival)
+        self.health.add_received(samples, elapsed, len(data), now, steady)
         return samples, elapsed
 
-    def statuses(self, state: SourceState, now: int, steady: float) -> list[PartStatus]:
+    def statuses(self, state: ReaderState, now: int, steady: float) -> list[PartStatus]:
         """Return the present statuses of port, format, stream, clock and device."""
         return self.health.statuses(state, self._decoder.counts, self.clock, now, steady)

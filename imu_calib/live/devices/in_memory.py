@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from ...common.errors import InputError
 from .messages import NOTHING
-from .source import Chunk, SourceState, steady_time
+from .source import Chunk, ReaderState, steady_time
 
 SCHEME = 'memory://'
 """Start of the URL of such a line; what follows is its name."""
@@ -61,7 +61,7 @@ class InMemoryLine:
 
 
 class InMemorySource:
-    """Reads an `InMemoryLine`, with the interface of `Source`.
+    """Reads an `InMemoryLine`, with the interface of `DeviceReader`.
 
     Args:
         url: SCHEME and the name of the line.
@@ -74,7 +74,7 @@ class InMemorySource:
     def __init__(self, url: str, now: Callable[[], int]) -> None:
         self.url = url
         self.opened = 0
-        self.state = SourceState(False, False, f'{url} is not open yet.', tried=False)
+        self.state = ReaderState(False, False, f'{url} is not open yet.', tried=False)
         self._now = now
         self._line: InMemoryLine | None = None
 
@@ -94,9 +94,9 @@ class InMemorySource:
             raise InputError(f'{self.url}: no simulated device of this process has this name.')
         self._line.connected = True
         self.opened += 1
-        self.state = SourceState(True, False, f'{self.url} is open.')
+        self.state = ReaderState(True, False, f'{self.url} is open.')
 
-    def take(self, most: int = 0) -> list[Chunk]:  # noqa: ARG002 (as of Source)
+    def pop_chunks(self, most: int = 0) -> list[Chunk]:  # noqa: ARG002 (as of DeviceReader)
         """Return all that was sent."""
         if self._line is None:
             return []

@@ -185,7 +185,7 @@ class Message:
         covered = np.frombuffer(message[check.first : check.last + 1 or None], np.uint8)
         if not fits(check.algorithm, len(covered)):
             return False
-        found = checksums(check.algorithm, len(covered)).of(covered[None])
+        found = checksums(check.algorithm, len(covered)).of_rows(covered[None])
         return int(found[0]) == _unsigned(sent, check.order)
 
 
@@ -208,7 +208,7 @@ class Messages:
         """Number of bytes that can still become a message."""
         return len(self._open)
 
-    def take(self, data: bytes) -> None:
+    def add_bytes(self, data: bytes) -> None:
         """Take the next bytes outside frames."""
         if self.kinds:
             self._open += data
@@ -271,7 +271,7 @@ def read_message(section: Section, order: str) -> Message:
         offset = entry.whole('offset', len(sync), _LONGEST)
         length = Number('u', size, offset, read_order(entry, order))
         more = entry.whole('zero', -_LONGEST, _LONGEST, 0)
-        entry.finish()
+        entry.refuse_unknown_keys()
     else:
         length = section.whole('length', len(sync), _LONGEST)
     check = _message_check(section, order)
@@ -281,7 +281,7 @@ def read_message(section: Section, order: str) -> Message:
             'least, else anything is taken for one.'
         )
     counted = section.flag('counted', default=False)
-    section.finish()
+    section.refuse_unknown_keys()
     return Message(sync, length, more, check, counted)
 
 
@@ -302,7 +302,7 @@ def _message_check(section: Section, order: str) -> MessageCheck | None:
             )
         first, last = covered
     result = MessageCheck(algorithm, offset, read_order(check, order), first, last)
-    check.finish()
+    check.refuse_unknown_keys()
     return result
 
 
@@ -388,5 +388,5 @@ def _command(entry: Section) -> Command:
         raise InputError(
             f'{entry.key("wait")}: found {entry.raw("wait")}, expected at most {LONGEST_WAIT:g} s.'
         )
-    entry.finish()
+    entry.refuse_unknown_keys()
     return Command(data, wait)

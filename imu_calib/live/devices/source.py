@@ -293,7 +293,7 @@ def steady_time() -> int:
 
 
 @dataclass(frozen=True)
-class SourceState:
+class ReaderState:
     """State of a source."""
 
     open: bool  #: Whether bytes can come.
@@ -302,7 +302,7 @@ class SourceState:
     tried: bool = True  #: Whether opening was tried.
 
 
-class Source:
+class DeviceReader:
     """Read a device in a separate thread, and reopen it after failures.
 
     Data waits in a bounded queue. While that is full nothing is read: over TCP the device has to
@@ -350,7 +350,7 @@ class Source:
         self._waiting = 0
         self._changed = threading.Condition()
         self._stopping = threading.Event()
-        self.state = SourceState(False, False, f'{url} is not open yet.', tried=False)
+        self.state = ReaderState(False, False, f'{url} is not open yet.', tried=False)
         self.opened = 0
         self._thread = threading.Thread(target=self._run, name=f'read {url}', daemon=True)
 
@@ -358,7 +358,7 @@ class Source:
         """Start reading."""
         self._thread.start()
 
-    def take(self, most: int = _CAPACITY) -> list[Chunk]:
+    def pop_chunks(self, most: int = _CAPACITY) -> list[Chunk]:
         """Return received chunks, oldest first, of about `most` bytes; do not wait."""
         taken: list[Chunk] = []
         with self._changed:
@@ -395,10 +395,10 @@ class Source:
             except (
                 Exception
             ) as error:  # Drivers raise exceptions of their own, such as termios.error.
-                self.state = SourceState(False, False, _does_not_open(self.url, error))
+                self.state = ReaderState(False, False, _does_not_open(self.url, error))
             else:
                 with contextlib.closing(line):
-                    self.state = SourceState(True, False, f'{self.url} is open.')
+                    self.state = ReaderState(True, False, f'{self.url} is open.')
                     self.opened += 1
                     self._read(line)
             if self.state.ended:
@@ -414,7 +414,7 @@ class Source:
                 if data is None:
                     break
                 if data:
-                    self._put(Chunk(data, *self._moment()))
+                    self._queue_chunk(Chunk(data, *self._moment()))
                     received_at = steady_time()
                 elif self._is_overdue(received_at):
                     self._send(line, self.commands.start)
@@ -422,12 +422,12 @@ class Source:
             else:
                 self._send(line, self.commands.stop)
         except Exception as error:
-            self.state = SourceState(False, False, f'{self.url} broke: {_reason(error)}')
+            self.state = ReaderState(False, False, f'{self.url} broke: {_reason(error)}')
             return
         if self._kind is File:
-            self.state = SourceState(False, True, f'{self.url} was read to its end.')
+            self.state = ReaderState(False, True, f'{self.url} was read to its end.')
         else:
-            self.state = SourceState(False, False, f'{self.url} was closed by the other end.')
+            self.state = ReaderState(False, False, f'{self.url} was closed by the other end.')
 
     def _send(self, line: Line, commands: tuple[Command, ...]) -> None:
         """Send commands and wait after each as long as the device requires."""
@@ -455,7 +455,7 @@ class Source:
                 break
         return host, (before + after) // 2
 
-    def _put(self, chunk: Chunk) -> None:
+    def _queue_chunk(self, chunk: Chunk) -> None:
         with self._changed:
             while self._waiting >= self._capacity and not self._stopping.is_set():
                 self._changed.wait(POLL)
@@ -469,7 +469,7 @@ def check_port(url: str) -> None:
     Opening a serial port moves its control lines, which resets some devices.
 
     Args:
-        url: As in `Source`.
+        url: As in `DeviceReader`.
 
     Raises:
         InputError: The URL is invalid, the device or file does not exist, or may not be read.

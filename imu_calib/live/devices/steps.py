@@ -76,7 +76,7 @@ class Stepper:
         self.settled = False
         self.unseen = 0
 
-    def feed(
+    def time_steps(
         self, time: Indices | None, counter: Indices | None, past: Floats, *, begins: bool
     ) -> Steps:
         """Take samples; return the time elapsed before each.

@@ -93,7 +93,7 @@ class WorkerThread:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
-    def finish(self, patience: float) -> None:
+    def wait_until_done(self, patience: float) -> None:
         """Wait until the work is done, at most so many seconds."""
         self._thread.join(timeout=patience)
 
@@ -169,10 +169,10 @@ def configuration() -> str:
         example = on_interface('eth0')
         raise InputError(network_refusal(reach, f"set CYCLONEDDS_URI='{example}' with its name"))
     own = '' if named else on_interface(LOOPBACK)
-    return ','.join(part for part in (ANNOUNCEMENTS, own, _of_reach(reach), user) if part)
+    return ','.join(part for part in (ANNOUNCEMENTS, own, _reach_settings(reach), user) if part)
 
 
-def _of_reach(reach: str) -> str:
+def _reach_settings(reach: str) -> str:
     if reach == 'SYSTEM_DEFAULT':
         return ''
     peers = [p for p in os.environ.get('ROS_STATIC_PEERS', '').split(';') if p.strip()]

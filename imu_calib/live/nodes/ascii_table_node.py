@@ -104,7 +104,7 @@ class AsciiTableNode(Node):
 
     def _work(self) -> None:
         self._commands.dispatch(self._control.command)
-        block = self._control.take()
+        block = self._control.pop_joint_states()
         if block is not None:
             publish_all(self._joints, encode_joints(block).payloads())
 

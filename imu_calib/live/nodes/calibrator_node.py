@@ -268,7 +268,7 @@ class CalibratorNode(ros.Node):
     def stop(self) -> list[Any]:
         """Close the journal so that the next start can resume it."""
         end = time.monotonic() + _LAST_TAKE
-        while self._take_all() and time.monotonic() < end:
+        while self._receive_all() and time.monotonic() < end:
             # A round takes a limited number of messages from each topic.
             pass
         self._sessions.close()
@@ -329,7 +329,7 @@ class CalibratorNode(ros.Node):
             self._diagnostics.publish()
 
     def _on_tick(self) -> None:
-        self._take_all()
+        self._receive_all()
         for place in self._sessions.poll():
             self._publish(place)
 
@@ -355,7 +355,7 @@ class CalibratorNode(ros.Node):
         self._latest = max(now, self._latest)
         return self._latest
 
-    def _take_all(self) -> bool:
+    def _receive_all(self) -> bool:
         """Take a limited number of new messages per topic; return whether there were any."""
         now = self._read_clock()
         if now == 0:
@@ -364,13 +364,13 @@ class CalibratorNode(ros.Node):
         self._turntable.record(self._sessions, now)
         came = False
         for kind, payloads in self._of_table.received():
-            self._sessions.take_common(kind, payloads, now)
+            self._sessions.add_common_messages(kind, payloads, now)
             came = True
         for place, subscriptions in enumerate(self._of_units):
-            came = self._take_of(place, subscriptions, now) or came
+            came = self._receive_unit(place, subscriptions, now) or came
         return came
 
-    def _take_of(self, place: int, subscriptions: Subscriptions, now: int) -> bool:
+    def _receive_unit(self, place: int, subscriptions: Subscriptions, now: int) -> bool:
         """Take new messages of a unit; return whether there were any."""
         session, came = self._sessions.all[place], False
         for kind, payloads in subscriptions.received():
@@ -380,7 +380,7 @@ class CalibratorNode(ros.Node):
             if two and session.backwards(kind, payloads):
                 self._two_publishers(place)
             elif not session.is_over:
-                session.take(kind, payloads, now)
+                session.add_messages(kind, payloads, now)
         return came
 
     def _on_glance(self) -> None:
@@ -429,7 +429,7 @@ class CalibratorNode(ros.Node):
     def _on_state(self, payload: bytes) -> None:
         state = ros.deserialize_message(payload, messages.TurntableState)
         self._turntable.keep(payload)
-        self._take_all()
+        self._receive_all()
         if self._turntable.follow(state, self._sessions, time.monotonic()):
             for place in range(len(self._units)):
                 self._publish(place)

@@ -109,7 +109,7 @@ class CompensatorReports:
         self._gravity, self._far_from_gravity = GravitySeen(), 0
         self._turns, self._compared = TurnsSeen(), 0
 
-    def take(self, count: int) -> None:
+    def count_input(self, count: int) -> None:
         """Count incoming samples."""
         self._second.taken += count
 
@@ -292,7 +292,7 @@ class AppliedCalibration:
         self._version, self.compensator, self._source = None, None, ''
         self.read_file()
         if self._offered is not None:
-            self.take(self._offered)
+            self.on_calibration(self._offered)
         self.report()
 
     def renew(self) -> None:
@@ -300,7 +300,7 @@ class AppliedCalibration:
         if self.compensator is not None:
             self.compensator = Compensator(self.compensator.calibration)
 
-    def take(self, message: Any) -> None:
+    def on_calibration(self, message: Any) -> None:
         """Apply a calibration of the topic if it is valid."""
         self._offered = message
         if message.status == messages.ImuCalibration.INCOMPLETE:
@@ -488,7 +488,7 @@ class CompensatorNode(ros.ManagedNode):
         )
         if follows:
             self.create_subscription(
-                messages.ImuCalibration, 'calibration', self._applied.take, qos.results()
+                messages.ImuCalibration, 'calibration', self._applied.on_calibration, qos.results()
             )
         ros.open_stream(
             self,
@@ -554,25 +554,25 @@ class CompensatorNode(ros.ManagedNode):
         if not self._active:
             return
         begun = time.perf_counter()
-        self._reports.take(len(payloads))
+        self._reports.count_input(len(payloads))
         compensator = self._applied.compensator
         if compensator is None or self._mixed:
             self._reports.unused += len(payloads)
             return
         for block in self._decoder.decode(payloads, self._reports.malformed):
-            self._publish(compensator.take(block))
+            self._publish(compensator.compensate_block(block))
         self._reports.record_latency(time.perf_counter() - begun)
 
     def _on_skew(self, payloads: list[bytes]) -> None:
         if compensator := self._compensating():
             for block in decode_skew(Messages.join(payloads), self._reports.malformed):
-                self._publish(compensator.take(block))
+                self._publish(compensator.compensate_block(block))
 
     def _on_temperature(self, payloads: list[bytes]) -> None:
         self._reports.note_temperature()
         if compensator := self._compensating():
             for block in decode_temperatures(Messages.join(payloads), self._reports.malformed):
-                self._publish(compensator.take(block))
+                self._publish(compensator.compensate_block(block))
 
     def _compensating(self) -> Compensator | None:
         return self._applied.compensator if self._active else None

@@ -76,7 +76,7 @@ class HandNode(ros.Node):
     def stop(self) -> list[Any]:
         """Switch off."""
         self._ending.set()
-        self._life.finish(_PATIENCE)
+        self._life.wait_until_done(_PATIENCE)
         self._line.close()
         self.get_logger().info(
             f'{self._hardware.holds} holds; the IMU made {self._hardware.frames} frames, '

@@ -13,7 +13,7 @@ from ...session.imu import load_imu
 from ..devices.format import Samples, load_format
 from ..devices.health import GAP_TIMEOUT, Reception
 from ..devices.in_memory import SCHEME, InMemorySource
-from ..devices.source import Chunk, Source, choose_baud, is_serial
+from ..devices.source import Chunk, DeviceReader, choose_baud, is_serial
 from ..middleware import Clock, ClockType, ManagedNode, messages, publish_all
 from . import qos
 from .diagnostics import Diagnostics, Level
@@ -85,11 +85,11 @@ class ImuNode(ManagedNode):
         """Read the files, and check the port's name; the device is not opened."""
         frames = load_format(self._device)
         baud = choose_baud(self._given_baud, frames)
-        self._source: Source | InMemorySource
+        self._source: DeviceReader | InMemorySource
         if self._port.startswith(SCHEME):
             self._source = InMemorySource(self._port, self._now)
         else:
-            self._source = Source(
+            self._source = DeviceReader(
                 self._port, self._now, baud.rate, self._buffer, commands=frames.commands
             )
         serial = is_serial(self._port)
@@ -137,9 +137,9 @@ class ImuNode(ManagedNode):
         self.destroy_timer(self._timer)
         self._timer = None
         self._source.stop()
-        self._waiting += self._source.take()
+        self._waiting += self._source.pop_chunks()
         if chunks := self._first(len(self._waiting)):
-            self._take(chunks, self._now(), self._seconds())
+            self._decode_chunks(chunks, self._now(), self._seconds())
         self._line.settle()
         self._release()
         return publishers
@@ -172,7 +172,7 @@ class ImuNode(ManagedNode):
         chunks = self._arrived()
         now, steady = self._now(), self._seconds()
         if chunks:
-            self._take(chunks, now, steady)
+            self._decode_chunks(chunks, now, steady)
         elif self._held and (self._source.state.ended or self._is_silent(now, steady)):
             self._line.settle()
         self._release()
@@ -185,7 +185,7 @@ class ImuNode(ManagedNode):
         the offset is unknown, only that next step is certain to be later than all of them.
         """
         if len(self._waiting) < _MOST_WAITING:
-            self._waiting += self._source.take(_MOST_BYTES)
+            self._waiting += self._source.pop_chunks(_MOST_BYTES)
         ready = len(self._waiting)
         if self._simulated:
             now = self._now()
@@ -216,9 +216,9 @@ class ImuNode(ManagedNode):
         now = self._now()
         return [Chunk(chunk.data, now, now) for chunk in chunks]
 
-    def _take(self, chunks: list[Chunk], now: int, steady: float) -> None:
+    def _decode_chunks(self, chunks: list[Chunk], now: int, steady: float) -> None:
         """Decode bytes; samples wait until the clock's offset is known."""
-        samples, elapsed = self._reception.take(chunks, now, steady)
+        samples, elapsed = self._reception.decode_chunks(chunks, now, steady)
         if len(samples):
             self._held.append((samples, elapsed + self._line.set_by))
 

@@ -54,13 +54,13 @@ class CalibratorFeed:
         if setup.imu.skewed is None or Kind.SKEW not in topics:
             self.begin(with_skew=False)
 
-    def feed(self, block: Block, intakes: Mapping[Kind, TopicIntake]) -> str:
+    def add_block(self, block: Block, intakes: Mapping[Kind, TopicIntake]) -> str:
         """Feed a block, or hold it back; return as `begin`.
 
         The received samples decide on the skewed gyro, as in reprocessing.
         """
         if self.calibrator is not None:
-            self.calibrator.feed(block)
+            self.calibrator.add_block(block)
             return ''
         self._held.append(block)
         imu = intakes[Kind.IMU]
@@ -83,7 +83,7 @@ class CalibratorFeed:
         self.calibrator = calibrator_of(replace(self._setup, imu=imu))
         held, self._held = self._held, []
         for block in held:
-            self.calibrator.feed(block)
+            self.calibrator.add_block(block)
         if with_skew or not held or self._setup.method_name != 'skewed':
             return ''
         lost = ', '.join(p.name for p in skewed_parameters(1))
@@ -253,7 +253,7 @@ class LiveSession:
         """Whether no more data is accepted: the recording must hold the data of the result only."""
         return self.is_over or self._solver.concludes
 
-    def take(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
+    def add_messages(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
         """Take serialised messages of a topic.
 
         Args:
@@ -268,7 +268,7 @@ class LiveSession:
             # The recording must hold the data of the result only.
             return
         if kind is Kind.SETPOINTS:
-            sound = [p for p in payloads if self._of_the_plan(p)]
+            sound = [p for p in payloads if self._is_of_plan(p)]
             intake.ignored += len(payloads) - len(sound)
             if not sound:
                 return
@@ -284,11 +284,11 @@ class LiveSession:
             if isinstance(block, ImuBlock) and len(block):
                 self._name_the_gap(int(block.stamp[0]))
                 self.frame_id = block.frame_id
-            self._take_in(kind, block)
+            self._add_block(kind, block)
 
     def feed_former(self, kind: Kind, block: Block) -> None:
         """Take a block from the session before a crash."""
-        self._take_in(kind, block)
+        self._add_block(kind, block)
 
     def end_of_journal(self, losses: Sequence[str]) -> None:
         """Record that the old journal has been read, and which parts could not be."""
@@ -385,7 +385,7 @@ class LiveSession:
         """Take the result of a solution."""
         result = review.result
         if final:
-            self._finish(review)
+            self._end_with_result(review)
         elif self._ending:
             # This solution began before the last data came.
             self.solve()
@@ -398,7 +398,7 @@ class LiveSession:
             self.phase = SessionPhase.COLLECTING
             self.calibration = None
 
-    def _finish(self, review: Review) -> None:
+    def _end_with_result(self, review: Review) -> None:
         if review.result is None:
             self.fail(review.refusal)
         elif self.journal.close(finished=True):
@@ -412,27 +412,27 @@ class LiveSession:
         findings = (*calibration.findings, *self.notes)
         return replace(calibration, provenance=provenance, findings=findings)
 
-    def _take_in(self, kind: Kind, block: Block) -> None:
+    def _add_block(self, kind: Kind, block: Block) -> None:
         if isinstance(block, SetpointBlock):
             # A held table does not approach a step.
             name = self.setup.plan.name
             steps = [s.step for s in block.setpoints if s.plan == name and s.mode is not Mode.HOLD]
             self.steps_seen = max([self.steps_seen, *(step + 1 for step in steps)])
-        strange = isinstance(block, JointBlock) and not self._of_the_table(block)
+        strange = isinstance(block, JointBlock) and not self._is_of_table(block)
         self.intakes[kind].note(block, strange=strange)
-        self._fail_if(self._feed.feed(block, self.intakes))
+        self._fail_if(self._feed.add_block(block, self.intakes))
 
     def _fail_if(self, reason: str) -> None:
         if reason:
             self.fail(reason)
 
-    def _of_the_plan(self, payload: bytes) -> bool:
+    def _is_of_plan(self, payload: bytes) -> bool:
         """Return whether a setpoint belongs to the plan; those of other plans are foreign."""
         blocks = Kind.SETPOINTS.decode(Messages.join([payload]), Malformed())
         named = {s.plan for b in blocks if isinstance(b, SetpointBlock) for s in b.setpoints}
         return not named or self.setup.plan.name in named
 
-    def _of_the_table(self, block: JointBlock) -> bool:
+    def _is_of_table(self, block: JointBlock) -> bool:
         """Return whether joint states are the table's: other joints may share its topic."""
         table = self.setup.table
         return table is None or block.select_joints(table.names) is not None

@@ -73,7 +73,7 @@ class RunAction:
             cancel=self._on_cancel,
         )
 
-    def take_progress(self, progress: Any) -> None:
+    def on_progress(self, progress: Any) -> None:
         """Take the calibrator's progress."""
         self._progress = progress
 

@@ -69,7 +69,7 @@ class CalibratorProgress:
             f'The calibrator is silent for {self._timeout:g} s.',
         )
 
-    def take(self, progress: Any, now: float) -> bool:
+    def on_progress(self, progress: Any, now: float) -> bool:
         """Take imu_calib_msgs/CalibrationProgress; return whether it concerns this plan."""
         sequencer = self._sequencer
         fault = _fault_of(progress)
@@ -79,7 +79,7 @@ class CalibratorProgress:
             sequencer.fail(fault)
         of_this_plan = bool(progress.plan == sequencer.plan.name)
         if of_this_plan:
-            self._take_steps(progress, now)
+            self._pass_steps(progress, now)
         elif not fault:
             self._diagnostics.report(
                 'calibrator',
@@ -97,7 +97,7 @@ class CalibratorProgress:
         )
         return of_this_plan
 
-    def _take_steps(self, progress: Any, now: float) -> None:
+    def _pass_steps(self, progress: Any, now: float) -> None:
         """Pass the steps to be repeated, and those already done, to the sequencer."""
         self._received_at = now
         if not self._is_alone(now):

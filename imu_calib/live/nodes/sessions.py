@@ -67,12 +67,12 @@ class Sessions:
             for unit, own, part in zip(units, topics, self._parts, strict=True)
         )
         if journal.resumed:
-            self._go_on()
+            self._replay_journal()
         else:
             for session in self.all:
                 session.notes += journal.losses
 
-    def _go_on(self) -> None:
+    def _replay_journal(self) -> None:
         """Feed the sessions with the journal's data from before a crash."""
         fed: dict[str, list[tuple[LiveSession, Kind]]] = {}
         for session in self.all:
@@ -101,11 +101,11 @@ class Sessions:
         """Whether the pause since the last round of reviews is as long as that round."""
         return self._solver.may_review
 
-    def take_common(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
-        """Take messages of the table; see `LiveSession.take`."""
+    def add_common_messages(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
+        """Take messages of the table; see `LiveSession.add_messages`."""
         for session in self.all:
             if not session.is_over:
-                session.take(kind, payloads, now)
+                session.add_messages(kind, payloads, now)
 
     def record(self, topic: str, type_name: str, payload: bytes, now: int) -> None:
         """Record a message that calibration does not use."""

@@ -116,7 +116,7 @@ class StandNode(ros.Node):
     def stop(self) -> list[Any]:
         """Switch off after the table has stopped: it brakes without setpoints."""
         self._ending.set()
-        self._life.finish(_PATIENCE)
+        self._life.wait_until_done(_PATIENCE)
         self._lines.close()
         state = self._hardware.state
         angles = ', '.join(
@@ -189,7 +189,7 @@ class StandNode(ros.Node):
         ending = self._ending.is_set()
         if ending and self._hardware.state.at_rest:
             return None
-        self._take_commands()
+        self._follow_commands()
         self._lines.serve()
         if not ending and (rest := self._rest()):
             return rest
@@ -203,7 +203,7 @@ class StandNode(ros.Node):
             return _REST
         return self._pace.rest(self._hardware.time, lines.connected)
 
-    def _take_commands(self) -> None:
+    def _follow_commands(self) -> None:
         self._commands.dispatch(self._follow)
         while self._faults:
             text = self._faults.popleft()
@@ -218,7 +218,7 @@ class StandNode(ros.Node):
         if setpoint.mode is Mode.HOLD:
             self._pace.use_wall_clock()
         else:
-            self._pace.take_setpoint((setpoint.stamp - self._epoch) * 1e-9)
+            self._pace.record_setpoint((setpoint.stamp - self._epoch) * 1e-9)
 
     def _advance(self) -> None:
         """Simulate one step, and publish its frames, clock and joint states."""
@@ -291,7 +291,7 @@ class _Pace:
         self._received_at = -math.inf
         self._anchor: tuple[float, float, float] | None = None
 
-    def take_setpoint(self, stamp: float) -> None:
+    def record_setpoint(self, stamp: float) -> None:
         """Record a setpoint with a stamp in s of simulated time."""
         self._newest, self._received_at = stamp, time.monotonic()
         self._unpaced_until = stamp + _UNPACED

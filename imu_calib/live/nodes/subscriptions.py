@@ -165,13 +165,13 @@ def listen_to_each(node: ros.Node, board: UnitsBoard) -> None:
         node.create_subscription(
             messages.CalibrationProgress,
             f'{name}/calibration/progress',
-            partial(_take, own),
+            partial(_on_progress, own),
             latched(),
         )
         node.create_subscription(
-            messages.ImuCalibration, f'{name}/calibration', own.take_calibration, latched()
+            messages.ImuCalibration, f'{name}/calibration', own.on_calibration, latched()
         )
 
 
-def _take(board: Board, message: Any) -> None:
-    board.take_progress(message, time.monotonic())
+def _on_progress(board: Board, message: Any) -> None:
+    board.on_progress(message, time.monotonic())

@@ -119,7 +119,7 @@ class TurntableNode(Node):
         if self._estop.reason:
             self._on_estop()
         self._offer_services()
-        self.create_timer(min(_PERIOD, self._pacing.seconds), self._go_on, clock=self._steady)
+        self.create_timer(min(_PERIOD, self._pacing.seconds), self._run_round, clock=self._steady)
         self.create_timer(_CHECK_PERIOD, self._check_peers, clock=self._steady)
         self._publish_state_when_due()
         self._check_peers()
@@ -222,11 +222,11 @@ class TurntableNode(Node):
         """Take joint states, and answer them at once."""
         now = self._steady.now().nanoseconds * 1e-9
         for block in decode_joints(Messages.join(payloads), self._malformed):
-            if self._sequencer.take(block):
+            if self._sequencer.add_joint_states(block):
                 self._fed_at = now
-        self._go_on()
+        self._run_round()
 
-    def _go_on(self) -> None:
+    def _run_round(self) -> None:
         """Check the clocks, advance, and send setpoints that are due."""
         now = self._steady.now().nanoseconds * 1e-9
         passed = now - self._ran_at
@@ -248,11 +248,11 @@ class TurntableNode(Node):
         silence = now - self._fed_at
         if silence > self._watchdog and self._sequencer.feedback is not None:
             self._sequencer.lose_feedback(
-                f'No joint state from the table for {self._watchdog:g} s.{self._of_others()}'
+                f'No joint state from the table for {self._watchdog:g} s.{self._foreign_joints()}'
             )
         self._calibrator.check(now)
 
-    def _of_others(self) -> str:
+    def _foreign_joints(self) -> str:
         """Return which joint states come, if none of them are the table's."""
         count, names = self._sequencer.ignored
         if not count:
@@ -370,8 +370,8 @@ class TurntableNode(Node):
             self._send(self._sequencer.hold(self._stamp()))
 
     def _on_progress(self, message: Any) -> None:
-        if self._calibrator.take(message, self._steady.now().nanoseconds * 1e-9):
-            self._action.take_progress(message)
+        if self._calibrator.on_progress(message, self._steady.now().nanoseconds * 1e-9):
+            self._action.on_progress(message)
 
     def _on_estop(self) -> None:
         """Hold the table until `~/release`, and cancel an automatic start."""

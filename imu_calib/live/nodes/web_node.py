@@ -157,7 +157,7 @@ class WebNode(ros.Node):
         subscribe(
             messages.CalibrationProgress,
             'calibration/progress',
-            lambda message: board.take_progress(message, clock()),
+            lambda message: board.on_progress(message, clock()),
             qos.latched(),
         )
         if isinstance(board, UnitsBoard):
@@ -167,7 +167,7 @@ class WebNode(ros.Node):
         subscribe(
             messages.DiagnosticArray,
             '/diagnostics',
-            lambda message: board.take_diagnostics(message, clock()),
+            lambda message: board.on_diagnostics(message, clock()),
             _DEEP_WORDS,
         )
         self._samples, self._temperatures = {}, {}
@@ -190,17 +190,17 @@ class WebNode(ros.Node):
         self.create_timer(_GROWTH, self._update_dwells, clock=steady)
 
     def _on_state(self, message: Any) -> None:
-        self._board.take_state(message, time.monotonic())
+        self._board.on_state(message, time.monotonic())
         stamp = message.header.stamp.sec * NS + message.header.stamp.nanosec
         for dwells in self._dwells.values():
             if message.phase == Phase.DWELLING:
-                dwells.add(stamp)
+                dwells.begin_dwell(stamp)
             else:
-                dwells.moves(stamp)
+                dwells.end_dwell(stamp)
 
     def _on_calibration(self, message: Any) -> None:
         assert isinstance(self._board, Board), 'several units have topics of their own'
-        over = self._board.take_calibration(message)
+        over = self._board.on_calibration(message)
         if over and message.status != message.REFUSED and self._reporter is None:
             self._write_report()
 
@@ -226,18 +226,18 @@ class WebNode(ros.Node):
         board = self._board.each[name] if isinstance(self._board, UnitsBoard) else self._board
         for block in self._decoded(Kind.IMU, self._samples[name]):
             if isinstance(block, ImuBlock):
-                dwells.take(block)
+                dwells.add_samples(block)
         for block in self._decoded(Kind.TEMPERATURES, self._temperatures[name]):
             if isinstance(block, TemperatureBlock) and len(block.celsius):
-                board.take_temperature(float(block.celsius[-1]))
-        board.take_streams(dwells.streams)
+                board.set_temperature(float(block.celsius[-1]))
+        board.set_streams(dwells.streams)
 
     def _show(self) -> None:
         """Update the viewers' pages."""
         board, now = self._board, time.monotonic()
         if isinstance(board, UnitsBoard):
             if board.common.snapshot(now).outcome in _RESULTS:
-                board.common.take_report('', _REPORTS)
+                board.common.set_report('', _REPORTS)
             self._rows = board.unit_rows(now)
             self._shown = {name: board.snapshot(now, name) for name in ('', *board.names)}
         else:
@@ -260,26 +260,26 @@ class WebNode(ros.Node):
             client = self._command_clients[name]
             if client.service_is_ready():
                 self._pending.append((name, client.call_async(ros.Trigger.Request()), now))
-                self._common_board.take_answer(f'{name.capitalize()}: sent to turntable_node.')
+                self._common_board.set_answer(f'{name.capitalize()}: sent to turntable_node.')
             else:
-                self._common_board.take_answer(
+                self._common_board.set_answer(
                     f'{name.capitalize()}: turntable_node is not there; nothing was sent.'
                 )
         for entry in list(self._pending):
             name, future, since = entry
             if future.done():
                 self._pending.remove(entry)
-                self._common_board.take_answer(_answer_text(name, future.result()))
+                self._common_board.set_answer(_answer_text(name, future.result()))
             elif now - since > _ANSWER:
                 self._pending.remove(entry)
-                self._common_board.take_answer(
+                self._common_board.set_answer(
                     f'{name.capitalize()}: turntable_node does not answer. Go to the table.'
                 )
 
     def _write_report(self) -> None:
         """Start a process that writes the report: it solves the session once more."""
         words = ['report', str(self._output), str(self._journal), '-o', str(self._report_file)]
-        self._common_board.take_report('', 'The report is being written.')
+        self._common_board.set_report('', 'The report is being written.')
         self._reporter = subprocess.Popen(
             [sys.executable, '-m', 'imu_calib.cli.main', *words],
             stdin=subprocess.DEVNULL,
@@ -293,11 +293,11 @@ class WebNode(ros.Node):
             return
         _, errors = self._reporter.communicate()
         if self._reporter.returncode in _WRITTEN:
-            self._common_board.take_report('/report', '')
+            self._common_board.set_report('/report', '')
         else:
             lines = errors.decode(errors='replace').strip().splitlines()
             last = lines[-1] if lines else 'it gave no reason.'
-            self._common_board.take_report('', f'The report could not be written: {last}')
+            self._common_board.set_report('', f'The report could not be written: {last}')
         self._reporter = None
 
 

@@ -190,7 +190,7 @@ class Board:
         self._reached: int | None = None
         self._worked_from: float | None = None
 
-    def take_state(self, message: Any, now: float) -> None:
+    def on_state(self, message: Any, now: float) -> None:
         """Take imu_calib_msgs/TurntableState."""
         self._table.at = now
         stamp = _seconds(message.header.stamp)
@@ -233,7 +233,7 @@ class Board:
         self._ran_at = stamp
         self._pace.note(stamp, now)
 
-    def take_progress(self, message: Any, now: float) -> None:
+    def on_progress(self, message: Any, now: float) -> None:
         """Take imu_calib_msgs/CalibrationProgress."""
         self._calibrator.at = now
         stamp = _seconds(message.header.stamp)
@@ -270,7 +270,7 @@ class Board:
             next=tuple(message.next_attitudes),
         )
 
-    def take_calibration(self, message: Any) -> bool:
+    def on_calibration(self, message: Any) -> bool:
         """Take imu_calib_msgs/ImuCalibration; return whether it is the session's final one."""
         for name, value in _values(message):
             self._courses.value(name, value)
@@ -292,33 +292,33 @@ class Board:
         self._state = replace(self._state, outcome=outcome, outcome_text=message.status_text)
         return True
 
-    def take_end(self, outcome: SessionOutcome, text: str) -> None:
+    def set_outcome(self, outcome: SessionOutcome, text: str) -> None:
         """Take the outcome of the session, with a text."""
         self._state = replace(self._state, outcome=outcome, outcome_text=text)
 
-    def take_diagnostics(self, message: Any, now: float) -> None:
+    def on_diagnostics(self, message: Any, now: float) -> None:
         """Take diagnostic_msgs/DiagnosticArray."""
         for sentence in sentences_of(message):
-            self.take_sentence(sentence, now)
+            self.set_sentence(sentence, now)
 
-    def take_sentence(self, sentence: Sentence, now: float) -> None:
+    def set_sentence(self, sentence: Sentence, now: float) -> None:
         """Take a node's report on one of its parts."""
         self._parts[sentence.source] = sentence
         self._nodes[_node(sentence.source)] = now
 
-    def take_temperature(self, celsius: float) -> None:
+    def set_temperature(self, celsius: float) -> None:
         """Take a temperature, degrees Celsius."""
         self._state = replace(self._state, celsius=celsius)
 
-    def take_streams(self, streams: Streams) -> None:
+    def set_streams(self, streams: Streams) -> None:
         """Take the results from the samples."""
         self._state = replace(self._state, streams=streams)
 
-    def take_answer(self, text: str) -> None:
+    def set_answer(self, text: str) -> None:
         """Take the answer to a command."""
         self._state = replace(self._state, answer=text)
 
-    def take_report(self, name: str, text: str) -> None:
+    def set_report(self, name: str, text: str) -> None:
         """Take the name of the report's file, empty without one, and a text on it."""
         self._state = replace(self._state, report=name, report_text=text)
 
@@ -436,7 +436,7 @@ class UnitsBoard:
     def __init__(self, units: Mapping[str, ShownUnit]) -> None:
         self._units = dict(units)
         self.each = {name: Board(unit.expected) for name, unit in units.items()}
-        self.common = Board(_of_all([unit.expected for unit in units.values()]))
+        self.common = Board(_expected_of_all([unit.expected for unit in units.values()]))
         self._present: frozenset[str] | None = None
 
     @property
@@ -444,14 +444,14 @@ class UnitsBoard:
         """Namespaces of the units."""
         return tuple(self._units)
 
-    def take_state(self, message: Any, now: float) -> None:
+    def on_state(self, message: Any, now: float) -> None:
         """Take imu_calib_msgs/TurntableState."""
         for board in (self.common, *self.each.values()):
-            board.take_state(message, now)
+            board.on_state(message, now)
 
-    def take_progress(self, message: Any, now: float) -> None:
+    def on_progress(self, message: Any, now: float) -> None:
         """Take imu_calib_msgs/CalibrationProgress of all units."""
-        self.common.take_progress(message, now)
+        self.common.on_progress(message, now)
         self._present = frozenset(message.serial_numbers)
         if message.state == message.FINISHED:
             missed = any(
@@ -460,16 +460,16 @@ class UnitsBoard:
                 if not self._is_left_out(name)
             )
             outcome = SessionOutcome.INCOMPLETE if missed else SessionOutcome.DONE
-            self.common.take_end(outcome, message.text)
+            self.common.set_outcome(outcome, message.text)
 
-    def take_diagnostics(self, message: Any, now: float) -> None:
+    def on_diagnostics(self, message: Any, now: float) -> None:
         """Take diagnostic_msgs/DiagnosticArray: reports on one unit also go to its board."""
-        self.common.take_diagnostics(message, now)
+        self.common.on_diagnostics(message, now)
         for sentence in sentences_of(message):
             for name, board in self.each.items():
                 own = self._as_its_own(sentence, name)
                 if own is not None:
-                    board.take_sentence(own, now)
+                    board.set_sentence(own, now)
 
     def _as_its_own(self, sentence: Sentence, name: str) -> Sentence | None:
         """Return a report as for a single unit; None if it is on another unit."""
@@ -542,7 +542,7 @@ def furthest(rows: tuple[Converging, ...]) -> Converging | None:
     return max(known, key=lambda row: row.std / row.predicted, default=None)
 
 
-def _of_all(expected: list[Expected]) -> Expected:
+def _expected_of_all(expected: list[Expected]) -> Expected:
     """Return the expectation for all units: each parameter as in the worst unit."""
     predicted: dict[str, float] = {}
     parameters: dict[str, Parameter] = {}

@@ -72,7 +72,7 @@ class Dwells:
         self._last: int | None = None
         self.streams = Streams()
 
-    def take(self, block: ImuBlock) -> None:
+    def add_samples(self, block: ImuBlock) -> None:
         """Take samples; those older than the newest are from a second publisher, and ignored."""
         if len(block) == 0 or (self._last is not None and int(block.stamp[0]) <= self._last):
             return
@@ -83,7 +83,7 @@ class Dwells:
             self._kept.append(block)
         self._count_rates()
 
-    def add(self, stamp: int) -> None:
+    def begin_dwell(self, stamp: int) -> None:
         """Record that the table dwells at a stamp, ns."""
         if self._since is None:
             self._since = stamp + _SETTLED
@@ -91,11 +91,11 @@ class Dwells:
             self._kept = list(self._recent)
             self._looked_at = 0
 
-    def moves(self, stamp: int) -> None:
+    def end_dwell(self, stamp: int) -> None:
         """Record that the table no longer dwells at a stamp, ns."""
         if self._since is None:
             return
-        found = self._of_the_dwell(stamp - _SETTLED)
+        found = self._dwell_statistics(stamp - _SETTLED)
         if found is not None:
             self._statistics.append(found)
             self._look([])
@@ -107,7 +107,7 @@ class Dwells:
         if self._since is None or samples < max(_SHORTEST, _GROWTH * self._looked_at):
             return
         self._looked_at = samples
-        found = self._of_the_dwell(None)
+        found = self._dwell_statistics(None)
         if found is None:
             return
         if samples > _MOST:
@@ -131,7 +131,7 @@ class Dwells:
         means = values.mean(axis=0) * (1 / period if whole else 1.0)
         self.streams = replace(self.streams, rate=1 / period, means=means, missing=missing)
 
-    def _of_the_dwell(self, until: int | None) -> Statistics | None:
+    def _dwell_statistics(self, until: int | None) -> Statistics | None:
         if not self._kept or self._since is None:
             return None
         stamp, values = _columns(self._kept)

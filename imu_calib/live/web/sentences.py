@@ -43,7 +43,7 @@ def headline(shown: Snapshot) -> Headline:
             'it ended? The table is stopped without it.',
         )
     if not shown.expected.table:
-        return _in_the_hand(shown)
+        return _hand_headline(shown)
     if shown.table is None:
         return Headline(
             Severity.WARN, 'Waiting for the table', 'No message of turntable_node has come yet.'
@@ -55,16 +55,16 @@ def headline(shown: Snapshot) -> Headline:
             f'No message of turntable_node has come for {in_words(shown.table_silent)}: has it '
             'ended? A table without setpoints stops by itself.',
         )
-    return _of_the_table(shown, shown.table)
+    return _table_headline(shown, shown.table)
 
 
-def _in_the_hand(shown: Snapshot) -> Headline:
+def _hand_headline(shown: Snapshot) -> Headline:
     if not shown.progress:
         return Headline(Severity.WARN, 'Waiting', 'No message of calibrator_node has come yet.')
     return Headline(Severity.OK, shown.progress)
 
 
-def _of_the_table(shown: Snapshot, table: TableState) -> Headline:
+def _table_headline(shown: Snapshot, table: TableState) -> Headline:
     where = f'position {table.position}' if table.position else 'its start'
     if table.phase is Phase.PAUSED:
         return Headline(Severity.WARN, 'The table has stopped', table.reason)

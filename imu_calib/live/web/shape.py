@@ -80,8 +80,8 @@ def table_shape(table: Table, urdf: str = '') -> Link:
     """
     path = user_path(urdf) if urdf else share_folder() / 'urdf' / f'{table.name}.urdf'
     if not urdf and not path.is_file():
-        return _of_joints(table)
-    base = _of_urdf(path)
+        return _links_of_joints(table)
+    base = _links_of_urdf(path)
     found = {link.joint for link in base.walk()}
     if lacking := [name for name in table.names if name not in found]:
         raise InputError(
@@ -91,7 +91,7 @@ def table_shape(table: Table, urdf: str = '') -> Link:
     return base
 
 
-def _of_urdf(path: Path) -> Link:
+def _links_of_urdf(path: Path) -> Link:
     """Read a URDF (XML as described in wiki.ros.org/urdf/XML); meshes are ignored."""
     try:
         robot = ElementTree.fromstring(read_text(path))
@@ -181,7 +181,7 @@ def _numbers(text: str) -> Triple:
     return x, y, z
 
 
-def _of_joints(table: Table) -> Link:
+def _links_of_joints(table: Table) -> Link:
     """Draw links that show the motion of the joints: a yoke spans the axis of the next joint."""
     axes = [np.array(joint.axis) for joint in table.joints]
     link: Link | None = None

@@ -199,7 +199,7 @@ class WorkInTurn:
         self._due = time.monotonic() + found if found else 0.0
         return found
 
-    def finish(self, patience: float) -> None:
+    def wait_until_done(self, patience: float) -> None:
         """Work until it is done, at most so many seconds."""
         end = time.monotonic() + patience
         while (rest := self.run()) is not None and time.monotonic() < end:

@@ -224,17 +224,17 @@ class Reader(_End):
 
     def drain(self, most: int | None = None) -> list[bytes]:
         """Return all arrived messages, serialised, or at most `most` of the oldest."""
-        return [_bytes(message) for _, message in self._taken(most)]
+        return [_bytes(message) for _, message in self._pop_messages(most)]
 
     def read(self, most: int, message_type: type[Message]) -> Iterator[Message]:
         """Yield at most `most` of the oldest messages."""
-        for _, message in self._taken(most):
+        for _, message in self._pop_messages(most):
             bare = not isinstance(message, Message)
             yield deserialize_message(message, message_type) if bare else message
 
     def drain_sources(self, most: int | None = None) -> list[tuple[bytes, bytes]]:
         """Return the oldest arrived messages, serialised, each with the number of its writer."""
-        return [(_bytes(message), writer.gid) for writer, message in self._taken(most)]
+        return [(_bytes(message), writer.gid) for writer, message in self._pop_messages(most)]
 
     def user_data_of(self, source: bytes) -> bytes | None:
         """Return the user data of a writer, None if it has left; see `drain_sources`."""
@@ -245,7 +245,7 @@ class Reader(_End):
         """Leave the topic."""
         self.participant.remove(self, self.participant.readers)
 
-    def _taken(self, most: int | None) -> list[tuple[Writer, Any]]:
+    def _pop_messages(self, most: int | None) -> list[tuple[Writer, Any]]:
         waiting = self.waiting
         count = len(waiting) if most is None else min(most, len(waiting))
         return [waiting.popleft() for _ in range(count)]

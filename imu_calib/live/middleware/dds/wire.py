@@ -283,11 +283,11 @@ class Writer(Endpoint):
         """
         try:
             for payload in payloads:
-                self._put(payload)
+                self._write_payload(payload)
         finally:
             self._flush(self.entity._ref)
 
-    def _put(self, payload: bytes) -> None:
+    def _write_payload(self, payload: bytes) -> None:
         code = self._write(self.entity._ref, payload + bytes(-len(payload) % 4))
         if code < 0:
             gone = '' if self.participant.ok() else ': the context is shut down'
@@ -337,7 +337,7 @@ class Reader(Endpoint):
         payloads: list[bytes] = []
         while most is None or len(payloads) < most:
             room = _BULK if most is None else min(_BULK, most - len(payloads))
-            taken = self._taken(room)
+            taken = self._pop_messages(room)
             # A sample without data reports that a writer has left.
             payloads += [payload for payload, info in taken if info.valid_data]
             if len(taken) < room:
@@ -356,7 +356,7 @@ class Reader(Endpoint):
         """
         return [
             (payload, info.publication_handle.to_bytes(8, 'little'))
-            for payload, info in self._taken(min(most, _BULK))
+            for payload, info in self._pop_messages(min(most, _BULK))
             if info.valid_data
         ]
 
@@ -369,7 +369,7 @@ class Reader(Endpoint):
         handle = int.from_bytes(source, 'little')
         return _user_data(self.entity.get_matched_publication_data(handle))
 
-    def _taken(self, room: int) -> list[Any]:
+    def _pop_messages(self, room: int) -> list[Any]:
         taken = self._take(self.entity._ref, _ANY, room)
         if isinstance(taken, int):
             raise ImuCalibError(f'{self.name}: Cyclone DDS cannot take ({taken}).')
