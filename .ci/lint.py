@@ -70,6 +70,7 @@ OTHERS = {
     'fleet/history.py': 'a whole command',
     'reports/certificate_page.py': 'options of Chromium',
     'segmentation/stream_facts.py': 'a whole command',
+    'session/segments_file.py': 'a whole command',
     'live/middleware/__init__.py': 'options of ROS',
     'live/middleware/dds/arguments.py': 'options of ROS',
     'live/middleware/dds/context.py': 'options of ROS',

@@ -284,6 +284,7 @@ _CLOSED_FORM = [
 _PROVENANCE = [
     Key('recording', text(), 'name of the recording'),
     Key('sha256', text(), 'of its files'),
+    Key('segments_file', text(), 'file of the holds and turns that were chosen by hand'),
     Key('topics', array(text(), 0, words='list of texts'), 'topics that were read'),
     Key(
         'accel_interpolated_from_hz',

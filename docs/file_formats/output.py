@@ -217,6 +217,12 @@ _TURN = [
     _key('position', _TEXT, 'of the plan; empty without one'),
 ]
 _LATITUDE = array(_NUMBER, 2, 2, 'list of 2 numbers')
+_LISTED = [
+    _key('kind', _TEXT, 'hold or turn'),
+    _key('start', _NUMBER, 's after the first sample of the IMU'),
+    _key('end', _NUMBER, 's, likewise'),
+    _key('attitude', _TEXT, 'what is up'),
+]
 _STREAMS = [
     _key('dwells', _rows(_DWELL), 'static dwells'),
     _key('turns', _rows(_TURN), 'whole turns'),
@@ -227,6 +233,7 @@ _STREAMS = [
     _key('contradictions', _TEXTS, 'of latitude, plan or IMU; why it cannot be calibrated'),
     _key('left_out', _TEXTS, 'unused data, with the reason'),
     _key('lost', _TEXTS, 'lost data'),
+    _key('segments', _rows(_LISTED), 'the dwells and turns with both ends'),
 ]
 _CLOCK = [
     _key('topic', _TEXT, 'its name'),
@@ -466,6 +473,7 @@ TABLES: Tables = {
     'streams': _STREAMS,
     'dwells': _DWELL,
     'turns': _TURN,
+    'segments': _LISTED,
     'report': _REPORT,
     'history': _HISTORY,
     'rules': _RULES,

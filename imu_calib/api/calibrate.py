@@ -24,7 +24,7 @@ from ..recordings.rosbag2 import Recording
 from ..recordings.stamp_order import StampSorter
 from ..segmentation.segmented import Segmented
 from ..session.imu import HOTTEST
-from ..session.keywords import Named, OfSeveral, Session, Stated, with_keywords
+from ..session.keywords import Calibrated, Named, OfSeveral, Stated, with_keywords
 from ..session.metadata import compensated_already, interpolated_from, serial_key
 from ..session.plan import load_plan
 from ..session.units_file import MountedUnit
@@ -51,13 +51,13 @@ _FEWEST_HOLDS, _MOST_HOLDS = 6, 18
 judgement."""
 
 
-@with_keywords(Session)
+@with_keywords(Calibrated)
 def calibrate(
     bag: Recorded,
     *,
     rate: float | None = None,
     progress: Progress = silent,
-    **stated: Unpack[Session],
+    **stated: Unpack[Calibrated],
 ) -> Result:
     """Calibrate from a recording.
 
@@ -154,6 +154,7 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
 def documented(opened: Opened, result: Result) -> Result:
     """Return a result with a reference to its recording."""
     calibration = result.calibration
+    listed = opened.setup.segments
     rate = interpolated_from(opened.recording.custom_data, opened.streams.imu)
     interpolated = {} if rate is None else {'accel_interpolated_from_hz': rate}
     provenance = {
@@ -161,6 +162,7 @@ def documented(opened: Opened, result: Result) -> Result:
         'sha256': opened.recording.sha256(),
         'topics': sorted(opened.streams.kinds()),
         **interpolated,
+        **({} if listed is None else {'segments_file': printable(Path(listed.where).name)}),
         **calibration.provenance,
     }
     already = compensated_already(opened.recording.custom_data, opened.streams.imu)

@@ -176,7 +176,8 @@ def _recalibrate(
     if again.parameters != calibration.parameters or _far_apart(again, calibration):
         raise InputError(
             f'{bag}: does not give the numbers of {name}: give the '
-            '`plan`, `imu`, `table`, `latitude`, `method` and `terms` that it was made with.'
+            '`plan`, `imu`, `table`, `latitude`, `method`, `terms` and `segments` that it was made '
+            'with.'
         )
     return result
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,7 @@ from ..recordings.stamp_order import StampSorter
 from ..session.imu import ImuSpec, load_imu
 from ..session.keywords import Stated
 from ..session.plan import UNPLANNED, Plan, load_plan
+from ..session.segments_file import read_segments
 from .inputs import Recorded, recording_at
 from .session import mounted_on, serial_of, site_of, stated_imu, stated_plan, table_of
 
@@ -183,6 +185,8 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
         plan = UNPLANNED
     steps = plan_by_hand() if plan is None else plan
     statements = (*([] if known else [ASSUMED_SI]), *([] if plan else [ASSUMED_BY_HAND]))
+    if stated.segments is not None:
+        statements += (f'The holds are those that {Path(stated.segments).name} lists.',)
     if streams.skew is None:
         # The calibrator must not wait for a gyro that the recording lacks.
         imu = replace(imu, skewed=None)
@@ -196,5 +200,6 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
         stated.sensor_terms,
         stated.changes,
         stated.search_terms,
+        None if stated.segments is None else read_segments(stated.segments),
     )
     return Opened(recording, setup, streams, statements)

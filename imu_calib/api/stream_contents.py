@@ -17,8 +17,9 @@ from ..estimation.setup import Setup
 from ..recordings.rosbag2 import Recording
 from ..segmentation.labelling import Labelled, heading, label, up_by_accelerometers, up_words
 from ..segmentation.segmented import Segmented
-from ..segmentation.segments import Segment
+from ..segmentation.segments import Segment, Turn
 from ..session.plan import Plan
+from ..session.segments_file import ListedSegment, SegmentKind
 from ..session.table import TURN
 from .opening import Opened
 from .stamp_clock import refused_by_stamps
@@ -74,6 +75,8 @@ class StreamContents:
     contradictions: tuple[str, ...]  #: To the latitude, the plan or the description of the IMU.
     left_out: tuple[str, ...]  #: Data that is not used, and why.
     lost: tuple[str, ...]  #: Lost data.
+    #: The dwells and turns with both their ends, to be edited (`calibrate` takes their file).
+    segments: tuple[ListedSegment, ...] = ()
 
 
 def stream_contents(opened: Opened, progress: Progress) -> StreamContents:
@@ -114,6 +117,7 @@ def stream_contents(opened: Opened, progress: Progress) -> StreamContents:
             *labelled.notes,
         ),
         (*opened.losses, *session.losses),
+        tuple(_listed(session, labelled, free=free)),
     )
 
 
@@ -213,6 +217,23 @@ def _dwells(
             )
         )
     return rows
+
+
+def _listed(session: Segmented, labelled: Labelled, *, free: bool) -> list[ListedSegment]:
+    """List dwells and turns by the first sample of the IMU, in order of time."""
+    zero = session.start or 0
+    by_plan = {} if free else {s.start: s.attitude for s in labelled.segments}
+    found: list[tuple[SegmentKind, Segment | Turn, Any]] = [
+        (SegmentKind.HOLD, s, _up(s, free=free) if attitude is None else attitude[2])
+        for s in session.segments
+        for attitude in [s.attitude if s.attitude is not None else by_plan.get(s.start)]
+    ]
+    found += [(SegmentKind.TURN, turn, turn.up) for turn in session.turns]
+    found.sort(key=lambda one: one[1].start)
+    return [
+        ListedSegment(kind, (s.start - zero) * 1e-9, (s.end - zero) * 1e-9, up_words(up))
+        for kind, s, up in found
+    ]
 
 
 def _up(segment: Segment, *, free: bool) -> Any:

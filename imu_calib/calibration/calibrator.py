@@ -109,7 +109,7 @@ class Calibrator:
         arguments = setup.method_name, setup.terms, setup.changes
         self._solver = method(*arguments, find_terms=setup.search_terms)
         self._glance = provisional(*arguments)
-        self._segmenter = Segmenter(setup.imu, setup.table)
+        self._segmenter = Segmenter(setup.imu, setup.table, setup.segments)
         self._gathered: tuple[tuple[object, ...], Evidence] | None = None
 
     def add_block(self, block: Block) -> None:

@@ -282,7 +282,7 @@ class HandCalibrator:
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
-        self._segmenter = Segmenter(setup.imu, None)
+        self._segmenter = Segmenter(setup.imu, None, setup.segments)
 
     def add_block(self, block: Block) -> None:
         """Take a block."""
@@ -381,6 +381,8 @@ class HandCalibrator:
 
     def _least_motion(self) -> list[str]:
         """Return the least motion of the unit and a remedy, if there are too few holds."""
+        if self._setup.segments is not None:
+            return []
         seen = self._segmenter.quietest
         if seen is None:
             return ['Less than 2 s of data were received: record a session of a minute or more.']

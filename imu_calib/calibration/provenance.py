@@ -25,7 +25,10 @@ from ..model.terms import TERMS, coefficients_of
 from ..session.imu import COEFFICIENTS, CURVE
 
 _CHANNELS = 6  #: Channels of an IMU, gx to az.
-_TEXTS = ('recording', 'sha256', 'recorded', 'method', 'plan', 'table', 'gravity_source', 'frame')
+_TEXTS = (
+    *('recording', 'sha256', 'segments_file', 'recorded', 'method', 'plan', 'table'),
+    *('gravity_source', 'frame'),
+)
 _LISTS_OF_TEXTS = ('topics', 'terms', 'missing_positions', 'shared_with')
 _FLAGS = ('terms_looked_for', 'height_assumed')
 _COUNTS = ('segments', 'turns', 'samples')

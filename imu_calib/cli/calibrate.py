@@ -18,7 +18,7 @@ from ..reports.budget import budget_tables
 from ..reports.provenance import noise_lines, summary
 from ..reports.side_by_side import comparison_tables, table_estimate
 from ..reports.tables import change_note, change_table, parameter_tables
-from ..session.keywords import Session
+from ..session.keywords import Calibrated
 from ..session.plan import METHOD_NAMES
 from . import options
 from .outcome import (
@@ -191,7 +191,7 @@ _FILE = 'calibration.yaml'
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
     options.add_bag(parser)
-    options.add_statements(parser, Session)
+    options.add_statements(parser, Calibrated)
     options.add_imus_option(parser)
     parser.add_argument(
         '--separate',

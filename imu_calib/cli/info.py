@@ -11,6 +11,7 @@ from ..api.inspect import Inspection, inspect_streams, topics
 from ..common.units import DEG, DEG_H, PPM, STANDARD_GRAVITY, counted
 from ..reports.plain_table import plain_table
 from ..session.keywords import Session
+from ..session.segments_file import write_segments
 from . import options
 from .outcome import WRONG_INPUT, CommandResult, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
@@ -33,6 +34,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='list topics alone; of an .mcap behind a URL the summary is read, and no more',
     )
     options.add_statements(parser, Session)
+    parser.add_argument(
+        '--segments',
+        dest='segments_output',
+        metavar='FILE.csv',
+        help='write the holds and turns that were found, to be edited for calibrate --segments',
+    )
     add_json_option(parser)
     parser.set_defaults(run=run)
 
@@ -51,6 +58,9 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         message = f'{found.missing_input} Until then the topics alone are shown.'
         return CommandResult(found.to_dict(), WRONG_INPUT, message)
     _show(found.streams)
+    if arguments.segments_output is not None:
+        write_segments(arguments.segments_output, found.streams.segments)
+        OUTPUT.print(f'\nsegments written to {arguments.segments_output}', markup=False)
     return CommandResult(found.to_dict())
 
 

@@ -8,7 +8,7 @@ from ..api.compare import Conformity, conformity
 from ..api.documents import written
 from ..api.outputs import output_path
 from ..reports.provenance import summary
-from ..session.keywords import Session
+from ..session.keywords import Calibrated
 from . import options
 from .outcome import EXIT_CODES, CommandResult, add_json_option, judged_result
 from .terminal import OUTPUT, progress_bar
@@ -23,7 +23,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='BAG',
         help='the recording it was made from, or its URL: adds the course of the session',
     )
-    options.add_statements(parser, Session)
+    options.add_statements(parser, Calibrated)
     parser.add_argument(
         '--compare',
         nargs='+',

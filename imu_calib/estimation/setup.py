@@ -11,6 +11,7 @@ from ..model.session_terms import Change
 from ..model.terms import Term
 from ..session.imu import ImuSpec
 from ..session.plan import Plan, Step
+from ..session.segments_file import ListedSegments
 from ..session.table import Table
 from ..session.units_file import MountedUnit
 
@@ -30,6 +31,7 @@ class Setup:
     terms: tuple[Term, ...] = ()  #: Terms to estimate beyond the method's parameters.
     changes: tuple[Change, ...] = ()  #: Coefficients of the session's terms, likewise.
     search_terms: bool = False  #: Whether to search for terms that the session shows.
+    segments: ListedSegments | None = None  #: Holds and turns to use; None for those found.
 
     @property
     def method_name(self) -> str:

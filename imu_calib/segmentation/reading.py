@@ -12,6 +12,7 @@ import numpy as np
 from ..common.stream import Floats, Stamps
 from ..common.units import DEG
 from ..session.table import TURN, Table
+from .choice import SegmentChoice
 from .clock import ClockSample, MeasuredShare, cells, clock_sample, measured_share
 from .dwells import read_dwell
 from .gaps import LONGEST, Bridged, bridged
@@ -117,6 +118,7 @@ class IntervalReader:
         self._intake = intake
         self._reference_ns = offset_ns  #: The offset about which the next motion is compared.
         self._silences_judged = 0
+        self.choice: SegmentChoice | None = None  #: Of the holds to use; None for all.
         self.found = ReadParts()
         self.moves = MoveReader(sensor, by_hand=table is None)
         self.pace = Pace()
@@ -147,7 +149,12 @@ class IntervalReader:
             steps = clock_steps(stamp, self.pace.interval)
             self.off_grid.update(stamp[steps].tolist())
         set_back = np.searchsorted(stamp, self._set_back(start, end)).tolist()
-        edges = sorted({0, *steps, *(set_back if self._table is not None else ()), len(stamp)})
+        chosen: tuple[int, ...] = ()
+        if self.choice is not None:
+            self.choice.note_rest(start, end)
+            chosen = self.choice.edges(stamp)
+        others = set_back if self._table is not None else ()
+        edges = sorted({0, *steps, *others, *chosen, len(stamp)})
         cuts = [k for a, b in pairwise(edges) for k in range(a, b, longest)]
         for piece in map(slice, cuts, [*cuts[1:], len(stamp)]):
             if len(stamp[piece]) < 2:
@@ -160,9 +167,11 @@ class IntervalReader:
             self._note_lost(whole, start, end)
             delivered = whole.values(values[piece])
             self.rounding.check_dwell(delivered)
-            found = read_dwell(
-                self.sensor, whole.samples, delivered, rest.angles, attitude, rest.angle_error
-            )
+            found = []
+            if self.choice is None or self.choice.has_hold_at(stamp[piece]):
+                found = read_dwell(
+                    self.sensor, whole.samples, delivered, rest.angles, attitude, rest.angle_error
+                )
             self.moves.dwell(whole.samples, delivered, found)
             self.found.store(found)
 

@@ -20,7 +20,9 @@ from ..common.stream import (
 )
 from ..common.units import counted
 from ..session.imu import ImuSpec
+from ..session.segments_file import ListedSegments
 from ..session.table import Table
+from .choice import SegmentChoice
 from .clock import ClockFit, fit_clock
 from .clock_offset_search import FARTHEST, offset_by_pattern
 from .intake import Ordered, StreamBuffer
@@ -136,9 +138,12 @@ class Segmenter:
     Args:
         spec: What the numbers of the Imu stream mean.
         table: The table whose joint states come in; None when the IMU stands alone.
+        listed: Holds and turns to use; None for those found.
     """
 
-    def __init__(self, spec: ImuSpec, table: Table | None) -> None:
+    def __init__(
+        self, spec: ImuSpec, table: Table | None, listed: ListedSegments | None = None
+    ) -> None:
         self._spec = spec
         self._table = table
         self._sensor = Sensor.from_spec(spec)
@@ -160,6 +165,8 @@ class Segmenter:
         self._pending: deque[Rest | Motion] = deque()
         # Rests and motions to be read again if the clocks prove to be apart; None once decided.
         self._provisional: list[Rest | Motion] | None = [] if table is not None else None
+        self._listed = listed
+        self._choice: SegmentChoice | None = None
         self._reader = IntervalReader(self._sensor, table, self._intake)
         self._patterns_differ = False
         # Number of motions in which the device repeated one sample, and when the first was, ns.
@@ -225,13 +232,17 @@ class Segmenter:
     def _end_of_streams(self) -> Segmented:
         """Read the remaining samples, reject mistimed and frozen data, and time the rest anew."""
         self._follow_joints(self._intake.finish())
-        if self._joints is None:
+        if self._joints is None and self._listed is None:
             self._watch_stillness(last=True)
         tracker = self._tracker
         if tracker is not None:
             self._pending.extend(tracker.finish())
         self._process(last=True)
         reader, found = self._reader, self._reader.found
+        if self._choice is not None:
+            last, alone = self._intake.last_stamp or 0, self._joints is None
+            is_left_out = self._choice.left_out(found.turns, last, alone=alone)
+            found.reject('the file of segments does not list it', is_left_out)
         reject_untimed(reader, self._intake)
         self._frozen = reject_hidden(reader)
         if self._clocks_unknown:
@@ -279,7 +290,9 @@ class Segmenter:
 
     def _process(self, *, last: bool = False) -> None:
         """Process every interval whose samples have all come in."""
-        if self._joints is None:
+        if self._listed is not None and self._choice is None:
+            self._choose_listed(self._listed)
+        if self._joints is None and self._listed is None:
             self._watch_stillness(last=last)
         self._split_long_rest()
         while self._pending and self._intake.last_stamp is not None:
@@ -303,6 +316,15 @@ class Segmenter:
                 self._intake.remove_until(interval.end + offset - 2 * MARGIN_NS)
             elif became_known and abs(offset - assumed) > _MOVED:
                 self._read_again(offset)
+
+    def _choose_listed(self, listed: ListedSegments) -> None:
+        """Use the listed holds and turns: of a unit alone they are all the rests that there are."""
+        if self._intake.first_stamp is None:
+            return
+        self._choice = SegmentChoice(listed, self._intake.first_stamp)
+        self._reader.choice = self._choice
+        if self._joints is None:
+            self._pending.extend(self._choice.intervals())
 
     def _awaits_offset(self, *, last: bool) -> bool:
         """Return whether processing has to wait until the offset of the clocks is known.
@@ -350,6 +372,7 @@ class Segmenter:
         self._reader = IntervalReader(
             self._sensor, self._table, self._intake, offset_ns, offset_known=known
         )
+        self._reader.choice = self._choice
 
     def _watch_stillness(self, *, last: bool) -> None:
         """Detect dwells and motions from the IMU's own samples."""

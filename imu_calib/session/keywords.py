@@ -288,6 +288,23 @@ class Session(Read, Solved, Numbered, total=False):
     """A recorded session of one unit."""
 
 
+class Listed(TypedDict, total=False):
+    """The holds and turns to use."""
+
+    segments: Annotated[
+        Named | None,
+        'File of the holds and turns to use, as edited by hand; None for those that are found.',
+        Option(
+            'holds and turns to use: what info --segments writes, edited (default: as found)',
+            'FILE.csv',
+        ),
+    ]
+
+
+class Calibrated(Session, Listed, total=False):
+    """A recorded session of one unit that is calibrated."""
+
+
 def statements(group: type) -> dict[str, Statement]:
     """Return the statements of a group by name, in the order of their declaration."""
     hints = get_type_hints(group, include_extras=True)
@@ -348,8 +365,8 @@ def as_table(table: Table | Named) -> Table:
 def _statement_class(kind: type[Kind]) -> type[Kind]:
     """Make a frozen dataclass with a field for each statement, and the fields that it has."""
     own = dict(kind.__annotations__)
-    kind.__annotations__ = {**types_of(Session), **own}
-    for name, text in types_of(Session).items():
+    kind.__annotations__ = {**types_of(Calibrated), **own}
+    for name, text in types_of(Calibrated).items():
         setattr(kind, name, False if text == 'bool' else None)
     return dataclass(frozen=True)(kind)
 
@@ -362,7 +379,7 @@ class Stated:
     if TYPE_CHECKING:
         __dataclass_fields__: ClassVar[dict[str, Any]]
 
-        def __init__(self, *, mount: Floats | None = None, **given: Unpack[Session]) -> None: ...
+        def __init__(self, *, mount: Floats | None = None, **given: Unpack[Calibrated]) -> None: ...
         def __getattr__(self, name: str) -> Any: ...
 
     @property
