@@ -478,7 +478,11 @@ class Calibration:
         provenance = read_origin(section)
         serial_number = section.text('serial_number', '')
         budget = None
-        if section.has('uncertainty_budget'):
+        budgeted = section.has('uncertainty_budget')
+        changing, stamped = section.has(CHANGES), section.has(CLOCK)
+        # First: without a misspelt `covariance` no budget adds up to the variances.
+        section.refuse_unknown_keys()
+        if budgeted:
             variances = np.diag(covariance)
             budget = read_budget(section.section('uncertainty_budget'), parameters, variances)
         calibration = cls(
@@ -491,12 +495,9 @@ class Calibration:
             serial_number,
             parameters,
             budget,
-            read_changes(section.section(CHANGES), parameters, covariance)
-            if section.has(CHANGES)
-            else None,
-            read_clock(section.section(CLOCK)) if section.has(CLOCK) else None,
+            read_changes(section.section(CHANGES), parameters, covariance) if changing else None,
+            read_clock(section.section(CLOCK)) if stamped else None,
         )
-        section.refuse_unknown_keys()
         check_plausible(calibration, section.where)
         calibration._check_stated_std(section)
         return calibration

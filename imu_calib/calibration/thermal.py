@@ -240,7 +240,7 @@ def read_calibration(section: Section) -> AnyCalibration:
     Raises:
         InputError: Not a calibration; names file and key.
     """
-    if not section.has('calibrations'):
+    if not (section.has('calibrations') or section.alike('calibrations')):
         calibration = Calibration.read(section)
         return by_temperature(calibration, section.where)
     version = section.number('format')

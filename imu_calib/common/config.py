@@ -193,14 +193,18 @@ class Section:
         """Return the value as given by YAML."""
         self._known.append(name)
         if self._data.get(name) is None:
-            raise InputError(f'{self.where}: the key {name!r} is missing{self._instead(name)}')
+            raise InputError(f'{self.where}: the key {name!r} is missing{self.instead(name)}')
         return self._data[name]
 
-    def _instead(self, name: str) -> str:
-        """Return the end of a sentence on a missing key: a similar key, if there is one."""
+    def alike(self, name: str) -> str:
+        """Return a key that may be a misspelling of a missing one; empty without one."""
         others = [key for key in self._data if key not in self._known]
-        alike = get_close_matches(name, others, n=1)
-        return f'; is {alike[0]!r} a misspelling of it?' if alike else '.'
+        return next(iter(get_close_matches(name, others, n=1)), '')
+
+    def instead(self, name: str) -> str:
+        """Return the end of a sentence on a missing key: a similar key, if there is one."""
+        alike = self.alike(name)
+        return f'; is {alike!r} a misspelling of it?' if alike else '.'
 
     def text(self, name: str, default: str | None = None) -> str:
         """Return a string (numbers count as their text)."""

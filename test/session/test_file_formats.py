@@ -568,6 +568,22 @@ def test_what_no_schema_can_say_is_refused_by_the_suite(kind, document, change, 
     assert re.search(rf'my\.yaml: .*({words})', refusal(kind, changed) or '')
 
 
+@pytest.mark.parametrize(('kind', 'source'), [*SHIPPED, *((d.values[:2]) for d in DOCUMENTS)])
+def test_a_misspelt_key_is_named_and_not_what_follows_from_its_absence(kind, source):
+    document = source if isinstance(source, dict) else yaml.safe_load(source.read_text())
+    unnamed = []
+    for *above, key in places(document):
+        # Provenance may have keys of the laboratory.
+        if isinstance(key, str) and 'provenance' not in above:
+            wrong = f'{key}s' if len(key) < 3 else f'{key[:-1]}_'
+            of = at(document, above)
+            mine = {wrong if name == key else name: value for name, value in of.items()}
+            message = refusal(kind, put(document, above, mine) if above else mine)
+            if message is None or wrong not in message:
+                unnamed.append((*above, key, message))
+    assert unnamed == []
+
+
 def test_every_unit_is_in_the_pattern_of_its_quantity_and_no_other():
     for dimension in Dimension:
         for sign in ('', 'above 0', '0 or more', 'not 0'):

@@ -199,12 +199,14 @@ class _Frame:
             return None
         section = fields.section('time')
         number = self.number(section)
-        if section.has('unit') == section.has('ticks'):
+        unit, ticks, _ = (section.has(name) for name in ('unit', 'ticks', 'modulus'))
+        section.refuse_unknown_keys()
+        if unit == ticks:
             raise InputError(
-                f"{section.where}: found {'both' if section.has('unit') else 'neither'} of 'unit' "
+                f"{section.where}: found {'both' if unit else 'neither'} of 'unit' "
                 f"and 'ticks', expected unit: {'|'.join(TICKS_NS)}, or ticks: 10 kHz."
             )
-        if section.has('unit'):
+        if unit:
             tick = section.choice('unit', TICKS_NS)
         else:
             tick = 1e9 / section.quantity('ticks', Dimension.FREQUENCY, above=0)
@@ -218,7 +220,6 @@ class _Frame:
                 else [section.whole('modulus', 2, highest)]
             )
             *shorter, modulus = sorted(found)
-        section.refuse_unknown_keys()
         return DeviceTime(number, tick, modulus, tuple(shorter))
 
     def faults(self, fields: Section) -> tuple[Fault, ...]:
@@ -232,9 +233,7 @@ class _Frame:
             number = self.number(section)
             if number.kind != 'u':
                 raise InputError(f'{section.key("type")}: a status is unsigned, u8 to u64.')
-            for entry in section.sections('faults'):
-                faults.append(_fault(entry, number))
-                entry.refuse_unknown_keys()
+            faults += [_fault(entry, number) for entry in section.sections('faults')]
             section.refuse_unknown_keys()
         if len(faults) > _MOST_FAULTS:
             raise InputError(
@@ -257,16 +256,19 @@ class _Frame:
 
 
 def _fault(section: Section, number: Number) -> Fault:
-    if section.has('bit') == section.has('mask'):
+    when_set = section.choice('when', {'set': True, 'clear': False}, 'set')
+    is_error = section.choice('level', {'warn': False, 'error': True}, 'error')
+    words = section.text('says')
+    one, other = section.has('bit'), section.has('mask')
+    section.refuse_unknown_keys()
+    if one == other:
         raise InputError(f"{section.where}: expected one of 'bit' and 'mask'.")
     highest = (number.modulus or 1).bit_length() - 2
     if section.has('bit'):
         mask = 1 << section.whole('bit', 0, highest)
     else:
         mask = section.whole('mask', 1, (1 << (highest + 1)) - 1)
-    when_set = section.choice('when', {'set': True, 'clear': False}, 'set')
-    is_error = section.choice('level', {'warn': False, 'error': True}, 'error')
-    return Fault(number, mask, when_set, section.text('says'), is_error)
+    return Fault(number, mask, when_set, words, is_error)
 
 
 def _constant(section: Section, length: int) -> tuple[tuple[int, int], ...]:
@@ -296,7 +298,10 @@ def _check(section: Section, frame: _Frame, constants: int) -> FrameCheck | None
     order = read_order(check, frame.order)
     number = Number('u', algorithm.width // 8, offset, order)
     covered = [0, offset - 1]
-    if check.has('covers'):
+    padding = check.whole('padding', 0, 64, 0)
+    given = check.has('covers')
+    check.refuse_unknown_keys()
+    if given:
         covered = whole_list(check, 'covers', 0, frame.length - 1)
     if len(covered) != 2 or covered[0] > covered[1]:
         raise InputError(
@@ -310,8 +315,6 @@ def _check(section: Section, frame: _Frame, constants: int) -> FrameCheck | None
             f'{check.key("covers")}: {covered[1] + 1 - covered[0]} bytes are not a whole number of '
             'words, of which the checksum is the sum.'
         )
-    padding = check.whole('padding', 0, 64, 0)
-    check.refuse_unknown_keys()
     return FrameCheck(algorithm, number, covered[0], covered[1] + 1, padding)
 
 

@@ -293,7 +293,10 @@ def _message_check(section: Section, order: str) -> MessageCheck | None:
     size = algorithm.width // 8
     offset = check.whole('offset', -_LONGEST, -size, -size)
     first, last = 0, offset - 1
-    if check.has('covers'):
+    check.has('byte_order')
+    given = check.has('covers')
+    check.refuse_unknown_keys()
+    if given:
         covered = whole_list(check, 'covers', -_LONGEST, _LONGEST)
         if len(covered) != 2 or covered[0] < 0 or not covered[1] < offset:
             raise InputError(
@@ -301,9 +304,7 @@ def _message_check(section: Section, order: str) -> MessageCheck | None:
                 f'beginning, and the last from the end, {offset - 1} at most.'
             )
         first, last = covered
-    result = MessageCheck(algorithm, offset, read_order(check, order), first, last)
-    check.refuse_unknown_keys()
-    return result
+    return MessageCheck(algorithm, offset, read_order(check, order), first, last)
 
 
 LONGEST = 1024
@@ -352,7 +353,10 @@ def read_commands(section: Section) -> Commands:
     if section.has('start_again'):
         again = section.quantity('start_again', Dimension.TIME, least=LEAST_SILENCE)
         if not start:
-            raise InputError(f"{section.key('start_again')}: there is no 'start' to send again.")
+            raise InputError(
+                f"{section.key('start_again')}: there is no 'start' to send again"
+                f'{section.instead("start")}'
+            )
     waits = sum(command.wait for command in stop)
     if waits > LONGEST_STOP:
         raise InputError(
@@ -369,12 +373,15 @@ def _sequence(section: Section, name: str) -> tuple[Command, ...]:
 
 
 def _command(entry: Section) -> Command:
-    if entry.has('bytes') == entry.has('text'):
+    wait = entry.quantity('wait', Dimension.TIME, 0.0, least=0.0)
+    stated = entry.has('bytes'), entry.has('text')
+    entry.refuse_unknown_keys()
+    if stated[0] == stated[1]:
         raise InputError(
-            f"{entry.where}: found {'both' if entry.has('bytes') else 'neither'} of 'bytes' and "
+            f"{entry.where}: found {'both' if stated[0] else 'neither'} of 'bytes' and "
             "'text', expected one of them."
         )
-    if entry.has('bytes'):
+    if stated[0]:
         data = bytes(whole_list(entry, 'bytes', 0, 255))
     else:
         text = entry.text('text')
@@ -383,10 +390,8 @@ def _command(entry: Section) -> Command:
         data = text.encode('ascii')
     if len(data) > LONGEST:
         raise InputError(f'{entry.where}: found {len(data)} bytes, expected at most {LONGEST}.')
-    wait = entry.quantity('wait', Dimension.TIME, 0.0, least=0.0)
     if wait > LONGEST_WAIT:
         raise InputError(
             f'{entry.key("wait")}: found {entry.raw("wait")}, expected at most {LONGEST_WAIT:g} s.'
         )
-    entry.refuse_unknown_keys()
     return Command(data, wait)
