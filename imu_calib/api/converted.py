@@ -21,7 +21,7 @@ from ..recordings.writer import RecordingWriter
 from ..segmentation.stream_facts import SEPARATE_ROWS, gravity_removed, halves, quiet_means
 from ..session.imu import ImuSpec, load_imu
 from ..session.keywords import Named
-from ..session.metadata import interpolation_description
+from ..session.metadata import IMU, interpolation_description
 from .columns import columns_of
 from .outputs import removed_on_failure
 
@@ -87,7 +87,7 @@ def described(imu: Named | None, numbers: Units) -> tuple[dict[str, str], ImuSpe
             f'`imu` {imu}: units: found {spec.units.value}, but the numbers are '
             f'{_NUMBERS[numbers]}.'
         )
-    return {'imu_calib.imu': read_text(file)}, spec
+    return {IMU: read_text(file)}, spec
 
 
 def write_imu(writer: RecordingWriter, block: ImuBlock, *, raw: bool) -> None:

@@ -36,6 +36,7 @@ from ..reports.page import Contents, page
 from ..reports.thermal import thermal_page
 from ..session.imu import ImuSpec
 from ..session.keywords import NO_PLAN, Named, Stated, as_imu
+from ..session.metadata import PLAN
 from ..session.plan import Plan, load_plan
 from .calibrate import solve
 from .inputs import recording_at
@@ -195,7 +196,7 @@ def _plan_it_was(
         return given
     if origin['plan'] is None:
         return NO_PLAN
-    if 'imu_calib.plan' in recording.custom_data:
+    if PLAN in recording.custom_data:
         return None
     try:
         return load_plan(origin['plan'])

@@ -25,6 +25,7 @@ from ..model.earth import MEASURED, VAGUE, Site
 from ..session.imu import ImuSpec, read_imu
 from ..session.keywords import NO_PLAN, Named, Stated, as_imu, as_plan
 from ..session.metadata import (
+    PLAN,
     SERIAL_NUMBER,
     TABLE,
     described_imu,
@@ -141,7 +142,7 @@ def stated_plan(stated: Stated, recording: Recording) -> Plan | None:
         return None
     if stated.plan is not None:
         return as_plan(stated.plan)
-    if (text := recording.custom_data.get('imu_calib.plan')) is not None:
+    if (text := recording.custom_data.get(PLAN)) is not None:
         return read_plan(Section.parse(text, f'{recording.path}: its plan'))
     return None
 

@@ -461,9 +461,6 @@ def _random_walk(calibration: Calibration, gyros: int) -> Floats:
     return np.concatenate([walk[:3], np.full(gyros - _AXES, walk[:3].mean()), walk[3:]])
 
 
-_UNKNOWN = np.uint8(Mark.ACCEL_RANGE | Mark.NO_NUMBER)
-
-
 @dataclass
 class GravitySeen:
     """Root mean square of the specific force, where it is known."""
@@ -475,7 +472,7 @@ class GravitySeen:
         """Add samples."""
         force = values.force
         if np.count_nonzero(values.marks):
-            force = force[(values.marks & _UNKNOWN) == 0]
+            force = force[(values.marks & _FORCE_UNKNOWN) == 0]
         self.count += len(force)
         self.squares += float(np.vdot(force, force))
 

@@ -18,7 +18,7 @@ from ..common.config import Section, as_number, numbers_of
 from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import LARGEST
-from ..model.earth import LEAST_GRAVITY, MOST_GRAVITY
+from ..model.earth import SITE_BOUNDS
 from ..model.parameters import MOST_SKEWED, Parameter
 from ..model.sensors import parameters_of
 from ..model.terms import TERMS, coefficients_of
@@ -63,8 +63,8 @@ def read_origin(section: Section) -> dict[str, Any]:
             **dict.fromkeys(_NUMBERS, mine.number),
             **dict.fromkeys(_NOT_NEGATIVE, lambda name: _number(mine, name, 0.0)),
             'accel_interpolated_from_hz': lambda name: _number(mine, name, _LEAST),
-            'latitude_deg': lambda name: _number(mine, name, -90.0, 90.0),
-            'gravity': lambda name: _number(mine, name, LEAST_GRAVITY, MOST_GRAVITY),
+            'latitude_deg': lambda name: _number(mine, name, *SITE_BOUNDS['latitude']),
+            'gravity': lambda name: _number(mine, name, *SITE_BOUNDS['gravity']),
             **dict.fromkeys(_SIX, lambda name: _numbers(mine, name, _CHANNELS)),
             'temperature': lambda name: _temperature(mine.section(name)),
             'clock': lambda name: _clock(mine.section(name)),

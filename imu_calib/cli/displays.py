@@ -19,7 +19,7 @@ from rich.text import Text
 
 from ..common.errors import InputError
 from ..common.units import ARCMIN, PPM, significant
-from ..live.devices.health import Severity
+from ..live.rules import Severity
 from ..live.web.board import Snapshot, UnitRow
 from ..live.web.sentences import headline, time_left
 from ..reports.plain_table import plain_table

@@ -8,8 +8,9 @@ from __future__ import annotations
 import time
 
 from ..live.devices.format import FrameFormat
-from ..live.devices.health import Reception, Severity
+from ..live.devices.health import Reception
 from ..live.devices.source import Baud, DeviceReader, steady_time
+from ..live.rules import Severity
 from ..session.imu import ImuSpec
 from .terminal import NodeReports
 

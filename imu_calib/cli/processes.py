@@ -22,6 +22,7 @@ from ..common.files import write_whole
 from ..common.lifetime import ENDS_WITH
 from ..live.network import (
     LOOPBACK,
+    LOOPBACK_HOST,
     REACH,
     check_domain,
     check_interface,
@@ -265,7 +266,7 @@ def network_of_hardware(interface: str | None, *, alone: bool) -> dict[str, str]
 
 def free_port() -> int:
     """Return a free TCP port of the loopback interface."""
-    with socket.create_server(('127.0.0.1', 0)) as server:
+    with socket.create_server((LOOPBACK_HOST, 0)) as server:
         return int(server.getsockname()[1])
 
 
@@ -275,7 +276,7 @@ def free_ports(count: int) -> int:
         first = free_port()
         with contextlib.suppress(OSError, OverflowError), contextlib.ExitStack() as held:
             for port in range(first, first + count):
-                held.enter_context(socket.create_server(('127.0.0.1', port)))
+                held.enter_context(socket.create_server((LOOPBACK_HOST, port)))
             return first
 
 

@@ -7,7 +7,6 @@ import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any
 
 from rich.console import Console
@@ -15,6 +14,7 @@ from rich.table import Table
 
 from ..common.errors import InputError
 from ..common.progress import Show, silent
+from ..live.rules import Severity
 
 _WIDTH_OF_A_FILE = 160
 """Characters of a line in a file: wide enough for every table."""
@@ -157,22 +157,14 @@ class NothingComes(InputError):
     """The device is missing, or differs from its description."""
 
 
-class _Level(IntEnum):
-    """As in diagnostic_msgs/DiagnosticStatus."""
-
-    OK = 0
-    WARN = 1
-    ERROR = 2
-
-
-_STYLES = {_Level.OK: 'green', _Level.WARN: 'yellow', _Level.ERROR: 'red'}
+_STYLES = {Severity.OK: 'green', Severity.WARN: 'yellow', Severity.ERROR: 'red'}
 
 
 @dataclass
 class _NodeState:
     """The last report on one part of a node, its start, and what of it was shown."""
 
-    level: _Level
+    level: Severity
     text: str
     since: float
     shown: str = ''
@@ -212,7 +204,7 @@ class NodeReports:
         """
         if name.partition(': ')[0] not in self.nodes or name in _ENDS_IT:
             return
-        level = _Level(min(level, _Level.ERROR))
+        level = Severity(min(level, Severity.ERROR))
         before = self._parts.get(name)
         if before is None or before.level is not level:
             shown = '' if before is None else before.shown
@@ -235,13 +227,13 @@ class NodeReports:
         now = time.monotonic()
         for name, part in self._parts.items():
             stands = now - part.since
-            if part.level is _Level.WARN and stands < self._patience:
+            if part.level is Severity.WARN and stands < self._patience:
                 continue
-            if part.level is _Level.OK and (not part.shown or stands < _STANDS):
+            if part.level is Severity.OK and (not part.shown or stands < _STANDS):
                 continue
             # Each of several units is needed like a single one.
             own = name.rpartition('/')[2]
-            lost = self._real and part.level is _Level.ERROR and own in _NEEDED
+            lost = self._real and part.level is Severity.ERROR and own in _NEEDED
             if lost and not (self._came and own == 'imu_node: port'):
                 if stands >= _NEEDED[own]:
                     raise NothingComes(part.text)
@@ -250,4 +242,4 @@ class NodeReports:
                 node = name.partition(': ')[0]
                 style = _STYLES[part.level]
                 ERRORS.print(f'{node}: {part.text}', style=style, markup=False)
-                part.shown = '' if part.level is _Level.OK else part.text
+                part.shown = '' if part.level is Severity.OK else part.text

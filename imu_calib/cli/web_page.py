@@ -11,7 +11,8 @@ from typing import Any
 
 from ..common.errors import InputError
 from ..common.files import require
-from ..live.web.guard import LOOPBACK_HOST, address, exposure
+from ..live.network import LOOPBACK_HOST
+from ..live.web.guard import TOKEN, address, exposure
 from ..session.keywords import node_parameters
 from ..session.plan import load_plan
 from .embedded import Nodes
@@ -23,8 +24,6 @@ _PORT = 8080
 """TCP port that IANA lists for web servers in addition to 80 (http-alt)."""
 _FIRST_FREE = 1024
 """The first port that any user may serve (ip_unprivileged_port_start, ip(7))."""
-_TOKEN = 'IMU_CALIB_WEB_TOKEN'
-"""As in `web_node`."""
 _OF_THE_SESSION = (*node_parameters(), 'units', 'without', 'journal', 'output')
 """Parameters common to the page and calibrator_node."""
 _TICK = 0.2
@@ -110,7 +109,7 @@ def start(arguments: argparse.Namespace, processes: Nodes, given: dict[str, Any]
     """Start the page, and print its address; the session continues if the page ends."""
     secret = secrets.token_urlsafe(16) if arguments.control else ''
     # By the environment, which others cannot read; parameters and logs are in files.
-    processes.start(NODE, given, needed=False, environment={_TOKEN: secret} if secret else {})
+    processes.start(NODE, given, needed=False, environment={TOKEN: secret} if secret else {})
     OUTPUT.print(f'page: {_address(arguments)}', markup=False)
     if secret:
         OUTPUT.print(f'token for its buttons: {secret}', markup=False)

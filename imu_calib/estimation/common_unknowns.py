@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..common.budget import ErrorSource, Share
 from ..common.errors import NotObservable
 from ..common.stream import Floats
-from .components import Component, whiten
+from .components import Component, unwhiten, whiten
 from .components import parts as parts_of
 from .equations import Equations
 from .estimate import Estimate
@@ -181,12 +181,6 @@ class _Reduced:
         """(c, c) information on the common unknowns."""
         return np.asarray(self.common.T @ self.common)
 
-    def unwhitened(self, gain: Floats) -> Floats:
-        """Return a gain (p, m) on whitened outputs as one on the outputs."""
-        return np.asarray(
-            scipy.linalg.solve_triangular(self.factor, gain.T, lower=True, trans='T').T
-        )
-
 
 class _System:
     """The equations of several units about the current state."""
@@ -277,13 +271,9 @@ class _System:
         others = self._information - mine
         scale = 1 / np.sqrt(np.diag(others))
         root = np.linalg.cholesky(others * np.outer(scale, scale))
-
-        def whitened(columns: Floats) -> Floats:
-            return np.asarray(scipy.linalg.solve_triangular(root, columns, lower=True))
-
-        half = whitened(self._reduced[k].common.T * scale[:, None])
+        half = whiten(root, self._reduced[k].common.T * scale[:, None])
         ratios, vectors = np.linalg.eigh(half @ half.T)
-        gradient = vectors.T @ whitened(self._reduced[k].gradient * scale)
+        gradient = vectors.T @ whiten(root, self._reduced[k].gradient * scale)
         informative = ratios > _INFORMATIVE
         square = (1 + ratios[informative]) * gradient[informative] ** 2 / ratios[informative]
         return float(square.sum()), int(informative.sum())
@@ -380,7 +370,7 @@ class _System:
         by_common = mine.by_common[:n] @ self._inverse
         gain = mine.inverse[:n] @ mine.orthonormal.T - by_common @ mine.common.T
         m = len(unit.outputs)
-        found = parts_of(own_components(unit, self._states[k]), mine.unwhitened(gain[:, :m]))
+        found = parts_of(own_components(unit, self._states[k]), unwhiten(mine.factor, gain[:, :m]))
         row = m
         for source, which, freedom in unit.prior_sources:
             if kept := len([w for w in which if w not in TABLE_STATE]):
@@ -411,7 +401,7 @@ class _System:
         """
         if k not in self._information_by_errors:
             unit, mine = self._units[k], self._reduced[k]
-            gain = mine.unwhitened(mine.common.T[:, : len(unit.outputs)])
+            gain = unwhiten(mine.factor, mine.common.T[:, : len(unit.outputs)])
             by_errors = parts_of(own_components(unit, self._states[k]), gain)
             found = [part for parts in by_errors.values() for part in parts]
             prior = mine.common[len(unit.outputs) :]

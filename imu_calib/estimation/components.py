@@ -90,6 +90,11 @@ def whiten(root: NDArray[np.floating[Any]], columns: Floats) -> Floats:
     return np.asarray(scipy.linalg.solve_triangular(root, columns, lower=True, check_finite=False))
 
 
+def unwhiten(root: Floats, gain: Floats) -> Floats:
+    """Return a gain (n, m) on outputs whitened by a lower root as one on the outputs."""
+    return np.asarray(scipy.linalg.solve_triangular(root, gain.T, lower=True, trans='T').T)
+
+
 def add_all(components: Iterable[Component], matrix: Floats) -> None:
     """Add components to a covariance (m, m): errors that enter several outputs at once."""
     columns = []

@@ -16,6 +16,7 @@ from ..common.units import DEG, DEG_H
 from ..model.parameters import PARAMETERS, RESPONSES, Parameter
 from ..model.sensors import SensorModel
 from .checks import check_axes, check_latitude, clock_finding, far_scales, turns_scatter_finding
+from .components import whiten
 from .equations import LEAST_AZIMUTH, Equations
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .session_model import Nuisance
@@ -64,7 +65,7 @@ class LeastSquares:
     def weighted(cls, columns: Floats, residuals: Floats, covariance: Floats) -> LeastSquares:
         """Solve (n, k) columns for (n,) outputs of a covariance (n, n)."""
         rows = np.column_stack([columns, residuals])
-        rows = scipy.linalg.solve_triangular(np.linalg.cholesky(covariance), rows, lower=True)
+        rows = whiten(np.linalg.cholesky(covariance), rows)
         return cls.solve(rows[:, :-1], rows[:, -1], _RANK)
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from ..common.budget import ErrorSource, Share
 from ..common.stream import Floats
@@ -19,6 +18,7 @@ from ..model.parameters import PARAMETERS, Parameter
 from ..model.sensors import motion_parameters
 from ..model.session_terms import Change
 from .changing import shape_covariance, with_changes, with_shape
+from .components import unwhiten
 from .equations import Equations
 from .evidence import Evidence
 from .excess_scatter import ExcessScatter, excess
@@ -96,7 +96,7 @@ def shares(equations: Equations, state: Floats, gain: Floats) -> dict[ErrorSourc
     """
     n, m = equations.sensors, len(equations.outputs)
     factor = equations.factor(state)
-    weights = scipy.linalg.solve_triangular(factor, gain[:n, :m].T, lower=True, trans='T').T
+    weights = unwhiten(factor, gain[:n, :m])
     found = equations.shares(state, weights)
     for source, which, freedom in equations.prior_sources:
         prior = gain[:n, m + np.array(which, dtype=int)]

@@ -30,6 +30,7 @@ from .checks import (
     far_scales,
     turns_scatter_finding,
 )
+from .components import whiten
 from .conclusion import LeastSquares
 from .equations import Equations
 from .estimate import Estimate, estimate
@@ -442,7 +443,7 @@ def _free_earth(plain: Equations, state: Floats) -> tuple[Floats, Floats]:
     """Return `observed_earth_rate` about a state (n,), by the covariance of `plain`."""
     sensors = plain.sensors
     by_rate = plain.world_derivatives(state)[:, :3]
-    free = scipy.linalg.solve_triangular(plain.factor(state), by_rate, lower=True)
+    free = whiten(plain.factor(state), by_rate)
     jacobian, residuals = plain.whitened(state)
     # The heading is one of the three components that are now free.
     jacobian = np.delete(jacobian, sensors + Nuisance.AZIMUTH, axis=1)

@@ -18,7 +18,7 @@ from ..common.stream import Floats
 from ..common.units import DEG
 from ..model.parameters import RESPONSES
 from ..segmentation.segmented import Move
-from .components import Component
+from .components import Component, whiten
 from .equations import Equations
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .excess_scatter import excess, scatter_of_motions
@@ -331,7 +331,7 @@ def _mean_shift_test(
 def _cleaned(equations: Equations, state: Floats) -> tuple[Floats, Floats]:
     """Return C^-1 (outputs less prediction) and C^-1 less the part absorbed by the state."""
     factor, (jacobian, residuals) = equations.factor(state), equations.whitened(state)
-    root = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True)
+    root = whiten(factor, np.eye(len(factor)))
     # Beside noise-free outputs the others may seem to observe nothing: they then absorb nothing.
     taken = np.nan_to_num(Information.from_jacobian(jacobian).covariance)
     weighted = root.T @ jacobian[: len(factor)]

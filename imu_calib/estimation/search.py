@@ -24,6 +24,7 @@ from ..model.parameters import PARAMETERS, Parameter, indices_of
 from ..model.sensors import parameters_of, terms_of
 from ..model.session_terms import Change, Course
 from .changing import with_changes, with_shape
+from .components import whiten
 from .equations import Equations
 from .estimate import Estimate, estimate
 from .evidence import SMALLEST_VARIANCE, Evidence
@@ -458,7 +459,7 @@ def _search_of(
 
     def slopes(pattern: Pattern) -> Floats:
         moved, sizes = pattern
-        white = scipy.linalg.solve_triangular(residuals.factor, moved / sizes, lower=True)
+        white = whiten(residuals.factor, moved / sizes)
         return np.asarray(gain @ white)
 
     leverage = {f: slopes(columns[f][scores[f].chosen]) for f in off if not f.of_table}

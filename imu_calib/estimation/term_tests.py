@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
-import scipy
 
 from ..common.budget import PROBABILITY
 from ..common.stream import Floats, at
@@ -17,6 +16,7 @@ from ..model.sensors import terms_of
 from ..model.session_terms import Change, Course, change, largest, names_of
 from ..model.terms import Term
 from ..session.table import Table
+from .components import whiten
 from .estimate import Estimate
 from .modulation import instant_of, temperatures, warms
 from .score import Family, Score
@@ -489,7 +489,7 @@ def _moved(found: Estimate, letter: str) -> tuple[str, float]:
     one = equations.columns(
         [change(Course.THERMAL, f'K_{letter}')], equations.jacobian(found.state)
     )
-    moved = scipy.linalg.solve_triangular(factor, one[:, 0], lower=True)
+    moved = whiten(factor, one[:, 0])
     shifts = found.gain[: len(names), : len(moved)] @ moved
     own = [k for k, p in enumerate(names) if p.kind is ParameterKind.SCALE_FACTOR_ERROR]
     far = np.abs(shifts[own]) / np.sqrt(np.diag(found.covariance)[own])

@@ -11,6 +11,8 @@ from urllib.parse import urlsplit
 
 from ..common.errors import InputError
 
+LOOPBACK_HOST = '127.0.0.1'
+"""Address of this machine for itself alone."""
 LOOPBACK = 'lo'
 """The interface that other machines cannot reach."""
 
@@ -134,7 +136,7 @@ def _claim(domain: int) -> socket.socket | None:
         for participant in range(_PARTICIPANTS):
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
                 # Port of each participant (RTPS, 9.6.1.1).
-                probe.bind(('127.0.0.1', 7410 + 250 * domain + 2 * participant))
+                probe.bind((LOOPBACK_HOST, 7410 + 250 * domain + 2 * participant))
     except OSError:
         claim.close()
         return None

@@ -1,4 +1,4 @@
-"""Tolerances and times of a sequencer, and the phases of its state."""
+"""Tolerances and times of a sequencer, the phases of its state, and levels of a status."""
 
 from __future__ import annotations
 
@@ -6,6 +6,15 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from ..common.units import DEG
+
+
+class Severity(IntEnum):
+    """Levels as in diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
 
 
 class Phase(IntEnum):

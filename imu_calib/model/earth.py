@@ -37,17 +37,20 @@ LATITUDE_STD = math.radians(0.01)
 1.1 km: two decimals of a degree, and a laboratory anywhere in the town of that latitude. Rounding
 alone is 0.0029 deg (GUM F.2.2.1)."""
 
-LEAST_GRAVITY, MOST_GRAVITY = 9.7, 9.9
-"""Range of a stated gravity, m/s^2: normal gravity is 9.780 to 9.832 at sea level, and 10 km of
-height, above any laboratory, take off 0.031."""
-
-_LOWEST, _HIGHEST = -500.0, 10_000.0
-"""Range of a stated height, m: from below the shore of the Dead Sea, -430 m, to above the summit of
-Mount Everest, 8849 m."""
-
-_LARGEST_STDS = {'height_std': 1e4, 'gravity_std': 0.1}
-"""Largest standard deviations that may be stated, m and m/s^2. A judgement: larger ones say
-nothing."""
+SITE_BOUNDS = {
+    'latitude': (-90.0, 90.0),
+    # From below the shore of the Dead Sea, -430 m, to above the summit of Mount Everest,
+    # 8849 m.
+    'height': (-500.0, 10_000.0),
+    # Normal gravity is 9.780 to 9.832 at sea level, and 10 km of height, above any laboratory, take
+    # off 0.031.
+    'gravity': (9.7, 9.9),
+    # A judgement: larger standard deviations say nothing.
+    'latitude_std': (0.0, 10.0),
+    'height_std': (0.0, 10_000.0),
+    'gravity_std': (0.0, 0.1),
+}
+"""Range of what may be stated of a site: deg, m, m/s^2."""
 
 _SEMI_MAJOR_AXIS = 6378137.0
 """m. This and the next of WGS 84 (NIMA TR8350.2, third edition, chapter 3)."""
@@ -91,6 +94,13 @@ def normal_gravity(latitude: float, height: float = 0.0) -> float:
     return surface * (1 - linear * ratio + 3 * ratio**2)
 
 
+def _check(name: str, value: float, unit: str = '') -> None:
+    """Refuse what is out of `SITE_BOUNDS`."""
+    least, most = SITE_BOUNDS[name]
+    if not least <= value <= most:
+        raise InputError(f'{name}: found {value:g}{unit}, expected {least:g} to {most:g}.')
+
+
 @dataclass(frozen=True)
 class Site:
     """The site of the table."""
@@ -126,24 +136,17 @@ class Site:
                 `latitude_std`), m/s^2.
             latitude_std: Standard deviation of the latitude, rad (default: `LATITUDE_STD`).
         """
-        if not abs(latitude) <= math.pi / 2:
-            raise InputError(f'latitude: found {math.degrees(latitude):g} deg, expected -90 to 90.')
+        _check('latitude', math.degrees(latitude), ' deg')
         level = 0.0 if height is None else height
-        if not _LOWEST <= level <= _HIGHEST:
-            expected = f'{_LOWEST:g} to {_HIGHEST:g}'
-            raise InputError(f'height: found {height:g} m, expected {expected}.')
+        _check('height', level, ' m')
         if height is None and height_std is not None:
             raise InputError('height_std: says how well a height is known; state the height.')
         for name, std in (('height_std', height_std), ('gravity_std', gravity_std)):
-            most = _LARGEST_STDS[name]
-            if std is not None and not 0 <= std <= most:
-                raise InputError(f'{name}: found {std:g}, expected 0 to {most:g}.')
+            if std is not None:
+                _check(name, std)
         if latitude_std is None:
             latitude_std = LATITUDE_STD
-        if not 0 <= latitude_std <= math.radians(10):
-            raise InputError(
-                f'latitude_std: found {math.degrees(latitude_std):g} deg, expected 0 to 10.'
-            )
+        _check('latitude_std', math.degrees(latitude_std), ' deg')
         if gravity is None:
             doubt = (HEIGHT_STD if height is None else 0.0) if height_std is None else height_std
             by_height = normal_gravity(latitude, level) - normal_gravity(latitude, level + doubt)
@@ -153,9 +156,7 @@ class Site:
             std = math.hypot(normal if gravity_std is None else gravity_std, by_height)
             here = normal_gravity(latitude, level)
             return cls(latitude, here, NORMAL_GRAVITY, std, height, latitude_std)
-        if not LEAST_GRAVITY <= gravity <= MOST_GRAVITY:
-            limits = f'{LEAST_GRAVITY:g} to {MOST_GRAVITY:g}'
-            raise InputError(f'gravity: found {gravity:g} m/s^2, expected {limits}.')
+        _check('gravity', gravity, ' m/s^2')
         return cls(latitude, gravity, MEASURED, gravity_std or 0.0, height, latitude_std)
 
     @property

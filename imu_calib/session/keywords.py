@@ -27,7 +27,7 @@ from ..common.arguments import check
 from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import DEG
-from ..model.earth import HEIGHT_STD, LATITUDE_STD, NORMAL_GRAVITY_STD, Site
+from ..model.earth import HEIGHT_STD, LATITUDE_STD, NORMAL_GRAVITY_STD, SITE_BOUNDS, Site
 from ..model.session_terms import SESSION_TERMS, Change, split_terms
 from ..model.terms import AUTO_TERMS, NO_TERMS, TERMS, Term, asks_for_search, named_terms
 from .imu import ImuSpec, load_imu
@@ -171,7 +171,7 @@ class AtSite(TypedDict, total=False):
         Option('degrees, negative in the south', 'DEG'),
         NodeParameter(
             'Latitude of the stand, deg, negative in the south.',
-            bounds=(-90.0, 90.0),
+            bounds=SITE_BOUNDS['latitude'],
             required='Parameter latitude: give the latitude of the stand, in degrees.',
         ),
     ]
@@ -179,7 +179,10 @@ class AtSite(TypedDict, total=False):
         float | None,
         'Its standard deviation, deg.',
         Option(f'standard deviation of --latitude (default: {LATITUDE_STD / DEG:g})', 'DEG'),
-        NodeParameter('Standard deviation of the latitude, deg; nan: 0.01.', bounds=(0.0, 10.0)),
+        NodeParameter(
+            'Standard deviation of the latitude, deg; nan: 0.01.',
+            bounds=SITE_BOUNDS['latitude_std'],
+        ),
     ]
     height: Annotated[
         float | None,
@@ -189,7 +192,9 @@ class AtSite(TypedDict, total=False):
             'computed from it, unless --gravity is given',
             'M',
         ),
-        NodeParameter('Height above the ellipsoid, m; nan: not known.', bounds=(-500.0, 10_000.0)),
+        NodeParameter(
+            'Height above the ellipsoid, m; nan: not known.', bounds=SITE_BOUNDS['height']
+        ),
     ]
     height_std: Annotated[
         float | None,
@@ -197,7 +202,7 @@ class AtSite(TypedDict, total=False):
         Option('standard deviation of --height (default: 0)', 'M'),
         NodeParameter(
             'Standard deviation of the height, m; nan: 0 if it is stated.',
-            bounds=(0.0, 10_000.0),
+            bounds=SITE_BOUNDS['height_std'],
         ),
     ]
     gravity: Annotated[
@@ -216,7 +221,7 @@ class AtSite(TypedDict, total=False):
         ),
         NodeParameter(
             'Standard deviation of gravity, m/s^2; nan: 0 if measured, 30e-5 if not.',
-            bounds=(0.0, 0.1),
+            bounds=SITE_BOUNDS['gravity_std'],
         ),
     ]
 

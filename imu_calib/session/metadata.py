@@ -21,21 +21,23 @@ from .table import Table
 if TYPE_CHECKING:
     from .plan import Plan
 
-SERIAL_NUMBER = 'imu_calib.serial_number'
-"""Key of a recording's own entries: the unit's serial number."""
-
-LEFT_OUT = 'imu_calib.left_out'
-"""Key of the units that were left out of a session of several: their names, with commas."""
-
-COMPENSATED = 'imu_calib.compensated'
-"""Key of the calibration file by which a recording was compensated."""
-
-TABLE = 'imu_calib.table'
-"""Key of the text of the table's file; empty if there is none."""
-
-_INTERPOLATED = 'imu_calib.accel_interpolated_from_hz'
-_IMU = 'imu_calib.imu'
-_LATITUDE = 'imu_calib.latitude_deg'
+PREFIX = 'imu_calib.'
+"""Of the keys of a recording's own entries."""
+SERIAL_NUMBER = f'{PREFIX}serial_number'
+"""The unit's serial number."""
+LEFT_OUT = f'{PREFIX}left_out'
+"""The units that were left out of a session of several: their names, with commas."""
+COMPENSATED = f'{PREFIX}compensated'
+"""The calibration file by which a recording was compensated."""
+PLAN, IMU = f'{PREFIX}plan', f'{PREFIX}imu'
+"""The texts of the files of plan and IMU."""
+TABLE = f'{PREFIX}table'
+"""The text of the table's file; empty if there is none."""
+_INTERPOLATED = f'{PREFIX}accel_interpolated_from_hz'
+_LATITUDE, _LATITUDE_STD = f'{PREFIX}latitude_deg', f'{PREFIX}latitude_std_deg'
+_HEIGHT = f'{PREFIX}height'
+_GRAVITY, _GRAVITY_STD = f'{PREFIX}gravity', f'{PREFIX}gravity_std'
+_GRAVITY_SOURCE = f'{PREFIX}gravity_source'
 
 
 def describe(
@@ -60,8 +62,8 @@ def describe(
         InputError: One of the files does not exist.
     """
     texts = {
-        f'imu_calib.{kind}': read_text(named_file(f'{kind}s', name))
-        for kind, name in (('plan', plan), ('imu', imu), ('table', table))
+        key: read_text(named_file(f'{key.removeprefix(PREFIX)}s', name))
+        for key, name in ((PLAN, plan), (IMU, imu), (TABLE, table))
         if isinstance(name, str | Path)
     }
     if isinstance(table, Table):
@@ -72,19 +74,19 @@ def describe(
         **unit,
         **texts,
         _LATITUDE: repr(site.latitude / DEG),
-        'imu_calib.latitude_std_deg': repr(site.latitude_std / DEG),
-        'imu_calib.gravity': repr(site.gravity),
-        'imu_calib.gravity_source': site.gravity_source,
-        'imu_calib.gravity_std': repr(site.gravity_std),
+        _LATITUDE_STD: repr(site.latitude_std / DEG),
+        _GRAVITY: repr(site.gravity),
+        _GRAVITY_SOURCE: site.gravity_source,
+        _GRAVITY_STD: repr(site.gravity_std),
     }
     if site.height is not None:
-        described['imu_calib.height'] = repr(site.height)
+        described[_HEIGHT] = repr(site.height)
     return described
 
 
 def shared_description(description: Mapping[str, str]) -> dict[str, str]:
     """Return the own entries that are common to several units."""
-    return {k: v for k, v in description.items() if k not in {_IMU, SERIAL_NUMBER}}
+    return {k: v for k, v in description.items() if k not in {IMU, SERIAL_NUMBER}}
 
 
 def unit_description(topic: str, imu: str, serial_number: str) -> dict[str, str]:
@@ -102,12 +104,12 @@ def described_imu(data: Mapping[str, str], topic: str) -> str | None:
 
     A stream computed from another has a separate description.
     """
-    return data.get(imu_key(topic), data.get(_IMU))
+    return data.get(imu_key(topic), data.get(IMU))
 
 
 def imu_key(topic: str) -> str:
     """Return the key of the own entry that describes the numbers of one topic."""
-    return f'{_IMU}:{topic}'
+    return f'{IMU}:{topic}'
 
 
 def serial_key(topic: str) -> str:
@@ -162,7 +164,7 @@ def described_mount(data: Mapping[str, str], topic: str, where: str) -> Floats:
 
 
 def _mount_key(topic: str) -> str:
-    return f'imu_calib.mount:{topic}'
+    return f'{PREFIX}mount:{topic}'
 
 
 def stream_description(
@@ -176,7 +178,7 @@ def stream_description(
         imu: Its description.
         raw_is_kept: Whether the recording also contains the stream described in `data`.
     """
-    kept = {key: text for key, text in data.items() if raw_is_kept or not key.startswith(_IMU)}
+    kept = {key: text for key, text in data.items() if raw_is_kept or not key.startswith(IMU)}
     return {**kept, imu_key(topic): imu_text(imu)}
 
 
@@ -224,15 +226,15 @@ def described_site(data: Mapping[str, str], where: str) -> Site:
         )
     try:
         latitude = float(data[_LATITUDE]) * DEG
-        gravity = float(data['imu_calib.gravity'])
-        stated = data.get('imu_calib.gravity_std')
+        gravity = float(data[_GRAVITY])
+        stated = data.get(_GRAVITY_STD)
         std = None if stated is None else float(stated)
-        height = float(data['imu_calib.height']) if 'imu_calib.height' in data else None
-        doubt = data.get('imu_calib.latitude_std_deg')
+        height = float(data[_HEIGHT]) if _HEIGHT in data else None
+        doubt = data.get(_LATITUDE_STD)
         latitude_std = None if doubt is None else float(doubt) * DEG
     except (KeyError, ValueError):
         raise InputError(f'{where}: what it says of its site is broken; give `latitude`.') from None
-    source = data.get('imu_calib.gravity_source', MEASURED)
+    source = data.get(_GRAVITY_SOURCE, MEASURED)
     if std is None and source == NORMAL_GRAVITY:
         # Recordings from before heights were recorded: as normal gravity without a height.
         std = Site.at(latitude, height).gravity_std

@@ -17,8 +17,8 @@ from ..session.plan import Plan
 from ..session.table import TURN
 from .frames import pack
 from .imu import SimulatedImu
-from .motion import Motion, Track, side_by_side, trapezoid
-from .options import ImuOptions
+from .motion import MEMORY, Motion, Track, side_by_side, trapezoid
+from .options import ImuOptions, StandOptions
 
 PAUSE = 0.2
 """s from the end of a turn until the hand is still."""
@@ -34,8 +34,6 @@ _BLOCK_SECONDS = 10.0
 """s of samples computed at once."""
 _SAME = 1e-6
 """rad: closer attitudes count as equal, without an axis between them."""
-_EPOCH = 1_700_000_000_000_000_000
-"""ns: start of the recording, the same in every run."""
 AXES = np.array([[0.0, 0, 1], [0, 1, 0], [1, 0, 0]])
 """Axes of the joints that simulate a hand: z, y, x."""
 
@@ -60,7 +58,7 @@ class HandSession:
         options: ImuOptions | None = None,
         seed: int = 0,
         *,
-        epoch: int = _EPOCH,
+        epoch: int = StandOptions.start_time,
     ) -> Iterator[ImuBlock]:
         """Yield the output of the IMU; its first stamp is at `epoch`, ns."""
         rng = np.random.default_rng(seed)
@@ -140,8 +138,6 @@ _AIM = 4 * DEG
 """rad: standard deviation of the attitude of a hold about the requested one."""
 _ROUND = 30
 """Attitudes in one round over the sphere."""
-_MEMORY = 5.0
-"""s of past motion kept."""
 _PATIENCE = 10.0
 """s: longest hold of a person who waits for guidance; a choice."""
 
@@ -214,7 +210,7 @@ class HeldHardware:
         line = pack(samples, celsius, self._imu.taken)
         self.frames = self._imu.made
         self.time = end
-        self._track = self._track.since(end - _MEMORY)
+        self._track = self._track.since(end - MEMORY)
         return line
 
     def _turn(self) -> None:

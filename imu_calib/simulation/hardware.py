@@ -16,7 +16,7 @@ from ..session.imu import check_live
 from ..session.table import Table
 from .frames import pack
 from .imu import SimulatedImu
-from .motion import Motion
+from .motion import MEMORY, Motion
 from .options import StandOptions
 from .stand import SimulatedUnit, instants
 from .table import SimulatedTable, TableState
@@ -191,10 +191,6 @@ class ImuLine:
         return changed.tobytes()
 
 
-_MEMORY = 5.0
-"""s of past motion kept."""
-
-
 @dataclass(frozen=True, eq=False)
 class Output:
     """Output of the hardware in one step: joint states, and bytes on the line of each IMU."""
@@ -314,7 +310,7 @@ class SimulatedHardware:
         joints = JointBlock(stamps, self._table.table.names, angles, rates)
         motion = self._table.motion(end)
         lines = tuple(line.bytes_up_to(end, begin, motion) for line in self._lines)
-        self._table.drop_before(begin - _MEMORY)
+        self._table.drop_before(begin - MEMORY)
         self.time = end
         return Output(joints, lines)
 

@@ -14,6 +14,9 @@ from ..common.rotations import all_in_rotated_frame, cross, in_rotated_frame
 from ..common.stream import Floats
 from ..model.earth import Site
 
+MEMORY = 5.0
+"""s of past motion that simulated hardware keeps."""
+
 # Motion of piecewise constant acceleration: trapezoids, braking, rest.
 
 

@@ -21,9 +21,10 @@ from imu_calib.cli import dispatch, listening, main, stand_session
 from imu_calib.cli.terminal import OUTPUT, NodeReports, NothingComes
 from imu_calib.common.files import named_file
 from imu_calib.live.devices.format import load_format
-from imu_calib.live.devices.health import Reception, Severity
+from imu_calib.live.devices.health import Reception
 from imu_calib.live.devices.messages import Command, Commands
 from imu_calib.live.devices.source import Chunk, DeviceReader, ReaderState, choose_baud
+from imu_calib.live.rules import Severity
 from imu_calib.session.imu import load_imu
 
 SIMULATED = load_format('simulated')

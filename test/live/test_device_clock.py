@@ -10,8 +10,9 @@ from device_frames import NANOSECONDS, frame, kvh, stim
 from imu_calib.live.devices.clock import DeviceClock
 from imu_calib.live.devices.fields import FrameCounter, Number
 from imu_calib.live.devices.format import Decoder, load_format
-from imu_calib.live.devices.health import Health, Severity
+from imu_calib.live.devices.health import Health
 from imu_calib.live.devices.source import DeviceReader
+from imu_calib.live.rules import Severity
 
 NS = 1_000_000_000
 MS = 1_000_000

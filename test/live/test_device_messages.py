@@ -9,8 +9,9 @@ from device_frames import crc32, cut, described, kvh, mti
 from imu_calib.common.errors import InputError
 from imu_calib.live.devices.clock import DeviceClock
 from imu_calib.live.devices.format import Decoder, load_format, read_format
-from imu_calib.live.devices.health import Health, Severity
+from imu_calib.live.devices.health import Health
 from imu_calib.live.devices.source import DeviceReader
+from imu_calib.live.rules import Severity
 
 NS = 1_000_000_000
 DAY = 864_000_000

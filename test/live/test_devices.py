@@ -20,8 +20,9 @@ from imu_calib.live.devices.checksum import CATALOGUE, Checksums, Sum, Xor
 from imu_calib.live.devices.clock import DeviceClock
 from imu_calib.live.devices.fields import DeviceTime, FrameCounter, Number
 from imu_calib.live.devices.format import Decoder, load_format, read_format
-from imu_calib.live.devices.health import Reception, Severity
+from imu_calib.live.devices.health import Reception
 from imu_calib.live.devices.source import Chunk, DeviceReader
+from imu_calib.live.rules import Severity
 from imu_calib.session.imu import load_imu
 from imu_calib.simulation.frames import pack
 

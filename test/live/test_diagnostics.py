@@ -16,9 +16,10 @@ try:
     from imu_calib.live import middleware as ros
     from imu_calib.live.nodes import stand_node
     from imu_calib.live.nodes.calibrator_node import CalibratorNode
-    from imu_calib.live.nodes.diagnostics import Diagnostics, Level
+    from imu_calib.live.nodes.diagnostics import Diagnostics
     from imu_calib.live.nodes.stand_node import StandNode
     from imu_calib.live.nodes.turntable_node import TurntableNode
+    from imu_calib.live.rules import Severity
     from imu_calib.simulation.hardware import SimulatedHardware
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
@@ -122,7 +123,7 @@ def test_every_status_is_a_sentence_with_figures_about_something(wire):
     assert {status.hardware_id for status in heard['lab/stand_node: IMU']} == {'simulated stand'}
     for statuses in heard.values():
         for status in statuses:
-            assert status.level[0] in set(Level)
+            assert status.level[0] in set(Severity)
             assert status.message.endswith('.')
             assert not status.message[0].islower()
             assert status.hardware_id
@@ -181,13 +182,13 @@ def test_a_node_speaks_every_second_and_at_once_when_it_gets_worse(wire):
     assert heard == {}
     node = ros.Node('talker')
     diagnostics = Diagnostics(node, 'thing')
-    diagnostics.report('part', Level.OK, 'It works', mass='2 kg')
+    diagnostics.report('part', Severity.OK, 'It works', mass='2 kg')
     assert spin(lambda: diagnostics.publisher.get_subscription_count() == 1)
     diagnostics.publish()
     assert spin(lambda: 'lab/talker: part' in heard)
     # Whatever a busy machine takes: the word that comes once a second is not waited for.
     diagnostics._timer.cancel()
-    diagnostics.report('part', Level.ERROR, 'It is broken.', mass='0 kg')
+    diagnostics.report('part', Severity.ERROR, 'It is broken.', mass='0 kg')
     assert spin(lambda: heard['lab/talker: part'][-1].message == 'It is broken.')
     assert heard['lab/talker: part'][0].message == 'It works.'
     assert [(v.key, v.value) for v in heard['lab/talker: part'][-1].values] == [('mass', '0 kg')]

@@ -16,9 +16,9 @@ from imu_calib.common.budget import ErrorSource
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
 from imu_calib.estimation.setup import Setup
-from imu_calib.live.nodes.diagnostics import Level
 from imu_calib.live.nodes.live import SessionPhase
 from imu_calib.live.nodes.session_reports import report_session
+from imu_calib.live.rules import Severity
 from imu_calib.model.sensors import SensorModel
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import Kind, encode_imu, encode_joints, encode_setpoints
@@ -358,7 +358,7 @@ def test_an_imu_of_another_clock_than_the_tables_is_an_error_at_once(tmp_path, w
     report_session(session, received_at, imu_timeout=60.0)
     session.close()
     level, text = received_at.reports['stream']
-    assert level is (Level.ERROR if later else Level.OK)
+    assert level is (Severity.ERROR if later else Severity.OK)
     assert words in text
 
 

@@ -12,8 +12,9 @@ from imu_calib.common.config import Section
 from imu_calib.common.stream import Units
 from imu_calib.live.devices.clock import DeviceClock
 from imu_calib.live.devices.format import Decoder, load_format, read_format
-from imu_calib.live.devices.health import Health, Severity
+from imu_calib.live.devices.health import Health
 from imu_calib.live.devices.source import DeviceReader
+from imu_calib.live.rules import Severity
 from imu_calib.session.imu import load_imu, read_imu
 
 NS = 1_000_000_000

@@ -10,7 +10,7 @@ from board_messages import NOON, SETUP, calibration, diagnostics, progress, stat
 from rich.console import Console
 
 from imu_calib.cli.displays import view_table
-from imu_calib.live.devices.health import Severity
+from imu_calib.live.rules import Severity
 from imu_calib.live.web import drawing
 from imu_calib.live.web.board import SessionOutcome
 from imu_calib.live.web.expectation import units_board

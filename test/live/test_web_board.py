@@ -16,8 +16,7 @@ from imu_calib.cli.displays import view_table
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
 from imu_calib.common.units import DEG
-from imu_calib.live.devices.health import Severity
-from imu_calib.live.rules import Phase
+from imu_calib.live.rules import Phase, Severity
 from imu_calib.live.web import drawing
 from imu_calib.live.web.board import Board, SessionOutcome
 from imu_calib.live.web.drawing import STYLE

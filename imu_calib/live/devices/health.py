@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from enum import IntEnum
 
 import numpy as np
 
 from ...common.stream import NS, Floats, Stamps, Units
 from ...common.units import STANDARD_GRAVITY
 from ...session.imu import GRAVITY_FACTOR, ImuSpec
+from ..rules import Severity
 from .clock import DeviceClock
 from .format import Counts, Decoder, FrameFormat, Samples
 from .source import Baud, Chunk, ReaderState, too_slow
@@ -107,14 +107,6 @@ output of a boot loader."""
 
 _PATIENCE = 0.25
 """s: a longer gap is not a delay of the host."""
-
-
-class Severity(IntEnum):
-    """Levels as in diagnostic_msgs/DiagnosticStatus."""
-
-    OK = 0
-    WARN = 1
-    ERROR = 2
 
 
 @dataclass(frozen=True)

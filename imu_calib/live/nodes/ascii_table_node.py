@@ -8,6 +8,7 @@ from typing import Any
 from ...recordings.cdr_codec import encode_joints
 from ...session.table import load_table
 from ..middleware import Clock, ClockType, Node, messages, publish_all
+from ..rules import Severity
 from ..table_control import Control
 from ..table_guard import Guard
 from ..table_line import (
@@ -17,7 +18,7 @@ from ..table_line import (
 )
 from . import qos
 from .commands import Commands
-from .diagnostics import Diagnostics, Level
+from .diagnostics import Diagnostics
 from .parameters import declare
 from .programs import entry_point
 
@@ -114,7 +115,7 @@ class AsciiTableNode(Node):
         status = self._control.status
         self._diagnostics.report(
             'controller',
-            Level.OK if status.open else Level.ERROR,
+            Severity.OK if status.open else Severity.ERROR,
             status.text,
             port=self._port,
             bad_replies=str(status.bad),

@@ -19,9 +19,9 @@ from ...session.metadata import mount_description, unit_description
 from ...session.plan import Plan
 from .. import middleware as ros
 from ..middleware import Node, messages
-from ..rules import Phase
+from ..rules import Phase, Severity
 from . import qos
-from .diagnostics import Diagnostics, Level
+from .diagnostics import Diagnostics
 from .done_check import DoneCheck
 from .live import SessionPhase
 from .parameters import declare
@@ -109,7 +109,7 @@ class TurntableStateIntake:
         text = f'{self.topic} reports DONE, which is ignored: {refusal}.'
         self._diagnostics.report(
             'turntable state',
-            Level.WARN if refusal else Level.OK,
+            Severity.WARN if refusal else Severity.OK,
             text if refusal else f'{self.topic} says DONE.',
         )
         return False
@@ -313,11 +313,11 @@ class CalibratorNode(ros.Node):
         path = sessions.journal.path
         resumed = f'The session is resumed from {path}, which holds {held} messages.'
         if held:
-            self._diagnostics.report('journal', Level.WARN, resumed)
+            self._diagnostics.report('journal', Severity.WARN, resumed)
         elif sessions.journal.losses:
-            self._diagnostics.report('journal', Level.WARN, ' '.join(sessions.journal.losses))
+            self._diagnostics.report('journal', Severity.WARN, ' '.join(sessions.journal.losses))
         else:
-            self._diagnostics.report('journal', Level.OK, journal_sentence(path))
+            self._diagnostics.report('journal', Severity.OK, journal_sentence(path))
         return sessions
 
     def _tell_read(self, share: float) -> None:
@@ -325,7 +325,7 @@ class CalibratorNode(ros.Node):
         now = time.monotonic()
         if now - self._told_at > _SECOND:
             self._told_at = now
-            self._diagnostics.report('journal', Level.OK, reading_sentence(share))
+            self._diagnostics.report('journal', Severity.OK, reading_sentence(share))
             self._diagnostics.publish()
 
     def _on_tick(self) -> None:
@@ -340,18 +340,18 @@ class CalibratorNode(ros.Node):
             back = (self._latest - now) * 1e-9
             self._diagnostics.report(
                 'time',
-                Level.WARN,
+                Severity.WARN,
                 f'The clock jumped back by {back:.3g} s: messages are recorded with the time '
                 'before the jump until it is reached again.',
             )
         elif now == 0:
             self._diagnostics.report(
                 'time',
-                Level.WARN,
+                Severity.WARN,
                 'There is no message on /clock yet: until there is one, all data are ignored.',
             )
         else:
-            self._diagnostics.report('time', Level.OK, 'The clock runs.')
+            self._diagnostics.report('time', Severity.OK, 'The clock runs.')
         self._latest = max(now, self._latest)
         return self._latest
 
@@ -393,7 +393,7 @@ class CalibratorNode(ros.Node):
             for topic in subscriptions.subscribe_anew():
                 self._diagnostics.report(
                     'quality of service',
-                    Level.WARN,
+                    Severity.WARN,
                     f'{topic} is published best effort: messages can be lost on the way.',
                 )
         for place, subscriptions in enumerate(self._of_units):
@@ -457,7 +457,7 @@ class CalibratorNode(ros.Node):
         for place, results in enumerate(self._results):
             if place in self._sessions.left_out:
                 results.report_part(
-                    'calibration', Level.WARN, 'The unit is left out of this session.'
+                    'calibration', Severity.WARN, 'The unit is left out of this session.'
                 )
             else:
                 results.report(self._sessions.all[place], self._imu_timeout)

@@ -27,9 +27,10 @@ from ...recordings.cdr import Malformed, Messages
 from ...recordings.cdr_codec import ImuDecoder, decode_skew, decode_temperatures, rates_payloads
 from .. import middleware as ros
 from ..middleware import messages
+from ..rules import Severity
 from . import qos
 from .convert import calibration_of
-from .diagnostics import Diagnostics, Level
+from .diagnostics import Diagnostics
 from .parameters import declare
 from .programs import entry_point
 
@@ -157,7 +158,7 @@ class CompensatorReports:
             'without calibration': str(self.unused),
             'malformed': str(self.malformed.count),
         }
-        level, text = Level.OK, f'{topic} is received and compensated.'
+        level, text = Severity.OK, f'{topic} is received and compensated.'
         if compensator is not None:
             period = compensator.period
             figures['sample interval'] = f'{period * 1e3:.6f} ms' if period else 'not known yet'
@@ -173,13 +174,13 @@ class CompensatorReports:
         if self._second.given:
             figures['age of the latest sample'] = f'{(now - self._second.newest) * 1e-6:.3f} ms'
         if mixed:
-            level, text = Level.ERROR, f'Two publishers on {topic}: stop one of them.'
+            level, text = Severity.ERROR, f'Two publishers on {topic}: stop one of them.'
         elif self.malformed.count:
-            level, text = Level.ERROR, f'{topic}: {self.malformed.reason}'
+            level, text = Severity.ERROR, f'{topic}: {self.malformed.reason}'
         elif not self._second.taken:
-            level, text = Level.WARN, f'There are no messages on {topic}.'
+            level, text = Severity.WARN, f'There are no messages on {topic}.'
         elif compensator is not None and not self._second.given:
-            level, text = Level.WARN, f'{topic} is received, but nothing is published.'
+            level, text = Severity.WARN, f'{topic} is received, but nothing is published.'
             if not compensator.period:
                 text += f' {_why_unknown(compensator.waiting)}'
         self._diagnostics.report('stream', level, text, **figures)
@@ -189,9 +190,9 @@ class CompensatorReports:
         counts = compensator.counts
         fresh = [m for m in Mark if counts[m] > self._counted[m]]
         self._counted = {mark: counts[mark] for mark in Mark}
-        level, text = Level.OK, 'All samples are within the range of the calibration.'
+        level, text = Severity.OK, 'All samples are within the range of the calibration.'
         if fresh:
-            level = Level.WARN
+            level = Severity.WARN
             text = f'In the last second: {", ".join(_WORDS[mark] for mark in fresh)}.'
         figures = {_WORDS[mark]: str(counts[mark]) for mark in Mark}
         if compensator.alone:
@@ -207,12 +208,12 @@ class CompensatorReports:
         if fresh.is_gravity:
             self._far_from_gravity = 0
             text = 'The accelerations are about gravity.'
-            self._diagnostics.report('gravity', Level.OK, text)
+            self._diagnostics.report('gravity', Severity.OK, text)
             return
         self._far_from_gravity += 1
         if self._far_from_gravity == _GRAVITY:
             text = fresh.contradiction(first_of(compensator.calibration).imu)
-            self._diagnostics.report('gravity', Level.WARN, text)
+            self._diagnostics.report('gravity', Severity.WARN, text)
 
     def _report_turns(self, compensator: Compensator) -> None:
         """Report whether the rates of some seconds turn gravity as the accelerometers do."""
@@ -228,24 +229,24 @@ class CompensatorReports:
         turns, self._turns, self._compared = self._turns, TurnsSeen(), 0
         if turns.contradict:
             text = turns.contradiction(first_of(compensator.calibration).imu)
-            self._diagnostics.report('turns', Level.WARN, text)
+            self._diagnostics.report('turns', Severity.WARN, text)
         elif turns.scale is not None:
             text = 'The gyros turn gravity as far as the accelerometers do.'
-            self._diagnostics.report('turns', Level.OK, text)
+            self._diagnostics.report('turns', Severity.OK, text)
 
     def _report_temperature(self, compensator: Compensator) -> None:
         """Report the temperature on which the calibration depends."""
         topic = self._temperature
         figures = {'temperature': f'{compensator.celsius:.2f} degC'}
-        level, text = Level.OK, f'{topic} is received.'
+        level, text = Severity.OK, f'{topic} is received.'
         if compensator.waits_for_temperature:
             level, text = (
-                Level.ERROR,
+                Severity.ERROR,
                 f'The calibration needs {topic}, which has no messages: nothing is published.',
             )
         elif time.monotonic() - self._temperature_at > _STALE:
             level, text = (
-                Level.WARN,
+                Severity.WARN,
                 f'There are no new messages on {topic}: its last value is used.',
             )
         self._diagnostics.report('temperature', level, text, **figures)
@@ -308,7 +309,7 @@ class AppliedCalibration:
                 f'The calibration on {self._topic} is incomplete and is not used. '
                 f'{message.status_text}'
             )
-            self._diagnostics.report('calibration offered', Level.WARN, text)
+            self._diagnostics.report('calibration offered', Severity.WARN, text)
         if message.status != messages.ImuCalibration.VALID:
             return
         stamp = message.header.stamp
@@ -319,7 +320,7 @@ class AppliedCalibration:
             self._check_same(calibration, self._topic)
             self._use(calibration, self._topic, stamp.sec + stamp.nanosec * 1e-9)
         except ImuCalibError as error:
-            self._diagnostics.report('calibration offered', Level.WARN, str(error))
+            self._diagnostics.report('calibration offered', Severity.WARN, str(error))
 
     def read_file(self) -> None:
         """Read the file if it is new or has changed."""
@@ -330,7 +331,7 @@ class AppliedCalibration:
         except OSError:
             # Another process may still be writing it.
             if self._version is not None:
-                self._refuse(Level.WARN, f'{self._file} is not there any more.')
+                self._refuse(Severity.WARN, f'{self._file} is not there any more.')
             self._version = None
             return
         version = found.st_mtime_ns, found.st_size
@@ -343,9 +344,9 @@ class AppliedCalibration:
             self._check_same(calibration, str(self._file))
             self._use(calibration, str(self._file), found.st_mtime)
         except ImuCalibError as error:
-            self._refuse(Level.ERROR, str(error))
+            self._refuse(Severity.ERROR, str(error))
 
-    def _refuse(self, level: Level, reason: str) -> None:
+    def _refuse(self, level: Severity, reason: str) -> None:
         """Report why the file is not applied, and what is."""
         stays = '' if self.compensator is None else ' What was read before stays applied.'
         self._diagnostics.report('calibration offered', level, reason + stays)
@@ -357,7 +358,7 @@ class AppliedCalibration:
             where = ' or '.join([*sources, self._topic] if self.follows else sources)
             self._diagnostics.report(
                 'calibration',
-                Level.WARN,
+                Severity.WARN,
                 f'No calibration: nothing is published until there is one in {where}.',
             )
             return
@@ -366,7 +367,7 @@ class AppliedCalibration:
         age = time.time() - self._made_at
         self._diagnostics.report(
             'calibration',
-            Level.OK,
+            Severity.OK,
             ' '.join([f'{self._source} is applied.', *single.unknown_noise]),
             imu=single.imu.id,
             serial_number=single.serial_number or 'not stated',
@@ -406,7 +407,7 @@ class AppliedCalibration:
         self._source, self._made_at = source, made_at
         unit = first_of(calibration)
         self._diagnostics.hardware_id = f'{unit.imu.id} {unit.serial_number}'.strip()
-        self._diagnostics.report('calibration offered', Level.OK, f'{source} is used.')
+        self._diagnostics.report('calibration offered', Severity.OK, f'{source} is used.')
         self.report()
 
 
@@ -518,13 +519,13 @@ class CompensatorNode(ros.ManagedNode):
         self._reports.begin_counts()
         self._applied.renew()
         self._active = True
-        self._diagnostics.report('lifecycle', Level.OK, 'Active: samples are compensated.')
+        self._diagnostics.report('lifecycle', Severity.OK, 'Active: samples are compensated.')
 
     def deactivate(self) -> None:
         """Publish pending samples, then stop."""
         self.stop()
         self._active = False
-        self._diagnostics.report('lifecycle', Level.WARN, 'Not active: nothing is published.')
+        self._diagnostics.report('lifecycle', Severity.WARN, 'Not active: nothing is published.')
 
     def stop(self) -> list[Any]:
         """Publish the samples that wait for the sample interval to be known."""
@@ -625,7 +626,7 @@ class CompensatorNode(ros.ManagedNode):
         topic = self.resolve_topic_name('imu/pulses')
         self._diagnostics.report(
             'quality of service',
-            Level.WARN,
+            Severity.WARN,
             f'{topic} is published best effort: messages can be lost on the way.',
         )
 

@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum
 
 from ..middleware import Clock, ClockType, Node, messages
+from ..rules import Severity
 
 _PERIOD = 1.0
 """s: the period that REP 107 requires of diagnostics."""
-
-
-class Level(IntEnum):
-    """As in diagnostic_msgs/DiagnosticStatus."""
-
-    OK = 0
-    WARN = 1
-    ERROR = 2
-    STALE = 3
 
 
 @dataclass(frozen=True)
 class _Report:
     """The last report on a part of a node, as `Diagnostics.report` takes it."""
 
-    level: Level
+    level: Severity
     text: str
     figures: dict[str, str] = field(default_factory=dict)
     hardware_id: str = ''
@@ -47,7 +38,7 @@ class Diagnostics:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(_PERIOD, self.publish, clock=steady)
 
-    def report(self, part: str, level: Level, text: str, **figures: str) -> None:
+    def report(self, part: str, level: Severity, text: str, **figures: str) -> None:
         """Replace the report on a part of the node.
 
         Args:
@@ -67,11 +58,11 @@ class Diagnostics:
             otherwise: Text without a fault.
             **figures: As of `report`.
         """
-        level = Level.ERROR if fault else Level.OK
+        level = Severity.ERROR if fault else Severity.OK
         self.report(part, level, fault or otherwise, **figures)
 
     def report_of(
-        self, hardware_id: str, part: str, level: Level, text: str, figures: dict[str, str]
+        self, hardware_id: str, part: str, level: Severity, text: str, figures: dict[str, str]
     ) -> None:
         """Replace the report on a part with its own hardware id; see `report`."""
         text = text if text.endswith('.') else f'{text}.'
@@ -81,9 +72,9 @@ class Diagnostics:
             return
         logger = self._node.get_logger()
         # One source line for each level: ROS fixes the severity of a line at its first call.
-        if level >= Level.ERROR:
+        if level >= Severity.ERROR:
             logger.error(text)
-        elif level == Level.WARN:
+        elif level == Severity.WARN:
             logger.warning(text)
         else:
             logger.info(text)
@@ -127,7 +118,7 @@ class PartOfDiagnostics:
         self._name = name
         self.hardware_id = hardware_id
 
-    def report(self, part: str, level: Level, text: str, **figures: str) -> None:
+    def report(self, part: str, level: Severity, text: str, **figures: str) -> None:
         """Replace the report on a part of the unit; see `Diagnostics.report`."""
         named = f'{self._name}: {part}'
         self._diagnostics.report_of(self.hardware_id, named, level, text, figures)

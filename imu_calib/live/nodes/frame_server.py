@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from ...common.errors import InputError
 from ..devices.in_memory import InMemoryLine
+from ..network import LOOPBACK_HOST
 
 IN_MEMORY = 0
 """Port that stands for lines within this process."""
@@ -28,7 +29,7 @@ class FrameServer:
         self.name = f'port {port}'
         self.dropped = 0
         try:
-            self._server = socket.create_server(('127.0.0.1', port))
+            self._server = socket.create_server((LOOPBACK_HOST, port))
         except OSError as error:
             raise InputError(f'Parameter port: {port} cannot be used ({error.strerror}).') from None
         # A small buffer, so that a slow reader soon slows simulated time.

@@ -22,8 +22,9 @@ from ...simulation.hand import HeldHardware
 from ...simulation.options import StandOptions, load_imperfections, switched_on
 from .. import middleware as ros
 from ..middleware import messages
+from ..rules import Severity
 from . import qos
-from .diagnostics import Diagnostics, Level
+from .diagnostics import Diagnostics
 from .frame_server import (
     IN_MEMORY,
     serve_frames,
@@ -157,7 +158,7 @@ class HandNode(ros.Node):
         connected = self._line.connected
         waits = f'No program reads the frames on {self._line.name} yet.'
         text = 'The frames are read.' if connected else waits
-        level = Level.OK if connected else Level.WARN
+        level = Severity.OK if connected else Severity.WARN
         frames = str(self._hardware.frames)
         self._diagnostics.report('IMU', level, text, frames=frames)
 

@@ -15,8 +15,9 @@ from ..devices.health import GAP_TIMEOUT, Reception
 from ..devices.in_memory import SCHEME, InMemorySource
 from ..devices.source import Chunk, DeviceReader, choose_baud, is_serial
 from ..middleware import Clock, ClockType, ManagedNode, messages, publish_all
+from ..rules import Severity
 from . import qos
-from .diagnostics import Diagnostics, Level
+from .diagnostics import Diagnostics
 from .parameters import declare
 from .programs import entry_point
 
@@ -121,13 +122,13 @@ class ImuNode(ManagedNode):
                 f'The device is sent {len(sent.start)} commands of its file whenever its port '
                 f'opens, and {len(sent.stop)} before it is closed.'
             )
-        self._diagnostics.report('lifecycle', Level.OK, 'Active: the device is read.')
+        self._diagnostics.report('lifecycle', Severity.OK, 'Active: the device is read.')
         self._timer = self.create_timer(_DRAIN_PERIOD, self._work, clock=self._steady)
 
     def deactivate(self) -> None:
         """Publish pending samples, and close the device."""
         self.stop()
-        self._diagnostics.report('lifecycle', Level.WARN, 'Not active: the device is not read.')
+        self._diagnostics.report('lifecycle', Severity.WARN, 'Not active: the device is not read.')
 
     def stop(self) -> Sequence[Any]:
         """Close the device; return the publishers whose messages must be acknowledged."""
@@ -164,7 +165,9 @@ class ImuNode(ManagedNode):
         """Read, publish and report."""
         if not self._started:
             if self._now() == 0:
-                self._diagnostics.report('clock', Level.WARN, 'There is no message on /clock yet.')
+                self._diagnostics.report(
+                    'clock', Severity.WARN, 'There is no message on /clock yet.'
+                )
                 return
             self._source.start()
             self._started = True
@@ -262,7 +265,7 @@ class ImuNode(ManagedNode):
             return
         self._reported_at, self._silent = steady, silent
         for word in self._reception.statuses(self._source.state, now, steady):
-            self._diagnostics.report(word.part, Level(word.severity), word.text, **word.figures)
+            self._diagnostics.report(word.part, Severity(word.severity), word.text, **word.figures)
 
 
 if __name__ == '__main__':

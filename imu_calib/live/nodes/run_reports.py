@@ -8,9 +8,9 @@ from typing import Any
 
 from ...common.stream import NS
 from ...common.units import DEG
-from ..rules import Phase, SequencerState
+from ..rules import Phase, SequencerState, Severity
 from ..sequencer import Sequencer
-from .diagnostics import Diagnostics, Level
+from .diagnostics import Diagnostics
 
 
 def state_sentence(state: SequencerState) -> str:
@@ -83,16 +83,16 @@ class CalibratorProgress:
         elif not fault:
             self._diagnostics.report(
                 'calibrator',
-                Level.ERROR,
+                Severity.ERROR,
                 f'The calibrator expects plan {progress.plan or "(no name)"}, the table runs '
                 f'{sequencer.plan.name}: its progress is ignored.',
             )
             return False
         sequencer.set_calibrator_fault(fault)
-        level = Level.WARN if _lacks_samples(progress) else Level.OK
+        level = Severity.WARN if _lacks_samples(progress) else Severity.OK
         self._diagnostics.report(
             'calibrator',
-            Level.ERROR if failed else level,
+            Severity.ERROR if failed else level,
             fault or 'The calibrator expects this plan.',
         )
         return of_this_plan

@@ -14,7 +14,8 @@ from ...model.parameters import Parameter
 from ...recordings.cdr_codec import Kind
 from ...reports.tables import engineering
 from ..middleware import messages
-from .diagnostics import Diagnostics, Level, PartOfDiagnostics
+from ..rules import Severity
+from .diagnostics import Diagnostics, PartOfDiagnostics
 from .live import LiveSession, SessionPhase
 
 IMU_TIMEOUT = 0.5
@@ -96,11 +97,11 @@ def report_session(
     _report_imu(session, diagnostics, imu_timeout)
     _report_joint_states(session, shared)
     _report_skew(session, diagnostics)
-    level = Level.OK
+    level = Severity.OK
     if session.phase is SessionPhase.FAILED:
-        level = Level.ERROR
+        level = Severity.ERROR
     elif session.phase is SessionPhase.FINISHED and session.calibration is not None:
-        level = Level.WARN if session.calibration.findings else Level.OK
+        level = Severity.WARN if session.calibration.findings else Severity.OK
     figures = {} if session.review is None else _std_figures(session.review)
     text = session_sentence(session)
     if session.guidance is not None and not session.is_over:
@@ -109,9 +110,9 @@ def report_session(
         text = f'{session.guidance.holds} holds, {known} of {total} parameters are determined.'
     diagnostics.report('calibration', level, text, **figures)
     if session.trouble:
-        shared.report('journal', Level.ERROR, session.trouble)
+        shared.report('journal', Severity.ERROR, session.trouble)
     elif not session.is_over:
-        shared.report('journal', Level.OK, journal_sentence(session.journal.path))
+        shared.report('journal', Severity.OK, journal_sentence(session.journal.path))
 
 
 def is_fed(session: LiveSession, imu_timeout: float) -> bool:
@@ -134,27 +135,27 @@ def _report_imu(
     """Report whether samples are received, and at the time of the table."""
     imu, joints = session.intakes[Kind.IMU], session.intakes.get(Kind.JOINTS)
     figures = {'samples': str(imu.count), 'malformed': str(imu.malformed.count)}
-    level, text = Level.OK, f'{imu.topic} is received.'
+    level, text = Severity.OK, f'{imu.topic} is received.'
     if imu.newest is None:
-        level, text = Level.WARN, f'There is no message on {imu.topic} yet.'
+        level, text = Severity.WARN, f'There is no message on {imu.topic} yet.'
     elif joints is None and not session.is_over:
         if time.monotonic() - imu.received_at > max(_SILENCE_BY_HAND, imu_timeout):
-            level, text = Level.ERROR, f'{imu.topic} is silent.'
+            level, text = Severity.ERROR, f'{imu.topic} is silent.'
     elif joints is not None and joints.newest is not None and not session.is_over:
         behind = (joints.newest - imu.newest) * 1e-9
         figures['behind the table'] = f'{behind:.3f} s'
         if not is_fed(session, imu_timeout):
-            level, text = Level.ERROR, f'{imu.topic} is silent, but the table is not.'
+            level, text = Severity.ERROR, f'{imu.topic} is silent, but the table is not.'
         elif abs(behind) > _APART:
             side = 'behind' if behind > 0 else 'ahead of'
-            level = Level.ERROR
+            level = Severity.ERROR
             text = (
                 f'{imu.topic} is stamped {abs(behind):.0f} s {side} {joints.topic}: they are of '
                 'two clocks, and no sample can be used. Synchronise the clocks, or stamp the '
                 'samples as they arrive.'
             )
     if imu.malformed.count:
-        level, text = Level.ERROR, f'{imu.topic}: {imu.malformed.reason}'
+        level, text = Severity.ERROR, f'{imu.topic}: {imu.malformed.reason}'
     diagnostics.report('stream', level, text, **figures)
 
 
@@ -165,11 +166,11 @@ def _report_joint_states(
     joints = session.intakes.get(Kind.JOINTS)
     if joints is None:
         return
-    level, text = Level.OK, f'{joints.topic} is received.'
+    level, text = Severity.OK, f'{joints.topic} is received.'
     if not joints.count:
-        level, text = Level.WARN, f'There is no message on {joints.topic} yet.'
+        level, text = Severity.WARN, f'There is no message on {joints.topic} yet.'
     if joints.malformed.count:
-        level, text = Level.ERROR, f'{joints.topic}: {joints.malformed.reason}'
+        level, text = Severity.ERROR, f'{joints.topic}: {joints.malformed.reason}'
     figures = {
         'samples': str(joints.count),
         'of other joints': str(joints.ignored),
@@ -186,17 +187,17 @@ def _report_skew(session: LiveSession, diagnostics: Diagnostics | PartOfDiagnost
     skew = session.intakes.get(Kind.SKEW)
     if skew is None:
         return
-    level, text = Level.OK, f'{skew.topic} is received.'
+    level, text = Severity.OK, f'{skew.topic} is received.'
     if session.without_skew:
-        level = Level.WARN
+        level = Severity.WARN
         text = (
             f"There is no message on {skew.topic}, though the IMU's file has a skewed_gyro: the "
             'session goes on without it.'
         )
     elif not skew.count:
-        level, text = Level.WARN, f'There is no message on {skew.topic} yet.'
+        level, text = Severity.WARN, f'There is no message on {skew.topic} yet.'
     if skew.malformed.count:
-        level, text = Level.ERROR, f'{skew.topic}: {skew.malformed.reason}'
+        level, text = Severity.ERROR, f'{skew.topic}: {skew.malformed.reason}'
     diagnostics.report('skewed gyro', level, text, samples=str(skew.count))
 
 

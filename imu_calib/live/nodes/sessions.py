@@ -21,9 +21,10 @@ from ...session.metadata import LEFT_OUT
 from ...session.units_file import namespace
 from .. import middleware as ros
 from ..middleware import messages
+from ..rules import Severity
 from . import qos
 from .convert import calibration_message, final_status, refusal_message
-from .diagnostics import Diagnostics, Level, PartOfDiagnostics
+from .diagnostics import Diagnostics, PartOfDiagnostics
 from .live import LiveSession, SessionPhase
 from .session_parameters import StatedUnit
 from .session_reports import is_fed, progress_message, report_session, session_sentence
@@ -383,7 +384,7 @@ class UnitResults:
         """Report the state of its streams and calibration on /diagnostics."""
         report_session(session, self._diagnostics, imu_timeout, self._stand)
 
-    def report_part(self, part: str, level: Level, text: str) -> None:
+    def report_part(self, part: str, level: Severity, text: str) -> None:
         """Report on a part of the unit on /diagnostics."""
         self._diagnostics.report(part, level, text)
 
@@ -394,7 +395,7 @@ class UnitResults:
         try:
             session.calibration.save(self.output)
         except InputError as error:
-            self._diagnostics.report('file', Level.ERROR, str(error))
+            self._diagnostics.report('file', Severity.ERROR, str(error))
             return str(error)
-        self._diagnostics.report('file', Level.OK, f'{self.output} is written.')
+        self._diagnostics.report('file', Severity.OK, f'{self.output} is written.')
         return ''

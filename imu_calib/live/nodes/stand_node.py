@@ -32,9 +32,10 @@ from ...simulation.options import StandOptions, load_imperfections, switched_on
 from ...simulation.stand import SimulatedUnit
 from .. import middleware as ros
 from ..middleware import messages
+from ..rules import Severity
 from . import qos
 from .commands import Commands
-from .diagnostics import Diagnostics, Level
+from .diagnostics import Diagnostics
 from .frame_server import IN_MEMORY, Lines, serve_frames
 from .parameters import declare
 from .programs import entry_point
@@ -257,7 +258,7 @@ class StandNode(ros.Node):
         )
         self._diagnostics.report(
             'IMU',
-            Level.OK if self._lines.without_client is None else Level.WARN,
+            Severity.OK if self._lines.without_client is None else Severity.WARN,
             text,
             frames=_joined(self._hardware.frames),
             dropped=f'{self._lines.dropped} bytes',

@@ -23,11 +23,11 @@ from ..middleware import (
     serialize_message,
     spin_once,
 )
-from ..rules import SequencerState
+from ..rules import SequencerState, Severity
 from ..sequencer import Sequencer
 from . import qos
 from .convert import state_message
-from .diagnostics import Diagnostics, Level
+from .diagnostics import Diagnostics
 from .pacing import Pacing
 from .parameters import declare
 from .programs import entry_point
@@ -270,7 +270,7 @@ class TurntableNode(Node):
         try:
             self._sequencer.start()
         except InputError as error:
-            self._diagnostics.report('start', Level.ERROR, f'The plan does not start: {error}')
+            self._diagnostics.report('start', Severity.ERROR, f'The plan does not start: {error}')
 
     def _send_what_is_due(self, now: float) -> None:
         """Publish the present setpoint if it is due."""
@@ -312,10 +312,10 @@ class TurntableNode(Node):
         self._published_at = self._steady.now().nanoseconds * 1e-9
         message = state_message(state, self._sequencer.table.names, self._stamp())
         self._own.publish(self._states, bytes(serialize_message(message)))
-        level = Level.WARN if state.reason else Level.OK
+        level = Severity.WARN if state.reason else Severity.OK
         self._diagnostics.report(
             'plan',
-            Level.ERROR if state.fault else level,
+            Severity.ERROR if state.fault else level,
             state_sentence(state),
             **state_figures(state, self._sequencer.table.names),
         )
@@ -331,7 +331,7 @@ class TurntableNode(Node):
             fault = fault or f'{self._malformed.count} cannot be read: {self._malformed.reason}.'
         self._diagnostics.report(
             'joint states',
-            Level.WARN if fault else Level.OK,
+            Severity.WARN if fault else Severity.OK,
             fault or 'Joint states are received.',
             **{
                 'last heard': f'{self._published_at - self._fed_at:.3f} s ago',

@@ -21,7 +21,8 @@ from ...recordings.cdr_codec import Kind
 from ...session.units_file import load_units, remaining
 from .. import middleware as ros
 from ..middleware import messages
-from ..rules import Phase
+from ..network import LOOPBACK_HOST
+from ..rules import Phase, Severity
 from ..web.board import (
     Board,
     SessionOutcome,
@@ -30,18 +31,16 @@ from ..web.board import (
     UnitsBoard,
 )
 from ..web.expectation import expectation, units_board
-from ..web.guard import Token, address, exposure
+from ..web.guard import TOKEN, Token, address, exposure
 from ..web.samples import Dwells
 from ..web.shape import table_shape
 from . import qos
-from .diagnostics import Diagnostics, Level
+from .diagnostics import Diagnostics
 from .parameters import declare
 from .programs import entry_point
 from .session_parameters import StatedUnit, declared_units
 from .subscriptions import listen_to_each, topics_of_unit
 
-TOKEN = 'IMU_CALIB_WEB_TOKEN'
-"""Environment variable with the token; without it the node creates one, and prints it."""
 _DRAIN = 0.05
 """s between two checks for new messages. A choice: 200 samples at 4 kHz."""
 _GROWTH = 5.0
@@ -75,7 +74,7 @@ class WebNode(ros.Node):
         units, _ = declared_units(self)
         self._setup = units[0].setup
         host = declare(
-            self, 'host', '127.0.0.1', 'interface that serves the page; this machine alone'
+            self, 'host', LOOPBACK_HOST, 'interface that serves the page; this machine alone'
         )
         port = declare(self, 'port', 8080, 'TCP port; 0: a free one', lower=0, upper=65535)
         control = declare(
@@ -139,7 +138,7 @@ class WebNode(ros.Node):
         """Report the address of the page, and whether other machines reach it."""
         exposed = exposure(host)
         text = f'Open {where} in a browser. {exposed}'.rstrip()
-        self._diagnostics.report('page', Level.WARN if exposed else Level.OK, text)
+        self._diagnostics.report('page', Severity.WARN if exposed else Severity.OK, text)
 
     def _new_board(self, *, several: bool) -> Board | UnitsBoard:
         """Return an empty board, of a single unit or of those in the units' file."""

@@ -12,8 +12,7 @@ from ...common.stream import NS
 from ...model.parameters import Parameter
 from ...reports.timeline import Converging, Courses, Pace, in_words
 from ...session.imu import Specification
-from ..devices.health import Severity
-from ..rules import Phase
+from ..rules import Phase, Severity
 from .samples import Streams
 
 

@@ -17,8 +17,7 @@ from ...reports.page import noise_plots
 from ...reports.timeline import Converging
 from ...segmentation.segments import CHANNELS
 from ...session.imu import COVERAGE, ImuSpec
-from ..devices.health import Severity
-from ..rules import Phase
+from ..rules import Phase, Severity
 from .board import Sentence, SessionOutcome, Snapshot, UnitRow
 from .samples import Streams
 from .sentences import headline, joint_words, time_left

@@ -99,7 +99,8 @@ async def _send_page(send: Send, start: Message, body: bytes) -> None:
     await send({'type': 'http.response.body', 'body': body})
 
 
-LOOPBACK_HOST = '127.0.0.1'
+TOKEN = 'IMU_CALIB_WEB_TOKEN'
+"""Environment variable with the token; without it the node creates one, and prints it."""
 _SAFE = frozenset({'GET', 'HEAD'})
 _FAR = frozenset({'cross-site', 'same-site'})
 

@@ -20,8 +20,7 @@ from nicegui import ui
 from ...common.errors import InputError
 from ...reports.charts import tag
 from ...session.imu import ImuSpec
-from ..devices.health import Severity
-from ..rules import Phase
+from ..rules import Phase, Severity
 from . import drawing
 from .board import SessionOutcome, Snapshot, UnitRow
 from .drawing import STYLE, sign

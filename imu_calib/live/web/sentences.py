@@ -8,8 +8,7 @@ from datetime import datetime
 
 from ...common.units import DEG
 from ...reports.timeline import ends_at, in_words
-from ..devices.health import Severity
-from ..rules import Phase
+from ..rules import Phase, Severity
 from .board import NOT_BEGUN, SessionOutcome, Snapshot, TableState
 
 _WHOLE = 2.0
