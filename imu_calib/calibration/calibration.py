@@ -141,7 +141,7 @@ class Calibration:
 
     @property
     def in_the_hand(self) -> bool:
-        """Whether the session was in the hand, in attitudes that nobody stated."""
+        """Whether the unit was held by hand, in unknown attitudes."""
         return self.provenance.get('frame') == BY_ACCELEROMETERS
 
     @property

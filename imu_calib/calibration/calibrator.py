@@ -113,7 +113,7 @@ class Calibrator:
         self._gathered: tuple[tuple[object, ...], Evidence] | None = None
 
     def add_block(self, block: Block) -> None:
-        """Take a block of any topic."""
+        """Add a block of any topic."""
         self._segmenter.add_block(block)
 
     def finish(self) -> Result:

@@ -486,7 +486,7 @@ class GravitySeen:
 
     @property
     def is_gravity(self) -> bool:
-        """Whether the force is gravity to within a factor of three, or there is none."""
+        """Whether the force is within a factor of three of gravity; True without samples."""
         if not self.count:
             return True
         return STANDARD_GRAVITY / GRAVITY_FACTOR <= self._force <= STANDARD_GRAVITY * GRAVITY_FACTOR
@@ -520,7 +520,7 @@ _FEWEST = 10  #: Windows of 3 axes each; by chance so many are alike once in 10^
 
 @dataclass
 class TurnsSeen:
-    """How specific forces change, against how the rates turn them: f' = -w x f at one place."""
+    """Compare the changes of specific forces with those by the rates: f' = -w x f at one place."""
 
     windows: int = 0  #: Number of windows of a fifth of a second.
     by_rates: float = 0.0  #: Sum of squares of the changes by the rates, (m/s^2)^2.

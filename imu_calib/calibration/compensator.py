@@ -302,7 +302,7 @@ class Compensator:
 
     @property
     def untimed(self) -> int:
-        """Number of samples whose interval is not known, and that need none."""
+        """Number of samples compensated without their interval, which they do not need."""
         return self._clock.untimed
 
     @property
@@ -312,11 +312,11 @@ class Compensator:
 
     @property
     def irregular_steps(self) -> int:
-        """Number of steps between stamps that are no sample interval."""
+        """Number of steps between stamps that differ from the sample interval."""
         return self._clock.irregular_steps
 
     def compensate_block(self, block: Block) -> list[Reading]:
-        """Take a block of any topic; return the samples that are ready."""
+        """Add a block of any topic; return the samples compensated by now."""
         if isinstance(block, TemperatureBlock):
             # It counts for samples half a second younger.
             sound = np.isfinite(block.celsius)

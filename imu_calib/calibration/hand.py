@@ -285,7 +285,7 @@ class HandCalibrator:
         self._segmenter = Segmenter(setup.imu, None, setup.segments)
 
     def add_block(self, block: Block) -> None:
-        """Take a block."""
+        """Add a block."""
         if isinstance(block, ImuBlock | TemperatureBlock):
             self._segmenter.add_block(block)
 
@@ -357,9 +357,9 @@ class HandCalibrator:
             raise InputError(text)
 
     def _other_length(self) -> str:
-        """Return why no hold can be found: by its description the unit does not read gravity.
+        """Return why no hold is found, if the unit does not read gravity in the stated units.
 
-        A hand does not move so that the mean over the quietest two seconds is off by as much.
+        Motion of a hand changes the mean over the quietest two seconds by less.
         """
         seen = self._segmenter.quietest
         return '' if seen is None else self._not_gravity(seen.length, 'in the quietest two seconds')
@@ -396,7 +396,7 @@ class HandCalibrator:
         ]
 
     def _other_offsets(self) -> list[str]:
-        """Report further rates at which the gyros stood: of two, one is not that at rest."""
+        """Report further steady rates of the gyros: only one of them is the rate at rest."""
         return [
             f'In {attitudes} attitudes the gyros stood at a rate that differs from that at rest by '
             f'up to {np.abs(apart).max() / DEG:.2g} deg/s: their biases stepped (a restart, '
@@ -435,7 +435,7 @@ class HandCalibrator:
         return HandReview(session, estimated_parameters(NAME), std, (), result, refusal, guidance)
 
     def conclude(self) -> HandReview:
-        """End of the session: `review` solves it as `finish` does."""
+        """End the session: review it, solved as by `finish`."""
         return explained(self.review())
 
     def _guidance(

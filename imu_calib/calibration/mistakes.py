@@ -88,8 +88,8 @@ def _without_gravity(session: Segmented) -> str:
 def dead_channels(session: Segmented) -> list[str]:
     """Return sentences on channels that never change, and on two that are always equal.
 
-    Said only of sessions that are refused: coarse accelerometers of a unit that always stands
-    upright read the same number, too.
+    For refused sessions only: coarse accelerometers of a unit that stays upright also read one
+    number.
     """
     at_rest = [segment.statistics.mean for segment in session.segments]
     turning = [turn.statistics.mean for turn in session.turns]
@@ -121,7 +121,7 @@ def dead_channels(session: Segmented) -> list[str]:
 def joints_in_degrees(session: Segmented) -> str:
     """Return a sentence that the joint states are degrees; empty if they are not.
 
-    By the gyros alone these could be in other units; gravity, which needs none, agrees.
+    Rates alone could be in wrong units; gravity's direction, which has none, confirms it.
     """
     before = {segment.end: segment for segment in session.segments}
     after = {segment.start: segment for segment in session.segments}

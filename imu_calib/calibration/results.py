@@ -145,7 +145,7 @@ _LATER = (
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """A solved session, as far as its result depends on it."""
+    """What the result of a solved session depends on."""
 
     setup: Setup  #: Prior knowledge of the session.
     evidence: Evidence  #: The evidence that was solved.

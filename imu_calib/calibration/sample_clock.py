@@ -123,9 +123,9 @@ class SampleClock:
         return self._typical * 1e-9
 
     def time_samples(self, stamp: Stamps) -> Times:
-        """Add stamps (n,), ns; return the timing of the samples that are timed now.
+        """Add stamps (n,), ns; return the timing of the oldest untimed samples, as far as known.
 
-        These are the oldest not timed before; `lost` counts those skipped at the front of them.
+        `lost` counts the samples skipped before them.
         """
         if self._typical:
             return self._follow(stamp)

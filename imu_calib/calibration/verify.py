@@ -69,11 +69,11 @@ class ComparedQuantity:
     ratio: float
 
     @property
-    def says_something(self) -> bool:
+    def is_meaningful(self) -> bool:
         """Whether its deviation is meaningful.
 
-        The length of a rate follows from its square less that of the noise: where the square is
-        uncertain by more than itself, the length is anything from zero on.
+        The length of a rate follows from its square less that of the noise: the length is unknown
+        if the square is smaller than its uncertainty.
         """
         return (
             self.quantity is not Quantity.EARTH_RATE or self.std < self.deviation + 2 * EARTH_RATE
