@@ -130,7 +130,7 @@ class _Means:
 
     @classmethod
     def about_line(cls, sums: Floats, expected: Floats) -> _Means:
-        """Take the sums (w, 6) of windows, and the noise (6,) expected of one."""
+        """Compare the sums (w, 6) of windows with their line; (6,) is the noise expected of one."""
         residuals = sums - _robust_line(sums)
         scatter = np.maximum(MAD_TO_STD * np.median(np.abs(residuals), axis=0), expected)
         # Values that are not pulses and have no noise still need a tolerance.

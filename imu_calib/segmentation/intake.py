@@ -95,7 +95,7 @@ class _Losses:
             self._found[what] = (count + len(lost), first)
 
     def without_nan(self, what: str, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
-        """Return the rows of numbers, as 1e300 is none; count the others."""
+        """Return the rows of plausible numbers (1e300 is not); count the others."""
         finite = np.abs(values) <= LARGEST
         if finite.all():
             return stamp, values
@@ -307,7 +307,7 @@ class StreamBuffer:
     def setpoints(self) -> tuple[Setpoint, ...]:
         """The first of every run of equal setpoints.
 
-        Where their clock was set back, as that of the joint states, they are moved on with these.
+        Setpoints after their clock was set back are shifted with the joint states.
         """
         shifts = self.joint_clock.shifts
         return tuple(

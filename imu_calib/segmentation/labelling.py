@@ -475,9 +475,9 @@ def _by_setpoint(
 ) -> tuple[list[Segment], list[Rejected]]:
     """Name the dwells by the setpoints that led to them.
 
-    Setpoints are repeated while the table is commanded: before the first the session has not begun,
-    and the unit may still be warming up or being mounted. So it is in a session that is resumed,
-    unless the table stands at its setpoint still.
+    Setpoints are repeated while the table is commanded. Before the first one the unit may still be
+    warming up or being mounted. The same holds after a resume, unless the table still stands at
+    its setpoint.
 
     Returns:
         All dwells but those that are rejected; those without a position match none.

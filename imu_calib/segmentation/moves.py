@@ -51,7 +51,7 @@ COARSEST_BY_HAND = 20 * DEG
 class MoveReader:
     """Joins the motion between one segment at rest and the next to a move.
 
-    Feed motions and dwells in order. A gap, a sample at the end of its range, a shock, or a step of
+    Add motions and dwells in order. A gap, a sample at the end of its range, a shock, or a step of
     the stamps ends a move without a result.
 
     Args:

@@ -44,7 +44,7 @@ class _Knot:
 
 
 class Pace:
-    """Times segments of samples in order; the outcome depends on them alone."""
+    """Times segments of samples in order; the result depends on these alone."""
 
     def __init__(self) -> None:
         self._start = 0
@@ -66,7 +66,7 @@ class Pace:
         return grid, replace(timing, used=self.combined(timing)[0])
 
     def begin_line(self) -> None:
-        """Part what follows from the line so far: the clock was set."""
+        """Begin another line: the clock was set."""
         self._pieces += _line(self._knots, self._reference)
         self._knots, self._known = [], None
 

@@ -132,7 +132,7 @@ what was read before it is read again."""
 class Segmenter:
     """Cuts the streams of a session into segments.
 
-    Feed blocks of any length in the order of each topic. The result depends on the sequence of each
+    Add blocks of any length in the order of each topic. The result depends on the sequence of each
     topic and its stamps, not on how topics interleave or how blocks were cut.
 
     Args:

@@ -205,7 +205,7 @@ class SetBackClock:
 
     @property
     def shifts(self) -> tuple[int, ...]:
-        """By how much stamps are moved on after none of the times, after the first, ..., ns."""
+        """Shifts of the stamps before the first time, after it, after the second, ..., ns."""
         return tuple(np.cumsum([0, *(one.by for one in self.found)]).tolist())
 
     def continue_stamps(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:

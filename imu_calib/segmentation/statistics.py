@@ -414,7 +414,7 @@ class Sensor:
 
     @classmethod
     def from_spec(cls, spec: ImuSpec) -> Sensor:
-        """Take the data sheet's random walk, or a fraction of a pulse.
+        """Use the data sheet's random walk, or a fraction of a pulse.
 
         Values that are not pulses need no weights, and outliers are found by their own scatter.
         """

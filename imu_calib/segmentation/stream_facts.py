@@ -191,8 +191,8 @@ _QUIET = 0.2
 def gravity_removed(means: Floats) -> str:
     """Return a sentence that accelerations at rest lack gravity; empty if they do not.
 
-    Gravity in other units may be as short, but it turns with the unit and keeps its length. Exactly
-    0 is a sensor that does not measure.
+    Gravity in other units may be as small, but it turns with the unit and keeps its length. A
+    reading of exactly 0 means that the sensor does not measure.
 
     Args:
         means: (n, 3) in different attitudes, m/s^2.

@@ -90,7 +90,7 @@ class JointTracker:
 
     @property
     def silent(self) -> bool:
-        """Whether joint states are still to come."""
+        """Whether no joint state has come yet."""
         return not len(self._rows)
 
     @property
