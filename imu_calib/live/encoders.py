@@ -103,8 +103,8 @@ class Encoders:
     def pass_over(self, block: JointBlock, rest: Rest) -> JointBlock:
         """Return a block without the joint states at its begin that show the table at rest.
 
-        Their stamps increase by half a window at most. The last two windows of them are kept: what
-        `take` yields of those is what it yields after all the others.
+        Their stamps increase by half a window at most. The last two windows of them are kept:
+        `read_feedback` then yields the same for these as after all the others.
 
         Args:
             block: Joint states.

@@ -81,7 +81,7 @@ def session_parameters() -> dict[str, Any]:
 
 
 def _launched() -> dict[str, NodeParameter]:
-    """Return the parameters that are launch arguments: a launched unit has no stated number."""
+    """Return the parameters that are launch arguments: all but the serial number."""
     return {n: one for n, one in node_parameters().items() if n != 'serial_number'}
 
 
@@ -119,12 +119,12 @@ def checks(*, view: bool = False, port: bool = True, table: bool = False) -> Any
         given = dict(context.launch_configurations)
         if not port:
             given.pop('port', None)
-        packages = (*(_viewers(given) if view else ()), *_led_by(given))
+        packages = (*(_viewers(given) if view else ()), *_action_package(given))
         problems = _unknown_arguments(context) or wrong(given) or missing(packages)
         if problems:
             raise InputError(' '.join(problems))
         real = table and given.get('device') != _SIMULATED
-        return _on_its_own() if real else []
+        return _restrict_reach() if real else []
 
     return OpaqueFunction(function=check)
 
@@ -132,8 +132,8 @@ def checks(*, view: bool = False, port: bool = True, table: bool = False) -> Any
 def _unknown_arguments(context: Any) -> list[str]:
     """Return sentences on arguments of the command line that the launch file does not have.
 
-    ROS ignores them: a table moved without a heartbeat where `stop_requird:=true` was given. A file
-    that another one includes is given whatever that one has, and is not checked.
+    ROS ignores them: with `stop_requird:=true` a table would move without a heartbeat. Included
+    files are not checked: they receive all arguments of the including one.
     """
     from launch.launch_description_sources import get_launch_description_from_any_launch_file
 
@@ -204,7 +204,7 @@ _SIMULATED = 'simulated'
 """Frames of the simulated stand, whose table is not dangerous."""
 
 
-def _on_its_own() -> list[Any]:
+def _restrict_reach() -> list[Any]:
     """Restrict a stand to this machine, unless the environment sets otherwise, and to its own
     domain.
 
@@ -232,7 +232,7 @@ def _viewers(given: Mapping[str, str]) -> tuple[str, ...]:
     return ('robot_state_publisher', 'rviz2') if shows else ('robot_state_publisher',)
 
 
-def _led_by(given: Mapping[str, str]) -> tuple[str, ...]:
+def _action_package(given: Mapping[str, str]) -> tuple[str, ...]:
     """Return the package of the action that moves a table of ros2_control."""
     return ('control_msgs',) if given.get('table_output') == 'trajectory' else ()
 

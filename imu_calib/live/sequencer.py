@@ -359,7 +359,7 @@ class Sequencer:
             self.fail(fault)
 
     def add_joint_states(self, block: JointBlock) -> bool:
-        """Take joint states; return whether their stamps increase."""
+        """Process joint states; return whether their stamps increase."""
         advanced = False
         rest = self._run.rest if self.running else None
         if rest is not None:

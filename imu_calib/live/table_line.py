@@ -287,7 +287,7 @@ class Follower:
     def command(
         self, setpoint: Setpoint, now: int, steady: float, at: Reading
     ) -> tuple[Order, ...]:
-        """Take a setpoint; return the orders for it. HOLD is obeyed whatever the age of its stamp.
+        """Return the orders for a setpoint. HOLD is obeyed whatever the age of its stamp.
 
         Args:
             setpoint: As received from the topic.

@@ -323,7 +323,7 @@ class IdleWatch:
         self.rate = 0.0
 
     def check(self, now: Feedback) -> bool:
-        """Take a joint state; return whether there is a new report."""
+        """Check a joint state; return whether there is a new report."""
         last, self._last = self._last, now.angles
         if self._standing.rest is None and not 0 < now.gap <= self._rules.feedback_timeout:
             # The motion in the meantime is unknown.

@@ -47,7 +47,7 @@ class Delays:
         return min(delay for _, delay in [*self._windows[-1:], self._current])
 
     def add_delays(self, elapsed: Stamps, arrival: Stamps) -> None:
-        """Take (n,) samples, ns."""
+        """Add (n,) samples, ns."""
         if len(arrival) == 0:
             return
         delay = arrival - elapsed
@@ -114,7 +114,7 @@ class HostClock:
         return self._first or 0
 
     def find_steps(self, host: Stamps, steady: Stamps) -> tuple[Stamps, list[tuple[int, int]]]:
-        """Take (n,) readings of both clocks, ns, at least one.
+        """Find steps in (n,) readings of both clocks, ns, at least one.
 
         Returns:
             (n,) sum of the steps of the host's clock since the first reading, ns, and the steps
@@ -293,7 +293,7 @@ class DeviceClock:
         arrival: Stamps,
         steady: Stamps | None = None,
     ) -> Stamps:
-        """Take samples; return their sampling times.
+        """Add samples; return their times since the first one.
 
         Args:
             time: (n,) device time in units of `DeviceTime.unit`, as sent; None without one.

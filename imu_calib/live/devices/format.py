@@ -412,7 +412,7 @@ class Decoder:
         self.counts = Counts()
 
     def decode_bytes(self, data: bytes) -> Samples:
-        """Take the next bytes; return the samples of the frames that they complete."""
+        """Add the next bytes; return the samples of the frames that they complete."""
         buffer = np.frombuffer(self._tail + data, np.uint8)
         length = self._format.length
         starts, bad = self._starts(buffer)

@@ -44,7 +44,7 @@ class Gravity:
         return self._verdict is not None
 
     def check_samples(self, accel: Floats, elapsed: Stamps) -> str:
-        """Take samples; return why the numbers contradict the file.
+        """Add samples; return why the numbers contradict the file.
 
         Args:
             accel: (n, 3) as sent, n > 0.
@@ -164,7 +164,7 @@ class Health:
     def add_received(
         self, samples: Samples, elapsed: Stamps, received: int, now: int, steady: float
     ) -> None:
-        """Take received data.
+        """Add received data.
 
         Args:
             samples: n samples, possibly none.
@@ -452,7 +452,7 @@ class Reception:
         self._received = 0
 
     def decode_chunks(self, chunks: list[Chunk], now: int, steady: float) -> tuple[Samples, Stamps]:
-        """Take bytes; return n samples, possibly none, and their (n,) times.
+        """Decode bytes; return n samples, possibly none, and their (n,) times.
 
         Args:
             chunks: Bytes with their arrival times, at least one.

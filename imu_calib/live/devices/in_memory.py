@@ -39,7 +39,7 @@ class InMemoryLine:
         return True
 
     def serve(self) -> None:
-        """Do nothing: readers come and take by themselves."""
+        """Do nothing: readers fetch the bytes themselves."""
 
     def send(self, line: bytes) -> None:
         """Send bytes."""
@@ -80,7 +80,7 @@ class InMemorySource:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing waits: it would have been taken."""
+        """Whether nothing waits: always, as bytes are handed on at once."""
         return True
 
     def start(self) -> None:

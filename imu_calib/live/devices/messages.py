@@ -209,7 +209,7 @@ class Messages:
         return len(self._open)
 
     def add_bytes(self, data: bytes) -> None:
-        """Take the next bytes outside frames."""
+        """Add the next bytes outside frames."""
         if self.kinds:
             self._open += data
             self._look(ended=False)

@@ -79,7 +79,7 @@ class Stepper:
     def time_steps(
         self, time: Indices | None, counter: Indices | None, past: Floats, *, begins: bool
     ) -> Steps:
-        """Take samples; return the time elapsed before each.
+        """Add samples; return the time elapsed before each.
 
         Args:
             time: (n,) device time in units of `DeviceTime.unit`, as sent; None without one.

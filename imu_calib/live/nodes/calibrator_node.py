@@ -77,7 +77,7 @@ class TurntableStateIntake:
         self._publisher.fault(now)
 
     def follow(self, state: Any, sessions: Sessions, now: float) -> bool:
-        """Take a message after all earlier data; return whether it ended the sessions.
+        """Process a message after all earlier data; return whether it ended the sessions.
 
         Args:
             state: imu_calib_msgs/TurntableState.
@@ -356,7 +356,7 @@ class CalibratorNode(ros.Node):
         return self._latest
 
     def _receive_all(self) -> bool:
-        """Take a limited number of new messages per topic; return whether there were any."""
+        """Process a limited number of new messages per topic; return whether there were any."""
         now = self._read_clock()
         if now == 0:
             # A log time before the clock starts would make the recording decades long.
@@ -371,7 +371,7 @@ class CalibratorNode(ros.Node):
         return came
 
     def _receive_unit(self, place: int, subscriptions: Subscriptions, now: int) -> bool:
-        """Take new messages of a unit; return whether there were any."""
+        """Process new messages of a unit; return whether there were any."""
         session, came = self._sessions.all[place], False
         for kind, payloads in subscriptions.received():
             came = True

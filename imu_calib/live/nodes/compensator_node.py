@@ -510,7 +510,7 @@ class CompensatorNode(ros.ManagedNode):
         self._pulses = self._subscribe(reliable=True)
 
     def configure(self) -> None:
-        """Take the available calibration; samples are ignored."""
+        """Apply the available calibration; samples are ignored."""
         self._applied.begin()
 
     def activate(self) -> None:

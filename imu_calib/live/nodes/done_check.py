@@ -21,11 +21,11 @@ class DoneCheck:
         self._in_succession = 0
 
     def deny(self) -> None:
-        """Take a state that is not DONE."""
+        """Record a state other than DONE."""
         self._in_succession = 0
 
     def refusal(self, plan: str, steps: int, commanded: int, *, alone: bool) -> str:
-        """Take a state that is DONE; return why it is not accepted, else empty.
+        """Record a state DONE; return why it is not accepted, else empty.
 
         Args:
             plan: Name of the plan in the state.

@@ -55,7 +55,7 @@ class CalibratorFeed:
             self.begin(with_skew=False)
 
     def add_block(self, block: Block, intakes: Mapping[Kind, TopicIntake]) -> str:
-        """Feed a block, or hold it back; return as `begin`.
+        """Add a block, or hold it back; return as `begin`.
 
         The received samples decide on the skewed gyro, as in reprocessing.
         """
@@ -254,7 +254,7 @@ class LiveSession:
         return self.is_over or self._solver.concludes
 
     def add_messages(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
-        """Take serialised messages of a topic.
+        """Add serialised messages of a topic.
 
         Args:
             kind: Content of the topic.
@@ -287,7 +287,7 @@ class LiveSession:
             self._add_block(kind, block)
 
     def feed_former(self, kind: Kind, block: Block) -> None:
-        """Take a block from the session before a crash."""
+        """Add a block from the session before a crash."""
         self._add_block(kind, block)
 
     def end_of_journal(self, losses: Sequence[str]) -> None:
@@ -382,7 +382,7 @@ class LiveSession:
         return time.monotonic() - self._done_received_at > _PATIENCE
 
     def _conclude(self, review: Review, *, final: bool) -> None:
-        """Take the result of a solution."""
+        """Apply the result of a solution."""
         result = review.result
         if final:
             self._end_with_result(review)

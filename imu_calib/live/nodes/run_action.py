@@ -74,7 +74,7 @@ class RunAction:
         )
 
     def on_progress(self, progress: Any) -> None:
-        """Take the calibrator's progress."""
+        """Record the calibrator's progress."""
         self._progress = progress
 
     def update(self, now: float) -> None:

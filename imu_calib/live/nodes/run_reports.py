@@ -70,7 +70,7 @@ class CalibratorProgress:
         )
 
     def on_progress(self, progress: Any, now: float) -> bool:
-        """Take imu_calib_msgs/CalibrationProgress; return whether it concerns this plan."""
+        """Process imu_calib_msgs/CalibrationProgress; return whether it concerns this plan."""
         sequencer = self._sequencer
         fault = _fault_of(progress)
         failed = progress.state == progress.FAILED

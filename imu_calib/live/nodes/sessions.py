@@ -103,7 +103,7 @@ class Sessions:
         return self._solver.may_review
 
     def add_common_messages(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
-        """Take messages of the table; see `LiveSession.add_messages`."""
+        """Add messages of the table; see `LiveSession.add_messages`."""
         for session in self.all:
             if not session.is_over:
                 session.add_messages(kind, payloads, now)

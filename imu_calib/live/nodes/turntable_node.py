@@ -219,7 +219,7 @@ class TurntableNode(Node):
         return Controller(self, action, self._sequencer, self._at_once)
 
     def _on_joints(self, payloads: list[bytes]) -> None:
-        """Take joint states, and answer them at once."""
+        """Process joint states, and answer them at once."""
         now = self._steady.now().nanoseconds * 1e-9
         for block in decode_joints(Messages.join(payloads), self._malformed):
             if self._sequencer.add_joint_states(block):
@@ -362,7 +362,7 @@ class TurntableNode(Node):
         self._diagnostics.report_fault('heartbeat', reason, 'The heartbeat is received.')
 
     def _on_foreign(self, name: str, payload: bytes) -> None:
-        """Take a foreign message on this node's own topics."""
+        """Process a foreign message on this node's own topics."""
         self._own.note_two_sources(name, self._steady.now().nanoseconds * 1e-9)
         self._check_peers()
         if name == 'turntable/setpoint' and not _holds(payload):
@@ -420,7 +420,7 @@ class TurntableNode(Node):
         return response
 
     def _start(self) -> str:
-        """Start, unless the node did not run: a request of then is not one of now."""
+        """Start, unless the node did not run for a while: the request may then be out of date."""
         now = self._steady.now().nanoseconds * 1e-9
         if now - self._ran_at > max(_ASLEEP, self._watchdog) or self._awake < _OVERDUE:
             raise InputError(

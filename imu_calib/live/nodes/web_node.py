@@ -209,7 +209,7 @@ class WebNode(ros.Node):
         return self._board.common if isinstance(self._board, UnitsBoard) else self._board
 
     def _drain_topics(self) -> None:
-        """Take new messages, execute commands of viewers, and update the page."""
+        """Process new messages and commands of viewers, and update the page."""
         for name, dwells in self._dwells.items():
             self._drain_unit(name, dwells)
         for block in self._decoded(Kind.JOINTS, self._joints):
@@ -221,7 +221,7 @@ class WebNode(ros.Node):
         self._show()
 
     def _drain_unit(self, name: str, dwells: Dwells) -> None:
-        """Take new messages of a unit."""
+        """Process new messages of a unit."""
         board = self._board.each[name] if isinstance(self._board, UnitsBoard) else self._board
         for block in self._decoded(Kind.IMU, self._samples[name]):
             if isinstance(block, ImuBlock):

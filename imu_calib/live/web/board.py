@@ -190,7 +190,7 @@ class Board:
         self._worked_from: float | None = None
 
     def on_state(self, message: Any, now: float) -> None:
-        """Take imu_calib_msgs/TurntableState."""
+        """Show imu_calib_msgs/TurntableState."""
         self._table.at = now
         stamp = _seconds(message.header.stamp)
         state = TableState(
@@ -233,7 +233,7 @@ class Board:
         self._pace.note(stamp, now)
 
     def on_progress(self, message: Any, now: float) -> None:
-        """Take imu_calib_msgs/CalibrationProgress."""
+        """Show imu_calib_msgs/CalibrationProgress."""
         self._calibrator.at = now
         stamp = _seconds(message.header.stamp)
         if stamp > 0:
@@ -270,7 +270,7 @@ class Board:
         )
 
     def on_calibration(self, message: Any) -> bool:
-        """Take imu_calib_msgs/ImuCalibration; return whether it is the session's final one."""
+        """Show imu_calib_msgs/ImuCalibration; return whether it is the session's final one."""
         for name, value in _values(message):
             self._courses.value(name, value)
         outcomes = {
@@ -292,33 +292,33 @@ class Board:
         return True
 
     def set_outcome(self, outcome: SessionOutcome, text: str) -> None:
-        """Take the outcome of the session, with a text."""
+        """Show the outcome of the session, with a text."""
         self._state = replace(self._state, outcome=outcome, outcome_text=text)
 
     def on_diagnostics(self, message: Any, now: float) -> None:
-        """Take diagnostic_msgs/DiagnosticArray."""
+        """Show diagnostic_msgs/DiagnosticArray."""
         for sentence in sentences_of(message):
             self.set_sentence(sentence, now)
 
     def set_sentence(self, sentence: Sentence, now: float) -> None:
-        """Take a node's report on one of its parts."""
+        """Show a node's report on one of its parts."""
         self._parts[sentence.source] = sentence
         self._nodes[_node(sentence.source)] = now
 
     def set_temperature(self, celsius: float) -> None:
-        """Take a temperature, degrees Celsius."""
+        """Show a temperature, degrees Celsius."""
         self._state = replace(self._state, celsius=celsius)
 
     def set_streams(self, streams: Streams) -> None:
-        """Take the results from the samples."""
+        """Show the results from the samples."""
         self._state = replace(self._state, streams=streams)
 
     def set_answer(self, text: str) -> None:
-        """Take the answer to a command."""
+        """Show the answer to a command."""
         self._state = replace(self._state, answer=text)
 
     def set_report(self, name: str, text: str) -> None:
-        """Take the name of the report's file, empty without one, and a text on it."""
+        """Show the name of the report's file, empty without one, and a text on it."""
         self._state = replace(self._state, report=name, report_text=text)
 
     def _too_little(self, steps: Iterable[int]) -> Iterator[int]:
@@ -444,12 +444,12 @@ class UnitsBoard:
         return tuple(self._units)
 
     def on_state(self, message: Any, now: float) -> None:
-        """Take imu_calib_msgs/TurntableState."""
+        """Show imu_calib_msgs/TurntableState."""
         for board in (self.common, *self.each.values()):
             board.on_state(message, now)
 
     def on_progress(self, message: Any, now: float) -> None:
-        """Take imu_calib_msgs/CalibrationProgress of all units."""
+        """Show imu_calib_msgs/CalibrationProgress of all units."""
         self.common.on_progress(message, now)
         self._present = frozenset(message.serial_numbers)
         if message.state == message.FINISHED:
@@ -462,7 +462,7 @@ class UnitsBoard:
             self.common.set_outcome(outcome, message.text)
 
     def on_diagnostics(self, message: Any, now: float) -> None:
-        """Take diagnostic_msgs/DiagnosticArray: reports on one unit also go to its board."""
+        """Show diagnostic_msgs/DiagnosticArray: reports on one unit also go to its board."""
         self.common.on_diagnostics(message, now)
         for sentence in sentences_of(message):
             for name, board in self.each.items():

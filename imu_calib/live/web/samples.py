@@ -73,7 +73,7 @@ class Dwells:
         self.streams = Streams()
 
     def add_samples(self, block: ImuBlock) -> None:
-        """Take samples; those older than the newest are from a second publisher, and ignored."""
+        """Add samples; those older than the newest are from a second publisher, and ignored."""
         if len(block) == 0 or (self._last is not None and int(block.stamp[0]) <= self._last):
             return
         self._last = int(block.stamp[-1])

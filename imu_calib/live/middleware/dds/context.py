@@ -49,8 +49,8 @@ class Time:
 class SteadyTime:
     """The steady time of the process: the system's, or that of a simulation in this process.
 
-    A simulation that waits for nobody has no other steady time than its own steps: the same number
-    of them passes between two events in every run.
+    A simulation in step with its nodes takes its own steps as steady time: their number between two
+    events is the same in every run.
     """
 
     def __init__(self) -> None:
@@ -81,8 +81,8 @@ STEADY = SteadyTime()
 def in_step() -> bool:
     """Return whether all nodes are in this process, in step with a simulation.
 
-    Nothing in it needs to wait for the wall clock then, and what a node does in a thread of its own
-    it does in turn: every run is the same.
+    Then nothing waits for the wall clock, and the work of threads is done in turn: every run is the
+    same.
     """
     return STEADY.is_simulated
 
