@@ -24,11 +24,11 @@ from ..estimation.forecast import (
     ChangeForecast,
     Forecast,
     TermForecast,
+    best_table_findings,
     forecast,
     forecast_changes,
     forecast_terms,
     listed,
-    resting_on_the_table,
 )
 from ..estimation.methods import check_plan, closed_form_of
 from ..estimation.modulation import LEAST_RISE
@@ -267,7 +267,7 @@ def predicted(
         own = forecast(plain, truth, drifting=drifting, rise=rise or 0.0)
     of_terms = tuple(forecast_terms(found, setup, truth, drifting=drifting))
     changes = forecast_changes(found, setup, truth, drifting=drifting)
-    notes = tuple(resting_on_the_table(found, truth))
+    notes = tuple(best_table_findings(found, truth))
     return Prediction(setup, found, own, of_terms, changes, notes)
 
 

@@ -134,8 +134,8 @@ _KINDS = {
 class Section:
     """A mapping of a YAML file whose keys must all be read.
 
-    `where` names the mapping in every message. Call `finish` after reading all known keys: the
-    others are misspelt.
+    `where` names the mapping in every message. Call `refuse_unknown_keys` after reading
+    all known keys: the others are misspelt.
     """
 
     def __init__(self, data: object, where: str) -> None:

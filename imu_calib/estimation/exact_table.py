@@ -33,8 +33,8 @@ number is then 4.0."""
 _FIGURE = f'{significant(FINEST / ARCSEC)} arcsec'
 
 
-def as_the_best(evidence: Evidence) -> Evidence:
-    """Return a session with the table's errors stated too small set to those of the best."""
+def with_least_errors(evidence: Evidence) -> Evidence:
+    """Replace the table's implausibly small errors by those of the best known table."""
     if evidence.table is None:
         return evidence
     table = evidence.table.as_the_best()
@@ -42,7 +42,7 @@ def as_the_best(evidence: Evidence) -> Evidence:
 
 
 def contradicted(search: SearchResult) -> bool:
-    """Return whether a session shows errors of a table whose file states too small ones."""
+    """Return whether a session contradicts a table file that states too small errors."""
     evidence = search.estimate.equations.evidence
     if evidence.plan.by_hand or evidence.table is None or not evidence.table.understated_errors:
         return False
@@ -50,12 +50,12 @@ def contradicted(search: SearchResult) -> bool:
     return of_table or search.estimate.scatter.positioning_probability >= SHOWN
 
 
-def on_the_best(equations: Equations, state: Floats, std: Floats) -> Floats:
+def std_on_best_table(equations: Equations, state: Floats, std: Floats) -> Floats:
     """Return the standard deviations (n,) of parameters on a table as good as the best.
 
     `std` are those by the equations, on the table as its file describes it, at their solution.
     """
-    better = replace(equations, evidence=as_the_best(equations.evidence))
+    better = replace(equations, evidence=with_least_errors(equations.evidence))
     variances = [
         np.diag(Information.from_jacobian(one.whitened(state)[0]).covariance)[: len(std)]
         for one in (equations, better)
@@ -75,18 +75,18 @@ def exactness_findings(estimate: Estimate) -> list[str]:
             'each. State what it has.'
         ]
     std = np.sqrt(np.diag(estimate.covariance)[:n])
-    return resting_on_the_table(equations, estimate.state, std)
+    return best_table_findings(equations, estimate.state, std)
 
 
-def resting_on_the_table(equations: Equations, state: Floats, std: Floats) -> list[str]:
+def best_table_findings(equations: Equations, state: Floats, std: Floats) -> list[str]:
     """Return a sentence on parameters that depend on a table better than any known one.
 
-    Arguments as for `on_the_best`.
+    Arguments as for `std_on_best_table`.
     """
     table = equations.evidence.table
     if equations.evidence.plan.by_hand or table is None or not table.understated_errors:
         return []
-    there = on_the_best(equations, state, std)
+    there = std_on_best_table(equations, state, std)
     times = np.divide(there, std, out=np.ones(len(std)), where=std > 0)
     worst: dict[tuple[str, str], int] = {}
     for k in np.argsort(-times):

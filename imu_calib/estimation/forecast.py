@@ -100,14 +100,14 @@ def forecast(
     return _with_common(Forecast(evidence, name, parameters, std, best, refusal), setup, truth)
 
 
-def resting_on_the_table(found: Forecast, truth: SensorModel) -> list[str]:
+def best_table_findings(found: Forecast, truth: SensorModel) -> list[str]:
     """List the parameters of a joint estimate that rely on table errors below `FINEST`."""
     if found.method not in JOINT or found.refusal:
         return []
     parameters = tuple(p for p in found.parameters if p.row < len(AXES))
     equations = Equations(found.evidence, parameters)
     std = found.std[: len(parameters)]
-    return exact_table.resting_on_the_table(equations, state_at(equations, truth), std)
+    return exact_table.best_table_findings(equations, state_at(equations, truth), std)
 
 
 def gravity_variances(found: Forecast, truth: SensorModel) -> Floats:

@@ -532,11 +532,11 @@ def _restricted(state: _State) -> float:
 
 
 def _uneven(state: _State) -> tuple[Drift, ...]:
-    """Return drifts of biases that are no line: polynomials of time in what residuals remain.
+    """Return uneven drifts of biases: polynomials of time found in the remaining residuals.
 
-    Those of biases that wander are in the covariance. A hand that trembles scatters from hold to
-    hold, a bias that drifts is much the same at the next. They are tested under the scatter, which
-    is theirs, and are not estimated.
+    The covariance includes wandering biases. A trembling hand scatters from hold to hold; a
+    drifting bias is similar in neighbouring holds. Drifts are tested, not estimated: the scatter
+    that they cause is already included.
     """
     equations, values = state.equations, state.values
     starts, ends = spans(equations.evidence)
@@ -784,7 +784,7 @@ def check(plan: Plan) -> None:
 
 
 def refuse(_: Evidence) -> Solution:
-    """Raise with the needs of this method beyond static dwells and whole turns."""
+    """Raise, naming what this method needs beyond static dwells and whole turns."""
     raise NotObservable(_NEEDS)
 
 

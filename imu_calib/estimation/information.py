@@ -117,8 +117,8 @@ def attainable_std(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAM
 def nominal_information(equations: Equations) -> Information:
     """Return the information of a session on ideal sensors, at its nominal attitudes.
 
-    The last digits of an encoder tilt a level axis without separating any parameters: these would
-    seem observed, with absurd deviations, and affect others.
+    An encoder's last digits tilt level axes and separate nothing: parameters would seem observed,
+    with absurd deviations, and affect others.
     """
     ideal = replace(equations, evidence=with_nominal_attitudes(equations.evidence))
     found = Information.from_jacobian(ideal.whitened(ideal.nominal())[0])
@@ -176,7 +176,7 @@ def useful_limit(parameter: Parameter) -> float:
 def undetermined_in_words(evidence: Evidence, term: Term, lost: Sequence[Parameter]) -> str:
     """Return a sentence that a session does not determine a term, and what would.
 
-    `lost` are all parameters that it does not determine with the term, and would without.
+    `lost` are the parameters that only the term makes undetermined.
     """
     mine = [p.name for p in lost if p in term.parameters]
     others = [p.name for p in lost if p not in term.parameters]

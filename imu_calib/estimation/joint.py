@@ -35,7 +35,7 @@ from .conclusion import LeastSquares
 from .equations import Equations
 from .estimate import Estimate, estimate
 from .evidence import Evidence
-from .exact_table import SHOWN, as_the_best, contradicted, exactness_findings
+from .exact_table import SHOWN, contradicted, exactness_findings, with_least_errors
 from .excess_scatter import ExcessScatter, excess
 from .modulation import instant_of, seconds_of
 from .outliers import Outlier, RejectedMove
@@ -89,8 +89,8 @@ def estimate_findings(found: Estimate, confounded: Sequence[str]) -> list[str]:
 def _tilt_explanation(found: Estimate, outlier: Outlier) -> str:
     """Return the attitude error of the table that explains this; empty where it explains little.
 
-    The residual along gravity is then below a third of the 5.5 deviations from which on a dwell
-    gets less weight: two, as by noise.
+    The residual along gravity is then as by noise: below two deviations, a third of the 5.5 from
+    which a dwell gets less weight.
     """
     equations = found.equations
     if not any(np.array_equal(rows, outlier.rows) for rows in equations.layout.dwell[:, 3:]):
@@ -285,7 +285,7 @@ def solve(
     if search.found and not evidence.plan.by_hand:
         _check_that_no_latitude_explains(search.before_search)
     if contradicted(search):
-        evidence = as_the_best(evidence)
+        evidence = with_least_errors(evidence)
         search = search_terms(evidence, parameters_of(terms), changes, find_terms=find_terms)
     return concluded(search, terms, changes)
 
@@ -428,9 +428,9 @@ def observed_earth_rate(found: Estimate) -> tuple[Floats, Floats]:
 def _with_scatter_at_any_latitude(found: Estimate) -> Equations:
     """Return the equations with the scatter that no latitude explains.
 
-    Biases that drift by as much as the Earth turns, as those of cheap gyros whose description
-    states no drift, contradict every latitude by the noise alone. At an unknown one the session
-    shows how much they drift, and a wrong one does not seem to be drift.
+    Cheap gyros of no stated drift may drift by as much as the Earth rate: by noise alone they
+    contradict every latitude. With a free latitude the session shows their drift, and a wrong
+    latitude is not mistaken for drift.
     """
     evidence = found.equations.evidence
     anywhere = replace(evidence.site, latitude_std=_ANYWHERE)

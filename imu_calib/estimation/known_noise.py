@@ -72,10 +72,8 @@ def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, F
 def walk_of_sensors(segments: tuple[Segment, ...], spec: ImuSpec) -> Floats:
     """Return the random walk of the sensors without a hand's, (6,), rad/sqrt(s), (m/s)/sqrt(s).
 
-    NaN where neither gives it: increments of a counter hide it by the pulses.
-
-    By the data sheet, else by the differences of neighbouring samples at rest, less the rounding
-    of counts.
+    From the data sheet, else from differences of neighbouring samples at rest, less the rounding
+    of counts. NaN where neither gives it: pulses of a counter hide it.
     """
     stated = stated_walk(spec)
     found = np.full(6, np.nan)

@@ -30,11 +30,11 @@ within the first dwell, and a longer one is a trend."""
 
 
 def shapes(evidence: Evidence, course: Course) -> Floats:
-    """Return the grid of what shapes a course: time constant or instant, (k,) of the session.
+    """Return time constants or instants to try, (k,) as fractions of the session; else 1.
 
-    A step is tried where each part of the session begins and in its middle, with at least two
-    dwells or turns before it and two after: at a single one it could not be told from an outlier;
-    and in the middle of each interruption of the stream. 1 for a course without a shape.
+    A step is tried at the start and the middle of each part of the session, with at least two
+    dwells or turns on either side, as one alone may be an outlier, and in the middle of each
+    interruption of the stream.
     """
     if course is Course.WARM_UP:
         return TIME_CONSTANTS
@@ -85,7 +85,7 @@ def _instants(evidence: Evidence) -> tuple[Stamps, Stamps]:
 
 
 def seconds_of(evidence: Evidence, shape: float) -> float:
-    """Return what a fraction of the session lasts, s: the time constant of a warm-up."""
+    """Return the duration of a fraction of the session, s: the time constant of a warm-up."""
     return shape * float(spans(evidence)[1].max(initial=0.0))
 
 

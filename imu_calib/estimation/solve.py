@@ -99,9 +99,9 @@ def least_squares(
 ) -> State:
     """Minimise the sum of squares of residuals in standard deviations.
 
-    Each round is a full Gauss-Newton step unless it leads uphill: unless chi-square, with the
-    weights at its end, grows by more than one and a thousandth, more than weights that follow the
-    state cause. Then it is damped until it does not. Where residuals, and with them their
+    Each round is a full Gauss-Newton step, damped if it leads uphill. A step leads uphill if
+    chi-square, with the weights at its end, grows by more than one and a thousandth: more than
+    weights that follow the state cause. Where residuals, and with them their
     curvature, are large, steps overshoot the minimum, and may oscillate about it without chi-square
     growing by so much: from then on they are halved. The iteration ends where a step would move the
     prediction by less than a billionth of its standard deviation, or than its rounding, where small

@@ -396,7 +396,7 @@ class TriadSystem:
         return self._fitted(point, system, factor) if self._likely(square, chance) else None
 
     def likely(self, values: Floats, factor: Floats, chance: float) -> Callable[[Floats], bool]:
-        """Return a function that says of other values whether `fit_likely` would go on to fit them.
+        """Return a function that tells of other values whether `fit_likely` would fit them.
 
         Without moves, the predictions and their derivatives by the unknowns are linear in the
         parameters: p + 1 points give them for all values. With lengths all are likely.

@@ -312,7 +312,7 @@ class Tilt:
 
     @property
     def is_significant(self) -> bool:
-        """Whether it is more than the noise of two axes explains: not so once in 270 000."""
+        """Whether it exceeds the noise of two axes, which it does by chance once in 270 000."""
         return self.size > FIVE_SIGMA * self.std
 
     def levelled(self, vector: Floats, covariance: Floats) -> tuple[Floats, Floats]:

@@ -218,8 +218,8 @@ def confounded_errors(search: SearchResult) -> tuple[str, ...]:
 def _likely(search: SearchResult) -> list[str]:
     """Report undetected drifts that exist with a probability of 95 %.
 
-    In a session without drift the score exceeds that, 32 for eight coefficients and two courses,
-    once in ten thousand; the even chance, 23, once in three hundred.
+    For eight coefficients and two courses that is a score of 32, which a session without drift
+    exceeds once in ten thousand; 23, an even chance, it exceeds once in three hundred.
     """
     total = sum(search.probability.values())
     if total <= _SAID:
@@ -385,7 +385,7 @@ def _below_detection(
 def _hidden(one: TermTest) -> str:
     """Report parameters that hold only if others do not change, with the possible change.
 
-    Of all changes it is scale factors that are tested; in the hand it is biases, by name.
+    On a table changes of scale factors are tested; in the hand those of biases, by name.
     """
     seen = [
         (change, least, moved)

@@ -62,7 +62,7 @@ def moved_table(moved: Sequence[ShiftedParameter]) -> Table:
 
 
 def _verification_table(verification: Verification, quantities: Sequence[Quantity]) -> Table | None:
-    mine = [c for c in verification.compared if c.quantity in quantities and c.says_something]
+    mine = [c for c in verification.compared if c.quantity in quantities and c.is_meaningful]
     if not mine:
         return None
     present = [q for q in quantities if any(c.quantity is q for c in mine)]

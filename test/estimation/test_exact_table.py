@@ -16,7 +16,7 @@ from imu_calib.common.config import Section
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCSEC
 from imu_calib.estimation import joint
-from imu_calib.estimation.exact_table import as_the_best
+from imu_calib.estimation.exact_table import with_least_errors
 from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.solution import Solution
 from imu_calib.model.parameters import PARAMETERS
@@ -106,7 +106,7 @@ def test_an_exact_table_widens_nothing_and_says_what_that_rests_on() -> None:
     evidence = estimate.equations.evidence
     assert evidence.table is TABLE
     (finding,) = solution.findings
-    there = joint.solve(as_the_best(evidence))
+    there = joint.solve(with_least_errors(evidence))
     # It is known before that what the deviations would be, without fitting once more.
     for name, minute in re.findall(r'([\d.]+) arcmin of (E_\w+)', finding):
         k = next(k for k, p in enumerate(PARAMETERS) if p.name == minute)

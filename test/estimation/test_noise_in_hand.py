@@ -145,7 +145,7 @@ def test_a_length_of_rates_that_noise_hides_is_not_shown(tmp_path: Path, tremble
     if not tremble:
         unit = replace(unit, model=SensorModel(), covariance=1e-10 * unit.covariance)
     found = imu_calib.verify(tmp_path / 'bag', unit, imu=imu, plan='none', **place)
-    hidden = [c for c in found.compared if not c.says_something]
+    hidden = [c for c in found.compared if not c.is_meaningful]
     table = dwell_table(found)
     assert table is not None
     heads = [str(column.header) for column in table.columns]
