@@ -34,7 +34,7 @@ ARGUMENTS = {
     'temperature_topic': ('imu/temperature', 'sensor_msgs/Temperature of the unit.'),
     'output_topic': ('imu/data_raw', 'Rates and specific forces, SI units.'),
     'autostart': ('true', 'Whether the nodes become active by themselves; false: by a manager.'),
-    'use_sim_time': ('false', 'Whether /clock is the time.'),
+    'use_sim_time': ('', 'Whether /clock is the time; empty: as set for all nodes, else false.'),
     'params_file': (
         str(SHARE / 'config' / 'nodes' / 'bringup.yaml'),
         'File of parameters that are not arguments.',
@@ -116,6 +116,7 @@ def _node(name: str, given: dict[str, str], parameters: dict[str, object]) -> Ac
     flags = {
         key: ParameterValue(given[key].lower() in {'true', '1'}, value_type=bool)
         for key in ('use_sim_time', 'autostart')
+        if given[key]
     }
     typed = {
         key: ParameterValue(value, value_type=type(value)) for key, value in parameters.items()

@@ -14,8 +14,8 @@ SHARE = Path(get_package_share_directory('imu_calib'))
 ARGUMENTS = {
     'units': ('', 'File of several units on the table, in place of imu; empty: one unit.'),
     'without': ('', 'Serial numbers of units of that file that are left out, commas between.'),
-    'journal': ('journal', 'Folder of the recording.'),
-    'output': ('calibration.yaml', 'File that takes the result; of several units the folder.'),
+    'journal': ('', 'Folder of the recording; empty: journal, in a namespace NAMESPACE/journal.'),
+    'output': ('', 'File that takes the result; of several units the folder; empty: as journal.'),
     'namespace': ('', 'Namespace of nodes and topics.'),
     'use_sim_time': ('false', 'Whether /clock is the time.'),
     'params_file': (

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,9 @@ _MODULES = {
 }
 """Python modules that the nodes need, and their Ubuntu packages."""
 
+
+_PACKAGE = 'imu_calib'
+"""By which ROS finds the launch files."""
 
 BECOMING = (sys.executable, '-m', lifetime.__name__)
 """Command prefix for programs outside this package, so that they end with their launcher."""
@@ -116,11 +120,13 @@ def checks(*, view: bool = False, port: bool = True, table: bool = False) -> Any
     from launch.actions import OpaqueFunction
 
     def check(context: Any) -> list[Any]:
-        given = dict(context.launch_configurations)
+        # Of a file that another includes, all configurations are those of the other, too.
+        known = _declared(context)
+        given = {n: v for n, v in context.launch_configurations.items() if n in known}
         if not port:
             given.pop('port', None)
         packages = (*(_viewers(given) if view else ()), *_action_package(given))
-        problems = _unknown_arguments(context) or wrong(given) or missing(packages)
+        problems = _unknown_arguments(context, known) or wrong(given) or missing(packages)
         if problems:
             raise InputError(' '.join(problems))
         real = table and given.get('device') != _SIMULATED
@@ -129,19 +135,34 @@ def checks(*, view: bool = False, port: bool = True, table: bool = False) -> Any
     return OpaqueFunction(function=check)
 
 
-def _unknown_arguments(context: Any) -> list[str]:
+def _declared(context: Any) -> list[str]:
+    """Return the names of the arguments of the launch file that is being executed."""
+    from launch.launch_description_sources import get_launch_description_from_any_launch_file
+
+    description = get_launch_description_from_any_launch_file(_current_file(context))
+    return [argument.name for argument in description.get_launch_arguments()]
+
+
+def _current_file(context: Any) -> str:
+    return context.locals.current_launch_file_path
+
+
+def _is_typed(file: str) -> bool:
+    """Tell whether the command line names a launch file itself, and not one that includes it."""
+    words = [word for word in sys.argv if ':=' not in word]
+    by_package = (_PACKAGE, Path(file).name) in pairwise(words)
+    return by_package or Path(file).resolve() in {Path(word).resolve() for word in words}
+
+
+def _unknown_arguments(context: Any, known: Sequence[str]) -> list[str]:
     """Return sentences on arguments of the command line that the launch file does not have.
 
     ROS ignores them: with `stop_requird:=true` a table would move without a heartbeat. Included
     files are not checked: they receive all arguments of the including one.
     """
-    from launch.launch_description_sources import get_launch_description_from_any_launch_file
-
-    file = getattr(context.locals, 'current_launch_file_path', '')
-    if not file or Path(file).name not in {Path(word).name for word in sys.argv}:
+    file = _current_file(context)
+    if not _is_typed(file):
         return []
-    description = get_launch_description_from_any_launch_file(file)
-    known = [argument.name for argument in description.get_launch_arguments()]
     typed = [word.partition(':=')[0] for word in sys.argv if ':=' in word]
     sentences = []
     for name in typed:
@@ -376,7 +397,7 @@ _CHECKS: dict[str, Callable[[str], Any]] = {
     'true_azimuth': _number(-360.0, 360.0),
     'autostart': _boolean,
     'stop_required': _boolean,
-    'use_sim_time': _boolean,
+    'use_sim_time': _unless_empty(_boolean),
     'view': _boolean,
     'rviz': _boolean,
     'table_output': _one_of('setpoint', 'trajectory'),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
+from weakref import finalize
 
 import numpy as np
 
@@ -329,7 +331,7 @@ class Journal:
 
     Raises:
         InputError: The folder holds a finished session, one of another plan, IMU, table or site,
-            or no recording.
+            or no recording, or another process writes it.
     """
 
     def __init__(
@@ -346,11 +348,15 @@ class Journal:
         self._last: dict[str, int] = {}
         self._newest = 0
         resumed = path.is_dir() and any(path.iterdir())
+        if resumed:
+            self._unlock = finalize(self, os.close, _locked(path))
         # Opened before the writer adds its file, so that only older files are read.
         self._former = self._unfinished(description) if resumed else None
         self._writer = RecordingWriter(
             path, description, resume=resumed, progress=lambda share: progress(share / 2)
         )
+        if not resumed:
+            self._unlock = finalize(self, os.close, _locked(path))
         for topic, kind in topics.items():
             self._writer.add_topic(topic, kind.type_name)
 
@@ -415,6 +421,7 @@ class Journal:
         if finished:
             self._writer.add_custom_data({FINISHED: 'true'})
         self._writer.close()
+        self._unlock()
 
     def _readable_blocks(
         self, recording: Recording, topics: Mapping[str, Kind]
@@ -453,3 +460,26 @@ class Journal:
                     'name another folder for the journal, or give the same.'
                 )
         return recording
+
+
+def _locked(folder: Path) -> int:
+    """Return a descriptor that keeps other journals off a folder until it is closed.
+
+    Raises:
+        InputError: Another process, or another node of this one, writes its journal there.
+    """
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise InputError(
+            f'{folder}: another node writes its journal there, and two units must not be mixed. '
+            'Give this node another folder (parameter journal), or a namespace.'
+        ) from None
+    except (ImportError, OSError):
+        # Not Linux, or a file system without locks, as NFS for a folder: nothing is kept off.
+        pass
+    return descriptor

@@ -288,7 +288,7 @@ def test_wrong_usage_gets_a_sentence(
     monkeypatch.setattr(
         'imu_calib.common.files.find_spec', lambda name: None if name == 'bokeh' else 1
     )
-    with pytest.raises(InputError, match=r'needs bokeh.*imu_calib\[fleet\]'):
+    with pytest.raises(InputError, match=r'needs bokeh.*\.\[fleet\]'):
         imu_calib.fleet_report(catalogue, tmp_path / 'page.html')
 
 

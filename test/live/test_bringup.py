@@ -78,19 +78,64 @@ def test_what_cannot_be_used_is_said_in_a_sentence(folder, arguments, sentence):
 
 @pytest.mark.parametrize(
     ('started', 'sentence'),
-    [('bringup.launch.py', 'no argument seriel: is serial meant?'), ('robot.launch.py', None)],
+    [
+        (['imu_calib', 'bringup.launch.py'], 'no argument seriel: is serial meant?'),
+        ([str(FILE)], 'no argument seriel: is serial meant?'),
+        # Of a robot, under another name or the same.
+        (['robot', 'robot.launch.py'], None),
+        (['robot', 'bringup.launch.py'], None),
+    ],
 )
 def test_arguments_of_a_file_that_includes_this_one_are_its_own(started, sentence, monkeypatch):
     module = bringup()
     context = importlib.import_module('launch').LaunchContext()
     context.extend_locals({'current_launch_file_path': str(FILE)})
-    monkeypatch.setattr('sys.argv', ['ros2', 'launch', started, 'seriel:=A1', 'port:=/dev/null'])
+    monkeypatch.setattr('sys.argv', ['ros2', 'launch', *started, 'seriel:=A1', 'port:=/dev/null'])
     check = module.checks(port=False)
     if sentence is None:
         check.execute(context)
     else:
         with pytest.raises(ImuCalibError, match=re.escape(sentence)):
             check.execute(context)
+
+
+def test_arguments_of_an_including_file_are_not_checked_as_this_ones(monkeypatch):
+    module = bringup()
+    context = importlib.import_module('launch').LaunchContext()
+    context.extend_locals({'current_launch_file_path': str(FILE)})
+    monkeypatch.setattr('sys.argv', ['ros2', 'launch', 'robot', 'robot.launch.py'])
+    context.launch_configurations.update(plan='patrol', method='ekf', speed='fast')
+    module.checks(port=False).execute(context)
+    context.launch_configurations['baud'] = 'fast'
+    with pytest.raises(ImuCalibError, match='Argument baud:=fast'):
+        module.checks(port=False).execute(context)
+
+
+OF_A_ROBOT = """
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch_ros.actions import SetParameter
+
+
+def generate_launch_description():
+    ours = IncludeLaunchDescription(
+        {file!r}, launch_arguments={{'calibrations': {folder!r}, 'serial': 'A1'}}.items()
+    )
+    own = DeclareLaunchArgument('plan')
+    return LaunchDescription([own, SetParameter('use_sim_time', True), ours])
+"""
+
+
+@needs('lifecycle_msgs', verbs=['param'])
+def test_a_robots_file_keeps_its_arguments_and_sets_the_clock_of_all_nodes(folder, tmp_path):
+    net = Network(tmp_path)
+    robots = tmp_path / 'bringup.launch.py'
+    robots.write_text(OF_A_ROBOT.format(file=str(FILE), folder=str(folder)))
+    with nothing_left(net):
+        net.start('launch', net.ros('ros2', 'launch', str(robots), 'plan:=patrol'))
+        net.wait_for_text('launch', 'A1.yaml is applied')
+        assert 'True' in net.ask('param', 'get', '--no-daemon', '/compensator_node', 'use_sim_time')
+        net.stop('launch')
 
 
 @needs('lifecycle_msgs', verbs=['service'])

@@ -479,7 +479,7 @@ def test_a_bag_of_ros_1_asks_for_the_library(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr('imu_calib.common.files.find_spec', lambda _: None)
-    with pytest.raises(InputError, match=r"needs rosbags.*'imu_calib\[ros1\]'"):
+    with pytest.raises(InputError, match=r"needs rosbags.*'\.\[ros1\]'"):
         imu_calib.convert(write(tmp_path / 'old.bag', 'x'), tmp_path / 'new')
 
 

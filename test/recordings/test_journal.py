@@ -194,3 +194,17 @@ def test_a_recording_without_messages_begins_and_ends_at_zero(tmp_path: Path) ->
     text = (tmp_path / 'bag' / 'metadata.yaml').read_text(encoding='utf-8')
     assert re.search(r'starting_time:\s*\{?\s*nanoseconds_since_epoch: 0\b', text), text
     assert re.search(r'duration:\s*\{?\s*nanoseconds: 0\b', text), text
+
+
+def test_a_journal_that_is_being_written_is_neither_resumed_nor_shared(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / 'one', SESSION, NAMES)
+    journal.write(IMU, Kind.IMU.type_name, samples(0), EPOCH)
+    journal.flush()
+    with pytest.raises(InputError, match='another node writes its journal there'):
+        Journal(tmp_path / 'one', SESSION, NAMES)
+    journal.write(IMU, Kind.IMU.type_name, samples(5), EPOCH)
+    journal.close(finished=False)
+    assert held(tmp_path / 'one')[IMU][1].tolist() == list(range(10))
+    again = Journal(tmp_path / 'one', SESSION, NAMES)
+    assert again.resumed
+    again.close(finished=True)

@@ -378,7 +378,7 @@ def test_every_printed_page_has_the_number_and_how_many_there_are(
 def test_without_a_printer_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(printing, 'find_spec', lambda name: None)
     monkeypatch.setattr(printing.shutil, 'which', lambda name: None)
-    with pytest.raises(InputError, match=r'needs WeasyPrint or Chromium.*imu_calib\[pdf\]'):
+    with pytest.raises(InputError, match=r'needs WeasyPrint or Chromium.*\.\[pdf\]'):
         printing.pdf('<p>a</p>')
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from ...common.errors import InputError
-from ...common.files import user_path
 from ...common.stream import NS
 from ...recordings.cdr_codec import Kind
 from ...recordings.writer import Journal
@@ -24,7 +23,7 @@ from . import qos
 from .diagnostics import Diagnostics
 from .done_check import DoneCheck
 from .live import SessionPhase
-from .parameters import declare
+from .parameters import declare, declare_path
 from .programs import entry_point
 from .qos import OnePublisher
 from .session_parameters import StatedUnit, declared_units
@@ -216,15 +215,14 @@ class CalibratorNode(ros.Node):
         self._several = bool(self._units[0].name)
         table, plan = self._setup.table, self._setup.plan
         self._steps = len(plan.positions if table is None else plan.steps(table))
-        output = declare(
+        self._output = declare_path(
             self,
             'output',
             'calibration.yaml',
             'file that takes the result; of several units the folder, which gets SERIAL.yaml',
         )
-        self._output = user_path(output)
-        journal = user_path(
-            declare(self, 'journal', 'journal', 'folder of the recording; resumed if unfinished')
+        journal = declare_path(
+            self, 'journal', 'journal', 'folder of the recording; resumed if unfinished'
         )
         self._imu_timeout = declare(
             self,

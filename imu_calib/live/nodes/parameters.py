@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 from ...common.errors import InputError
+from ...common.files import user_path
 from ..middleware import FloatingPointRange, IntegerRange, Node, ParameterDescriptor
 
 
@@ -52,3 +54,13 @@ def declare(
         # A time that never ends is no watchdog, and NaN is within the range for rclpy.
         raise InputError(f'Parameter {name}: found {value}, expected a finite number.')
     return value
+
+
+def declare_path(node: Node, name: str, default: str, description: str) -> Path:
+    """Declare the path of what a session writes, and return it.
+
+    Nodes of different namespaces that are started in one folder write into folders of their own:
+    the default lies below the namespace, and an empty value stands for it.
+    """
+    below = str(Path(node.get_namespace().strip('/'), default))
+    return user_path(declare(node, name, below, description) or below)

@@ -14,7 +14,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from ...common.files import require, user_path
+from ...common.files import require
 from ...common.stream import NS, ImuBlock, JointBlock, TemperatureBlock
 from ...recordings.cdr import Malformed, Messages
 from ...recordings.cdr_codec import Kind
@@ -36,7 +36,7 @@ from ..web.samples import Dwells
 from ..web.shape import table_shape
 from . import qos
 from .diagnostics import Diagnostics
-from .parameters import declare
+from .parameters import declare, declare_path
 from .programs import entry_point
 from .session_parameters import StatedUnit, declared_units
 from .subscriptions import listen_to_each, topics_of_unit
@@ -81,10 +81,8 @@ class WebNode(ros.Node):
             self, 'control', False, 'whether who has the token may start and stop the table'
         )
         urdf = declare(self, 'urdf', '', "file with the table's looks; empty: by its joints")
-        self._output = user_path(
-            declare(self, 'output', 'calibration.yaml', 'file with the result')
-        )
-        self._journal = user_path(declare(self, 'journal', 'journal', 'folder of the recording'))
+        self._output = declare_path(self, 'output', 'calibration.yaml', 'file with the result')
+        self._journal = declare_path(self, 'journal', 'journal', 'folder of the recording')
         self._report_file = self._output.with_name('report.html')
         table = self._setup.table
         shape = None if table is None else table_shape(table, urdf)
