@@ -59,8 +59,8 @@ from imperfect_stands import (
 SILENT = 4.5
 """Deviations: chance passes them in one of 6000 sessions of 24 parameters."""
 
-EXACTNESS = 'The standard deviations are those of table'
-"""Begins what a calibration says of a table that is stated exact, in every session on one."""
+EXACTNESS = 'is described as better than any real one'
+"""Part of what a calibration says of a table that is stated exact, in every session on one."""
 
 AGAIN = 3.5
 """Deviations beyond which a session of an earlier state of the package is run again."""
@@ -111,7 +111,7 @@ def session(grade: str, seed: int, condition: str) -> dict[str, Any]:
         'off': np.round(off, 2).tolist(),
         'std': found.std[:24].tolist(),
         'findings': [
-            f for f in found.findings if f != setup.table.assumption and not f.startswith(EXACTNESS)
+            f for f in found.findings if f != setup.table.assumption and EXACTNESS not in f
         ],
         'held': held,
         'free': [

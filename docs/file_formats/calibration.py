@@ -296,6 +296,7 @@ _PROVENANCE = [
     Key('terms', array(text(), 0, words='list of texts'), 'that were estimated'),
     Key('terms_looked_for', flag(), 'whether terms were tested and significant ones estimated'),
     Key('plan', text(), 'its name'),
+    Key('by_hand', flag(), 'whether the unit was held by hand'),
     Key('table', text(), 'its name'),
     Key('table_clock_std', number(least=0), "of the table's clock, a ratio"),
     Key('latitude_deg', _between(-90, 90), 'of the site, deg'),
@@ -310,6 +311,7 @@ _PROVENANCE = [
     Key('segments', _COUNT, 'static dwells'),
     Key('turns', _COUNT, 'turns'),
     Key('samples', _COUNT, 'samples used'),
+    Key('duration', number(least=0), 'from the first to the last sample, s'),
     Key('random_walk', _SIX, 'of the channels, rad/sqrt(s) and (m/s)/sqrt(s)'),
     Key(
         'sensor_random_walk',
@@ -319,6 +321,12 @@ _PROVENANCE = [
         'unknown (sessions in the hand)',
     ),
     Key('residual_rms', _SIX, 'root mean square of the residuals, rad/s and m/s^2'),
+    Key(
+        'gravity_off_before',
+        number(least=0),
+        'by how much the nominal accelerometers miss gravity at the worst static dwell, a ratio',
+    ),
+    Key('gravity_off_after', number(least=0), 'the same of the calibrated ones'),
     Key('bias_drift', _SIX, 'bias drift included in the standard deviations, rad/s and m/s^2'),
     Key('condition_number', _NUMBER, 'of the equations'),
     Key('highest_rate', number(least=0), 'of the turns, rad/s'),

@@ -170,7 +170,7 @@ def documented(opened: Opened, result: Result) -> Result:
     assumed += tuple(clock_findings(opened.recording, opened.streams, opened.setup.imu.units))
     assumed += tuple(_kelvin(calibration.provenance.get('temperature')))
     findings = (*assumed, *calibration.findings, *opened.losses)
-    findings = tuple(map(printable, findings))
+    findings = tuple(t if printable(t) == t else printable(t) for t in findings)
     calibration = replace(calibration, provenance=provenance, findings=findings)
     return replace(result, calibration=calibration)
 

@@ -20,7 +20,7 @@ from ..recordings.cdr_codec import Kind
 from ..recordings.remote import AnyPath, located
 from ..recordings.rosbag2 import Recording
 from ..recordings.stamp_order import StampSorter
-from ..session.imu import ImuSpec, load_imu
+from ..session.imu import GENERIC, ImuSpec, load_imu
 from ..session.keywords import Stated
 from ..session.plan import UNPLANNED, Plan, load_plan
 from ..session.segments_file import read_segments
@@ -29,7 +29,7 @@ from .session import mounted_on, serial_of, site_of, stated_imu, stated_plan, ta
 
 if TYPE_CHECKING:
     from ..segmentation.segmented import Segmented
-from .streams import _BY_HAND, _SI, Streams, streams_of
+from .streams import _BY_HAND, Streams, streams_of
 
 _BLOCKS = 200
 """Blocks that are examined: some minutes of most recordings, and never more than fit into
@@ -81,7 +81,7 @@ def assumed_si_imu(recording: Recording, topic: str) -> ImuSpec:
             f"{recording.path} does not say what the IMU's numbers mean: give `imu` "
             f'({shipped("imus")}, or a file). They are not rad/s and m/s^2: {seen}.'
         )
-    return load_imu(_SI)
+    return load_imu(GENERIC)
 
 
 def against_si(force: Floats, rate: Floats) -> str:

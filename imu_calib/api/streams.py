@@ -223,7 +223,7 @@ def _named(recording: Recording, candidates: list[Topic], wanted: str, kind: Kin
 
 # Assumptions on a recording that does not state them: SI units by REP 145, and turned by hand.
 
-_SI, _BY_HAND = 'si', 'free_positions'
+_BY_HAND = 'free_positions'
 
 
 # A recording with everything that a calibrator needs before its session.

@@ -15,6 +15,7 @@ from ..common.budget import Budget, ErrorSource, Share
 from ..common.config import SafeDumper, Section, dump
 from ..common.errors import InputError
 from ..common.files import user_path, write_whole
+from ..common.finding import by_effect
 from ..common.stream import Floats, Units
 from ..common.units import counted
 from ..model.alignment import Angles, free_of_frame
@@ -31,7 +32,7 @@ from ..model.sensors import SensorModel, Skewed, Triad, parameters_of, terms_of
 from ..model.session_terms import KEY as CHANGES
 from ..model.session_terms import Changes, read_changes
 from ..model.terms import TERMS, Term
-from ..session.imu import ChannelNoise, ImuSpec, TriadSpec, read_noise
+from ..session.imu import GENERIC, ChannelNoise, ImuSpec, TriadSpec, read_noise
 from ..session.plausibility import check_plausible
 from ..session.stamping import KEY as CLOCK
 from ..session.stamping import StampingClock, read_clock
@@ -79,7 +80,9 @@ class Calibration:
     #: estimated are NaN.
     covariance: Floats
     residuals: tuple[ResidualRow, ...] = ()  #: One per static dwell.
-    findings: tuple[str, ...] = ()  #: What the user must know, in sentences.
+    #: Sentences for the user: warnings, on which a number depends, then notes, the most important
+    #: first (`finding.by_effect`).
+    findings: tuple[str, ...] = ()
     #: Origin: recording, hash, plan, method, site, versions.
     provenance: dict[str, Any] = field(default_factory=dict)
     serial_number: str = ''  #: Unit of the type `ImuSpec.id`; empty if not stated.
@@ -95,9 +98,10 @@ class Calibration:
     clock: StampingClock | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a covariance that does not fit the model's parameters."""
+        """Refuse a covariance that does not fit the model's parameters; order the findings."""
         assert self.covariance.shape == (len(self.parameters),) * 2
         assert set(self.model.parameters) <= set(self.parameters)
+        object.__setattr__(self, 'findings', by_effect(self.findings, self.budget))
 
     @property
     def std(self) -> Floats:
@@ -112,7 +116,12 @@ class Calibration:
 
     @property
     def unit_name(self) -> str:
-        """Type and serial number of the unit, for people."""
+        """Type and serial number of the unit, for people; of a unit without either, its recording.
+
+        Units of one topic of SI units have a common description, and no type.
+        """
+        if self.imu.id == GENERIC and not self.serial_number:
+            return str(self.provenance.get('recording') or self.imu.id)
         return ' '.join([self.imu.id, self.serial_number]).strip()
 
     @property
@@ -143,6 +152,11 @@ class Calibration:
     def in_the_hand(self) -> bool:
         """Whether the unit was held by hand, in unknown attitudes."""
         return self.provenance.get('frame') == BY_ACCELEROMETERS
+
+    @property
+    def by_hand(self) -> bool:
+        """Whether the unit was held and turned by hand."""
+        return bool(self.provenance.get('by_hand', self.in_the_hand))
 
     @property
     def unknown_noise(self) -> list[str]:
@@ -226,7 +240,7 @@ class Calibration:
             **({} if self.changes is None else {CHANGES: self.changes.document()}),
             **({} if self.clock is None else {CLOCK: self.clock.document()}),
             'residuals': [_residual_document(r) for r in self.residuals],
-            'findings': list(self.findings),
+            'findings': [str(text) for text in self.findings],
             'provenance': self.provenance,
         }
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..common.errors import Contradiction, ImuCalibError, InputError, NotObservable
+from ..common.finding import warning
 from ..common.stream import Block, Mode
 from ..estimation import joint
 from ..estimation.common_unknowns import Contradicting, TableEstimate, join
@@ -390,7 +391,7 @@ def _noted(
     for place, sentence in findings.items():
         if (result := found[place]) is not None:
             calibration = result.calibration
-            noted = replace(calibration, findings=(*calibration.findings, sentence))
+            noted = replace(calibration, findings=(*calibration.findings, warning(sentence)))
             found[place] = replace(result, calibration=noted)
     return tuple(found)
 

@@ -42,6 +42,7 @@ def provenance(
     # moves between positions turn several joints at once: the session itself is within this rate.
     rates = [abs(float(turn.rate())) for turn in evidence.turns]
     rates += [move.fastest for move in session.moves]
+    special |= _gravity_off(evidence, solution)
     if comparison is not None:
         special['closed_form'] = comparison.document()
     if solution.tests:
@@ -52,6 +53,7 @@ def provenance(
         'terms': [*(t.name for t in terms_of(solution.parameters)), *terms_in_words(changes)],
         'terms_looked_for': setup.search_terms and bool(solution.tests),
         'plan': setup.plan.name or None,
+        'by_hand': setup.plan.by_hand,
         'table': setup.table.name if setup.table is not None else None,
         'table_clock_std': setup.table.clock if setup.table is not None else None,
         'latitude_deg': setup.site.latitude / DEG,
@@ -65,6 +67,7 @@ def provenance(
         'azimuth_seen_std_deg': _or_none(solution.azimuth_std / DEG),
         'segments': len(evidence.segments),
         'turns': len(evidence.turns),
+        'duration': session.duration,
         'samples': sum(s.statistics.samples for s in evidence.segments)
         + sum(t.statistics.samples for t in evidence.turns),
         'random_walk': [float(v) for v in evidence.walk],
@@ -82,6 +85,23 @@ def provenance(
         },
         'versions': {'imu_calib': version(), 'numpy': np.__version__, 'scipy': scipy.__version__},
     }
+
+
+def _gravity_off(evidence: Evidence, solution: Solution) -> dict[str, object]:
+    """Return by how much the accelerometers at rest miss gravity, before and after calibration.
+
+    Ratios, at the worst static dwell; the length of a force does not depend on the attitude.
+    """
+    of_accels = np.array([p.triad == 'a' for p in solution.parameters])
+    if not (evidence.segments and np.isfinite(solution.std[of_accels]).all()):
+        return {}
+    means = np.array([s.statistics.mean for s in evidence.segments])
+    _, forces = solution.model.compensate(means[:, :3], means[:, 3:])
+    before, after = (
+        float(np.abs(np.linalg.norm(f, axis=1) / evidence.site.gravity - 1).max())
+        for f in (means[:, 3:], forces)
+    )
+    return {'gravity_off_before': before, 'gravity_off_after': after}
 
 
 def noise(evidence: Evidence) -> dict[str, object]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..common.budget import ErrorSource, Share
+from ..common.finding import Finding, warning
 from ..common.stream import Floats
 from ..common.units import DEG, PPM
 from ..model.earth import MEASURED, VAGUE, Site, normal_gravity
@@ -75,9 +76,12 @@ def _findings(calibration: Calibration, site: Site) -> list[str]:
     if not site.height_assumed:
         return _latitude_contradiction(site)
     return [
-        'The height of the site was not stated and is taken as 0 m: gravity is known to '
-        f'{site.gravity_relative_std / PPM:.0f} ppm (1 sigma), and so are all K_a alike. '
-        'State `height`, or `gravity` as measured.'
+        Finding(
+            'Gravity was computed for height 0 m, since no height is stated: this adds '
+            f'{site.gravity_relative_std / PPM:.0f} ppm to the standard deviation of every K_a. '
+            'State `height`, or `gravity` as measured.',
+            ErrorSource.GRAVITY,
+        )
     ]
 
 
@@ -93,7 +97,10 @@ def _latitude_contradiction(site: Site) -> list[str]:
     if abs(off) <= _ANOMALY + abs(north - south) / (2 * here):
         return []
     return [
-        f'The stated gravity of {site.gravity:.4f} m/s^2 is {100 * off:+.2f} % off normal gravity '
-        f'at latitude {site.latitude / DEG:.2f} deg, {here:.4f} m/s^2: more than height and '
-        'gravity anomalies explain. Check `gravity` and `latitude`: K_a is wrong by as much.'
+        warning(
+            f'The stated gravity of {site.gravity:.4f} m/s^2 is {100 * off:+.2f} % off normal '
+            f'gravity at latitude {site.latitude / DEG:.2f} deg, {here:.4f} m/s^2: K_a is wrong by '
+            'as much if it is a mistake. Check `gravity` and `latitude`.',
+            effect=math.inf,
+        )
     ]

@@ -11,6 +11,7 @@ from itertools import product
 import numpy as np
 
 from ..common.errors import InputError, NotObservable
+from ..common.finding import warning
 from ..common.stream import Block, Floats, ImuBlock, TemperatureBlock, Units
 from ..common.units import ARCMIN, DEG, PPM, STANDARD_GRAVITY, counted
 from ..estimation.checks import far_scales
@@ -262,8 +263,8 @@ _NOISE = (
     'still for a minute.'
 )
 _FRAME = (
-    'Frame of the result: X along the input axis of accelerometer x, the input axis of '
-    'accelerometer y in the plane of X and Y (E_axy, E_axz and E_ayz are zero by that choice).'
+    'Axes of the result: X is the input axis of accelerometer x, and that of accelerometer y lies '
+    'in the plane of X and Y. By this choice E_axy, E_axz and E_ayz are zero.'
 )
 
 
@@ -387,22 +388,23 @@ class HandCalibrator:
         if seen is None:
             return ['Less than 2 s of data were received: record a session of a minute or more.']
         return [
-            'In the quietest two seconds the means of a tenth of a second deviated by '
-            f'{seen.rate / DEG:.2g} deg/s and {seen.force / STANDARD_GRAVITY:.2g} g from their '
-            f'mean; a hold keeps within {seen.tolerance.rate / DEG:.2g} deg/s of the rate at rest '
-            f'and {seen.tolerance.force / STANDARD_GRAVITY:.2g} g, by the noise of this session, '
-            f'for a second or more. Hold the unit still for {HOLD_SECONDS:.0f} s in each attitude, '
-            'the hand propped on something firm, and turn it by a quarter turn or more between.'
+            'In its quietest two seconds the unit moved by '
+            f'{seen.rate / DEG:.2g} deg/s and {seen.force / STANDARD_GRAVITY:.2g} g; in a hold it '
+            f'moves by less than {seen.tolerance.rate / DEG:.2g} deg/s and '
+            f'{seen.tolerance.force / STANDARD_GRAVITY:.2g} g for a second or more. Hold it still '
+            f'for {HOLD_SECONDS:.0f} s in each attitude, the hand propped on something firm, and '
+            'turn it by a quarter turn or more between.'
         ]
 
     def _other_offsets(self) -> list[str]:
         """Report further steady rates of the gyros: only one of them is the rate at rest."""
         return [
-            f'In {attitudes} attitudes the gyros stood at a rate that differs from that at rest by '
-            f'up to {np.abs(apart).max() / DEG:.2g} deg/s: their biases stepped (a restart, '
-            'another range, an automatic zero), or the unit turned evenly. Holds at one rate may '
-            'count as turned, and the biases are those of the holds that were found. Switch '
-            'automatic zeros off, and record the session in one run of the unit.'
+            warning(
+                f'In {attitudes} attitudes the gyros stood at other rates than at rest, by up to '
+                f'{np.abs(apart).max() / DEG:.2g} deg/s: their biases stepped (a restart, another '
+                'range, an automatic zero), or the unit turned evenly. Switch automatic zeros off, '
+                'and record the session in one run of the unit.'
+            )
             for apart, attitudes in self._segmenter.other_offsets
         ]
 
@@ -507,8 +509,8 @@ class HandCalibrator:
         findings = [_FRAME, *far_scales(fit.model), *term_words(fit), *scatter_words(fit)]
         if len(segments) < CHECKED:
             findings.append(
-                f'{len(segments)} holds are few: {CHECKED} or more, in attitudes of their own, '
-                'make standard deviations smaller, and show a hold that was none.'
+                f'{len(segments)} holds are few. {CHECKED} or more in different attitudes give '
+                'smaller standard deviations, and reveal a false hold.'
             )
         findings += _lost_turns(evidence, session)
         if fit.rejected_moves:
@@ -563,7 +565,10 @@ def _lost_turns(evidence: Evidence, session: Segmented) -> list[str]:
         for reason, turns in by_reason.items()
     )
     verb = 'is' if len(lost) == 1 else 'are'
-    return [f'{counted(len(lost), "turn")} {verb} lost, and the gyros know less: {reasons}.']
+    return [
+        f'{counted(len(lost), "turn")} {verb} not used, and the parameters of the gyros are less '
+        f'well known: {reasons}.'
+    ]
 
 
 def _noisy_holds(evidence: Evidence) -> list[str]:
@@ -584,6 +589,6 @@ def _noisy_holds(evidence: Evidence) -> list[str]:
     least, most = f'{min(times):.2g}', f'{max(times):.2g}'
     size = most if least == most else f'{least} to {most}'
     return [
-        f'The noise of the accelerometers at {at} is {size} times that at the others (the unit '
-        f'swayed): {"it counts" if len(names) == 1 else "they count"} less.'
+        f'The noise of the accelerometers at {at} is {size} times that at the others: the unit '
+        f'swayed, and {"it has" if len(names) == 1 else "they have"} less weight.'
     ]

@@ -30,13 +30,13 @@ _TEXTS = (
     *('gravity_source', 'frame'),
 )
 _LISTS_OF_TEXTS = ('topics', 'terms', 'missing_positions', 'shared_with')
-_FLAGS = ('terms_looked_for', 'height_assumed')
+_FLAGS = ('terms_looked_for', 'height_assumed', 'by_hand')
 _COUNTS = ('segments', 'turns', 'samples')
 _NUMBERS = ('height', 'azimuth_seen_deg', 'condition_number')
 _SIX = ('random_walk', 'sensor_random_walk', 'residual_rms', 'bias_drift')
 _NOT_NEGATIVE = (
     *('table_clock_std', 'latitude_std_deg', 'gravity_std', 'highest_rate'),
-    'azimuth_seen_std_deg',
+    *('azimuth_seen_std_deg', 'duration', 'gravity_off_before', 'gravity_off_after'),
 )
 _LEAST = 1e-30
 """Smallest averaging time and sample rate in SI: none is near, and its square is not zero."""

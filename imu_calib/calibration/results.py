@@ -138,8 +138,7 @@ class Review:
 
 
 _LATER = (
-    'Provisional: terms are looked for when the session ends (`terms` auto); a scale factor that '
-    'differs between the senses, say, is not in this estimate.',
+    'Provisional: further terms, such as gyro_asymmetry, are looked for when the session ends.',
 )
 
 

@@ -12,12 +12,9 @@ from ..api.compare import Conformity, conformity
 from ..api.opening import recording_path
 from ..api.outputs import output_or_default, output_path
 from ..calibration.calibration import Calibration
-from ..common.units import DEG, DEG_H, MICRO_G, PPM, significant
-from ..model.earth import MEASURED, VAGUE
 from ..reports.budget import budget_tables
-from ..reports.provenance import noise_lines, summary
+from ..reports.provenance import summary
 from ..reports.side_by_side import comparison_tables, table_estimate
-from ..reports.tables import change_note, change_table, parameter_tables
 from ..session.keywords import Calibrated
 from ..session.plan import METHOD_NAMES
 from . import options
@@ -29,11 +26,13 @@ from .outcome import (
     WRONG_INPUT,
     CommandResult,
     add_json_option,
+    add_verbose_option,
     error_document,
     judged_result,
     kind_of,
 )
-from .terminal import OUTPUT, print_whole, progress_bar, sentence_list
+from .screen import print_findings, print_parts, print_text, show_calibration
+from .terminal import OUTPUT, print_whole, progress_bar
 
 if TYPE_CHECKING:
     from ..calibration.results import Result
@@ -65,7 +64,7 @@ def run_several(arguments: argparse.Namespace) -> CommandResult:
     found = calibrate_units(arguments.bag, arguments.imus, **stated, progress=progress_bar)
     files = found.save(folder)
     judged = _judged(found) if arguments.specification else {}
-    _show(found, judged)
+    _show(found, judged, verbose=arguments.verbose)
     if arguments.budget:
         _show_budgets(found)
     OUTPUT.print(f'\n{len(files)} of {len(found.units)} units written to {folder}')
@@ -77,7 +76,7 @@ def _judged(found: UnitResults) -> dict[str, Conformity]:
     return {u.serial_number: conformity(u.result) for u in found.units if u.result is not None}
 
 
-def _show(found: UnitResults, judged: Mapping[str, Conformity]) -> None:
+def _show(found: UnitResults, judged: Mapping[str, Conformity], *, verbose: bool) -> None:
     """Print the units side by side, then the findings of each, common ones once."""
     solved = [unit for unit in found.units if unit.result is not None]
     for part in comparison_tables(
@@ -100,10 +99,12 @@ def _show(found: UnitResults, judged: Mapping[str, Conformity]) -> None:
         u.serial_number: u.result.calibration.findings for u in solved if u.result is not None
     }
     everywhere = _common(list(by_serial.values()))
-    sentence_list('Worth knowing about all units', everywhere)
+    print_findings(everywhere, verbose=verbose)
     for serial, findings in by_serial.items():
         own = [sentence for sentence in findings if sentence not in everywhere]
-        sentence_list(f'Worth knowing about {serial}', own)
+        if own:
+            OUTPUT.print(f'\nOf {serial} alone', style='bold')
+            print_findings(own, verbose=verbose)
 
 
 def _common(findings: list[tuple[str, ...]]) -> list[str]:
@@ -135,8 +136,7 @@ def _show_budgets(found: UnitResults) -> None:
 
 
 def _show_budget(calibration: Calibration) -> None:
-    for part in budget_tables(calibration):
-        OUTPUT.print(part, markup=False)
+    print_parts(budget_tables(calibration))
 
 
 def _outcome(
@@ -221,6 +221,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'parameter is outside, its uncertainty considered',
     )
     add_json_option(parser)
+    add_verbose_option(parser)
     parser.epilog = f'{EXIT_CODES} Methods: {", ".join(sorted(METHOD_NAMES))}.'
     parser.set_defaults(run=run)
 
@@ -235,87 +236,13 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     judged = arguments.specification
     result = calibrated(arguments.bag, options.stated(arguments), progress_bar, to_be_judged=judged)
     result.calibration.save(path)
-    show(result)
+    show_calibration(result.calibration, verbose=arguments.verbose)
     if arguments.budget:
         OUTPUT.print('\nUncertainty budget', style='bold')
         _show_budget(result.calibration)
     found = conformity(result) if judged else None
     if found is not None:
-        OUTPUT.print(f'\n{summary(found.assessed)}')
-    OUTPUT.print(f'\nwritten to {path}')
+        print_text(summary(found.assessed))
+    print_findings(result.calibration.findings, verbose=arguments.verbose)
+    OUTPUT.print(f'\nwritten to {path}', markup=False)
     return judged_result(_document(result, found, path), found)
-
-
-def show(result: Result, truth: Calibration | None = None) -> None:
-    """Print the 24 parameters and messages for the user."""
-    session, solution, setup = result.session, result.solution, result.calibration.provenance
-    clock = session.clock
-    for part in parameter_tables(result.calibration, truth):
-        OUTPUT.print(part)
-    changes = change_table(result.calibration)
-    if changes is not None:
-        OUTPUT.print()
-        OUTPUT.print(changes)
-        OUTPUT.print(change_note(result.calibration), markup=False)
-    without = '' if setup['plan'] else ' without a plan'
-    OUTPUT.print(
-        f'\n{setup["method"]}{without}: {setup["segments"]} static dwells, '
-        f'{setup["turns"]} turns, {session.samples} samples in {session.duration:.0f} s'
-    )
-    for line in result.terms:
-        OUTPUT.print(line, markup=False)
-    if result.comparison is not None:
-        OUTPUT.print(result.comparison.sentence(), markup=False)
-    if solution.bias_drift is not None and solution.bias_drift.any():
-        OUTPUT.print(
-            f'the standard deviations include bias drift of '
-            f'{significant(solution.bias_drift[0] / DEG_H)} deg/h and '
-            f'{significant(solution.bias_drift[3] / MICRO_G)} ug '
-            'over some 1000 s (by the data sheet and the session)'
-        )
-    OUTPUT.print(
-        f'gravity {setup["gravity"]:.6f} m/s^2 ({_source(setup)}), {_gravity_std(setup)}; '
-        f'latitude {_latitude(setup)}'
-    )
-    if session.temperature is not None:
-        seen = session.temperature
-        OUTPUT.print(
-            f'temperature {seen.mean:.2f} degC, from {seen.lowest:.2f} to {seen.highest:.2f} degC'
-        )
-    if solution.azimuth_std < 10 * DEG:
-        OUTPUT.print(
-            f"the table's zero points {solution.azimuth / DEG:.1f} +- "
-            f'{solution.azimuth_std / DEG:.1f} deg from north, counter-clockwise'
-        )
-    if clock.motions:
-        OUTPUT.print(
-            f'IMU clock against table: {clock.offset * 1e3:+.3f} +- {clock.offset_std * 1e3:.3f} '
-            f'ms, {clock.rate * 1e6:+.2f} +- {clock.rate_std * 1e6:.2f} ppm '
-            f'({clock.motions} motions)'
-        )
-    for line in noise_lines(result.calibration):
-        OUTPUT.print(line, markup=False)
-    sentence_list('Worth knowing', result.calibration.findings)
-
-
-def _latitude(provenance: Mapping[str, Any]) -> str:
-    """Return the latitude, or that it was not stated."""
-    if provenance['latitude_std_deg'] > 0.99 * VAGUE / DEG:
-        return 'not stated'
-    return f'{provenance["latitude_deg"]:.3f} deg'
-
-
-def _source(provenance: Mapping[str, Any]) -> str:
-    """Return the source of gravity; with a measurement a height is not used."""
-    source, height = str(provenance['gravity_source']), provenance['height']
-    if source != MEASURED or height is None or provenance['height_assumed']:
-        return source
-    return f'{source}; the height of {height:g} m is not used'
-
-
-def _gravity_std(provenance: Mapping[str, Any]) -> str:
-    """Return the standard deviation of gravity, which limits that of every K_a."""
-    doubt = provenance['gravity_std'] / provenance['gravity']
-    if not doubt:
-        return 'taken as exact'
-    return f'known to {doubt / PPM:.3g} ppm, which the standard deviations of K_a include'

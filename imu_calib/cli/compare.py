@@ -7,6 +7,7 @@ import argparse
 from ..api.compare import Compared, compare
 from ..reports.side_by_side import agreement_lines, comparison_table
 from .outcome import CommandResult, add_json_option
+from .screen import print_findings, print_parts, print_text
 from .terminal import OUTPUT, print_whole
 
 _LONG = 10
@@ -27,15 +28,13 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     heads = _heads(compared)
     found = compared.agreement
     print_whole(comparison_table(compared.side_by_side, heads))
-    for line in ('', *agreement_lines(found, len(compared.names))):
-        OUTPUT.print(line, markup=False)
+    print_parts(['', *agreement_lines(found, len(compared.names))])
     two = len(compared.names) == 2
     for name, only in zip(compared.names, compared.only, strict=True):
         if only:
             where = f'Only in {name}' if two else f'In {name}, and not in all'
-            OUTPUT.print(f'\n{where}: {", ".join(only)}.', markup=False)
-    for finding in compared.findings:
-        OUTPUT.print(f'\n{finding}', markup=False)
+            print_text(f'{where}: {", ".join(only)}.')
+    print_findings(compared.findings, verbose=True)
     return CommandResult(compared.to_dict())
 
 

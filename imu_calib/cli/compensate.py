@@ -7,7 +7,8 @@ import argparse
 from ..api.compensate import compensate
 from ..session.keywords import Numbered
 from . import options
-from .terminal import OUTPUT, progress_bar, sentence_list
+from .screen import print_findings
+from .terminal import OUTPUT, progress_bar
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -53,4 +54,4 @@ def run(arguments: argparse.Namespace) -> None:
         f'{arguments.output}',
         markup=False,
     )
-    sentence_list('Worth knowing', done.findings)
+    print_findings(done.findings, verbose=True)

@@ -8,7 +8,8 @@ from ..api.convert import convert
 from ..api.inspect import Topic, topics
 from ..common.units import counted
 from . import options
-from .terminal import OUTPUT, progress_bar, sentence_list
+from .screen import print_findings
+from .terminal import OUTPUT, progress_bar
 
 _COLUMNS = 'NAME,NAME,NAME:UNIT'
 
@@ -73,7 +74,7 @@ def run(arguments: argparse.Namespace) -> None:
     written = topics(done.path)
     listed = '; '.join(_line(topic, written.seconds) for topic in written.topics)
     OUTPUT.print(f'{listed}, written to {done.path}', markup=False)
-    sentence_list('Worth knowing', done.findings)
+    print_findings(done.findings, verbose=True)
 
 
 def _line(topic: Topic, seconds: float) -> str:

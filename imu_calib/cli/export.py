@@ -8,7 +8,8 @@ from ..api.documents import export
 from ..api.outputs import output_path
 from ..calibration.c_header import EXPORTS
 from . import options
-from .terminal import OUTPUT, sentence_list
+from .screen import print_findings
+from .terminal import OUTPUT
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -51,4 +52,4 @@ def run(arguments: argparse.Namespace) -> None:
         **options.keywords(export, arguments),
     )
     OUTPUT.print(f'written to {target}', markup=False)
-    sentence_list('Worth knowing', exported.findings)
+    print_findings(exported.findings, verbose=True)

@@ -21,7 +21,8 @@ from ..fleet.sentences import (
 from . import options
 from .outcome import OUTSIDE, CommandResult, add_json_option
 from .row_files import row_file, write_rows
-from .terminal import OUTPUT, print_whole, sentence_list
+from .screen import sentence_list
+from .terminal import OUTPUT, print_whole
 
 if TYPE_CHECKING:
     from ..fleet.results import History, UnitHistory

@@ -14,7 +14,8 @@ from ..session.keywords import Session
 from ..session.segments_file import write_segments
 from . import options
 from .outcome import WRONG_INPUT, CommandResult, add_json_option
-from .terminal import OUTPUT, progress_bar, sentence_list
+from .screen import sentence_list
+from .terminal import OUTPUT, progress_bar
 
 if TYPE_CHECKING:
     # Loaded only if it is stated how the streams are to be read.

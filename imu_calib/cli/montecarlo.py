@@ -21,7 +21,8 @@ from ..reports.tables import engineering
 from ..session.keywords import AtSite, Solved
 from ..session.plan import METHOD_NAMES
 from . import options
-from .terminal import OUTPUT, progress_bar, sentence_list
+from .screen import print_findings
+from .terminal import OUTPUT, progress_bar
 
 if TYPE_CHECKING:
     from ..simulation.repetition import RunStatistics
@@ -98,7 +99,7 @@ def run(arguments: argparse.Namespace) -> None:
         'Worst: the largest error. Normalised: root mean square of errors over the standard '
         'deviations stated with them.'
     )
-    sentence_list('Worth knowing', repeated.findings)
+    print_findings(repeated.findings, verbose=True)
     if target is not None:
         figure, ending = repeated.plot(), target.suffix.removeprefix('.')
         write_by(target, lambda file: figure.savefig(file, format=ending.lower()))

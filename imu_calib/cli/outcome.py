@@ -51,6 +51,13 @@ def add_json_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_verbose_option(parser: argparse._ActionsContainer) -> None:
+    """Add --verbose."""
+    parser.add_argument(
+        '--verbose', action='store_true', help='print all tables, notes and reasons'
+    )
+
+
 def write_document(
     command: str, outcome: CommandResult, error: Mapping[str, str] | None = None
 ) -> None:

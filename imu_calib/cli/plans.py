@@ -22,6 +22,7 @@ from ..api.predict import (
 from ..api.session import as_truth
 from ..common.errors import InputError, NotObservable
 from ..common.files import share_folder
+from ..common.finding import by_effect
 from ..common.stream import Mode
 from ..common.units import DEG, PPM, decimals
 from ..reports.plain_table import plain_table
@@ -30,6 +31,8 @@ from ..session.keywords import AtSite, Solved
 from ..session.plan import METHOD_NAMES, Plan, Position, Step, load_plan
 from ..session.table import Table, load_table
 from . import options
+from .outcome import add_verbose_option
+from .screen import print_findings, print_text
 from .terminal import OUTPUT, progress_bar
 
 if TYPE_CHECKING:
@@ -41,10 +44,7 @@ if TYPE_CHECKING:
 # Prediction of a plan on the terminal: standard deviations, terms, and the shortest dwells.
 
 
-_ON_A_TABLE = (
-    'Predicted standard deviations: those of the method named, and the smallest possible in this '
-    'session (Cramer-Rao bound; azimuth and tilts unknown), which the joint estimate reaches.'
-)
+_ON_A_TABLE = 'Predicted standard deviations: best is the smallest possible one (Cramer-Rao bound).'
 _IN_THE_HAND = (
     'Predicted standard deviations by the noise, for turns of two seconds, each about one axis.'
 )
@@ -65,32 +65,35 @@ def show_prediction(arguments: argparse.Namespace) -> None:
     setup = setup_of(options.stated(arguments))
     truth = as_truth(arguments.truth).model
     plan, imu, held, site = setup.plan, setup.imu, setup.table, setup.site
-    OUTPUT.print(f'{plan.title} ({plan.source})')
+    print_text(plan.title)
     where = 'by hand' if held is None else f'on table {held.name}'
     OUTPUT.print(f'{where} with IMU {imu.id}, latitude {site.latitude / DEG:.3f} deg\n')
     if held is not None and held.assumption:
-        OUTPUT.print(f'{held.assumption}\n')
+        print_text(f'{held.assumption}\n')
     if arguments.reach:
         _show_reach(arguments, setup, truth)
         return
     drifting, rise = arguments.bias_instability, arguments.temperature_rise
     prediction = predicted(setup, truth, drifting=drifting, rise=rise)
     found, own = prediction.forecast, prediction.closed_form
+    notes = []
+    if relative_std := site.gravity_relative_std:
+        notes.append(
+            f'K_a includes {relative_std / PPM:.3g} ppm of gravity: state --height or --gravity.'
+        )
     if own is None:
         _show_forecast(found)
     elif own.refusal:
         _show_forecast(found)
-        OUTPUT.print(f'closed form {own.method}: {own.refusal}', markup=False)
+        notes.append(f'Closed form {own.method}: {own.refusal}')
     else:
         _show_forecast(with_best_deviations(own, found), best=found.method)
     if not drifting and imu.gyro.bias_instability + imu.accel.bias_instability:
-        OUTPUT.print(
-            'Biases are constant here; with --bias-instability they drift by the data sheet'
-            f'{"." if plan.by_hand else ", as the joint estimate allows for."}'
-        )
-    for sentence in prediction.notes:
-        OUTPUT.print(sentence, markup=False)
-    _show_terms(prediction.terms, prediction.changes)
+        notes.append('Biases are taken as constant: with --bias-instability they drift.')
+    print_findings(by_effect([*prediction.notes, *notes]), verbose=arguments.verbose)
+    if arguments.verbose:
+        _show_terms(prediction.terms, prediction.changes)
+    OUTPUT.print()
     if held is not None:
         show_time(plan, held)
     if found.refusal:
@@ -132,21 +135,16 @@ def _show_forecast(
         if last is not None and parameter.triad != last.triad:
             rows.add_section()
         last = parameter
-        shown = engineering(parameter)
+        shown = engineering(parameter, by_hand=not on_a_table)
         cells = [_cell(value / shown.scale) for value in (std, *[least] * bounded)]
         if wanted is not None:
             cells.append(_cell(wanted.get(parameter.name, np.nan) / shown.scale, empty=''))
         rows.add_row(parameter.name, *cells, shown.unit)
     OUTPUT.print(rows)
-    OUTPUT.print(f'\n{_ON_A_TABLE if on_a_table else _IN_THE_HAND}')
+    OUTPUT.print()
+    print_text(_ON_A_TABLE if on_a_table else _IN_THE_HAND)
     if is_widened_by_leaning_holds(found):
-        OUTPUT.print(_LEANING)
-    relative_std = found.evidence.site.gravity_relative_std
-    if relative_std:
-        OUTPUT.print(
-            f'K_a includes the uncertainty of gravity, {relative_std / PPM:.3g} ppm: state '
-            '--height, or --gravity as measured, to reduce it.'
-        )
+        print_text(_LEANING)
 
 
 def _show_terms(found: Sequence[TermForecast], changes: Sequence[ChangeForecast]) -> None:
@@ -175,8 +173,7 @@ def _show_terms(found: Sequence[TermForecast], changes: Sequence[ChangeForecast]
         thermal = 'thermal is predicted for a temperature that changes: --temperature-rise K.'
         if any(each.follows_temperature for each in changes):
             thermal = 'thermal is that of a temperature that rises evenly.'
-        OUTPUT.print(f'warm_up is that of a time constant of a quarter of the session. {thermal}')
-    OUTPUT.print()
+        print_text(f'warm_up is that of a time constant of a quarter of the session. {thermal}')
 
 
 def _costs(dearer: Sequence[tuple[Parameter, float]]) -> str:
@@ -197,10 +194,7 @@ def show_time(plan: Plan, table: Table) -> None:
     if plan.by_hand:
         return
     total, standing = times_on(plan, table)
-    OUTPUT.print(
-        f'{total / 60:.1f} min on table {table.name}: {standing / 60:.1f} min of dwells, the rest '
-        'moves, turns with their run-ups, and settling'
-    )
+    print_text(f'{total / 60:.1f} min on table {table.name}, {standing / 60:.1f} min of it dwells.')
 
 
 _OF_A_PREDICTION = (
@@ -268,6 +262,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='of the unit over the session, evenly and recorded: predict what follows it, too',
     )
     options.add_statements(parser, AtSite)
+    add_verbose_option(parser)
     parser.epilog = f'Methods: {", ".join(sorted(METHOD_NAMES))}.'
     parser.set_defaults(run=run)
 
@@ -290,7 +285,7 @@ def run(arguments: argparse.Namespace) -> None:
         if arguments.imu is not None:
             raise InputError('--imu predicts what one plan gives: name the plan.')
         _refuse_without_imu(arguments)
-        _list_plans(table)
+        _list_plans(table, verbose=arguments.verbose)
     elif arguments.imu is None:
         _refuse_without_imu(arguments)
         _lay_out(load_plan(arguments.plan), table)
@@ -329,9 +324,11 @@ def _refuse_without_imu(arguments: argparse.Namespace) -> None:
         raise InputError(f'{option} is for the prediction of a plan: give PLAN and --imu, too.')
 
 
-def _list_plans(table: Table) -> None:
-    headings = ('plan', 'positions', 'turns', 'time, min', 'method', 'what it is')
-    rows = plain_table(headings, 'lrrrll')
+def _list_plans(table: Table, *, verbose: bool) -> None:
+    headings = ['plan', 'positions', 'turns', 'time, min', 'what it is']
+    rows = plain_table(
+        [*headings, 'method', 'source'] if verbose else headings, 'lrrrlll' if verbose else 'lrrrl'
+    )
     for path in sorted((share_folder() / 'config' / 'plans').glob('*.yaml')):
         plan = load_plan(path)
         turns = sum(len(p.rate_test.rates) or 1 for p in plan.positions if p.rate_test)
@@ -340,8 +337,8 @@ def _list_plans(table: Table) -> None:
             str(len(plan.positions)),
             str(turns),
             _minutes(plan, table),
-            plan.method,
-            f'{plan.title} ({plan.source})',
+            plan.title,
+            *([plan.method, plan.source] if verbose else []),
         )
     OUTPUT.print(rows)
 
@@ -356,7 +353,7 @@ def _minutes(plan: Plan, table: Table) -> str:
 
 
 def _lay_out(plan: Plan, table: Table) -> None:
-    OUTPUT.print(f'{plan.title} ({plan.source})\n')
+    print_text(f'{plan.title} ({plan.source})\n')
     if plan.by_hand:
         for position in plan.positions:
             OUTPUT.print(f'  {position.id}: {_in_words(position)}')

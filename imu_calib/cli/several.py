@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from ..calibration.calibration import Calibration
 from ..common.config import load
 from ..common.errors import InputError
 from ..common.files import named_file, read_text, user_path, write_whole
+from ..common.finding import is_warning, warning, without_label
 from ..common.units import significant
 from ..live.devices.format import load_format
 from ..live.devices.in_memory import SCHEME
@@ -26,7 +27,8 @@ from ..session.imu import load_imu
 from ..session.plan import load_plan
 from ..session.units_file import PULSES, TRUTHS, MountedUnit, load_units, remaining
 from .options import refuse_with_imus
-from .terminal import OUTPUT, sentence_list
+from .screen import print_findings
+from .terminal import OUTPUT
 
 USUAL_IMU, USUAL_TRUTH, HELD_UNIT = 'fog_medium', 'cao2022_table1', 'mems_counts'
 CALIBRATIONS = 'calibrations'
@@ -221,9 +223,15 @@ def print_results(
         rows.add_row(*cells)
     OUTPUT.print(rows)
     # Missing data of the site or the table is reported for every unit alike.
-    sentences = [f'{", ".join(of)}: {finding}' for finding, of in findings.items()]
-    sentence_list('Worth knowing', sentences)
+    sentences = [_of_units(finding, of) for finding, of in findings.items()]
+    print_findings(sentences, verbose=arguments.verbose)
     return missing
+
+
+def _of_units(finding: str, units: Sequence[str]) -> str:
+    """Return a finding with the units that it is on; a warning remains one."""
+    text = f'{", ".join(units)}: {without_label(finding)}'
+    return warning(text) if is_warning(finding) else text
 
 
 def _least(found: Calibration) -> str:

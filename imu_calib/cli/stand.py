@@ -64,7 +64,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--verbose',
         action='store_true',
-        help='also print the network variables with which other programs can watch',
+        help='print all tables and notes, and the network variables by which other programs watch',
     )
     web_page.add_options(parser)
     real = parser.add_argument_group(

@@ -28,7 +28,6 @@ from ..live.runtime import forced
 from ..live.web.board import Board, UnitsBoard
 from ..live.web.expectation import expectation, units_board
 from ..model.earth import LUOYANG, Site
-from ..reports.tables import parameter_tables
 from ..session.imu import ImuSpec, load_imu
 from ..session.keywords import DEFAULT_TERMS, AtSite
 from ..session.plan import Plan, load_plan
@@ -45,7 +44,8 @@ from .processes import (
     private_network,
 )
 from .resume import JOURNAL, RESULT, command, unfinished
-from .terminal import ERRORS, OUTPUT, NodeReports, NothingComes, sentence_list
+from .screen import print_findings, print_text, show_calibration
+from .terminal import ERRORS, OUTPUT, NodeReports, NothingComes
 
 _ORDER = (
     'stand_node',
@@ -167,13 +167,13 @@ def _print_result(
     true = truth.get('')
     if true is not None:
         true.save(folder / 'truth.yaml')
-    for part in parameter_tables(calibration, true):
-        OUTPUT.print(part)
-    OUTPUT.print(
-        f'\n{calibration.provenance["samples"]} samples, {outcome.duration:.0f} s of the stand in '
-        f'{seconds:.0f} s; recording: {folder / JOURNAL}, result: {folder / RESULT}'
+    show_calibration(calibration, true, verbose=arguments.verbose)
+    findings = [*_true_table_hint(arguments, folder), *calibration.findings]
+    print_findings(findings, verbose=arguments.verbose)
+    print_text(
+        f'\n{outcome.duration:.0f} s of the stand in {seconds:.0f} s; recording: '
+        f'{folder / JOURNAL}, result: {folder / RESULT}'
     )
-    sentence_list('Worth knowing', [*_true_table_hint(arguments, folder), *calibration.findings])
     return []
 
 

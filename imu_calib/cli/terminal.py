@@ -16,8 +16,8 @@ from ..common.errors import InputError
 from ..common.progress import Show, silent
 from ..live.rules import Severity
 
-_WIDTH_OF_A_FILE = 160
-"""Characters of a line in a file: wide enough for every table."""
+WIDEST_LINE = 100
+"""Characters of a line of text, at most; of tables, too, where the output is a file."""
 
 
 def as_options(sentence: str) -> str:
@@ -74,7 +74,7 @@ class _Errors(_Console):
 # Names by users are not emoji codes, even between colons.
 OUTPUT = _Output(soft_wrap=True, highlight=False, emoji=False)
 if not OUTPUT.is_terminal:
-    OUTPUT.width = _WIDTH_OF_A_FILE
+    OUTPUT.width = WIDEST_LINE
 _WIDEST = 10_000
 """Characters of a line, more than any table has."""
 ERRORS = _Errors(stderr=True, soft_wrap=True, highlight=False, emoji=False)
@@ -125,15 +125,6 @@ def print_whole(table: Table) -> None:
         force_terminal=OUTPUT.is_terminal,
     )
     wide.print(table)
-
-
-def sentence_list(title: str, sentences: tuple[str, ...] | list[str]) -> None:
-    """Print sentences below a title; nothing without sentences."""
-    if not sentences:
-        return
-    OUTPUT.print(f'\n{title}', style='bold')
-    for sentence in sentences:
-        OUTPUT.print(f'  - {sentence}', markup=False)
 
 
 # Reports of the nodes on the terminal: at once, and each sentence once.

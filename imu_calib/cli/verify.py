@@ -6,11 +6,15 @@ import argparse
 
 from ..api.verify import verify
 from ..calibration.verify import Verdict, Verification
-from ..reports.verification import dwell_table, limits_line, moved_table, turn_table
+from ..reports.verification import compared_tables, limits_line, moved_table
 from ..session.keywords import Numbered, Read
 from . import options
-from .outcome import NO_ANSWER, CommandResult, add_json_option
-from .terminal import OUTPUT, progress_bar, sentence_list
+from .outcome import NO_ANSWER, CommandResult, add_json_option, add_verbose_option
+from .screen import print_findings, print_parts, print_text, sentence_list
+from .terminal import OUTPUT, progress_bar
+
+_WORST = 4
+"""Static dwells and turns that are shown without --verbose. A choice."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -31,6 +35,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='compare even if calibration and recording name different units',
     )
     add_json_option(parser)
+    add_verbose_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -42,29 +47,29 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     """
     stated = options.keywords(verify, arguments)
     verification = verify(arguments.bag, arguments.calibration, **stated, progress=progress_bar)
-    _show(verification)
+    _show(verification, verbose=arguments.verbose)
     if verification.verdict is Verdict.FAIL:
         message = f'{arguments.calibration} is rejected by {arguments.bag}.'
         return CommandResult(verification.to_dict(), NO_ANSWER, message)
     if not verification.accepted:
-        message = f'{arguments.calibration} is not tested by {arguments.bag}, of which it was made.'
+        message = (
+            f'{arguments.calibration} was made from {arguments.bag}: verify with another recording.'
+        )
         return CommandResult(verification.to_dict(), NO_ANSWER, message)
     return CommandResult(verification.to_dict())
 
 
-def _show(verification: Verification) -> None:
-    for table in (dwell_table(verification), turn_table(verification)):
-        if table is not None:
-            OUTPUT.print(table)
-            OUTPUT.print()
-    OUTPUT.print(limits_line(verification))
+def _show(verification: Verification, *, verbose: bool) -> None:
+    print_parts(compared_tables(verification, None if verbose else _WORST))
     for triad in verification.triads:
         OUTPUT.print(str(triad))
-    sentence_list('Worth knowing', verification.findings)
+    print_text(limits_line(verification))
     diagnoses = [t.diagnosis for t in verification.triads if t.diagnosis is not None]
     sentence_list('Symptoms', [d.symptom for d in diagnoses])
     for diagnosis in diagnoses:
         if diagnosis.moved:
             OUTPUT.print()
             OUTPUT.print(moved_table(diagnosis.moved))
-    OUTPUT.print(f'\n{verification.outcome}', style='bold')
+    print_findings(verification.findings, verbose=verbose)
+    OUTPUT.print()
+    print_text(verification.outcome)

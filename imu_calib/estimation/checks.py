@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
+from ..common.budget import ErrorSource
 from ..common.errors import Contradiction, InputError, NotObservable
+from ..common.finding import Finding, warning
 from ..common.gaussian import FIVE_SIGMA
 from ..common.stream import Floats
 from ..common.units import DEG, DEG_H, PPM
@@ -40,10 +42,12 @@ def no_turn_about(axis: int) -> NotObservable:
 
 def turns_scatter_finding(scatter: float) -> str:
     """Report the scatter of turns beyond their noise, by chi-square per degree of freedom."""
-    return (
-        f'Between turns the gyros scatter {np.sqrt(scatter):.1f} times more than within them '
-        '(a range that ends below the rates, a scale factor that depends on the rate): the '
-        'standard deviations of K_g and E_g are widened.'
+    times = float(np.sqrt(scatter))
+    return Finding(
+        f'Between turns the gyros scatter {times:.1f} times more than within them: the standard '
+        'deviations of K_g and E_g are widened. Possible causes: rates beyond their range, and a '
+        'scale factor that depends on the rate.',
+        effect=times - 1,
     )
 
 
@@ -53,8 +57,11 @@ def clock_finding(evidence: Evidence) -> list[str]:
     if std < _WELL_KNOWN_CLOCKS:
         return []
     return [
-        f'The rate between the clocks of IMU and table is known to {std / PPM:.0f} ppm only: K_g '
-        'is known no better (joint states at 20 Hz or more would improve it).'
+        Finding(
+            f'The clocks of IMU and table could be compared to {std / PPM:.0f} ppm only: K_g is '
+            'known no better. Joint states at 20 Hz or more would improve it.',
+            ErrorSource.CLOCK,
+        )
     ]
 
 
@@ -65,10 +72,12 @@ def encoder_finding(evidence: Evidence) -> list[str]:
     if evidence.encoder_step < _COARSE_STEP or worst < _WELL_KNOWN_CLOCKS:
         return []
     return [
-        f'The angles of the encoders come in steps of {evidence.encoder_step / DEG:.2g} deg: the '
-        f'rates of turns are known to {worst / PPM:.0f} ppm at worst, and the standard deviations '
-        'of K_g allow for that (finer angles would improve it, more turns, and rates that are no '
-        'whole number of steps from one joint state to the next).'
+        Finding(
+            f'The encoder angles come in steps of {evidence.encoder_step / DEG:.2g} deg: the rates '
+            f'of turns, and so K_g, are known to {worst / PPM:.0f} ppm at worst. Finer angles, '
+            'more turns, or rates of no whole number of steps per joint state would improve it.',
+            ErrorSource.ENCODER_RATE,
+        )
     ]
 
 
@@ -79,8 +88,10 @@ def far_scales(model: SensorModel) -> list[str]:
         'accelerometers': abs(float(np.linalg.det(model.accel.response))) ** (1 / 3),
     }
     return [
-        f'The {name} answer {scale:.3f} times what the scale factor of their description says: '
-        f'is it that of this unit?{TIMES if name == "gyros" else ""}'
+        warning(
+            f'The {name} read {scale:.3f} times what their description states: check that it is '
+            f'that of this unit.{TIMES if name == "gyros" else ""}'
+        )
         for name, scale in scales.items()
         if abs(scale - 1) > _FAR_SCALE
     ]
@@ -102,7 +113,7 @@ def check_axes(response: Floats, name: str, what: str) -> None:
     if not 1 / SCALE_LIMIT < scale < SCALE_LIMIT:
         raise InputError(
             f'The {name} answer {scale:.4g} times what they should to {what}: units or scale '
-            "factor of the IMU's description are not those of the recording."
+            "factor in the IMU's description are not those of the recording."
             f'{wrong_scale_sentences(scale, name)}'
         )
     largest = np.abs(response).max(axis=1)

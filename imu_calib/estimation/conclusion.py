@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from ..common.budget import ErrorSource, Share, Shares, total
+from ..common.finding import Finding, warning
 from ..common.gaussian import FIVE_SIGMA, MAD_TO_STD
 from ..common.rotations import angle_between
 from ..common.stream import Floats
@@ -185,10 +186,14 @@ def _widened_by_scatter(
         if fit is not None and fit.scatter.significant:
             widened[np.ix_(mine, mine)] *= fit.scatter.ratio
             freedom[mine] = fit.scatter.freedom
+            times = float(np.sqrt(fit.scatter.ratio))
             notes.append(
-                f'Between positions the {name} scatter {np.sqrt(fit.scatter.ratio):.1f} times '
-                'more than within them (positioning errors that the table does not state, drift): '
-                'their standard deviations are widened.'
+                Finding(
+                    f'Between positions the {name} scatter {times:.1f} times more than within '
+                    'them: their standard deviations are widened. Possible causes: positioning '
+                    'errors that the table does not state, and drift.',
+                    effect=times - 1,
+                )
             )
     of_turns = _turns_scatter(equations, state) if equations.evidence.turns else _Scatter()
     if of_turns.significant:
@@ -205,9 +210,11 @@ def _north_finding(evidence: Evidence, azimuth: float, std: float) -> list[str]:
     """Report that the gyros see north off a stated azimuth, by an angle and its deviation, rad."""
     if abs(azimuth) > max(FIVE_SIGMA * std, LEAST_AZIMUTH):
         return [
-            f'The gyros see north {azimuth / DEG:.1f} +- {std / DEG:.1f} deg off the azimuth '
-            'given: the gyro biases are wrong by up to '
-            f'{evidence.site.north_rate * abs(np.sin(azimuth)) / DEG_H:.2f} deg/h.'
+            warning(
+                f'The gyros see north {azimuth / DEG:.1f} +- {std / DEG:.1f} deg off the stated '
+                'azimuth: the gyro biases are wrong by up to '
+                f'{evidence.site.north_rate * abs(np.sin(azimuth)) / DEG_H:.2f} deg/h.'
+            )
         ]
     return []
 
@@ -317,7 +324,8 @@ def _outlier_finding(residuals: Sequence[Residual]) -> list[str]:
         f'{r.position} ({w:.0f} sigma)' for r, w in zip(residuals, worst, strict=True) if w > limit
     ]
     plural = 's' * (len(names) > 1)
-    return [f'Outlier{plural}: position{plural} {", ".join(names)}.'] if names else []
+    text = f'Outlier{plural}: position{plural} {", ".join(names)}.'
+    return [warning(text, effect=float(np.nanmax(worst)))] if names else []
 
 
 def _off_plan_finding(evidence: Evidence) -> list[str]:
@@ -336,8 +344,8 @@ def _off_plan_finding(evidence: Evidence) -> list[str]:
     if not words:
         return []
     return [
-        f'By the encoders attitudes differ from the plan: position {", ".join(words)}; the closed '
-        'form, which takes those of the plan, is biased by that.'
+        f'The encoders show other attitudes than the plan: position {", ".join(words)}. The closed '
+        'form uses those of the plan, and is biased.'
     ]
 
 

@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..common.finding import Finding, warning
 from ..common.stream import Floats
 from ..common.units import ARCSEC, significant
-from ..session.table import Table
 from ..session.table_errors import FINEST
 from .equations import Equations
 from .estimate import Estimate
@@ -71,8 +71,11 @@ def exactness_findings(estimate: Estimate) -> list[str]:
         return []
     if table.described is not None:
         return [
-            f'The session contradicts {_described(table.described)}: {_FIGURE} is assumed of '
-            'each. State what it has.'
+            warning(
+                f'The session contradicts table {table.described.name}, which states less than '
+                f'{_FIGURE} of {", ".join(table.described.understated_errors)}: {_FIGURE} of each '
+                'is used instead. State what the table has.'
+            )
         ]
     std = np.sqrt(np.diag(estimate.covariance)[:n])
     return best_table_findings(equations, estimate.state, std)
@@ -96,18 +99,15 @@ def best_table_findings(equations: Equations, state: Floats, std: Floats) -> lis
     if not worst:
         return []
     each = [
-        f'{significant(there[k] / p.unit.scale)} {p.unit.shown} of {p.name} '
-        f'({significant(times[k])} times as large)'
+        f'{p.name} {significant(there[k] / p.unit.scale)} {p.unit.shown} '
+        f'({significant(times[k])} times)'
         for k, p in ((k, equations.parameters[k]) for k in worst.values())
     ]
     return [
-        f'The standard deviations are those of {_described(table)}, and no real one is known so '
-        f'well: with {_FIGURE} of each they would be {", ".join(each)}. State what yours has.'
+        Finding(
+            f'Table {table.name} is described as better than any real one (less than {_FIGURE} of '
+            f'{", ".join(table.understated_errors)}). With {_FIGURE} of each the standard '
+            f'deviations would be: {", ".join(each)}.',
+            effect=float(times.max()) - 1,
+        )
     ]
-
-
-def _described(table: Table) -> str:
-    return (
-        f'table {table.name} as its file describes it, with less than {_FIGURE} of '
-        f'{", ".join(table.understated_errors)}'
-    )

@@ -23,6 +23,7 @@ import scipy
 
 from ..common.budget import ErrorSource, Share, Shares
 from ..common.errors import InputError, NotObservable
+from ..common.finding import Finding
 from ..common.stream import Floats
 from ..common.units import DEG, STANDARD_GRAVITY, counted, significant
 from ..model.parameters import PARAMETERS, Parameter, ParameterKind, indices_of
@@ -791,8 +792,11 @@ def refuse(_: Evidence) -> Solution:
 def scatter_words(fit: FreeFit) -> list[str]:
     """Report groups that scatter significantly more than their noise."""
     return [
-        f'The residuals of {name} are {factor:.1f} times the noise (a hand that trembles, bias '
-        'drift): the standard deviations are widened.'
+        Finding(
+            f'The residuals of {name} are {factor:.1f} times their noise: the standard deviations '
+            'are widened. Possible causes: a hand that trembled, and bias drift.',
+            effect=factor - 1,
+        )
         for name, factor, chance in zip(_GROUPS, fit.scatter, fit.scatter_chances, strict=True)
         if chance < _SIGNIFICANT
     ]
@@ -805,10 +809,13 @@ def term_words(fit: FreeFit) -> list[str]:
     if not set(G_SENSITIVITY.parameters) & set(fit.parameters):
         return words
     largest = np.abs(fit.model.g_sensitivity).max() * STANDARD_GRAVITY / DEG
+    chance = max(fit.chance, _LEAST_CHANCE)
     return [
-        f'The gyros respond to specific force, by up to {largest:.2g} deg/s per g: '
-        f'{G_SENSITIVITY.name} is estimated besides (without it the residuals of holds and turns '
-        f'are larger than chance explains: probability {max(fit.chance, _LEAST_CHANCE):.0e}).',
+        Finding(
+            f'The gyros respond to specific force, by up to {largest:.2g} deg/s per g '
+            f'(probability of chance {chance:.0e}): {G_SENSITIVITY.name} is estimated, too.',
+            effect=float(np.sqrt(-2 * np.log(chance))),
+        ),
         *words,
     ]
 
@@ -826,7 +833,7 @@ def _nonlinear_words(found: Nonlinearity, fit: FreeFit) -> str:
     if found.alternatives:
         names = ' or '.join(other.name for other in found.alternatives)
         text += f' {names} would explain it as well. To tell them apart takes {term.needs}.'
-    return text
+    return Finding(text, effect=float(np.sqrt(-2 * found.log_p)))
 
 
 def in_frame_of_accelerometers(model: SensorModel) -> SensorModel:
@@ -863,9 +870,8 @@ def ellipsoid(outputs: Floats, gravity: float) -> Triad:
         lower = np.linalg.cholesky(np.linalg.inv(quadric / square))
         return Triad(lower - np.eye(3), centre * gravity)
     raise NotObservable(
-        'The accelerometers at rest do not see one and the same gravity in enough attitudes: '
-        'K_ax, K_ay, K_az cannot be separated from the biases. Hold each axis up and down, and '
-        'slanted.'
+        'Too few attitudes: K_ax, K_ay, K_az cannot be separated from the biases of the '
+        'accelerometers. Hold the unit with each axis up, down and slanted.'
     )
 
 

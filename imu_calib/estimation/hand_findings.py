@@ -17,6 +17,7 @@ from itertools import permutations, product
 import numpy as np
 
 from ..common.errors import Contradiction, InputError
+from ..common.finding import warning
 from ..common.stream import Floats
 from ..common.units import DEG, STANDARD_GRAVITY, significant
 from ..model.parameters import AXES
@@ -210,7 +211,8 @@ def drift_words(drifts: Sequence[Drift]) -> list[str]:
         found = [one for one in drifts if one.kind is kind]
         if found:
             each = ' and '.join(_one_drift(one) for one in found)
-            words.append(f'Biases {how} during the session, {each}: {what}. {_REMEDY}')
+            text = f'Biases {how} during the session, {each}: {what}. {_REMEDY}'
+            words.append(warning(text) if kind is DriftKind.UNEVEN else text)
     return words
 
 
@@ -227,10 +229,7 @@ def _one_drift(found: Drift) -> str:
     return f'{by} ({odds})' if found.kind is DriftKind.UNEVEN else by
 
 
-_NOT_ESTIMATED = (
-    'no term describes this, and errors may exceed the standard deviations, which are widened by '
-    'the scatter alone'
-)
+_NOT_ESTIMATED = 'no term describes this, and errors may exceed the standard deviations'
 _REMEDY = (
     'Let the unit run until it is warm, keep the session short, and return to the first attitudes '
     'at its end.'

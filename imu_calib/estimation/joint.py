@@ -14,7 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from ..common.budget import ErrorSource
 from ..common.errors import Contradiction, NotObservable
+from ..common.finding import Finding, warning
 from ..common.stream import Floats
 from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G, significant
 from ..model.parameters import Parameter, indices_of
@@ -65,22 +67,29 @@ def estimate_findings(found: Estimate, confounded: Sequence[str]) -> list[str]:
             for o in found.outliers
         )
         plural = 's' * (len(found.outliers) > 1)
-        notes.append(f'Outlier{plural}, given less weight: {names}.')
+        far = float(np.sqrt(max(o.chi_square for o in found.outliers)))
+        notes.append(warning(f'Outlier{plural}, given less weight: {names}.', effect=far))
     notes += _rejected_moves_finding(found)
     if found.turns_scatter > 1:
         notes.append(turns_scatter_finding(found.turns_scatter))
     if found.equations.any_heading:
         azimuth, std = found.nuisance(Nuisance.AZIMUTH)
         notes.append(
-            f'The gyros see north {azimuth / DEG:.1f} +- {std / DEG:.1f} deg off the azimuth '
-            'given, which is therefore not used.'
+            warning(
+                f'The gyros see north {azimuth / DEG:.1f} +- {std / DEG:.1f} deg off the stated '
+                'azimuth: the stated one is not used.',
+                effect=abs(azimuth) / std,
+            )
         )
     if found.equations.levelled is not None:
         tilts = [found.nuisance(which)[0] for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
         tilt, level = float(np.linalg.norm(tilts)), found.equations.evidence.levelling
         notes.append(
-            f'The table is tilted by {tilt / ARCSEC:.0f} arcsec, more than the '
-            f'{significant(level / ARCSEC, 3)} arcsec to which it was taken to be level.'
+            warning(
+                f'The table is tilted by {tilt / ARCSEC:.0f} arcsec, more than the '
+                f'{significant(level / ARCSEC, 3)} arcsec that are assumed.',
+                effect=tilt / level if level else math.inf,
+            )
         )
     notes += [_constant_finding(found)] if found.constant else []
     return [*notes, *temperature_finding(found), *_scatter_findings(found, confounded)]
@@ -111,10 +120,10 @@ def _constant_finding(found: Estimate) -> str:
     """Report coefficients of changes during the session that it does not determine."""
     names = ', '.join(c.name for c in found.constant)
     return (
-        f'The session does not determine how {names} change '
-        f'({" and ".join(names_of(found.constant))}): taken as constant. Moves between dwells, or '
-        'turns about each axis at the beginning and at the end, would determine it for gyros; '
-        'dwells with each axis up and down there for accelerometers.'
+        f'The session does not show how {names} change '
+        f'({" and ".join(names_of(found.constant))}): they are taken as constant. To show it, '
+        'record turns about each axis, and dwells with each axis up and down, at the beginning and '
+        'at the end.'
     )
 
 
@@ -129,16 +138,16 @@ def _rejected_moves_finding(found: Estimate) -> list[str]:
         unit, words = (DEG, 'deg') if off >= DEG else (ARCSEC, 'arcsec')
         angle = f'{significant(off / unit, 3)} {words}'
         notes.append(
-            f'By the gyros {len(turned)} of {len(turned) + len(used)} moves end elsewhere than by '
-            f'the encoders ({_names_of_moves(turned)}; {angle} at most): they are left out. '
+            f'Gyros and encoders disagree on the end of {len(turned)} of {len(turned) + len(used)} '
+            f'moves ({_names_of_moves(turned)}; {angle} at most): these are left out. '
             'Possible causes: rates beyond the range of the gyros, nonlinear gyros, samples that '
             'freeze on the way, and a table whose axes are not where its description says.'
         )
     if pushed:
         speed = max(move.misclosure for move in pushed)
         notes.append(
-            f'By the accelerometers {len(pushed)} of {len(pushed) + len(used.with_accels)} moves '
-            f'do not end at rest ({_names_of_moves(pushed)}; {speed:.3g} m/s at most): their '
+            f'The accelerometers show {len(pushed)} of {len(pushed) + len(used.with_accels)} moves '
+            f'that do not end at rest ({_names_of_moves(pushed)}; {speed:.3g} m/s at most): their '
             'velocities are left out. Possible causes: nonlinear accelerometers, samples that '
             'freeze on the way, and a unit that vibrates in its mount.'
         )
@@ -176,9 +185,13 @@ def _positioning_findings(found: Estimate, confounded: Sequence[str]) -> list[st
         joints = stops = 0.0
     if evidence.plan.by_hand and (lean := float(np.hypot(joints, stops))):
         notes.append(
-            f'The holds lean by {lean / DEG:.2g} deg about each level axis against the plan: the '
-            'standard deviations allow for it, and for as much in the turns. Hold the unit, or a '
-            'box that it is fixed to, against something level; free positions need no level holds.'
+            Finding(
+                f'The holds lean by {lean / DEG:.2g} deg against the plan: the standard deviations '
+                'allow for it, and for as much in the turns. Hold the unit, or a box around it, '
+                'against something level; free positions need no level holds.',
+                ErrorSource.POSITIONING_FOUND,
+                ErrorSource.STOPS,
+            )
         )
     elif joints > _SIGNIFICANT * evidence.positioning:
         step, hidden = evidence.encoder_step, ''
@@ -186,21 +199,27 @@ def _positioning_findings(found: Estimate, confounded: Sequence[str]) -> list[st
             degrees = f'{step / DEG:.2g} deg'
             hidden = f' The angles of the encoders come in steps of {degrees}, which hide as much.'
         notes.append(
-            f'Positioning errors of {significant(joints / ARCSEC)} arcsec, which encoders do not '
-            f'show, explain the scatter of the residuals ({known}): the standard deviations allow '
-            f'for them.{hidden}'
+            Finding(
+                f'The residuals scatter by positioning errors of {significant(joints / ARCSEC)} '
+                f'arcsec that the encoders do not show ({known}): the standard deviations allow '
+                f'for them.{hidden}',
+                ErrorSource.POSITIONING_FOUND,
+            )
         )
     if stops > _SIGNIFICANT * max(joints, evidence.positioning) and not evidence.plan.by_hand:
         notes.append(
-            f'Attitude errors of the whole table, {significant(stops / ARCSEC)} arcsec about each '
-            'axis and others at each stop, explain the scatter of the residuals: the standard '
-            'deviations allow for it.'
+            Finding(
+                'The residuals scatter by attitude errors of the whole table of '
+                f'{significant(stops / ARCSEC)} arcsec, other ones at each stop: the standard '
+                'deviations allow for them.',
+                ErrorSource.STOPS,
+            )
         )
     if notes and confounded:
-        notes[-1] += (
-            f' In so few positions they cannot be distinguished from {" and ".join(confounded)}. A '
-            'second session at the same positions would show which: the same residuals mean the '
-            'axes and the encoders, others the stops. So would stops at more angles of each joint.'
+        notes[-1] = notes[-1].followed_by(
+            f'In so few positions they look like {" and ".join(confounded)}. A second session at '
+            'the same positions shows which: equal residuals mean the axes and the encoders, other '
+            'ones the stops.'
         )
     return notes
 
@@ -218,18 +237,23 @@ def _drift_findings(found: Estimate) -> list[str]:
             stated = f'{significant(stated_of / unit, 3)} {symbol}' if stated_of else 'none'
             if scatter.fast_drift[first // 3]:
                 notes.append(
-                    f'The {name} scatter from dwell to dwell by '
-                    f'{significant(drift / unit)} {symbol}, more than their noise, and faster than '
-                    f'biases drift (the description of the IMU states {stated} for those): the '
-                    'standard deviations allow for it. Possible causes: a floor that shakes, and '
-                    'errors that depend on the attitude and are too small to be identified '
-                    f'({_OF_ATTITUDE[name]}). A second session shows which: the same residuals at '
-                    'the same positions mean the attitude.'
+                    Finding(
+                        f'The {name} scatter from dwell to dwell by {significant(drift / unit)} '
+                        f'{symbol}, more than their noise and the drift of their biases (stated: '
+                        f'{stated}): the standard deviations allow for it. Possible causes: a '
+                        'floor that shakes, and small errors that depend on the attitude '
+                        f'({_OF_ATTITUDE[name]}).',
+                        ErrorSource.BIAS_FOUND,
+                    )
                 )
                 continue
             notes.append(
-                f'The biases of the {name} drift by {significant(drift / unit)} {symbol} (the '
-                f'description of the IMU states {stated}): the standard deviations allow for it.'
+                Finding(
+                    f'The biases of the {name} drift by {significant(drift / unit)} {symbol} (the '
+                    f'description of the IMU states {stated}): the standard deviations allow for '
+                    'it.',
+                    ErrorSource.BIAS_FOUND,
+                )
             )
     return notes
 
@@ -512,19 +536,6 @@ class Comparison:
         """Standard deviations by which one of the parameters differs by chance in `_ONE_IN`."""
         return float(-scipy.special.ndtri(_ONE_IN / 2 / len(self.parameters)))
 
-    def sentence(self) -> str:
-        """Report the difference of the two, and the gain of the joint estimate."""
-        if self.refusal:
-            return f'closed form {self.method} has no answer: {self.refusal}'
-        name, far = self.furthest
-        agrees = 'differs by up to' if self.disagrees else 'agrees within'
-        share = abs(self.tighter)
-        gain = 'tighter' if self.tighter >= 0 else 'wider, for bias drift and positioning errors'
-        return (
-            f'closed form {self.method} {agrees} {far:.1f} standard deviations ({name}); '
-            f'joint is {share:.0%} {gain}'
-        )
-
     def finding(self) -> list[str]:
         """Report a contradiction between the two, if any."""
         if not self.disagrees:
@@ -535,9 +546,12 @@ class Comparison:
             if abs(off) > self._limit
         )
         return [
-            f'The closed form {self.method} differs from the joint estimate by more than their '
-            f'standard deviations allow: {names}. It allows neither for tilts nor for outliers, '
-            'and gives short and long segments the same weight.'
+            Finding(
+                f'The closed form {self.method} differs from the joint estimate by more than their '
+                f'standard deviations allow: {names}. The closed form ignores tilts and outliers, '
+                'and gives short and long segments the same weight.',
+                effect=self.furthest[1],
+            )
         ]
 
     def document(self) -> dict[str, object]:

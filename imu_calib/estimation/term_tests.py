@@ -8,7 +8,8 @@ from enum import Enum
 
 import numpy as np
 
-from ..common.budget import PROBABILITY
+from ..common.budget import PROBABILITY, ErrorSource
+from ..common.finding import Finding, warning
 from ..common.stream import Floats, at
 from ..common.units import ARCSEC, PPM, significant
 from ..model.parameters import TRIADS, Parameter, ParameterKind
@@ -64,9 +65,9 @@ _BY_TEMPERATURE = (
 
 _REPEAT = 'calibrate it again, and leave it switched on'  #: The same where biases may have stepped.
 
-_BROKEN_OFF = (
-    'The search for further terms was stopped: with the terms that it tried the least squares did '
-    'not converge. No further term is estimated, though the session may need one.'
+_BROKEN_OFF = warning(
+    'The search for further terms was stopped, since the least squares did not converge with them. '
+    'The session may need a term that is not estimated.'
 )
 
 _LN10 = float(np.log(10.0))  #: From natural logarithms to decimal ones.
@@ -202,7 +203,10 @@ def findings(search: SearchResult) -> list[str]:
     """Return sentences on the families found in addition to those requested."""
     broken_off = [_BROKEN_OFF] if search.broken_off else []
     table = search.before_search.equations.evidence.table
-    found = [_found_sentence(one, search, table) for one in search.found]
+    found = [
+        Finding(_found_sentence(one, search, table), effect=float(np.sqrt(-2 * one.log_p)))
+        for one in search.found
+    ]
     return [*found, *broken_off, *_likely(search)]
 
 
@@ -236,14 +240,17 @@ def _likely(search: SearchResult) -> list[str]:
     names = [
         p.name for p, yes in zip(search.estimate.equations.parameters, wider, strict=True) if yes
     ]
-    allowed = f': the standard deviations of {", ".join(names)} allow for it' if names else ''
+    allowed = f'; the standard deviations of {", ".join(names)} allow for it' if names else ''
     recorded = any(family.course is Course.THERMAL for family in search.probability)
     remedy = _BY_TEMPERATURE if recorded else _RECORD
     if courses == [Course.STEP]:
         remedy = _REPEAT
     return [
-        f'The session hints at {words}, with a probability of {min(total, 0.99):.2g}, and does not '
-        f'show it well enough to estimate it{allowed}. To tell, {remedy}.'
+        Finding(
+            f'There may be {words} (probability {min(total, 0.99):.2g}), too small to be '
+            f'estimated{allowed}. To tell, {remedy}.',
+            ErrorSource.TERMS,
+        )
     ]
 
 
@@ -377,8 +384,8 @@ def _below_detection(
     size = f'{significant(least / coefficient.unit.scale)} {coefficient.unit.shown}'
     by = f'{significant(abs(slope) * least / moved.unit.scale)} {moved.unit.shown}'
     return (
-        f'{", ".join(names)} {"holds" if len(names) == 1 else "hold"} for {one.name} = 0: {size} '
-        f'below detection; would bias {moved.name} by {by}'
+        f'An undetected {one.name} of up to {size} could bias {", ".join(names)}: {moved.name} by '
+        f'up to {by}'
     )
 
 
@@ -403,14 +410,13 @@ def _hidden(one: TermTest) -> str:
         f'{moved.name} by {significant(size / moved.unit.scale)} {moved.unit.shown}'
         for moved, size in most.items()
     ]
-    may = f'{largest(changes, smallest)} below detection; would bias {" and ".join(by)}'
-    if one.probability is not None:
-        return (
-            f'{one.name}: {may}; the standard deviations allow for it with a probability of '
-            f'{one.probability:.2g}'
-        )
-    verb = 'holds' if len(names) == 1 else 'hold'
-    return f'{", ".join(names)} {verb} for {one.name} = 0: {may}'
+    may = (
+        f'An undetected {one.name} of up to {largest(changes, smallest)} could bias '
+        f'{", ".join(names)}: {" and ".join(by)}'
+    )
+    if one.probability is None:
+        return may
+    return f'{may}. The standard deviations allow for it by its probability, {one.probability:.2g}'
 
 
 def _power(one: TermTest) -> str:
@@ -428,13 +434,14 @@ def _held(one: TermTest, held: list[tuple[Parameter, tuple[Parameter, float]]]) 
     coefficient, (moved, slope) = max(held, key=lambda pair: float(f'{abs(pair[1][1]):.2g}'))
     unit = coefficient.unit
     by = abs(slope) * one.amount * unit.scale / moved.unit.scale
-    verb = 'holds' if len(held) == 1 else 'hold'
     return (
-        f'{names} {verb} for {one.name} = 0, which this session does not show: {one.amount:g} '
-        f'{unit.shown} would move {moved.name} by {significant(by)} {moved.unit.shown}; to '
+        f'This session does not show {one.name}, which could bias {names}: {one.amount:g} '
+        f'{unit.shown} would move {moved.name} by {significant(by)} {moved.unit.shown}. To '
         f'determine it takes {terms_of(one.parameters)[0].needs}'
     )
 
+
+_FOLLOW = 'The terms thermal or trend (`terms`) estimate what follows it.'
 
 _CHEAPEST = 200 * PPM
 """Scale factor per kelvin of the cheapest units (MPU-9150: 0.02 % of the accelerometers). Where
@@ -447,7 +454,7 @@ def temperature_finding(found: Estimate) -> list[str]:
     if not warms(evidence) or any(c.of_scale_factor for c in equations.changes):
         return []
     seen = temperatures(evidence)
-    known, unknown = [], []
+    known, unknown, most = [], [], 0.0
     for letter, words in TRIADS.items():
         stated = float(evidence.thermal['ga'.index(letter), 0])
         if stated:
@@ -457,24 +464,24 @@ def temperature_finding(found: Estimate) -> list[str]:
                 f'of {words}s that follow it by {significant(1 / moved[1] / PPM)} ppm/K '
                 f'({moved[0]})'
             )
+            most = max(most, moved[1] * _CHEAPEST)
     if not known and not unknown:
         return []
-    sentences = [
-        f'The temperature moved by {np.ptp(seen):.2g} K during the session (from {seen.min():.1f} '
-        f'to {seen.max():.1f} degC), and K and D are estimated as if they did not follow it.'
-    ]
+    text = (
+        f'The temperature moved by {np.ptp(seen):.2g} K ({seen.min():.1f} to {seen.max():.1f} '
+        'degC), and K and D are taken as constant'
+    )
     if known:
-        sentences.append(
-            f'The standard deviations allow for the {" and ".join(known)} that the description of '
-            'the IMU states for scale factors.'
-        )
-    if unknown:
-        sentences.append(
-            'The description of the IMU states no scale_factor_temperature: scale factors '
-            f'{" or ".join(unknown)} are already off by a standard deviation.'
-        )
+        text += f'; the standard deviations allow for {" and ".join(known)} of the scale factors'
+    if not unknown:
+        return [Finding(f'{text}. {_FOLLOW}', ErrorSource.TEMPERATURE)]
     return [
-        ' '.join([*sentences, 'The terms thermal or trend (`terms`) estimate what follows it.'])
+        warning(
+            f'{text}. Scale factors {" or ".join(unknown)} are wrong by a standard deviation, and '
+            f"the IMU's file states no scale_factor_temperature. {_FOLLOW}",
+            ErrorSource.TEMPERATURE,
+            effect=most,
+        )
     ]
 
 

@@ -5,18 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import Any
 
 import numpy as np
 
 from ..calibration.calibration import Calibration
 from ..calibration.results import Result
 from ..common.stream import Floats
-from ..common.units import DEG_H, MICRO_G, decimals, significant
-from ..model.parameters import Parameter
-from ..model.sensors import by_name
-from ..model.session_terms import Change, largest
-from ..model.terms import coefficients_of
+from ..common.units import DEG_H, MICRO_G, decimals
 from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, ImuSpec, TriadSpec, TriadUnits
 from . import attitudes, provenance, repeatability, timeline
 from .budget import budget_section
@@ -24,6 +19,7 @@ from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, scrolling, section, table
 from .provenance import LIMITS, angles_table, assess, outcome, summary, tables, worst, written
 from .tables import FREE_OF_FRAME, change_note, three_digits
+from .term_rows import TERM_HEADINGS, TERM_NOTE, term_rows
 
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
 """px; layout."""
@@ -164,82 +160,12 @@ def residual_notes(residuals: Residuals, rms: Sequence[object] | None) -> str:
     return ''.join(parts)
 
 
-_NOTE = (
-    'A term that is "off" was tested and is not significant: a single coefficient of the stated '
-    'size would have been found nine times in ten. A term that the session does not show may still '
-    'be present: the parameter that it would bias is stated.'
-)
-
-
 def terms_section(calibration: Calibration) -> tuple[str, ...]:
     """Return the section's contents; empty for a calibration without entries on terms."""
-    tests = calibration.provenance.get('tests_of_terms')
-    if tests is None:
+    rows = [[escape(cell) for cell in row] for row in term_rows(calibration)]
+    if not rows:
         return ()
-    rows = []
-    for name, test in tests.items():
-        coefficients = coefficients_of(name)
-        rows.append(
-            [
-                escape(name),
-                escape(_kind(coefficients)),
-                escape(test['state']),
-                _chance(test.get('log10_p')),
-                _smallest(coefficients, test.get('found_from')),
-                _moved(coefficients, test.get('would_move')),
-            ]
-        )
-    headings = ['', 'kind', 'state', 'chance', 'found from', 'would move']
-    return table(headings, rows, 'terms stacked', 'lllrll'), paragraph(_NOTE, 'note')
-
-
-def _kind(coefficients: Sequence[Parameter | Change]) -> str:
-    if not coefficients:
-        return 'error of the table'
-    first = coefficients[0]
-    return first.course.words if isinstance(first, Change) else first.kind.value.words
-
-
-def _unit(coefficient: Parameter | Change) -> tuple[str, float]:
-    """Return the unit in which a coefficient is shown, and its SI value."""
-    unit = coefficient.unit
-    if not isinstance(coefficient, Change):
-        return unit.shown, unit.scale
-    words, scale = coefficient.course.shown_per
-    return f'{unit.shown}{words}', unit.scale * scale
-
-
-def _chance(log10_p: float | None) -> str:
-    if log10_p is None:
-        return '-'
-    return f'{10**log10_p:.2g}' if log10_p > -3 else f'10<sup>{log10_p:.0f}</sup>'
-
-
-def _smallest(
-    coefficients: Sequence[Parameter | Change], found_from: Sequence[float | None] | None
-) -> str:
-    """Return the largest coefficient among the detection limits."""
-    if not coefficients or found_from is None:
-        return '-'
-    changes = [one for one in coefficients if isinstance(one, Change)]
-    if changes:
-        return escape(largest(changes, found_from)) or 'not shown'
-    seen = [value for value in found_from if value is not None]
-    unit, scale = _unit(coefficients[0])
-    return escape(f'{significant(max(seen) / scale)} {unit}') if seen else 'not shown'
-
-
-def _moved(
-    coefficients: Sequence[Parameter | Change], moved: Mapping[str, Mapping[str, Any]] | None
-) -> str:
-    """Return the effect of the most important coefficient on a parameter, per unit."""
-    if not coefficients or not moved:
-        return '-'
-    name, entry = max(moved.items(), key=lambda pair: abs(pair[1]['by']))
-    other = by_name([entry['parameter']])[0]
-    unit, scale = _unit(next(one for one in coefficients if one.name == name))
-    by = abs(entry['by']) * scale / other.unit.scale
-    return escape(f'{other.name}: {significant(by)} {other.unit.shown} for 1 {unit}')
+    return table(TERM_HEADINGS, rows, 'terms stacked', 'lllrll'), paragraph(TERM_NOTE, 'note')
 
 
 _ALLAN_WIDTH, _ALLAN_HEIGHT, _ALLAN_LEFT, _ALLAN_TOP = 372.0, 250.0, 56.0, 52.0
@@ -396,7 +322,7 @@ def page(contents: Contents) -> str:
         [
             tag('h1', escape(title)),
             _head(contents),
-            section('Findings', bullets(calibration.findings)),
+            section('Warnings and notes', bullets(calibration.findings)),
             _parameters(contents),
             _changes(contents.calibration),
             section('Terms', *terms_section(calibration)),

@@ -9,26 +9,26 @@ from datetime import datetime
 from html import escape
 
 import numpy as np
+from rich.table import Table
 
 from ..calibration.calibration import Calibration
-from ..common.units import DEG, DEG_H, MICRO_G, PPM, decimals
+from ..common.units import DEG, DEG_H, MICRO_G, PPM, decimals, significant
 from ..model.alignment import SCALE, SHOWN
+from ..model.earth import MEASURED
 from ..model.parameters import Parameter, ParameterKind
 from ..model.terms import TERMS
 from ..session.imu import (
     COVERAGE,
     TRIAD_NAMES,
-    ChannelNoise,
     Coefficient,
     Specification,
-    TriadSpec,
-    TriadUnits,
     Verdict,
     judge,
 )
 from .charts import drawing, joined, segment, tag
 from .html import named_rows, table
-from .tables import engineering, fixed, three_digits
+from .plain_table import plain_table
+from .tables import decimals, engineering, fixed, three_digits
 
 Facts = Mapping[str, object]
 
@@ -149,8 +149,10 @@ def _height(facts: Facts) -> str:
     value = number(facts, 'height')
     if value is None:
         return ''
-    assumed = ' (assumed: not stated)' if facts.get('height_assumed') else ''
-    return f'{value:g}\u00a0m above the ellipsoid{assumed}'
+    words = ' (assumed: not stated)' if facts.get('height_assumed') else ''
+    if facts.get('gravity_source') == MEASURED and not words:
+        words = ' (not used: gravity was measured)'
+    return f'{value:g}\u00a0m above the ellipsoid{words}'
 
 
 def _azimuth(facts: Facts) -> str:
@@ -187,6 +189,31 @@ def _clocks(facts: Facts) -> str:
 def _rate(facts: Facts) -> str:
     value = number(facts, 'highest_rate')
     return '' if value is None else f'{value / DEG:.4g}\u00a0deg/s'
+
+
+def _duration(facts: Facts) -> str:
+    value = number(facts, 'duration')
+    return '' if value is None else f'{value:.0f}\u00a0s'
+
+
+def gravity_won(facts: Facts) -> str:
+    """Return by how much the accelerometers at rest miss gravity, without calibration and with."""
+    off = [number(facts, f'gravity_off_{when}') for when in ('before', 'after')]
+    if None in off:
+        return ''
+    least = 0.0 if facts.get('by_hand') else _IN_PERCENT
+    before, after = (_ratio(value or 0.0, least) for value in off)
+    return f'off by {before} before, {after} after'
+
+
+_IN_PERCENT = 1e-4
+"""Ratio of a unit on a table from which on it is stated in percent, below in ppm. A choice."""
+
+
+def _ratio(value: float, least: float) -> str:
+    if value >= least:
+        return f'{significant(100 * value)} %'
+    return f'{significant(value / PPM)} ppm'
 
 
 def _interpolated(facts: Facts) -> str:
@@ -234,11 +261,13 @@ _GROUPS: tuple[tuple[str, tuple[tuple[str, Callable[[Facts], str], tuple[str, ..
         'Estimate',
         (
             ('method', _text('method'), ('method',)),
-            ('plan', plan, ('plan',)),
+            ('plan', plan, ('plan', 'by_hand')),
             ('terms beyond the 24', _terms, ('terms', 'terms_looked_for')),
             ('static dwells', _count('segments'), ('segments',)),
             ('turns', _count('turns'), ('turns',)),
             ('samples used', _count('samples'), ('samples',)),
+            ('duration', _duration, ('duration',)),
+            ('gravity at rest', gravity_won, ('gravity_off_before', 'gravity_off_after')),
             ('highest rate', _rate, ('highest_rate',)),
             ('missing positions', _listed('missing_positions'), ('missing_positions',)),
             ('condition number', _condition, ('condition_number',)),
@@ -260,6 +289,25 @@ _GROUPS: tuple[tuple[str, tuple[tuple[str, Callable[[Facts], str], tuple[str, ..
 )
 """Heading, and rows: name, text, and the keys that they cover."""
 _SHOWN = {key for _, rows in _GROUPS for _, _, keys in rows for key in keys}
+
+
+def origin_rows(calibration: Calibration) -> list[tuple[str, str]]:
+    """Return the provenance for a terminal: names and texts, without those of the recording."""
+    facts = calibration.provenance
+    rows = [(name, words(facts)) for _, group in _GROUPS[1:] for name, words, _ in group]
+    rows.append(('temperature of the unit', temperature(facts)))
+    rows.append(('bias drift allowed for', _bias_drift(facts)))
+    return [(name, text.replace('\u00a0', ' ')) for name, text in rows if text]
+
+
+def _bias_drift(facts: Facts) -> str:
+    drift = facts.get('bias_drift')
+    if not isinstance(drift, Sequence) or len(drift) != len(_CHANNELS) or not any(drift):
+        return ''
+    return (
+        f'{significant(drift[0] / DEG_H)} deg/h and {significant(drift[3] / MICRO_G)} ug over some '
+        '1000 s, by the data sheet and the session'
+    )
 
 
 def provenance(calibration: Calibration) -> str:
@@ -324,25 +372,25 @@ def _word(value: object) -> str:
     return '-' if value is None else str(value)
 
 
-def noise_lines(calibration: Calibration) -> list[str]:
-    """Return a line per triad: measured noise, and that of the IMU's file."""
+def noise_table(calibration: Calibration) -> Table | None:
+    """Return the measured noise by channel beside that of the IMU's file; None without any."""
     seen = calibration.noise
-    lines = []
+    rows = plain_table(('noise of', 'random walk', 'stated', 'bias instability', 'stated'), 'lrlrl')
     for units, spec in zip(TRIAD_NAMES, (calibration.imu.gyro, calibration.imu.accel), strict=True):
-        found = [seen[c] for c in units.channels if c in seen]
-        if found:
-            lines.append(_line(units, found, spec))
-    return lines
+        for channel in units.channels:
+            if channel in seen:
+                rows.add_row(
+                    channel,
+                    written(seen[channel].random_walk, units.walk_scale),
+                    _stated(spec.random_walk, units.walk_scale, units.walk),
+                    written(seen[channel].bias_instability, units.rate_scale),
+                    _stated(spec.bias_instability, units.rate_scale, units.rate),
+                )
+    return rows if rows.row_count else None
 
 
-def _line(units: TriadUnits, found: Sequence[ChannelNoise], spec: TriadSpec) -> str:
-    walk = ' '.join(written(c.random_walk, units.walk_scale) for c in found)
-    bias = ' '.join(written(c.bias_instability, units.rate_scale) for c in found)
-    return (
-        f'noise of the {units.name}s: random walk {walk} {units.walk}'
-        f'{_stated(spec.random_walk, units.walk_scale)}, '
-        f'bias instability {bias} {units.rate}{_stated(spec.bias_instability, units.rate_scale)}'
-    )
+def _stated(value: float, scale: float, unit: str) -> str:
+    return f'{value / scale:.3g} {unit}' if value > 0 else unit
 
 
 def written(coefficient: Coefficient, scale: float) -> str:
@@ -356,10 +404,6 @@ def written(coefficient: Coefficient, scale: float) -> str:
     return (
         f'<{three_digits(coefficient.below / scale)}' if coefficient.below < float('inf') else '-'
     )
-
-
-def _stated(value: float, scale: float) -> str:
-    return f' (data sheet {value / scale:.3g})' if value > 0 else ''
 
 
 LIMITS = (

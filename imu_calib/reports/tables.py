@@ -9,9 +9,9 @@ from rich.table import Table
 
 from ..calibration.calibration import Calibration
 from ..common.stream import at
-from ..common.units import decimals
+from ..common.units import DEG, MICRO_G, decimals
 from ..model.alignment import SCALE, SHOWN
-from ..model.parameters import AXES, Parameter
+from ..model.parameters import AXES, Parameter, ParameterKind
 from ..model.terms import TERMS
 from .plain_table import plain_table
 
@@ -31,9 +31,21 @@ class Shown:
         return self.unit.replace('ug', '\u00b5g')
 
 
-def engineering(parameter: Parameter) -> Shown:
-    """Return the unit that engineers use for a parameter."""
-    return Shown(parameter.unit.shown, parameter.unit.scale)
+_BY_HAND = {
+    (ParameterKind.SCALE_FACTOR_ERROR, 'g'): Shown('%', 0.01),
+    (ParameterKind.SCALE_FACTOR_ERROR, 'a'): Shown('%', 0.01),
+    (ParameterKind.MISALIGNMENT, 'g'): Shown('deg', DEG),
+    (ParameterKind.MISALIGNMENT, 'a'): Shown('deg', DEG),
+    (ParameterKind.BIAS, 'g'): Shown('deg/s', DEG),
+    (ParameterKind.BIAS, 'a'): Shown('mg', 1e3 * MICRO_G),
+}
+"""Units of the grade of the units that are calibrated in the hand."""
+
+
+def engineering(parameter: Parameter, *, by_hand: bool = False) -> Shown:
+    """Return the unit that engineers use for a parameter, on a table or of a unit in the hand."""
+    own = Shown(parameter.unit.shown, parameter.unit.scale)
+    return _BY_HAND.get((parameter.kind, parameter.triad), own) if by_hand else own
 
 
 def fixed(value: float, places: int) -> str:
@@ -87,7 +99,8 @@ def change_note(calibration: Calibration) -> str:
 def parameter_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
     """Return the estimated parameters: value, standard deviation, unit.
 
-    The truth of a simulation adds the errors in standard deviations.
+    Those that are zero by the choice of the axes have no row. The truth of a simulation adds the
+    errors in standard deviations.
     """
     table = _headed('parameter', against_truth=truth is not None)
     parameters, deviations = calibration.parameters, calibration.std
@@ -95,12 +108,12 @@ def parameter_table(calibration: Calibration, truth: Calibration | None = None) 
     true_values = truth.model.values(parameters) if truth is not None else values
     last = parameters[0]
     for k, parameter in enumerate(parameters):
-        if not np.isfinite(deviations[k]):
+        if not np.isfinite(deviations[k]) or values[k] == deviations[k] == 0:
             continue
         if section_of(parameter) != section_of(last):
             table.add_section()
         last = parameter
-        shown = engineering(parameter)
+        shown = engineering(parameter, by_hand=calibration.by_hand)
         true = None if truth is None else true_values[k] / shown.scale
         value, deviation = values[k] / shown.scale, deviations[k] / shown.scale
         table.add_row(parameter.name, *_cells(value, deviation, shown.unit, true))
@@ -124,30 +137,23 @@ def _cells(value: float, deviation: float, unit: str, true: float | None) -> lis
 
 
 FREE_OF_FRAME = (
-    'xy: 90 deg minus the angle between the input axes x and y. X: rotation of the gyro triad '
-    "about X against the accelerometers. None of these depends on the table's frame."
+    'xy: 90 deg less the angle between the input axes x and y. X: rotation of the gyros about X '
+    "against the accelerometers. These do not depend on the table's axes."
 )
 """Explanation of `angle_table`."""
-
-
-def parameter_tables(
-    calibration: Calibration, truth: Calibration | None = None
-) -> list[Table | str]:
-    """Return the tables of a calibration for a terminal: parameters and angles."""
-    angles = angle_table(calibration, truth)
-    return [parameter_table(calibration, truth), '', angles, FREE_OF_FRAME]
 
 
 def angle_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
     """Return the angles between input axes: value, standard deviation, unit."""
     table = _headed('free of frame', against_truth=truth is not None)
+    unit = Shown('deg', DEG) if calibration.by_hand else Shown(SHOWN, SCALE)
     true = {} if truth is None else {a.group: a.values for a in truth.free_of_frame}
     for angles in calibration.free_of_frame:
         known = true.get(angles.group, angles.values)
         rows = zip(angles.group.names, angles.values, angles.std, known, strict=True)
         for name, value, std, right in rows:
-            there = None if truth is None else right / SCALE
-            cells = _cells(value / SCALE, std / SCALE, SHOWN, there)
+            there = None if truth is None else right / unit.scale
+            cells = _cells(value / unit.scale, std / unit.scale, unit.unit, there)
             table.add_row(f'{angles.group.words} {name}', *cells)
         table.add_section()
     return table

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from rich.table import Table
@@ -29,20 +29,21 @@ def limits_line(verification: Verification) -> str:
     """Return a sentence on the limits of the verdict."""
     doubt, rejection = verification.limits
     return (
-        f'Warning limit {doubt:.1f} standard deviations, rejection limit {rejection:.1f} '
-        '(1 in 100 and 1 in a million sessions of sound data), and the same chances for the '
-        'chi-square of all equations.'
+        f'Limits: {doubt:.1f} standard deviations for marginal, {rejection:.1f} for fail, which 1 '
+        'in 100 and 1 in a million sessions of sound data exceed; alike for chi-square.'
     )
 
 
-def dwell_table(verification: Verification) -> Table | None:
-    """Return the static dwells, worst first; None without any."""
-    return _verification_table(verification, _AT_REST)
-
-
-def turn_table(verification: Verification) -> Table | None:
-    """Return the turns, worst first; None without any."""
-    return _verification_table(verification, _IN_TURNS)
+def compared_tables(verification: Verification, most: int | None = None) -> Iterator[Table | str]:
+    """Yield the static dwells and the turns, worst first, all or so many of each."""
+    for quantities, name in ((_AT_REST, 'static dwells'), (_IN_TURNS, 'turns')):
+        mine = [c for c in verification.compared if c.quantity in quantities and c.is_meaningful]
+        if not mine:
+            continue
+        rows = sorted(_rows(mine), key=lambda row: -_worst(row))
+        yield _verification_table(verification, quantities, rows[:most])
+        hidden = len(rows) - len(rows[:most])
+        yield f'{hidden} more {name}, each nearer: `verbose`\n' if hidden else ''
 
 
 def moved_table(moved: Sequence[ShiftedParameter]) -> Table:
@@ -61,10 +62,12 @@ def moved_table(moved: Sequence[ShiftedParameter]) -> Table:
     return table
 
 
-def _verification_table(verification: Verification, quantities: Sequence[Quantity]) -> Table | None:
-    mine = [c for c in verification.compared if c.quantity in quantities and c.is_meaningful]
-    if not mine:
-        return None
+def _verification_table(
+    verification: Verification,
+    quantities: Sequence[Quantity],
+    rows: Sequence[Sequence[ComparedQuantity]],
+) -> Table:
+    mine = [one for row in rows for one in row]
     present = [q for q in quantities if any(c.quantity is q for c in mine)]
     turns = quantities is _IN_TURNS
     headings = ['position', 'rate, deg/s' if turns else 'at, s']
@@ -72,7 +75,7 @@ def _verification_table(verification: Verification, quantities: Sequence[Quantit
         headings += [f'{quantity.value}, {_SHOWN[quantity].unit}', 'std']
     table = plain_table([*headings, 'worst/std', ''], f'l{"r" * len(headings)}l')
     places = {q: _verification_places([c for c in mine if c.quantity is q]) for q in present}
-    for row in sorted(_rows(mine), key=lambda r: -_worst(r)):
+    for row in rows:
         first = row[0]
         cells = [first.name, f'{first.rate / DEG:+.4g}' if turns else f'{first.at:.1f}']
         for quantity in present:

@@ -22,6 +22,8 @@ from ..model.parameters import TRIADS, Parameter, ParameterKind
 # Limits of a unit's parameters by its specification, and the verdict on a value.
 
 
+GENERIC = 'si'
+"""Id of the supplied description of any unit that publishes SI units."""
 COVERAGE = 2.0
 """Standard deviations on both sides of a value within which the truth is assumed to lie (95 %)."""
 

@@ -94,7 +94,7 @@ def test_a_calibration_is_a_document_and_people_read_stderr(
         assert (told['value'], told['std']) == (value, std)
         assert told['unit'] == parameter.unit.si
     assert known['D_gx']['unit'] == 'rad/s'
-    assert 'Worth knowing' in program.told and 'K_gx' in program.told
+    assert 'Notes' in program.told and 'K_gx' in program.told
     # The same from Python, and the next command writes to stdout again.
     again = imu_calib.calibrate(folder / 'one').to_dict()
     assert again['parameters'] == result['parameters']

@@ -127,9 +127,9 @@ def test_gyros_that_scatter_from_dwell_to_dwell_are_widened_by_that() -> None:
     assert found.earth_up == pytest.approx(vector[2], rel=1e-9)
     assert found.earth_up_std == pytest.approx(np.sqrt(covariance[2, 2] * ratio), rel=1e-9)
     assert found.findings[1] == (
-        f'Between positions the gyros scatter {np.sqrt(ratio):.1f} times more than within them '
-        '(positioning errors that the table does not state, drift): their standard deviations are '
-        'widened.'
+        f'Between positions the gyros scatter {np.sqrt(ratio):.1f} times more than within '
+        'them: their standard deviations are widened. Possible causes: positioning errors that the '
+        'table does not state, and drift.'
     )
     assert found.shares is not None
     added = found.shares[ErrorSource.SCATTER]
@@ -311,8 +311,8 @@ def test_north_that_is_elsewhere_is_told_beyond_five_deviations() -> None:
     assert north_of(5.1 * std) != ''
     off = 10 * DEG
     assert north_of(off) == (
-        f'The gyros see north 10.0 +- {std / DEG:.1f} deg off the azimuth given: the gyro biases '
-        f'are wrong by up to {SITE.north_rate * np.sin(off) / DEG_H:.2f} deg/h.'
+        f'Warning: The gyros see north 10.0 +- {std / DEG:.1f} deg off the stated azimuth: the '
+        f'gyro biases are wrong by up to {SITE.north_rate * np.sin(off) / DEG_H:.2f} deg/h.'
     )
     assert 'north -10.0 +-' in north_of(-off)
     assert f'up to {SITE.north_rate * np.sin(off) / DEG_H:.2f} deg/h' in north_of(-off)

@@ -77,7 +77,7 @@ def test_an_arcsecond_on_a_table_that_is_stated_exact_is_never_silently_wrong(
     solution = solved(wrong, seed)
     (finding,) = [f for f in solution.findings if 'table three_axis' in f]
     assert not [f for f in solution.findings if OTHERS.search(f)]
-    if finding.startswith('The session contradicts'):
+    if 'The session contradicts' in finding:
         # Which error it is, the session does not tell: as much is assumed of each.
         assert off(solution).max() < 4.5
         return
@@ -90,7 +90,7 @@ def test_an_arcsecond_on_a_table_that_is_stated_exact_is_never_silently_wrong(
 def test_what_a_session_shows_of_them_is_counted_as_of_the_best_tables() -> None:
     solution = solved('all', 0)
     (finding,) = [f for f in solution.findings if 'table three_axis' in f]
-    assert finding.startswith('The session contradicts table three_axis as its file describes it')
+    assert finding.startswith('Warning: The session contradicts table three_axis, which states')
     assert solution.search is not None
     table = solution.search.estimate.equations.evidence.table
     assert table is not None
@@ -140,6 +140,6 @@ def test_a_real_table_is_not_stated_better_than_any_is_known() -> None:
 def test_a_prediction_says_what_it_rests_on(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['plans', 'twelve_position', '--imu', 'fog_navigation']) == 0
     shown = ' '.join(capsys.readouterr().out.split())
-    assert 'The standard deviations are those of table three_axis as its file describes it' in shown
+    assert 'Table three_axis is described as better than any real one' in shown
     assert main(['plans', 'six_position_by_hand', '--imu', 'mems_counts']) == 0
-    assert 'no real one' not in capsys.readouterr().out
+    assert 'than any real one' not in capsys.readouterr().out

@@ -470,11 +470,11 @@ def test_a_temperature_that_moved_is_said_with_what_it_means() -> None:
     assert temperature_finding(moved_by(0.0, np.zeros((2, 2)), 1e-6)) == []
     stated = moved_by(4.0, [[20 * PPM, 0.0], [3e-5, 0.0]], 1e-6)
     (text,) = temperature_finding(stated)
-    assert text.startswith('The temperature moved by 3.9 K during the session (from 20.0 to 23.9')
+    assert text.startswith('The temperature moved by 3.9 K (20.0 to 23.9')
     assert text.endswith(
-        'The standard deviations allow for the 20 ppm/K of the gyros and 30 ppm/K of the '
-        'accelerometers that the description of the IMU states for scale factors. The terms '
-        'thermal or trend (`terms`) estimate what follows it.'
+        'the standard deviations allow for 20 ppm/K of the gyros and 30 ppm/K of the '
+        'accelerometers of the scale factors. The terms thermal or trend (`terms`) estimate what '
+        'follows it.'
     )
     asked = replace(stated.equations, changes=session_term('thermal'))
     assert temperature_finding(SimpleNamespace(**{**vars(stated), 'equations': asked})) == []
@@ -482,9 +482,8 @@ def test_a_temperature_that_moved_is_said_with_what_it_means() -> None:
 
 def test_a_temperature_matters_where_the_cheapest_units_would_be_off_by_a_deviation() -> None:
     (text,) = temperature_finding(moved_by(4.0, np.zeros((2, 2)), 1e-6))
-    assert (
-        'The description of the IMU states no scale_factor_temperature: scale factors of ' in text
-    )
+    assert text.startswith('Warning: The temperature moved by 3.9 K')
+    assert "the IMU's file states no scale_factor_temperature" in text
     assert ' or of accelerometers that follow it by ' in text
     # At 200 ppm/K and 4 K everything is below a deviation of a tenth.
     assert temperature_finding(moved_by(4.0, np.zeros((2, 2)), 0.1)) == []

@@ -333,7 +333,10 @@ def test_a_lost_turn_costs_little_and_is_said() -> None:
             replace(block, stamp=block.stamp[keep], gyro=block.gyro[keep], accel=block.accel[keep])
         )
     found = free.finish()
-    text = '1 turn is lost, and the gyros know less: from hold 4 to 5 (samples are missing).'
+    text = (
+        '1 turn is not used, and the parameters of the gyros are less well known: from hold 4 to 5 '
+        '(samples are missing).'
+    )
     assert text in found.calibration.findings
     wrong = found.calibration.values - in_frame_of_accelerometers(unit(0)).vector()
     assert np.abs(wrong[SCALES]).max() < 300 * PPM

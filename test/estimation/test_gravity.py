@@ -151,21 +151,21 @@ def test_the_screen_and_the_file_say_what_was_assumed(tmp_path, monkeypatch, cap
     assert main(['simulate', './short.yaml', '-o', 'bag', *place]) == 0
     assert main(['calibrate', 'bag', '--latitude', '34.65', '-o', 'unknown.yaml']) == 0
     output = ' '.join(capsys.readouterr().out.split())
-    assert 'The height of the site was not stated and is taken as 0 m' in output
-    assert 'known to 160 ppm, which the standard deviations of K_a include' in output
+    assert 'Gravity was computed for height 0 m, since no height is stated' in output
+    assert 'adds 160 ppm to the standard deviation of every K_a' in output
     document = yaml.safe_load(Path('unknown.yaml').read_text())
-    assert any('height of the site was not stated' in f for f in document['findings'])
+    assert any('no height is stated' in f for f in document['findings'])
     unknown = Calibration.load(Path('unknown.yaml'))
     assert (np.abs(unknown.values - truth().values)[K_A] < 4.5 * unknown.std[K_A]).all()
     # The recording knows its height, the command line a measured gravity.
     measured = ['--gravity', repr(LUOYANG_520.gravity)]
     for options, doubt, words in (
-        ([], 30.62, ['known to 30.6 ppm']),
-        (measured, 0.0, ['taken as exact', 'the height of 520 m is not used']),
-        (['--gravity-std', '1e-4'], 10.2, ['known to 10.2 ppm']),
-        (['--height', '520', '--height-std', '100'], 43.9, ['known to 43.9 ppm']),
+        ([], 30.62, ['\u00b1 0.000300 m/s']),
+        (measured, 0.0, ['taken as exact', '520 m above the ellipsoid (not used']),
+        (['--gravity-std', '1e-4'], 10.2, ['\u00b1 0.000100 m/s']),
+        (['--height', '520', '--height-std', '100'], 43.9, ['\u00b1 0.000430 m/s']),
     ):
-        assert main(['calibrate', 'bag', '-o', 'known.yaml', *options]) == 0
+        assert main(['calibrate', 'bag', '-o', 'known.yaml', '--verbose', *options]) == 0
         output = ' '.join(capsys.readouterr().out.split())
         assert all(text in output for text in words)
         assert 'height of the site' not in output

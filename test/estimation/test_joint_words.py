@@ -113,7 +113,7 @@ def test_what_counts_for_less_is_named_with_its_size(monkeypatch: pytest.MonkeyP
         SimpleNamespace(name=name, chi_square=square) for name, square in (('a', 36.0), ('b', 81.0))
     ]
     assert finding_texts(monkeypatch, found(outliers=outliers)) == [
-        'Outliers, given less weight: a (6 sigma), b (9 sigma, leaning).'
+        'Warning: Outliers, given less weight: a (6 sigma), b (9 sigma, leaning).'
     ]
 
 
@@ -128,12 +128,12 @@ def test_a_heading_that_was_found_elsewhere_and_a_tilt_are_told(
     what = found(nuisance=lambda which: values[which])
     what.equations.any_heading = True
     assert finding_texts(monkeypatch, what) == [
-        'The gyros see north 3.0 +- 0.4 deg off the azimuth given, which is therefore not used.'
+        'Warning: The gyros see north 3.0 +- 0.4 deg off the stated azimuth: the stated one is not '
+        'used.'
     ]
     what.equations.any_heading, what.equations.levelled = False, 1.0
     assert finding_texts(monkeypatch, what) == [
-        'The table is tilted by 50 arcsec, more than the 20 arcsec to which it was taken to be '
-        'level.'
+        'Warning: The table is tilted by 50 arcsec, more than the 20 arcsec that are assumed.'
     ]
 
 
@@ -142,7 +142,7 @@ def test_changes_that_a_session_does_not_tell_are_named(monkeypatch: pytest.Monk
     monkeypatch.setattr(joint_findings, 'names_of', lambda _: ['trend', 'warm_up'])
     (sentence,) = finding_texts(monkeypatch, found(constant=constant))
     assert sentence.startswith(
-        'The session does not determine how K_gx, D_ax change (trend and warm_up): taken as'
+        'The session does not show how K_gx, D_ax change (trend and warm_up): they are taken as'
     )
 
 

@@ -373,10 +373,10 @@ def test_a_move_that_does_not_fit_is_left_out_and_named() -> None:
     bent = replace(wrong, turned=wrong.turned * (1 + 3000 * PPM))
     moves = tuple(bent if m is wrong else m for m in evidence().moves)
     solution = joint.solve(replace(evidence(), moves=moves))
-    (finding,) = [f for f in solution.findings if 'moves end elsewhere' in f]
+    (finding,) = [f for f in solution.findings if 'disagree on the end' in f]
     names = [evidence().segments[k].position for k in (links[4].first, links[4].second)]
     assert (
-        f'By the gyros 1 of 9 moves end elsewhere than by the encoders (from position {names[0]} to'
+        f'Gyros and encoders disagree on the end of 1 of 9 moves (from position {names[0]} to'
         in finding
     )
     without = tuple(m for m in evidence().moves if m is not wrong)
@@ -396,8 +396,8 @@ def test_a_velocity_that_does_not_fit_is_left_out_and_named() -> None:
     (finding,) = [f for f in solution.findings if 'end at rest' in f]
     names = [evidence().segments[k].position for k in (links[4].first, links[4].second)]
     assert finding.startswith(
-        f'By the accelerometers 1 of 9 moves do not end at rest (from position {names[0]} to '
-        f'{names[1]};'
+        'The accelerometers show 1 of 9 moves that do not end at rest '
+        f'(from position {names[0]} to {names[1]};'
     )
     without = tuple(replace(m, velocity_steps=None) if m is wrong else m for m in evidence().moves)
     other = joint.solve(replace(evidence(), moves=without))

@@ -51,7 +51,8 @@ def test_a_hold_that_slides_is_said_and_moves_no_parameter(pace: float, holds: i
         assert np.abs(off(found)).max() < 4.5
         said = ' '.join(found.calibration.findings)
         assert (
-            f'2 turns are lost, and the gyros know less: from hold {SLIDES} to {SLIDES + 1}, '
+            '2 turns are not used, and the parameters of the gyros are less well known: '
+            f'from hold {SLIDES} to {SLIDES + 1}, '
             f'{SLIDES + 1} to {SLIDES + 2} (the unit slid at hold {SLIDES + 1}).'
         ) in said
         for false in ('gyros at rest', 'respond to specific force', 'Outliers', 'missing'):

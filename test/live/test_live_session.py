@@ -159,7 +159,7 @@ def test_terms_are_looked_for_when_a_session_ends_and_not_at_every_review(wire):
     on_the_way, final = review.result.calibration, end.result.calibration
     assert review.result.solution.tests == ()
     assert not on_the_way.provenance['terms_looked_for']
-    assert [f for f in on_the_way.findings if 'Provisional: terms are looked for' in f]
+    assert [f for f in on_the_way.findings if 'Provisional: further terms' in f]
     assert end.result.solution.tests
     assert final.provenance['terms_looked_for']
     assert not [f for f in final.findings if 'Provisional' in f]

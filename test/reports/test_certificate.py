@@ -262,7 +262,7 @@ def test_a_reference_that_was_not_valid_any_more_gives_no_certificate(
 
 
 HINTS = [
-    ('It is one. State what yours has.', 'It is one.'),
+    ('It is one. State what the table has.', 'It is one.'),
     ('Known to 1.5 ppm. State `height`, or `gravity` as measured.', 'Known to 1.5 ppm.'),
     ('Assumed: zeros 30 arcsec; state its own under these keys.', 'Assumed: zeros 30 arcsec.'),
     ('Hold the unit still for 2.5 s.', None),

@@ -119,7 +119,7 @@ def test_stamps_that_jitter_and_samples_that_are_lost_cost_no_turn() -> None:
     held = shaky(sensors, rate=100, scales=SCALES, noise=noise, jitter=0.004, lost=0.01)
     found = calibrated(held)
     assert found.calibration.provenance['turns'] == len(held.holds) - 1
-    assert not any('turns are lost' in finding for finding in found.calibration.findings)
+    assert not any('turns are not used' in finding for finding in found.calibration.findings)
     wrong = found.calibration.values - in_frame_of_accelerometers(sensors).vector()
     square = float(np.sum((wrong[FREE] / found.calibration.std[FREE]) ** 2))
     assert square < chi2.isf(1e-4, FREE.sum())
@@ -171,7 +171,7 @@ def test_accelerations_that_are_none_of_the_stated_units_are_named() -> None:
 
 def test_rates_of_another_unit_are_named_where_all_turns_are_lost_by_them() -> None:
     held = shaky(unit(3.0 * DEG), rate=100, scales=SCALES, noise=(0.05 * DEG, 0.03))
-    with pytest.raises(NotObservable, match=r'turns are lost.* or check the unit of the gyros'):
+    with pytest.raises(NotObservable, match=r'turns are not used.* or check the unit of the gyros'):
         calibrated(replace(held, block=replace(held.block, gyro=held.block.gyro / DEG)))
 
 
@@ -188,7 +188,7 @@ def test_turns_beyond_the_range_are_left_out_and_said() -> None:
     calibrator.add_block(held.block)
     found = calibrator.finish().calibration
     (findings,) = (
-        finding for finding in found.findings if f'{sum(clipped)} turns are lost' in finding
+        finding for finding in found.findings if f'{sum(clipped)} turns are not used' in finding
     )
     assert findings.endswith(
         '(a sensor is at the end of its range: turn more slowly, or set a wider range).'
@@ -205,7 +205,7 @@ def test_gyros_whose_bias_stepped_are_said_to_stand_at_two_rates(step: float, sa
     gyro = block.gyro.copy()
     gyro[len(gyro) // 2 :, 0] += step * DEG / SCALES[0]
     found = calibrated(replace(sensors, block=replace(block, gyro=gyro))).calibration.findings
-    told = [one for one in found if 'differs from that at rest' in one]
+    told = [one for one in found if 'stood at other rates than at rest' in one]
     assert len(told) == said
     if said:
         words = told[0].split('by up to ')[1]

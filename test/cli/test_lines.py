@@ -1,0 +1,118 @@
+"""What the commands print for a sound session: as much as a screen shows, and no more."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.cli.main import main
+from imu_calib.common.files import named_file
+from imu_calib.common.finding import is_warning, without_label
+
+LINES, COLUMNS = 40, 100
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two sessions of one unit on a table, one in the hand, and their calibrations."""
+    folder = tmp_path_factory.mktemp('sessions')
+    text = named_file('plans', 'twelve_position').read_text().replace('dwell: 120', 'dwell: 20')
+    # The fastest turns alone.
+    (folder / 'short.yaml').write_text(re.sub(r'rates: \[.*, (.*, .*)\]', r'rates: [\1]', text))
+    for name, plan in (('a', folder / 'short.yaml'), ('b', folder / 'short.yaml')):
+        words = [str(plan), '-o', str(folder / name), '--seed', str(ord(name))]
+        assert main(['simulate', *words]) == 0
+        file = str(folder / f'{name}.yaml')
+        assert main(['calibrate', str(folder / name), '-o', file]) == 0
+    assert main(['simulate', 'free_positions', '-o', str(folder / 'hand')]) == 0
+    return folder
+
+
+COMMANDS = [
+    'calibrate a -o again.yaml',
+    'calibrate hand -o hand.yaml',
+    'verify b --calibration a.yaml',
+    'compare a.yaml b.yaml',
+    'plans',
+    'plans twelve_position',
+    'plans twelve_position --imu fog_medium',
+    'plans six_position_by_hand --imu mems_counts',
+]
+
+
+@pytest.mark.parametrize('command', COMMANDS)
+def test_a_sound_session_fits_a_screen(
+    command: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    assert main(command.split()) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= LINES
+    assert max(map(len, lines)) <= COLUMNS
+
+
+def test_nothing_is_lost_that_is_not_on_the_screen(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    assert main(['calibrate', 'a', '-o', 'all.yaml', '--verbose']) == 0
+    shown = ' '.join(capsys.readouterr().out.split())
+    found = Calibration.load('all.yaml')
+    for text in found.findings:
+        assert without_label(text).replace('`height`', '--height').split('.')[0] in shown
+    for words in (
+        'gyros xy',
+        'gyro_cubic',
+        'closed form',
+        'random walk',
+        'heading found',
+        'IMU against table',
+    ):
+        assert words in shown
+    assert 'hold for' not in shown
+
+
+def test_warnings_come_first_and_none_is_cut(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    text = Path('a.yaml').read_text().replace('\nfindings:\n', '\nfindings:\n' + ADDED, 1)
+    Path('told.yaml').write_text(text)
+    told = Calibration.load('told.yaml')
+    assert [is_warning(f) for f in told.findings[:8]] == [True] * 7 + [False]
+    from imu_calib.cli.screen import print_findings
+
+    print_findings(told.findings, verbose=False)
+    out = capsys.readouterr().out
+    assert all(f'{k} is off' in out for k in range(7))
+    notes = len(told.findings) - 7
+    assert f'{notes - 5} more: --verbose' in out
+    print_findings(told.findings, verbose=True)
+    assert '--verbose' not in capsys.readouterr().out
+
+
+ADDED = ''.join(
+    [f'- Note {k} is a note.\n' for k in range(6)]
+    + [f"- 'Warning: Number {k} is off.'\n" for k in range(7)]
+)
+
+
+def test_a_session_in_the_hand_speaks_of_its_grade(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    assert main(['calibrate', 'hand', '-o', 'units.yaml']) == 0
+    out = capsys.readouterr().out
+    units = {line.split()[0]: line.split()[-1] for line in out.splitlines() if line.strip()}
+    assert (units['K_gx'], units['E_gxy'], units['D_gx']) == ('%', 'deg', 'deg/s')
+    assert (units['K_ax'], units['E_ayx'], units['D_ax']) == ('%', 'deg', 'mg')
+    # Zero by the choice of the axes: no estimates.
+    assert 'E_axy' not in units
+    assert 'K: scale-factor error' in out
+    (won,) = re.findall(r'Gravity over the holds: off by (\S+) % before, (\S+) % after', out)
+    found = Calibration.load('units.yaml')
+    # The unit's biases of 25 mg and 0.5 % of scale, and what noise leaves of them.
+    assert 2.0 < float(won[0]) < 4.0
+    assert float(won[1]) < 0.1
+    assert found.provenance['gravity_off_before'] == pytest.approx(float(won[0]) / 100, rel=0.05)
