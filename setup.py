@@ -91,6 +91,8 @@ setup(
         # Definitions and bytes of the messages that nodes exchange; ROS 1 bags.
         ROSBAGS,
         'threadpoolctl>=3.1',
+        # Loaded only where a shell asks for completions.
+        'argcomplete>=3',
         # Part of Python from 3.14 on.
         "backports.zstd>=1; python_version < '3.14'",
     ],

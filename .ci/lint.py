@@ -75,6 +75,7 @@ OTHERS = {
     'live/middleware/dds/arguments.py': 'options of ROS',
     'live/middleware/dds/context.py': 'options of ROS',
     'live/middleware/ros.py': 'a command of ROS',
+    'live/nodes/programs.py': 'options of ROS',
     'session/keywords.py': 'the options themselves',
     'live/runtime.py': 'a whole command',
     'live/web/drawing.py': 'variables of CSS',

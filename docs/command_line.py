@@ -20,7 +20,8 @@ HEAD = f"""# Command line
 
 {EXIT_CODES} An error is a sentence on
 stderr; with `--json` it is in the document on stdout too ([output](files/output.md)).
-`imu-calib COMMAND --help` prints the same text (`python docs/command_line.py` writes this page).
+`imu-calib COMMAND --help` prints the usual options, `--help-all` all of this text
+(`python docs/command_line.py` writes this page).
 
 | command | does |
 |---|---|
@@ -38,7 +39,7 @@ def page() -> str:
 
 
 def _section(name: str, parser: argparse.ArgumentParser) -> str:
-    actions = [a for a in parser._actions if a.dest != 'help']
+    actions = [a for a in parser._actions if a.dest not in {'help', 'help_all'}]
     text = f'\n## {name}\n\n{_prose(parser.description)}\n'
     places = ''.join(f' {_place(a)}' for a in actions if not a.option_strings)
     text += f'\n    imu-calib {name}{places} [options]\n'

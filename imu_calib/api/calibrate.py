@@ -145,7 +145,7 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
                         'down, and a turn about each), not free positions: give `plan` '
                         f'{_HOLDS_AND_TURNS}.'
                     ) from None
-            raise NotObservable(' '.join([str(error), *lost, *opened.assumed])) from None
+            raise error.among(after=(*lost, *opened.assumed)) from None
         if by_hand:
             _check_that_it_was(opened, result.session)
     return result

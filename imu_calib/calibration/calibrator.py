@@ -268,23 +268,23 @@ class Calibrator:
         setup = self._setup
         used = self._used(labelled)
         if not used.segments and not used.turns:
-            raise NotObservable(losses_of_all_segments(session, labelled, setup))
+            raise NotObservable(*losses_of_all_segments(session, labelled, setup))
         evidence = self._evidence(used, session)
         lost = loss_findings(setup, evidence, labelled, session)
         try:
             solver = self._solver if final else self._glance
             solution, comparison = self._estimate(evidence, labelled, session, solver)
         except NotObservable as error:
-            dead = dead_channels(session)
-            raise type(error)(' '.join([*dead, str(error), *lost])) from None
+            causes = tuple(dead_channels(session))
+            raise error.among(before=causes, after=tuple(lost)) from None
         except InputError as error:
             if dead := dead_channels(session):
-                raise NotObservable(' '.join([*dead, str(error)])) from None
+                raise NotObservable(*dead, *error.args) from None
             raise
         except np.linalg.LinAlgError as error:
             # Channels without noise make covariances singular.
             singular = f'The equations of the session have no solution ({error}).'
-            raise NotObservable(' '.join([*dead_channels(session), singular, *lost])) from None
+            raise NotObservable(*dead_channels(session), singular, *lost) from None
         found = Basis(setup, evidence, session, labelled, comparison, tuple(lost), final)
         return found.concluded(solution)
 

@@ -124,13 +124,13 @@ def _or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def losses_of_all_segments(session: Segmented, labelled: Labelled, setup: Setup) -> str:
+def losses_of_all_segments(session: Segmented, labelled: Labelled, setup: Setup) -> list[str]:
     """Return sentences that no dwell or whole turn was found, and why."""
     if not session.samples:
-        return 'The IMU stream is empty: nothing can be determined.'
+        return ['The IMU stream is empty: nothing can be determined.']
     if not session.duration:
-        losses = ' '.join(f'{loss}.' for loss in session.losses)
-        return f'None of {session.samples} IMU samples can be used. {losses}'
+        losses = (f'{loss}.' for loss in session.losses)
+        return [f'None of {session.samples} IMU samples can be used.', *losses]
     looked_for = 'Neither a static dwell nor a whole turn'
     if setup.plan.is_stated:
         looked_for = f'None of the positions of plan {setup.plan.name}'
@@ -143,7 +143,7 @@ def losses_of_all_segments(session: Segmented, labelled: Labelled, setup: Setup)
     if loose and setup.plan.is_stated:
         text += f' {loose} static dwells fit no position of the plan.'
     sentences = [*(f'Left out: {reason}' for reason in reasons[:3]), *session.losses]
-    return ' '.join([text, *(f'{sentence}.' for sentence in sentences)])
+    return [text, *(f'{sentence}.' for sentence in sentences)]
 
 
 def false_samples_first(error: ImuCalibError, session: Segmented) -> ImuCalibError:
@@ -152,8 +152,10 @@ def false_samples_first(error: ImuCalibError, session: Segmented) -> ImuCalibErr
     if not found.is_large:
         return error
     (sentence,) = found.sentences
-    others = str(error).replace(f'{sentence}.', '').strip()
-    return type(error)(f'{sentence}. {others}')
+    others = tuple(text.replace(f'{sentence}.', '').strip() for text in error.args)
+    refusal = error.among(before=(f'{sentence}.',))
+    refusal.args = (refusal.args[0], *others)
+    return refusal
 
 
 def loss_findings(

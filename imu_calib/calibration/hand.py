@@ -335,7 +335,7 @@ class HandCalibrator:
             if other := self._other_length():
                 raise InputError(other)
             text = f'The unit never stood still in {session.duration:.0f} s: there is no hold.'
-            raise NotObservable(' '.join([text, *self._least_motion(), *lost]))
+            raise NotObservable(text, *self._least_motion(), *lost)
         evidence = self.evidence(session)
         try:
             fit = solve(evidence)
@@ -344,7 +344,7 @@ class HandCalibrator:
             few = self._least_motion() if len(evidence.segments) < FEWEST else []
             few += _lost_turns(evidence, session)
             dead = dead_channels(session)
-            raise NotObservable(' '.join([*dead, str(error), *few, *lost])) from None
+            raise NotObservable(*dead, *error.args, *few, *lost) from None
         return self._result(session, evidence, fit)
 
     def _refuse_other_lengths(self, evidence: Evidence) -> None:

@@ -60,8 +60,12 @@ def with_facts(session: Segmented) -> Iterator[None]:
     try:
         yield
     except (InputError, NotObservable) as error:
-        kind = Contradiction if _without_gravity(session) else type(error)
-        raise kind(_explained(str(error), session)) from None
+        if session.facts.sensors_separate:
+            raise type(error)(_explained(str(error), session)) from None
+        facts = session.facts.sentence
+        if without := _without_gravity(session):
+            raise Contradiction(without, facts) from None
+        raise error.among(after=(facts,)) from None
 
 
 def explained(review: _AnyReview) -> _AnyReview:

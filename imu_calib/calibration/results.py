@@ -61,13 +61,9 @@ def calibrated(
         check_plausible(calibration, 'The result is not that of a strapdown IMU')
     except InputError as error:
         raise NotObservable(
-            ' '.join(
-                [
-                    f'{error} Sensors that saturate, and a description of another '
-                    'unit or table, are possible causes.',
-                    *findings,
-                ]
-            )
+            f'{error} Possible causes: sensors that saturate, and a description of another unit or '
+            'table.',
+            *findings,
         ) from None
     return calibration
 

@@ -9,14 +9,16 @@ import re
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from copy import copy
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
+from textwrap import fill
 from typing import Any, NoReturn
 
 from ..common.errors import ImuCalibError, InputError
 from ..common.files import user_path, version
-from ..common.units import point_for_comma
+from ..common.units import counted, point_for_comma
 from .outcome import (
     INTERRUPTED,
     JSON,
@@ -76,8 +78,22 @@ class _WrongUsage(Exception):
         self.command = command
 
 
+_RARE = frozenset(
+    {
+        *('--latitude-std', '--height-std', '--gravity-std', '--temperature-rise'),
+        *('--joint-topic', '--setpoint-topic', '--imu-only', '--method', '--separate'),
+        *('--baud', '--table-baud', '--network', '--stop-required', '--web-host', '--without'),
+        *('--sample-rate', '--bias-instability', '--scheduler', '--start', '--speed'),
+    }
+)
+"""Options that few sessions need: --help names them together, --help-all explains them."""
+_ALL = '--help-all'
+_NAME_WIDTH = 34
+"""Columns of names of options in the help. A choice: the longest usual ones have as much."""
+
+
 class _Parser(argparse.ArgumentParser):
-    """Passes wrong usage to `run`, which reports it like other errors."""
+    """Passes wrong usage to `run`, which reports it like other errors; its help fits a screen."""
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
@@ -85,6 +101,38 @@ class _Parser(argparse.ArgumentParser):
         self.register('type', int, _integer)
         # argparse takes -59,9 for an option, and reports that the previous one has no value.
         self._negative_number_matcher = _NEGATIVE
+        self.add_argument(_ALL, action=_HelpAll, nargs=0, help='explain all options, and end')
+
+    def format_help(self) -> str:
+        """Return the usual options in a line each, and the names of the others."""
+        if self._subparsers is not None:
+            return self.format_all()
+        formatter = argparse.HelpFormatter(self.prog, max_help_position=_NAME_WIDTH)
+        words = [str(a.metavar or a.dest) for a in self._positionals._group_actions]
+        formatter.add_usage(' '.join(['%(prog)s', *words, '[options]']), [], [])
+        formatter.add_text(self.description)
+        hidden = _RARE | {_ALL}
+        rare = [a.option_strings[-1] for a in self._actions if _RARE & set(a.option_strings)]
+        for group in self._action_groups:
+            usual = [a for a in group._group_actions if not hidden & set(a.option_strings)]
+            formatter.start_section(group.title)
+            formatter.add_arguments([_in_a_line(action, formatter) for action in usual])
+            formatter.end_section()
+        text = formatter.format_help()
+        if rare:
+            names = fill(
+                ', '.join(rare),
+                formatter._width,
+                initial_indent='  ',
+                subsequent_indent='  ',
+                break_on_hyphens=False,
+            )
+            text += f'\nrarely used ({_ALL} explains them):\n{names}\n'
+        return text
+
+    def format_all(self) -> str:
+        """Return the whole text on all options."""
+        return super().format_help()
 
     def error(self, message: str) -> NoReturn:
         """Print the usage, unless one option's value is wrong, and raise the error.
@@ -98,6 +146,32 @@ class _Parser(argparse.ArgumentParser):
             with suppress(OSError):
                 self.print_usage(sys.stderr)
         raise _WrongUsage(self.prog.removeprefix('imu-calib').strip(), of_one)
+
+
+def _in_a_line(action: argparse.Action, formatter: argparse.HelpFormatter) -> argparse.Action:
+    """Return an option whose help is cut after its first part where it does not fit a line."""
+    shown = copy(action)
+    text = formatter._expand_help(action) if action.help else ''
+    width = formatter._width - _NAME_WIDTH
+    if len(text) > width:
+        text = _PART.match(text)[0]  # type: ignore[index]
+    if len(text) > width:
+        text = text[:width].rpartition(', ')[0]
+    shown.help = text.replace('%', '%%')
+    return shown
+
+
+_PART = re.compile(r'(?:default: )?.*?(?=[:;] | \(|$)')
+"""First part of a help text."""
+
+
+class _HelpAll(argparse.Action):
+    """Prints the whole text on all options."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        assert isinstance(parser, _Parser)
+        write_text(parser.format_all())
+        parser.exit()
 
 
 def _number(text: str) -> float:
@@ -153,6 +227,17 @@ def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
     return parser
 
 
+def complete(line: str) -> None:
+    """Answer a shell that asks how to go on with a line; ends the process.
+
+    Args:
+        line: As typed so far.
+    """
+    import argcomplete
+
+    argcomplete.autocomplete(build_parser(line.split()[1:]), always_complete_options='long')
+
+
 def run(argv: Sequence[str], *, alone: bool) -> int:
     """Run a command line; return its exit code (`EXIT_CODES`).
 
@@ -180,7 +265,8 @@ def run(argv: Sequence[str], *, alone: bool) -> int:
         if as_json:
             write_document(command, outcome)
     except ImuCalibError as error:
-        code = _ended(command, as_json, error.exit_code, str(error), kind_of(error))
+        shown = _shown(error, getattr(arguments, 'verbose', None))
+        code = _ended(command, as_json, error.exit_code, str(error), kind_of(error), shown)
     except KeyboardInterrupt:
         code = _ended(command, as_json, INTERRUPTED, WORDS, KIND)
     except BrokenPipeError:
@@ -272,11 +358,29 @@ def _words_of(value: object) -> list[str]:
     return [word for word in words if isinstance(word, str) and '\0' not in word]
 
 
-def _ended(command: str, as_json: bool, code: int, text: str, kind: str) -> int:
-    """Report why a command has ended without a result, on the terminal and in its document."""
+def _shown(error: ImuCalibError, verbose: bool | None) -> str:
+    """Return what a person sees of an error: its cause; all of it without the option --verbose."""
+    if verbose is not False or not error.details:
+        return str(error)
+    return f'{error.cause} ({counted(len(error.details), "more sentence")}: --verbose)'
+
+
+def _ended(
+    command: str, as_json: bool, code: int, text: str, kind: str, shown: str | None = None
+) -> int:
+    """Report why a command has ended without a result, on the terminal and in its document.
+
+    Args:
+        command: Its name.
+        as_json: Whether it writes a document.
+        code: Its exit code.
+        text: The reason.
+        kind: Of the reason, for the document.
+        shown: What the terminal shows of it; None for all.
+    """
     if code == INTERRUPTED:
         clear_interrupt()
-    _print(command, text, style='' if code == INTERRUPTED else 'red')
+    _print(command, text if shown is None else shown, style='' if code == INTERRUPTED else 'red')
     if as_json:
         outcome = CommandResult(exit_code=code)
         try:

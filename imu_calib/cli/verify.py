@@ -6,11 +6,11 @@ import argparse
 
 from ..api.verify import verify
 from ..calibration.verify import Verdict, Verification
-from ..reports.verification import compared_tables, limits_line, moved_table
+from ..reports.verification import limits_line, moved_table, worst_of
 from ..session.keywords import Numbered, Read
 from . import options
 from .outcome import NO_ANSWER, CommandResult, add_json_option, add_verbose_option
-from .screen import print_findings, print_parts, print_text, sentence_list
+from .screen import print_findings, print_text, sentence_list
 from .terminal import OUTPUT, progress_bar
 
 _WORST = 4
@@ -60,7 +60,11 @@ def run(arguments: argparse.Namespace) -> CommandResult:
 
 
 def _show(verification: Verification, *, verbose: bool) -> None:
-    print_parts(compared_tables(verification, None if verbose else _WORST))
+    for worst in worst_of(verification, None if verbose else _WORST):
+        OUTPUT.print(worst.table)
+        if worst.left_out:
+            OUTPUT.print(f'{worst.left_out} more {worst.of}, each nearer: --verbose')
+        OUTPUT.print()
     for triad in verification.triads:
         OUTPUT.print(str(triad))
     print_text(limits_line(verification))

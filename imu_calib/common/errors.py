@@ -1,13 +1,47 @@
 """The two kinds of failure of a calibration, each with its exit code."""
 
+from __future__ import annotations
+
+from copy import copy
+from typing import TypeVar
+
+_Error = TypeVar('_Error', bound='ImuCalibError')
+
 
 class ImuCalibError(Exception):
     """Root of all errors that this package raises deliberately; the text is for the user.
 
     It names a keyword, or a parameter of a node, as `imu_topic`: the command line has --imu-topic.
+
+    Args:
+        cause: What is wrong, and what to do.
+        details: What else was seen, in sentences.
     """
 
     exit_code = 2
+
+    def __init__(self, cause: str = '', *details: str) -> None:
+        super().__init__(cause, *details)
+
+    def __str__(self) -> str:
+        """Return the cause and the details."""
+        return ' '.join(filter(None, self.args))
+
+    @property
+    def cause(self) -> str:
+        """What is wrong, and what to do."""
+        return str(self.args[0])
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        """What else was seen, in sentences."""
+        return tuple(filter(None, self.args[1:]))
+
+    def among(self: _Error, *, before: tuple[str, ...] = (), after: tuple[str, ...] = ()) -> _Error:
+        """Return the error with other causes before it, of which the first counts, or details."""
+        found = copy(self)
+        found.args = (*before, *self.args, *after)
+        return found
 
 
 class InputError(ImuCalibError):

@@ -180,7 +180,8 @@ def _widened_by_scatter(
     """
     parameters = equations.parameters
     of_accels = np.array([p.triad == 'a' for p in parameters])
-    widened, notes = covariance.copy(), []
+    widened = covariance.copy()
+    notes: list[str] = []
     freedom = np.full(len(covariance), np.inf)
     for fit, mine, name in ((gyro, ~of_accels, 'gyros'), (accel, of_accels, 'accelerometers')):
         if fit is not None and fit.scatter.significant:

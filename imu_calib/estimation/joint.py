@@ -60,7 +60,7 @@ def estimate_findings(found: Estimate, confounded: Sequence[str]) -> list[str]:
 
     `confounded` names errors of the table that positioning errors may be in fact.
     """
-    notes = []
+    notes: list[str] = []
     if found.outliers:
         names = ', '.join(
             f'{o.name} ({np.sqrt(o.chi_square):.0f} sigma{_tilt_explanation(found, o)})'
@@ -129,7 +129,7 @@ def _constant_finding(found: Estimate) -> str:
 
 def _rejected_moves_finding(found: Estimate) -> list[str]:
     """Report the moves or velocities that were left out, their errors and possible causes."""
-    notes = []
+    notes: list[str] = []
     turned = [move for move in found.rejected_moves if not move.velocity]
     pushed = [move for move in found.rejected_moves if move.velocity]
     used = found.equations.evidence.used_moves
@@ -173,7 +173,7 @@ def _scatter_findings(found: Estimate, confounded: Sequence[str] = ()) -> list[s
 def _positioning_findings(found: Estimate, confounded: Sequence[str]) -> list[str]:
     """Report positioning errors beyond those that the table's file states."""
     evidence, scatter = found.equations.evidence, found.scatter
-    notes = []
+    notes: list[Finding] = []
     small = evidence.positioning / ARCSEC
     stated = f'{significant(small, 3)} arcsec' if small else 'none'
     known = f"the table's description states {stated}"
@@ -221,13 +221,13 @@ def _positioning_findings(found: Estimate, confounded: Sequence[str]) -> list[st
             'the same positions shows which: equal residuals mean the axes and the encoders, other '
             'ones the stops.'
         )
-    return notes
+    return [*notes]
 
 
 def _drift_findings(found: Estimate) -> list[str]:
     """Report bias drift and fast scatter beyond the bias instability that the IMU's file states."""
     evidence, scatter = found.equations.evidence, found.scatter
-    notes = []
+    notes: list[str] = []
     for name, first, unit, symbol in (
         ('gyros', 0, DEG_H, 'deg/h'),
         ('accelerometers', 3, MICRO_G, 'ug'),

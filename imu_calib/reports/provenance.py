@@ -28,7 +28,7 @@ from ..session.imu import (
 from .charts import drawing, joined, segment, tag
 from .html import named_rows, table
 from .plain_table import plain_table
-from .tables import decimals, engineering, fixed, three_digits
+from .tables import engineering, fixed, three_digits
 
 Facts = Mapping[str, object]
 

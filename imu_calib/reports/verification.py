@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from rich.table import Table
@@ -34,16 +35,23 @@ def limits_line(verification: Verification) -> str:
     )
 
 
-def compared_tables(verification: Verification, most: int | None = None) -> Iterator[Table | str]:
-    """Yield the static dwells and the turns, worst first, all or so many of each."""
+@dataclass(frozen=True, eq=False)
+class Worst:
+    """The dwells or turns of a verification that deviate most."""
+
+    of: str  #: What they are.
+    table: Table  #: The worst first.
+    left_out: int  #: Number of others, each of which deviates less.
+
+
+def worst_of(verification: Verification, most: int | None = None) -> Iterator[Worst]:
+    """Yield the static dwells and the turns, all or so many of each."""
     for quantities, name in ((_AT_REST, 'static dwells'), (_IN_TURNS, 'turns')):
         mine = [c for c in verification.compared if c.quantity in quantities and c.is_meaningful]
-        if not mine:
-            continue
-        rows = sorted(_rows(mine), key=lambda row: -_worst(row))
-        yield _verification_table(verification, quantities, rows[:most])
-        hidden = len(rows) - len(rows[:most])
-        yield f'{hidden} more {name}, each nearer: `verbose`\n' if hidden else ''
+        if mine:
+            rows = sorted(_rows(mine), key=lambda row: -_worst(row))
+            table = _verification_table(verification, quantities, rows[:most])
+            yield Worst(name, table, len(rows) - len(rows[:most]))
 
 
 def moved_table(moved: Sequence[ShiftedParameter]) -> Table:

@@ -245,6 +245,7 @@ class SimulatedHardware:
         self._waiting: deque[tuple[float, Setpoint]] = deque()
         self._stands = False
         self.time = 0.0
+        self._long_step = 0.0
         self.refusals: list[str] = []
 
     @property
@@ -312,6 +313,8 @@ class SimulatedHardware:
         lines = tuple(line.bytes_up_to(end, begin, motion) for line in self._lines)
         self._table.drop_before(begin - MEMORY)
         self.time = end
+        # Within a shorter one a setpoint is as old as its sender lets it become.
+        self._long_step = seconds if seconds > self._options.setpoint_timeout else 0.0
         return Output(joints, lines)
 
     def _command_table(self) -> None:
@@ -331,6 +334,6 @@ class SimulatedHardware:
                 beyond = tuple(a + faults.overshoot for a in setpoint.angles)
                 setpoint = replace(setpoint, angles=beyond)
             try:
-                self._table.command(setpoint, self.time)
+                self._table.command(setpoint, self.time, self._long_step)
             except InputError as error:
                 self.refusals.append(str(error))

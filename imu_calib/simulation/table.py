@@ -115,19 +115,22 @@ class SimulatedTable:
             return self._time
         return self._track.end + setpoint.dwell
 
-    def command(self, setpoint: Setpoint, time: float) -> None:
+    def command(self, setpoint: Setpoint, time: float, step: float = 0.0) -> None:
         """Take a setpoint. HOLD is obeyed whatever the age of its stamp: clocks may differ.
 
         Args:
             setpoint: As received from the topic.
             time: Time of its arrival, s since the epoch.
+            step: Duration of the step that time has just taken, s: its sender knew no later time
+                than the start of the step.
 
         Raises:
             InputError: Refused, with the reason; the table continues unchanged.
         """
         self._pass(time)
         age = time - (setpoint.stamp - self.epoch) * 1e-9
-        if setpoint.mode is not Mode.HOLD and not abs(age) <= self.options.setpoint_age:
+        oldest = step + self.options.setpoint_age
+        if setpoint.mode is not Mode.HOLD and not -self.options.setpoint_age <= age <= oldest:
             raise InputError(
                 f'{_where(setpoint)}: its stamp is {age:.3g} s old, '
                 f'accepted is up to {self.options.setpoint_age:g} s.'

@@ -1,11 +1,17 @@
 """What the commands print for a sound session: as much as a screen shows, and no more."""
 
+import json
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from loopback import CHECKOUT
 
 from imu_calib.calibration.calibration import Calibration
+from imu_calib.cli.dispatch import COMMANDS as COMMANDS_OF_ALL
 from imu_calib.cli.main import main
 from imu_calib.common.files import named_file
 from imu_calib.common.finding import is_warning, without_label
@@ -25,7 +31,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert main(['simulate', *words]) == 0
         file = str(folder / f'{name}.yaml')
         assert main(['calibrate', str(folder / name), '-o', file]) == 0
-    assert main(['simulate', 'free_positions', '-o', str(folder / 'hand')]) == 0
+    unit = ['--imu', 'mems_counts', '--truth', 'mems_counts']
+    assert main(['simulate', 'free_positions', *unit, '-o', str(folder / 'hand')]) == 0
     return folder
 
 
@@ -116,3 +123,63 @@ def test_a_session_in_the_hand_speaks_of_its_grade(
     assert 2.0 < float(won[0]) < 4.0
     assert float(won[1]) < 0.1
     assert found.provenance['gravity_off_before'] == pytest.approx(float(won[0]) / 100, rel=0.05)
+
+
+def test_a_refusal_has_its_cause_first_and_the_rest_on_request(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    # The Earth turns otherwise there.
+    command = ['calibrate', 'a', '--latitude', '-60', '-o', 'refused.yaml']
+    assert main(command) == 1
+    short = capsys.readouterr().err
+    assert short.startswith('imu-calib calibrate: The data contradicts the latitude')
+    (more,) = re.findall(r' \((\d+) more sentences?: --verbose\)$', short.rstrip())
+    assert main([*command, '--verbose']) == 1
+    whole = capsys.readouterr().err
+    cause = short.partition(' (' + more)[0].removesuffix('\n')
+    assert whole.startswith(cause)
+    assert len(whole) > len(short)
+    assert main([*command, '--json']) == 1
+    document = json.loads(capsys.readouterr().out)
+    assert document['error']['message'] in whole
+
+
+@pytest.mark.parametrize('command', COMMANDS_OF_ALL)
+def test_the_help_of_a_command_fits_a_screen_and_names_every_option(
+    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv('COLUMNS', str(COLUMNS))
+    with pytest.raises(SystemExit):
+        main([command, '--help'])
+    short = capsys.readouterr().out
+    assert len(short.splitlines()) <= LINES
+    assert max(map(len, short.splitlines())) <= COLUMNS
+    with pytest.raises(SystemExit):
+        main([command, '--help-all'])
+    named = re.compile(r'^  (?:-\w[^-\n]*, )?(--[a-z][\w-]*)', re.MULTILINE)
+    options = set(named.findall(capsys.readouterr().out))
+    assert options
+    assert [name for name in options - {'--help-all'} if name not in short] == []
+
+
+def test_a_shell_completes_commands_and_options(tmp_path: Path) -> None:
+    pytest.importorskip('argcomplete')
+    answers = {
+        'imu-calib calib': 'calibrate ',
+        'imu-calib plans --optim': '--optimise ',
+    }
+    for line, wanted in answers.items():
+        answer = tmp_path / 'answer'
+        environment = {
+            **os.environ,
+            '_ARGCOMPLETE': '1',
+            '_ARGCOMPLETE_STDOUT_FILENAME': str(answer),
+            'COMP_LINE': line,
+            'COMP_POINT': str(len(line)),
+            'COMP_TYPE': '9',
+        }
+        subprocess.run(
+            [sys.executable, '-m', 'imu_calib.cli.main'], env=environment, check=True, cwd=CHECKOUT
+        )
+        assert answer.read_text() == wanted

@@ -107,7 +107,7 @@ def test_ports_in_a_row_are_free():
 
 
 def test_units_without_a_result_are_named(file, tmp_path, capsys):
-    arguments = argparse.Namespace(imus=file({}, {}, {}), without='U2')
+    arguments = argparse.Namespace(imus=file({}, {}, {}), without='U2', verbose=False)
     assert several.print_results(arguments, tmp_path, {}) == ['U0', 'U1']
     capsys.readouterr()
 

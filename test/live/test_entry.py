@@ -7,6 +7,8 @@ import pytest
 from installed import needs_nodes
 from loopback import CHECKOUT
 
+from imu_calib.live.nodes import programs
+
 THREADS = """
 import ctypes, sys, tempfile, threading
 from imu_calib.live import middleware
@@ -38,7 +40,8 @@ def main():
 
 
 middleware.run = lambda node, ends: node()
-sys.exit(entry.entry_point(main) if sys.argv[1] == 'node' else main())
+how = sys.argv.pop()
+sys.exit(entry.entry_point(main) if how == 'node' else main())
 """
 
 
@@ -56,3 +59,25 @@ def test_the_threads_of_a_node_take_memory_from_one_heap():
     if heaps('plain') == 1:
         pytest.skip('this C library has one heap for all threads')
     assert heaps('node') == 1
+
+
+@pytest.mark.parametrize('program', ['imu_node', 'turntable_node'])
+def test_a_program_says_how_it_is_called_and_refuses_stray_words(program: str) -> None:
+    def answer(*words: str) -> subprocess.CompletedProcess[str]:
+        module = f'imu_calib.live.nodes.{program}'
+        command = [sys.executable, '-m', module, *words]
+        return subprocess.run(command, capture_output=True, text=True, check=False, cwd=CHECKOUT)
+
+    needs_nodes()
+    asked = answer('--help')
+    assert asked.returncode == 0
+    assert f'usage: {program} [--ros-args' in asked.stdout
+    stray = answer('stand', '--ros-args', '-p', 'use_sim_time:=false')
+    assert stray.returncode == 2
+    assert f"{program}: found 'stand', expected --ros-args" in stray.stderr
+
+
+def test_words_of_ros_are_not_stray() -> None:
+    ros = ['--ros-args', '-p', 'port:=x', '-r', '__ns:=/a', '--']
+    assert programs.answered('imu_node', ros) is None
+    assert programs.answered('imu_node', [*ros, 'more']) == 2
