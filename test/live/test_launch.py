@@ -20,9 +20,6 @@ from imu_calib.session.table import load_table
 
 try:
     from imu_calib.live import middleware as ros
-    from imu_calib.live.nodes import parameters as session_parameters
-    from imu_calib.live.nodes import stop as heartbeat
-    from imu_calib.live.nodes.parameters import declare
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -37,6 +34,7 @@ NODES = {
     # Where NiceGUI is not, it says so and ends.
     **({'web_node': 'WebNode'} if find_spec('nicegui') else {}),
 }
+DECLARE = ros.Node.declare_parameter
 TYPES = {'bool': bool, 'int': int, 'double': float, 'string': str}
 
 
@@ -68,12 +66,13 @@ class Unserved:
 def declared_by(name, kind, patched):
     module, own = import_module(f'imu_calib.live.nodes.{name}'), {}
 
-    def note(node, name, default, text, **more):
-        own[name] = default, more.get('read_only', True)
-        return declare(node, name, default, text, **more)
+    def note(node, name, default, *described):
+        # ROS's own: use_sim_time has no description, overrides of QoS have names of their own.
+        for one in described if not name.startswith('qos_overrides.') else ():
+            own[name] = default, one.read_only
+        return DECLARE(node, name, default, *described)
 
-    for place in (module, session_parameters, heartbeat):
-        patched.setattr(place, 'declare', note)
+    patched.setattr(ros.Node, 'declare_parameter', note)
     port = free_port()
     given = {
         'imu_node': {'port': f'socket://127.0.0.1:{port}'},
