@@ -23,6 +23,7 @@ from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording
 from ..recordings.stamp_order import StampSorter
 from ..segmentation.segmented import Segmented
+from ..segmentation.signal_means import SignalMeans
 from ..session.imu import HOTTEST
 from ..session.keywords import Calibrated, Named, OfSeveral, Stated, with_keywords
 from ..session.metadata import compensated_already, interpolated_from, serial_key
@@ -115,11 +116,14 @@ def solve(opened: Opened, progress: Progress = silent) -> Result:
         InputError: Unreadable, or different from what is stated.
         NotObservable: The data does not determine all parameters.
     """
-    calibrator = calibrator_of(opened.setup)
+    calibrator, signals = calibrator_of(opened.setup), SignalMeans()
     with refused_by_stamps(opened.recording, opened.streams):
         for block in opened.blocks(progress):
             calibrator.add_block(block)
-    return documented(opened, finished(opened, calibrator))
+            if isinstance(block, ImuBlock):
+                signals.add_block(block)
+    result = documented(opened, finished(opened, calibrator))
+    return replace(result, signals=signals.finish())
 
 
 def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:

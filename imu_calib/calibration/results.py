@@ -20,6 +20,7 @@ from ..model.parameters import Parameter
 from ..model.sensors import terms_of
 from ..segmentation.labelling import Labelled
 from ..segmentation.segmented import Segmented
+from ..segmentation.signal_means import Signals
 from ..session.plausibility import check_plausible
 from ..session.stamping import StampingClock
 from ..session.table_errors import clock_share
@@ -79,6 +80,7 @@ class Result:
     #: Comparison with the plan's closed form; None without one.
     comparison: Comparison | None = None
     basis: Basis | None = None  #: Input from which it was concluded; None for a unit in the hand.
+    signals: Signals | None = None  #: Of the IMU, as means; None where they were not kept.
 
     def __repr__(self) -> str:
         """Return one line: a notebook would show the statistics of every dwell."""

@@ -18,6 +18,7 @@ from .budget import budget_section
 from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, scrolling, section, table
 from .provenance import LIMITS, angles_table, assess, outcome, summary, tables, worst, written
+from .signals import signals_plot
 from .tables import FREE_OF_FRAME, change_note, three_digits
 from .term_rows import TERM_HEADINGS, TERM_NOTE, term_rows
 
@@ -398,6 +399,7 @@ def _course(result: Result | None) -> str:
         'Course of the session',
         paragraph(timeline.when(result), 'note'),
         timeline.time_line(found, result.session.duration),
+        signals_plot(result, found),
         rejected or paragraph('Every segment of the session was used.', 'note'),
         tag('h3', 'Positions') + attitudes.attitudes(attitudes.stands(result)),
     )
