@@ -404,7 +404,7 @@ def test_older_columns_are_filled_in_and_newer_refused(tmp_path: Path) -> None:
 
 
 def test_what_nobody_foresaw_is_a_row(monkeypatch: pytest.MonkeyPatch, recordings: Path) -> None:
-    def broken(*_: object) -> None:
+    def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError('by zero')
 
     monkeypatch.setattr('imu_calib.fleet.task.recording_at', broken)
