@@ -116,14 +116,12 @@ def solve(opened: Opened, progress: Progress = silent) -> Result:
         InputError: Unreadable, or different from what is stated.
         NotObservable: The data does not determine all parameters.
     """
-    calibrator, signals = calibrator_of(opened.setup), SignalMeans()
+    unit = _Unit(opened.setup.serial_number, opened.streams.imu)
+    one = _UnitSession(unit, opened, calibrator_of(opened.setup))
     with refused_by_stamps(opened.recording, opened.streams):
-        for block in opened.blocks(progress):
-            calibrator.add_block(block)
-            if isinstance(block, ImuBlock):
-                signals.add_block(block)
-    result = documented(opened, finished(opened, calibrator))
-    return replace(result, signals=signals.finish())
+        _feed_units(opened.recording, [one], progress)
+        result = one.finish()
+    return documented(opened, result)
 
 
 def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
@@ -426,6 +424,7 @@ class _UnitSession:
     opened: Opened | None = None
     calibrator: Calibrator | HandCalibrator | None = None
     error: ImuCalibError | None = None
+    signals: SignalMeans = field(default_factory=SignalMeans)
 
     def receive(self, topic: str, block: Block) -> None:
         """Feed a block of a topic to the calibrator, samples in the order of their stamps."""
@@ -441,15 +440,27 @@ class _UnitSession:
             for block in blocks:
                 if self.calibrator is not None:
                     self.calibrator.add_block(block)
+                    if isinstance(block, ImuBlock):
+                        self.signals.add_block(block)
         except ImuCalibError as error:
             self.error, self.calibrator = error, None
 
+    def finish(self) -> Result:
+        """End the unit's session.
+
+        Raises:
+            ImuCalibError: Why it fails, or has failed.
+        """
+        if self.error is not None:
+            raise self.error
+        assert self.opened is not None and self.calibrator is not None
+        result = finished(self.opened, self.calibrator)
+        return replace(result, signals=self.signals.finish())
+
     def result(self) -> Result | None:
         """End the unit's session; None if it fails, with the reason in `error`."""
-        if self.opened is None or self.calibrator is None:
-            return None
         try:
-            return finished(self.opened, self.calibrator)
+            return self.finish()
         except ImuCalibError as error:
             self.error = error
             return None
@@ -486,6 +497,8 @@ def _feed_units(recording: Recording, sessions: Sequence[_UnitSession], progress
         for topic, block in recording.read(kinds, show):
             for one in listeners[topic]:
                 one.receive(topic, block)
+            if all(one.error for one in sessions):
+                return
     for one in sessions:
         if one.opened is not None:
             one.add_blocks(one.opened.order.finish())
