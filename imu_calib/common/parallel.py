@@ -10,14 +10,14 @@ import logging
 import os
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from multiprocessing import active_children, get_context, resource_tracker
-from typing import TYPE_CHECKING, TypeVar
+from multiprocessing import active_children, forkserver, get_context, resource_tracker
+from typing import TYPE_CHECKING, Any, TypeVar
 from uuid import uuid4
 
 from .errors import ImuCalibError, InputError
@@ -85,6 +85,7 @@ class Engine:
     scheduler: str | None = None  #: Address of a running one; None starts one with workers here.
     workers: int | None = None  #: Number to start; None for one per core.
     memory: str = MEMORY  #: Of each started worker.
+    loads: tuple[str, ...] = ()  #: Modules that the tasks of started workers need.
 
     @contextmanager
     def connected(self) -> Iterator[Client]:
@@ -116,6 +117,7 @@ class Engine:
             # By default a worker that takes longer than 15 s to start anew is given up, and its
             # tasks wait for ever.
             settings['distributed.deploy.lost-worker-timeout'] = _RESTART
+            settings['distributed.worker.multiprocessing-method'] = 'forkserver'
         else:
             settings['distributed.comm.retry.count'] = 3
         with dask.config.set(settings), _quiet():
@@ -131,22 +133,39 @@ class Engine:
         from distributed import Client, LocalCluster
 
         others = set(active_children())
-        with without_interrupts():
-            cluster = LocalCluster(
-                n_workers=self.workers or os.cpu_count(),
-                threads_per_worker=1,
-                memory_limit=self.memory,
-                # Of this machine alone: a scheduler runs any code sent to it.
-                host='127.0.0.1',
-                dashboard_address='127.0.0.1:0',
-            )
-        with cluster, Client(cluster, set_as_default=False) as client:
-            try:
-                yield client
-            except KeyboardInterrupt:
-                # Otherwise running tasks, whose results are dropped, would be waited for.
-                end_started(others)
-                raise
+        with _fork_server(self.loads):
+            with without_interrupts():
+                cluster = LocalCluster(
+                    n_workers=self.workers or os.cpu_count(),
+                    threads_per_worker=1,
+                    memory_limit=self.memory,
+                    # Of this machine alone: a scheduler runs any code sent to it.
+                    host='127.0.0.1',
+                    dashboard_address='127.0.0.1:0',
+                )
+            with cluster, Client(cluster, set_as_default=False) as client:
+                try:
+                    yield client
+                except KeyboardInterrupt:
+                    # Otherwise running tasks, whose results are dropped, would be waited for.
+                    end_started(others)
+                    raise
+
+
+@contextmanager
+def _fork_server(modules: Sequence[str]) -> Iterator[None]:
+    """Have one process load modules for all workers, which are copies of it; it ends at the end."""
+    from distributed.utils import get_mp_context
+
+    get_mp_context().set_forkserver_preload(['distributed', *modules])
+    # Python has no other way to end one, and would keep it until this process ends.
+    server: Any = forkserver._forkserver  # type: ignore[attr-defined, unused-ignore]
+    is_shared = server._forkserver_pid is not None
+    try:
+        yield
+    finally:
+        if not is_shared:
+            server._stop()
 
 
 def _reached(scheduler: str) -> Client:

@@ -29,6 +29,8 @@ _FLUSH, _FLUSH_SHARE, _LATEST_FLUSH = 1.0, 0.05, 60.0
 
 Each addition is a file: ten hours give about six hundred. A killed client loses at most a minute.
 """
+_LOADS = ('imu_calib.fleet.task', 'scipy.linalg', 'scipy.optimize', 'scipy.special')
+"""Modules that a calibration needs; those of scipy are loaded when something is first solved."""
 _MOST = 100
 """Most rows that wait to be added: 70 kB each with the text of the calibration."""
 
@@ -102,7 +104,7 @@ def batch(
     listed = as_list(sources)
     jobs = find_jobs(listed, session, _units_file(imus, session))
     kept = Catalogue(catalogue, create=True)
-    engine = Engine(scheduler, workers, memory)
+    engine = Engine(scheduler, workers, memory, _LOADS)
     done = run_batch(jobs, kept, engine, retry=retry, progress=progress, connected=connected)
     return replace(done, convertible=tuple(convertible(listed)))
 

@@ -73,6 +73,18 @@ def test_a_run_that_is_interrupted_with_tasks_waiting_ends_quietly(
     assert errors == []
 
 
+def loaded(name: str) -> bool:
+    return name in sys.modules
+
+
+def test_workers_begin_with_the_modules_of_their_tasks() -> None:
+    pytest.importorskip('distributed')
+    modules = ('scipy.special', 'wave')
+    with Engine(workers=2, loads=modules[:1]).connected() as client:
+        found = [client.run(loaded, name) for name in modules]
+    assert [list(each.values()) for each in found] == [[True, True], [False, False]]
+
+
 def test_a_cluster_gives_what_this_machine_gives(
     scheduler: str,
     tmp_path: Path,
