@@ -133,7 +133,8 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
     """
     lost = opened.losses
     by_hand = ASSUMED_BY_HAND in opened.assumed
-    before = calibrator.snapshot()
+    # To look at what it holds, if it has no answer.
+    before = calibrator.snapshot() if by_hand else None
     with refused_by_stamps(opened.recording, opened.streams):
         try:
             result = calibrator.finish()

@@ -188,9 +188,10 @@ def columns(
         along: `courses`; or `rates`, for slopes of the outputs within their segment, per s.
     """
     found = np.zeros((len(derivatives), len(changes)))
+    place = {p: k for k, p in enumerate(parameters)}
     known = {c: along(evidence, c, shape) for c in {change.course for change in changes}}
     for k, change in enumerate(changes):
-        own = [parameters.index(p) for p in change.parameters]
+        own = [place[p] for p in change.parameters]
         course = known[change.course][evidence.layout.segment]
         found[:, k] = course * derivatives[:, own].sum(axis=1)
     return found

@@ -12,6 +12,7 @@ from .cdr_codec import part
 
 HELD = 4096
 """Samples among which is sorted: 0.2 MB."""
+_AT_ONCE = 16 * HELD  #: Samples that are looked at for whether they need sorting.
 _FARTHEST = 0.1
 """Of these, the places by which a sample may be out of order: a tenth of a second at 4 kHz, 4 s at
 100 Hz. A judgement: a clock that was set back, or no time at all, moves more."""
@@ -76,9 +77,14 @@ class StampSorter:
         )
         done = []
         while len(self._held) >= HELD:
+            # All that need no sorting at once: whole steps of those taken one by one.
+            stamp = self._held.stamp[:_AT_ONCE]
+            back = np.diff(stamp) < 0
+            ordered = int(back.argmax()) + 1 if back.any() else len(stamp)
+            steps = max(1, (ordered - HELD) // (HELD // 2) + 1)
             self._sort(HELD)
-            done.append(part(self._held, 0, HELD // 2))
-            self._held = part(self._held, HELD // 2, len(self._held))
+            done.append(part(self._held, 0, steps * (HELD // 2)))
+            self._held = part(self._held, steps * (HELD // 2), len(self._held))
         return done
 
     def finish(self) -> list[ImuBlock]:

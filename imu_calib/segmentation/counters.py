@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,12 +170,14 @@ def passages(pulses: Floats, period: float, walk: float) -> Passages | None:
         period: Sample interval, s.
         walk: Random walk, pulses/sqrt(s).
     """
-    count = np.cumsum(pulses)
-    drift = float(count[-1]) / len(pulses)
+    drift = float(pulses.sum()) / len(pulses)
     if abs(drift) * math.sqrt(len(pulses)) < _DRIFT_SIGNIFICANCE * walk * math.sqrt(period):
         return None
-    record = np.maximum.accumulate(count * math.copysign(1.0, drift))
-    index = np.flatnonzero(np.append(record[:1] > 0, record[1:] > record[:-1]))
+    count = np.cumsum(pulses)
+    record = np.maximum.accumulate(count if drift >= 0 else -count)
+    index = np.flatnonzero(record[1:] > record[:-1]) + 1
+    if record[0] > 0:
+        index = np.concatenate([[0], index])
     return Passages(index, record[index], drift) if len(index) >= _PASSAGES_NEEDED else None
 
 
@@ -368,7 +371,7 @@ def block_edges(samples: int, period: float, seconds: float) -> list[tuple[int, 
     return list(pairwise(np.linspace(0, samples, count + 1).astype(int).tolist()))
 
 
-# Reductions of rows of a few columns, column by column: numpy is slow along so short an axis.
+# Reductions of rows of a few columns: numpy is slow along so short an axis.
 
 
 def any_in_row(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -379,6 +382,23 @@ def any_in_row(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def all_in_row(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return `flags.all(axis=1)` of (n, columns) flags, columns at least 1."""
     return reduce(np.logical_and, flags.T)
+
+
+_ABREAST = 64  #: Rows that are reduced side by side, in one long row.
+
+
+def by_columns(reduction: np.ufunc, rows: NDArray[Any]) -> NDArray[Any]:
+    """Return `reduction.reduce(rows, axis=0)` of contiguous (n, columns) rows, n at least 1.
+
+    The reduction has to give the same for any order of the rows: maximum, sum of whole numbers.
+    """
+    whole = len(rows) // _ABREAST * _ABREAST
+    if not whole or not rows.flags.c_contiguous:
+        return np.asarray(reduction.reduce(rows, axis=0))
+    columns = rows.shape[1]
+    abreast = reduction.reduce(rows[:whole].reshape(-1, _ABREAST * columns), axis=0)
+    rest = [abreast.reshape(-1, columns), rows[whole:]]
+    return np.asarray(reduction.reduce(np.concatenate(rest), axis=0))
 
 
 def runs_of(flags: NDArray[np.bool_]) -> NDArray[np.intp]:

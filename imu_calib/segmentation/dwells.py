@@ -41,7 +41,7 @@ _QUIET_WINDOWS = 3  #: In a row: one window between two swings of a ringing tabl
 _FEWEST_BLOCKS = 5  #: Fewer have no scatter to compare a step with.
 _WITHOUT_LARGEST = 0.7  #: Mean square of a few Gaussian values without the largest one, about.
 _TINY = 1e-15  #: Prevents division by zero for a noise-free row.
-_AT_ONCE = 16  #: Windows whose spread is computed at once: 16 000 samples at 2 kHz, a megabyte.
+_AT_ONCE = 64  #: Windows whose spread is computed at once: 12 800 samples at 400 Hz, 0.6 MB.
 _FAR_BETTER = 0.25
 """Of the residual variance of a drift: a step has to explain four times as much as a drift."""
 
@@ -86,11 +86,12 @@ def sound_samples(
     if count < _FEWEST_WINDOWS:
         return Sound(everything, ())
     used = samples.increments[: count * length].reshape(count, length, 6)
-    means = _Means.about_line(used.sum(axis=1), walk * np.sqrt(length * samples.period))
+    sums, spreads = _sums_and_spreads(used)
+    means = _Means.about_line(sums, walk * np.sqrt(length * samples.period))
     # A channel of low noise may drift from one ADC step to the next within a dwell.
     pulses = samples.pulse + samples.carried
     bad = means.outlying(_PULSES * pulses + samples.grid * length)
-    bad |= _outlying_spreads(used, pulses + samples.grid)
+    bad |= _outlying_spreads(spreads, pulses + samples.grid)
     bad |= ~everything[: count * length].reshape(count, length).all(axis=1)
     if not bad.any():
         return Sound(everything, ())
@@ -237,11 +238,20 @@ def _robust_line(sums: Floats) -> Floats:
     return np.asarray(start + slope * (np.arange(n)[:, None] - centre_start))
 
 
-def _outlying_spreads(windows: Floats, pulse: Floats) -> NDArray[np.bool_]:
-    """Return which windows (w, n, 6) scatter more than others, and than pulses (6,) that flip."""
-    # Some at a time: the standard deviation allocates as much memory again.
-    parts = [windows[k : k + _AT_ONCE] for k in range(0, len(windows), _AT_ONCE)]
-    spread = np.concatenate([part.std(axis=1) for part in parts])
+def _sums_and_spreads(windows: Floats) -> tuple[Floats, Floats]:
+    """Return the sums and the standard deviations of windows (w, n, 6), (w, 6) each."""
+    sums, spreads = np.empty((2, len(windows), 6))
+    # Some at a time, as copies are made; side by side, as numpy is slow along so short an axis.
+    for k in range(0, len(windows), _AT_ONCE):
+        part = windows[k : k + _AT_ONCE]
+        abreast = np.ascontiguousarray(part.swapaxes(0, 1)).reshape(part.shape[1], -1)
+        sums[k : k + len(part)] = abreast.sum(axis=0).reshape(-1, 6)
+        spreads[k : k + len(part)] = abreast.std(axis=0).reshape(-1, 6)
+    return sums, spreads
+
+
+def _outlying_spreads(spread: Floats, pulse: Floats) -> NDArray[np.bool_]:
+    """Return which windows scatter more, (w, 6), than others, and than pulses (6,) that flip."""
     typical = np.median(spread, axis=0)
     # A counter at the edge between two values flips by one pulse at every sample.
     limit = _SPREAD_RATIO * np.maximum(typical, _FLIPPING * pulse)
@@ -367,7 +377,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
     # A saturated value repeats itself, too.
     frozen = repeating_samples(values, counted=sensor.counted)
     if angles is not None:
-        frozen |= repeating_a_turn(values, samples.increments[:, :3] / samples.period)
+        frozen |= repeating_a_turn(values, samples.increments[:, :3], samples.period)
     frozen &= ~saturated
     if frozen.any():
         seconds = frozen.sum() * samples.period

@@ -279,6 +279,8 @@ def _on_all_axes(rows: _PlacedRows, triad: int, limits: _Limits) -> NDArray[np.i
     # Drivers change the signs of axes.
     alike = np.flatnonzero((x == y) | (x == -y))
     alike = alike[np.abs(y[alike]) == np.abs(z[alike])]
+    if not len(alike):
+        return np.empty(0, dtype=np.intp)
     starts = np.flatnonzero(np.diff(alike, prepend=-2) > 1)
     lengths = np.diff(starts, append=len(alike))
     first, last = alike[starts], alike[starts + lengths - 1]
@@ -305,6 +307,8 @@ def _without_gravity(rows: _PlacedRows, limits: _Limits) -> NDArray[np.intp]:
     starts = np.flatnonzero(np.diff(alike, prepend=-2) > 1)
     lengths = np.diff(starts, append=len(alike))
     asked = alike[np.repeat(lengths <= _LONGEST, lengths)]
+    if not len(asked):
+        return np.empty(0, dtype=np.intp)
     others = np.delete(np.arange(len(values)), asked)
     after = np.searchsorted(others, asked)
     inside = (after >= _SEEN) & (after <= len(others) - _SEEN)
@@ -392,10 +396,13 @@ def _successions(
         places: (n,) of the rows in the stream.
         limits: For spikes.
     """
-    edges = np.flatnonzero(any_in_row(np.abs(steps.reshape(-1, 6)) > limits.jump)) + 1
+    far = np.flatnonzero(np.abs(steps) > limits.jump.min())
+    edges = np.unique(far[np.abs(steps[far]) > limits.jump[far % 6]] // 6) + 1
+    if not len(edges):
+        return edges, edges
     cuts = np.flatnonzero(np.diff(edges, prepend=-_WITHIN) > _SUCCESSION)
     begin = edges[cuts]
-    end = edges[np.append(cuts[1:], len(edges)) - 1] if len(edges) else edges
+    end = edges[np.append(cuts[1:], len(edges)) - 1]
     short = (end > begin + 1) & (end <= begin + _SUCCESSION)
     short &= places[end] - places[begin - 1] <= _WITHIN
     return begin[short], end[short]

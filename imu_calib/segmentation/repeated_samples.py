@@ -92,7 +92,7 @@ class Repetition:
         return self.longest >= _FEWEST and self.samples * share**self.longest < _CHANCE
 
 
-def repeating_a_turn(values: Floats, rates: Floats) -> NDArray[np.bool_]:
+def repeating_a_turn(values: Floats, angles: Floats, period: float) -> NDArray[np.bool_]:
     """Find the samples (n,) of a dwell that repeat one of a turn.
 
     If a device froze before the table came to rest, the dwell need not hold any other sample to
@@ -100,13 +100,15 @@ def repeating_a_turn(values: Floats, rates: Floats) -> NDArray[np.bool_]:
 
     Args:
         values: (n, 6) as delivered.
-        rates: (n, 3) of the gyros, rad/s.
+        angles: (n, 3) turned in each sample, rad.
+        period: Sample interval, s.
     """
     found = np.zeros(len(values), dtype=bool)
     same = all_in_row(values[1:] == values[:-1])
     found[1:] |= same
     found[:-1] |= same
-    return np.asarray(found & (np.linalg.norm(rates, axis=1) > _TURNS))
+    found[found] = np.linalg.norm(angles[found] / period, axis=1) > _TURNS
+    return found
 
 
 def _noisy(values: Floats, start: int, stop: int) -> bool:

@@ -19,6 +19,7 @@ from .counters import (
     END_POINT_VARIANCE,
     MeanRate,
     block_edges,
+    by_columns,
     mean_and_blocks,
     mean_rate,
     rate_between,
@@ -128,9 +129,12 @@ def whole_channels(values: Floats) -> NDArray[np.bool_]:
 
     A channel that reads 0 alone is judged by the others.
     """
-    whole = np.asarray((values == np.rint(values)).all(axis=0))
+    same = values == np.rint(values)
+    if same.all():
+        return np.ones(values.shape[1], dtype=bool)
+    whole = by_columns(np.logical_and, same)
     if not whole.all():
-        whole &= (values != 0).any(axis=0)
+        whole &= by_columns(np.logical_or, values != 0)
     return whole
 
 

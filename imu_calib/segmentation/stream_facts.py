@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ..common.stream import Floats, Stamps, Units
 from ..common.units import LARGEST, STANDARD_GRAVITY, counted
+from .counters import all_in_row, any_in_row, by_columns
 
 _LEAST = 0.05
 """Share of rows that each sensor has of its own. A judgement: a unit whose gyros read 0 at rest
@@ -31,7 +32,7 @@ def rows_of_one_sensor(gyro: Floats, accel: Floats) -> Halves:
         gyro: (n, 3) in any unit.
         accel: (n, 3) likewise.
     """
-    has_gyro, has_accel = (((v != 0) & np.isfinite(v)).any(axis=1) for v in (gyro, accel))
+    has_gyro, has_accel = (any_in_row((v != 0) & np.isfinite(v)) for v in (gyro, accel))
     return has_gyro & ~has_accel, has_accel & ~has_gyro
 
 
@@ -116,17 +117,20 @@ class StreamFacts:
         self._count_values(values)
 
     def _count_values(self, values: Floats) -> None:
-        self._no_number += int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
-        zero = values == 0
-        self._zero += [np.count_nonzero(zero[:, k : k + 3].all(axis=1)) for k in (0, 3)]
-        self._alone += [
-            np.count_nonzero(rows) for rows in rows_of_one_sensor(values[:, :3], values[:, 3:])
-        ]
-        sizes = np.where(np.isfinite(values), np.abs(values), 0.0)
-        largest = sizes.max(axis=0)
-        count = np.count_nonzero(sizes == largest, axis=0)
-        further = np.where(largest == self._largest, self._at_largest + count, self._at_largest)
-        self._at_largest = np.where(largest > self._largest, count, further)
+        sizes, finite = np.abs(values), np.isfinite(values)
+        zero = sizes == 0
+        no_gyro, no_accel = (all_in_row(zero[:, k : k + 3]) for k in (0, 3))
+        self._zero += [np.count_nonzero(rows) for rows in (no_gyro, no_accel)]
+        if not finite.all():
+            self._no_number += int(np.count_nonzero(~all_in_row(finite)))
+            sizes[~finite] = 0.0
+            no_gyro, no_accel = (all_in_row(sizes[:, k : k + 3] == 0) for k in (0, 3))
+        alone = (no_accel & ~no_gyro, no_gyro & ~no_accel)
+        self._alone += [np.count_nonzero(rows) for rows in alone]
+        largest = by_columns(np.maximum, sizes)
+        for c in np.flatnonzero(largest >= self._largest).tolist():
+            before = self._at_largest[c] if largest[c] == self._largest[c] else 0
+            self._at_largest[c] = before + np.count_nonzero(sizes[:, c] == largest[c])
         self._largest = np.maximum(largest, self._largest)
 
     @property

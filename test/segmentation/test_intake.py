@@ -509,4 +509,4 @@ def test_a_dwell_does_not_repeat_a_turn() -> None:
     rates = np.zeros((20, 3))
     for rate, frozen in ((9.9, []), (10.1, [5, 6, 7])):
         rates[:, 1] = rate * DEG
-        assert np.flatnonzero(repeating_a_turn(values, rates)).tolist() == frozen
+        assert np.flatnonzero(repeating_a_turn(values, rates * 0.01, 0.01)).tolist() == frozen
