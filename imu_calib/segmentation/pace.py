@@ -54,10 +54,16 @@ class Pace:
         """Sums of a line (`_line`) through the pieces between jumps, each with its own level."""
         self._knots: list[_Knot] = []
         self._known: tuple[float, float] | None = None  #: Cache of `_long`.
+        self.tick = 0.0  #: Of stamps in ticks, the longest of a segment, s; 0 for others.
+        #: First and last stamps of the segments that show no ticks, ns.
+        self.without_ticks: list[tuple[int, int]] = []
 
     def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
         """Return the grid of a segment, (n,) stamps in ns, and its timing by all so far."""
         grid = read_grid(stamp, self._long()[0] or None)
+        self.tick = max(self.tick, grid.tick)
+        if not grid.tick:
+            self.without_ticks.append((int(stamp[0]), int(stamp[-1])))
         if not self._reference:
             self._start, self._reference = int(stamp[0]), grid.period
         if np.isfinite(grid.period_std):

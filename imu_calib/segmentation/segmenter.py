@@ -118,6 +118,21 @@ def reject_hidden(reader: IntervalReader) -> tuple[int, int]:
     return int(frozen.sum()), round(float(instants[frozen][0])) if frozen.any() else 0
 
 
+def reject_without_ticks(reader: IntervalReader) -> None:
+    """Reject data whose stamps lie on no line although those of the session come in ticks.
+
+    Samples are missing there, and how many does not show in such stamps.
+    """
+    if not reader.pace.tick:
+        return
+    without = reader.pace.without_ticks
+    reader.found.reject(
+        f'samples are missing, and stamps in steps of {reader.pace.tick * 1e3:.3g} ms do not show '
+        'how many',
+        lambda one: any(first <= one.start <= last for first, last in without),
+    )
+
+
 _LONGEST_REST = 1 << 20  #: Most samples held: a longer dwell is cut, so that memory stays bounded.
 _SAMPLES_FOR_PERIOD = 256
 """Samples whose median step is the interval. A choice: a quarter of a second at 1 kHz."""
@@ -244,6 +259,7 @@ class Segmenter:
             is_left_out = self._choice.left_out(found.turns, last, alone=alone)
             found.reject('the file of segments does not list it', is_left_out)
         reject_untimed(reader, self._intake)
+        reject_without_ticks(reader)
         self._frozen = reject_hidden(reader)
         if self._clocks_unknown:
             # All was cut by clocks of unknown offset: its positions and rates are wrong.
@@ -434,6 +450,12 @@ class Segmenter:
             lost.append(
                 f'The clock of the IMU is {seconds:.1f} s {ahead} that of the '
                 'table, by the pattern of the motions: the stamps are corrected by it'
+            )
+        if reader.pace.tick:
+            lost.append(
+                f'The stamps of the IMU come in steps of {reader.pace.tick * 1e3:.3g} ms, by their '
+                'clock or by a reader that polls: when samples were made is taken from a line '
+                'through the stamps'
             )
         lost += reader.late.words(self._intake.samples)
         lost += reader.rounding.sentences

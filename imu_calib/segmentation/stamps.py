@@ -8,7 +8,7 @@ errors of the stamps, not of the samples (docs/mathematics.md, 'Stamps and lost 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -111,7 +111,7 @@ def sampling_times(stamp: Stamps) -> tuple[Stamps, Stamps]:
 
     Samples of a bunch are spread evenly over the time since the bunch before; their lateness is 0.
     Samples that queue behind a delayed one go back to when they were made. Stamps are unchanged
-    where samples come one by one.
+    where samples come one by one, and where they are ticks, through which `read_grid` fits a line.
 
     Args:
         stamp: (n,) ns, increasing.
@@ -119,6 +119,8 @@ def sampling_times(stamp: Stamps) -> tuple[Stamps, Stamps]:
     Returns:
         (n,) and (n,) ns.
     """
+    if _grid_of_ticks(stamp) is not None:
+        return stamp, np.zeros_like(stamp)
     starts = _bunches(stamp)
     if starts is None:
         instants = _out_of_queue(stamp)
@@ -288,6 +290,15 @@ _ON_TICK = 0.05  #: Of a tick: tolerance of a stamp about a whole number of them
 _ON_TICKS = 0.9
 """Share of the steps that are whole ticks: of 20 steps so many are by chance once in 10^16."""
 
+_UNEVEN = 16
+"""Steps of another number of ticks than most that show a clock of ticks: so many lost samples would
+lead away from a line by more than a tick in all but one of 10^5 segments (a random walk)."""
+_ONE_TICK = 0.1  #: Quantile of the steps that are not short: one tick, some being rounded.
+_NEAR_TICK = 0.1  #: Of a tick: tolerance of a step; 15.6 ms may be written in whole ms.
+_WITHIN_TICKS = 1.25
+"""Ticks within which stamps lie about the line of their samples: one, and the error of the line
+through some tens of them."""
+
 _LIKE = 0.2
 """Of an interval: largest difference of two estimates of it. A judgement: more than missing samples
 change their mean."""
@@ -343,6 +354,7 @@ class SampleGrid:
     period_std: float  #: Its standard deviation, s; infinite where the stamps are too few.
     scatter: float  #: Of a stamp about the line, s.
     kept: NDArray[np.bool_]  #: (n,) stamps used in the fit of the line.
+    tick: float = 0.0  #: Of stamps in ticks about as long as an interval, or longer, s; else 0.
 
     def stamps(self, stamp: Stamps) -> Stamps:
         """Return the instants of the samples, ns; the stamps themselves where they are clean."""
@@ -360,6 +372,8 @@ def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
         stamp: (n,) ns, increasing, at least 2.
         hint: Sample interval as far as it is known, s.
     """
+    if (ticks := _grid_of_ticks(stamp)) is not None:
+        return ticks
     time = (sampling_times(stamp)[0] - stamp[0]) * 1e-9
     period, bunched = _first_period(time)
     if hint is not None and abs(hint - period) < _LIKE * period:
@@ -449,6 +463,35 @@ def _hasty(steps: Floats, interval: float) -> bool:
     """Return whether a quarter of the steps, s, is far shorter than an interval, s."""
     limit = SHORT * interval
     return float(steps.min()) < limit and float(np.quantile(steps, 0.25)) < limit
+
+
+def _grid_of_ticks(stamp: Stamps) -> SampleGrid | None:
+    """Fit equal intervals to stamps in ticks about as long as an interval, or longer; else None.
+
+    Ticks of a clock, or of a reader that polls, put each stamp within a tick of the line on which
+    the samples lie, if none is missing. Missing ones lead away from that line.
+    """
+    steps = np.diff(stamp) * 1e-9
+    if len(steps) < 2 * _UNEVEN:
+        return None
+    mean = float(steps.sum()) / len(steps)
+    if float(np.ptp(steps)) <= _OFF_GRID * mean:
+        return None
+    tick = float(np.quantile(steps[steps > SHORT * mean], _ONE_TICK))
+    counts = np.rint(steps / tick)
+    uneven = counts != np.median(counts)
+    if tick * _TICKS < mean or np.count_nonzero(uneven) < _UNEVEN:
+        return None
+    if np.mean(np.abs(steps - counts * tick) < _NEAR_TICK * tick) < _ON_TICKS:
+        return None
+    starts = _bunches(stamp)
+    if starts is not None and _pattern(stamp, starts).size is not None:
+        return None
+    time = (stamp - stamp[0]) * 1e-9
+    index = np.arange(len(stamp))
+    grid = _laid(time, index, mean)
+    within = float(np.ptp(time - index * grid.period)) <= _WITHIN_TICKS * tick
+    return replace(grid, tick=tick) if within else None
 
 
 def _first_period(time: Floats) -> tuple[float, bool]:

@@ -174,6 +174,7 @@ class Damage:
         late: That it is held up, and all behind it.
         delay: For how long at most, s.
         bunch: Samples that are stamped together.
+        tick: Of the clock that stamps them, which stands still in between, s; 0 for none.
         freezes: When the device begins to repeat one sample, s.
         frozen: For how long, s.
     """
@@ -184,6 +185,7 @@ class Damage:
     late: float = 0.0
     delay: float = 0.0
     bunch: int = 1
+    tick: float = 0.0
     freezes: tuple[float, ...] = ()
     frozen: float = 0.0
 
@@ -580,6 +582,8 @@ def damaged(recording: Recording, damage: Damage, draw: random.Random) -> Record
             ready += damage.delay * draw.random()
         # Whoever is held up holds up the others; a queue empties by one in 50 us.
         stamp = free = max(ready, free + 5e-5)
+        if damage.tick:
+            stamp = math.floor(stamp / damage.tick) * damage.tick
         times_sent = 0 if draw.random() < damage.lost else 1 + (draw.random() < damage.twice)
         if damage.differenced:
             said = _sum(said[0], owed[0]), _sum(said[1], owed[1])

@@ -1,0 +1,61 @@
+"""Stamps of a clock that advances in steps as long as a sample interval: 15.6 ms on Windows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from other_sessions import MEDIUM, NAVIGATION, errors, fed
+from other_world import Damage, World
+
+from imu_calib.common.errors import NotObservable
+from imu_calib.segmentation.stamps import read_grid, sampling_times
+
+TICK = 1 / 64
+IN_STEPS = World(damage=Damage(tick=TICK))
+GRADES = {'medium': MEDIUM, 'navigation': NAVIGATION, 'rates': replace(MEDIUM, counts=True)}
+
+
+@pytest.mark.parametrize('grade', GRADES)
+def test_a_session_is_as_good_as_with_stamps_that_do_not_step(grade: str) -> None:
+    unit = GRADES[grade]
+    found = fed(IN_STEPS, unit, find_terms=True).finish().calibration
+    whole = fed(World(), unit, find_terms=True).finish().calibration
+    off = errors(found, unit)
+    assert np.abs(off).max() < 4.5, np.round(off, 1)
+    # Of a hundred samples a second, 15.6 ms spread over each turn: 0.1 ppm of its rate, and more.
+    assert (found.std[:24] < 2 * whole.std[:24]).all()
+    assert found.parameters[24:] == whole.parameters[24:]
+    assert any('stamps of the IMU come in steps of 15.6 ms' in f for f in found.findings)
+
+
+def test_samples_missing_between_such_stamps_are_not_guessed() -> None:
+    world = World(damage=Damage(tick=TICK, lost=0.01))
+    with pytest.raises(NotObservable, match=r'stamps in steps of .* ms do not show how many'):
+        fed(world, MEDIUM).finish()
+
+
+@pytest.mark.parametrize('rate', [50.0, 64.5, 100.0, 200.0, 400.0])
+@pytest.mark.parametrize('digits', [9, 3])
+def test_the_line_through_them_has_the_interval_of_the_samples(rate: float, digits: int) -> None:
+    made = np.arange(round(60 * rate)) / rate + 0.0123
+    came = np.floor(np.floor(made / TICK) * TICK * 10**digits) * 10 ** (9 - digits)
+    # Samples of one stamp are set apart by a nanosecond.
+    stamp = (came + np.arange(len(came)) * (np.diff(came, prepend=-1.0) == 0)).astype(np.int64)
+    stamp = np.maximum.accumulate(stamp - np.arange(len(stamp))) + np.arange(len(stamp))
+    grid = read_grid(stamp)
+    assert grid.tick == pytest.approx(TICK, rel=0.05)
+    assert (grid.index == np.arange(len(stamp))).all()
+    assert grid.period == pytest.approx(1 / rate, abs=4 * grid.period_std)
+    assert grid.period_std * rate < 2e-5
+    assert sampling_times(stamp)[0] is stamp
+
+
+def test_lost_samples_of_regular_stamps_are_no_steps() -> None:
+    rng = np.random.default_rng(1)
+    for share in (0.02, 0.05, 0.1, 0.3):
+        kept = np.flatnonzero(rng.random(3000) >= share)
+        grid = read_grid(kept * 10_000_000)
+        assert grid.tick == 0
+        assert (grid.index == kept - kept[0]).all()
