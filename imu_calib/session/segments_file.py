@@ -82,7 +82,10 @@ def read_segments(path: str | Path) -> ListedSegments:
         InputError: Unreadable, or a line is not a hold or a turn; names file, line and key.
     """
     file = user_path(path)
-    rows = list(csv.reader(io.StringIO(read_text(file)), skipinitialspace=True))
+    try:
+        rows = list(csv.reader(io.StringIO(read_text(file)), skipinitialspace=True))
+    except csv.Error as error:
+        raise InputError(f'{file}: found no lines of columns ({error}).') from None
     headings = [name.strip() for name in rows[0]] if rows else []
     if missing := [name for name in _HEADINGS[:3] if name not in headings]:
         raise InputError(

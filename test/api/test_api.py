@@ -407,6 +407,16 @@ def test_each_option_of_a_command_is_a_keyword_of_its_function() -> None:
         assert known - alone <= {action.dest for action in parser._actions} | {'source'}, name
 
 
+def test_a_recording_comes_before_a_calibration(
+    folder: Path, result: imu_calib.Result, tmp_path: Path
+) -> None:
+    result.calibration.save(tmp_path / 'c.yaml')
+    with pytest.raises(InputError, match='bag is a recording, expected a calibration file'):
+        imu_calib.verify(tmp_path / 'c.yaml', folder / 'bag')
+    with pytest.raises(InputError, match='`bag`: found a value of the type Result, expected'):
+        imu_calib.verify(result, folder / 'bag')
+
+
 def test_keywords_that_functions_share_are_in_their_signatures_and_others_are_refused() -> None:
     verify = inspect.signature(imu_calib.verify).parameters
     assert {'plan', 'imu', 'table', 'latitude', 'height_std', 'imu_topic'} < set(verify)

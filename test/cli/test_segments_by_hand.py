@@ -136,6 +136,7 @@ def test_dwells_and_turns_of_a_table_are_chosen(table: Path, tmp_path: Path) -> 
         ('kind,start,end\nhold,1,4\nhold,3,6\n', 'line 3: start: found 3, expected 4 or more: the'),
         ('kind,start,end\nhold,1,1e5\n', 'line 2: end: found 100000, expected at most 147.980'),
         ('kind,start,end\nhold,1,3\nturn,3,5\n', 'line 3: kind: found turn, expected hold: with'),
+        ('kind,start,end\nhold,' + '1' * 200_000, 'found no lines of columns'),
         ('kind,start,end\n', 'found no segment, expected a hold in each line'),
     ],
 )
