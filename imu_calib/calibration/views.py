@@ -117,17 +117,19 @@ def parameter_page(title: str, parameters: Sequence[Parameter], values: Floats, 
         title: Above the table.
         parameters: n of them.
         values: (n,) SI units.
-        std: (n,) likewise; a parameter without one is left out.
+        std: (n,) likewise; one that was not estimated is left out.
     """
     columns: dict[str, list[str]] = {letter: [] for letter in _TRIADS}
     for parameter, value, deviation in zip(parameters, values, std, strict=True):
-        if np.isfinite(deviation):
+        # A zero that is exact is a choice of axes.
+        if deviation > 0 or (deviation == 0 and value):
             unit = parameter.unit
             places = decimals(deviation / unit.scale)
             number = f'{value / unit.scale:.{places}f}'.replace('-', '\u2212')
+            number += f' \u00b1 {deviation / unit.scale:.{places}f}' if deviation else ''
             columns[parameter.triad].append(
-                f'<th>{parameter.name}</th><td>{number} \u00b1 {deviation / unit.scale:.{places}f}'
-                f'</td><td style="text-align:left">{_typeset(unit.shown)}</td>'
+                f'<th>{parameter.name}</th><td>{number}</td>'
+                f'<td style="text-align:left">{_typeset(unit.shown)}</td>'
             )
     empty = '<th></th><td></td><td></td>'
     rows = [''.join(row) for row in zip_longest(*columns.values(), fillvalue=empty)]

@@ -112,7 +112,8 @@ def _table(outcome: RunStatistics) -> Rows:
     last = outcome.parameters[0]
     for k, parameter in enumerate(outcome.parameters):
         stated = float(outcome.mean_stated[k])
-        if not np.isfinite(stated):
+        # Not estimated, or a zero by the choice of axes.
+        if not stated > 0:
             continue
         if parameter.triad != last.triad:
             rows.add_section()

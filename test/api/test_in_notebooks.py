@@ -85,6 +85,17 @@ def test_pulses_need_a_rate_and_both_sensors_their_columns(result: imu_calib.Res
         apply(np.zeros((5, 3)), np.zeros((4, 3)), rate=100.0)
 
 
+def test_a_notebook_shows_no_zero_that_is_a_choice_of_axes(tmp_path: Path) -> None:
+    imu_calib.simulate('free_positions', tmp_path / 'bag', imu='mems_counts', latitude=48.1)
+    page = imu_calib.calibrate(tmp_path / 'bag').calibration._repr_html_()
+    assert '<th>E_ayx</th>' in page
+    assert '<th>E_axy</th>' not in page
+    # A truth is exact, and its values are shown.
+    truth = imu_calib.Calibration.load(named_file('truths', 'mems_counts'))
+    assert '<th>K_gx</th>' in truth._repr_html_()
+    assert '\u00b1' not in truth._repr_html_()
+
+
 def test_the_table_of_a_notebook_shows_each_parameter_in_its_own_colours(
     result: imu_calib.Result,
 ) -> None:
