@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from .fleet.history import history
     from .fleet.page import fleet_report
     from .fleet.results import History
+    from .live.stand_client import Stand
     from .reports.certificate import Certificate
     from .session.imu import ImuSpec, load_imu
     from .session.plan import Plan, load_plan
@@ -77,6 +78,7 @@ _WHERE = {
     'Result': 'calibration.results',
     'Simulated': 'api.simulate',
     'SimulatedUnits': 'api.simulate',
+    'Stand': 'live.stand_client',
     'StandRun': 'api.stand',
     'Table': 'session.table',
     'ThermalCalibration': 'calibration.thermal',

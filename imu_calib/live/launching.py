@@ -144,7 +144,7 @@ def _declared(context: Any) -> list[str]:
 
 
 def _current_file(context: Any) -> str:
-    return context.locals.current_launch_file_path
+    return str(context.locals.current_launch_file_path)
 
 
 def _is_typed(file: str) -> bool:

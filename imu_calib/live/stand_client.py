@@ -1,0 +1,232 @@
+"""A live stand led from a script: start a run, watch it, pause or abort it, take its result."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ..common.errors import ImuCalibError, InputError
+from . import middleware as ros
+from .middleware.shared import GoalStatus
+from .nodes.convert import calibration_of
+from .rules import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import TracebackType
+
+    from ..calibration.calibration import Calibration
+
+_NODE = 'turntable_node'
+_ACTION = f'{_NODE}/run_calibration'
+_SPIN = 0.1
+"""s that `is_done` waits for a message: a script that polls it in a loop leaves the processor to
+others."""
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """How far a run is."""
+
+    step: int  #: Index of the step, from 0.
+    steps: int  #: Number of steps in the plan.
+    position: str  #: Name of the position in the plan.
+    phase: str  #: What the table does: MOVING, DWELLING, PAUSED and so on.
+    text: str  #: The same in a sentence for a person.
+    std: dict[str, float]  #: Reached so far, SI, by parameter; NaN where it is not determined.
+    seconds_left: float  #: Expected time to the end of the plan.
+
+
+class Stand:
+    """A stand that runs: `imu-calib stand --processes`, or its nodes under ROS 2.
+
+        with imu_calib.Stand() as stand:
+            stand.start()
+            while not stand.is_done():
+                print(stand.feedback)
+            stand.result().save('calibration.yaml')
+
+    A run that the block leaves unfinished, by an error or Ctrl-C, is aborted: the table stops.
+
+    Args:
+        namespace: Of the stand's nodes.
+        timeout: Longest wait for an answer of the stand, s.
+
+    Raises:
+        InputError: No stand answers.
+    """
+
+    def __init__(self, namespace: str = '', timeout: float = 10.0) -> None:
+        self.feedback: Feedback | None = None
+        """The newest of the present run; None before the first."""
+        self._timeout = timeout
+        self._goal: Any = None
+        self._end: Any = None
+        self._gone_since = 0.0
+        if ros.RUNTIME == 'embedded':
+            raise InputError(
+                'A script reaches a stand over the network, which needs ROS 2 or Cyclone DDS. '
+                "Source ROS 2, or run pip install '.[dds]' in a clone of imu_calib."
+            )
+        self._initialised = not ros.ok()
+        if self._initialised:
+            ros.init(args=[])
+        self._node = ros.Node(f'stand_client_{os.getpid()}', namespace=namespace or None)
+        kind = self._kind = ros.actions.RunCalibration
+        self._client = ros.ActionClient(self._node, kind, _ACTION)
+        self._node.create_subscription(
+            kind.Impl.FeedbackMessage, f'{_ACTION}/_action/feedback', self._on_feedback, 10
+        )
+        self._services = {
+            name: self._node.create_client(ros.Trigger, f'{_NODE}/{name}')
+            for name in ('start', 'pause')
+        }
+        ready = [self._client.server_is_ready]
+        ready += [client.service_is_ready for client in self._services.values()]
+        try:
+            self._wait(lambda: all(one() for one in ready), 'No stand answers')
+        except ImuCalibError as error:
+            self.close()
+            raise InputError(
+                f'{error} Is it started, in this domain (ROS_DOMAIN_ID) and namespace?'
+            ) from None
+
+    def __enter__(self) -> Stand:
+        """Return the stand."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Abort what runs, and leave the stand."""
+        self.close()
+
+    def start(self, plan: str = '', *, resume: bool = False) -> None:
+        """Begin a run.
+
+        Args:
+            plan: Name of the stand's plan, to be sure of it; empty: whatever it is.
+            resume: Whether to continue with the interrupted step.
+
+        Raises:
+            ImuCalibError: A run is in progress.
+        """
+        self.feedback, self._end = None, None
+        goal = self._answer(
+            self._client.send_goal_async(self._kind.Goal(plan=plan, resume=resume)), 'The goal'
+        )
+        if not goal.accepted:
+            raise ImuCalibError('The stand runs already, for someone else. Wait, or stop it there.')
+        self._goal, self._end = goal, goal.get_result_async()
+
+    def is_done(self) -> bool:
+        """Tell whether the run has ended; waits a moment for messages.
+
+        Raises:
+            ImuCalibError: No run was started, or the stand has gone.
+        """
+        if self._end is None:
+            raise ImuCalibError('No run was started.')
+        self._spin()
+        if self._end.done():
+            return True
+        now = time.monotonic()
+        if self._client.server_is_ready():
+            self._gone_since = now
+        elif now > self._gone_since + self._timeout:
+            raise ImuCalibError(f'{_NODE} has gone. Look at the stand: it holds the table.')
+        return False
+
+    def pause(self) -> str:
+        """Stop the table, and keep the run; return the stand's sentence.
+
+        Raises:
+            ImuCalibError: The stand refuses, with its reason.
+        """
+        return self._call('pause')
+
+    def resume(self) -> str:
+        """Go on with the interrupted step after a pause or a fault; return the stand's sentence.
+
+        Raises:
+            ImuCalibError: The stand refuses, with its reason.
+        """
+        return self._call('start')
+
+    def abort(self) -> str:
+        """Stop the table, and end the run; return the stand's sentence when the table stands.
+
+        Raises:
+            ImuCalibError: No run was started, or the stand does not answer.
+        """
+        if self._end is None:
+            raise ImuCalibError('No run was started.')
+        self._goal.cancel_goal_async()
+        self._wait(self._end.done, 'The run does not end')
+        return self._end.result().result.message
+
+    def result(self) -> Calibration | dict[str, Calibration]:
+        """Return the calibration of a run that has ended; of several units by serial number.
+
+        Raises:
+            ImuCalibError: The run has not ended, or ended otherwise; the text says how.
+        """
+        if self._end is None or not self._end.done():
+            raise ImuCalibError('The run has not ended.')
+        answer = self._end.result()
+        if GoalStatus(answer.status) is not GoalStatus.SUCCEEDED:
+            raise ImuCalibError(answer.result.message)
+        several = answer.result.calibrations
+        if several:
+            return {one.serial_number: calibration_of(one) for one in several}
+        return calibration_of(answer.result.calibration)
+
+    def close(self) -> None:
+        """Abort a run that is in progress, and leave the stand."""
+        if self._node is None:
+            return
+        try:
+            if self._end is not None and not self._end.done():
+                self.abort()
+        finally:
+            self._node.destroy_node()
+            self._node = None
+            if self._initialised:
+                ros.try_shutdown()
+
+    def _on_feedback(self, message: Any) -> None:
+        one = message.feedback
+        self.feedback = Feedback(
+            one.step,
+            one.steps,
+            one.position_id,
+            Phase(one.phase).name,
+            one.text,
+            dict(zip(one.parameter_names, one.standard_deviations, strict=True)),
+            one.seconds_left,
+        )
+
+    def _call(self, name: str) -> str:
+        answer = self._answer(self._services[name].call_async(ros.Trigger.Request()), name)
+        if not answer.success:
+            raise ImuCalibError(answer.message)
+        return str(answer.message)
+
+    def _answer(self, future: Any, what: str) -> Any:
+        self._wait(future.done, f'{what} is not answered')
+        return future.result()
+
+    def _wait(self, done: Callable[[], bool], otherwise: str) -> None:
+        end = time.monotonic() + self._timeout
+        while not done():
+            if time.monotonic() > end:
+                raise ImuCalibError(f'{otherwise} within {self._timeout:g} s.')
+            self._spin()
+
+    def _spin(self) -> None:
+        ros.spin_once(self._node, timeout_sec=_SPIN)

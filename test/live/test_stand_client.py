@@ -1,0 +1,58 @@
+"""A script leads a running stand by the class Stand, as over ROS 2's wire."""
+
+import numpy as np
+import pytest
+from live import State, short_plan
+from live import Stand as Nodes
+from loopback import environment, patience, until
+
+import imu_calib
+from imu_calib.live import middleware as ros
+
+pytestmark = pytest.mark.skipif(
+    ros.RUNTIME == 'embedded', reason='no wire: neither ROS 2 nor the wheel cyclonedds is here'
+)
+
+
+@pytest.fixture
+def nodes(tmp_path):
+    plan = short_plan(tmp_path, dwell=1.0)
+    with Nodes(tmp_path, plan=plan, turntable_node={'autostart': False}) as nodes:
+        yield nodes
+
+
+def test_a_script_pauses_resumes_and_takes_the_result(nodes):
+    with imu_calib.Stand(timeout=patience()) as stand:
+        with pytest.raises(imu_calib.ImuCalibError, match='No run was started'):
+            stand.is_done()
+        stand.start('short')
+        other = imu_calib.Stand(timeout=patience())
+        with other, pytest.raises(imu_calib.ImuCalibError, match='runs already'):
+            other.start()
+        assert until(lambda: not stand.is_done() and stand.feedback is not None)
+        assert (stand.feedback.step, stand.feedback.position) == (0, '1')
+        stand.pause()
+        assert until(lambda: not stand.is_done() and stand.feedback.phase == 'PAUSED')
+        with pytest.raises(imu_calib.ImuCalibError, match='has not ended'):
+            stand.result()
+        stand.resume()
+        assert until(stand.is_done, 6 * patience())
+        assert stand.feedback.steps > stand.feedback.step > 0
+        assert np.isfinite(stand.feedback.std['D_gx'])
+        file = imu_calib.Calibration.load(nodes.folder / 'calibration.yaml')
+        np.testing.assert_allclose(stand.result().values, file.values, rtol=1e-12)
+
+
+def test_a_script_that_fails_stops_the_table(nodes):
+    with pytest.raises(ZeroDivisionError), imu_calib.Stand(timeout=patience()) as stand:
+        stand.start()
+        assert until(lambda: not stand.is_done() and stand.feedback is not None)
+        1 / 0  # noqa: B018
+    assert nodes.wait(lambda: State.ABORTED in {state.phase for state in nodes.states})
+
+
+def test_where_no_stand_answers_a_sentence_says_so(monkeypatch):
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(imu_calib.InputError, match='No stand answers within 0.5 s. Is it started'):
+        imu_calib.Stand(timeout=0.5)
