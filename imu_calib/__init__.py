@@ -142,6 +142,7 @@ __all__ = [
     'Result',
     'Simulated',
     'SimulatedUnits',
+    'Stand',
     'StandRun',
     'Table',
     'ThermalCalibration',

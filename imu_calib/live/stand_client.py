@@ -8,9 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import ImuCalibError, InputError
-from . import middleware as ros
-from .middleware.shared import GoalStatus
-from .nodes.convert import calibration_of
 from .rules import Phase
 
 if TYPE_CHECKING:
@@ -65,6 +62,10 @@ class Stand:
         self._goal: Any = None
         self._end: Any = None
         self._gone_since = 0.0
+        # Loaded by who has a stand: the package is imported where no runtime is, too.
+        from . import middleware as ros
+
+        self._ros = ros
         if ros.RUNTIME == 'embedded':
             raise InputError(
                 'A script reaches a stand over the network, which needs ROS 2 or Cyclone DDS. '
@@ -176,10 +177,12 @@ class Stand:
         Raises:
             ImuCalibError: The run has not ended, or ended otherwise; the text says how.
         """
+        from .nodes.convert import calibration_of
+
         if self._end is None or not self._end.done():
             raise ImuCalibError('The run has not ended.')
         answer = self._end.result()
-        if GoalStatus(answer.status) is not GoalStatus.SUCCEEDED:
+        if answer.status != self._ros.GoalStatus.SUCCEEDED:
             raise ImuCalibError(answer.result.message)
         several = answer.result.calibrations
         if several:
@@ -197,7 +200,7 @@ class Stand:
             self._node.destroy_node()
             self._node = None
             if self._initialised:
-                ros.try_shutdown()
+                self._ros.try_shutdown()
 
     def _on_feedback(self, message: Any) -> None:
         one = message.feedback
@@ -212,7 +215,7 @@ class Stand:
         )
 
     def _call(self, name: str) -> str:
-        answer = self._answer(self._services[name].call_async(ros.Trigger.Request()), name)
+        answer = self._answer(self._services[name].call_async(self._ros.Trigger.Request()), name)
         if not answer.success:
             raise ImuCalibError(answer.message)
         return str(answer.message)
@@ -229,4 +232,4 @@ class Stand:
             self._spin()
 
     def _spin(self) -> None:
-        ros.spin_once(self._node, timeout_sec=_SPIN)
+        self._ros.spin_once(self._node, timeout_sec=_SPIN)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from live import State, short_plan
 from live import Stand as Nodes
+from live import State, short_plan
 from loopback import environment, patience, until
 
 import imu_calib
@@ -54,5 +54,7 @@ def test_a_script_that_fails_stops_the_table(nodes):
 def test_where_no_stand_answers_a_sentence_says_so(monkeypatch):
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
-    with pytest.raises(imu_calib.InputError, match='No stand answers within 0.5 s. Is it started'):
+    with pytest.raises(
+        imu_calib.InputError, match='No stand answers .* Is it started'
+    ):
         imu_calib.Stand(timeout=0.5)
