@@ -54,7 +54,5 @@ def test_a_script_that_fails_stops_the_table(nodes):
 def test_where_no_stand_answers_a_sentence_says_so(monkeypatch):
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
-    with pytest.raises(
-        imu_calib.InputError, match='No stand answers .* Is it started'
-    ):
+    with pytest.raises(imu_calib.InputError, match=r'No stand answers .* Is it started'):
         imu_calib.Stand(timeout=0.5)
