@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from .api.converted import Converted
     from .api.documents import certificate, export, report
     from .api.inspect import Inspection, inspect
+    from .api.noise import noise
     from .api.predict import Prediction, optimise, predict, reach
     from .api.simulate import (
         MonteCarloResult,
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from .api.verify import verify
     from .calibration.calibration import Calibration
     from .calibration.exports import Exported
+    from .calibration.noise_at_rest import NoiseAtRest
     from .calibration.results import Result
     from .calibration.thermal import ThermalCalibration
     from .calibration.verify import Verdict, Verification
@@ -70,6 +72,7 @@ _WHERE = {
     'Inspection': 'api.inspect',
     'MonteCarloResult': 'api.simulate',
     'MountedUnit': 'session.units_file',
+    'NoiseAtRest': 'calibration.noise_at_rest',
     'NotObservable': 'common.errors',
     'Optimum': 'estimation.optimise',
     'Plan': 'session.plan',
@@ -104,6 +107,7 @@ _WHERE = {
     'load_table': 'session.table',
     'load_units': 'session.units_file',
     'montecarlo': 'api.simulate',
+    'noise': 'api.noise',
     'optimise': 'api.predict',
     'predict': 'api.predict',
     'reach': 'api.predict',
@@ -134,6 +138,7 @@ __all__ = [
     'Inspection',
     'MonteCarloResult',
     'MountedUnit',
+    'NoiseAtRest',
     'NotObservable',
     'Optimum',
     'Plan',
@@ -168,6 +173,7 @@ __all__ = [
     'load_table',
     'load_units',
     'montecarlo',
+    'noise',
     'optimise',
     'predict',
     'reach',

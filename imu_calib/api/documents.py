@@ -13,6 +13,8 @@ import numpy as np
 from ..calibration.c_header import EXPORTS
 from ..calibration.calibration import Calibration
 from ..calibration.exports import Exported, ExportSource
+from ..calibration.noise_at_rest import NoiseAtRest
+from ..calibration.noise_exports import export_noise
 from ..calibration.results import Result
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, first_of, load_calibration
 from ..common.arguments import checked
@@ -305,7 +307,7 @@ def _bytes(kind: str, html: str, made: Certificate) -> bytes:
 
 @checked
 def export(
-    calibration: Result | AnyCalibration | Named,
+    calibration: Result | AnyCalibration | NoiseAtRest | Named,
     format: str,  # noqa: A002
     output: Named | None = None,
     *,
@@ -313,10 +315,11 @@ def export(
     topic: str = '/imu/data',
     imu: ImuSpec | Named | None = None,
 ) -> Exported:
-    """Write a calibration for other software.
+    """Write a calibration, or the noise of a unit at rest, for other software.
 
     Args:
-        calibration: calibration.yaml, single or combined, or a loaded calibration.
+        calibration: calibration.yaml, single or combined, or a loaded calibration; or a result of
+            `noise`, in the formats 'kalibr', 'openvins', 'vins' and 'robot_localization'.
         format: 'ros': parameters of compensator_node, which name the file (that of a value is
             written beside `output`, OUTPUT_calibration.yaml); 'kalibr': imu.yaml;
             'imucal': JSON; 'c': a header (docs/exports.md).
@@ -332,6 +335,11 @@ def export(
         InputError: There is no such format, it cannot represent this calibration, or a file cannot
             be read or written.
     """
+    if isinstance(calibration, NoiseAtRest):
+        noise = export_noise(calibration, format, topic)
+        if output is not None:
+            write_whole(output_path(output), noise.text)
+        return noise
     if format not in EXPORTS:
         raise InputError(f'`format`: found {format!r}, expected one of {", ".join(EXPORTS)}.')
     if sample_rate is not None and not (math.isfinite(sample_rate) and sample_rate > 0):

@@ -40,6 +40,10 @@ the data sheets of the cheapest (MPU-9150). The median length is nearer to gravi
 mg (1000) and counts are not."""
 _FASTEST = 35.0
 """rad/s: 2000 deg/s, the widest range of MEMS gyros in use (MPU-9250, BMI088, ICM-20948)."""
+_EXAMINED = 1_000_000  #: Samples that are examined for movement: read in half a second.
+_LEAST_REST, _LONGEST_SESSION = 30.0, 1800.0
+"""s. A unit that lies still for as long as the one is not in a hand, and a session in the hand does
+not last as long as the other. A judgement."""
 _LONGEST_HOLD = 15.0
 """s: longer than a hand holds still, shorter than dwells on a table or of a unit that lies. A
 judgement."""
@@ -120,6 +124,32 @@ def ask_for_plan(path: object) -> str:
     )
 
 
+def refuse_rest(recording: Recording, topic: str, imu: ImuSpec) -> None:
+    """Refuse a recording of a unit that lies still, before it is read and searched.
+
+    Raises:
+        NotStated: As far as it is examined the unit does not move, and either that is all, or the
+            recording is too long for a session in the hand.
+    """
+    from ..segmentation.long_rest import StillSoFar
+
+    still, samples = StillSoFar(imu), 0
+    for _, block in recording.read({topic: Kind.IMU}):
+        if not isinstance(block, ImuBlock) or not still.add(block):
+            return
+        samples += len(block)
+        if samples >= _EXAMINED:
+            start, end = recording.start_ns, recording.end_ns
+            if start is None or end is None or (end - start) * 1e-9 < _LONGEST_SESSION:
+                return
+            break
+    if still.seconds >= _LEAST_REST:
+        raise NotStated(
+            f'{recording.path}: the unit lies still, which calibrates nothing: imu-calib noise '
+            f'{recording.path} estimates its noise (if it is turned later on, give `plan`).'
+        )
+
+
 @dataclass(frozen=True)
 class Opened:
     """A recording with everything that is needed to calibrate from it."""
@@ -183,6 +213,8 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
     if plan is not None and table is not described:
         # A unit rotated on the fixture passes other attitudes than those of the plan.
         plan = UNPLANNED
+    if plan is None and stated.segments is None:
+        refuse_rest(recording, streams.imu, imu)
     steps = plan_by_hand() if plan is None else plan
     statements = (*([] if known else [ASSUMED_SI]), *([] if plan else [ASSUMED_BY_HAND]))
     if stated.segments is not None:

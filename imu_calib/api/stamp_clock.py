@@ -104,6 +104,11 @@ def sample_findings(recording: Recording, topic: str, units: Units) -> list[str]
     return _differing(recording, topic, containing)
 
 
+def average_findings(recording: Recording, topic: str) -> list[str]:
+    """Return a sentence on the clock by which averaging times are counted, if it is off."""
+    return _differing(recording, topic, 'every averaging time')
+
+
 def _differing(recording: Recording, topic: str, containing: str) -> list[str]:
     """Return a sentence on stamps that run fast or slow, and on what contains that."""
     clock = recording.clocks.get(topic)

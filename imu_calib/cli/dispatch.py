@@ -42,6 +42,7 @@ COMMANDS = {
     'stand': 'run a stand live',
     'simulate': 'write a simulated recording',
     'calibrate': 'estimate 24 parameters from a recording',
+    'noise': 'Allan deviation and noise of a unit that lies still, also for filters',
     'batch': 'calibrate many recordings into a catalogue',
     'catalogue': 'query a catalogue: list, filter, SQL, CSV, JSON',
     'history': 'evaluate a catalogue by unit, type and stand: due, drifts, steps, charts',

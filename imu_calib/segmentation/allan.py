@@ -1,12 +1,13 @@
-"""Overlapping Allan variance of static dwells, pooled, with its covariance.
+"""Overlapping Allan variance of static dwells or of long rests, with its covariance.
 
 The Allan variance of a rate at averaging time tau is the mean square of second differences of its
 integral, d = x(t + 2 tau) - 2 x(t + tau) + x(t), over 2 tau^2 (Allan 1966; IEEE Std 952-1997,
 annex C). Sums over static dwells add up, so that a dwell is reduced to a few dozen numbers and its
 samples can be dropped.
 
-Noise is described by four coefficients, the squares of IEEE Std 952's: quantisation Q (slope -1),
-random walk N (-1/2), bias instability B (flat, at 0.664 B) and rate random walk K (+1/2).
+Noise is described by five coefficients, the squares of IEEE Std 952's: quantisation Q (slope -1),
+random walk N (-1/2), bias instability B (flat, at 0.664 B), rate random walk K (+1/2) and rate ramp
+R (+1).
 """
 
 from __future__ import annotations
@@ -21,10 +22,23 @@ from numpy.typing import NDArray
 
 from ..common.stream import Floats
 
-_OVERLAP = 16  #: Clusters overlap by 15 of 16 parts.
+_OVERLAP = 16  #: Clusters overlap by 15 of 16 parts or more.
 _LEAST_CLUSTERS = 3  #: A second difference takes three.
-_FAR_TIME = 4  #: Octaves: the covariance of variances further apart is negligible.
+_FAR = 16
+"""Ratio of cluster sizes from which on the covariance of their second differences changes slowly
+with the lag, wherever it matters: that of a rate random walk."""
+_LAGS = 32  #: Lags in a large cluster that are then enough.
 _REACH = 4  #: Cluster lengths: the covariance of second differences further apart is negligible.
+_PARTS = (16, 18, 20, 23, 25, 28)
+"""Parts of a cluster: six sizes in an octave, equal within rounding on a logarithmic axis."""
+_FIRST_PARTS = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24, 28)
+"""The same at the rate of the samples: the shortest times are known best, and cost most."""
+_AT_ONCE = 16384
+"""Samples of a channel that are differenced at once: the arrays stay in a processor's cache, and
+half of one is too short for BLAS to start threads, which a busy machine delays."""
+_MOST_LENGTHS = 64  #: Of runs: with more, those are taken as equal that nearly are.
+_ALIKE = 0.05
+"""Relative: the covariance of a stream that often breaks is known to that, deviations to half."""
 HARMONICS = 64  #: Harmonics of a counter's sawtooth: the others hold one percent of its variance.
 
 
@@ -35,6 +49,10 @@ class Term(IntEnum):
     RANDOM_WALK = 1
     BIAS_INSTABILITY = 2
     RATE_RANDOM_WALK = 3
+    RAMP = 4
+
+
+_STOCHASTIC = tuple(Term)[:4]  #: The ramp is no noise: its second differences are constant.
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +61,25 @@ class AllanSums:
 
     period: float  #: Sample interval, s.
     lengths: tuple[int, ...]  #: Samples of every gap-free run, in order.
-    squares: Floats  #: (k, c) sums at 1, 2, 4, ... samples, in (rad)^2 or (m/s)^2.
+    squares: Floats  #: (k, c) sums for each cluster size, in (rad)^2 or (m/s)^2.
     counts: NDArray[np.int64]  #: (k,) number of second differences in each sum.
+    #: (k,) samples per cluster; None for 1, 2, 4, ...
+    sizes: NDArray[np.int64] | None = None
+
+    @property
+    def factors(self) -> Floats:
+        """Samples per cluster, (k,)."""
+        return cluster_sizes(len(self.counts)) if self.sizes is None else self.sizes.astype(float)
 
     @property
     def taus(self) -> Floats:
         """Averaging times, (k,) s."""
-        return self.period * cluster_sizes(len(self.counts))
+        return self.period * self.factors
+
+    def at(self, rows: NDArray[np.bool_]) -> AllanSums:
+        """Return some of the cluster sizes, as a mask (k,)."""
+        sizes = self.factors[rows].astype(np.int64)
+        return AllanSums(self.period, self.lengths, self.squares[rows], self.counts[rows], sizes)
 
     @property
     def variance(self) -> Floats:
@@ -75,13 +105,157 @@ def cluster_sizes(rows: int) -> Floats:
 
 
 def stride(clusters: int) -> int:
-    """Return the step between second differences: below 1/16, overlap adds no information."""
-    return max(1, clusters // _OVERLAP)
+    """Return the step between second differences: below 1/16, overlap adds no information.
+
+    It is a power of two, so that all cluster sizes share the decimated integrals.
+    """
+    return 1 << max(0, (clusters // _OVERLAP).bit_length() - 1)
 
 
 def octaves(samples: int) -> int:
     """Return how many of 1, 2, 4, ... fit three times into a run."""
     return max(0, (samples // _LEAST_CLUSTERS).bit_length())
+
+
+class AllanAccumulator:
+    """Sum second differences of samples as they come, at six cluster sizes in an octave.
+
+    The integral is halved in rate again and again: clusters of 16 to 31 parts at each rate overlap
+    by 15 of 16 parts or more. Memory grows with the logarithm of a run's length.
+
+    Args:
+        channels: Number of channels c.
+    """
+
+    def __init__(self, channels: int) -> None:
+        self._channels = channels
+        self._levels: list[_Level] = []
+        self._lengths: list[int] = []
+        self._samples = 0
+        self._mean = np.zeros(channels)
+        self._integral = np.zeros(channels)
+
+    def add(self, increments: Floats) -> None:
+        """Add (n, c) increments that follow the ones before without a gap, rad and m/s."""
+        if not len(increments):
+            return
+        if not self._samples:
+            # Second differences do not depend on the mean, but it would cost digits.
+            self._mean, self._integral = increments.mean(axis=0), np.zeros(self._channels)
+            self._pass_on(0, np.zeros((self._channels, 1)))
+        for start in range(0, len(increments), _AT_ONCE):
+            part = increments[start : start + _AT_ONCE]
+            # Row by row: adding up six channels at once is faster than one after the other.
+            phase = part - self._mean
+            phase[0] += self._integral
+            np.cumsum(phase, axis=0, out=phase)
+            self._integral = phase[-1].copy()
+            self._pass_on(0, phase.T)
+        self._samples += len(increments)
+
+    def end_run(self) -> None:
+        """Begin another run with the next sample."""
+        if self._samples:
+            k = 0
+            # A level without two clusters of its own has none for the next.
+            while k < len(self._levels) and self._samples >> k >= (2 * _OVERLAP if k else 1):
+                self._process(k)
+                k += 1
+            for level in self._levels:
+                level.begin()
+            self._lengths.append(self._samples)
+        self._samples = 0
+
+    def sums(self, period: float) -> AllanSums:
+        """End the run; return the sums at all cluster sizes that fit three times into a run.
+
+        Args:
+            period: Sample interval, s.
+        """
+        self.end_run()
+        longest = max(self._lengths, default=0)
+        sizes = np.array([m << k for k, one in enumerate(self._levels) for m in one.parts], int)
+        squares = np.concatenate(
+            [np.zeros((0, self._channels)), *(k.squares for k in self._levels)]
+        )
+        counts = np.concatenate([np.zeros(0, int), *(k.counts for k in self._levels)])
+        found = AllanSums(period, tuple(self._lengths), squares, counts, sizes)
+        return found.at(sizes * _LEAST_CLUSTERS <= longest)
+
+    def _pass_on(self, k: int, phase: Floats) -> None:
+        """Hand integrals (c, n) to a level, which waits for as many as numpy needs to be fast."""
+        if k == len(self._levels):
+            self._levels.append(_Level(self._channels, _FIRST_PARTS if k == 0 else _PARTS))
+        level = self._levels[k]
+        level.waiting.append(phase)
+        level.waits += phase.shape[1]
+        if level.waits >= _AT_ONCE:
+            self._process(k)
+
+    def _process(self, k: int) -> None:
+        halved = self._levels[k].process()
+        if halved.shape[1]:
+            self._pass_on(k + 1, halved)
+
+
+class _Level:
+    """Integrals at one rate: those of the last two clusters, and the sums so far."""
+
+    def __init__(self, channels: int, parts: tuple[int, ...]) -> None:
+        self.parts = parts
+        self.squares = np.zeros((len(parts), channels))
+        self.counts = np.zeros(len(parts), dtype=np.int64)
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin another run."""
+        self.waiting: list[Floats] = []
+        self.waits = 0
+        self._last = np.zeros((len(self.squares[0]), 0))
+        self._odd = 0
+
+    def process(self) -> Floats:
+        """Sum what waits; return every second integral of it."""
+        phase = np.concatenate([self._last, *self.waiting], axis=1)
+        before, new = self._last.shape[1], self.waits
+        self.waiting, self.waits = [], 0
+        counts = [phase.shape[1] - max(before, 2 * m) for m in self.parts]
+        first, second = np.empty((2, phase.shape[1]))
+        # Channel by channel, in memory that stays in a processor's cache.
+        for c, own in enumerate(phase):
+            for i, m in enumerate(self.parts):
+                if counts[i] > 0:
+                    start = max(before - 2 * m, 0)
+                    a = np.subtract(own[start + m :], own[start:-m], out=first[: counts[i] + m])
+                    b = np.subtract(a[m:], a[:-m], out=second[: counts[i]])
+                    head, tail = b[: _AT_ONCE // 2], b[_AT_ONCE // 2 :]
+                    self.squares[i, c] += head @ head + tail @ tail
+        self.counts += np.maximum(counts, 0)
+        halved = phase[:, before + self._odd :: 2]
+        self._odd = (self._odd + new) % 2
+        self._last = phase[:, -2 * self.parts[-1] :].copy()
+        return halved
+
+
+def fully_overlapping_sums(runs: Sequence[Floats], period: float) -> AllanSums:
+    """Sum all second differences of runs without gaps, at the sizes of `AllanAccumulator`.
+
+    Args:
+        runs: (n, c) increments each, rad or m/s.
+        period: Sample interval, s.
+    """
+    longest, channels = max(map(len, runs), default=0), runs[0].shape[1] if runs else 0
+    sizes = np.array([*_FIRST_PARTS, *(m << k for k in range(1, 64 - 5) for m in _PARTS)])
+    sizes = sizes[sizes <= longest // _LEAST_CLUSTERS]
+    squares, counts = np.zeros((len(sizes), channels)), np.zeros(len(sizes), dtype=np.int64)
+    for run in runs:
+        for c in range(channels):
+            phase = np.concatenate([[0.0], np.cumsum(run[:, c] - run[:, c].mean())])
+            for k, m in enumerate(sizes[2 * sizes <= len(run)].tolist()):
+                total, count = second_differences(phase, m)
+                squares[k, c] += total
+                counts[k] += count if c == 0 else 0
+    return AllanSums(period, tuple(map(len, runs)), squares, counts, sizes)
 
 
 def allan_sums(runs: Sequence[Floats], period: float) -> AllanSums:
@@ -123,68 +297,99 @@ def pooled(parts: Sequence[AllanSums]) -> AllanSums:
 
 
 def unit_variances(factors: Floats, period: float) -> Floats:
-    """Return the Allan variances (k, 4) for squared coefficients of 1.
+    """Return the Allan variances (k, 5) for squared coefficients of 1.
 
     Args:
         factors: (k,) cluster sizes, samples.
         period: s.
     """
     each = _covariances(factors, factors, np.zeros(1), period)[:, :, 0]
-    return np.asarray(each.T / (2 * (factors * period) ** 2)[:, None])
+    taus = factors * period
+    return np.column_stack([each.T / (2 * taus**2)[:, None], taus**2 / 2])
 
 
-def spread(rows: int, lengths: tuple[int, ...], period: float, squares: Floats) -> Floats:
+def spread(
+    sizes: Sequence[int], lengths: tuple[int, ...], period: float, squares: Floats
+) -> Floats:
     """Return the covariance (k, k) of pooled Allan variances for noise of given coefficients.
 
     The second differences are Gaussian, so the covariance of two sums of squares is twice the sum
     of the squared covariances of their terms (Greenhall and Riley 2003, "Uncertainty of stability
     variances based on finite differences", from the generalised autocovariance of each kind of
-    noise). For clusters that differ by more than a factor of 16 it is negligible.
+    noise); a ramp gives them a mean, which adds four times its square times the covariance.
 
     Args:
-        rows: Number k of cluster sizes: 1, 2, 4, ... samples.
+        sizes: Cluster sizes (k,), samples, increasing.
         lengths: Samples of every run.
         period: s.
-        squares: (4,) squared coefficients.
+        squares: (5,) squared coefficients.
     """
-    return np.asarray(np.einsum('i,j,ijkl->kl', squares, squares, _forms(rows, lengths, period)))
+    forms, means = _forms(tuple(sizes), lengths, period)
+    noise = squares[list(_STOCHASTIC)]
+    return np.asarray(
+        np.einsum('i,j,ijkl->kl', noise, noise, forms)
+        + squares[Term.RAMP] * np.einsum('i,ikl->kl', noise, means)
+    )
 
 
-@lru_cache(maxsize=4)
-def _forms(rows: int, lengths: tuple[int, ...], period: float) -> Floats:
-    """Return the covariances as quadratic forms (4, 4, k, k) of the squared coefficients."""
-    runs = np.array(lengths, dtype=float)
-    forms = np.zeros((len(Term), len(Term), rows, rows))
-    for a in range(rows):
-        for b in range(a, min(rows, a + _FAR_TIME + 1)):
-            forms[:, :, a, b] = forms[:, :, b, a] = _shared(1 << a, 1 << b, runs, period)
-    return forms
+def own_spread(
+    sizes: Sequence[int], lengths: tuple[int, ...], period: float, squares: Floats
+) -> Floats:
+    """Return the variances (k,) of pooled Allan variances: the diagonal of `spread`."""
+    return np.array([spread([m], lengths, period, squares)[0, 0] for m in sizes])
 
 
-def _shared(small: int, large: int, runs: Floats, period: float) -> Floats:
-    """Return the covariance of the Allan variances at two cluster sizes as a form (4, 4)."""
+@lru_cache(maxsize=256)
+def _forms(
+    sizes: tuple[int, ...], lengths: tuple[int, ...], period: float
+) -> tuple[Floats, Floats]:
+    """Return the covariances as forms of the squared coefficients.
+
+    Returns:
+        (4, 4, k, k) quadratic form of the noise, and (4, k, k) linear form for a ramp of 1.
+    """
+    runs, count = np.array(lengths, dtype=float), len(_STOCHASTIC)
+    if len(set(lengths)) > _MOST_LENGTHS:
+        runs = np.rint(np.exp(np.rint(np.log(runs) / _ALIKE) * _ALIKE))
+    forms = np.zeros((count, count, len(sizes), len(sizes)))
+    means = np.zeros((count, len(sizes), len(sizes)))
+    for a, small in enumerate(sizes):
+        for b, large in enumerate(sizes[a:], a):
+            quadratic, linear = _shared(small, large, runs, period)
+            forms[:, :, a, b] = forms[:, :, b, a] = quadratic
+            means[:, a, b] = means[:, b, a] = linear
+    return forms, means
+
+
+def _shared(small: int, large: int, runs: Floats, period: float) -> tuple[Floats, Floats]:
+    """Return the covariance of the Allan variances at two cluster sizes: forms (4, 4) and (4,)."""
     step, coarse = stride(small), stride(large)
-    reach = _REACH * (small + large)
+    reach, fine = _REACH * (small + large), step
     # The lag is from the start of a small second difference to the start of a large one.
-    lag = np.arange(-reach, reach + 1, step, dtype=float)
+    lag = np.arange(-(reach // step), reach // step + 1, dtype=float) * step
+    if large > _FAR * small:
+        # In the middle between multiples: white noise adds nothing but at multiples of the large.
+        step = max(step, large // _LAGS)
+        lag = (np.arange(-(reach // step), reach // step) + 0.5) * step
     terms = _covariances(np.array([small]), np.array([large]), lag, period)[:, 0]
     starts_small, starts_large = runs[runs >= 2 * small], runs[runs >= 2 * large]
     pairs = np.zeros(len(lag))
     for length, times in zip(*np.unique(starts_large, return_counts=True), strict=True):
-        first = np.maximum(0.0, -lag)
-        last = np.minimum(length - 2 * large, length - 2 * small - lag)
-        pairs += times * np.where(last >= first, (last - first) // coarse + 1, 0.0)
-    counts = np.sum((starts_small - 2 * small) // step + 1) * np.sum(
+        # Starts of large second differences whose partner lies within the run.
+        first = np.ceil(np.maximum(0.0, lag) / coarse)
+        last = np.minimum(length - 2 * large, length - 2 * small + lag) // coarse
+        pairs += times * np.maximum(last - first + 1, 0.0) * (step / fine)
+    counts = np.sum((starts_small - 2 * small) // fine + 1) * np.sum(
         (starts_large - 2 * large) // coarse + 1
     )
     scale = 4.0 * (small * period) ** 2 * (large * period) ** 2 * counts
-    return np.asarray(2 * (terms * pairs) @ terms.T / scale)
+    return np.asarray(2 * (terms * pairs) @ terms.T / scale), terms @ pairs / counts
 
 
 def _covariances(small: Floats, large: Floats, lag: Floats, period: float) -> Floats:
     """Return the covariances (4, k, l) of second differences at k sizes and l lags."""
     weights = (1.0, -2.0, 1.0)
-    total = np.zeros((len(Term), len(small), len(lag)))
+    total = np.zeros((len(_STOCHASTIC), len(small), len(lag)))
     for a, left in enumerate(weights):
         for b, right in enumerate(weights):
             apart = np.abs(lag + (b * large - a * small)[:, None])

@@ -1,4 +1,4 @@
-"""Estimate the noise of a session: random walk, bias instability, quantisation by channel."""
+"""Estimate the noise of channels at rest: random walk, bias instability, quantisation and more."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from .allan import (
 )
 from .segments import CHANNELS, Statistics
 
-_STEPS = 12  #: Most steps of the reweighting.
+_STEPS = 24  #: Most steps of the reweighting, each half way: whole steps may go to and fro.
 _MOSTLY = 0.5
 """Share of a variance: with more of it from the counter, a point does not determine the sensor's
 noise."""
@@ -55,12 +55,13 @@ def session_noise(statistics: Sequence[Statistics], walk: Floats) -> dict[str, C
     for c, name in enumerate(CHANNELS):
         points = _points(with_sums, c, float(walk[c])) if with_sums else None
         if points is not None:
-            found[name] = _fit(points)
+            count = int(points.usable.sum())
+            found[name] = fit(points, _distinguishable(count, counter=points.pulse > 0)).noise
     return found
 
 
 @dataclass(frozen=True, eq=False)
-class _Points:
+class AllanPoints:
     """Allan variances of one channel, with their contributions."""
 
     factors: Floats  #: (k,) cluster sizes, in steps of `period`.
@@ -73,7 +74,7 @@ class _Points:
     timed: bool = False  #: See `ChannelNoise`.
 
 
-def _points(statistics: Sequence[Statistics], channel: int, walk: float) -> _Points | None:
+def _points(statistics: Sequence[Statistics], channel: int, walk: float) -> AllanPoints | None:
     sums = pooled([s.allan for s in statistics if s.allan is not None])
     variance = sums.variance[:, channel]
     pulse = float(statistics[0].pulse[channel])
@@ -82,7 +83,7 @@ def _points(statistics: Sequence[Statistics], channel: int, walk: float) -> _Poi
     known = _known_share(statistics, channel, walk, sums) if pulse else np.zeros(len(variance))
     usable = (known < _MOSTLY * variance) & (variance > 0)
     factors = cluster_sizes(len(variance))
-    points = _Points(factors, sums.period, sums.lengths, variance, known, pulse, usable)
+    points = AllanPoints(factors, sums.period, sums.lengths, variance, known, pulse, usable)
     if usable.sum() >= _FEWEST_POINTS and usable[-_FEWEST_POINTS:].all():
         return points
     return _timed_points(statistics, channel, pulse, walk) or points
@@ -106,7 +107,7 @@ def _known_share(
 
 def _timed_points(
     statistics: Sequence[Statistics], channel: int, pulse: float, walk: float
-) -> _Points | None:
+) -> AllanPoints | None:
     """Use the blocks, whose means use the times of the pulses, in place of the samples.
 
     Only static dwells are pooled whose blocks have a typical length, and whose pulses are timed to
@@ -136,40 +137,59 @@ def _timed_points(
     variance, share = squares / scale, known / scale
     usable = (share < _MOSTLY * variance) & (variance > 0)
     lengths = tuple(len(b) for b in rows)
-    return _Points(factors, period, lengths, variance, share, pulse, usable, timed=True)
+    return AllanPoints(factors, period, lengths, variance, share, pulse, usable, timed=True)
 
 
-def _fit(points: _Points) -> ChannelNoise:
+class Fitted(NamedTuple):
+    """Coefficients of a channel, and how well they describe its curve."""
+
+    noise: ChannelNoise
+    squares: Floats  #: (5,) squared coefficients that describe it best; 0 for those not seen.
+    misfit: float  #: Sum of squared residuals in standard deviations, correlations included.
+    freedom: int  #: Points less coefficients.
+
+
+def fit(points: AllanPoints, terms: Sequence[Term], doubtful: Sequence[Term] = ()) -> Fitted:
     """Fit non-negative squared coefficients by generalised least squares.
 
     The covariance of the points depends on the coefficients, so both are found in alternation.
+
+    Args:
+        points: Of one channel.
+        terms: To be fitted.
+        doubtful: Terms whose uncertainty is in that of the others also where the fit is best
+            without them.
     """
     units = unit_variances(points.factors, points.period)
     rows = points.usable
-    terms = _distinguishable(int(rows.sum()), counter=points.pulse > 0)
+    sizes = points.factors.astype(int).tolist()
     own = np.zeros(len(Term))
     if points.pulse and not points.timed:
         own[Term.QUANTISATION] = points.pulse**2 / 12
     unexplained = np.maximum(points.variance - points.known, 0.0)
-    squares, variances = np.zeros(len(Term)), np.full(len(Term), np.inf)
-    spread_all = np.diag((points.variance + _TINY) ** 2)
+    squares, variances, misfit = np.zeros(len(Term)), np.full(len(Term), np.inf), 0.0
+    # To begin with, as accurate as white noise would be: the longest times are known least.
+    white = np.eye(len(Term))[Term.RANDOM_WALK]
+    ratio = (points.variance + _TINY) / units[:, Term.RANDOM_WALK]
+    spread_all = spread(sizes, points.lengths, points.period, white) * np.outer(ratio, ratio)
+    basis: Floats | None = None
     for _ in range(_STEPS if rows.any() else 0):
         inside = np.ix_(rows, rows)
-        before = squares
-        squares, variances = _non_negative(
-            units[rows], unexplained[rows], spread_all[inside], terms
+        squares, variances, misfit = _non_negative(
+            units[rows], unexplained[rows], spread_all[inside], terms, doubtful
         )
-        if not (squares + own).any():
+        before, basis = basis, squares if basis is None else (basis + squares) / 2
+        if not (basis + own)[: Term.RAMP].any():
             break
-        spread_all = spread(len(units), points.lengths, points.period, squares + own)
-        if np.allclose(squares, before, rtol=_SETTLED, atol=0.0):
+        spread_all = spread(sizes, points.lengths, points.period, basis + own)
+        if before is not None and np.allclose(basis, before, rtol=_SETTLED, atol=0.0):
             break
     found = {t: Coefficient.from_square(float(squares[t]), math.sqrt(variances[t])) for t in Term}
     if points.pulse:
         size = points.pulse / math.sqrt(12)
         found[Term.QUANTISATION] = Coefficient(size, 0.0, size)
     deviation = np.sqrt(points.variance)
-    return ChannelNoise(
+    noise = ChannelNoise(
         points.factors * points.period,
         deviation,
         np.sqrt(np.diag(spread_all)) / (2 * np.maximum(deviation, _TINY)),
@@ -178,7 +198,9 @@ def _fit(points: _Points) -> ChannelNoise:
         found[Term.QUANTISATION],
         found[Term.RATE_RANDOM_WALK],
         points.timed,
+        found[Term.RAMP],
     )
+    return Fitted(noise, squares + own, misfit, int(rows.sum() - np.count_nonzero(squares)))
 
 
 def _distinguishable(points: int, *, counter: bool) -> list[Term]:
@@ -190,9 +212,13 @@ def _distinguishable(points: int, *, counter: bool) -> list[Term]:
 
 
 def _non_negative(
-    units: Floats, variance: Floats, covariance: Floats, terms: Sequence[Term]
-) -> tuple[Floats, Floats]:
-    """Return the best-fitting non-negative squared coefficients (4,) and their variances.
+    units: Floats,
+    variance: Floats,
+    covariance: Floats,
+    terms: Sequence[Term],
+    doubtful: Sequence[Term] = (),
+) -> tuple[Floats, Floats, float]:
+    """Return the best-fitting non-negative squared coefficients (5,), their variances, the misfit.
 
     With a handful of terms there are few subsets: all are solved at once, and the best without a
     negative number is taken. Terms outside it are zero, with the variance that they would have in
@@ -210,16 +236,17 @@ def _non_negative(
     misfits = ((observed - solved @ design.T) ** 2).sum(axis=1)
     best = int(np.argmin(np.where((solved >= 0).all(axis=1), misfits, np.inf)))
     among = np.maximum(np.eye(len(Term))[terms], subsets[best])
+    among[:, list(doubtful)] = 1.0
     information = design.T @ design * among[:, :, None] * among[:, None, :]
     variances = np.full(len(Term), np.inf)
     each = np.linalg.pinv(information)[np.arange(len(terms)), terms, terms]
     variances[terms] = each / size[terms] ** 2
-    return solved[best] / size, variances
+    return solved[best] / size, variances, float(misfits[best])
 
 
 @lru_cache(maxsize=8)
 def _subsets(terms: tuple[Term, ...]) -> Floats:
-    """Return which terms are in each subset, (n, 4) of zeros and ones, the smallest first."""
+    """Return which terms are in each subset, (n, 5) of zeros and ones, the smallest first."""
     counts = range(len(terms) + 1)
     subsets = [s for count in counts for s in itertools.combinations(terms, count)]
     return np.array([[float(term in subset) for term in Term] for subset in subsets])

@@ -405,9 +405,12 @@ class Coefficient:
         return cls(value, deviation / (2 * value), below)
 
 
+NOT_ESTIMATED = Coefficient(None, None, math.inf)
+
+
 @dataclass(frozen=True, eq=False)
 class ChannelNoise:
-    """The noise of one channel in the static dwells, in SI units."""
+    """The noise of one channel at rest, in SI units."""
 
     tau: Floats  #: (k,) averaging times, s.
     deviation: Floats  #: (k,) Allan deviation, rad/s or m/s^2.
@@ -420,6 +423,8 @@ class ChannelNoise:
     #: Whether `tau` refers to clusters with timed pulses, since single readings of the counter hide
     #: the noise below its steps.
     timed: bool
+    #: (rad/s)/s or (m/s^2)/s; a calibration does not estimate it.
+    rate_ramp: Coefficient = NOT_ESTIMATED
 
     def document(self) -> dict[str, Any]:
         """Return it as plain numbers, for a file."""

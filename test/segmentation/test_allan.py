@@ -13,7 +13,7 @@ from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, sta
 
 from imu_calib.common.stream import Floats, Units
 from imu_calib.estimation.known_noise import known_noise
-from imu_calib.reports.provenance import noise_lines
+from imu_calib.reports.provenance import noise_table
 from imu_calib.segmentation.allan import (
     Term,
     allan_sums,
@@ -77,9 +77,9 @@ def test_degrees_of_freedom_are_those_of_allantools(term: int, alpha: int, withi
         allantools.edf_greenhall(alpha=alpha, d=2, m=m, N=1001, overlapping=True)
         for m in (4, 8, 16)
     ]
-    squares = np.eye(4)[term]
+    squares = np.eye(len(Term))[term]
     variance = unit_variances(cluster_sizes(5), 1.0) @ squares
-    found = 2 * variance**2 / np.diag(spread(5, (1000,), 1.0, squares))
+    found = 2 * variance**2 / np.diag(spread([1, 2, 4, 8, 16], (1000,), 1.0, squares))
     assert found[2:] == pytest.approx(freedom, rel=within)
 
 
@@ -90,7 +90,7 @@ def test_the_spread_is_that_of_simulated_stretches() -> None:
     for _ in range(1000):
         runs = [rng.normal(size=(n, 1)) for n in (200, 130)]
         rows.append(allan_sums(runs, 1.0).variance[:, 0])
-    expected = spread(7, (200, 130), 1.0, np.array([0, 1.0, 0, 0]))
+    expected = spread([1, 2, 4, 8, 16, 32, 64], (200, 130), 1.0, np.array([0, 1.0, 0, 0, 0]))
     scale = np.sqrt(np.diag(expected))
     # 1 / sqrt(n / 2) = 4.5 % of a variance; correlations of chi-squared tails scatter more.
     assert np.cov(np.array(rows).T) / np.outer(scale, scale) == pytest.approx(
@@ -202,9 +202,10 @@ def test_a_session_shows_the_noise_that_was_put_in_and_no_other() -> None:
         # The accelerometers' pulse hides 0.01 (m/s)/pulse against 2e-4 (m/s)/sqrt(s): pulses timed.
         assert channel.timed is (name[0] == 'a')
         assert channel.document() == document[name]
-    gyro, accel = noise_lines(result.calibration)
-    assert 'deg/sqrt(h) (data sheet 0.05)' in gyro
-    assert '(m/s)/sqrt(h) (data sheet 0.012)' in accel and accel.endswith('ug')
+    table = noise_table(result.calibration)
+    assert table is not None
+    stated = ' '.join(str(cell) for column in table.columns for cell in column.cells)
+    assert '0.05 deg/sqrt(h)' in stated and '0.012 (m/s)/sqrt(h)' in stated
 
 
 def test_of_the_terms_those_fit_best_that_take_no_negative_number() -> None:
@@ -213,7 +214,7 @@ def test_of_the_terms_those_fit_best_that_take_no_negative_number() -> None:
     covariance, kept = np.eye(len(units)), set()
     for _ in range(50):
         wanted = units @ (rng.standard_normal(len(terms)) / np.linalg.norm(units, axis=0))
-        found, _ = _non_negative(units, wanted, covariance, terms)
+        found, _, _ = _non_negative(units, wanted, covariance, terms)
         size = np.linalg.norm(units, axis=0)
         expected = nnls(units / size, wanted)[0]
         assert found * size == pytest.approx(expected, rel=1e-9, abs=1e-12)

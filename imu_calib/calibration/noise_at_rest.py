@@ -1,0 +1,371 @@
+"""The noise of a unit that lay still: Allan deviations with intervals, and their coefficients.
+
+The five coefficients of IEEE Std 952-1997, annex C, are fitted to the variances at 1, 2, 4, ...
+samples by generalised least squares. The covariance of these points is that of the fitted noise
+itself, as clusters overlap and share their samples (`segmentation.allan.spread`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy
+
+from ..common.files import require
+from ..common.stream import Floats, iso
+from ..common.units import ARCSEC, DEG_H, HOUR, MICRO_G
+from ..segmentation.allan import AllanSums, Term, counter_share, own_spread, unit_variances
+from ..segmentation.long_rest import LongRest
+from ..segmentation.noise import AllanPoints, Fitted, fit
+from ..segmentation.segments import CHANNELS
+from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, TriadUnits
+from .views import empty_figure
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+_SURE = 1e-5
+"""Probability of a misfit by chance below which another fit is sought. A judgement: of six channels
+one in 16 000 records is refitted in vain."""
+_LIKELY = 0.3
+"""The same from which on a later start is taken. A judgement: what a filter has left to bend is
+then small against the standard deviations."""
+_FEWEST_POINTS = 8  #: Of a fit: more than coefficients, over at least two decades.
+_WALKS = 3  #: Rounds in which a counter's steps and the walk that smears them are found.
+_MOSTLY = 0.5  #: Share of a counter's steps in a variance from which on it shows no noise.
+_ONE_DEVIATION = 0.1586552539314571  #: Probability of a normal value below minus one deviation.
+_WARMED = 1.0
+"""K. A judgement: less is usual in a room, and moves biases of MEMS units by some 10 deg/h."""
+_ROOT_HOUR = HOUR**0.5  #: sqrt(s).
+_WIDTH, _HEIGHT = 9.0, 4.2  #: Of a picture, inches.
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of noise, its attribute of `ChannelNoise`, and its units in data sheets."""
+
+    term: Term
+    name: str  #: Of the attribute and in files.
+    words: str
+    units: tuple[str, str]  #: Of gyros and accelerometers.
+    scales: tuple[float, float]  #: Their SI values.
+    si: tuple[str, str]  #: The SI units.
+
+    def of(self, noise: ChannelNoise) -> Coefficient:
+        """Return the coefficient of a channel."""
+        found: Coefficient = getattr(noise, self.name)
+        return found
+
+
+KINDS = (
+    Kind(
+        Term.QUANTISATION,
+        'quantisation',
+        'quantisation Q',
+        ('arcsec', 'mm/s'),
+        (ARCSEC, 1e-3),
+        ('rad', 'm/s'),
+    ),
+    Kind(
+        Term.RANDOM_WALK,
+        'random_walk',
+        'random walk N',
+        (TRIAD_NAMES[0].walk, TRIAD_NAMES[1].walk),
+        (TRIAD_NAMES[0].walk_scale, TRIAD_NAMES[1].walk_scale),
+        ('rad/sqrt(s)', '(m/s)/sqrt(s)'),
+    ),
+    Kind(
+        Term.BIAS_INSTABILITY,
+        'bias_instability',
+        'bias instability B',
+        ('deg/h', 'ug'),
+        (DEG_H, MICRO_G),
+        ('rad/s', 'm/s^2'),
+    ),
+    Kind(
+        Term.RATE_RANDOM_WALK,
+        'rate_random_walk',
+        'rate random walk K',
+        ('deg/h/sqrt(h)', 'ug/sqrt(h)'),
+        (DEG_H / _ROOT_HOUR, MICRO_G / _ROOT_HOUR),
+        ('rad/s/sqrt(s)', 'm/s^2/sqrt(s)'),
+    ),
+    Kind(
+        Term.RAMP,
+        'rate_ramp',
+        'rate ramp R',
+        ('deg/h/h', 'ug/h'),
+        (DEG_H / HOUR, MICRO_G / HOUR),
+        ('rad/s^2', 'm/s^3'),
+    ),
+)
+"""In the order of their slopes, -1 to +1 (IEEE Std 952-1997, table C.1)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelAllan:
+    """The Allan deviation of a channel, SI units, and the noise that it shows."""
+
+    tau: Floats  #: (k,) averaging times, s.
+    deviation: Floats  #: (k,) overlapping Allan deviation, rad/s or m/s^2.
+    #: (k,) equivalent degrees of freedom of its square (Greenhall and Riley 2003).
+    freedom: Floats
+    low: Floats  #: (k,) lower end of the interval that holds the true deviation in 68 of 100.
+    high: Floats  #: (k,) its upper end.
+    model: Floats  #: (k,) deviation by the coefficients.
+    noise: ChannelNoise  #: The coefficients.
+    fitted_from: float  #: Shortest averaging time that was fitted, s.
+    is_described: bool  #: Whether the five kinds of noise describe the curve from there on.
+
+    @property
+    def lowest(self) -> tuple[float, float]:
+        """The least deviation, which data sheets call bias instability, and its time, s."""
+        k = int(np.argmin(self.deviation))
+        return float(self.deviation[k]), float(self.tau[k])
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseAtRest:
+    """The noise of a unit that lay still."""
+
+    imu: str  #: The unit: its type, or what it is called by.
+    channels: Mapping[str, ChannelAllan]  #: By name, gx to az, those that show noise.
+    mean: Floats  #: (6,) mean outputs, rad/s and m/s^2.
+    samples: int  #: Number used.
+    seconds: float  #: Of the record.
+    rate: float  #: Samples per second.
+    start: int  #: First stamp, ns.
+    temperature: tuple[float, float] | None  #: Lowest and highest, degrees Celsius.
+    findings: tuple[str, ...]  #: What to know about it, in sentences.
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f'<NoiseAtRest of {self.imu}: {self.seconds / HOUR:.3g} h at {self.rate:.4g} Hz>'
+
+    def with_findings(self, findings: tuple[str, ...]) -> NoiseAtRest:
+        """Return it with other findings."""
+        return replace(self, findings=findings)
+
+    def triad(self, units: TriadUnits) -> dict[str, ChannelAllan]:
+        """Return the channels of a triad by name."""
+        return {c: self.channels[c] for c in units.channels if c in self.channels}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values, SI units; None for what the record does not determine."""
+        return {
+            'imu': self.imu,
+            'samples': self.samples,
+            'seconds': self.seconds,
+            'rate': self.rate,
+            'start': iso(self.start),
+            'temperature': None if self.temperature is None else list(self.temperature),
+            'channels': {name: _plain(one) for name, one in self.channels.items()},
+            'findings': list(self.findings),
+        }
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the coefficients: a row for each kind of noise and channel, SI units.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        require('pandas', 'A data frame', 'dataframe')
+        import pandas as pd
+
+        rows = [
+            {
+                'channel': name,
+                'noise': kind.name,
+                'value': np.nan if (found := kind.of(one.noise)).value is None else found.value,
+                'std': np.nan if found.std is None else found.std,
+                'below': found.below,
+                'unit': kind.si[name[0] == 'a'],
+            }
+            for name, one in self.channels.items()
+            for kind in KINDS
+        ]
+        return pd.DataFrame(rows).set_index(['channel', 'noise'])
+
+    def plot(self) -> Figure:
+        """Draw the Allan deviations with their fits; return the matplotlib Figure.
+
+        Raises:
+            InputError: matplotlib is not installed.
+        """
+        figure = empty_figure(_WIDTH, _HEIGHT, 'A picture')
+        for triad, axes in zip(TRIAD_NAMES, figure.subplots(1, 2), strict=True):
+            for name, one in self.triad(triad).items():
+                values = (one.deviation, one.low, one.high, one.model)
+                shown, low, high, model = (value / triad.rate_scale for value in values)
+                (line,) = axes.loglog(one.tau, shown, linewidth=1.2, label=name)
+                colour, fitted = line.get_color(), one.tau >= one.fitted_from
+                axes.fill_between(one.tau, low, high, alpha=0.2, color=colour, linewidth=0)
+                axes.loglog(one.tau[fitted], model[fitted], '--', linewidth=0.8, color=colour)
+                axes.legend()
+            axes.set_xlabel('averaging time, s')
+            axes.set_ylabel(f'Allan deviation, {triad.rate}')
+            axes.set_title(f'{triad.name}s')
+            axes.grid(visible=True, linewidth=0.4)
+        figure.suptitle(f'{self.imu}; shaded: 68 %; dashed: fit')
+        return figure
+
+    def curves(self) -> pandas.DataFrame:
+        """Return the Allan deviations: index tau, s; a column for each channel, SI units.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        require('pandas', 'A data frame', 'dataframe')
+        import pandas as pd
+
+        found = {name: one.deviation for name, one in self.channels.items()}
+        tau = next((one.tau for one in self.channels.values()), np.empty(0))
+        return pd.DataFrame(found, index=pd.Index(tau, name='tau'))
+
+
+def noise_at_rest(rest: LongRest, imu: str) -> NoiseAtRest:
+    """Estimate the noise of every channel.
+
+    Args:
+        rest: What the record contains.
+        imu: What the unit is called.
+    """
+    channels = {
+        name: found for c, name in enumerate(CHANNELS) if (found := _channel(rest, c)) is not None
+    }
+    seen = rest.temperature
+    return NoiseAtRest(
+        imu,
+        channels,
+        rest.mean,
+        rest.samples,
+        rest.seconds,
+        1 / rest.sums.period,
+        rest.start,
+        None if seen is None else (seen.lowest, seen.highest),
+        (*rest.findings, *_findings(channels), *_warmth(rest)),
+    )
+
+
+def _channel(rest: LongRest, c: int) -> ChannelAllan | None:
+    """Return the deviation and the noise of a channel; None where its values never change."""
+    sums = rest.sums
+    variance = sums.variance[:, c]
+    if not variance.any():
+        return None
+    sizes = sums.factors.astype(np.int64)
+    octaves = sums.at((sizes & (sizes - 1)) == 0)
+    pulse = float(rest.pulse[c])
+    found, first, described = _fitted(octaves, c, pulse, float(rest.mean[c]))
+    known = _counted(sums, pulse, float(rest.mean[c]), found)
+    model = unit_variances(sums.factors, sums.period) @ _without_counter(found, pulse) + known
+    spread = own_spread(sizes.tolist(), sums.lengths, sums.period, found.squares)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        freedom = np.maximum(2 * model**2 / spread, 1.0)
+    low, high = (
+        np.sqrt(variance * freedom / (2 * scipy.special.gammaincinv(freedom / 2, p)))
+        for p in (1 - _ONE_DEVIATION, _ONE_DEVIATION)
+    )
+    deviation = np.sqrt(variance)
+    from_time = float(octaves.taus[first])
+    return ChannelAllan(
+        sums.taus, deviation, freedom, low, high, np.sqrt(model), found.noise, from_time, described
+    )
+
+
+def _fitted(sums: AllanSums, c: int, pulse: float, mean: float) -> tuple[Fitted, int, bool]:
+    """Return a fit, its first point, and whether it describes the curve.
+
+    A filter in the sensor bends the curve at the shortest times, which are known best: it is fitted
+    from the shortest time from which on it is a sum of the five kinds of noise.
+    """
+    variance = sums.variance[:, c]
+    terms = [term for term in Term if not (pulse and term is Term.QUANTISATION)]
+    rows = np.arange(len(variance))
+    best: tuple[float, Fitted, int] | None = None
+    for first in range(max(1, len(rows) - _FEWEST_POINTS + 1)):
+        known, found = np.zeros(len(rows)), None
+        for _ in range(_WALKS if pulse else 1):
+            known = _counted(sums, pulse, mean, found)
+            usable = (rows >= first) & (variance > 0) & (known < _MOSTLY * variance)
+            points = AllanPoints(
+                sums.factors, sums.period, sums.lengths, variance, known, pulse, usable
+            )
+            found = fit(points, terms, terms)
+        assert found is not None
+        chance = float(scipy.special.gammaincc(max(found.freedom, 1) / 2, found.misfit / 2))
+        if best is None or chance > best[0]:
+            best = chance, found, first
+        if chance > (_LIKELY if first else _SURE):
+            break
+    assert best is not None
+    return best[1], best[2], best[0] > _SURE
+
+
+def _without_counter(found: Fitted, pulse: float) -> Floats:
+    """Return the squared coefficients without the quantisation of a counter."""
+    squares = found.squares.copy()
+    if pulse:
+        squares[Term.QUANTISATION] = 0.0
+    return squares
+
+
+def _counted(sums: AllanSums, pulse: float, mean: float, found: Fitted | None) -> Floats:
+    """Return the Allan variances (k,) from the steps of a counter."""
+    if not pulse:
+        return np.zeros(len(sums.counts))
+    growth = 0.0 if found is None else float(found.squares[Term.RANDOM_WALK]) / pulse**2
+    share = counter_share(mean / pulse * sums.period, growth * sums.period, sums.factors)
+    return np.asarray(share * pulse**2 / (2 * sums.taus**2))
+
+
+def _findings(channels: Mapping[str, ChannelAllan]) -> list[str]:
+    """Return sentences on curves that the coefficients describe in part."""
+    found = []
+    late = [name for name, one in channels.items() if one.fitted_from > one.tau[0]]
+    if late:
+        longest = max(channels[name].fitted_from for name in late)
+        found.append(
+            f'At the shortest times the curves of {", ".join(late)} are no sum of the five kinds '
+            f'of noise, as where a sensor filters its samples: they are fitted from up to '
+            f'{longest:.3g} s on.'
+        )
+    other = [name for name, one in channels.items() if not one.is_described]
+    if other:
+        found.append(
+            f'The curves of {", ".join(other)} are no sum of the five kinds of noise: vibration '
+            'or popcorn noise, for instance. Their coefficients are rough, and the standard '
+            'deviations too small.'
+        )
+    silent = [name for name in CHANNELS if name not in channels]
+    if silent:
+        found.append(f'{", ".join(silent)}: the values never change; nothing is known of them.')
+    return found
+
+
+def _warmth(rest: LongRest) -> list[str]:
+    seen = rest.temperature
+    if seen is None or seen.highest - seen.lowest < _WARMED:
+        return []
+    return [
+        f'The temperature ranged from {seen.lowest:.1f} to {seen.highest:.1f} degC: ramp and rate '
+        'random walk contain the drift that it caused.'
+    ]
+
+
+def _plain(one: ChannelAllan) -> dict[str, Any]:
+    coefficients = {}
+    for kind in KINDS:
+        found = kind.of(one.noise)
+        below = found.below if math.isfinite(found.below) else None
+        coefficients[kind.name] = {'value': found.value, 'std': found.std, 'below': below}
+    curve = {
+        name: getattr(one, name).tolist() for name in ('tau', 'deviation', 'freedom', 'low', 'high')
+    }
+    fitted = {'fitted_from': one.fitted_from, 'is_described': one.is_described}
+    return {'coefficients': coefficients, **fitted, **curve}
