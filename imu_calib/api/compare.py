@@ -187,8 +187,8 @@ def compare(
         findings.append(f'Shown with the nominal scale factors of {called[0]}.')
     if len({c.provenance.get('frame') for c in own if c.provenance}) > 1:
         findings.append(
-            'Not all are in the same frame: a calibration in the hand is in the axes of its '
-            'accelerometers, one from a table in those of the table; E and K differ by that alone.'
+            'The axes differ: those of the accelerometers for a calibration in the hand, those of '
+            'the table for one from a table. E and K differ by that alone.'
         )
     serials = dict.fromkeys(c.serial_number for c in own if c.serial_number)
     if len(serials) > 1:

@@ -290,12 +290,12 @@ class Calibrator:
 
 
 _NOBODY = (
-    'What it says of the table contradicts the other unit (chi-square {square:.0f} with {freedom} '
+    'Its data on the table contradicts the other unit (chi-square {square:.0f} with {freedom} '
     'degrees of freedom): it is unknown which of the two is right, and each is calibrated by '
     'itself. A third unit would show which.'
 )
 _ODD = (
-    'What it says of the table contradicts the other units (chi-square {square:.0f} with {freedom} '
+    'Its data on the table contradicts the other units (chi-square {square:.0f} with {freedom} '
     'degrees of freedom): it is calibrated by itself. Possible causes: a unit that is loose on the '
     'fixture, samples that froze, a clock that jumps, and sensors that differ from their '
     'description.'

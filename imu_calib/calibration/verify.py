@@ -366,8 +366,8 @@ def _omissions(calibration: Calibration, observed: Observed) -> list[str]:
     notes = []
     if not observed.with_attitudes:
         notes.append(
-            'Attitudes are unknown: lengths are compared, and the rate along gravity. Axes that '
-            'changed places and a matrix that was transposed hardly show in them.'
+            'The attitudes are unknown: only lengths and the rate along gravity are compared, '
+            'which hardly show swapped axes and a transposed matrix.'
         )
     elif not observed.evidence.turns:
         others = (
@@ -390,8 +390,8 @@ def _omissions(calibration: Calibration, observed: Observed) -> list[str]:
     if names:
         notes.append(
             f'{", ".join(names)} changed during the session of the calibration (session_terms of '
-            'its file): the recording is compared with their means. Such a change is not told from '
-            'a wrong value.'
+            'its file): the recording is compared with their means. Such a change cannot be '
+            'distinguished from a wrong value.'
         )
     return notes
 
@@ -407,9 +407,8 @@ def _without_drift(trials: Sequence[_Trial], judged: Sequence[Judged]) -> list[s
         return []
     return [
         f'No bias instability of the {" and ".join(names)} is stated: their biases are expected to '
-        'be those of the calibration to its standard deviations. Those of MEMS units differ by '
-        "more between two sessions: state bias_instability in the IMU's file, and give it as "
-        '`imu` (docs/files/imu.md).'
+        'be unchanged, but those of MEMS units change between sessions. State bias_instability in '
+        "the IMU's file, and give it as `imu` (docs/files/imu.md)."
     ]
 
 

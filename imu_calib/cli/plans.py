@@ -44,7 +44,9 @@ if TYPE_CHECKING:
 # Prediction of a plan on the terminal: standard deviations, terms, and the shortest dwells.
 
 
-_ON_A_TABLE = 'Predicted standard deviations: best is the smallest possible one (Cramer-Rao bound).'
+_ON_A_TABLE = (
+    'Predicted standard deviations; the last column is the smallest possible (Cramer-Rao bound).'
+)
 _IN_THE_HAND = (
     'Predicted standard deviations by the noise, for turns of two seconds, each about one axis.'
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..common.units import DEG, STANDARD_GRAVITY
 
-TIMES = ' A wrong rate of the samples, or unit of their times, does the same.'
+TIMES = ' A wrong sample rate, or a wrong unit of time, has the same effect.'
 """For gyros: their rates times time are compared with turned angles."""
 _RANGES = {
     2.0: 'Counts of half the range that the scale factor is for',
@@ -30,7 +30,9 @@ _NEAR = 0.1
 def wrong_scale_sentences(scale: float, name: str) -> str:
     """Return sentences on what gives sensors so many times the response; empty if unknown."""
     near = [m for factor, m in _MISTAKES[name].items() if abs(scale / factor - 1) < _NEAR]
-    return ''.join(f' {mistake} do that.' for mistake in near) + (TIMES if name == 'gyros' else '')
+    return ''.join(f' {mistake} have that effect.' for mistake in near) + (
+        TIMES if name == 'gyros' else ''
+    )
 
 
 def wrong_turns_sentences(scale: float, meaning: str) -> str:

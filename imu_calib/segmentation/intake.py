@@ -350,7 +350,7 @@ class StreamBuffer:
         lost += self.false_samples.sentences + self._skew.false.found.sentences
         lost += self._losses.sentences() + self._imu.shared.words()
         lost += self._skew.shared.words(' of the skewed gyro')
-        cut = 'a motion that this falls into is left out'
+        cut = 'a motion during it is left out'
         if self._table is not None:
             cut = f'a static dwell is cut in two there, and {cut}'
         lost += set_back_sentences(self.imu_clock.found, 'the IMU', cut)

@@ -463,7 +463,7 @@ class Segmenter:
             share = reader.bridged / (self._intake.samples + reader.bridged)
             lost.append(
                 f'{reader.bridged} IMU samples are missing ({100 * share:.2g} %), a few at a time: '
-                'what they counted is interpolated from those around them'
+                'their values are interpolated from those around them'
             )
         if self._frozen[0]:
             lost.append(

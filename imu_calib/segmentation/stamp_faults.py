@@ -104,9 +104,9 @@ class SharedStamps:
         if self._first is None:
             return []
         return [
-            f'{counted(self.count, "sample")}{of} came with the stamp of the one before, up to '
-            f'{self._most} with one stamp, the first at {at(self._first)}: they are spread over '
-            'the time since the stamp before'
+            f'{counted(self.count, "sample")}{of} came with the stamp of the previous one, up to '
+            f'{self._most} with one stamp, the first at {at(self._first)}: they are spread evenly '
+            'back to the previous stamp'
         ]
 
     @property
@@ -349,8 +349,8 @@ def set_back_sentences(found: Sequence[SetBack], whose: str, then: str) -> list[
     if len(found) > len(seconds):
         times += f', and on again {counted(len(found) - len(seconds), "time")} by as much'
     return [
-        f'The stamps of {whose} go back {times}: the clock was set back. Later ones are moved on, '
-        f'so that they go on an interval after the one before; {then}'
+        f'The stamps of {whose} go back {times}: the clock was set back. Later stamps are '
+        f'shifted to continue one interval after the last one; {then}'
     ]
 
 
@@ -412,6 +412,6 @@ class Lateness:
         longest = f'{self.longest:.1f} s' if self.longest >= 1 else f'{self.longest * 1e3:.0f} ms'
         return [
             f'{self.count} IMU samples ({100 * share:.2g} %) are stamped late, by up to {longest}, '
-            f'the first at {at(self.first)}: they were held up, and when they were sampled is '
-            'taken from those that came in time'
+            f'the first at {at(self.first)}: they were delayed on their way, and their times '
+            'follow from those that came in time'
         ]

@@ -188,7 +188,7 @@ class AtSite(TypedDict, total=False):
         float | None,
         'Above the ellipsoid, m; determines gravity if that is not stated.',
         Option(
-            f'metres above the ellipsoid (default: 0, in doubt by {HEIGHT_STD:g} m); gravity is '
+            f'metres above the ellipsoid (default: 0, uncertain by {HEIGHT_STD:g} m); gravity is '
             'computed from it, unless --gravity is given',
             'M',
         ),

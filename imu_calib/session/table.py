@@ -219,9 +219,9 @@ class Table:
             )
         if self.raised:
             sentences.append(
-                f'No error of a table is known below {FINEST / ARCSEC:g} arcsec: as much is '
-                f'assumed of {", ".join(self.raised)} of table {self.name}, of which its file '
-                'states less.'
+                f'Table {self.name} states less than {FINEST / ARCSEC:g} arcsec of '
+                f'{", ".join(self.raised)}, which no known table reaches: '
+                f'{FINEST / ARCSEC:g} arcsec is used.'
             )
         return ' '.join(sentences)
 

@@ -128,7 +128,7 @@ def test_rates_in_degrees_are_named(tmp_path, session, calibration, wrong) -> No
         gyro, accel = np.full_like(gyro, 1e-3), np.tile([0.0, 0.0, 9.8], (len(accel), 1))
     block = replace(session, gyro=gyro, accel=accel)
     found = compensate(written(tmp_path / 'bag', block), calibration, tmp_path / 'out').findings
-    named = [text for text in found if 'Rates in deg/s, stated as rad/s, do that.' in text]
+    named = [text for text in found if 'Rates in deg/s, stated as rad/s, have that effect.' in text]
     assert len(named) == (wrong == 'deg/s')
     assert any('turn gravity' in text for text in found) == (wrong == 'deg/s')
     if named:

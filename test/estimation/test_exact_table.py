@@ -127,8 +127,8 @@ def test_a_real_table_is_not_stated_better_than_any_is_known() -> None:
     assert table.errors == TableErrors(FINEST, FINEST, FINEST, pytest.approx(ONE))
     assert table.level == pytest.approx(0.5 * ARCSEC)
     assert table.assumption == (
-        'No error of a table is known below 1 arcsec: as much is assumed of positioning, zeros, '
-        'orthogonality, wobble of table ours, of which its file states less.'
+        'Table ours states less than 1 arcsec of positioning, zeros, orthogonality, wobble, which '
+        'no known table reaches: 1 arcsec is used.'
     )
     simulated = read_table(Section.parse(f'{text}simulated: true\n', 'ours.yaml'))
     assert (simulated.raised, simulated.assumption) == ((), '')

@@ -56,7 +56,7 @@ def test_half_and_twice_the_rate_of_the_samples_are_refused(scale: float) -> Non
     wrong = seen_by(session(), scale * np.eye(3), np.eye(3))
     # By steps of 1.1 %.
     words = r'The gyros turn gravity (1\.9[89]|2(\.0[12])?|0\.(49\d|50\d|5)) times as far'
-    with pytest.raises(InputError, match=f'{words}.* A wrong rate of the samples'):
+    with pytest.raises(InputError, match=f'{words}.* A wrong sample rate'):
         solve(wrong)
     assert not is_clear(wrong)
 

@@ -424,9 +424,9 @@ def test_a_response_known_to_a_tenth_is_the_least() -> None:
     with pytest.raises(NotObservable) as refusal:
         gyros_only.solve_off_axis_four(alone('off_axis_four', tenth * 1.03))
     assert str(refusal.value) == (
-        'The Earth turns too slowly for the noise of these gyros and these dwells: known no better '
-        'than to a tenth are K_gx (0.1), K_gy (0.1), K_gz (0.11), E_gxy (0.1), E_gxz (0.11), '
-        'E_gyx (0.1), E_gyz (0.11), E_gzx (0.1), E_gzy (0.1).'
+        'The Earth rate is too small for the noise of these gyros and these dwells: '
+        'K_gx (0.1), K_gy (0.1), K_gz (0.11), E_gxy (0.1), E_gxz (0.11), '
+        'E_gyx (0.1), E_gyz (0.11), E_gzx (0.1), E_gzy (0.1) would be known to a tenth at best.'
     )
 
 

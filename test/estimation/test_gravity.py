@@ -168,7 +168,7 @@ def test_the_screen_and_the_file_say_what_was_assumed(tmp_path, monkeypatch, cap
         assert main(['calibrate', 'bag', '-o', 'known.yaml', '--verbose', *options]) == 0
         output = ' '.join(capsys.readouterr().out.split())
         assert all(text in output for text in words)
-        assert 'height of the site' not in output
+        assert 'no height is stated' not in output
         found = Calibration.load(Path('known.yaml')).provenance
         assert found['gravity_std'] / found['gravity'] / PPM == pytest.approx(doubt, rel=2e-3)
         assert found['gravity'] == LUOYANG_520.gravity

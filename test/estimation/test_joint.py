@@ -281,7 +281,7 @@ def test_a_wrong_azimuth_is_said_and_not_used() -> None:
     found = joint.solve(replace(evidence, azimuth=0.0))
     assert np.abs(normalised(found)).max() < 4.5
     assert found.azimuth == pytest.approx(10 * DEG, abs=4.5 * found.azimuth_std)
-    assert any('off the azimuth given' in finding for finding in found.findings)
+    assert any('off the stated azimuth' in finding for finding in found.findings)
 
 
 def test_one_position_lost_costs_one_position() -> None:

@@ -166,7 +166,7 @@ def test_without_north_they_refuse_and_name_what_is_lost(name: str) -> None:
 def test_gyros_too_noisy_for_the_earth_are_refused() -> None:
     plan = load_plan('static_six')
     walk = np.full(6, 3.0 * DEG / 60)
-    with pytest.raises(NotObservable, match=r'turns too slowly.*K_gx'):
+    with pytest.raises(NotObservable, match=r'Earth rate is too small.*K_gx'):
         method('static_six')(evidence(plan, SITE, outputs(plan), walk=walk))
 
 

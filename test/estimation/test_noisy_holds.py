@@ -80,10 +80,10 @@ def test_a_session_that_has_ended_says_the_same_again() -> None:
 def test_few_holds_are_said() -> None:
     few = shaky(UNIT, rate=100, noise=(0.3 * DEG, NOISE), holds=13)
     (findings,) = (f for f in calibrator(few).finish().calibration.findings if 'are few' in f)
-    assert findings.startswith('13 holds are few: 18 or more')
+    assert findings.startswith('13 holds are few. 18 or more')
     assert not any('are few' in finding for finding in result(False).calibration.findings)
 
 
 def test_a_hold_that_sways_counts_less_and_is_said() -> None:
     (sentence,) = noisy(result(True))
-    assert 'at hold ' in sentence and sentence.endswith('(the unit swayed): it counts less.')
+    assert 'at hold ' in sentence and sentence.endswith('the unit swayed, and it has less weight.')

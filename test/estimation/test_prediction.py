@@ -472,10 +472,10 @@ def test_a_prediction_says_what_it_takes_gravity_to_be_known_to(
 ) -> None:
     words = ['plans', 'twelve_position', '--imu', 'fog_medium']
     for options, sentence in (
-        ([], 'K_a includes the uncertainty of gravity, 160 ppm'),
-        (['--height', '0'], 'K_a includes the uncertainty of gravity, 30.6 ppm'),
+        ([], 'K_a includes 160 ppm of gravity'),
+        (['--height', '0'], 'K_a includes 30.6 ppm of gravity'),
     ):
         assert main([*words, *options]) == 0
         assert sentence in ' '.join(capsys.readouterr().out.split())
     assert main([*words, '--gravity', '9.8']) == 0
-    assert 'uncertainty of gravity' not in capsys.readouterr().out
+    assert 'ppm of gravity' not in capsys.readouterr().out

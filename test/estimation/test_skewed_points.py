@@ -374,7 +374,7 @@ def test_turns_without_noise_give_the_sixteen_numbers() -> None:
     assert found.model.skewed.bias == pytest.approx(COUPLINGS[3, 3], abs=1e-12)
     assert found.condition == RatePoints.from_turns(held).weights()[1]
     assert [sentence.split(' ')[0] for sentence in found.findings] == ['The', 'Parity', 'The']
-    assert 'known to 7 ppm only' in found.findings[2]
+    assert 'compared to 7 ppm only' in found.findings[2]
     assert np.isnan([found.azimuth, found.azimuth_std, found.earth_up, found.earth_up_std]).all()
     # Points that agree by chance are no better known than their noise leaves them.
     them = RatePoints.from_turns(held)

@@ -383,7 +383,7 @@ def test_without_plan_and_table_lengths_are_compared() -> None:
         Quantity.EARTH_RATE,
         Quantity.UP_RATE,
     }
-    assert any('Attitudes are unknown' in finding for finding in verification.findings)
+    assert any('The attitudes are unknown' in finding for finding in verification.findings)
 
 
 @pytest.mark.parametrize(

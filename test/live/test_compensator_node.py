@@ -389,7 +389,7 @@ def test_rates_in_degrees_are_named_in_the_words_of_compensate(monkeypatch, tmp_
     said = compensate(tmp_path / 'bag', file, tmp_path / 'out').findings
     (named,) = [words for words in said if 'turn gravity' in words]
     start, _, end = named.partition(' times ')
-    assert 'Rates in deg/s, stated as rad/s, do that.' in end
+    assert 'Rates in deg/s, stated as rad/s, have that effect.' in end
     with Bench(monkeypatch, calibration=file) as bench:
         sent = 0
 

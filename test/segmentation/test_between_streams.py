@@ -61,7 +61,7 @@ def test_lost_samples_are_told_by_their_share() -> None:
     held._reader.off_grid = {START + 9 * NS, START + 2 * NS}
     held._intake.interruptions.add_stamps(np.array([START, START + 2 * NS]))
     assert held._loss_sentences() == (
-        '3 IMU samples are missing (15 %), a few at a time: what they counted is interpolated from '
+        '3 IMU samples are missing (15 %), a few at a time: their values are interpolated from '
         'those around them',
         'The stamps of the IMU are offset from the sampling grid 2 times, first at 2023-11-14 '
         '22:13:22.000 UTC: its clock was set, or it restarted sampling; the data before and after '

@@ -206,8 +206,8 @@ def test_rows_that_came_twice_are_counted_across_blocks() -> None:
     intake.add_imu(imu())
     assert intake.losses() == [
         '2 samples dropped as duplicates, the first at 2.000 s',
-        '1 sample came with the stamp of the one before, up to 2 with one stamp, the first at '
-        '3.000 s: they are spread over the time since the stamp before',
+        '1 sample came with the stamp of the previous one, up to 2 with one stamp, the first at '
+        '3.000 s: they are spread evenly back to the previous stamp',
     ]
     intake.finish()
     assert intake.imu.stamp.tolist() == [NS, 2 * NS, 3 * NS, 3 * NS + 1, 4 * NS]

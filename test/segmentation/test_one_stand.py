@@ -152,7 +152,7 @@ def test_a_few_lost_samples_are_read_from_those_around_them() -> None:
     time = when(imu)
     session = found(only(imu, (time < 10) | (time > 10.055)), joint())
     assert session.losses == (
-        '6 IMU samples are missing (0.15 %), a few at a time: what they counted is interpolated '
+        '6 IMU samples are missing (0.15 %), a few at a time: their values are interpolated '
         'from those around them',
     )
     assert len(session.turns) == 1

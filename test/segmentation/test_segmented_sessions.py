@@ -101,7 +101,7 @@ def test_clocks_that_are_not_compared_are_no_secret() -> None:
     options = stand(azimuth=0.3, joint_state_rate=1.0, clock_rate_error=100e-6)
     result = calibrate(session(PLAN, options, seed=1), PLAN)
     assert np.abs(normalised(result)[:9]).max() < 4.5
-    assert any('known to 50 ppm only' in finding for finding in result.calibration.findings)
+    assert any('compared to 50 ppm only' in finding for finding in result.calibration.findings)
 
 
 def test_turns_that_leave_their_line_widen_what_rests_on_them() -> None:

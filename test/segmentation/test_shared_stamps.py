@@ -69,7 +69,7 @@ def test_samples_of_one_transfer_are_set_apart(
     assert len(apart) == 2000 - len(repeats)
     assert np.diff(apart).min() >= 1
     assert (apart - stamp[np.isin(values, kept).all(axis=1)][: len(apart)] >= 0).all()
-    assert ' samples came with the stamp of the one before, up to ' in shared.words()[0]
+    assert ' samples came with the stamp of the previous one, up to ' in shared.words()[0]
 
 
 def test_what_comes_twice_is_dropped_and_what_is_too_much_is_not_set_apart() -> None:

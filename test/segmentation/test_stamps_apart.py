@@ -140,8 +140,8 @@ def test_a_few_late_samples_are_not_worth_a_sentence() -> None:
     few.count_late(stamp, np.where(np.arange(2000) == 7, 12 * 10**8, 0), INTERVAL)
     assert few.words(20_000) == [
         '2 IMU samples (0.01 %) are stamped late, by up to 1.2 s, the first at 2023-11-14 '
-        '22:13:20.070 UTC: they were held up, and when they were sampled is taken from those that '
-        'came in time'
+        '22:13:20.070 UTC: they were delayed on their way, and their times follow from '
+        'those that came in time'
     ]
     jitter = Lateness()
     jitter.count_late(stamp, np.resize([-2, 2, 1, 0], 2000) * 10**7, INTERVAL)

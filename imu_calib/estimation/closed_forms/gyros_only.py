@@ -76,8 +76,8 @@ def gyros_only(evidence: Evidence, gyro: Floats, condition: float) -> Solution:
     ]
     if poor:
         raise NotObservable(
-            'The Earth turns too slowly for the noise of these gyros and these dwells: known no '
-            f'better than to a tenth are {", ".join(poor)}.'
+            'The Earth rate is too small for the noise of these gyros and these dwells: '
+            f'{", ".join(poor)} would be known to a tenth at best.'
         )
     findings = ['The accelerometers were not calibrated: this method knows the gyros alone.']
     return gains.conclude(at_rest, findings=findings, north_known=True)
