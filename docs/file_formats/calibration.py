@@ -391,7 +391,8 @@ KEYS = [
     Key(
         'findings',
         array(text(), 0, words='list of sentences'),
-        'what the user of the result must know',
+        'what the user of the result must know: warnings, which begin with `Warning:`, then notes '
+        'by their effect on the numbers',
     ),
     Key('provenance', _noted(_PROVENANCE), 'origin of the calibration; other keys are allowed'),
 ]

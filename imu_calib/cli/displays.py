@@ -18,7 +18,7 @@ from rich.table import Table as Rows
 from rich.text import Text
 
 from ..common.errors import InputError
-from ..common.units import ARCMIN, PPM, significant
+from ..common.units import DEG, significant
 from ..live.rules import Severity
 from ..live.web.board import Snapshot, UnitRow
 from ..live.web.sentences import headline, time_left
@@ -251,8 +251,8 @@ def reached(progress: Any) -> str:
     kinds = np.array([name[0] for name in progress.parameter_names])
     words = [f'{progress.step} holds']
     for letter, what, unit, scale in (
-        ('K', 'scale factors', 'ppm', PPM),
-        ('E', 'misalignments', 'arcmin', ARCMIN),
+        ('K', 'scale factors', '%', 0.01),
+        ('E', 'misalignments', 'deg', DEG),
     ):
         mine = std[kinds == letter]
         known = len(mine) > 0 and np.isfinite(mine).all()

@@ -167,6 +167,17 @@ def decimals(deviation: float) -> int:
     return min(max(1 - math.floor(math.log10(deviation)), 0), 9)
 
 
+_LISTED = 8
+"""Units that a message lists at most. A choice: more are not read."""
+
+
+def _listed(units: Mapping[str, float]) -> str:
+    """Return the units that are accepted, of many the first spellings."""
+    if len(units) <= _LISTED:
+        return ', '.join(units)
+    return f'{", ".join([unit for unit in units if "(" not in unit][:_LISTED])} and others'
+
+
 def parse(text: object, dimension: Dimension, key: str) -> float:
     """Convert a quantity with its unit to SI; `key` names it in errors.
 
@@ -178,7 +189,7 @@ def parse(text: object, dimension: Dimension, key: str) -> float:
     match = _QUANTITY.match(text) if isinstance(text, str) else None
     if match is None or match[2] not in units:
         raise InputError(
-            f'{key}: found {text!r}, expected a number with a unit, one of {", ".join(units)}.'
+            f'{key}: found {text!r}, expected a number with a unit, one of {_listed(units)}.'
             f'{point_for_comma(text)}'
         )
     value = float(match[1]) * units[match[2]]

@@ -13,7 +13,6 @@ from rich.table import Table
 
 from ..calibration.calibration import Calibration
 from ..common.units import DEG, DEG_H, MICRO_G, PPM, decimals, significant
-from ..model.alignment import SCALE, SHOWN
 from ..model.earth import MEASURED
 from ..model.parameters import Parameter, ParameterKind
 from ..model.terms import TERMS
@@ -28,7 +27,7 @@ from ..session.imu import (
 from .charts import drawing, joined, segment, tag
 from .html import named_rows, table
 from .plain_table import plain_table
-from .tables import engineering, fixed, three_digits
+from .tables import angle_unit, engineering, fixed, three_digits
 
 Facts = Mapping[str, object]
 
@@ -435,6 +434,7 @@ class Assessed:
     value: float  #: Its estimate.
     std: float  #: Its standard deviation.
     limit: float | None  #: Largest amount that the specification allows; None if it states none.
+    by_hand: bool = False  #: Whether the unit was held by hand, for the units shown.
 
     @property
     def verdict(self) -> Verdict | None:
@@ -446,7 +446,7 @@ def assess(calibration: Calibration, specification: Specification | None) -> lis
     """Return all estimated parameters, in the order of the covariance."""
     limits = specification or Specification()
     return [
-        Assessed(parameter, float(value), float(std), limits.limit(parameter))
+        Assessed(parameter, float(value), float(std), limits.limit(parameter), calibration.by_hand)
         for parameter, value, std in zip(
             calibration.parameters, calibration.values, calibration.std, strict=True
         )
@@ -498,16 +498,17 @@ def tables(assessed: Sequence[Assessed]) -> str:
 
 def angles_table(calibration: Calibration) -> str:
     """Return the table of the angles between input axes."""
+    unit = angle_unit(calibration)
     rows = []
     for angles in calibration.free_of_frame:
         for name, value, std in zip(angles.group.names, angles.values, angles.std, strict=True):
-            places = decimals(std / SCALE)
+            places = decimals(std / unit.scale)
             rows.append(
                 [
                     tag('b', f'{angles.group.words} {name}'),
-                    fixed(value / SCALE, places),
-                    f'{COVERAGE * std / SCALE:.{places}f}',
-                    SHOWN,
+                    fixed(value / unit.scale, places),
+                    f'{COVERAGE * std / unit.scale:.{places}f}',
+                    unit.unit,
                 ]
             )
     headings = ['', 'value', f'\u00b1 {COVERAGE:g} std', 'unit']
@@ -516,7 +517,7 @@ def angles_table(calibration: Calibration) -> str:
 
 
 def _row(assessed: Assessed) -> list[str]:
-    shown = engineering(assessed.parameter)
+    shown = engineering(assessed.parameter, by_hand=assessed.by_hand)
     value, std = assessed.value / shown.scale, assessed.std / shown.scale
     places = decimals(std)
     limit, bar, verdict = '', '', ''

@@ -87,6 +87,11 @@ class SideBySide:
     agreement: Agreement  #: Which of `parameters` differ by more than the covariances explain.
     std: Floats  #: (k - 1, n) standard deviations of the differences from the first, SI units.
 
+    @property
+    def by_hand(self) -> bool:
+        """Whether the first was made of a unit held by hand: its units are then shown."""
+        return self.calibrations[0].by_hand
+
 
 def side_by_side(calibrations: Sequence[Calibration]) -> SideBySide:
     """Compare two or more calibrations.
@@ -122,18 +127,19 @@ def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
         if last is not None and section_of(parameter) != section_of(last):
             table.add_section()
         last = parameter
+        shown = engineering(parameter, by_hand=compared.by_hand)
         values, digits = _shown(parameter, calibrations), places[_alike(parameter)]
         rest = [f'{found.chi_square[k]:.1f}' if found.freedom[k] else '-']
         if two:
             apart = values[0] - values[1]
-            deviation = std[0, k] / parameter.unit.scale
+            deviation = std[0, k] / shown.scale
             ratio = _signed(apart / deviation, 2) if deviation > 0 else '-'
             rest = [_signed(apart, digits), ratio]
         table.add_row(
             parameter.name,
             *(f'{v:.{digits}f}' for v in values),
             *rest,
-            engineering(parameter).unit,
+            shown.unit,
             'differs' if found.differ[k] else '',
         )
     return table
@@ -141,7 +147,7 @@ def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
 
 def _shown(parameter: Parameter, calibrations: Sequence[Calibration]) -> list[float]:
     """Return the values of a parameter in its unit for people."""
-    scale = engineering(parameter).scale
+    scale = engineering(parameter, by_hand=calibrations[0].by_hand).scale
     return [float(c.model.values((parameter,))[0]) / scale for c in calibrations]
 
 
@@ -161,7 +167,8 @@ def _places(compared: SideBySide) -> dict[tuple[object, ...], int]:
     places: dict[tuple[object, ...], int] = {}
     for k, parameter in enumerate(compared.parameters):
         values = _shown(parameter, compared.calibrations)
-        own = decimals(float(np.min(compared.std[:, k])) / engineering(parameter).scale)
+        shown = engineering(parameter, by_hand=compared.by_hand)
+        own = decimals(float(np.min(compared.std[:, k])) / shown.scale)
         if len(values) == 2 and (apart := abs(values[0] - values[1])):
             first = int(np.ceil(-np.log10(apart)))
             own = max(own, min(first, own + _MORE))

@@ -143,10 +143,15 @@ FREE_OF_FRAME = (
 """Explanation of `angle_table`."""
 
 
+def angle_unit(calibration: Calibration) -> Shown:
+    """Return the unit of the angles between input axes."""
+    return Shown('deg', DEG) if calibration.by_hand else Shown(SHOWN, SCALE)
+
+
 def angle_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
     """Return the angles between input axes: value, standard deviation, unit."""
     table = _headed('free of frame', against_truth=truth is not None)
-    unit = Shown('deg', DEG) if calibration.by_hand else Shown(SHOWN, SCALE)
+    unit = angle_unit(calibration)
     true = {} if truth is None else {a.group: a.values for a in truth.free_of_frame}
     for angles in calibration.free_of_frame:
         known = true.get(angles.group, angles.values)

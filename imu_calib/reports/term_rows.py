@@ -30,7 +30,7 @@ def term_rows(calibration: Calibration) -> list[list[str]]:
             [
                 name,
                 _kind(coefficients),
-                test['state'],
+                _state(test),
                 _chance(test.get('log10_p')),
                 _smallest(coefficients, test.get('found_from')),
                 _moved(coefficients, test.get('would_move')),
@@ -44,6 +44,12 @@ def _kind(coefficients: Sequence[Parameter | Change]) -> str:
         return 'error of the table'
     first = coefficients[0]
     return first.course.words if isinstance(first, Change) else first.kind.value.words
+
+
+def _state(test: Mapping[str, Any]) -> str:
+    """Return the state of a term, with the probability for which the deviations allow."""
+    probability = test.get('probability')
+    return test['state'] if probability is None else f'{test["state"]} ({probability:.2g} likely)'
 
 
 def _unit(coefficient: Parameter | Change) -> tuple[str, float]:

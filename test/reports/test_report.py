@@ -22,11 +22,13 @@ from imu_calib.calibration.results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
+from imu_calib.common.files import named_file
 from imu_calib.common.units import ARCMIN, DEG_H, MICRO_G, PPM
 from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.reports.charts import Axis
 from imu_calib.reports.page import Contents, page, terms_section
+from imu_calib.reports.provenance import assess, tables
 from imu_calib.reports.repeatability import (
     RepeatedParameter,
     Variation,
@@ -454,3 +456,17 @@ def test_the_browser_would_tell_of_a_request_and_of_an_error(tmp_path: Path) -> 
     console, asked = browse(path, tmp_path)
     assert 'nothing is not defined' in console
     assert asked == {'http://elsewhere.invalid'}
+
+
+def test_units_in_the_hand_have_the_units_of_their_grade() -> None:
+    """Of one calibration the same numbers, in % and deg in place of ppm and arcmin."""
+    unit = Calibration.load(named_file('truths', 'mems_counts'))
+    known = replace(unit, covariance=np.diag(np.full(len(unit.std), 1e-8)))
+    held = replace(known, provenance={'by_hand': True})
+    table, hand = (tables(assess(one, None)) for one in (known, held))
+    assert 'ppm' in table and 'arcmin' in table
+    assert 'ppm' not in hand and 'arcmin' not in hand
+    assert all(unit in hand for unit in ('>%<', '>deg<', '>deg/s<', '>mg<'))
+    first = known.values[0]
+    assert f'>{first / PPM:.0f}<' in table
+    assert f'>{100 * first:.3f}<' in hand
