@@ -20,7 +20,7 @@ from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import counted
 from ..model.parameters import Parameter
-from ..reports.provenance import Assessed, assess, worst
+from ..reports.assessment import Assessed, assess, worst
 from ..reports.side_by_side import SideBySide, side_by_side
 from ..session.imu import COVERAGE, ImuSpec, Specification, Verdict
 from ..session.keywords import Named, as_imu

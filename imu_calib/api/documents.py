@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ..calibration.c_header import EXPORTS
 from ..calibration.calibration import Calibration
+from ..calibration.export_formats import EXPORTS
 from ..calibration.exports import Exported, ExportSource
 from ..calibration.noise_at_rest import NoiseAtRest
 from ..calibration.noise_exports import export_noise

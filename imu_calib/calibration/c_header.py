@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from textwrap import indent
 
@@ -20,9 +19,6 @@ from .exports import (
     Exported,
     ExportSource,
     common_omissions,
-    export_imucal,
-    export_kalibr,
-    export_ros,
 )
 
 _EXACT = 1e-17  #: Remaining relative error: that of a double.
@@ -265,10 +261,3 @@ _REPEATED = """\
 {body}        imu_calib_terms(rate, force, gyro_terms, accel_terms);
     }}
 """
-
-EXPORTS: dict[str, Callable[[ExportSource], Exported]] = {
-    'ros': export_ros,
-    'kalibr': export_kalibr,
-    'imucal': export_imucal,
-    'c': export_c_header,
-}

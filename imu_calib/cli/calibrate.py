@@ -12,8 +12,8 @@ from ..api.compare import Conformity, conformity
 from ..api.opening import recording_path
 from ..api.outputs import output_or_default, output_path
 from ..calibration.calibration import Calibration
+from ..reports.assessment import summary
 from ..reports.budget import budget_tables
-from ..reports.provenance import summary
 from ..reports.side_by_side import comparison_tables, table_estimate
 from ..session.keywords import Calibrated
 from ..session.plan import METHOD_NAMES

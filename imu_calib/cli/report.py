@@ -7,7 +7,7 @@ import argparse
 from ..api.compare import Conformity, conformity
 from ..api.documents import written
 from ..api.outputs import output_path
-from ..reports.provenance import summary
+from ..reports.assessment import summary
 from ..session.keywords import Calibrated
 from . import options
 from .outcome import EXIT_CODES, CommandResult, add_json_option, judged_result

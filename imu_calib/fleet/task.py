@@ -25,7 +25,7 @@ from ..recordings.metadata_yaml import NAME as METADATA
 from ..recordings.remote import AnyPath, is_url, located
 from ..recordings.rosbag2 import Recording, content_hash, find_files
 from ..recordings.storage import Losses
-from ..reports.provenance import assess, worst
+from ..reports.assessment import assess, worst
 from ..session.imu import Specification, load_imu
 from ..session.keywords import NO_PLAN
 from ..session.units_file import MountedUnit, load_units

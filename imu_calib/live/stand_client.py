@@ -74,7 +74,7 @@ class Stand:
         self._initialised = not ros.ok()
         if self._initialised:
             ros.init(args=[])
-        self._node = ros.Node(f'stand_client_{os.getpid()}', namespace=namespace or None)
+        self._node: Any = ros.Node(f'stand_client_{os.getpid()}', namespace=namespace or None)
         kind = self._kind = ros.actions.RunCalibration
         self._client = ros.ActionClient(self._node, kind, _ACTION)
         self._node.create_subscription(
@@ -169,7 +169,7 @@ class Stand:
             raise ImuCalibError('No run was started.')
         self._goal.cancel_goal_async()
         self._wait(self._end.done, 'The run does not end')
-        return self._end.result().result.message
+        return str(self._end.result().result.message)
 
     def result(self) -> Calibration | dict[str, Calibration]:
         """Return the calibration of a run that has ended; of several units by serial number.

@@ -14,10 +14,11 @@ from ..common.stream import Floats
 from ..common.units import DEG_H, MICRO_G, decimals
 from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, ImuSpec, TriadSpec, TriadUnits
 from . import attitudes, provenance, repeatability, timeline
+from .assessment import LIMITS, angles_table, assess, limits_tables, outcome, summary, worst
 from .budget import budget_section
 from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, scrolling, section, table
-from .provenance import LIMITS, angles_table, assess, outcome, summary, tables, worst, written
+from .provenance import written
 from .signals import signals_plot
 from .tables import FREE_OF_FRAME, change_note, three_digits
 from .term_rows import TERM_HEADINGS, TERM_NOTE, term_rows
@@ -366,7 +367,7 @@ def _parameters(contents: Contents) -> str:
         missing = ['The accelerometers were not calibrated.']
     return section(
         'Parameters',
-        tables(assessed),
+        limits_tables(assessed),
         note if specification is not None else '',
         bullets(missing),
         angles_table(contents.calibration),

@@ -1,4 +1,4 @@
-"""The parameters in engineering units; all tables of parameters are created here."""
+"""The parameters in engineering units, as tables on the screen."""
 
 from __future__ import annotations
 

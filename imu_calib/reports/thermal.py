@@ -11,9 +11,9 @@ from ..calibration.thermal import ThermalCalibration, temperature_range
 from ..common.units import decimals
 from ..session.imu import ImuSpec
 from . import provenance
+from .assessment import LIMITS, Assessed, assess, badge, outcome, worst
 from .charts import panels, small, tag
 from .html import STYLE, bullets, document, facts, paragraph, section, table
-from .provenance import LIMITS, Assessed, assess, badge, outcome, worst
 from .tables import engineering, fixed
 
 _SIDE_BY_SIDE = 4

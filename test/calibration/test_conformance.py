@@ -20,9 +20,9 @@ from c_program import compensated_in_c
 from evidence import CLOCK, SECOND, WALK, statistics
 from sessions import SITE, truth
 
-from imu_calib.calibration.c_header import EXPORTS
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.compensate import Compensation, Mark, concatenated
+from imu_calib.calibration.export_formats import EXPORTS
 from imu_calib.calibration.exports import ExportSource
 from imu_calib.calibration.thermal import (
     ThermalCalibration,
@@ -46,7 +46,7 @@ from imu_calib.model.parameters import PARAMETERS, Parameter, ParameterKind
 from imu_calib.model.sensors import PRODUCTS, SensorModel, gravity_slope, parameters_of
 from imu_calib.model.session_terms import Changes, Course, change
 from imu_calib.model.terms import TERMS, Term
-from imu_calib.reports.provenance import assess, tables
+from imu_calib.reports.assessment import assess, tables
 from imu_calib.reports.side_by_side import comparison_table, in_scale_of, side_by_side
 from imu_calib.reports.tables import parameter_table
 from imu_calib.segmentation.segments import Segment, Turn

@@ -31,8 +31,8 @@ import yaml
 from extent import ALL
 
 from imu_calib.api.compare import conformity
-from imu_calib.calibration.c_header import EXPORTS
 from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.export_formats import EXPORTS
 from imu_calib.cli.main import main
 from imu_calib.cli.several import HELD_UNIT as HELD
 from imu_calib.common.files import share_folder

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from sessions import SITE, at_one_rate, calibrate, fed, gathered, quick_plan, session, stand, truth
 
-from imu_calib.calibration.c_header import EXPORTS
 from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.export_formats import EXPORTS
 from imu_calib.calibration.exports import ExportSource
 from imu_calib.calibration.verify import Verdict, verify
 from imu_calib.common.errors import InputError

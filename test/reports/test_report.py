@@ -26,9 +26,9 @@ from imu_calib.common.files import named_file
 from imu_calib.common.units import ARCMIN, DEG_H, MICRO_G, PPM
 from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from imu_calib.recordings.writer import RecordingWriter
+from imu_calib.reports.assessment import assess, tables
 from imu_calib.reports.charts import Axis
 from imu_calib.reports.page import Contents, page, terms_section
-from imu_calib.reports.provenance import assess, tables
 from imu_calib.reports.repeatability import (
     RepeatedParameter,
     Variation,

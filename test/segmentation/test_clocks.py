@@ -13,9 +13,9 @@ from other_sessions import NAVIGATION, errors, fed
 from other_world import World
 from sessions import gathered, truth
 
-from imu_calib.calibration.c_header import EXPORTS
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.compensate import Compensation
+from imu_calib.calibration.export_formats import EXPORTS
 from imu_calib.calibration.exports import ExportSource
 from imu_calib.calibration.thermal import combine
 from imu_calib.calibration.verify import Verdict, verify
