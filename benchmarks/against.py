@@ -5,10 +5,12 @@ session, each in a separate process, one after the other, in reverse order for e
 that other load of the machine affects both. Measured is processor time of one thread, without the
 loading of modules.
 
-    python benchmarks/against.py COMMIT [--pairs 8] [--stand]
+    python benchmarks/against.py COMMIT [--pairs 8] [--stand] [--commands]
 
 With --stand the command of README's main job is run, as a whole: processor time of all its
-processes, loading included, and the time by the clock, for which nothing else should run.
+processes, loading included, and the time by the clock, for which nothing else should run. With
+--commands it is `calibrate` and `info` of a recording, as commands, loading included, and
+`imu_calib.calibrate` of that recording in a process that has called it before.
 
 Exit code 1: this checkout is slower by more than `ALLOWED`, beyond the scatter of the pairs.
 """
@@ -81,22 +83,24 @@ list(blocks())
 found = {'reading': taken(lambda: [list(blocks()) for _ in range(3)])}
 site = Site.at(0.6047565858160352, gravity=9.797)
 setup = Setup(load_imu('fog_medium'), load_plan('twelve_position'), load_table('three_axis'), site)
+# Before 0.2.0 blocks were fed.
+add_block = getattr(Calibrator, 'add_block', None) or Calibrator.feed
 warm = Calibrator(setup)
 kept = list(blocks())
 for block in kept:
-    warm.add_block(block)
+    add_block(warm, block)
 warm.snapshot().review()
 live, spent, fed = Calibrator(setup), 0.0, 0.0
 marks = {round(len(kept) * k / 6) for k in range(1, 7)}
 for k, block in enumerate(kept, 1):
-    fed += taken(lambda: live.add_block(block))
+    fed += taken(lambda: add_block(live, block))
     if k in marks:
         spent += taken(lambda: live.snapshot().review())
 found.update({'feeding': fed, 'live reviews': spent})
 begun = [block for block in kept[:150] if hasattr(block, 'stamp')]
 small = sorted((p for b in begun for p in pieces(b, 2)), key=lambda p: p.stamp[0])
 node = Calibrator(setup)
-found['feeding two samples at a time'] = taken(lambda: [node.add_block(block) for block in small])
+found['feeding two samples at a time'] = taken(lambda: [add_block(node, block) for block in small])
 print(json.dumps(found))
 """
 
@@ -110,6 +114,27 @@ with tempfile.TemporaryDirectory() as folder:
     clock = time.monotonic() - begin
 used = resource.getrusage(resource.RUSAGE_CHILDREN)
 print(json.dumps({'stand, processor': used.ru_utime + used.ru_stime, 'stand, clock': clock}))
+"""
+
+COMMANDS = """
+import json, os, resource, subprocess, sys, time
+os.environ.update(OMP_NUM_THREADS='1')
+bag = sys.argv[1]
+found = {}
+for words in (['calibrate', bag, '-o', bag + '.yaml'], ['info', bag]):
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    command = [sys.executable, '-m', 'imu_calib.cli.main', *words]
+    subprocess.run(command, check=True, capture_output=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    found['imu-calib ' + words[0]] = spent
+import imu_calib
+each = []
+for _ in range(4):
+    begin = time.process_time()
+    imu_calib.calibrate(bag)
+    each.append(time.process_time() - begin)
+print(json.dumps({**found, 'calibrate, in process': min(each[1:])}))
 """
 
 
@@ -166,6 +191,7 @@ def main() -> int:
     parser.add_argument('commit')
     parser.add_argument('--pairs', type=int, default=8)
     parser.add_argument('--stand', action='store_true')
+    parser.add_argument('--commands', action='store_true')
     chosen = parser.parse_args()
     results: dict[bool, list[dict[str, float]]] = {True: [], False: []}
     with tempfile.TemporaryDirectory() as temporary:
@@ -173,7 +199,7 @@ def main() -> int:
         with checked_out(chosen.commit, folder) as other:
             job = ['-c', STAND]
             if not chosen.stand:
-                job = ['-c', JOB, str(folder / 'bag')]
+                job = ['-c', COMMANDS if chosen.commands else JOB, str(folder / 'bag')]
                 words = ['-m', 'imu_calib.cli.main', 'simulate', *RECORDED, '-o', job[-1]]
                 run(HERE, *words)
             for pair in range(chosen.pairs):

@@ -29,7 +29,6 @@ from ..session.keywords import Calibrated, Named, OfSeveral, Stated, with_keywor
 from ..session.metadata import compensated_already, interpolated_from, serial_key
 from ..session.plan import load_plan
 from ..session.units_file import MountedUnit
-from .compare import specification_of
 from .inputs import Recorded, recording_at
 from .opening import (
     ASSUMED_BY_HAND,
@@ -105,6 +104,9 @@ def calibrated(
     opened = open_session(bag, stated, rate)
     with opened.recording:
         if to_be_judged:
+            # Loaded here: comparing and judging are other commands.
+            from .compare import specification_of
+
             specification_of(opened.setup.imu)
         return solve(opened, progress)
 
