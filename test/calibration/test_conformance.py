@@ -46,7 +46,7 @@ from imu_calib.model.parameters import PARAMETERS, Parameter, ParameterKind
 from imu_calib.model.sensors import PRODUCTS, SensorModel, gravity_slope, parameters_of
 from imu_calib.model.session_terms import Changes, Course, change
 from imu_calib.model.terms import TERMS, Term
-from imu_calib.reports.assessment import assess, tables
+from imu_calib.reports.assessment import assess, limits_tables
 from imu_calib.reports.side_by_side import comparison_table, in_scale_of, side_by_side
 from imu_calib.reports.tables import parameter_table
 from imu_calib.segmentation.segments import Segment, Turn
@@ -448,7 +448,7 @@ def test_every_parameter_is_shown_by_its_name_in_its_unit(terms: tuple[Term, ...
     rows = [list(c.cells) for c in parameter_table(calibration).columns]
     shown = {str(r[0]): tuple(map(str, r[1:])) for r in zip(*rows, strict=True)}
     assert list(shown) == [p.name for p in model.parameters]
-    page = tables(assess(calibration, None))
+    page = limits_tables(assess(calibration, None))
     for (name, (value, std, unit_shown)), deviation in zip(shown.items(), deviations, strict=True):
         words, scale = SHOWN[name[: name.index('_') + 2]]
         assert unit_shown == words
