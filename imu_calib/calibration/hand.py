@@ -391,9 +391,9 @@ class HandCalibrator:
             'In its quietest two seconds the unit moved by '
             f'{seen.rate / DEG:.2g} deg/s and {seen.force / STANDARD_GRAVITY:.2g} g; in a hold it '
             f'moves by less than {seen.tolerance.rate / DEG:.2g} deg/s and '
-            f'{seen.tolerance.force / STANDARD_GRAVITY:.2g} g for a second or more. Hold it still '
-            f'for {HOLD_SECONDS:.0f} s in each attitude, the hand propped on something firm, and '
-            'turn it by a quarter turn or more between.'
+            f'{seen.tolerance.force / STANDARD_GRAVITY:.2g} g for a second or more. Hold the unit '
+            f'still for {HOLD_SECONDS:.0f} s in each attitude, the hand propped on something firm, '
+            'and turn it by a quarter turn or more between.'
         ]
 
     def _other_offsets(self) -> list[str]:

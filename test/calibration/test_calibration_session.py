@@ -317,7 +317,7 @@ def test_errors_of_arrival_that_no_table_states_widen_the_deviations() -> None:
     plan, options = usual_plan(), stand(positioning_error=10 * ARCMIN / 60)
     result = calibrate(session(plan, options, seed=1), plan)
     plain = calibrate(session(plan, seed=1), plan)
-    assert any('Positioning errors of' in finding for finding in result.calibration.findings)
+    assert any('positioning errors of' in finding for finding in result.calibration.findings)
     assert np.abs(normalised(result)).max() < 4.5
     # Misalignments that rest on few stops of the inner joints; hardly those that rest on many, and
     # scale factors, which feel a lean by its square alone.

@@ -151,4 +151,4 @@ def test_biases_do_not_feel_joints_that_stop_beside_their_mark() -> None:
 def test_joints_that_no_description_allows_for_are_said() -> None:
     found = estimated('joints', 2).equations.evidence
     solution = joint.solve(replace(found, positioning=0.0, table=TABLE))
-    assert any('Positioning errors of' in note for note in solution.findings)
+    assert any('positioning errors of' in note for note in solution.findings)

@@ -43,7 +43,7 @@ WRONG = {
     },
 }  # fmt: skip
 KEYS = ('positioning', 'zeros', 'orthogonality', 'wobble', 'encoder')
-OTHERS = re.compile('Positioning errors|Attitude errors|The session shows|Outlier|drift by|scatter')
+OTHERS = re.compile('positioning errors|attitude errors|The session shows|Outlier|drift by|scatter')
 """What findings would blame."""
 
 

@@ -240,7 +240,7 @@ def test_three_angles_are_a_choice_of_frame() -> None:
     assert fixed == ['E_axy', 'E_axz', 'E_ayz']
     assert (calibration.values[~FREE] == 0).all()
     assert (calibration.std[~FREE] == 0).all()
-    assert any('Frame' in finding for finding in calibration.findings)
+    assert any('Axes of the result' in finding for finding in calibration.findings)
 
 
 def test_gravity_has_one_length_in_fresh_attitudes() -> None:

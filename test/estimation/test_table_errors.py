@@ -28,8 +28,8 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.calibration.findings import assumption_findings
 from imu_calib.calibration.results import Result
-from imu_calib.cli.calibrate import show
 from imu_calib.cli.main import main
+from imu_calib.cli.screen import print_findings, show_calibration
 from imu_calib.common.budget import ErrorSource
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
@@ -243,7 +243,8 @@ def test_what_is_assumed_is_said_once_with_figures_and_keys(unstated: Result) ->
 
 
 def test_the_screen_says_it_once_and_shows_the_angles(unstated: Result, capsys) -> None:
-    show(unstated)
+    show_calibration(unstated.calibration, verbose=True)
+    print_findings(unstated.calibration.findings, verbose=True)
     shown = capsys.readouterr().out
     assert ' '.join(shown.split()).count(described().assumption) == 1
     (row,) = [line.split() for line in shown.splitlines() if 'gyros to accelerometers Z' in line]
@@ -265,7 +266,7 @@ def test_arrivals_worse_than_assumed_are_not_held_against_a_statement() -> None:
             positioning_probability=1.0,
         )
         (sentence,) = [
-            f for f in _scatter_findings(replace(found, scatter=off)) if 'Positioning errors' in f
+            f for f in _scatter_findings(replace(found, scatter=off)) if 'positioning errors' in f
         ]
         assert words in sentence
 
