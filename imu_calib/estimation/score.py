@@ -34,7 +34,7 @@ from .information import Information, useful_limit, with_nominal_attitudes
 from .modulation import columns as modulated
 from .modulation import interrupted, shapes, warms
 
-_SEEN = 10.0
+SEEN = 10.0
 """Standard deviations by which a coefficient of the largest useful size must move the outputs: a
 direction of a family with a smaller effect is not tested."""
 
@@ -43,7 +43,7 @@ _LARGEST_TABLE_ERROR = 1 * ARCMIN
 
 _LARGEST_OVER_STATED = 20.0
 """The same for a table whose file states a large one, over the stated standard deviation: with
-`_SEEN` a direction is tested if one such deviation moves the outputs by half of theirs."""
+`SEEN` a direction is tested if one such deviation moves the outputs by half of theirs."""
 
 _FREE_TABLE_ERROR = 300 * ARCSEC
 """Standard deviation of a practically free error of a table: a thousand times what the best
@@ -333,7 +333,7 @@ class WhitenedResiduals:
         directions, values, axes = np.linalg.svd(
             _orthogonal_to(white, self.basis), full_matrices=False
         )
-        sound = values > _SEEN
+        sound = values > SEEN
         directions, values, axes = directions[:, sound], values[sound], axes[sound]
         along = directions.T @ self.whitened
         judged = np.append(family.judged(self.equations), np.zeros(rows - len(columns), dtype=bool))

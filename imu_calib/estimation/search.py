@@ -45,6 +45,7 @@ from .score import (
     undecided,
     values_of,
 )
+from .screening import Screen
 from .solve import NotConverged, fit, linear_step
 
 CHANCE = 1e-3
@@ -59,6 +60,11 @@ _STEP = Family(Course.STEP.value, course=Course.STEP)
 
 _AT_ONCE = 3
 """Families that are tried before one of them is accepted; the others wait until it is on."""
+
+_SCREENED = 0.5
+"""Of the logarithm of the chance below which a family is significant: families above it by the
+screen, which keeps the pattern of the scatter, are not tried further. A judgement: the square root
+of the chance, one in a hundred of families that are absent."""
 
 
 @dataclass(frozen=True)
@@ -193,7 +199,9 @@ def search_terms(
         if stepped is None:
             raise
         return stepped
-    contradictory = search.estimate.downweighted_outputs or search.broken_off
+    contradictory = search.broken_off or (
+        search.estimate.downweighted_outputs and _may_step(start, search.before_search)
+    )
     if find_terms and contradictory and not any(one.family == _STEP for one in search.found):
         stepped = _with_a_step(start)
         if stepped is not None and _akaike_criterion(stepped) < _akaike_criterion(search):
@@ -225,6 +233,16 @@ def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> SearchResu
         rejected |= {one.family for one in found} - {one.family for one in kept}
     search = _search_of(first, (), first, weigh_drifts=find_terms and noisy)
     return replace(search, broken_off=True) if broken_off else search
+
+
+def _may_step(start: _Model, first: Estimate) -> bool:
+    """Return whether a step may explain the outputs that an estimate set aside."""
+    equations, state = _restored(start, first), first.state
+    if _STEP not in (open_ones := families(equations)):
+        return False
+    columns = columns_of([_STEP], equations, state)[_STEP]
+    limit = _SCREENED * _log_chance_limit(open_ones)
+    return Screen.at(equations, state).log_p(_STEP, columns) <= limit
 
 
 def _with_a_step(start: _Model) -> SearchResult | None:
@@ -362,6 +380,11 @@ def _under_own_scatter(
         for family, score in scores.items()
         if score.tested and scipy.special.chdtrc(score.rank, score.statistic) < CHANCE
     ]
+    if suspect:
+        screen, limit = Screen.at(equations, state), _SCREENED * _log_chance_limit(open_ones)
+        chances = {family: screen.log_p(family, columns[family]) for family in suspect}
+        scores |= {f: replace(scores[f], statistic=0.0) for f in suspect if chances[f] > limit}
+        suspect = [family for family in suspect if chances[family] <= limit]
     suspect.sort(key=lambda family: -scores[family].statistic)
     for k, family in enumerate(suspect):
         if k % _AT_ONCE == 0 and any(

@@ -394,6 +394,9 @@ def test_families_are_tried_under_their_own_scatter_until_some_are_shown(
     monkeypatch.setattr(Family, 'scatter', lambda *_: None)
     monkeypatch.setattr(Family, 'with_scatter', lambda *_: None)
     tried: list[str] = []
+    screened = {names[3]: -4.0}
+    screen = SimpleNamespace(log_p=lambda family, _: screened.get(family, -5.0))
+    monkeypatch.setattr(module, 'Screen', SimpleNamespace(at=lambda *_: screen))
 
     def under(shown: str) -> dict[Family, Score]:
         tried.clear()
@@ -411,6 +414,11 @@ def test_families_are_tried_under_their_own_scatter_until_some_are_shown(
     # Three at once; the fourth waits, and counts for nothing meanwhile.
     assert tried == ['term 0', 'term 1', 'term 2']
     assert [found[f].statistic for f in names] == [1.0, 50.0, 1.0, 0.0, 16.2, 99.0]
+    # Of six families the limit is -8.7: half of it is not reached by the fourth.
+    found = under('none')
+    assert tried == ['term 0', 'term 1', 'term 2']
+    assert [found[f].statistic for f in names] == [1.0] * 3 + [0.0, 16.2, 99.0]
+    screened.clear()
     found = under('none')
     assert tried == ['term 0', 'term 1', 'term 2', 'term 3']
     assert [found[f].statistic for f in names] == [1.0] * 4 + [16.2, 99.0]
@@ -541,6 +549,8 @@ def test_a_step_is_tried_where_nothing_else_converges_or_outputs_are_set_aside(
         return stepped
 
     monkeypatch.setattr(module, '_with_a_step', with_a_step)
+    likely = [False]
+    monkeypatch.setattr(module, '_may_step', lambda *_: likely[0])
 
     def searched(answer: SearchResult | None, *, find_terms: bool = True) -> Any:
         def search(*_: Any, **__: Any) -> SearchResult:
@@ -560,7 +570,9 @@ def test_a_step_is_tried_where_nothing_else_converges_or_outputs_are_set_aside(
     named = replace(ended(down=3), found=(SignificantFamily(STEP, -9.0),))
     assert searched(named) is named
     assert searched(aside := ended(down=3), find_terms=False) is aside
+    assert searched(aside) is aside
     assert not tried
+    likely[0] = True
     for other in (ended(down=3), ended(broken_off=True)):
         sizes = {id(other.estimate): 200.0, id(stepped.estimate): 199.9}
         found = searched(other)
