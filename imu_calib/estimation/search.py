@@ -28,7 +28,7 @@ from .components import whiten
 from .equations import Equations
 from .estimate import Estimate, estimate
 from .evidence import SMALLEST_VARIANCE, Evidence
-from .information import determined, nominal_information
+from .information import Information, determined, nominal_information, useful_limit
 from .modulation import interrupted
 from .score import (
     Family,
@@ -67,6 +67,12 @@ screen, which keeps the pattern of the scatter, are not tried further. A judgeme
 of the chance, one in a hundred of families that are absent."""
 
 
+_WITHOUT_USE = 10.0
+"""Times by which a term may widen one of the 24 parameters. Grades of units are about a factor of
+ten apart: beyond it the calibration is that of a lower grade. A warm-up costs K_g 8 times, terms of
+two powers of the rate 4.6 times, where a session determines them."""
+
+
 @dataclass(frozen=True)
 class SignificantFamily:
     """A family that is significant in the session."""
@@ -83,6 +89,16 @@ class SignificantFamily:
     #: outliers.
     min_saved_outputs: int = 0
     alternatives: tuple[Family, ...] = ()  #: Families that explain the session equally well.
+
+
+@dataclass(frozen=True)
+class UnobservableFamily:
+    """A significant family without which the parameters are of use, and with which they are not."""
+
+    family: Family  #: The family, which is off.
+    log_p: float  #: Natural logarithm of the probability by chance.
+    parameter: Parameter  #: Of the 24, the one with the largest ratio.
+    ratio: float  #: Its standard deviation with the family over that without.
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +120,7 @@ class SearchResult:
     by_drifts: Floats  #: (n, n) part of `undecided_covariance` by such drifts.
     #: Whether the search did not end: nothing is on though something may be needed.
     broken_off: bool = False
+    unobservable: tuple[UnobservableFamily, ...] = ()  #: Significant, and left out.
 
     def shares(self) -> dict[ErrorSource, Share]:
         """Return the covariance of the parameters by source, alternatives included."""
@@ -213,8 +230,10 @@ def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> SearchResu
     """Search as `search_terms` does, from the estimate by the model alone."""
     noisy = bool(first.equations.own_variances.max() > SMALLEST_VARIANCE)
     rejected = set[Family]()
+    unobservable: list[UnobservableFamily] = []
     broken_off = False
-    while find_terms and noisy:
+    search: SearchResult | None = None
+    while find_terms and noisy and search is None:
         try:
             found = _found_families(start, first, rejected)
         except NotConverged:
@@ -228,11 +247,47 @@ def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> SearchResu
             rejected.add(found[-1].family)
             continue
         kept = _confirmed(start, first, trial, found)
-        if len(kept) == len(found):
-            return _search_of(trial, kept, first, weigh_drifts=True)
-        rejected |= {one.family for one in found} - {one.family for one in kept}
-    search = _search_of(first, (), first, weigh_drifts=find_terms and noisy)
-    return replace(search, broken_off=True) if broken_off else search
+        if len(kept) < len(found):
+            rejected |= {one.family for one in found} - {one.family for one in kept}
+        elif costly := _without_use(start, trial, kept):
+            unobservable.append(costly)
+            rejected.add(costly.family)
+        else:
+            search = _search_of(trial, kept, first, weigh_drifts=True)
+    if search is None:
+        search = _search_of(first, (), first, weigh_drifts=find_terms and noisy)
+    if broken_off or unobservable:
+        search = replace(search, broken_off=broken_off, unobservable=tuple(unobservable))
+    return search
+
+
+def _without_use(
+    start: _Model, trial: Estimate, found: Sequence[SignificantFamily]
+) -> UnobservableFamily | None:
+    """Return the least significant family that leaves one of the 24 parameters without use.
+
+    Each is compared with the estimate without it, by the same scatter. Errors of the table are not:
+    they rotate the misalignments with its frame, as they truly do.
+    """
+    with_all = _common_std(trial.equations, trial.state)
+    limits = np.array([useful_limit(p) for p in PARAMETERS])
+    costly = []
+    for k, one in enumerate(found):
+        if one.family.of_table or one.considered:
+            continue
+        model = start.with_found((*found[:k], *found[k + 1 :]))
+        ratios = with_all / _common_std(*model.on(trial.equations, trial.state))
+        worst = int(np.argmax(np.where(with_all > limits, np.inf, ratios)))
+        if ratios[worst] > _WITHOUT_USE or with_all[worst] > limits[worst]:
+            parameter, ratio = PARAMETERS[worst], float(ratios[worst])
+            costly.append(UnobservableFamily(one.family, one.log_p, parameter, ratio))
+    return max(costly, key=lambda one: one.log_p, default=None)
+
+
+def _common_std(equations: Equations, state: Floats) -> Floats:
+    """Return the standard deviations (24,) of the parameters of every unit about a solution."""
+    covariance = Information.from_jacobian(equations.whitened(state)[0]).covariance
+    return np.asarray(np.sqrt(np.diag(covariance))[indices_of(PARAMETERS, equations.parameters)])
 
 
 def _may_step(start: _Model, first: Estimate) -> bool:
@@ -265,6 +320,8 @@ def _with_a_step(start: _Model) -> SearchResult | None:
     others = [replace(one, min_saved_outputs=0) for one in search.found]
     kept = _confirmed(start, search.estimate, search.estimate, [step, *others])
     if not kept or kept[0].family != _STEP:
+        return None
+    if _without_use(start, search.estimate, (kept[0], *search.found)):
         return None
     return _search_of(search.estimate, (kept[0], *search.found), first, weigh_drifts=True)
 

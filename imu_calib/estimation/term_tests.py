@@ -21,7 +21,7 @@ from .components import whiten
 from .estimate import Estimate
 from .modulation import instant_of, temperatures, warms
 from .score import Family, Score
-from .search import SearchResult, SignificantFamily
+from .search import SearchResult, SignificantFamily, UnobservableFamily
 
 _AMOUNT = 10.0  #: Amount of a coefficient, in its unit, for which the effect is reported.
 
@@ -149,6 +149,8 @@ def tested(
     for family, score in search.scores.items():
         slopes = search.leverage.get(family, _NONE)
         test = test_of(family, score, slopes, search.alpha, equations.parameters, std)
+        if any(one.family == family for one in search.unobservable):
+            test = replace(test, state=TermState.NOT_DETERMINED)
         result.append(replace(test, probability=search.probability.get(family)))
     return tuple(result)
 
@@ -207,7 +209,11 @@ def findings(search: SearchResult) -> list[str]:
         Finding(_found_sentence(one, search, table), effect=float(np.sqrt(-2 * one.log_p)))
         for one in search.found
     ]
-    return [*found, *broken_off, *_likely(search)]
+    left_out = [
+        Finding(_unobservable_sentence(one), effect=float(np.sqrt(-2 * one.log_p)))
+        for one in search.unobservable
+    ]
+    return [*found, *left_out, *broken_off, *_likely(search)]
 
 
 def confounded_errors(search: SearchResult) -> tuple[str, ...]:
@@ -257,13 +263,30 @@ def _likely(search: SearchResult) -> list[str]:
 def _found_sentence(found: SignificantFamily, search: SearchResult, table: Table | None) -> str:
     """Return a sentence on a family that is on though it was not requested."""
     family = found.family
-    chance = f'by chance once in 10^{max(3, round(-found.log_p / _LN10))} sessions'
+    chance = _chance(found.log_p)
     if family.of_table:
         return _table_error_sentence(found, chance, table)
     if family.course is not None:
         return _course_sentence(found, family.course, chance, search)
     assert family.term is not None
     return _term_sentence(found, family.term, chance)
+
+
+def _chance(log_p: float) -> str:
+    """Return a probability, of which the natural logarithm is given, in words."""
+    return f'by chance once in 10^{max(3, round(-log_p / _LN10))} sessions'
+
+
+def _unobservable_sentence(one: UnobservableFamily) -> str:
+    """Return a sentence on a family that a session shows and cannot carry."""
+    term = one.family.term
+    needs = '' if term is None else f' To determine it takes {term.needs}.'
+    return (
+        f'The session hints at {one.family.name} ({_chance(one.log_p)}), which is not observable '
+        f'beside the others: with it {one.parameter.name} would have '
+        f'{significant(one.ratio)} times its standard deviation, so it is left out, and the '
+        f'parameters hold if it is absent.{needs}'
+    )
 
 
 def _table_error_sentence(found: SignificantFamily, chance: str, table: Table | None) -> str:

@@ -51,7 +51,7 @@ from imu_calib.estimation.solve import NotConverged
 from imu_calib.estimation.term_tests import findings
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.session_terms import Course, session_term
-from imu_calib.model.terms import ACCEL_CUBIC, GYRO_ASYMMETRY, GYRO_CUBIC, TERMS
+from imu_calib.model.terms import ACCEL_CUBIC, ACCEL_QUADRATIC, GYRO_ASYMMETRY, GYRO_CUBIC, TERMS
 from imu_calib.session.table import load_table
 from imu_calib.session.table_errors import TableErrors
 
@@ -519,6 +519,7 @@ def test_what_is_not_confirmed_is_rejected_and_the_search_begins_again(
         '_search_of',
         lambda last, kept, plain, weigh_drifts: (last, kept, plain, weigh_drifts),
     )
+    monkeypatch.setattr(module, '_without_use', lambda *_: None)
     start = _Model(first.equations.evidence, PARAMETERS)
     found: Any = _searched(start, first, find_terms=True)
     # The last of three leaves the session open; of the other two one is not significant.
@@ -527,6 +528,44 @@ def test_what_is_not_confirmed_is_rejected_and_the_search_begins_again(
     assert _searched(start, first, find_terms=False) == (first, (), first, False)
     monkeypatch.setattr(module, '_found_families', lambda *_: ())
     assert _searched(start, first, find_terms=True) == (first, (), first, True)
+
+
+def test_a_term_that_leaves_a_parameter_without_use_is_listed_and_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Level channels tell the bias from the square of 1 g, and lean by the table's errors."""
+    evidence = evidence_of(noise=np.random.default_rng(2))
+    start = _Model(evidence, PARAMETERS)
+    quadratic = SignificantFamily(Family('accel_quadratic', ACCEL_QUADRATIC), -30.0)
+
+    def trial(arcsec: float) -> Any:
+        equations = Equations(
+            evidence,
+            start.with_found([quadratic]).parameters,
+            positioning=PositioningErrors(stops=arcsec * ARCSEC),
+        )
+        return SimpleNamespace(equations=equations, state=equations.nominal())
+
+    # By the walk alone, 1.9 ug a dwell, both biases are as sharp.
+    assert module._without_use(start, trial(0.0), [quadratic]) is None
+    costly = module._without_use(start, trial(30.0), [quadratic])
+    assert costly is not None
+    assert (costly.family, costly.parameter.name[:3]) == (quadratic.family, 'D_a')
+    assert costly.ratio > 10
+
+    first = start.estimate()
+    monkeypatch.setattr(_Model, 'estimate', lambda _: trial(30.0))
+    monkeypatch.setattr(
+        module,
+        '_found_families',
+        lambda _, __, rejected: (quadratic,) if quadratic.family not in rejected else (),
+    )
+    monkeypatch.setattr(module, '_confirmed', lambda *given: given[3])
+    search = _searched(start, first, find_terms=True)
+    assert search.found == ()
+    assert search.unobservable == (costly,)
+    (sentence,) = findings(search)
+    assert f'with it {costly.parameter.name} would have' in sentence
 
 
 def test_a_step_is_tried_where_nothing_else_converges_or_outputs_are_set_aside(

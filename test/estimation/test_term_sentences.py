@@ -58,6 +58,7 @@ def searched(
     equations = SimpleNamespace(parameters=PARAMETERS, sensors=24, evidence=evidence, shape=0.5)
     return SimpleNamespace(
         broken_off=False,
+        unobservable=(),
         found=found,
         probability=probability or {},
         by_drifts=np.zeros((24, 24)) if by_drifts is None else by_drifts,
