@@ -439,9 +439,11 @@ def _under_own_scatter(
     ]
     if suspect:
         screen, limit = Screen.at(equations, state), _SCREENED * _log_chance_limit(open_ones)
-        chances = {family: screen.log_p(family, columns[family]) for family in suspect}
-        scores |= {f: replace(scores[f], statistic=0.0) for f in suspect if chances[f] > limit}
-        suspect = [family for family in suspect if chances[family] <= limit]
+        # The covariance that the screen uses allows for the motion terms themselves.
+        chances = {f: screen.log_p(f, columns[f]) for f in suspect if not f.held}
+        excluded = {f for f, chance in chances.items() if chance > limit}
+        scores |= {f: replace(scores[f], statistic=0.0) for f in excluded}
+        suspect = [family for family in suspect if family not in excluded]
     suspect.sort(key=lambda family: -scores[family].statistic)
     for k, family in enumerate(suspect):
         if k % _AT_ONCE == 0 and any(
