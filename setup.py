@@ -120,6 +120,8 @@ setup(
             "imucal>=2.6; python_version < '3.14'",
             'jsonschema>=4.10',
             'lxml>=5',
+            # Another reader and writer of mcap in ROS 2.
+            'mcap-ros2-support>=0.5.7',
             'nbclient>=0.10',
             'ipykernel>=6.29',
             # Looks at pages in the Chromium that is installed; brings none itself.

@@ -29,6 +29,8 @@ UNDECLARED = {
     'allantools': 'rosdep has no key; an oracle, its tests are skipped without it',
     'fastcrc': 'rosdep has no key; an oracle, its tests are skipped without it',
     'dsi_unit': 'rosdep has no key; an oracle, its tests are skipped without it',
+    'mcap': 'rosdep has no key; another reader, its test is skipped without it',
+    'mcap_ros2': 'rosdep has no key; another reader, its test is skipped without it',
     'imucal': 'rosdep has no key; an oracle, its tests are skipped without it',
     'dcc_json_toolkit': 'rosdep has no key; a reader of certificates, skipped without it',
     'dcc': 'as dcc_json_toolkit; no extra installs it, nor signxml, which it needs',
