@@ -39,6 +39,7 @@ _FEWEST_POINTS = 8  #: Of a fit: more than coefficients, over at least two decad
 _WALKS = 3  #: Rounds in which a counter's steps and the walk that smears them are found.
 _MOSTLY = 0.5  #: Share of a counter's steps in a variance from which on it shows no noise.
 _ONE_DEVIATION = 0.1586552539314571  #: Probability of a normal value below minus one deviation.
+_SURE_FREEDOM = 5.0  #: Degrees of freedom from which on a deviation is known to a third.
 _WARMED = 1.0
 """K. A judgement: less is usual in a room, and moves biases of MEMS units by some 10 deg/h."""
 _ROOT_HOUR = HOUR**0.5  #: sqrt(s).
@@ -124,8 +125,12 @@ class ChannelAllan:
 
     @property
     def lowest(self) -> tuple[float, float]:
-        """The least deviation, which data sheets call bias instability, and its time, s."""
-        k = int(np.argmin(self.deviation))
+        """The least deviation, which data sheets call bias instability, and its time, s.
+
+        The last points are left out: of so few clusters that one of them is small by chance.
+        """
+        sure = np.where(self.freedom >= _SURE_FREEDOM, self.deviation, np.inf)
+        k = int(np.argmin(sure if np.isfinite(sure).any() else self.deviation))
         return float(self.deviation[k]), float(self.tau[k])
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _WIDTH, _HEIGHT, _LEFT, _TOP, _FRAME = 372.0, 270.0, 56.0, 52.0, 300.0
 """px; layout of a panel: the drawing's width, the frame's height, left, top and width."""
 _DASH = '4 3'
-LOWEST = 'lowest, at'
+LOWEST = 'lowest, at time'
 _WORDS = (
     'Overlapping Allan deviation with intervals that hold the true one in 68 of 100 records; '
     'dashed: the sum of the five kinds of noise that fits it (IEEE Std 952-1997, annex C). '
@@ -139,11 +139,11 @@ def _table(noise: NoiseAtRest, k: int) -> str:
     rows = []
     for kind in KINDS:
         cells = [_cell(kind, one, k) for one in channels.values()]
-        rows.append([kind.words, *cells, _typeset(kind.units[k])])
+        rows.append([f'{kind.words}, {_typeset(kind.units[k])}', *cells])
     lowest = [escape(_lowest(one, units)) for one in channels.values()]
-    rows.append([LOWEST, *lowest, _typeset(units.rate)])
-    sides = 'l' + 'r' * len(channels) + 'l'
-    return table([f'{units.name}s', *channels, ''], rows, 'plain', sides)
+    rows.append([f'{LOWEST}, {_typeset(units.rate)}', *lowest])
+    sides = 'l' + 'r' * len(channels)
+    return table([f'{units.name}s', *channels], rows, 'plain', sides)
 
 
 def _cell(kind: Kind, one: ChannelAllan, k: int) -> str:

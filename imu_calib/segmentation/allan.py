@@ -34,8 +34,8 @@ _PARTS = (16, 18, 20, 23, 25, 28)
 _FIRST_PARTS = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24, 28)
 """The same at the rate of the samples: the shortest times are known best, and cost most."""
 _AT_ONCE = 16384
-"""Samples of a channel that are differenced at once: the arrays stay in a processor's cache, and
-half of one is too short for BLAS to start threads, which a busy machine delays."""
+"""Samples of a channel that are differenced at once: the arrays stay in a processor's cache.
+Callers limit BLAS to one thread (`common.threads`), since several would wait for each other."""
 _MOST_LENGTHS = 64  #: Of runs: with more, those are taken as equal that nearly are.
 _ALIKE = 0.05
 """Relative: the covariance of a stream that often breaks is known to that, deviations to half."""
@@ -228,8 +228,7 @@ class _Level:
                     start = max(before - 2 * m, 0)
                     a = np.subtract(own[start + m :], own[start:-m], out=first[: counts[i] + m])
                     b = np.subtract(a[m:], a[:-m], out=second[: counts[i]])
-                    head, tail = b[: _AT_ONCE // 2], b[_AT_ONCE // 2 :]
-                    self.squares[i, c] += head @ head + tail @ tail
+                    self.squares[i, c] += b @ b
         self.counts += np.maximum(counts, 0)
         halved = phase[:, before + self._odd :: 2]
         self._odd = (self._odd + new) % 2
