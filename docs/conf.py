@@ -75,12 +75,12 @@ nitpick_ignore_regex = [
     (
         'py:class',
         r'imu_calib\.(common\.(parallel\.Show|files\.AnyFile)|session\.imu\.Verdict|recordings\.remote\..*'
-        r'|estimation\.(search|common_unknowns|checks)\..*|calibration\.(agreement|results)\..*'
-        r'|simulation\.repetition\.RunStatistics|reports\..*|session\.keywords\..*|api\.(inspect|session)\..*|fleet\.batch\..*)',
+        r'|estimation\.(search|common_unknowns|checks)\..*|calibration\.(agreement|results|noise_at_rest)\..*'
+        r'|live\.stand_client\.Feedback|segmentation\.signal_means\..*|simulation\.repetition\.RunStatistics|reports\..*|session\.keywords\..*|api\.(inspect|session)\..*|fleet\.batch\..*)',
     ),
     (
         'py:class',
-        'Named|AnyCalibration|Progress|Fields|Assessed|StreamContents|Topic|Stated|Basis|SearchResult|Path'
+        'Named|Floats|ArrayLike|Recorded|LabelledValues|AnyCalibration|Progress|Fields|Assessed|StreamContents|Topic|Stated|Basis|SearchResult|Path'
         '|pa.Table',
     ),
 ]

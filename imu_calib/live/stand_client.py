@@ -37,7 +37,9 @@ class Feedback:
 
 
 class Stand:
-    """A stand that runs: `imu-calib stand --processes`, or its nodes under ROS 2.
+    """A running stand, led from a script.
+
+    Its nodes run by `imu-calib stand --processes`, or under ROS 2::
 
         with imu_calib.Stand() as stand:
             stand.start()
