@@ -36,6 +36,7 @@ from .mistakes import (
     joints_in_degrees,
     refuse_separate_messages,
     with_facts,
+    wrong_joint_signs,
 )
 from .results import Basis, Result, Review
 
@@ -258,8 +259,10 @@ class Calibrator:
             return self._solve_as_stated(session, labelled, final=final)
         except NotObservable as error:
             # All else that it says follows from that.
-            degrees = joints_in_degrees(session)
-            refusal = Contradiction(degrees) if degrees else error
+            mistake = joints_in_degrees(session)
+            if not mistake and self._setup.table is not None:
+                mistake = wrong_joint_signs(session, self._setup.table)
+            refusal = Contradiction(mistake) if mistake else error
             raise false_samples_first(refusal, session) from None
         except InputError as error:
             raise false_samples_first(error, session) from None

@@ -6,19 +6,22 @@ They are looked for in refused sessions alone: what is seen in a sound one may h
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import reduce
 from itertools import combinations
 from typing import TypeVar
 
 import numpy as np
 
 from ..common.errors import Contradiction, InputError, NotObservable
+from ..common.rotations import angle_between, rotations
 from ..common.stream import Floats
 from ..segmentation.segmented import Move, Segmented
 from ..segmentation.segments import Segment
 from ..segmentation.stream_facts import gravity_removed, separate_messages_sentence
+from ..session.table import Table
 from .results import Review
 
 _FEWEST_MEANS = 2  #: Means of static dwells and turns: one cannot change.
@@ -34,6 +37,9 @@ _FEWEST_MOVES = 2
 _TOO_FAR = math.degrees(1) / 2
 """Joint angles over rotation from which on they are degrees. True rad give 1, two or three where a
 turn is a whole one and more; degrees give 57 and more."""
+_AGREE = math.radians(15)
+"""Largest angle between encoders, gyros and gravity that agree, rad. A judgement: nominal gyros of
+some percent miss a move of half a turn by degrees, and a wrong sign any larger move by far more."""
 _NO_BIAS = 1.0
 """rad/s that no gyro reads at rest: ten times the worst zero-rate output of a data sheet."""
 _AnyReview = TypeVar('_AnyReview', bound=Review)
@@ -145,6 +151,70 @@ def joints_in_degrees(session: Segmented) -> str:
         "Expected rad, as sensor_msgs/JointState has them: correct the table's driver, or convert "
         'the recording.'
     )
+
+
+def wrong_joint_signs(session: Segmented, table: Table) -> str:
+    """Return a sentence that joints turn opposite to their axes in the table's file; empty if not.
+
+    Gyros and gravity must agree with the encoders once these axes are reversed, and not before.
+    """
+    segments = [segment for segment in session.segments if segment.angles is not None]
+    if len(segments) < 2:
+        return ''
+    angles = np.array([segment.angles for segment in segments])
+    pulls = np.array([segment.statistics.mean[3:] for segment in segments])
+    pulls /= np.linalg.norm(pulls, axis=1)[:, None]
+    before = {segment.end: k for k, segment in enumerate(segments)}
+    after = {segment.start: k for k, segment in enumerate(segments)}
+    linked = [
+        (before[move.start], after[move.end], _turned(move))
+        for move in session.moves
+        if move.start in before and move.end in after
+    ]
+    if len(linked) < _FEWEST_MOVES:
+        return ''
+
+    def misfits(reversed_ones: Sequence[int]) -> Floats:
+        """Return the angles between encoders, gyros and gravity, rad."""
+        attitudes = _with_reversed(table, reversed_ones).attitude(angles)
+        by_gyros = [angle_between(attitudes[i].T @ attitudes[j], turned) for i, j, turned in linked]
+        cosines = np.einsum('ij,ij->i', attitudes[:, 2], pulls)
+        return np.append(by_gyros, np.arccos(np.clip(cosines, -1.0, 1.0)))
+
+    if float(misfits(()).max()) < _AGREE:
+        return ''
+    joints = range(len(table.joints))
+    for count in range(1, len(table.joints) + 1):
+        fitting = [some for some in combinations(joints, count) if misfits(some).max() < _AGREE]
+        if len(fitting) == 1:
+            names = [table.names[k] for k in fitting[0]]
+            joint, turn = (
+                (f'Joint {names[0]} turns', 'its axis')
+                if count == 1
+                else (f'Joints {" and ".join(names)} turn', 'their axes')
+            )
+            return (
+                f'{joint} opposite to {turn} in the file of table {table.name}: with {turn} '
+                'reversed, gyros, gravity and encoders agree. Reverse the axis in the file, or the '
+                'sign of the joint states.'
+            )
+    return ''
+
+
+def _with_reversed(table: Table, joints: Sequence[int]) -> Table:
+    """Return a table some of whose joints turn the other way."""
+    changed = [
+        replace(joint, axis=(-joint.axis[0], -joint.axis[1], -joint.axis[2]))
+        if k in joints
+        else joint
+        for k, joint in enumerate(table.joints)
+    ]
+    return replace(table, joints=tuple(changed))
+
+
+def _turned(move: Move) -> Floats:
+    """Return the rotation of a move by the gyros: its end seen from its start, (3, 3)."""
+    return np.asarray(reduce(np.matmul, rotations(move.turned)))
 
 
 def _joints_over_rotation(move: Move, first: Segment, last: Segment) -> tuple[float, float]:

@@ -1,0 +1,48 @@
+"""A joint that turns opposite to its axis in the table's file, told from mirrored gyros."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from extent import again
+from other_sessions import MEDIUM, NAVIGATION, fed, recorded
+from other_world import World
+
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.common.errors import Contradiction
+from imu_calib.common.stream import ImuBlock, JointBlock
+
+JOINTS = ('outer', 'middle', 'inner')
+
+
+def fed_with(joint_signs: tuple[int, ...], gyro_signs: tuple[int, ...], unit: object) -> Calibrator:
+    calibrator = Calibrator(fed(World(), unit)._setup)  # type: ignore[arg-type]
+    joints, imu = recorded(World(), unit, 0)  # type: ignore[arg-type]
+    calibrator.add_block(
+        JointBlock(joints.stamp, joints.names, joints.position * joint_signs, joints.velocity)
+    )
+    calibrator.add_block(ImuBlock(imu.stamp, imu.gyro * gyro_signs, imu.accel))
+    return calibrator
+
+
+@pytest.mark.parametrize('unit', [MEDIUM, again(NAVIGATION), again(replace(MEDIUM, counts=True))])
+@pytest.mark.parametrize('reversed_ones', [(0,), (1,), (2,), (0, 2)])
+def test_the_sentence_names_the_joint(reversed_ones: tuple[int, ...], unit: object) -> None:
+    signs = tuple(-1 if k in reversed_ones else 1 for k in range(3))
+    names = ' and '.join(JOINTS[k] for k in reversed_ones)
+    with pytest.raises(Contradiction, match=f'Joints? {names} turns? opposite to') as refused:
+        fed_with(signs, (1, 1, 1), unit).finish()
+    assert 'mirrored' not in str(refused.value)
+
+
+@pytest.mark.parametrize('mirrored', [(-1, -1, -1), (1, -1, 1)])
+def test_mirrored_gyros_are_not_taken_for_joints(mirrored: tuple[int, ...]) -> None:
+    with pytest.raises(Contradiction, match='axes of the gyros are mirrored') as refused:
+        fed_with((1, 1, 1), mirrored, MEDIUM).finish()
+    assert 'opposite to' not in str(refused.value)
+
+
+def test_what_agrees_is_not_asked() -> None:
+    assert np.isfinite(fed_with((1, 1, 1), (1, 1, 1), MEDIUM).finish().calibration.std).all()
