@@ -19,6 +19,8 @@ from launch import Action, LaunchContext, LaunchDescription
 SHARE = Path(get_package_share_directory('imu_calib'))
 _AGAIN = 1.0
 """s until a node that ended is started again: one that fails at once does not fill the log."""
+_KEPT = 1000
+"""Samples of the raw stream kept for a slow subscriber: half a second at 2 kHz. A choice."""
 ARGUMENTS = {
     'calibrations': ('', 'Folder of calibration files, one per unit: SERIAL.yaml.'),
     'serial': ('', 'Serial number of the unit; calibrations of other units are refused.'),
@@ -74,6 +76,10 @@ def _nodes(context: LaunchContext) -> list:
             raise BringupError(f'With port:={given["port"]}, give {" and ".join(missing)} too.')
         read = {name: given[name] for name in ('port', 'device', 'imu')}
         read['baud'] = int(given['baud'])
+        # On a stand a sample is worth a wait; on a robot one frozen subscriber must not silence
+        # the unit for all others.
+        history = f'qos_overrides.{raw}.publisher'
+        read |= {f'{history}.history': 'keep_last', f'{history}.depth': _KEPT}
         if given['frame_id']:
             read['frame_id'] = given['frame_id']
         nodes.append(_node('imu_node', given, read))

@@ -5,10 +5,11 @@ import re
 
 import pytest
 from installed import has_wheel, needs
-from loopback import CHECKOUT
+from loopback import CHECKOUT, until
 from ros_stands import LAUNCHABLE, Network, nothing_left
 from sessions import truth
 
+from imu_calib.cli.processes import free_port
 from imu_calib.common.errors import ImuCalibError
 
 pytestmark = [
@@ -136,6 +137,29 @@ def test_a_robots_file_keeps_its_arguments_and_sets_the_clock_of_all_nodes(folde
         net.wait_for_text('launch', 'A1.yaml is applied')
         assert 'True' in net.ask('param', 'get', '--no-daemon', '/compensator_node', 'use_sim_time')
         net.stop('launch')
+
+
+@needs('lifecycle_msgs', verbs=['param'])
+def test_on_a_robot_nobody_waits_for_a_frozen_subscriber(folder, tmp_path):
+    net = Network(tmp_path)
+    given = {
+        'calibrations': folder,
+        'serial': 'A1',
+        'port': f'socket://127.0.0.1:{free_port()}',
+        'device': 'simulated',
+        'imu': 'fog_medium',
+        'namespace': 'robot',
+    }
+    listed = [f'{name}:={value}' for name, value in given.items()]
+    asked = 'qos_overrides./robot/imu/pulses.publisher.history'
+    with nothing_left(net):
+        net.start('launch', net.ros('ros2', 'launch', 'imu_calib', 'bringup.launch.py', *listed))
+        net.wait_for_text('launch', 'A1.yaml is applied')
+        told = until(
+            lambda: 'keep_last' in net.ask('param', 'get', '--no-daemon', '/robot/imu_node', asked)
+        )
+        net.stop('launch')
+    assert told
 
 
 @needs('lifecycle_msgs', verbs=['service'])
