@@ -375,7 +375,7 @@ not right yet. Gyros that drift or step by as much as the Earth turns, beyond wh
 states, may be refused as at another latitude: 2 of the 450 sessions. Late stamps that jitter too
 may be said to be clocks that were set and samples that are missing, though the parameters hold.
 Positioning errors of joints of five times those stated may be called errors of the encoders or of
-whole stops.
+whole stops. What no session shows is in [limits.md](limits.md).
 
 The truth is the mean over the session, in seconds of the table's clock.
 
