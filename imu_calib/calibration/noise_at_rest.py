@@ -194,7 +194,8 @@ class NoiseAtRest:
             for name, one in self.channels.items()
             for kind in KINDS
         ]
-        return pd.DataFrame(rows).set_index(['channel', 'noise'])
+        names = ['channel', 'noise', 'value', 'std', 'below', 'unit']
+        return pd.DataFrame(rows, columns=names).set_index(['channel', 'noise'])
 
     def plot(self) -> Figure:
         """Draw the Allan deviations with their fits; return the matplotlib Figure.

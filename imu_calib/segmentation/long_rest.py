@@ -47,6 +47,7 @@ _MOSTLY_STILL = 0.8  #: Share of seconds below which a unit did not lie still. A
 _LEAST_SECONDS = 30  #: s: an Allan deviation at ten needs three clusters.
 _LEANT = 0.1 * DEG
 """rad: smaller changes of attitude are not told from drift of the accelerometers (2 mg)."""
+_LEAST_LAST = 3  #: Seconds that the last piece has: those beside a movement are within it.
 _BESIDE = 10  #: Seconds before and after a movement that show by how much it turned the unit.
 
 
@@ -168,7 +169,8 @@ class LongRestReader:
             self._period = read_grid(rows.stamp[:_FIRST_SAMPLES]).period
             self._first = int(rows.stamp[0])
         piece = int(np.clip(_PIECE_SECONDS / self._period, _LEAST_PIECE, _LARGEST_PIECE))
-        while len(rows) > piece:
+        # A part of a second at the end, alone, would differ from seconds by its noise.
+        while len(rows) > piece + _LEAST_LAST * _window(self._period):
             # It ends where no sample is missing: what is missing in it can be filled in.
             steps = np.diff(rows.stamp[piece // 2 : piece + 1])
             regular = np.flatnonzero(steps < MISSES_ONE * self._period * 1e9)
@@ -197,7 +199,7 @@ class LongRestReader:
         self._bridged += filled.lost
         self._samples += len(filled.stamp)
         self._gained += filled.increments.sum(axis=0)
-        still = self._movements.still(filled, max(2, round(_WINDOW_SECONDS / period)))
+        still = self._movements.still(filled, _window(period))
         if not follows:
             self._end_run()
         for k, (start, stop) in enumerate(gap_free(filled.stamp, period)):
@@ -232,6 +234,11 @@ class LongRestReader:
             self._sums.end_run()
         elif self._runs[-1]:
             self._runs.append([])
+
+
+def _window(period: float) -> int:
+    """Return the samples in a second, at least 2."""
+    return max(2, round(_WINDOW_SECONDS / period))
 
 
 class StillSoFar:
@@ -316,7 +323,7 @@ class _Movements:
             ~np.append(np.zeros(len(seen) - count, bool), moved)[-_REMEMBERED:]
         ]
         # The seconds beside may hold its begin and end.
-        wide = np.convolve(moved, np.ones(3), 'same') > 0
+        wide = np.convolve(moved, np.ones(3))[1:-1] > 0
         self._means.append(mean)
         self._starts.append(samples.stamp[starts])
         self._moved.append(wide)

@@ -236,6 +236,16 @@ def test_too_short_a_rest_is_refused() -> None:
         read(made(np.random.default_rng(8), 2000, walk=1e-4) + UP)
 
 
+@pytest.mark.parametrize('last', [1, 50, 150, 250, 350])
+def test_a_short_rest_after_the_last_whole_piece_is_no_movement(last: int) -> None:
+    values = made(np.random.default_rng(3), 12_000 + last, walk=1e-4) + UP
+    assert read(values).findings == ()
+
+
+def test_a_unit_without_any_noise_gives_a_table_without_rows() -> None:
+    assert found(np.zeros((12_000, 6)) + UP).to_dataframe().empty
+
+
 def test_lost_doubled_and_false_samples_do_not_change_the_curve() -> None:
     rng = np.random.default_rng(9)
     values = made(rng, 100_000, walk=1e-4) + UP + 1e-3
