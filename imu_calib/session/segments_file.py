@@ -83,7 +83,7 @@ def read_segments(path: str | Path) -> ListedSegments:
     """
     file = user_path(path)
     try:
-        rows = list(csv.reader(io.StringIO(read_text(file)), skipinitialspace=True))
+        rows = list(csv.reader(io.StringIO(read_text(file)), skipinitialspace=True, strict=True))
     except csv.Error as error:
         raise InputError(f'{file}: found no lines of columns ({error}).') from None
     headings = [name.strip() for name in rows[0]] if rows else []
@@ -95,6 +95,11 @@ def read_segments(path: str | Path) -> ListedSegments:
     found = []
     for number, row in enumerate(rows[1:], start=2):
         if any(cell.strip() for cell in row):
+            if any(row[len(headings) :]):
+                raise InputError(
+                    f'{file}, line {number}: found {len(row)} cells, expected '
+                    f'{len(headings)}; is a comma a decimal one?'
+                )
             cells = dict(zip(headings, map(str.strip, row), strict=False))
             found.append((_segment(f'{file}, line {number}', cells), number))
     found.sort(key=lambda one: one[0].start)
