@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -61,6 +62,7 @@ class Stand:
         self.feedback: Feedback | None = None
         """The newest of the present run; None before the first."""
         self._timeout = timeout
+        self._asked: Any = None
         self._goal: Any = None
         self._end: Any = None
         self._gone_since = 0.0
@@ -119,10 +121,15 @@ class Stand:
         Raises:
             ImuCalibError: A run is in progress.
         """
-        self.feedback, self._end = None, None
-        goal = self._answer(
-            self._client.send_goal_async(self._kind.Goal(plan=plan, resume=resume)), 'The goal'
-        )
+        if self._end is not None and not self._end.done():
+            raise ImuCalibError('The run that this script started has not ended: abort it first.')
+        self.feedback, self._end, self._gone_since = None, None, time.monotonic()
+        self._asked = self._client.send_goal_async(self._kind.Goal(plan=plan, resume=resume))
+        self._await_acceptance()
+
+    def _await_acceptance(self) -> None:
+        goal = self._answer(self._asked, 'The goal')
+        self._asked = None
         if not goal.accepted:
             raise ImuCalibError('The stand runs already, for someone else. Wait, or stop it there.')
         self._goal, self._end = goal, goal.get_result_async()
@@ -154,11 +161,16 @@ class Stand:
         return self._call('pause')
 
     def resume(self) -> str:
-        """Go on with the interrupted step after a pause or a fault; return the stand's sentence.
+        """Go on with the interrupted step after a pause; return the stand's sentence.
+
+        A fault ends the run: `start(resume=True)` goes on after it.
 
         Raises:
-            ImuCalibError: The stand refuses, with its reason.
+            ImuCalibError: The run has ended, or the stand refuses, with its reason.
         """
+        if self._end is None or self._end.done():
+            # Otherwise the plan would run without a client that stops it.
+            raise ImuCalibError('No run is in progress: start(resume=True) goes on with one.')
         return self._call('start')
 
     def abort(self) -> str:
@@ -196,6 +208,10 @@ class Stand:
         if self._node is None:
             return
         try:
+            if self._asked is not None:
+                # Interrupted before the answer: what was asked for may run.
+                with suppress(ImuCalibError):
+                    self._await_acceptance()
             if self._end is not None and not self._end.done():
                 self.abort()
         finally:
@@ -234,4 +250,6 @@ class Stand:
             self._spin()
 
     def _spin(self) -> None:
+        if self._node is None:
+            raise ImuCalibError('The stand was left: make another Stand.')
         self._ros.spin_once(self._node, timeout_sec=_SPIN)

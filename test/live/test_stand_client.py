@@ -1,5 +1,7 @@
 """A script leads a running stand by the class Stand, as over ROS 2's wire."""
 
+import signal
+
 import numpy as np
 import pytest
 from live import Stand as Nodes
@@ -31,6 +33,8 @@ def test_a_script_pauses_resumes_and_takes_the_result(nodes):
             other.start()
         assert until(lambda: not stand.is_done() and stand.feedback is not None)
         assert (stand.feedback.step, stand.feedback.position) == (0, '1')
+        with pytest.raises(imu_calib.ImuCalibError, match='this script started has not ended'):
+            stand.start()
         stand.pause()
         assert until(lambda: not stand.is_done() and stand.feedback.phase == 'PAUSED')
         with pytest.raises(imu_calib.ImuCalibError, match='has not ended'):
@@ -51,8 +55,34 @@ def test_a_script_that_fails_stops_the_table(nodes):
     assert nodes.wait(lambda: State.ABORTED in {state.phase for state in nodes.states})
 
 
+def test_ctrl_c_before_the_stand_answers_stops_the_table(nodes, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), imu_calib.Stand(timeout=patience()) as stand:
+        with pytest.raises(imu_calib.ImuCalibError, match='No run is in progress'):
+            stand.resume()
+        waits = stand._wait
+        monkeypatch.setattr(stand, '_wait', lambda *_: signal.raise_signal(signal.SIGINT))
+        try:
+            stand.start()
+        finally:
+            monkeypatch.setattr(stand, '_wait', waits)
+    assert nodes.wait(lambda: State.ABORTED in {state.phase for state in nodes.states})
+
+
 def test_where_no_stand_answers_a_sentence_says_so(monkeypatch):
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
     with pytest.raises(imu_calib.InputError, match=r'No stand answers .* Is it started'):
         imu_calib.Stand(timeout=0.5)
+
+
+def test_a_stand_that_was_left_says_so(nodes):
+    with imu_calib.Stand(timeout=patience()) as stand:
+        stand.start('other')
+        assert until(stand.is_done)
+    with pytest.raises(imu_calib.ImuCalibError, match='names the plan other'):
+        stand.result()
+    with pytest.raises(imu_calib.ImuCalibError, match='was left'):
+        stand.is_done()
