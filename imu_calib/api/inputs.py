@@ -79,7 +79,8 @@ def _samples_of_arrays(
         raise InputError('`rate` is missing: give the samples per second of the arrays.')
     parts = [given] if isinstance(given, np.ndarray) else list(given)
     try:
-        found = [np.asarray(part, dtype=np.float64) for part in parts]
+        # What a mask hides is missing.
+        found = [np.ma.filled(np.ma.asarray(part, dtype=np.float64), np.nan) for part in parts]
     except (TypeError, ValueError):
         raise InputError('An array holds something else than numbers, expected numbers.') from None
     shapes = [array.shape for array in found]
@@ -156,8 +157,9 @@ def _stamps_of(frame: Any, rate: float | None) -> Stamps:
     """
     index = frame.index
     kind = index.dtype.kind
-    # A frame without an index of its own counts its rows.
-    counted = kind in 'iu' and np.array_equal(index, np.arange(len(index)))
+    # A frame without an index of its own, or a part of one, counts its rows.
+    is_range = type(index).__name__ == 'RangeIndex' and index.step == 1
+    counted = kind in 'iu' and (is_range or np.array_equal(index, np.arange(len(index))))
     is_time = kind in 'mMfiu' and not counted
     if rate is not None:
         if is_time:

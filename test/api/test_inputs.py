@@ -84,6 +84,19 @@ def test_arrays_give_the_bits_of_a_frame_of_their_rate(frame: pd.DataFrame) -> N
     assert imu_stamps(values, 100.0)[:2].tolist() == [10_000_000, 20_000_000]
 
 
+def test_a_part_of_a_frame_has_the_stamps_of_its_rate(frame: pd.DataFrame) -> None:
+    part = frame.reset_index(drop=True)[9:]
+    assert imu_stamps(part, 100.0)[:2].tolist() == [10_000_000, 20_000_000]
+
+
+def test_what_a_mask_hides_is_missing() -> None:
+    from imu_calib.recordings.cdr_codec import Kind
+
+    values = np.ma.masked_array(np.ones((3, 6)), mask=np.eye(3, 6, dtype=bool))
+    ((_, block),) = recording_at(values, 100.0).read({'/imu/data_raw': Kind.IMU})
+    assert np.isnan(block.gyro).tolist() == np.eye(3, dtype=bool).tolist()
+
+
 def test_a_frame_is_verified_and_compensated_as_its_recording(
     hand: Path, frame: pd.DataFrame, expected: imu_calib.Calibration, tmp_path: Path
 ) -> None:
@@ -123,6 +136,7 @@ def test_a_frame_joined_of_several_topics_gives_the_bits_of_a_table(tmp_path: Pa
     [
         (lambda f: f.rename(columns={NAMES[0]: 'gx'}), None, 'no column angular_velocity.x; it'),
         (lambda f: f.reset_index(drop=True), None, 'is no time: set a DatetimeIndex'),
+        (lambda f: f.reset_index(drop=True)[9:], None, 'is no time: set a DatetimeIndex'),
         (lambda f: f, 100.0, '`rate`: the index of the data frame is a time already'),
         (lambda f: f.set_index(f.index.astype('int64')), None, 'beyond all dates in seconds'),
         (lambda f: f.assign(**{NAMES[1]: 'a'}), None, 'Column angular_velocity.y.*expected numb'),
