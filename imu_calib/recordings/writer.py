@@ -350,11 +350,17 @@ class Journal:
         resumed = path.is_dir() and any(path.iterdir())
         if resumed:
             self._unlock = finalize(self, os.close, _locked(path))
-        # Opened before the writer adds its file, so that only older files are read.
-        self._former = self._unfinished(description) if resumed else None
-        self._writer = RecordingWriter(
-            path, description, resume=resumed, progress=lambda share: progress(share / 2)
-        )
+        try:
+            # Opened before the writer adds its file, so that only older files are read.
+            self._former = self._unfinished(description) if resumed else None
+            self._writer = RecordingWriter(
+                path, description, resume=resumed, progress=lambda share: progress(share / 2)
+            )
+        except BaseException:
+            # The error may outlive this call, and its traceback this journal.
+            if resumed:
+                self._unlock()
+            raise
         if not resumed:
             self._unlock = finalize(self, os.close, _locked(path))
         for topic, kind in topics.items():

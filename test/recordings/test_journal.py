@@ -208,3 +208,11 @@ def test_a_journal_that_is_being_written_is_neither_resumed_nor_shared(tmp_path:
     again = Journal(tmp_path / 'one', SESSION, NAMES)
     assert again.resumed
     again.close(finished=True)
+
+
+def test_a_journal_that_is_refused_locks_nothing_while_its_error_is_held(tmp_path: Path) -> None:
+    Journal(tmp_path / 'one', SESSION, NAMES).close(finished=False)
+    with pytest.raises(InputError, match='another plan') as held_error:
+        Journal(tmp_path / 'one', {**SESSION, 'imu_calib.plan': 'name: two'}, NAMES)
+    Journal(tmp_path / 'one', SESSION, NAMES).close(finished=False)
+    assert held_error.value.__traceback__ is not None
