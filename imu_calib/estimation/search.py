@@ -271,17 +271,23 @@ def _without_use(
     """
     with_all = _common_std(trial.equations, trial.state)
     limits = np.array([useful_limit(p) for p in PARAMETERS])
-    costly = []
+    beyond = with_all > limits
+    costly, together = [], []
     for k, one in enumerate(found):
         if one.family.of_table or one.considered:
             continue
         model = start.with_found((*found[:k], *found[k + 1 :]))
-        ratios = with_all / _common_std(*model.on(trial.equations, trial.state))
-        worst = int(np.argmax(np.where(with_all > limits, np.inf, ratios)))
-        if ratios[worst] > _WITHOUT_USE or with_all[worst] > limits[worst]:
-            parameter, ratio = PARAMETERS[worst], float(ratios[worst])
-            costly.append(UnobservableFamily(one.family, one.log_p, parameter, ratio))
-    return max(costly, key=lambda one: one.log_p, default=None)
+        without = _common_std(*model.on(trial.equations, trial.state))
+        ratios = with_all / without
+        # Beyond the limit by this family, and not by another of those found.
+        by_it = beyond & (without <= limits)
+        worst = int(np.argmax(np.where(by_it, np.inf, ratios)))
+        this = UnobservableFamily(one.family, one.log_p, PARAMETERS[worst], float(ratios[worst]))
+        if ratios[worst] > _WITHOUT_USE or by_it[worst]:
+            costly.append(this)
+        elif beyond.any():
+            together.append(this)
+    return max(costly or together, key=lambda one: one.log_p, default=None)
 
 
 def _common_std(equations: Equations, state: Floats) -> Floats:

@@ -19,6 +19,7 @@ from imu_calib.estimation import score as scores_module
 from imu_calib.estimation import search as module
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.excess_scatter import ExcessScatter
+from imu_calib.estimation.information import useful_limit
 from imu_calib.estimation.positioning_errors import PositioningErrors
 from imu_calib.estimation.score import (
     Family,
@@ -566,6 +567,25 @@ def test_a_term_that_leaves_a_parameter_without_use_is_listed_and_left_out(
     assert search.unobservable == (costly,)
     (sentence,) = findings(search)
     assert f'with it {costly.parameter.name} would have' in sentence
+
+
+def test_a_term_beside_one_that_costs_a_parameter_is_not_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    costly = SignificantFamily(Family('gyro_cubic', GYRO_CUBIC), -50.0)
+    other = SignificantFamily(Family('accel_quadratic', ACCEL_QUADRATIC), -20.0)
+    start: Any = SimpleNamespace(with_found=lambda f: SimpleNamespace(on=lambda *_: (f, None)))
+    trial: Any = SimpleNamespace(equations=(costly, other), state=None)
+    limits = np.array([useful_limit(p) for p in PARAMETERS])
+    limits[np.isinf(limits)] = 1.0
+    deviations = {True: 2 * limits, False: limits / 3}
+    monkeypatch.setattr(module, '_common_std', lambda one, _: deviations[costly in one])
+    left_out = module._without_use(start, trial, trial.equations)
+    assert left_out is not None and left_out.family == costly.family
+    # Where neither alone does it, the less significant one is left out.
+    monkeypatch.setattr(module, '_common_std', lambda one, _: deviations[bool(one)])
+    left_out = module._without_use(start, trial, trial.equations)
+    assert left_out is not None and left_out.family == other.family
 
 
 def test_a_step_is_tried_where_nothing_else_converges_or_outputs_are_set_aside(
