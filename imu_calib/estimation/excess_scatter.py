@@ -160,6 +160,12 @@ class _Triad:
         return log_likelihoods_by_columns(base, self.positioning, mixed, self.residuals, variances)
 
 
+_ONE_CHANNEL = 100.0
+"""Ratio of the summed squares of two channels' residuals in motions from which one alone is off. A
+choice: where one gyro's fastest turn left its range they were 150 times its noise, 20 000 squared;
+what shakes a unit differs by a few times from channel to channel."""
+
+
 @dataclass(frozen=True, eq=False)
 class ExcessScatter:
     """Scatter beyond random walk and quantisation, estimated from the session."""
@@ -247,6 +253,8 @@ def excess(
 
 def scatter_of_motions(evidence: Evidence, in_motion: tuple[float, float]) -> tuple[Component, ...]:
     """Return the covariance of outputs by the scatter of motions, `ExcessScatter.in_motion`."""
+    if not any(in_motion):
+        return ()
     found = []
     for entering, deviation in zip(_ends_of_motions(evidence), in_motion, strict=True):
         if deviation:
@@ -568,7 +576,12 @@ def _triad(
     ends = _ends_of_motions(evidence)[first // 3][rows]
     moved = ends > 0
     noise = equations.own_variances[rows][moved] / ends[moved] ** 2
-    motion_variance = float(np.median(noise)) if moved.any() else 0.0
+    off = residuals[rows][moved] ** 2 / equations.own_variances[rows][moved]
+    second, largest = np.sort([off[k::3].sum() for k in range(3)])[1:]
+    # What shakes a unit shakes every channel. One that alone is off leaves its range or is not
+    # linear: it scatters by itself, between turns.
+    shaken = moved.any() and largest < _ONE_CHANNEL * second
+    motion_variance = float(np.median(noise)) if shaken else 0.0
     in_motion = (project[moved] * ends[moved, None]).T * math.sqrt(motion_variance)
     # The size of the noise is taken as uncertain at the end only.
     own = equations.own[first : first + 3] if doubted else ()

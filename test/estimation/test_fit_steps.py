@@ -208,7 +208,7 @@ def test_moves_are_judged_anew_with_the_positioning_errors_that_they_show(
     sizes = iter((1.0, 2.0, 3.0))
     sees = []
 
-    def judged(resting: Any, _: Any, __: Any) -> Any:
+    def judged(resting: Any, _: Any, __: Any, **___: Any) -> Any:
         sees.append(resting.positioning)
         return answers.pop(0)
 
