@@ -10,7 +10,7 @@ from rich.table import Table
 
 from ..calibration.calibration import Calibration
 from ..common.units import DEG, DEG_H, MICRO_G, PPM, decimals, significant
-from ..model.earth import MEASURED
+from ..model.earth import MEASURED, VAGUE
 from ..session.imu import (
     TRIAD_NAMES,
     Coefficient,
@@ -119,9 +119,12 @@ def _spread(value: float, std: float | None, places: int, unit: str) -> str:
 
 
 def latitude(facts: Facts) -> str:
-    """Return the latitude with its standard deviation; empty without one."""
+    """Return the latitude with its standard deviation, or that it was not stated."""
     value = number(facts, 'latitude_deg')
     std = number(facts, 'latitude_std_deg')
+    # With a measured gravity it need not be: 0 stands for any.
+    if std is not None and std > 0.99 * VAGUE / DEG:
+        return 'not stated'
     return '' if value is None else _spread(value, std, 3, '\u00b0')
 
 
