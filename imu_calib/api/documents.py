@@ -161,12 +161,9 @@ def _recalibrate(
     recording = recording_at(located(bag))
     plan = _plan_it_was(stated, origin, recording, name)
     stated = replace(stated, method=method, terms=terms, plan=plan)
-    try:
-        opened = session_of(recording, stated)
-    except NotStated:
-        if any(value is not None for value in (stated.latitude, stated.height, stated.gravity)):
-            raise
-        opened = session_of(recording, _where_it_was(stated, origin))
+    if all(value is None for value in (stated.latitude, stated.height, stated.gravity)):
+        stated = _where_it_was(stated, origin)
+    opened = session_of(recording, stated)
     with opened.recording as recording:
         expected, found = origin.get('sha256'), recording.sha256()
         if expected is not None and expected != found:
@@ -179,8 +176,8 @@ def _recalibrate(
     if again.parameters != calibration.parameters or _far_apart(again, calibration):
         raise InputError(
             f'{bag}: does not give the numbers of {name}: give the '
-            '`plan`, `imu`, `table`, `latitude`, `method`, `terms` and `segments` that it was made '
-            'with.'
+            '`plan`, `imu`, `table`, `latitude`, `height`, `gravity`, `method`, `terms` and '
+            '`segments` that it was made with.'
         )
     return result
 
@@ -210,7 +207,7 @@ def _plan_it_was(
 
 
 def _where_it_was(stated: Stated, origin: Mapping[str, Any]) -> Stated:
-    """Return the statements with the site of the calibration, if the recording has none."""
+    """Return the statements with the site of the calibration, which may not be the recording's."""
     measured = origin.get('gravity_source') == MEASURED
     return replace(
         stated,

@@ -11,6 +11,7 @@ from ..calibration.noise_at_rest import NoiseAtRest, noise_at_rest
 from ..common.arguments import checked
 from ..common.errors import InputError, NotObservable
 from ..common.files import printable
+from ..common.finding import warning
 from ..common.progress import Progress, silent
 from ..common.threads import by_one_thread
 from ..recordings.cdr_codec import Kind
@@ -23,7 +24,7 @@ from ..session.imu import ImuSpec
 from ..session.keywords import Named, Stated
 from .convert import convert
 from .inputs import Recorded, recording_at
-from .opening import ASSUMED_SI, assumed_si_imu
+from .opening import ASSUMED_SI, against_si, assumed_si_imu
 from .session import serial_of, stated_imu
 from .stamp_clock import average_findings, refused_by_stamps
 from .streams import Streams, streams_of
@@ -91,6 +92,7 @@ def noise(
         number = serial_of(stated, recording, streams.imu)
         found = noise_at_rest(rest, number or (spec.id if known else recording.path.name))
         findings = (
+            *_units_in_doubt(found),
             *([] if known else [ASSUMED_SI]),
             *average_findings(recording, streams.imu),
             *found.findings,
@@ -98,6 +100,12 @@ def noise(
             *order.sentences,
         )
         return found.with_findings(tuple(map(printable, findings)))
+
+
+def _units_in_doubt(found: NoiseAtRest) -> list[str]:
+    """Warn of mean outputs that no unit at rest has: all densities are then of wrong units."""
+    seen = against_si(found.mean[None, 3:], found.mean[None, :3])
+    return [warning(f'The units stated may be wrong: {seen}.')] if seen else []
 
 
 def _read(

@@ -18,7 +18,7 @@ from ..session.keywords import ImuTopic, Numbered, OfType
 from . import options
 from .outcome import CommandResult, add_json_option
 from .row_files import row_file, write_rows
-from .screen import sentence_list
+from .screen import print_findings
 from .terminal import OUTPUT, progress_bar
 
 _COLUMNS = 'NAME,NAME,NAME:UNIT'
@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     if 'plot' in targets:
         figure, kind = found.plot(), targets['plot'].suffix[1:].lower()
         write_by(targets['plot'], lambda file: figure.savefig(file, format=kind))
-    sentence_list('Notes', [*found.findings, *dict.fromkeys(notes)])
+    print_findings([*found.findings, *dict.fromkeys(notes)], verbose=True)
     if targets:
         OUTPUT.print(f'\nwritten to {", ".join(map(str, targets.values()))}', markup=False)
     return CommandResult({**found.to_dict(), 'files': [str(path) for path in targets.values()]})

@@ -65,8 +65,12 @@ def write_segments(path: str | Path, segments: Sequence[ListedSegment]) -> None:
     """Write holds and turns to a file, times to a millisecond.
 
     Raises:
-        InputError: It cannot be written.
+        InputError: It cannot be written, or is there: it may hold what a person edited.
     """
+    if user_path(path).exists():
+        raise InputError(
+            f'{path} exists, and may hold edits of yours. Name another file, or remove it.'
+        )
     text = io.StringIO()
     writer = csv.writer(text, lineterminator='\n')
     writer.writerow(_HEADINGS)

@@ -384,6 +384,15 @@ def test_reports_of_results_and_of_files_are_the_same(
         imu_calib.report(result, tmp_path / 'nowhere' / 'a.html')
 
 
+def test_a_report_takes_the_site_of_the_calibration_not_of_the_recording(
+    folder: Path, tmp_path: Path
+) -> None:
+    elsewhere = imu_calib.calibrate(folder / 'bag', height=420.0)
+    elsewhere.calibration.save(tmp_path / 'c.yaml')
+    page = imu_calib.report(tmp_path / 'c.yaml', tmp_path / 'b.html', bag=folder / 'bag')
+    assert '420' in page.read_text()
+
+
 def test_each_option_of_a_command_is_a_keyword_of_its_function() -> None:
     functions = {
         'compensate': imu_calib.compensate,

@@ -33,6 +33,8 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def written(bag: Path, folder: Path) -> tuple[Path, Rows]:
     file = folder / 'found.csv'
     assert main(['info', str(bag), '--segments', str(file)]) == 0
+    # What a person edits is not written over.
+    assert main(['info', str(bag), '--segments', str(file)]) == 2
     with file.open(newline='') as lines:
         return file, list(csv.DictReader(lines))
 
