@@ -39,8 +39,8 @@ import sys
 from imu_calib.live.middleware import run
 from imu_calib.live.nodes import turntable_node
 class Broken(turntable_node.TurntableNode):
-    def _go_on(self):
-        super()._go_on()
+    def _run_round(self):
+        super()._run_round()
         if self._sequencer.state().turns_done > 0.1:
             raise RuntimeError('a fault in a callback')
 run(Broken)
@@ -223,7 +223,7 @@ def test_a_node_that_is_held_up_again_as_it_goes_on_takes_no_start_of_before(ses
             steady.seconds += seconds
             # Joint states go on.
             node._fed_at = steady.seconds
-            node._go_on()
+            node._run_round()
 
     def answer():
         return node._on_start(None, ros.Trigger.Response())
@@ -869,11 +869,11 @@ def test_the_watchdog_bites_when_its_time_is_over_and_not_before(session, timeou
     session.table.silent = True
     ros.drain(node._joints)
     steady = node._steady = FakeSteady(node._fed_at + timeout - 1e-3)
-    node._go_on()
+    node._run_round()
     assert node._sequencer.running
     session.table.setpoints.clear()
     steady.seconds += 2e-3
-    node._go_on()
+    node._run_round()
     assert not node._sequencer.running
     assert node._sequencer.state().reason == f'No joint state from the table for {timeout:g} s.'
     assert session.until(lambda: session.table.setpoints)
@@ -898,10 +898,10 @@ def test_a_calibrator_is_given_its_time_and_no_more(session, timeout):
     assert session.until(turning)
     steady = node._steady = FakeSteady(node._calibrator._received_at + timeout - 1e-3)
     node._fed_at = steady.seconds
-    node._go_on()
+    node._run_round()
     assert node._sequencer.running
     steady.seconds += 2e-3
     node._fed_at = steady.seconds
-    node._go_on()
+    node._run_round()
     assert node._sequencer.state().reason == f'The calibrator is silent for {timeout:g} s.'
     assert session.ends_stopped()
