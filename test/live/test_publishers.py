@@ -90,10 +90,9 @@ def test_two_devices_end_a_session_whatever_their_topic_is_called(monkeypatch, t
     try:
         from imu_calib.live import middleware as ros
         from imu_calib.live.nodes import calibrator_node, qos
-        from imu_calib.live.nodes import qos as subscriptions
     except ImuCalibError as error:
         pytest.skip(str(error))
-    monkeypatch.setattr(subscriptions.ros, 'LEASE', 0.2)
+    monkeypatch.setattr(ros, 'LEASE', 0.2)
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
     given = {

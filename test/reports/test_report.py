@@ -26,7 +26,7 @@ from imu_calib.common.files import named_file
 from imu_calib.common.units import ARCMIN, DEG_H, MICRO_G, PPM
 from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from imu_calib.recordings.writer import RecordingWriter
-from imu_calib.reports.assessment import assess, tables
+from imu_calib.reports.assessment import assess, limits_tables
 from imu_calib.reports.charts import Axis
 from imu_calib.reports.page import Contents, page, terms_section
 from imu_calib.reports.repeatability import (
@@ -463,7 +463,7 @@ def test_units_in_the_hand_have_the_units_of_their_grade() -> None:
     unit = Calibration.load(named_file('truths', 'mems_counts'))
     known = replace(unit, covariance=np.diag(np.full(len(unit.std), 1e-8)))
     held = replace(known, provenance={'by_hand': True})
-    table, hand = (tables(assess(one, None)) for one in (known, held))
+    table, hand = (limits_tables(assess(one, None)) for one in (known, held))
     assert 'ppm' in table and 'arcmin' in table
     assert 'ppm' not in hand and 'arcmin' not in hand
     assert all(unit in hand for unit in ('>%<', '>deg<', '>deg/s<', '>mg<'))
