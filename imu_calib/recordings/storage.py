@@ -230,10 +230,8 @@ def first_and_last(times: list[tuple[int, int]]) -> tuple[int | None, int | None
 # bounded time, so that a reader that pairs them needs little memory.
 
 
-SPAN_NS = 60_000_000_000
-"""ns by which a topic may be out of order against another and is still put in order. A judgement:
-7 MB of samples at 2 kHz wait for the other topics, and blocks are so long that what is done once
-for each costs little."""
+SPAN_NS = 5_000_000_000
+"""ns by which a topic may be out of order against another and is still put in order."""
 
 
 @dataclass(frozen=True, eq=False)

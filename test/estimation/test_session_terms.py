@@ -446,9 +446,8 @@ def test_commands_carry_them_from_the_recording_to_compensation(
     assert main(['simulate', 'short.yaml', '-o', 'bag', *simulated]) == 0
     assert main(['calibrate', 'bag', '--terms', 'trend,warm_up']) == 2
     assert 'expected one of them' in capsys.readouterr().err
-    assert main(['calibrate', 'bag', '--terms', 'thermal', '-o', 'c.yaml']) == 0
+    assert main(['calibrate', 'bag', '--terms', 'thermal', '-o', 'c.yaml', '--verbose']) == 0
     shown = capsys.readouterr().out
-    assert re.search(r'^terms: thermal$', shown, re.MULTILINE)
     assert re.search(r'thermal +K_a +[0-9.]+ +[0-9.]+ +ppm per K', shown)
     assert 'compensation adds what follows the temperature' in ' '.join(shown.split())
     calibration = Calibration.load(Path('c.yaml'))

@@ -34,14 +34,14 @@ def test_a_topic_alone_comes_piece_by_piece() -> None:
     assert merged() == []
 
 
-def test_none_runs_ahead_by_more_than_a_minute_but_for_one_sample() -> None:
-    found = merged(a=[piece(10, 1, 2, 62, 62.1, 75)], b=[piece(30, 2, 3)], c=[piece(20, 105)])
+def test_none_runs_ahead_by_more_than_five_seconds_but_for_one_sample() -> None:
+    found = merged(a=[piece(10, 1, 2, 7, 7.1, 20)], b=[piece(30, 2, 3)], c=[piece(20, 50)])
     assert found == [
-        # Up to a minute beyond b, then b up to one beyond a, which goes on at 62.1.
-        ('a', [1, 2, 62], 10),
+        # Up to five seconds beyond b, then b up to five beyond a, which goes on at 7.1.
+        ('a', [1, 2, 7], 10),
         ('b', [2, 3], 10),
-        ('a', [62.1, 75], 10),
-        ('c', [105], 20),
+        ('a', [7.1, 20], 10),
+        ('c', [50], 20),
     ]
 
 
