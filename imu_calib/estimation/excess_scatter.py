@@ -160,12 +160,6 @@ class _Triad:
         return log_likelihoods_by_columns(base, self.positioning, mixed, self.residuals, variances)
 
 
-_ONE_CHANNEL = 100.0
-"""Ratio of the summed squares of two channels' residuals in motions from which one alone is off. A
-choice: where one gyro's fastest turn left its range they were 150 times its noise, 20 000 squared;
-what shakes a unit differs by a few times from channel to channel."""
-
-
 @dataclass(frozen=True, eq=False)
 class ExcessScatter:
     """Scatter beyond random walk and quantisation, estimated from the session."""
@@ -224,10 +218,9 @@ def excess(
     moving: tuple[Component, ...] = ()
     in_motion = 0.0, 0.0
     if share or any(drift.called_for for drift in still):
-        in_motion = (
-            _scatter_in_motion(triads[0], still[0], joints, stops),
-            _scatter_in_motion(triads[1], still[1], joints, stops),
-        )
+        # Of gyros the scatter between turns, channel by channel, stands for it: a common variance
+        # hid one gyro that leaves its range.
+        in_motion = 0.0, _scatter_in_motion(triads[1], still[1], joints, stops)
     if any(in_motion):
         moving = scatter_of_motions(plain.evidence, in_motion)
         triads = _triads(replace(plain, extra=moving), state, odds, doubted=doubted)
@@ -576,12 +569,7 @@ def _triad(
     ends = _ends_of_motions(evidence)[first // 3][rows]
     moved = ends > 0
     noise = equations.own_variances[rows][moved] / ends[moved] ** 2
-    off = residuals[rows][moved] ** 2 / equations.own_variances[rows][moved]
-    second, largest = np.sort([off[k::3].sum() for k in range(3)])[1:]
-    # What shakes a unit shakes every channel. One that alone is off leaves its range or is not
-    # linear: it scatters by itself, between turns.
-    shaken = moved.any() and largest < _ONE_CHANNEL * second
-    motion_variance = float(np.median(noise)) if shaken else 0.0
+    motion_variance = float(np.median(noise)) if moved.any() else 0.0
     in_motion = (project[moved] * ends[moved, None]).T * math.sqrt(motion_variance)
     # The size of the noise is taken as uncertain at the end only.
     own = equations.own[first : first + 3] if doubted else ()

@@ -376,7 +376,7 @@ def test_coefficients_that_a_data_sheet_states_are_in_a_prediction_that_warms() 
 def test_a_temperature_is_asked_for_in_kelvins_and_moves(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    asked = ['plans', 'twelve_position', '--imu', 'fog_medium', '--temperature-rise']
+    asked = ['plans', 'twelve_position', '--imu', 'fog_medium', '--verbose', '--temperature-rise']
     assert main([*asked, '6']) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     (row,) = (line for line in lines if line and line[0] == 'thermal:D_g')
