@@ -395,7 +395,7 @@ def test_a_trend_that_a_plan_does_not_tell_has_no_deviation(
 
     monkeypatch.setattr(each_term, 'with_changes', refused)
     words = ['plans', 'twelve_position', '--imu', 'fog_medium', '--gravity', '9.8']
-    assert main(words) == 0
+    assert main([*words, '--verbose']) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     (row,) = (line for line in lines if line and line[0] == 'trend:D_g')
     assert row[1] == '-'
@@ -406,7 +406,7 @@ def test_the_command_says_what_a_plan_tells_of_each_term(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     words = ['plans', 'nineteen_position', '--imu', 'fog_medium', '--table', 'two_axis_level']
-    assert main([*words, '--gravity', '9.8']) == 0
+    assert main([*words, '--gravity', '9.8', '--verbose']) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     rows = {row[0]: row[1:] for row in lines if row and row[0] in {t.name for t in TERMS}}
     assert len(rows) == len(TERMS)

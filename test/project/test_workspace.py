@@ -29,7 +29,9 @@ class Block:
     def exec_module(self, module): pass
 sys.meta_path.insert(0, Block())
 from importlib.metadata import EntryPoint
-raise SystemExit(EntryPoint(sys.argv[1], sys.argv[2], 'console_scripts').load()())
+name, program = sys.argv[1:]
+sys.argv = [name]
+raise SystemExit(EntryPoint(name, program, 'console_scripts').load()())
 """
 
 
