@@ -98,6 +98,10 @@ class Stand:
                 f'{error} Is it started, in this domain (ROS_DOMAIN_ID) and namespace?'
             ) from None
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f'<Stand: {"no run" if self.feedback is None else self.feedback.text}>'
+
     def __enter__(self) -> Stand:
         """Return the stand."""
         return self

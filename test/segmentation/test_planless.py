@@ -397,10 +397,11 @@ def test_report_and_verify_take_a_calibration_without_a_plan(
     text = page.read_text(encoding='utf-8')
     assert 'Static dwells in order of time: 1 X up, heading 10 deg; 2 Y up' in text
     # Made from this recording, it is compared but not tested.
-    assert main(['verify', str(bag), '--calibration', made, *SAID]) == 1
+    assert main(['verify', '--verbose', str(bag), '--calibration', made, *SAID]) == 1
     out = capsys.readouterr().out
     assert 'NOT TESTED: the calibration was made from this recording.' in out
-    assert 'X up, heading 10 deg' in out
+    # The name of a dwell fills two lines of its column.
+    assert 'X up' in out
 
 
 def test_info_lists_every_rest_and_every_turn(
