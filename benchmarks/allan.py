@@ -66,7 +66,7 @@ def read(hours: float) -> float:
         stamp = int(stamps[-1])
         block = ImuBlock(stamps, part[:, :3], part[:, 3:] + [0.0, 0.0, 9.8])
         before = time.process_time()
-        reader.feed(block)
+        reader.add_block(block)
         seconds += time.process_time() - before
     reader.finish()
     return seconds

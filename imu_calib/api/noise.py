@@ -120,7 +120,7 @@ def _read(
         kinds[streams.temperature] = Kind.TEMPERATURES
     with progress('reading') as show:
         for block in order.sorted_blocks(recording.read(kinds, show), streams.imu):
-            reader.feed(block)
+            reader.add_block(block)
 
 
 @contextmanager

@@ -57,7 +57,7 @@ class Kind:
     scales: tuple[float, float]  #: Their SI values.
     si: tuple[str, str]  #: The SI units.
 
-    def of(self, noise: ChannelNoise) -> Coefficient:
+    def coefficient(self, noise: ChannelNoise) -> Coefficient:
         """Return the coefficient of a channel."""
         found: Coefficient = getattr(noise, self.name)
         return found
@@ -186,13 +186,14 @@ class NoiseAtRest:
             {
                 'channel': name,
                 'noise': kind.name,
-                'value': np.nan if (found := kind.of(one.noise)).value is None else found.value,
+                'value': np.nan if found.value is None else found.value,
                 'std': np.nan if found.std is None else found.std,
                 'below': found.below,
                 'unit': kind.si[name[0] == 'a'],
             }
             for name, one in self.channels.items()
             for kind in KINDS
+            for found in [kind.coefficient(one.noise)]
         ]
         names = ['channel', 'noise', 'value', 'std', 'below', 'unit']
         return pd.DataFrame(rows, columns=names).set_index(['channel', 'noise'])
@@ -367,7 +368,7 @@ def _warmth(rest: LongRest) -> list[str]:
 def _plain(one: ChannelAllan) -> dict[str, Any]:
     coefficients = {}
     for kind in KINDS:
-        found = kind.of(one.noise)
+        found = kind.coefficient(one.noise)
         below = found.below if math.isfinite(found.below) else None
         coefficients[kind.name] = {'value': found.value, 'std': found.std, 'below': below}
     curve = {

@@ -110,7 +110,7 @@ class _Triad:
     log_odds: Floats  #: (shares,) logarithms of the odds of its shares.
     #: (r, e) effect of the errors of its outputs in motions, for their usual standard deviation.
     in_motion: Floats
-    motion_variance: float  #: Square of that, rad^2 or (m/s)^2; 0 without motions.
+    motion_variance: float  #: Square of that, (m/s)^2; 0 of gyros and without motions.
 
     def positioning_covariance(self, joints: float, stops: float) -> Floats:
         """Return the covariance by noise and positioning errors of these variances, rad^2."""
@@ -176,15 +176,16 @@ class ExcessScatter:
     #: Of gyros and accelerometers, whether the excess over the data sheet varies within a thirtieth
     #: of the session, and faster than biases drift by the data sheet.
     fast_drift: tuple[bool, bool] = (False, False)
-    #: Standard deviations of the ends of motions beyond their noise: angles, rad, and velocities,
-    #: m/s. They are in `extra`.
-    in_motion: tuple[float, float] = (0.0, 0.0)
+    #: Standard deviation of velocities at the ends of motions beyond their noise, m/s. It is in
+    #: `extra`. Of gyros the scatter between turns, channel by channel, stands for it: a variance
+    #: common to all hid one gyro that leaves its range.
+    in_motion: float = 0.0
 
     @property
     def shown(self) -> bool:
         """Whether the session shows scatter that is not known beforehand."""
         drifting = any(c.source is ErrorSource.BIAS_FOUND for c in self.extra)
-        return self.positioning_probability > 0 or drifting or any(self.in_motion)
+        return self.positioning_probability > 0 or drifting or self.in_motion > 0
 
     @property
     def stated(self) -> tuple[Component, ...]:
@@ -216,12 +217,10 @@ def excess(
     still = [_Drift.weighed(triad) for triad in triads]
     share, joints, stops = _positioning(triads, still, _variances(plain))
     moving: tuple[Component, ...] = ()
-    in_motion = 0.0, 0.0
+    in_motion = 0.0
     if share or any(drift.called_for for drift in still):
-        # Of gyros the scatter between turns, channel by channel, stands for it: a common variance
-        # hid one gyro that leaves its range.
-        in_motion = 0.0, _scatter_in_motion(triads[1], still[1], joints, stops)
-    if any(in_motion):
+        in_motion = _scatter_in_motion(triads[1], still[1], joints, stops)
+    if in_motion:
         moving = scatter_of_motions(plain.evidence, in_motion)
         triads = _triads(replace(plain, extra=moving), state, odds, doubted=doubted)
         still = [_Drift.weighed(triad) for triad in triads]
@@ -244,34 +243,29 @@ def excess(
     )
 
 
-def scatter_of_motions(evidence: Evidence, in_motion: tuple[float, float]) -> tuple[Component, ...]:
+def scatter_of_motions(evidence: Evidence, in_motion: float) -> tuple[Component, ...]:
     """Return the covariance of outputs by the scatter of motions, `ExcessScatter.in_motion`."""
-    if not any(in_motion):
+    if not in_motion:
         return ()
-    found = []
-    for entering, deviation in zip(_ends_of_motions(evidence), in_motion, strict=True):
-        if deviation:
-            variances = (entering * deviation) ** 2
-            freedom = float(np.count_nonzero(entering))
-            found.append(Component(ErrorSource.SCATTER, Diagonal(variances), freedom))
-    return tuple(found)
+    ends = _ends_of_motions(evidence)
+    variances = Diagonal((ends * in_motion) ** 2)
+    return (Component(ErrorSource.SCATTER, variances, float(np.count_nonzero(ends))),)
 
 
-def _ends_of_motions(evidence: Evidence) -> tuple[Floats, Floats]:
-    """Return how outputs (m,) follow angles and velocities at the ends of their motions.
+def _ends_of_motions(evidence: Evidence) -> Floats:
+    """Return how outputs (m,) follow the velocities at the ends of their motions.
 
     Those of a move are outputs themselves, and the mean over a turn follows by its duration.
     """
-    layout, found = evidence.layout, np.zeros((2, len(evidence.layout)))
+    layout, found = evidence.layout, np.zeros(len(evidence.layout))
     per_second = np.array([1 / turn.statistics.duration for turn in evidence.turns])
-    found[0, layout.turn] = per_second[:, None]
-    found[1, layout.turn_accels] = per_second[list(layout.turns_with_accels), None]
-    found[0, layout.move] = found[1, layout.velocity] = 1.0
-    return found[0], found[1]
+    found[layout.turn_accels] = per_second[list(layout.turns_with_accels), None]
+    found[layout.velocity] = 1.0
+    return found
 
 
 def _scatter_in_motion(triad: _Triad, still: _Drift, joints: float, stops: float) -> float:
-    """Return the standard deviation of a triad in motions, rad or m/s; 0 where none is needed.
+    """Return the standard deviation of a triad in motions, m/s; 0 where none is needed.
 
     It is needed where it raises the likelihood enough, beside any of the likeliest drifts, alone
     or with the positioning errors of these variances, rad^2.
@@ -566,7 +560,7 @@ def _triad(
     by_joints, by_stops = (
         np.vstack([project.T @ p[rows], np.zeros((len(weights), p.shape[1]))]) for p in positioning
     )
-    ends = _ends_of_motions(evidence)[first // 3][rows]
+    ends = _ends_of_motions(evidence)[rows]
     moved = ends > 0
     noise = equations.own_variances[rows][moved] / ends[moved] ** 2
     motion_variance = float(np.median(noise)) if moved.any() else 0.0

@@ -259,17 +259,14 @@ def _drift_findings(found: Estimate) -> list[str]:
 
 
 def _motion_findings(scatter: ExcessScatter) -> list[str]:
-    """Report angles and velocities that scatter at the ends of motions, and not at rest."""
-    angle, velocity = scatter.in_motion
-    sizes = [f'the angles of the gyros by {significant(angle / ARCSEC)} arcsec'] if angle else []
-    if velocity:
-        sizes.append(f'the velocities of the accelerometers by {significant(velocity)} m/s')
-    if not sizes:
+    """Report velocities that scatter at the ends of motions, and not at rest."""
+    if not scatter.in_motion:
         return []
     return [
-        f'At the ends of motions {" and ".join(sizes)} scatter more than their noise at rest: the '
-        'standard deviations allow for it. Possible causes: motors or bearings that shake the '
-        'unit, and sensors that are nonlinear in motion.'
+        'At the ends of motions the velocities of the accelerometers scatter by '
+        f'{significant(scatter.in_motion)} m/s more than their noise at rest: the standard '
+        'deviations allow for it. Possible causes: motors or bearings that shake the unit, and '
+        'sensors that are nonlinear in motion.'
     ]
 
 

@@ -42,7 +42,9 @@ def noise_tables(noise: NoiseAtRest) -> list[Table]:
             continue
         shown = plain_table((f'{units.name}s', *channels, ''), 'l' + 'r' * len(channels) + 'l')
         for kind in KINDS:
-            cells = [_plain(kind.of(one.noise), kind.scales[k]) for one in channels.values()]
+            cells = [
+                _plain(kind.coefficient(one.noise), kind.scales[k]) for one in channels.values()
+            ]
             shown.add_row(kind.words, *cells, kind.units[k])
         shown.add_row(LOWEST, *(_lowest(one, units) for one in channels.values()), units.rate)
         found.append(shown)
@@ -147,7 +149,7 @@ def _table(noise: NoiseAtRest, k: int) -> str:
 
 
 def _cell(kind: Kind, one: ChannelAllan, k: int) -> str:
-    words = _plain(kind.of(one.noise), kind.scales[k])
+    words = _plain(kind.coefficient(one.noise), kind.scales[k])
     return escape(words.replace('+-', '\u00b1').replace('< ', 'below '))
 
 

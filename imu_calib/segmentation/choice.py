@@ -83,7 +83,7 @@ class SegmentChoice:
         """
         for index, (start, end) in enumerate(self._times):
             if end > last + _NEAR:
-                raise self._holds.refuse(
+                raise self._holds.refusal(
                     index,
                     'end',
                     f'{self._holds.segments[index].end:g}',
@@ -92,14 +92,14 @@ class SegmentChoice:
             if not alone:
                 self._refuse_motion(index, start, end)
         if alone and self._turns.segments:
-            raise self._turns.refuse(
+            raise self._turns.refusal(
                 0, 'kind', 'turn', 'hold: without joint states a turn is what lies between holds'
             )
         turns = self._stamps(self._turns)
         for index, (start, end) in enumerate(turns):
             if not any(one.start < end and one.end > start for one in found):
                 one = self._turns.segments[index]
-                raise self._turns.refuse(
+                raise self._turns.refusal(
                     index,
                     'start, end',
                     f'{one.start:g}, {one.end:g}',
@@ -121,7 +121,7 @@ class SegmentChoice:
             f'{(a - self._zero) / NS:.3f} to {(b - self._zero) / NS:.3f}' for a, b in near
         )
         one = self._holds.segments[index]
-        raise self._holds.refuse(
+        raise self._holds.refusal(
             index,
             'start, end',
             f'{one.start:g}, {one.end:g}',

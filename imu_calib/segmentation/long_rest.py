@@ -95,8 +95,8 @@ class LongRestReader:
         """The stream as it came in."""
         return self._buffer.facts
 
-    def feed(self, block: Block) -> None:
-        """Take a block; joint states and setpoints are ignored."""
+    def add_block(self, block: Block) -> None:
+        """Add a block; joint states and setpoints are ignored."""
         if isinstance(block, TemperatureBlock):
             self._thermometer.add_temperatures(block)
         elif isinstance(block, ImuBlock):

@@ -54,7 +54,7 @@ class ListedSegments:
             lines=tuple(self.lines[k] for k in kept),
         )
 
-    def refuse(self, index: int, key: str, found: str, expected: str) -> InputError:
+    def refusal(self, index: int, key: str, found: str, expected: str) -> InputError:
         """Return the refusal of a segment: its line, the key, what was found and expected."""
         return InputError(
             f'{self.where}, line {self.lines[index]}: {key}: found {found}, expected {expected}.'
@@ -148,7 +148,7 @@ def _refuse_overlaps(listed: ListedSegments) -> None:
     """Refuse segments of one kind that begin before the one before them ends."""
     for k, (before, one) in enumerate(zip(listed.segments, listed.segments[1:], strict=False)):
         if one.start < before.end:
-            raise listed.refuse(
+            raise listed.refusal(
                 k + 1,
                 'start',
                 f'{one.start:g}',

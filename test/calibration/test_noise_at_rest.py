@@ -60,7 +60,7 @@ def read(values: Floats, imu: ImuSpec = SI, stamp: Any = None, **kind: Any) -> L
     reader = LongRestReader(imu, **kind)
     for k in range(0, len(values), 5000):
         rows = slice(k, k + 5000)
-        reader.feed(ImuBlock(stamp[rows], values[rows, :3], values[rows, 3:]))
+        reader.add_block(ImuBlock(stamp[rows], values[rows, :3], values[rows, 3:]))
     return reader.finish()
 
 

@@ -63,8 +63,10 @@ def data_line(calibration: Calibration) -> str:
 def verdict_line(calibration: Calibration) -> str:
     """Return in a line whether the session gives reason to doubt the numbers."""
     warnings = sum(map(is_warning, calibration.findings))
-    if not warnings:
+    if not calibration.findings:
         return 'Verdict: sound. Nothing in the data contradicts the result.'
+    if not warnings:
+        return 'Verdict: no warnings. The notes below say what limits the numbers.'
     return f'Verdict: {counted(warnings, "warning")}. Read below before you use the numbers.'
 
 
