@@ -210,7 +210,7 @@ def findings(search: SearchResult) -> list[str]:
         for one in search.found
     ]
     left_out = [
-        Finding(_unobservable_sentence(one), effect=float(np.sqrt(-2 * one.log_p)))
+        warning(_unobservable_sentence(one), effect=float(np.sqrt(-2 * one.log_p)))
         for one in search.unobservable
     ]
     return [*found, *left_out, *broken_off, *_likely(search)]

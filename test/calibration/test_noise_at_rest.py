@@ -148,7 +148,7 @@ def test_what_is_determined_lies_within_its_deviation_of_the_truth(
     ]
     assert all(channel.is_described for channel in channels)
     for keyword, kind in names.items():
-        seen = [kind.of(channel.noise) for channel in channels]
+        seen = [kind.coefficient(channel.noise) for channel in channels]
         true = truth.get(keyword, 0.0)
         if true:
             errors = [(s.value - true) / (s.std or np.nan) for s in seen if s.value is not None]
