@@ -55,18 +55,18 @@ class Pace:
         self._knots: list[_Knot] = []
         self._known: tuple[float, float] | None = None  #: Cache of `_long`.
         self.tick = 0.0  #: Of stamps in ticks, the longest of a segment, s; 0 for others.
-        #: First and last stamps of the segments that show no ticks, ns.
+        #: First and last stamps of the segments whose stamps lie on no line of ticks, ns.
         self.without_ticks: list[tuple[int, int]] = []
 
     def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
         """Return the grid of a segment, (n,) stamps in ns, and its timing by all so far."""
         grid = read_grid(stamp, self._long()[0] or None)
         self.tick = max(self.tick, grid.tick)
-        if not grid.tick:
+        if not (grid.tick and grid.is_counted):
             self.without_ticks.append((int(stamp[0]), int(stamp[-1])))
         if not self._reference:
             self._start, self._reference = int(stamp[0]), grid.period
-        if np.isfinite(grid.period_std):
+        if grid.is_counted and np.isfinite(grid.period_std):
             self._note(float(stamp[0] - self._start) * 1e-9, grid)
         timing = Timing(grid.period, grid.period, grid.period_std)
         return grid, replace(timing, used=self.combined(timing)[0])

@@ -299,6 +299,13 @@ _WITHIN_TICKS = 1.25
 """Ticks within which stamps lie about the line of their samples: one, and the error of the line
 through some tens of them."""
 
+_WITHIN_INTERVALS = 2.0
+"""Intervals within which the last samples of bunches lie about their line: one, and its error."""
+
+_COARSE = 1.1
+"""Mean steps beyond which ticks surely put several samples on one stamp: counting these does not
+show how many are missing. A judgement, above the error of a mean where some are."""
+
 _LIKE = 0.2
 """Of an interval: largest difference of two estimates of it. A judgement: more than missing samples
 change their mean."""
@@ -355,6 +362,7 @@ class SampleGrid:
     scatter: float  #: Of a stamp about the line, s.
     kept: NDArray[np.bool_]  #: (n,) stamps used in the fit of the line.
     tick: float = 0.0  #: Of stamps in ticks about as long as an interval, or longer, s; else 0.
+    is_counted: bool = True  #: Whether the stamps show how many samples are missing.
 
     def stamps(self, stamp: Stamps) -> Stamps:
         """Return the instants of the samples, ns; the stamps themselves where they are clean."""
@@ -469,7 +477,8 @@ def _grid_of_ticks(stamp: Stamps) -> SampleGrid | None:
     """Fit equal intervals to stamps in ticks about as long as an interval, or longer; else None.
 
     Ticks of a clock, or of a reader that polls, put each stamp within a tick of the line on which
-    the samples lie, if none is missing. Missing ones lead away from that line.
+    the samples lie, if none is missing. Missing ones lead away from that line; where several
+    samples share a tick, nothing shows how many.
     """
     steps = np.diff(stamp) * 1e-9
     if len(steps) < 2 * _UNEVEN:
@@ -477,12 +486,14 @@ def _grid_of_ticks(stamp: Stamps) -> SampleGrid | None:
     mean = float(steps.sum()) / len(steps)
     if float(np.ptp(steps)) <= _OFF_GRID * mean:
         return None
-    tick = float(np.quantile(steps[steps > SHORT * mean], _ONE_TICK))
+    advances = steps > SHORT * mean
+    tick = float(np.quantile(steps[advances], _ONE_TICK))
     counts = np.rint(steps / tick)
     uneven = counts != np.median(counts)
     if tick * _TICKS < mean or np.count_nonzero(uneven) < _UNEVEN:
         return None
-    if np.mean(np.abs(steps - counts * tick) < _NEAR_TICK * tick) < _ON_TICKS:
+    on_tick = np.abs(steps - counts * tick) < _NEAR_TICK * tick
+    if np.mean(on_tick) < _ON_TICKS:
         return None
     starts = _bunches(stamp)
     if starts is not None and _pattern(stamp, starts).size is not None:
@@ -490,8 +501,22 @@ def _grid_of_ticks(stamp: Stamps) -> SampleGrid | None:
     time = (stamp - stamp[0]) * 1e-9
     index = np.arange(len(stamp))
     grid = _laid(time, index, mean)
-    within = float(np.ptp(time - index * grid.period)) <= _WITHIN_TICKS * tick
-    return replace(grid, tick=tick) if within else None
+    if float(np.ptp(time - index * grid.period)) <= _WITHIN_TICKS * tick:
+        return replace(grid, tick=tick)
+    if tick < _COARSE * mean or np.mean(on_tick[advances]) < _ON_TICKS:
+        return None
+    return replace(grid, tick=tick, is_counted=_all_came(time, mean))
+
+
+def _all_came(time: Floats, interval: float) -> bool:
+    """Return whether the last samples of bunches lie on a line: a reader that was kept waiting.
+
+    It takes all that were made since it came before, however long ago that is; missing samples
+    lead away from the line.
+    """
+    last = np.flatnonzero(np.diff(time) > SHORT * interval)
+    grid = _laid(time[last], last, interval)
+    return float(np.ptp(time[last] - last * grid.period)) <= _WITHIN_INTERVALS * interval
 
 
 def _first_period(time: Floats) -> tuple[float, bool]:

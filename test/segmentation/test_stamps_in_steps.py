@@ -30,8 +30,9 @@ def test_a_session_is_as_good_as_with_stamps_that_do_not_step(grade: str) -> Non
     assert any('stamps of the IMU come in steps of 15.6 ms' in f for f in found.findings)
 
 
-def test_samples_missing_between_such_stamps_are_not_guessed() -> None:
-    world = World(damage=Damage(tick=TICK, lost=0.01))
+@pytest.mark.parametrize('lost', [0.01, 0.03, 0.1, 0.2, 0.4])
+def test_samples_missing_between_such_stamps_are_not_guessed(lost: float) -> None:
+    world = World(damage=Damage(tick=TICK, lost=lost))
     with pytest.raises(NotObservable, match=r'stamps in steps of .* ms do not show how many'):
         fed(world, MEDIUM).finish()
 
@@ -50,6 +51,24 @@ def test_the_line_through_them_has_the_interval_of_the_samples(rate: float, digi
     assert grid.period == pytest.approx(1 / rate, abs=4 * grid.period_std)
     assert grid.period_std * rate < 2e-5
     assert sampling_times(stamp)[0] is stamp
+
+
+@pytest.mark.parametrize('rate', [100.0, 200.0, 400.0])
+@pytest.mark.parametrize('tick', [TICK, 0.04])
+def test_a_reader_that_misses_some_polls_misses_no_samples(rate: float, tick: float) -> None:
+    rng = np.random.default_rng(1)
+    made = np.arange(round(60 * rate)) / rate + 0.0123
+    polls = np.arange(1, 60 / tick + 20) * tick
+    polls = polls[rng.random(len(polls)) > 0.05]
+    came = np.rint(polls[np.searchsorted(polls, made)] * 1e9).astype(np.int64)
+    # Samples of one stamp are set apart by a nanosecond.
+    number = np.arange(len(came))
+    first = np.diff(came, prepend=-1) != 0
+    stamp = came + number - np.maximum.accumulate(np.where(first, number, 0))
+    grid = read_grid(stamp)
+    assert grid.is_counted
+    assert (grid.index == number).all()
+    assert grid.period * rate == pytest.approx(1, abs=1e-5)
 
 
 def test_lost_samples_of_regular_stamps_are_no_steps() -> None:
