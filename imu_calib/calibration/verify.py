@@ -275,6 +275,7 @@ class Verification:
     #: Whether the calibration was made from this recording: its residuals then do not show its
     #: errors, and it is not accepted.
     own_recording: bool = False
+    by_hand: bool = False  #: Whether the calibration was made of a unit held by hand.
 
     def __repr__(self) -> str:
         """Return one line; `compared` has every quantity."""
@@ -354,6 +355,7 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
             *_without_drift(trials, judged),
             *observed.notes,
         ),
+        by_hand=calibration.by_hand,
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from ..common.errors import InputError
 from ..common.files import require
 from ..common.stream import Floats, Stamps
-from ..common.units import decimals, significant
+from ..common.units import decimals, significant, typeset
 from ..model.parameters import Parameter
 from ..session.imu import COEFFICIENTS, TRIAD_NAMES, ChannelNoise
 
@@ -129,7 +129,7 @@ def parameter_page(title: str, parameters: Sequence[Parameter], values: Floats, 
             number += f' \u00b1 {deviation / unit.scale:.{places}f}' if deviation else ''
             columns[parameter.triad].append(
                 f'<th>{parameter.name}</th><td>{number}</td>'
-                f'<td style="text-align:left">{_typeset(unit.shown)}</td>'
+                f'<td style="text-align:left">{escape(typeset(unit.shown))}</td>'
             )
     empty = '<th></th><td></td><td></td>'
     rows = [''.join(row) for row in zip_longest(*columns.values(), fillvalue=empty)]
@@ -139,11 +139,6 @@ def parameter_page(title: str, parameters: Sequence[Parameter], values: Floats, 
         f'<table><caption>{escape(title)}</caption><thead><tr>{head}</tr></thead>'
         f'<tbody>{body}</tbody></table>'
     )
-
-
-def _typeset(unit: str) -> str:
-    """Return a unit as a page shows it."""
-    return escape(unit.replace('ug', '\u00b5g').replace('^2', '\u00b2'))
 
 
 def predicted_frame(parameters: Sequence[Parameter], std: Floats, best: Floats) -> pandas.DataFrame:

@@ -73,7 +73,7 @@ def _show(verification: Verification, *, verbose: bool) -> None:
     for diagnosis in diagnoses:
         if diagnosis.moved:
             OUTPUT.print()
-            OUTPUT.print(moved_table(diagnosis.moved))
+            OUTPUT.print(moved_table(diagnosis.moved, by_hand=verification.by_hand))
     print_findings(verification.findings, verbose=verbose)
     OUTPUT.print()
     print_text(verification.outcome)

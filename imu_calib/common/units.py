@@ -160,6 +160,29 @@ def significant(value: float, digits: int = 2) -> str:
     return text.rstrip('0').rstrip('.') if '.' in text else text
 
 
+_TYPESET = (
+    (re.compile(r'(?<![\w./-])ug(?![\w]|[.-]\w)'), '\u00b5g'),
+    (re.compile(r'sqrt\((\w+)\)'), '\u221a\\1'),
+    (re.compile(r'(?<=[A-Za-z)])\^2'), '\u00b2'),
+    (re.compile(r'(?<=[A-Za-z)])\^3'), '\u00b3'),
+    (re.compile(r'\bdegC\b'), '\u00b0C'),
+    (re.compile(r' \+- '), ' \u00b1 '),
+)
+"""Spellings of a terminal, and what pages set. A name of a file that holds `ug` is left alone."""
+
+
+def typeset(text: str) -> str:
+    """Return units as pages show them; terminals and files keep to ASCII.
+
+    Examples:
+        >>> typeset('50 ug'), typeset('deg/sqrt(h)'), typeset('3 +- 1 m/s^2')
+        ('50 \u00b5g', 'deg/\u221ah', '3 \u00b1 1 m/s\u00b2')
+    """
+    for pattern, shown in _TYPESET:
+        text = pattern.sub(shown, text)
+    return text
+
+
 def decimals(deviation: float) -> int:
     """Return the decimals that show a standard deviation with two significant digits."""
     if not math.isfinite(deviation) or deviation <= 0:

@@ -11,7 +11,7 @@ from urllib.parse import quote
 import numpy as np
 
 from ..common.stream import Floats
-from ..common.units import decimals
+from ..common.units import decimals, typeset
 from ..model.parameters import PARAMETERS
 from ..reports.charts import drawing, tag
 from ..reports.html import bullets, paragraph, table
@@ -87,7 +87,7 @@ def _outside(fleet: Fleet) -> Iterator[Issue]:
     units = fleet.flagged(Flag.OUTSIDE)
     if not units:
         return
-    cells = [[link(u), _newest(u), escape(_outside_of(u))] for u in units]
+    cells = [[link(u), _newest(u), escape(typeset(_outside_of(u)))] for u in units]
     yield Issue(
         'Outside the specification',
         'fail',
@@ -159,7 +159,7 @@ def _failed(fleet: Fleet) -> Iterator[Issue]:
             dated(rows.date[k]),
             escape(rows.stand[k]),
             escape(rows.recording[k]),
-            escape(rows.error[k]),
+            escape(typeset(rows.error[k])),
         ]
         for k, unit in shown
     ]
@@ -192,7 +192,8 @@ def _control(fleet: Fleet) -> Iterator[Issue]:
         return
     found = sorted([(u, _signals(u)) for u in units], key=lambda pair: -_excess(pair[1][0]))
     cells = [
-        [link(u), _newest(u), escape('; '.join(map(_signal, signals[:3])))] for u, signals in found
+        [link(u), _newest(u), escape(typeset('; '.join(map(_signal, signals[:3]))))]
+        for u, signals in found
     ]
     rate = fleet.history.rules.false_alarm
     tested = sum(unit.history is not None for unit in fleet.units)
@@ -237,7 +238,9 @@ def _steps(fleet: Fleet) -> Iterator[Issue]:
         history = unit.history
         assert history is not None
         newest = [s for s in history.steps if s.index == len(history.key) - 1]
-        cells.append([link(unit), escape(' '.join(step_sentence(step) for step in newest))])
+        cells.append(
+            [link(unit), escape(typeset(' '.join(step_sentence(step) for step in newest)))]
+        )
     yield Issue(
         'Steps',
         'marginal',
@@ -312,7 +315,7 @@ def _outliers(fleet: Fleet) -> Iterator[Issue]:
     for name, outlier in seen.items():
         value = f'{outlier.parameter} {quantity(outlier.value, outlier.parameter)}'
         named = link(unit_of_name[name]) if name in unit_of_name else escape(' '.join(name))
-        cells.append([named, escape(value), fixed(outlier.score, 1)])
+        cells.append([named, escape(typeset(value)), fixed(outlier.score, 1)])
     sentences = []
     if seen:
         sentences.append(

@@ -77,8 +77,10 @@ function columns() {
 }
 
 function dueCell(k) {
+  // On a phone an empty cell is left out, with its heading.
+  if (units.due[k] === BAD) return '';
   const because = units.because[k] < 0 ? '' : ` ${units.parameters[units.because[k]][0]}`;
-  return make('span', {}, day(units.due[k]), units.due[k] === BAD ? '' : make('small', {}, because));
+  return make('span', {}, day(units.due[k]), make('small', {}, because));
 }
 
 function sorted(order) {

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.stream import Floats
-from ..common.units import decimals
+from ..common.units import decimals, typeset
 from ..model.parameters import PARAMETERS, Parameter
 from ..reports.tables import engineering, fixed
 from ..session.imu import Verdict
@@ -411,8 +411,8 @@ def sessions_data(fleet: Fleet) -> str:
     histories = [unit.history for unit in units]
     indices, texts_of = _indexed(
         stand=[rows.stand[k] for k in chosen],
-        error=[rows.error[k] for k in chosen],
-        remark=['\n'.join(rows.findings[k]) for k in chosen],
+        error=[typeset(rows.error[k]) for k in chosen],
+        remark=[typeset('\n'.join(rows.findings[k])) for k in chosen],
         verdict=[rows.verdict[k] for k in chosen],
     )
     values, std = rows.values[sessions], rows.std[sessions]
@@ -451,8 +451,8 @@ def sessions_data(fleet: Fleet) -> str:
         'scoreStep': STEP,
         'individualsLimit': limits.individuals,
         'ewmaLimit': limits.ewma,
-        'findings': [list(h.findings) if h is not None else [] for h in histories],
-        'reasons': [h.forecast.reason if h is not None else '' for h in histories],
+        'findings': [list(map(typeset, h.findings)) if h is not None else [] for h in histories],
+        'reasons': [typeset(h.forecast.reason) if h is not None else '' for h in histories],
         'steps': [_steps(unit) for unit in units],
     }
     return pack(arrays, texts)

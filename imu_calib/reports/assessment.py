@@ -99,7 +99,10 @@ def limits_tables(assessed: Sequence[Assessed]) -> str:
     parts = []
     for title, triad, kinds in _VERDICT_GROUPS:
         rows = [
-            _row(a) for a in assessed if a.parameter.triad == triad and a.parameter.kind in kinds
+            _row(a)
+            for a in assessed
+            # Those that are zero by the choice of the axes have no row.
+            if a.parameter.triad == triad and a.parameter.kind in kinds and (a.value or a.std)
         ]
         if rows:
             headings = ['', 'kind', 'value', f'\u00b1 {COVERAGE:g} std', 'unit', 'limit', '', '']

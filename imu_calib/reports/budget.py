@@ -14,7 +14,7 @@ from rich.table import Table
 from ..calibration.calibration import Calibration
 from ..common.budget import PROBABILITY, Budget, ErrorSource
 from ..common.stream import Floats
-from ..common.units import decimals
+from ..common.units import decimals, typeset
 from ..model.parameters import Parameter
 from .charts import drawing, label, tag
 from .html import paragraph, table
@@ -77,18 +77,21 @@ _NONE = 'The method states no sources of its uncertainty: there is no budget.'
 class _Shown:
     """The shown part of a budget."""
 
-    parameters: tuple[Parameter, ...]  #: (p,) the estimated ones.
+    parameters: tuple[Parameter, ...]  #: (p,) the estimated ones that are not fixed.
     rows: NDArray[np.intp]  #: (p,) their indices in the calibration.
     budget: Budget  #: Of all parameters, by the sources that concern the shown ones.
     wide: NDArray[np.bool_]  #: (k,) which sources have a separate column.
+    by_hand: bool  #: Whether the unit was held by hand, for the units shown.
 
     @classmethod
     def select(cls, calibration: Calibration, budget: Budget) -> _Shown:
-        rows = np.flatnonzero(np.isfinite(calibration.std))
+        # Those that are zero by the choice of the axes have no variance to divide.
+        rows = np.flatnonzero(calibration.std > 0)
         parameters = tuple(calibration.parameters[k] for k in rows)
         concerned = [line for line in budget.lines if np.any(line.std[rows] > 0)]
         budget = Budget(tuple(concerned))
-        return cls(parameters, rows, budget, np.any(budget.fractions[:, rows] > _LEAST, axis=1))
+        wide = np.any(budget.fractions[:, rows] > _LEAST, axis=1)
+        return cls(parameters, rows, budget, wide, calibration.by_hand)
 
     @property
     def sources(self) -> list[ErrorSource]:
@@ -116,7 +119,7 @@ class _Shown:
             self.parameters, *(c[self.rows] for c in columns), strict=True
         ):
             std, freedom, factor, expanded = (float(v) for v in values)
-            shown = engineering(parameter)
+            shown = engineering(parameter, by_hand=self.by_hand)
             std, expanded = std / shown.scale, expanded / shown.scale
             places = decimals(std)
             yield [
@@ -222,7 +225,7 @@ def budget_parts(calibration: Calibration, budget: Budget, words: str) -> list[s
         [
             escape(expanded[0]),
             *(_percent(float(f)) for f in shares),
-            *(escape(cell.replace('ug', '\u00b5g')) for cell in expanded[1:]),
+            *(escape(typeset(cell)) for cell in expanded[1:]),
         ]
         for expanded, shares in zip(shown.expanded_rows(), shown.fractions, strict=True)
     ]
@@ -244,8 +247,8 @@ def budget_parts(calibration: Calibration, budget: Budget, words: str) -> list[s
     headings = ['', *(f'{h}, %' for h in shown.headings), *_EXPANDED[1:]]
     return [
         paragraph(note, 'note'),
-        table(['source', 'type', 'dof', 'what it is'], sources, 'budget stacked', 'llrl'),
-        table(headings, rows, 'budget stacked', 'l' + 'r' * (len(headings) - 2) + 'l'),
+        table(['source', 'type', 'dof', 'what it is'], sources, 'budget numbers stacked', 'llrl'),
+        table(headings, rows, 'budget numbers stacked', 'l' + 'r' * (len(headings) - 2) + 'l'),
     ]
 
 

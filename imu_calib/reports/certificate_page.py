@@ -10,7 +10,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from html import escape
-from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from .budget import budget_parts, freedom_words
 from .certificate import OUTPUT, Certificate, Stated, groups
 from .certificate_fields import Equipment
 from .charts import tag
-from .html import bullets, document, named_rows, paragraph, section, table
+from .html import bullets, document, named_rows, paragraph, section, sheet, table
 from .tables import engineering, fixed
 
 _PAGES = """
@@ -36,7 +35,7 @@ _PAGES = """
     font: 8.5pt {font}; color: #333; }} }}
 """
 _FONT = '"DejaVu Sans", Arial, sans-serif'
-_SHEET = '\n' + files(__package__).joinpath('certificate.css').read_text(encoding='utf-8')
+_SHEET = sheet('certificate.css')
 
 
 def style(title: str, laboratory: str, mark: str) -> str:
@@ -165,7 +164,7 @@ def _procedure(certificate: Certificate) -> str:
     ]
     headings = ['reference', 'serial number', 'certificate', 'valid until', 'traceability']
     equipment = [[escape(cell) for cell in _reference(e)] for e in fields.equipment]
-    listed = table(headings, equipment) if equipment else paragraph(_MISSING, 'missing')
+    listed = table(headings, equipment, 'stacked') if equipment else paragraph(_MISSING, 'missing')
     return named_rows(rows) + tag('h3', 'Reference equipment') + listed
 
 
@@ -210,8 +209,10 @@ def _results(certificate: Certificate) -> list[str]:
     if verdicts:
         headings, columns = [*headings, 'conformity'], columns + 'l'
     for title, results in groups(certificate.results):
-        rows = [_row(r, limits=limits, verdicts=verdicts) for r in results]
-        parts.append(tag('h3', title) + table(headings, rows, '', columns))
+        rows = [
+            _row(r, limits=limits, verdicts=verdicts, by_hand=calibration.by_hand) for r in results
+        ]
+        parts.append(tag('h3', title) + table(headings, rows, 'numbers stacked', columns))
     parts.append(paragraph(_UNCERTAINTY, 'note'))
     return parts
 
@@ -227,8 +228,8 @@ def _scale(value: float, units: Units, triad: str) -> str:
     return f'{shown:.10g} {unit} per {per}'
 
 
-def _row(result: Stated, *, limits: bool, verdicts: bool) -> list[str]:
-    shown = engineering(result.parameter)
+def _row(result: Stated, *, limits: bool, verdicts: bool, by_hand: bool) -> list[str]:
+    shown = engineering(result.parameter, by_hand=by_hand)
     expanded = result.expanded / shown.scale
     places = decimals(expanded)
     cells = [

@@ -10,8 +10,7 @@ from html import escape
 import numpy as np
 
 from ..common.stream import Floats
-from ..model.parameters import Parameter
-from .tables import engineering, fixed
+from .tables import Shown, fixed
 
 COLOURS = ('#0072b2', '#d55e00', '#00805c')
 """Of X, Y, Z: colours of Okabe and Ito, distinct for colour-blind readers; the green is
@@ -243,7 +242,8 @@ def panels(drawings: Sequence[str]) -> str:
 
 
 def small(
-    parameter: Parameter,
+    name: str,
+    shown: Shown,
     across: Floats,
     value: Floats,
     std: Floats,
@@ -253,14 +253,14 @@ def small(
     """Draw a parameter minus its mean, with bars of two standard deviations.
 
     Args:
-        parameter: The parameter.
+        name: Of the parameter.
+        shown: Its unit.
         across: (n,) horizontal positions of the values.
         value: (n,) SI.
         std: (n,) SI.
         ends: Text below the first and the last value.
         line: Interpolated values, SI.
     """
-    shown = engineering(parameter)
     mean = float(value.mean())
     height, spread = (value - mean) / shown.scale, std / shown.scale
     course = [(x, (y - mean) / shown.scale) for x, y in line]
@@ -277,7 +277,7 @@ def small(
     panel.frame('', '', x_ticks=False, fewest=2)
     panel.level(0.0, 'zero')
     unit = f', {shown.symbol}' if shown.unit else ''
-    heading = f'{parameter.name} \u2212 mean{unit}'
+    heading = f'{name} \u2212 mean{unit}'
     panel.parts.append(label(heading, _LEFT - 32, _TOP - 6, class_='tick'))
     if course:
         panel.curve(course, COLOURS[1], '4 3')

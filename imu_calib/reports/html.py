@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
 
-from ..common.units import DEG
+from ..common.units import DEG, typeset
 from .charts import tag
 
 _STATIC = "default-src 'none'; style-src 'unsafe-inline'"
@@ -101,11 +101,17 @@ def facts(pairs: Sequence[tuple[str, str]]) -> str:
 
 
 def _sentence(text: str) -> str:
-    """Return plain text with the names of keywords, such as `imu_topic`, as code."""
-    return re.sub('`([a-z_]+)`', r'<code>\1</code>', escape(text))
+    """Return plain text with units as pages show them, and keywords such as `imu_topic` as code."""
+    return re.sub('`([a-z_]+)`', r'<code>\1</code>', escape(typeset(text)))
 
 
-STYLE = '\n' + files(__package__).joinpath('report.css').read_text(encoding='utf-8')
+def sheet(name: str) -> str:
+    """Return a style sheet of pages, with that of tables on a phone."""
+    folder = files(__package__)
+    return ''.join(f'\n{folder.joinpath(one).read_text("utf-8")}' for one in (name, 'stacked.css'))
+
+
+STYLE = sheet('report.css')
 """On a screen, light or dark, on a phone, and on A4 paper."""
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..calibration.noise_at_rest import KINDS, ChannelAllan, Kind, NoiseAtRest
 from ..common.stream import utc
-from ..common.units import HOUR, decimals
+from ..common.units import HOUR, decimals, typeset
 from ..session.imu import TRIAD_NAMES, Coefficient, TriadUnits
 from .charts import COLOURS, Axis, Panel, drawing, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, section, table
@@ -116,7 +116,7 @@ def _panel(channels: Mapping[str, ChannelAllan], units: TriadUnits) -> Panel:
     panel = Panel(
         Axis.decades(taus.tolist()), Axis.decades(heights.tolist()), _LEFT, _TOP, _FRAME, _HEIGHT
     )
-    panel.frame('averaging time, s', f'{units.name}s, {_typeset(units.rate)}')
+    panel.frame('averaging time, s', f'{units.name}s, {typeset(units.rate)}')
     for name, one in channels.items():
         k = units.channels.index(name)
         panel.curve(
@@ -141,9 +141,9 @@ def _table(noise: NoiseAtRest, k: int) -> str:
     rows = []
     for kind in KINDS:
         cells = [_cell(kind, one, k) for one in channels.values()]
-        rows.append([f'{kind.words}, {_typeset(kind.units[k])}', *cells])
+        rows.append([f'{kind.words}, {typeset(kind.units[k])}', *cells])
     lowest = [escape(_lowest(one, units)) for one in channels.values()]
-    rows.append([f'{LOWEST}, {_typeset(units.rate)}', *lowest])
+    rows.append([f'{LOWEST}, {typeset(units.rate)}', *lowest])
     sides = 'l' + 'r' * len(channels)
     return table([f'{units.name}s', *channels], rows, 'plain', sides)
 
@@ -151,13 +151,6 @@ def _table(noise: NoiseAtRest, k: int) -> str:
 def _cell(kind: Kind, one: ChannelAllan, k: int) -> str:
     words = _plain(kind.coefficient(one.noise), kind.scales[k])
     return escape(words.replace('+-', '\u00b1').replace('< ', 'below '))
-
-
-def _typeset(unit: str) -> str:
-    """Return a unit as pages set it: \u00b5g, \u221ah."""
-    return escape(
-        unit.replace('ug', '\u00b5g').replace('sqrt(h)', '\u221ah').replace('deg', '\u00b0')
-    )
 
 
 COLUMNS = ('channel', 'tau', 'deviation', 'low', 'high', 'freedom', 'model')

@@ -11,7 +11,7 @@ import numpy as np
 from ..calibration.calibration import Calibration
 from ..calibration.results import Result
 from ..common.stream import Floats
-from ..common.units import DEG_H, MICRO_G, decimals
+from ..common.units import DEG_H, MICRO_G, decimals, typeset
 from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, ImuSpec, TriadSpec, TriadUnits
 from . import attitudes, provenance, repeatability, timeline
 from .assessment import LIMITS, angles_table, assess, limits_tables, outcome, summary, worst
@@ -164,7 +164,7 @@ def residual_notes(residuals: Residuals, rms: Sequence[object] | None) -> str:
 
 def terms_section(calibration: Calibration) -> tuple[str, ...]:
     """Return the section's contents; empty for a calibration without entries on terms."""
-    rows = [[escape(cell) for cell in row] for row in term_rows(calibration)]
+    rows = [[escape(typeset(cell)) for cell in row] for row in term_rows(calibration)]
     if not rows:
         return ()
     return table(TERM_HEADINGS, rows, 'terms stacked', 'lllrll'), paragraph(TERM_NOTE, 'note')
@@ -177,6 +177,8 @@ _FRAME = 300.0
 _LEAST = 0.02
 """Share of a value at which the error bar of an undetermined one ends."""
 _CHANNELS = 'xyz'
+_ABOVE = 2.0
+"""Standard deviations by which a curve is above the data sheet: by chance one curve in forty."""
 
 
 def noise_plots(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
@@ -212,8 +214,7 @@ def _allan_panel(
         _FRAME,
         _ALLAN_HEIGHT,
     )
-    rate = units.rate.replace('ug', '\u00b5g')
-    panel.frame('averaging time, s', f'{units.name}s: Allan deviation, {rate}')
+    panel.frame('averaging time, s', f'{units.name}s: Allan deviation, {typeset(units.rate)}')
     ends = panel.x.low, panel.x.high
     if spec is not None and spec.random_walk > 0:
         stated = [(t, spec.random_walk / np.sqrt(t) / scale) for t in ends]
@@ -260,9 +261,9 @@ def noise_table(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
                 [
                     f'{units.name} {axis.upper()}',
                     *_both(channel.random_walk, spec.random_walk, units.walk_scale),
-                    units.walk,
+                    typeset(units.walk),
                     *_both(channel.bias_instability, spec.bias_instability, units.rate_scale),
-                    units.rate.replace('ug', '\u00b5g'),
+                    typeset(units.rate),
                 ]
             )
     headings = ['', 'random walk', 'stated', '', 'bias instability', 'stated', '']
@@ -274,7 +275,31 @@ def _both(coefficient: Coefficient, stated: float, scale: float) -> tuple[str, s
     return escape(noise), f'{stated / scale:.3g}' if stated else '-'
 
 
-def noise_notes(noise: Mapping[str, ChannelNoise], accel_rate: float | None = None) -> str:
+def _quantised(noise: Mapping[str, ChannelNoise], imu: ImuSpec) -> list[str]:
+    """Return the channels whose curves begin above the data sheet because of quantisation.
+
+    Quantisation has the Allan deviation sqrt(3) Q / tau (IEEE Std 952-1997, annex C.2).
+    """
+    found = []
+    for units in TRIAD_NAMES:
+        walk = _spec_of(units, imu).random_walk
+        for name in units.channels:
+            if walk <= 0 or name not in noise or not len(noise[name].tau):
+                continue
+            channel = noise[name]
+            tau, deviation, std = (
+                float(x[0]) for x in (channel.tau, channel.deviation, channel.std)
+            )
+            above = deviation - _ABOVE * std > walk / tau**0.5
+            by_steps = np.sqrt(3) * (channel.quantisation.value or 0.0) / tau
+            if above and not channel.timed and 2 * by_steps**2 > deviation**2:
+                found.append(name)
+    return found
+
+
+def noise_notes(
+    noise: Mapping[str, ChannelNoise], imu: ImuSpec | None, accel_rate: float | None = None
+) -> str:
     """Return sentences on the curves; interpolated accelerometers have a sample rate, Hz."""
     if not noise:
         return ''
@@ -287,6 +312,11 @@ def noise_notes(noise: Mapping[str, ChannelNoise], accel_rate: float | None = No
         text += (
             ' Where single pulses hide the noise, the curve begins at ten seconds: its points are '
             'made of the moments at which pulses came.'
+        )
+    if imu is not None and (names := _quantised(noise, imu)):
+        text += (
+            f' At short times {", ".join(names)} are above the data sheet by quantisation, the '
+            'steps of the output: it falls with slope -1, and is no random walk.'
         )
     if accel_rate is not None:
         text += (
@@ -319,7 +349,8 @@ def page(contents: Contents) -> str:
         InputError: The calibrations to compare are not of one unit.
     """
     calibration = contents.calibration
-    title = f'Calibration of {calibration.imu.id}'
+    # A unit without a number is known by its type, or its recording.
+    title = calibration.serial_number or calibration.unit_name
     body = ''.join(
         [
             tag('h1', escape(title)),
@@ -336,7 +367,7 @@ def page(contents: Contents) -> str:
             section('Provenance', provenance.provenance(calibration)),
         ]
     )
-    return document(title, body, STYLE)
+    return document(f'{title}: calibration', body, STYLE)
 
 
 def _head(contents: Contents) -> str:
@@ -347,7 +378,7 @@ def _head(contents: Contents) -> str:
     pairs = [
         ('recorded', provenance.date(where)),
         ('recording', str(where.get('recording') or '-')),
-        ('serial number', contents.calibration.serial_number or '-'),
+        ('IMU description', contents.calibration.imu.id),
         ('plan', provenance.plan(where)),
         ('method', str(where.get('method') or '-')),
         ('table', str(where.get('table') or '-')),
@@ -355,7 +386,7 @@ def _head(contents: Contents) -> str:
         ('dwells, turns', f'{where.get("segments", "-")}, {where.get("turns", "-")}'),
         ('samples used', provenance.count(where.get('samples'))),
     ]
-    return paragraph(f'from {contents.name}', 'subtitle') + shown + facts(pairs)
+    return paragraph(f'Calibration, from {contents.name}', 'subtitle') + shown + facts(pairs)
 
 
 def _parameters(contents: Contents) -> str:
@@ -382,7 +413,7 @@ def _changes(calibration: Calibration) -> str:
     for term, name, value, std, unit in calibration.changes.shown():
         places = decimals(std)
         cells = (term, name, f'{value:.{places}f}', f'{std:.{places}f}', unit)
-        rows.append([escape(cell) for cell in cells])
+        rows.append([escape(typeset(cell)) for cell in cells])
     headings = ['term', 'of', 'value', 'std', 'unit']
     return section(
         'Terms of the session',
@@ -423,7 +454,9 @@ def _noise(contents: Contents) -> str:
         noise_plots(seen, contents.imu),
         noise_table(seen, contents.imu),
         noise_notes(
-            seen, provenance.number(contents.calibration.provenance, 'accel_interpolated_from_hz')
+            seen,
+            contents.imu,
+            provenance.number(contents.calibration.provenance, 'accel_interpolated_from_hz'),
         ),
     )
 

@@ -28,6 +28,12 @@ _ELSEWHERE = frozenset({'noise', 'tests_of_terms'})
 _CHANNELS = ('gx', 'gy', 'gz', 'ax', 'ay', 'az')
 _PER_CHANNEL = (
     ('random_walk', 'random walk used', ('deg/\u221ah', DEG / 60), ('(m/s)/\u221ah', 1 / 60)),
+    (
+        'sensor_random_walk',
+        'random walk of the sensor',
+        ('deg/\u221ah', DEG / 60),
+        ('(m/s)/\u221ah', 1 / 60),
+    ),
     ('residual_rms', 'RMS of the residuals', ('deg/h', DEG_H), ('\u00b5g', MICRO_G)),
     ('bias_drift', 'bias drift allowed for', ('deg/h', DEG_H), ('\u00b5g', MICRO_G)),
 )

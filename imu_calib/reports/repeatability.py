@@ -23,7 +23,7 @@ from ..common.units import decimals
 from ..model.parameters import Parameter
 from .charts import panels, small, tag
 from .html import named_rows, paragraph, table
-from .tables import engineering, fixed
+from .tables import Shown, engineering, fixed
 
 _SURPRISING = 0.001
 """Probability of chance below which the scatter of sessions is significant."""
@@ -61,6 +61,12 @@ class RepeatedParameter:
     std: Floats  #: (n,) stated standard deviations.
     days: Floats | None  #: (n,) days after the first; None if a calibration has no date.
     first: datetime | None = None  #: Date of the first; None if a calibration has none.
+    by_hand: bool = False  #: Whether the unit was held by hand, for the units shown.
+
+    @property
+    def shown(self) -> Shown:
+        """Its unit."""
+        return engineering(self.parameter, by_hand=self.by_hand)
 
     @property
     def spread(self) -> float:
@@ -184,9 +190,8 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
         value = np.array([c.values[k] for c, k in zip(calibrations, rows, strict=True)])
         std = np.sqrt([square[k] for square, k in zip(squares, rows, strict=True)])
         if np.isfinite(std).all():
-            found.append(
-                RepeatedParameter(parameter, value, std, days, None if days is None else min(known))
-            )
+            start = None if days is None else min(known)
+            found.append(RepeatedParameter(parameter, value, std, days, start, first.by_hand))
     if not found:
         raise InputError(f'{", ".join(names)}: no parameter was estimated in all of them.')
     return found
@@ -242,7 +247,7 @@ def repeatability_table(rows: Sequence[RepeatedParameter]) -> str:
     """Return spread, stated deviation and drift of every parameter."""
     cells = []
     for row in rows:
-        shown = engineering(row.parameter)
+        shown = row.shown
         places = decimals(row.stated / shown.scale)
         drift = row.drift
         ratio = row.spread / row.stated if row.stated > 0 else float('nan')
@@ -281,13 +286,15 @@ def overlay(rows: Sequence[RepeatedParameter]) -> str:
 def _over_time(row: RepeatedParameter) -> str:
     count = len(row.value)
     if row.days is None:
-        return small(row.parameter, np.arange(float(count)), row.value, row.std, ('1', f'{count}'))
+        across, names = np.arange(float(count)), ('1', f'{count}')
+        return small(row.parameter.name, row.shown, across, row.value, row.std, names)
     line: list[tuple[float, float]] = []
     if row.drift is not None and row.variation is Variation.DRIFTS:
         middle, mean = float(row.days.mean()), float(row.value.mean())
         ends = float(row.days.min()), float(row.days.max())
         line = [(x, mean + row.drift[0] * (x - middle)) for x in ends]
-    return small(row.parameter, row.days, row.value, row.std, _ends(row), line)
+    name, dates = row.parameter.name, _ends(row)
+    return small(name, row.shown, row.days, row.value, row.std, dates, line)
 
 
 def _ends(row: RepeatedParameter) -> tuple[str, str]:

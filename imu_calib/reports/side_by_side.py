@@ -129,6 +129,9 @@ def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
         last = parameter
         shown = engineering(parameter, by_hand=compared.by_hand)
         values, digits = _shown(parameter, calibrations), places[_alike(parameter)]
+        if not (any(values) or std[:, k].any()):
+            # Zero by the choice of the axes: no row, as in `parameter_table`.
+            continue
         rest = [f'{found.chi_square[k]:.1f}' if found.freedom[k] else '-']
         if two:
             apart = values[0] - values[1]

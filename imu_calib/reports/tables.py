@@ -9,7 +9,7 @@ from rich.table import Table
 
 from ..calibration.calibration import Calibration
 from ..common.stream import at
-from ..common.units import DEG, MICRO_G, decimals
+from ..common.units import DEG, MICRO_G, decimals, typeset
 from ..model.alignment import SCALE, SHOWN
 from ..model.parameters import AXES, Parameter, ParameterKind
 from ..model.terms import TERMS
@@ -27,8 +27,8 @@ class Shown:
 
     @property
     def symbol(self) -> str:
-        """The unit on a page, where micro has its letter."""
-        return self.unit.replace('ug', '\u00b5g')
+        """The unit on a page."""
+        return typeset(self.unit)
 
 
 _BY_HAND = {

@@ -15,10 +15,13 @@ from ..model.terms import coefficients_of
 TERM_HEADINGS = ('term', 'kind', 'state', 'chance', 'found from', 'would move')
 
 TERM_NOTE = (
-    'A term that is "off" was tested and is not significant: a single coefficient of the size in '
-    '"found from" would have been found nine times in ten. A smaller one may exist, and would move '
-    'a parameter as the last column says.'
+    'Kind: what the term is an error of. State: terms "asked for" and "found" are estimated; one '
+    'that is "off" was tested and is not significant; "likely" is the probability of a small one '
+    'for which the standard deviations allow. Chance: how often a session without the term would '
+    'look like this one. Found from: a coefficient of this size would have been found nine times '
+    'in ten. Would move: what a smaller one, if it exists, does to the parameter it moves most.'
 )
+"""Explanation of the columns, in their order."""
 
 
 def term_rows(calibration: Calibration) -> list[list[str]]:

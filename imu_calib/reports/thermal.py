@@ -31,7 +31,7 @@ def thermal_page(combined: ThermalCalibration, name: str, imu: ImuSpec | None = 
     first = combined.calibrations[0]
     specification = None if imu is None else imu.specification
     each = [assess(c, specification) for c in combined.calibrations]
-    title = f'Calibration of {first.imu.id} over temperature'
+    title = f'{first.serial_number or first.unit_name} over temperature'
     sessions = ''.join(_session(combined, k) for k in range(len(combined.calibrations)))
     return document(
         title,
@@ -66,10 +66,12 @@ def _head(combined: ThermalCalibration, name: str, each: Sequence[Sequence[Asses
         ('temperatures', f'{_celsius(combined, 0)} to {_celsius(combined, -1)}'),
         ('counts from', f'{low:.1f} to {high:.1f}\u00a0\u00b0C'),
         ('in between', between),
-        ('serial number', first.serial_number or '-'),
+        ('IMU description', first.imu.id),
         ('recorded at the ends', _ends(provenance.date(first.provenance), last.provenance)),
     ]
-    return paragraph(f'from {name}', 'subtitle') + outcome(verdict, text) + facts(pairs)
+    return (
+        paragraph(f'Calibration, from {name}', 'subtitle') + outcome(verdict, text) + facts(pairs)
+    )
 
 
 def _ends(first: str, last: provenance.Facts) -> str:
@@ -94,7 +96,7 @@ def _table(each: Sequence[Sequence[Assessed]], temperatures: Sequence[str]) -> s
     """Return the values at some temperatures, a row for each parameter."""
     rows = []
     for across in zip(*each, strict=True):
-        shown = engineering(across[0].parameter)
+        shown = engineering(across[0].parameter, by_hand=across[0].by_hand)
         limit = across[0].limit
         cells = [
             tag('b', across[0].parameter.name),
@@ -125,7 +127,8 @@ def _curves(combined: ThermalCalibration) -> list[str]:
     ends = f'{points[0]:.1f} \u00b0C', f'{points[-1]:.1f} \u00b0C'
     return [
         small(
-            parameter,
+            parameter.name,
+            engineering(parameter, by_hand=combined.calibrations[0].by_hand),
             points,
             values[:, k],
             std[:, k],

@@ -205,6 +205,7 @@ class Converging:
     limit: float | None = None
     #: Times (s since the session began) with the standard deviations reached then.
     course: tuple[tuple[float, float], ...] = ()
+    by_hand: bool = False  #: Whether the unit is held by hand, for the units shown.
 
     @property
     def determined(self) -> bool:
@@ -226,13 +227,13 @@ class Converging:
     @property
     def unit(self) -> str:
         """The unit used by engineers."""
-        return engineering(self.parameter).symbol
+        return engineering(self.parameter, by_hand=self.by_hand).symbol
 
     def shown(self, amount: float) -> str:
         """Return an amount in that unit with three digits; a dash if it is unknown."""
         if math.isnan(amount):
             return '\u2013'
-        return three_digits(amount / engineering(self.parameter).scale)
+        return three_digits(amount / engineering(self.parameter, by_hand=self.by_hand).scale)
 
 
 class Courses:
@@ -243,8 +244,11 @@ class Courses:
         parameters: Mapping[str, Parameter],
         predicted: Mapping[str, float],
         specification: Specification | None,
+        *,
+        by_hand: bool = False,
     ) -> None:
         self._parameters = parameters
+        self._by_hand = by_hand
         self._predicted = predicted
         self._limits = specification or Specification()
         self._points: dict[str, list[tuple[float, float]]] = {}
@@ -283,6 +287,7 @@ class Courses:
                 self._predicted.get(name, math.nan),
                 self._limits.limit(parameter),
                 tuple(self._points.get(name, ())),
+                self._by_hand,
             )
             for name, parameter in self._parameters.items()
         )

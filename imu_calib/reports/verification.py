@@ -54,11 +54,11 @@ def worst_of(verification: Verification, most: int | None = None) -> Iterator[Wo
             yield Worst(name, table, len(rows) - len(rows[:most]))
 
 
-def moved_table(moved: Sequence[ShiftedParameter]) -> Table:
-    """Return the parameters that differ in a session, with their differences."""
+def moved_table(moved: Sequence[ShiftedParameter], *, by_hand: bool) -> Table:
+    """Return the parameters that differ in a session, in the units of `parameter_table`."""
     table = plain_table(('parameter', 'moved by', 'std', 'unit', 'in std'), 'lrrlr')
     for one in sorted(moved, key=lambda m: -abs(m.difference / m.std)):
-        shown = engineering(one.parameter)
+        shown = engineering(one.parameter, by_hand=by_hand)
         std = one.std / shown.scale
         table.add_row(
             one.parameter.name,

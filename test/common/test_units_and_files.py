@@ -7,7 +7,7 @@ from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import Units
-from imu_calib.common.units import Dimension, parse
+from imu_calib.common.units import Dimension, parse, typeset
 from imu_calib.session.imu import load_imu, read_imu
 from imu_calib.session.plan import load_plan, read_plan
 from imu_calib.session.table import load_table, read_table
@@ -34,6 +34,13 @@ def test_quantities_become_si(text: str, dimension: Dimension, value: float) -> 
 def test_what_is_no_quantity_of_the_kind_is_refused_with_key_and_units(text: object) -> None:
     with pytest.raises(InputError, match=r'gyro\.scale: found .*expected'):
         parse(text, Dimension.ANGLE_PER_PULSE, 'gyro.scale')
+
+
+def test_pages_set_units_and_leave_names_alone() -> None:
+    written = 'D_ax is 3 +- 1 ug, 2 ug/g^2; 0.1 deg/sqrt(h) at 20 degC, 9.8 m/s^2: 4 ug.'
+    assert typeset(written) == ('D_ax is 3 ± 1 µg, 2 µg/g²; 0.1 deg/√h at 20 °C, 9.8 m/s²: 4 µg.')
+    names = 'ug.yaml, my-ug, /data/ug/rec, debug, 2^10'
+    assert typeset(names) == names
 
 
 def test_a_key_that_stands_twice_is_refused() -> None:

@@ -163,7 +163,7 @@ def test_what_needs_a_person_is_said_with_numbers(known: Fleet, made: fleets.Inv
     slope = re.search(r'K_gx ([\d.]+) \u00b1 ([\d.]+) ppm', drifts.cases[0][1])
     assert slope is not None and abs(float(slope[1]) - 4) < 4 * float(slope[2]) < 1
     assert all(re.search(r'>20\d\d-\d\d-\d\d<', case[2]) for case in drifts.cases)
-    assert 'D_ax +40 ug' in found['Steps'].cases[0][1]
+    assert 'D_ax +40 µg' in found['Steps'].cases[0][1]
     assert 'D_ax' in found['Out of control'].cases[0][2]
 
 

@@ -306,6 +306,10 @@ def test_gravity_has_its_uncertainty_and_source(calibration: Calibration) -> Non
         ({'calibrated': {'from': '2024-03-01'}, 'issued': '2024-03-02'}, 'expected 2023-11-14'),
         ({'item': {'serial_number': 'B7'}}, 'item: serial_number: found B7, expected A1234'),
         ({'issued': '2023-11-01'}, 'issued: found 2023-11-01, before calibrated: to'),
+        ({'calibrated': None, 'issued': '2023-11-12'}, 'issued: found 2023-11-12, before 2023-11-'),
+        ({'calibrated': None, 'received': '2023-11-16'}, 'received: found 2023-11-16, after 2023-'),
+        ({'number': 'N7', 'replaces': 'N7'}, 'replaces: found N7, the number of this certificate'),
+        ({'conformity': {'requirement': 'Issue 2'}}, 'conformity: rule: missing'),
         ({'numbr': 1}, "unknown key 'numbr'"),
     ],
 )
@@ -582,6 +586,26 @@ def test_the_schema_finds_what_is_wrong(example: Certificate) -> None:
     text = dcc(example).replace('<dcc:receiptDate>2023-11-10', '<dcc:receiptDate>10.11.2023')
     with pytest.raises(etree.DocumentInvalid):
         validated(text)
+
+
+def test_limits_of_another_type_are_refused(calibration: Calibration, tmp_path: Path) -> None:
+    target = tmp_path / 'c.html'
+    with pytest.raises(InputError, match=r'limits of type mems_counts, but .* of a fog_medium'):
+        certificate(calibration, EXAMPLE, target, imu='mems_counts')
+    assert not target.exists()
+
+
+def test_a_draft_does_not_take_the_name_of_the_final_certificate(
+    calibration: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    calibration.save('c.yaml')
+    command = ['certificate', 'c.yaml', '--fields', str(EXAMPLE), '--imu', 'fog_medium']
+    assert main(command) == 0
+    final = Path('certificate.html').read_bytes()
+    assert main([*command, '--draft']) == 0
+    assert Path('certificate.html').read_bytes() == final
+    assert b'DRAFT, not a certificate' in Path('certificate_draft.html').read_bytes()
 
 
 def test_the_command_and_the_function_write_the_same(

@@ -27,8 +27,9 @@ from imu_calib.common.units import ARCMIN, DEG_H, MICRO_G, PPM
 from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.reports.assessment import assess, limits_tables
+from imu_calib.reports.budget import budget_section
 from imu_calib.reports.charts import Axis
-from imu_calib.reports.page import Contents, page, terms_section
+from imu_calib.reports.page import Contents, noise_notes, page, terms_section
 from imu_calib.reports.repeatability import (
     RepeatedParameter,
     Variation,
@@ -36,8 +37,19 @@ from imu_calib.reports.repeatability import (
     repeatability_table,
     repeated,
 )
+from imu_calib.reports.term_rows import TERM_HEADINGS
 from imu_calib.segmentation.segmented import Rejected
-from imu_calib.session.imu import ImuSpec, Specification, Verdict, judge, load_imu, read_imu
+from imu_calib.session.imu import (
+    NOT_ESTIMATED,
+    ChannelNoise,
+    Coefficient,
+    ImuSpec,
+    Specification,
+    Verdict,
+    judge,
+    load_imu,
+    read_imu,
+)
 
 BROWSER = next(filter(None, map(shutil.which, ('chromium', 'chromium-browser', 'chrome'))), None)
 FIRST = datetime(2026, 1, 1, tzinfo=timezone.utc)
@@ -164,7 +176,7 @@ def test_terms_of_the_session_have_units_of_their_own(result: Result) -> None:
     shown = ' '.join(terms_section(replace(result.calibration, provenance=provenance)))
     assert 'parameters that drift evenly with time' in shown
     # 1e-9 rad/s^2, 5e-8 m/s^3 and 1e-8 1/s; of K_a nothing is seen.
-    assert 'D_g 0.74 deg/h per h, D_a 18 ug per h, K_g 36 ppm per h<' in shown
+    assert 'D_g 0.74 deg/h per h, D_a 18 µg per h, K_g 36 ppm per h<' in shown
     assert 'K_gz: 0.1 ppm for 1 ppm per h' in shown
 
 
@@ -178,8 +190,8 @@ def test_a_trend_of_chosen_biases_is_shown_as_a_trend(result: Result) -> None:
     provenance = {**result.calibration.provenance, 'tests_of_terms': {'trend:D_a': tested}}
     shown = ' '.join(terms_section(replace(result.calibration, provenance=provenance)))
     assert 'parameters that drift evenly with time' in shown
-    assert 'D_a 3.7 ug per h<' in shown
-    assert 'D_ax: 0.56 ug for 1 ug per h' in shown
+    assert 'D_a 3.7 µg per h<' in shown
+    assert 'D_ax: 0.56 µg for 1 µg per h' in shown
 
 
 def test_what_was_not_used_is_named_with_its_reason(text: str) -> None:
@@ -456,6 +468,60 @@ def test_the_browser_would_tell_of_a_request_and_of_an_error(tmp_path: Path) -> 
     console, asked = browse(path, tmp_path)
     assert 'nothing is not defined' in console
     assert asked == {'http://elsewhere.invalid'}
+
+
+def test_the_title_is_the_serial_number_and_without_one_the_type(contents: Contents) -> None:
+    def title(serial_number: str) -> str:
+        calibration = replace(contents.calibration, serial_number=serial_number)
+        return page(replace(contents, calibration=calibration)).partition('<h1>')[2]
+
+    assert title('A-17').startswith('A-17</h1>')
+    assert title('').startswith('fog_medium</h1>')
+
+
+def test_units_are_set_alike_on_the_page(contents: Contents) -> None:
+    told = 'Scatter of 3 +- 1 ug at 0.05 deg/sqrt(h).'
+    found = page(replace(contents, calibration=replace(contents.calibration, findings=(told,))))
+    assert 'Scatter of 3 ± 1 µg at 0.05 deg/√h.' in found
+    shown = found.partition('</style>')[2]
+    assert re.findall(r'\bug\b|sqrt\(|m/s\^2', shown) == []
+    assert {'µg', 'deg/√h', '(m/s)/√h'} <= set(re.findall('<td[^>]*>([^<]*)</td>', shown))
+
+
+def test_every_column_of_the_terms_is_explained(contents: Contents) -> None:
+    told = ''.join(terms_section(contents.calibration)).partition('</table>')[2].lower()
+    assert [word for word in TERM_HEADINGS[1:] if f'{word}:' not in told] == []
+
+
+def test_a_curve_above_the_data_sheet_by_the_steps_of_the_output_names_them() -> None:
+    """White noise as stated, and steps that hide it at short times (IEEE 952: sqrt(3) Q / tau)."""
+    imu = load_imu('fog_medium')
+    walk, tau = imu.gyro.random_walk, np.array([0.01, 1.0, 100.0])
+
+    def channel(step: float) -> ChannelNoise:
+        known = Coefficient(walk, walk / 100, walk)
+        steps = Coefficient(step, 0.0, step)
+        curve = np.sqrt(walk**2 / tau + 3 * step**2 / tau**2)
+        return ChannelNoise(
+            tau, curve, curve / 100, known, NOT_ESTIMATED, steps, NOT_ESTIMATED, timed=False
+        )
+
+    coarse, fine = channel(walk), channel(walk / 1000)
+    assert 'At short times gx are above the data sheet by quantisation' in noise_notes(
+        {'gx': coarse, 'gy': fine}, imu
+    )
+    for noise, known in (({'gy': fine}, imu), ({'gx': coarse}, None)):
+        assert 'quantisation' not in noise_notes(noise, known)
+
+
+def test_budgets_of_units_in_the_hand_have_the_units_of_their_grade(contents: Contents) -> None:
+    table = contents.calibration
+    hand = replace(table, provenance={**table.provenance, 'by_hand': True})
+    units = [
+        set(re.findall('>(ppm|arcmin|deg/h|µg|%|deg|deg/s|mg)<', ''.join(budget_section(c))))
+        for c in (table, hand)
+    ]
+    assert units == [{'ppm', 'arcmin', 'deg/h', 'µg'}, {'%', 'deg', 'deg/s', 'mg'}]
 
 
 def test_units_in_the_hand_have_the_units_of_their_grade() -> None:
