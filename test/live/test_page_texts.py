@@ -185,7 +185,7 @@ def test_a_table_that_is_not_heard_is_not_started(expected, shown):
         command(page)
         assert page.get_by_role('button', name='Resume').is_enabled()
         shown.now = 9.0
-        page.get_by_text('turntable_node is silent').wait_for()
+        page.get_by_text("The table's control is silent").wait_for()
         assert 'not known' in page.locator('.banner .time').inner_text()
         assert not page.get_by_role('button', name='Resume').is_enabled()
         # To stop is always asked for: what is heard may be out of date.

@@ -2,6 +2,7 @@
 
 import io
 import math
+import re
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -252,6 +253,27 @@ def test_the_plan_shows_what_is_done_runs_comes_and_is_to_be_repeated(expected):
     assert kinds[:7] == ['done', 'done', 'again', 'done', 'done', 'now', 'next']
     assert len(kinds) == len(SETUP.steps)
     assert 'step 3' in ''.join(page.itertext())
+
+
+def test_faults_are_readable_without_words_of_ros(expected):
+    """What the nodes report, and what the page says of their silence."""
+    board = Board(expected)
+    stop = 'Two publishers on /imu/pulses: stop one of them, then call ~/reset.'
+    board.on_diagnostics(diagnostics('calibrator_node: stream', 2, stop), 1.0)
+    text = 'There is no message on /turntable/joint_states yet.'
+    board.on_diagnostics(diagnostics('calibrator_node: joint states', 1, text), 1.0)
+    text = '/imu/pulses is published best effort: messages can be lost on the way.'
+    board.on_diagnostics(diagnostics('unit_A1/imu_node: quality of service', 1, text), 1.0)
+    board.on_state(state(100.0, Phase.PAUSED, reason='/turntable/setpoint: two publishers.'), 1.0)
+    shown = [drawing.troubles(board.snapshot(1.0)), drawing.banner(board.snapshot(1.0), NOON)]
+    shown += [drawing.banner(board.snapshot(9.0), NOON)]
+    said = ' '.join(' '.join(ElementTree.fromstring(f'<i>{one}</i>').itertext()) for one in shown)
+    assert "Two senders on the IMU's stream: stop one of them, then reset the calibrator." in said
+    assert "The IMU's receiver of unit_A1: delivery" in said
+    assert "The table's commands: two senders." in said
+    assert not re.search(r'_node|/\w|~|publish|topic|best effort', said)
+    # People of ROS find the names below.
+    assert '/imu/pulses' in drawing.diagnostics(board.snapshot(1.0))
 
 
 def test_no_text_of_a_node_is_taken_for_markup(expected):

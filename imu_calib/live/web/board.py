@@ -179,6 +179,7 @@ class Board:
             {parameter.name: parameter for parameter in expected.parameters},
             dict(zip(predicted, expected.predicted, strict=True)),
             expected.specification,
+            by_hand=not expected.table,
         )
         self._table, self._calibrator = _LastMessage(), _LastMessage()
         self._parts: dict[str, Sentence] = {}

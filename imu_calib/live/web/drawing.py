@@ -20,7 +20,7 @@ from ...session.imu import COVERAGE, ImuSpec
 from ..rules import Phase, Severity
 from .board import Sentence, SessionOutcome, Snapshot, UnitRow
 from .samples import Streams
-from .sentences import headline, joint_words, time_left
+from .sentences import headline, in_plain_words, joint_words, time_left
 
 _LEVELS = {Severity.OK: 'ok', Severity.WARN: 'warn', Severity.ERROR: 'error'}
 _SIGNS = {Severity.OK: '\u2713', Severity.WARN: '!', Severity.ERROR: '\u2715'}
@@ -42,8 +42,9 @@ def banner(shown: Snapshot, now: datetime) -> str:
     where = ''
     if table is not None and table.steps and shown.outcome is SessionOutcome.OPEN:
         where = f'step {min(table.step + 1, table.steps)} of {table.steps}'
-    words = tag('h2', sign(first.level) + escape(first.now))
-    words += tag('p', escape(first.detail), class_='detail') if first.detail else ''
+    words = tag('h2', sign(first.level) + escape(in_plain_words(first.now)))
+    if first.detail:
+        words += tag('p', escape(in_plain_words(first.detail)), class_='detail')
     time = tag('span', 'time left', class_='small') + tag('strong', escape(remaining))
     time += tag('span', escape(rests_on) or ' ', class_='small')
     share = f'{100 * min(max(shown.share, 0.0), 1.0):.1f}%'
@@ -74,23 +75,32 @@ def troubles(shown: Snapshot) -> str:
     if not shown.problems:
         if not shown.sentences:
             over = shown.outcome is not SessionOutcome.OPEN
-            text = 'The nodes have ended.' if over else 'No node has reported yet.'
+            text = 'The session has ended.' if over else 'No report has come yet.'
             return tag('p', text, class_='muted')
         return tag('p', sign(Severity.OK) + 'Nothing is wrong.', class_='right')
     return tag('ul', ''.join(_sentence(s) for s in shown.problems), class_='sentences')
 
 
 def diagnostics(shown: Snapshot) -> str:
-    """Return all reports of the nodes."""
-    rows = ''.join(_sentence(s, with_figures=True) for s in shown.sentences)
+    """Return all reports of the nodes, by their names."""
+    rows = ''.join(_report(s) for s in shown.sentences)
     return tag('ul', rows, class_='sentences') if rows else tag('p', 'Nothing yet.', class_='muted')
 
 
-def _sentence(sentence: Sentence, *, with_figures: bool = False) -> str:
+def _sentence(sentence: Sentence) -> str:
+    source, text = (escape(in_plain_words(one)) for one in (sentence.source, sentence.text))
+    return _item(sentence, tag('b', source) + tag('span', text))
+
+
+def _report(sentence: Sentence) -> str:
     text = tag('b', escape(sentence.source)) + tag('span', escape(sentence.text))
-    if with_figures and sentence.figures:
+    if sentence.figures:
         figures = ', '.join(f'{name} {value}' for name, value in sentence.figures)
         text += tag('span', escape(figures), class_='small')
+    return _item(sentence, text)
+
+
+def _item(sentence: Sentence, text: str) -> str:
     return tag('li', sign(sentence.level) + tag('div', text), class_=_LEVELS[sentence.level])
 
 
@@ -130,7 +140,7 @@ def _unit(row: UnitRow, *, looked_at: bool) -> str:
     where = tag('span', escape(row.place), class_='small') if row.place else ''
     cells = (
         escape(row.serial_number) + where,
-        sign(row.level) + escape(row.words),
+        sign(row.level) + escape(in_plain_words(row.words)),
         escape(row.rate) or '\u2013',
         escape(row.lost) or '\u2013',
         f'{row.determined}/{row.parameters}',
@@ -449,7 +459,7 @@ body:not(.lost) .notice { display: none; }
   margin: 4px 0; }
 .stand dt { font-size: 12.5px; color: var(--soft); }
 .stand dd { margin: 0; font-variant-numeric: tabular-nums; overflow-wrap: anywhere; }
-.stand dd span { color: var(--soft); font-size: 12.5px; margin-left: .5em; }
+.stand dd span { color: var(--soft); font-size: 12.5px; margin-left: .5em; white-space: nowrap; }
 .stand .channels { grid-template-columns: repeat(3, minmax(0, 1fr));
   border-top: 1px solid var(--line);
   padding-top: 8px; }

@@ -25,6 +25,7 @@ from . import drawing
 from .board import SessionOutcome, Snapshot, UnitRow
 from .drawing import STYLE, sign
 from .guard import Guard, Token
+from .sentences import in_plain_words
 from .shape import Link, Solid
 
 # The notice that the server is lost: made by the browser, since no server can send it.
@@ -156,7 +157,7 @@ def build(source: PageContent) -> None:
                 part(page.draw_noise, of_unit=True)
         with ui.element('details').classes('card wide'):
             with ui.element('summary').classes('title'):
-                ui.html('All that the nodes say', sanitize=False, tag='span')
+                ui.html('All reports in full', sanitize=False, tag='span')
             part(drawing.diagnostics)
 
     def refresh() -> None:
@@ -311,7 +312,7 @@ class _Control:
         self._start.set_text('Resume' if phase is Phase.PAUSED else 'Start')
         ready = phase is not None and not phase.at_a_step and not shown.silent
         self._start.set_enabled(ready)
-        self._answer.set_text(shown.answer)
+        self._answer.set_text(in_plain_words(shown.answer))
 
 
 class _Scene:

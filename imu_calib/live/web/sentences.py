@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -19,6 +20,63 @@ _ENDS = {
     SessionOutcome.INCOMPLETE: (Severity.WARN, 'Done, but positions are missing'),
     SessionOutcome.DONE: (Severity.OK, 'The calibration is done'),
 }
+
+
+_NAMES = {
+    'imu_node': "the IMU's receiver",
+    'turntable_node': "the table's control",
+    'ascii_table_node': "the table's line",
+    'calibrator_node': 'the calibrator',
+    'compensator_node': 'the compensation',
+    'stand_node': 'the simulated stand',
+    'hand_node': 'the simulated hand',
+    'web_node': 'this page',
+    'imu/pulses': "the IMU's stream",
+    'imu/skew': "the skewed gyro's stream",
+    'imu/temperature': "the IMU's temperature",
+    'turntable/joint_states': "the stream of the table's angles",
+    'turntable/state': "the table's report",
+    'turntable/setpoint': "the table's commands",
+}
+"""Nodes and topics, and what they are to a person at the stand."""
+_NAMED = re.compile(rf'(?:(?P<of>/?\w+(?:/\w+)*)/|/)?\b(?P<name>{"|".join(_NAMES)})\b')
+"""With the namespace, which tells units apart."""
+_IN_WORDS = [
+    (re.compile(pattern), words)
+    for pattern, words in {
+        '(?<=: )joint states$': 'angles of the table',
+        '(?<=: )turntable state$': 'report of the table',
+        '(?<=: )lifecycle$': 'operation',
+        '(?<=: )quality of service$': 'delivery',
+        'call ~/reset(?: of calibrator_node)?': 'reset the calibrator',
+        'best effort': 'without repetition',
+        'publisher': 'sender',
+        'published': 'sent',
+        'publish': 'send',
+    }.items()
+]
+"""Words of ROS in the sentences of the nodes."""
+_BEGIN = re.compile(r'(?:^|(?<=[.!?] ))[a-z]')
+
+
+def in_plain_words(text: str) -> str:
+    """Return a sentence of a node, or the name of its part, without the names of ROS.
+
+    Examples:
+        >>> in_plain_words('calibrator_node: joint states')
+        'The calibrator: angles of the table'
+        >>> in_plain_words('/imu/pulses is silent, but the table is not.')
+        "The IMU's stream is silent, but the table is not."
+    """
+    for pattern, words in _IN_WORDS:
+        text = pattern.sub(words, text)
+    text = _NAMED.sub(_named, text)
+    return _BEGIN.sub(lambda found: found[0].upper(), text)
+
+
+def _named(found: re.Match[str]) -> str:
+    of = f' of {found["of"].strip("/")}' if found['of'] else ''
+    return f'{_NAMES[found["name"]]}{of}'
 
 
 @dataclass(frozen=True)
@@ -38,28 +96,28 @@ def headline(shown: Snapshot) -> Headline:
         return Headline(
             Severity.ERROR,
             'The calibrator is silent',
-            f'No message of calibrator_node has come for {in_words(shown.calibrator_silent)}: has '
-            'it ended? The table is stopped without it.',
+            f'Nothing has come from it for {in_words(shown.calibrator_silent)}: has it ended? The '
+            'table is stopped without it.',
         )
     if not shown.expected.table:
         return _hand_headline(shown)
     if shown.table is None:
         return Headline(
-            Severity.WARN, 'Waiting for the table', 'No message of turntable_node has come yet.'
+            Severity.WARN, 'Waiting for the table', 'Nothing has come from its control yet.'
         )
     if shown.table_silent:
         return Headline(
             Severity.ERROR,
-            'turntable_node is silent',
-            f'No message of turntable_node has come for {in_words(shown.table_silent)}: has it '
-            'ended? A table without setpoints stops by itself.',
+            "The table's control is silent",
+            f'Nothing has come from it for {in_words(shown.table_silent)}: has it ended? A table '
+            'without commands stops by itself.',
         )
     return _table_headline(shown, shown.table)
 
 
 def _hand_headline(shown: Snapshot) -> Headline:
     if not shown.progress:
-        return Headline(Severity.WARN, 'Waiting', 'No message of calibrator_node has come yet.')
+        return Headline(Severity.WARN, 'Waiting', 'Nothing has come from the calibrator yet.')
     return Headline(Severity.OK, shown.progress)
 
 
@@ -125,7 +183,7 @@ def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
 def joint_words(table: TableState) -> list[tuple[str, str, str]]:
     """Return name, angle and rate of every joint, as text."""
     return [
-        (name, f'{_rounded(angle / DEG, 3)}\u00b0', f'{_rounded(rate / DEG, 2)} \u00b0/s')
+        (name, f'{_rounded(angle / DEG, 3)} deg', f'{_rounded(rate / DEG, 2)} deg/s')
         for name, angle, rate in zip(table.joints, table.angles, table.rates, strict=False)
     ]
 
