@@ -36,7 +36,7 @@ from ..reports.certificate_page import certificate_page, pdf
 from ..reports.dcc import dcc
 from ..reports.page import Contents, page
 from ..reports.thermal import thermal_page
-from ..session.imu import ImuSpec
+from ..session.imu import GENERIC, ImuSpec, Specification
 from ..session.keywords import NO_PLAN, Named, Stated, as_imu
 from ..session.metadata import PLAN
 from ..session.plan import Plan, load_plan
@@ -236,7 +236,7 @@ FORMATS = ('.html', '.pdf', '.xml')
 def certificate(
     calibration: Result | AnyCalibration | Named,
     fields: Fields | Named,
-    output: Named | Sequence[Named] = 'certificate.html',
+    output: Named | Sequence[Named] | None = None,
     *,
     imu: ImuSpec | Named | None = None,
     draft: bool = False,
@@ -247,7 +247,8 @@ def certificate(
         calibration: calibration.yaml with an uncertainty budget, or a result of `calibrate`.
         fields: Statements of the laboratory, a YAML file (docs/files/certificate.md).
         output: Files to write; the ending selects the format: .html for A4, .pdf (needs WeasyPrint
-            or Chromium), .xml for PTB's Digital Calibration Certificate 3.1.2.
+            or Chromium), .xml for PTB's Digital Calibration Certificate 3.1.2. None for
+            certificate.html, of a draft certificate_draft.html.
         imu: The unit's file with its specification, for statements of conformity.
         draft: Allow missing fields, and mark every page of the certificate as a draft.
 
@@ -258,7 +259,7 @@ def certificate(
         InputError: Something that the standard requires is missing (everything missing is named),
             the fields contradict the calibration, or a file cannot be read or written.
     """
-    targets = [user_path(name) for name in as_list(output)]
+    targets = [user_path(name) for name in as_list(output or default_output(draft=draft))]
     kinds = [t.suffix.lower() for t in targets]
     for target, kind in zip(targets, kinds, strict=True):
         if kind not in FORMATS:
@@ -271,12 +272,31 @@ def certificate(
     found = _single(calibration)
     if not isinstance(fields, Fields):
         fields = read_fields(Section.load(user_path(fields), 'the fields of a certificate'))
-    specification = None if imu is None else as_imu(imu).specification
+    specification = None if imu is None else _limits(as_imu(imu), found)
     made = certificate_of(found, fields, specification, dcc='.xml' in kinds, draft=draft)
     html = certificate_page(made)
     for target, kind in zip(targets, kinds, strict=True):
         write_whole(target, _bytes(kind, html, made))
     return made
+
+
+def default_output(*, draft: bool) -> str:
+    """Return the file of a certificate: a draft does not take the place of a final one."""
+    return 'certificate_draft.html' if draft else 'certificate.html'
+
+
+def _limits(imu: ImuSpec, calibration: Calibration) -> Specification | None:
+    """Return the limits of the calibrated unit.
+
+    Raises:
+        InputError: They are of another type.
+    """
+    if calibration.imu.id not in {imu.id, GENERIC}:
+        raise InputError(
+            f'`imu`: found the limits of type {imu.id}, but the calibration is of a '
+            f'{calibration.imu.id}: give the file of that type.'
+        )
+    return imu.specification
 
 
 def _single(calibration: Result | AnyCalibration | Named) -> Calibration:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ..api.documents import FORMATS, certificate
+from ..api.documents import FORMATS, certificate, default_output
 from ..api.outputs import output_path
 from .terminal import OUTPUT
 
@@ -35,16 +35,17 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '-o',
         '--output',
         nargs='+',
-        default=['certificate.html'],
         metavar='FILE',
-        help=f'files to write, by their suffixes: {", ".join(FORMATS)} (default: certificate.html)',
+        help=f'files to write, by their suffixes: {", ".join(FORMATS)} '
+        '(default: certificate.html, of a draft certificate_draft.html)',
     )
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the files, and print what a draft lacks."""
-    paths = [output_path(path) for path in arguments.output]
+    names = arguments.output or [default_output(draft=arguments.draft)]
+    paths = [output_path(name) for name in names]
     made = certificate(
         arguments.calibration,
         arguments.fields,

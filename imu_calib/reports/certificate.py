@@ -159,6 +159,16 @@ def _check(fields: Fields, calibration: Calibration) -> None:
                 f'{fields.where}: calibrated: found {first} to {last}, expected {day}, when the '
                 'recording of the calibration began.'
             )
+    if day is not None and fields.received is not None and fields.received > day + _ZONES:
+        raise InputError(
+            f'{fields.where}: received: found {fields.received}, after {day}, when the recording '
+            'of the calibration began.'
+        )
+    if day is not None and fields.issued is not None and fields.issued < day - _ZONES:
+        raise InputError(
+            f'{fields.where}: issued: found {fields.issued}, before {day}, when the recording of '
+            'the calibration began.'
+        )
     _check_references(fields)
 
 

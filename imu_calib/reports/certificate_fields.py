@@ -342,6 +342,16 @@ def read_fields(section: Section) -> Fields:
     for (name, day), (after, later) in pairwise(known):
         if later < day:
             raise InputError(f'{section.key(after)}: found {later}, before {name}, {day}.')
+    if found.replaces and found.replaces == found.number:
+        raise InputError(
+            f'{section.key("replaces")}: found {found.replaces}, the number of this certificate: '
+            'state that of the one it replaces.'
+        )
+    if found.conformity.requirement and found.conformity.rule is None:
+        raise InputError(
+            f'{section.key("conformity: rule")}: missing, but a requirement is stated: state the '
+            'rule by which it is decided, or leave the requirement out.'
+        )
     return found
 
 
