@@ -11,6 +11,7 @@ from ..common.parallel import MEMORY
 from ..common.progress import Show
 from ..common.units import counted
 from ..fleet.batch import batch
+from ..fleet.sentences import listed
 from ..session.keywords import Session
 from . import options
 from .outcome import CommandResult
@@ -81,13 +82,15 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     done = batch(
         arguments.sources, arguments.catalogue, **keywords, progress=begun, connected=_say_where
     )
-    units = done.calibrated + done.failed + done.known
+    units = done.calibrated + done.failed + done.known + done.repeated
     several = '' if units == done.recordings else f' of {units} units'
     before = f' ({done.known_failed} failed)' if done.known_failed else ''
     OUTPUT.print(
         f'{counted(done.recordings, "recording")}{several} in {done.seconds:.1f} s: '
         f'{done.calibrated} calibrated, {done.failed} failed, {done.known} done before{before}'
     )
+    for names in done.alike:
+        OUTPUT.print(f'{listed(names)} are the same recording, which counts once', markup=False)
     if done.convertible:
         count = len(done.convertible)
         endings = ', '.join(sorted({path.suffix.lower() for path in done.convertible}))

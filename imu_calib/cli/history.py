@@ -57,7 +57,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> CommandResult:
-    """Print tables and sentences, and write a file on request."""
+    """Print sentences and tables, and write a file on request."""
     path = row_file(arguments.output)
     found = history(
         arguments.catalogue, serial=arguments.serial, where=arguments.where, imu=arguments.imu
@@ -85,7 +85,10 @@ def run(arguments: argparse.Namespace) -> CommandResult:
 
 
 def _print_all(found: History, on: np.datetime64) -> None:
+    sentence_list('Units', _unit_sentences(found, on))
+    sentence_list('Stands and catalogue', list(found.findings))
     units = by_urgency(found.units)
+    OUTPUT.print()
     print_whole(unit_table(units[:_SHOWN]))
     if len(units) > _SHOWN:
         OUTPUT.print(f'{len(units) - _SHOWN} more, less urgent; -o FILE has all.')
@@ -94,8 +97,6 @@ def _print_all(found: History, on: np.datetime64) -> None:
             f'\n{imu or "no type"}: {one.units} units, {one.sessions} sessions', markup=False
         )
         print_whole(population_table(one))
-    sentence_list('Units', _unit_sentences(found, on))
-    sentence_list('Stands and catalogue', list(found.findings))
 
 
 def _unit_sentences(found: History, on: np.datetime64) -> list[str]:
@@ -131,11 +132,11 @@ def _unit_sentences(found: History, on: np.datetime64) -> list[str]:
 
 def _print_unit(unit: UnitHistory, found: History) -> None:
     OUTPUT.print(f'{unit.serial} ({unit.imu}): {len(unit.key)} sessions', markup=False)
-    print_whole(parameter_course_table(unit, found.rules.confidence))
-    OUTPUT.print()
-    print_whole(course_table(unit))
     sentence_list('Findings', list(unit.findings))
     sentence_list('Stands and catalogue', list(found.findings))
+    for table in (parameter_course_table(unit, found.rules.confidence), course_table(unit)):
+        OUTPUT.print()
+        print_whole(table)
 
 
 def _day(text: str) -> date:

@@ -49,6 +49,9 @@ class Batch:
     #: Files in the folders of the sources that are no recordings until `imu_calib.convert` makes
     #: some of them, or until they are unpacked.
     convertible: tuple[Path, ...] = ()
+    #: Names of recordings with the same content and statements, which count once.
+    alike: tuple[tuple[str, ...], ...] = ()
+    repeated: int = 0  #: Number of units that they would have given again.
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -137,7 +140,8 @@ def run_batch(
     After an interruption the finished tasks are in the catalogue.
     """
     begun = time.monotonic()
-    count = {'calibrated': 0, 'failed': 0, 'known': 0, 'known_failed': 0}
+    count = {'calibrated': 0, 'failed': 0, 'known': 0, 'known_failed': 0, 'repeated': 0}
+    names: dict[str, list[str]] = {}
     unsaved: list[TaskResult] = []
     with engine.connected() as client, progress('calibrating') as show:
         connected(client.dashboard_link)
@@ -146,9 +150,12 @@ def run_batch(
         known = catalogue.keys(failed=not retry)
         failed_before = known - catalogue.keys(failed=False)
         try:
-            for k, ended in enumerate(_results_of_each(client, jobs, known, task), 1):
+            for k, (job, ended) in enumerate(_results_of_each(client, jobs, known, task), 1):
                 for done in ended:
-                    if done.row is None:
+                    names.setdefault(done.key, []).append(job.recording)
+                    if len(names[done.key]) > 1:
+                        count['repeated'] += 1
+                    elif done.row is None:
                         count['known'] += 1
                         count['known_failed'] += done.key in failed_before
                     else:
@@ -166,16 +173,21 @@ def run_batch(
         finally:
             catalogue.add(unsaved, replace=retry)
     seconds = time.monotonic() - begun
-    return Batch(catalogue.folder, len(jobs), **count, seconds=seconds, convertible=())
+    alike = sorted({tuple(sorted(set(some))) for some in names.values() if len(set(some)) > 1})
+    return Batch(
+        catalogue.folder,
+        len(jobs),
+        **count,
+        seconds=seconds,
+        convertible=(),
+        alike=tuple(alike),
+    )
 
 
 def _results_of_each(
     client: Client, jobs: Sequence[Job], known: frozenset[str], task: Task
-) -> Iterator[list[TaskResult]]:
-    """Yield the results of the jobs, unit by unit, in the order of completion."""
-    seen: set[str] = set()
+) -> Iterator[tuple[Job, Sequence[TaskResult]]]:
+    """Yield each job with its results, one for each unit, in the order of completion."""
     for number, outcome in outcomes(client, task, jobs, known):
         done = lost(jobs[number]) if isinstance(outcome, WorkerDied) else outcome
-        # The same recording under two names is one row.
-        yield [TaskResult(one.key) if one.key in seen else one for one in done.results]
-        seen.update(one.key for one in done.results)
+        yield jobs[number], done.results

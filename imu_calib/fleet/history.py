@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -91,12 +91,12 @@ def sessions_of(table: pa.Table) -> tuple[Sessions, list[str], dict[str, Floats]
     columns = {name: [one or '' for one in table[name].to_pylist()] for name in _TEXTS}
     at = times_of(table['at'].to_pylist())
     done = [k for k, status in enumerate(columns['status']) if status == CALIBRATED]
-    last: dict[tuple[str, str, str], int] = {}
+    of_one: dict[tuple[str, str, str], list[int]] = {}
     for k in sorted(done, key=lambda k: at[k]):
         recording = columns['sha256'][k] or columns['recording'][k] or columns['key'][k]
-        last[recording, columns['imu'][k], columns['serial'][k]] = k
-    rows = sorted(last.values())
-    findings = _left_out(columns, len(done) - len(rows))
+        of_one.setdefault((recording, columns['imu'][k], columns['serial'][k]), []).append(k)
+    rows = sorted(again[-1] for again in of_one.values())
+    findings = _left_out(columns, of_one.values())
     date = times_of(table['date'].to_pylist())
     kept = table.take(np.array(rows, dtype=np.int64))
     stated = kept['limits'].to_pylist()
@@ -129,7 +129,13 @@ def times_of(stamps: list[datetime | None]) -> np.ndarray[tuple[int], np.dtype[n
     return np.array(plain, dtype='datetime64[s]')
 
 
-def _left_out(columns: Mapping[str, list[str]], again: int) -> list[str]:
+def _left_out(columns: Mapping[str, list[str]], of_one: Iterable[Sequence[int]]) -> list[str]:
+    """Return sentences on units and rows that are not used.
+
+    Args:
+        columns: Texts of all rows.
+        of_one: Rows of each recording and unit, the newest last.
+    """
     good = {
         serial
         for serial, status in zip(columns['serial'], columns['status'], strict=True)
@@ -142,12 +148,20 @@ def _left_out(columns: Mapping[str, list[str]], again: int) -> list[str]:
             f'No recording of {listed(failed)} gave a calibration: '
             'imu-calib catalogue CATALOGUE --where "status = \'failed\'" says why.'
         )
+    again = [_twice(columns['recording'], rows) for rows in of_one if len(rows) > 1]
     if again:
         found.append(
-            f'{again} row{"s" * (again > 1)} of recordings that were calibrated again: the newest '
-            'counts.'
+            f'Of a recording that was calibrated again the newest row counts: {listed(again)}.'
         )
     return found
+
+
+def _twice(names: Sequence[str], rows: Sequence[int]) -> str:
+    """Return the recording of some rows, with the other names that it had."""
+    newest = names[rows[-1]]
+    others = list(dict.fromkeys(names[k] for k in rows if names[k] != newest))
+    same = f', the same as {listed(others)}' if others else ''
+    return f'{newest} ({len(rows)} rows{same})'
 
 
 def _numbers(table: pa.Table) -> tuple[Floats, Floats]:

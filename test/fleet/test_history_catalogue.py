@@ -86,7 +86,11 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     rows = [done(made, k) for k in range(len(made.key))]
     wrong = dict(
-        rows[7].row or {}, K_gx=1.0, key='f' * 32, at=datetime(2020, 1, 1, tzinfo=timezone.utc)
+        rows[7].row or {},
+        recording='copy_of_r7',
+        K_gx=1.0,
+        key='f' * 32,
+        at=datetime(2020, 1, 1, tzinfo=timezone.utc),
     )
     rows.append(TaskResult('f' * 32, wrong))
     lost = failed(Job('lost'), 'e' * 32, 'e' * 64, 'It failed.', 2) | {'serial': 'F900'}
@@ -109,7 +113,10 @@ def test_history_from_python(laboratory: Path) -> None:
     # The same recording calibrated by an older version does not count.
     assert abs(second.values[:, index('K_gx')]).max() < 1e-3
     findings = ' '.join(found.findings)
-    assert '1 row of recordings that were calibrated again: the newest counts' in findings
+    assert re.search(
+        r'calibrated again the newest row counts: \S+ \(2 rows, the same as copy_of_r7\)\.',
+        findings,
+    )
     assert 'No recording of F900 gave a calibration' in findings
 
 
@@ -153,7 +160,8 @@ def test_the_command_says_what_needs_attention(laboratory: Path, run: Run) -> No
     lines = out.splitlines()
     head = next(line for line in lines if line.startswith('serial'))
     first = lines[lines.index(head) + 1]
-    # The most urgent first, and columns below their heads.
+    # Findings first, then tables: the most urgent first, and columns below their heads.
+    assert out.index('Stand south is off') < out.index(head)
     assert first.startswith('F000') and first.index('fail') == head.index('specification')
     assert '5 more, less urgent; -o FILE has all.' in out
     assert 'Stand south is off: it adds +' in out and 'east and west agree' in out
@@ -166,6 +174,7 @@ def test_the_command_says_all_of_one_unit(laboratory: Path, run: Run) -> None:
     code, out, _ = run(laboratory, '--serial', 'F001')
     assert code == 0
     assert 'F001 (fog_navigation): 6 sessions' in out
+    assert out.index('D_gx drifts') < out.index('turn-on')
     assert 'D_gx drifts: +0.0' in out and 'deg/h/month' in out
     rows = [line for line in out.splitlines() if line.startswith(('K_', 'E_', 'D_'))]
     assert len([line for line in rows if 'drifts' not in line]) == 24
