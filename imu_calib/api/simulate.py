@@ -78,6 +78,10 @@ TRUTH = 'truth.yaml'
 """File in a simulated recording: the true parameters of the unit."""
 
 _TABLE = 'three_axis'
+_UNIT = 'cao2022_table1'
+_APART = 0.1
+"""Standard deviation between units, as a share of each true parameter. A choice: many times what
+a session of a fibre-optic unit determines, and far within any specification."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +106,7 @@ def simulate(
     *,
     imu: ImuSpec | Named = 'fog_medium',
     table: Table | Named | None = None,
-    truth: Calibration | Named = 'cao2022_table1',
+    truth: Calibration | Named | None = None,
     azimuth: float | None = None,
     bias_instability: bool = False,
     imperfections: Named | None = None,
@@ -122,7 +126,8 @@ def simulate(
         output: Folder to create.
         imu: Likewise: units and noise of the IMU's samples.
         table: Likewise; None for the three-axis table, and for none if the plan is by hand.
-        truth: The unit's true parameters.
+        truth: The unit's true parameters; None for `cao2022_table1`, which a unit with a serial
+            number has with departures of its own, a tenth of each parameter.
         azimuth: True heading of the table's zero against north, about up, deg.
         bias_instability: Let the biases drift by the IMU's figure.
         imperfections: Faults of the stand: name or file.
@@ -143,7 +148,7 @@ def simulate(
         NotObservable: The plan cannot determine the parameters with its method.
     """
     target, place, steps = _prepared(plan, output, seed, site)
-    spec, true = _true_unit(imu, truth)
+    spec, true = _true_unit(imu, truth, serial or '')
     named = None if steps.by_hand else table or _TABLE
     blocks: Iterator[tuple[str, Block]]
     stands = None if named is None else as_table(named)
@@ -189,10 +194,16 @@ def _prepared(
     return target, place, steps
 
 
-def _true_unit(imu: ImuSpec | Named, truth: Calibration | Named) -> tuple[ImuSpec, Calibration]:
+def _true_unit(
+    imu: ImuSpec | Named, truth: Calibration | Named | None, serial: str
+) -> tuple[ImuSpec, Calibration]:
     """Return a unit's description and true parameters, relative to its nominal scale factors."""
     spec = as_imu(imu)
-    return spec, replace(load_truth(truth, spec), imu=spec)
+    true = replace(load_truth(truth or _UNIT, spec), imu=spec)
+    if truth is not None or not serial:
+        return spec, true
+    drawn = np.random.default_rng(list(serial.encode())).normal(1.0, _APART, len(true.values))
+    return spec, replace(true, model=true.model.with_values(true.parameters, true.values * drawn))
 
 
 def _options(
@@ -346,7 +357,7 @@ def simulate_units(
     imus: Named | Sequence[MountedUnit],
     *,
     table: Table | Named | None = None,
-    truth: Calibration | Named = 'cao2022_table1',
+    truth: Calibration | Named | None = None,
     azimuth: float | None = None,
     bias_instability: bool = False,
     imperfections: Named | None = None,
@@ -364,7 +375,7 @@ def simulate_units(
         output: Folder to create.
         imus: File of the units (docs/files/units.md), or the units.
         table: Name, file or value; None for the three-axis table.
-        truth: True parameters of the units that state none.
+        truth: True parameters of the units that state none; None as for `simulate`.
         azimuth: As for `simulate`, as are all that follow.
         bias_instability: Of every unit, by its own figure.
         imperfections: Those of the table are the same for all units.
@@ -399,7 +410,7 @@ def simulate_units(
     )
     units, truths = [], {}
     for one, own_seed in zip(listed, spread_seeds(listed, seed), strict=True):
-        spec, true = _true_unit(one.imu, one.truth or truth)
+        spec, true = _true_unit(one.imu, one.truth or truth, one.serial_number)
         truths[one.serial_number] = replace(true, serial_number=one.serial_number)
         unit = SimulatedUnit(one.topic, spec, true.model, one.mount, one.lever, own_seed)
         units.append(unit)

@@ -226,6 +226,18 @@ def test_a_task_is_known_by_what_counts(recordings: Path, tmp_path: Path) -> Non
     assert key(replace(job, stated=Stated(imu=str(moved)))) != known
 
 
+def test_simulated_units_with_numbers_differ_and_remain_themselves(recordings: Path) -> None:
+    first, second, again = (
+        imu_calib.Calibration.load(recordings / name / 'truth.yaml').values
+        for name in ('a', 'b', 'deeper/again')
+    )
+    usual = imu_calib.Calibration.load(named_file('truths', 'cao2022_table1')).values
+    assert np.array_equal(first, again)
+    own = [np.std((one / usual)[usual != 0]) for one in (first, second)]
+    assert own == pytest.approx([0.1, 0.1], rel=0.5)
+    assert np.all((first != second)[usual != 0])
+
+
 def test_a_batch_gives_what_calibrate_gives(recordings: Path, done: Path) -> None:
     found = {Path(row['recording']).name: row for row in rows(done)}
     # The same recording under two names is one row, of whichever came first.
@@ -254,7 +266,9 @@ def test_what_is_done_is_not_done_again_and_what_failed_is_said(
     before = rows(done)
     assert main(['batch', str(recordings), '-o', str(done), '--workers', '1']) == 1
     out, err = capsys.readouterr()
-    assert '0 calibrated, 0 failed, 4 done before (1 failed)' in out
+    assert '0 calibrated, 0 failed, 3 done before (1 failed)' in out
+    again = [str(recordings / 'a'), str(recordings / 'deeper' / 'again')]
+    assert f'{again[0]} and {again[1]} are the same recording' in out.replace('\n', '')
     assert '1 file (.csv) is no recording; imu-calib convert' in out
     assert '1 without a calibration; imu-calib catalogue' in err.replace('\n', ' ')
     assert '1 failed before and did not change: --retry repeats them.' in err.replace('\n', ' ')
