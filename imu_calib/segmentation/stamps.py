@@ -481,19 +481,15 @@ def _grid_of_ticks(stamp: Stamps) -> SampleGrid | None:
     samples share a tick, nothing shows how many.
     """
     steps = np.diff(stamp) * 1e-9
-    if len(steps) < 2 * _UNEVEN:
-        return None
     mean = float(steps.sum()) / len(steps)
-    if float(np.ptp(steps)) <= _OFF_GRID * mean:
+    if len(steps) < 2 * _UNEVEN or float(np.ptp(steps)) <= _OFF_GRID * mean:
         return None
     advances = steps > SHORT * mean
     tick = float(np.quantile(steps[advances], _ONE_TICK))
     counts = np.rint(steps / tick)
     uneven = counts != np.median(counts)
-    if tick * _TICKS < mean or np.count_nonzero(uneven) < _UNEVEN:
-        return None
     on_tick = np.abs(steps - counts * tick) < _NEAR_TICK * tick
-    if np.mean(on_tick) < _ON_TICKS:
+    if tick * _TICKS < mean or np.count_nonzero(uneven) < _UNEVEN or np.mean(on_tick) < _ON_TICKS:
         return None
     starts = _bunches(stamp)
     if starts is not None and _pattern(stamp, starts).size is not None:
