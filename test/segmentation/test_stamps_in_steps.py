@@ -10,11 +10,19 @@ from other_sessions import MEDIUM, NAVIGATION, errors, fed
 from other_world import Damage, World
 
 from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import Stamps
 from imu_calib.segmentation.stamps import read_grid, sampling_times
 
 TICK = 1 / 64
 IN_STEPS = World(damage=Damage(tick=TICK))
 GRADES = {'medium': MEDIUM, 'navigation': NAVIGATION, 'rates': replace(MEDIUM, counts=True)}
+
+
+def set_apart(stamp: Stamps) -> Stamps:
+    """Return stamps, ns, with samples of one stamp a nanosecond apart, as the intake has them."""
+    number = np.arange(len(stamp))
+    first = np.diff(stamp, prepend=-1) != 0
+    return np.asarray(stamp + number - np.maximum.accumulate(np.where(first, number, 0)))
 
 
 @pytest.mark.parametrize('grade', GRADES)
@@ -30,9 +38,8 @@ def test_a_session_is_as_good_as_with_stamps_that_do_not_step(grade: str) -> Non
     assert any('stamps of the IMU come in steps of 15.6 ms' in f for f in found.findings)
 
 
-@pytest.mark.parametrize('lost', [0.01, 0.03, 0.1, 0.2, 0.4])
-def test_samples_missing_between_such_stamps_are_not_guessed(lost: float) -> None:
-    world = World(damage=Damage(tick=TICK, lost=lost))
+def test_samples_missing_between_such_stamps_are_not_guessed() -> None:
+    world = World(damage=Damage(tick=TICK, lost=0.1))
     with pytest.raises(NotObservable, match=r'stamps in steps of .* ms do not show how many'):
         fed(world, MEDIUM).finish()
 
@@ -42,15 +49,21 @@ def test_samples_missing_between_such_stamps_are_not_guessed(lost: float) -> Non
 def test_the_line_through_them_has_the_interval_of_the_samples(rate: float, digits: int) -> None:
     made = np.arange(round(60 * rate)) / rate + 0.0123
     came = np.floor(np.floor(made / TICK) * TICK * 10**digits) * 10 ** (9 - digits)
-    # Samples of one stamp are set apart by a nanosecond.
-    stamp = (came + np.arange(len(came)) * (np.diff(came, prepend=-1.0) == 0)).astype(np.int64)
-    stamp = np.maximum.accumulate(stamp - np.arange(len(stamp))) + np.arange(len(stamp))
+    stamp = set_apart(came.astype(np.int64))
     grid = read_grid(stamp)
     assert grid.tick == pytest.approx(TICK, rel=0.05)
     assert (grid.index == np.arange(len(stamp))).all()
     assert grid.period == pytest.approx(1 / rate, abs=4 * grid.period_std)
     assert grid.period_std * rate < 2e-5
     assert sampling_times(stamp)[0] is stamp
+
+
+@pytest.mark.parametrize('rate', [100.0, 200.0, 400.0])
+@pytest.mark.parametrize('lost', [0.02, 0.05, 0.1, 0.2])
+def test_no_count_is_read_from_them_however_many_are_missing(rate: float, lost: float) -> None:
+    kept = np.flatnonzero(np.random.default_rng(2).random(round(60 * rate)) >= lost)
+    came = np.rint(np.floor((kept / rate + 0.0123) / TICK) * TICK * 1e9).astype(np.int64)
+    assert not read_grid(set_apart(came)).is_counted
 
 
 @pytest.mark.parametrize('rate', [100.0, 200.0, 400.0])
@@ -61,13 +74,9 @@ def test_a_reader_that_misses_some_polls_misses_no_samples(rate: float, tick: fl
     polls = np.arange(1, 60 / tick + 20) * tick
     polls = polls[rng.random(len(polls)) > 0.05]
     came = np.rint(polls[np.searchsorted(polls, made)] * 1e9).astype(np.int64)
-    # Samples of one stamp are set apart by a nanosecond.
-    number = np.arange(len(came))
-    first = np.diff(came, prepend=-1) != 0
-    stamp = came + number - np.maximum.accumulate(np.where(first, number, 0))
-    grid = read_grid(stamp)
+    grid = read_grid(set_apart(came))
     assert grid.is_counted
-    assert (grid.index == number).all()
+    assert (grid.index == np.arange(len(came))).all()
     assert grid.period * rate == pytest.approx(1, abs=1e-5)
 
 
