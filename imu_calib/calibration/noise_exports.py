@@ -164,11 +164,17 @@ def _stream(noise: NoiseAtRest, topic: str) -> dict[str, object]:
 
 
 def _dump(document: Mapping[str, object]) -> str:
-    """Return a key on each line; matrices have a row on each line."""
+    """Return a key on each line; matrices have a row on each line, farther in than their key.
+
+    OpenCV takes a sequence at the place of its key for the end of the map.
+    """
     lines = []
     for key, value in document.items():
         if isinstance(value, dict):
             lines.append(f'{key}:\n{indent(_dump(value), "  ")}')
+        elif isinstance(value, list) and isinstance(value[0], list):
+            rows = yaml.safe_dump(value, default_flow_style=None, width=10**6)
+            lines.append(f'{key}:\n{indent(rows, "  ")}')
         else:
             flow = None if isinstance(value, list) else False
             lines.append(yaml.safe_dump({key: value}, default_flow_style=flow, width=10**6))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -305,3 +307,27 @@ def test_a_limit_is_exported_as_one() -> None:
     assert any('upper limit (95 %)' in note for note in exported.findings)
     below = [one.noise.rate_random_walk.below for one in noise.channels.values()]
     assert yaml.safe_load(exported.text)['gyroscope_random_walk'] == pytest.approx(max(below[:3]))
+
+
+def test_opencv_reads_the_files_of_openvins_and_vins_fusion(tmp_path: Path) -> None:
+    noise = found(made(np.random.default_rng(11), 1 << 14, walk=1e-3, rate_walk=1e-4))
+    texts = {name: export_noise(noise, name).text for name in ('openvins', 'vins')}
+    # Both read by OpenCV, which refuses rows of a matrix that are not farther in than its key.
+    for text in texts.values():
+        assert re.findall(r'^( *)\w+:\n\1-', text, re.MULTILINE) == []
+    cv2 = pytest.importorskip('cv2')
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+    vins = cv2.FileStorage(str(tmp_path / 'vins'), cv2.FILE_STORAGE_READ)
+    expected = yaml.safe_load(texts['vins'].replace('%YAML:1.0', ''))
+    for key in ('acc_n', 'gyr_n', 'acc_w', 'gyr_w', 'g_norm'):
+        assert vins.getNode(key).real() == expected[key]
+    openvins = cv2.FileStorage(str(tmp_path / 'openvins'), cv2.FILE_STORAGE_READ)
+    chain = openvins.getNode('imu0')
+    for key, value in yaml.safe_load(texts['openvins'].replace('%YAML:1.0', ''))['imu0'].items():
+        node = chain.getNode(key)
+        if isinstance(value, list):
+            rows = range(len(value))
+            assert [[node.at(i).at(j).real() for j in rows] for i in rows] == value, key
+        else:
+            assert (node.string() if isinstance(value, str) else node.real()) == value, key
