@@ -47,10 +47,9 @@ def text_element(name: str, text: object) -> ET.Element | None:
     return element(name, text=str(text)) if text not in (None, '') else None
 
 
-def content(name: str, *texts: str, **attributes: str) -> ET.Element:
-    """Return an element of English texts."""
-    contents = [element('content', text=text, lang='en') for text in texts]
-    return element(name, *contents, **attributes)
+def content(name: str, *lines: str, **attributes: str) -> ET.Element:
+    """Return an element of one English text: PTB's rules want one in each language."""
+    return element(name, element('content', text='\n'.join(lines), lang='en'), **attributes)
 
 
 def identification(issuer: str, value: str, name: str, kind: str = '') -> ET.Element:
