@@ -5,7 +5,7 @@
     CATALOGUE/calibrations/TYPE/SERIAL/DATE_KEY.yaml   all of them
 
 Every file is written completely under another name and then moved. Parts do not change, except when
-failed rows are replaced.
+failed rows are replaced, and when a newer version adds columns.
 Columns and their versions: docs/fleet.md.
 """
 
@@ -15,6 +15,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from hashlib import sha256
 from pathlib import Path
@@ -86,6 +87,16 @@ def schema() -> pa.Schema:
     return pa.schema(columns, metadata={_VERSION_KEY: str(VERSION).encode()})
 
 
+@dataclass(frozen=True)
+class _Part:
+    """What is known of a part, as long as it does not change."""
+
+    mark: tuple[int, int]  #: Time of its last change, ns, and its bytes.
+    keys: frozenset[str]
+    failed: frozenset[str]  #: Keys of the failed recordings.
+    current: bool  #: Whether it has the present columns.
+
+
 class Catalogue:
     """A catalogue on disk.
 
@@ -104,7 +115,7 @@ class Catalogue:
         require('pyarrow', 'A catalogue', 'fleet')
         self.folder = user_path(folder)
         self._rows = self.folder / 'rows'
-        self._seen: dict[Path, tuple[int, int, frozenset[str], frozenset[str]]] = {}
+        self._seen: dict[Path, _Part] = {}
         if create:
             _make_room(self.folder)
             with self._written():
@@ -125,11 +136,14 @@ class Catalogue:
     def keys(self, *, failed: bool = True) -> frozenset[str]:
         """Return the keys of all rows; without failed ones if these are to be retried."""
         self._look()
-        kept = (keys if failed else keys - lost for _, _, keys, lost in self._seen.values())
-        return frozenset().union(*kept)
+        parts = self._seen.values()
+        return frozenset().union(*(p.keys if failed else p.keys - p.failed for p in parts))
 
     def add(self, done: Sequence[TaskResult], *, replace: bool = False) -> int:
         """Add rows with their calibration files, or replace those of the same keys.
+
+        Parts of older versions get the present columns first: other readers take the columns of
+        one part for those of all.
 
         Returns:
             The number of new ones.
@@ -139,11 +153,14 @@ class Catalogue:
         """
         with self._written(), self._locked():
             there = self.keys()
+            for part in self._parts():
+                if not self._seen[part].current:
+                    self._write(part, _read(part))
             fresh = {one.key: one for one in done if replace or one.key not in there}
             newest: dict[Path, str] = {}
             rows = {key: self._with_file(one, newest) for key, one in fresh.items()}
             for part in self._parts():
-                mine = self._seen[part][2] & rows.keys()
+                mine = self._seen[part].keys & rows.keys()
                 if mine:
                     self._replace(part, {key: rows.pop(key) for key in mine})
             self._append(list(rows.values()))
@@ -266,14 +283,17 @@ class Catalogue:
 
     def _look(self) -> None:
         """Read the keys of new or changed parts."""
+        import pyarrow.parquet as pq
+
         for part in self._parts():
             stat = part.stat()
             mark = (stat.st_mtime_ns, stat.st_size)
-            if part not in self._seen or self._seen[part][:2] != mark:
+            if part not in self._seen or self._seen[part].mark != mark:
                 table = _read(part, ['key', 'status'])
                 both = list(zip(*(table[n].to_pylist() for n in ('key', 'status')), strict=True))
                 lost = frozenset(key for key, status in both if status != CALIBRATED)
-                self._seen[part] = (*mark, frozenset(key for key, _ in both), lost)
+                current = pq.read_schema(part).names == schema().names
+                self._seen[part] = _Part(mark, frozenset(key for key, _ in both), lost, current)
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
