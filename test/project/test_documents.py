@@ -1,6 +1,7 @@
 """Pages, their links and their sections, and what the code cites of them."""
 
 import ast
+import json
 import re
 import sys
 from collections.abc import Iterator
@@ -132,6 +133,23 @@ def test_every_citation_names_a_page_and_a_section_that_exist() -> None:
     texts.update({path: INLINE_CODE.sub('', prose(path)) for path in PAGES})
     wrong = {str(path.relative_to(CHECKOUT)): miscited(text, path) for path, text in texts.items()}
     assert not {name: sentences for name, sentences in wrong.items() if sentences}
+
+
+def test_the_page_of_readers_has_the_versions_that_are_installed_for_it() -> None:
+    page = (DOCS / 'interoperability.md').read_text('utf-8')
+    pinned = re.findall(r"'([a-z0-9-]+)==([\d.]+)'", (CHECKOUT / 'setup.py').read_text('utf-8'))
+    package = json.loads((CHECKOUT / 'test/support/readers/package.json').read_text('utf-8'))
+    pinned += package['dependencies'].items()
+    assert len(pinned) > 10
+    assert [pin for pin in pinned if ' '.join(pin).lower() not in page.lower()] == []
+
+
+def test_each_finding_has_a_line_of_its_page() -> None:
+    folder = CHECKOUT / 'findings'
+    rows = re.findall(
+        r'^\| \[(\w+)\]\(\1\.sh\) \| ', (folder / 'README.md').read_text('utf-8'), re.M
+    )
+    assert rows == sorted(path.stem for path in folder.glob('*.sh'))
 
 
 @cache
