@@ -59,6 +59,24 @@ REMOTE = ['fsspec>=2024.2', 's3fs>=2024.2', 'aiohttp>=3.9']
 # The first whose wheel has what is plotted with in the browser.
 BOKEH = 'bokeh>=3.2'
 FLEET = ['distributed>=2024.8', BOKEH, 'pyarrow>=15', 'duckdb>=1', *REMOTE]
+# As docs/interoperability.md tells what they made of our files; together some 900 MB.
+READERS = [
+    'dask==2026.8.0',
+    'dcc-json-toolkit==1.2.5',
+    'dsiunits==3.1.3',
+    'duckdb==2.0.1',
+    'foxglove-sdk==0.30.3',
+    'imucal==2.6.0',
+    'lxml==6.1.3',
+    'mcap==1.6.0',
+    'mcap-ros2-support==0.6.0',
+    'opencv-python-headless==5.0.0.93',
+    'pandas==3.1.1',
+    'polars==2.1.0',
+    'pydcc==0.2.33',
+    'rerun-sdk==0.41.0',
+    'rosbags==0.11.9',
+]
 DOCS = ['sphinx>=7', 'myst-nb>=1.1', 'furo>=2024.1.29']
 
 setup(
@@ -106,6 +124,7 @@ setup(
         'remote': REMOTE,
         'web': [WEB],
         'docs': DOCS,
+        'readers': READERS,
         'test': [
             'pytest>=7.4.4',
             'pytest-timeout>=2.2',

@@ -127,6 +127,8 @@ class Malformed:
 ENCAPSULATION = 4
 """Bytes of the header that states the byte order (RTPS 2.5, section 10.2)."""
 ORDERS = {b'\x00\x00': '>', b'\x00\x01': '<'}
+#: Headers of XCDR2: RTPS 2.5, table 10.3, and the numbers of DDS-XTypes 1.2, section 7.4.3.4.
+_XCDR2 = {bytes([0, k]) for k in (*range(0x06, 0x0C), *range(0x10, 0x16))}
 
 
 @dataclass(frozen=True)
@@ -209,9 +211,10 @@ class LayoutReader:
     def __init__(self, payload: bytes) -> None:
         order = ORDERS.get(payload[:2])
         if len(payload) < ENCAPSULATION or order is None:
+            header = payload[:ENCAPSULATION].hex(' ') or 'missing'
+            named = ' of XCDR2' if payload[:2] in _XCDR2 else ''
             raise CdrError(
-                f'encapsulation header {payload[:ENCAPSULATION].hex(" ") or "missing"}, '
-                'expected 00 00 or 00 01 (plain CDR)'
+                f'encapsulation header {header}{named}, expected 00 00 or 00 01 (plain CDR)'
             )
         self.order = order
         self._payload = payload

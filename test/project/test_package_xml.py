@@ -33,8 +33,10 @@ UNDECLARED = {
     'mcap_ros2': 'rosdep has no key; another reader, its test is skipped without it',
     'imucal': 'rosdep has no key; an oracle, its tests are skipped without it',
     'dcc_json_toolkit': 'rosdep has no key; a reader of certificates, skipped without it',
-    'dcc': 'as dcc_json_toolkit; no extra installs it, nor signxml, which it needs',
-    'signxml': 'as dcc',
+    **dict.fromkeys(
+        ('cv2', 'dcc', 'foxglove', 'polars', 'rerun', 'signxml'),
+        'readers of others, in the extra readers of pip; their tests are skipped without it',
+    ),
     'moto': 'rosdep has no key; a server of S3 for the tests of remote recordings',
     'playwright': 'rosdep has no key; the browser in which pages are measured',
     'pypdfium2': 'rosdep has no key; reads the PDF of a certificate',
