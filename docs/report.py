@@ -59,7 +59,7 @@ def session() -> Iterator[tuple[str, Block]]:
 
 def record(folder: Path) -> None:
     """Write the session as a recording that says what it is."""
-    data = describe('twelve_position', 'fog_medium', 'three_axis', SITE)
+    data = describe('twelve_position', 'fog_medium', 'three_axis', SITE, 'A1001')
     with RecordingWriter(folder, data) as writer:
         for topic, block in session():
             kind, messages, stamp = serialised(block)

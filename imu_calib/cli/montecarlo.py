@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> None:
         progress=progress_bar,
     )
     outcome, setup = repeated.outcome, repeated.setup
-    OUTPUT.print(_table(outcome))
+    OUTPUT.print(_table(outcome, by_hand=setup.plan.by_hand))
     OUTPUT.print(
         f'\n{len(outcome.errors)} runs of plan {setup.plan.name}, method {setup.method_name}. '
         'Worst: the largest error. Normalised: root mean square of errors over the standard '
@@ -106,7 +106,7 @@ def run(arguments: argparse.Namespace) -> None:
         OUTPUT.print(f'\ndrawn to {target}', markup=False)
 
 
-def _table(outcome: RunStatistics) -> Rows:
+def _table(outcome: RunStatistics, *, by_hand: bool) -> Rows:
     rows = plain_table(_HEADINGS, 'lrrrrrrl')
     normalised, worst = outcome.rms, outcome.worst
     last = outcome.parameters[0]
@@ -118,7 +118,7 @@ def _table(outcome: RunStatistics) -> Rows:
         if parameter.triad != last.triad:
             rows.add_section()
         last = parameter
-        shown = engineering(parameter)
+        shown = engineering(parameter, by_hand=by_hand)
         places = decimals(stated / shown.scale)
         values = [outcome.bias[k], outcome.spread[k], stated]
         cells = ['-' if np.isnan(v) else f'{v / shown.scale:.{places}f}' for v in values]

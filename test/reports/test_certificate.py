@@ -405,6 +405,11 @@ def test_no_text_of_a_certificate_stands_on_another(
             look_at(shown, size)
             assert overlaps(shown) == []
             assert width(shown) <= size
+            # No table is to be pushed aside to be read.
+            assert shown.evaluate(
+                """[...document.querySelectorAll('.wide')]
+                   .every(one => one.scrollWidth <= one.clientWidth + 1)"""
+            )
 
 
 def validated(text: str) -> ET.Element:

@@ -524,6 +524,17 @@ def test_budgets_of_units_in_the_hand_have_the_units_of_their_grade(contents: Co
     assert units == [{'ppm', 'arcmin', 'deg/h', 'µg'}, {'%', 'deg', 'deg/s', 'mg'}]
 
 
+def test_a_zero_by_the_choice_of_axes_has_no_row(contents: Contents) -> None:
+    calibration = contents.calibration
+    k = PARAMETER_NAMES.index('E_axy')
+    free = (np.arange(len(calibration.std)) != k).astype(float)
+    model = calibration.model.with_values(calibration.parameters, calibration.values * free)
+    covariance = calibration.covariance * np.outer(free, free)
+    fixed = replace(calibration, model=model, covariance=covariance)
+    shown = limits_tables(assess(fixed, None)) + ''.join(budget_section(fixed))
+    assert 'E_axy' not in shown and shown.count('E_axz') > 2
+
+
 def test_units_in_the_hand_have_the_units_of_their_grade() -> None:
     """Of one calibration the same numbers, in % and deg in place of ppm and arcmin."""
     unit = Calibration.load(named_file('truths', 'mems_counts'))

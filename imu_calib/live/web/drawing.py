@@ -550,5 +550,7 @@ details[open] > .title { margin-bottom: 8px; }
   .stand, .stand * { -webkit-print-color-adjust: exact; print-color-adjust: exact; }
   .stand .channels dd span { display: block; margin-left: 0; }
   .card, .banner, .notice, tr { break-inside: avoid; }
+  .control { display: none; }
+  .nicegui-scene canvas { width: 100% !important; height: auto !important; }
 }
 """
