@@ -798,6 +798,17 @@ def test_a_calibrator_that_fails_stops_a_run_whoever_it_is(running, plan):
     assert failed == ['The calibrator has failed: full.'] * running
 
 
+def test_a_stop_that_is_sent_once_may_be_sent_again_until_it_is_heard():
+    """`ros2 topic pub --once` ends before a check: half of its stops were not heard."""
+    profiles = []
+    node = SimpleNamespace(
+        resolve_topic_name=lambda name: f'/{name}',
+        create_subscription=lambda *words, **_: profiles.append(words[3].reliability),
+    )
+    stop.StopTopic(node, 'estop', lambda _: None)
+    assert set(profiles) == {qos.command().reliability, qos.sensor_data().reliability}
+
+
 @pytest.mark.parametrize(('publishers', 'is_stopping'), [(1, False), (2, True), (0, False)])
 def test_a_stop_is_taken_back_by_its_only_publisher(publishers, is_stopping):
     messages = []

@@ -149,7 +149,8 @@ class StopTopic:
 
     A reliable subscription does not match best-effort publishers, and a volatile one does not
     receive earlier messages of a latched publisher. Therefore there is one subscription that
-    matches all, and one for each kind of publisher found; duplicate messages do no harm.
+    matches all, one of ROS's default, and one for each kind of publisher found; duplicate messages
+    do no harm.
 
     Attributes:
         topic: Full name.
@@ -162,6 +163,9 @@ class StopTopic:
         self.topic: str = node.resolve_topic_name(topic)
         self._offered: set[tuple[Any, Any]] = set()
         self._listen(qos.sensor_data())
+        # `ros2 topic pub --once` ends before the next check, and its one message may arrive before
+        # a best-effort subscription knows of it; a reliable one is then sent it again.
+        self._listen(qos.as_offered(qos.command()))
 
     def check(self) -> None:
         """Subscribe with each newly offered quality of service."""
