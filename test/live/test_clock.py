@@ -224,6 +224,20 @@ def test_a_reset_that_is_refused_leaves_the_session_running(monkeypatch, tmp_pat
         assert bench.node._sessions.journal.path.name == 'journal_3'
 
 
+def test_two_simulated_stands_in_one_domain_are_named(monkeypatch, tmp_path):
+    with Bench(monkeypatch, tmp_path) as bench:
+        bench.set_time(EPOCH)
+        assert bench.until(lambda: bench.words.get('time') == 'The clock runs.')
+        bench.peer.create_publisher(M.Clock, '/clock', 10)
+        assert bench.until(lambda: bench.words['time'].startswith('2 publishers are on /clock: '))
+        assert '/peer, /peer. Samples are stamped by both' in bench.words['time']
+        assert 'ROS_DOMAIN_ID' in bench.words['time']
+        # Of two clocks each goes back behind the other; it is said once what is wrong.
+        bench.set_time(1)
+        bench.node._on_tick()
+        assert bench.words['time'].startswith('2 publishers')
+
+
 def test_while_the_plan_runs_no_new_session_begins(monkeypatch, tmp_path):
     # It would lack the steps before, and end without a calibration.
     with Bench(monkeypatch, tmp_path) as bench:

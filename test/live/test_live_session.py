@@ -336,9 +336,11 @@ class Words:
 
     def __init__(self):
         self.reports = {}
+        self.figures = {}
 
     def report(self, part, level, text, **figures):
         self.reports[part] = level, text
+        self.figures |= figures
 
 
 @pytest.mark.parametrize(
@@ -360,6 +362,24 @@ def test_an_imu_of_another_clock_than_the_tables_is_an_error_at_once(tmp_path, w
     level, text = received_at.reports['stream']
     assert level is (Severity.ERROR if later else Severity.OK)
     assert words in text
+
+
+def test_what_warns_of_a_result_is_in_its_report(tmp_path, wire):
+    session = begin(tmp_path / 'journal')
+    send(session, wire, np.random.default_rng(1))
+    live = finish(session)
+    for findings, expected in (
+        (['A note.'], (Severity.OK, '24 parameters are determined.')),
+        (
+            ['Warning: K_gx may be off.', 'A note.'],
+            (Severity.WARN, '24 parameters are determined. K_gx may be off.'),
+        ),
+    ):
+        session.calibration = replace(live, findings=tuple(findings))
+        heard = Words()
+        report_session(session, heard, imu_timeout=60.0)
+        assert heard.reports['calibration'] == expected
+        assert [t for name, t in heard.figures.items() if 'finding' in name] == findings
 
 
 def test_every_interruption_is_named_live_as_offline(tmp_path, wire):

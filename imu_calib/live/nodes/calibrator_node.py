@@ -198,6 +198,9 @@ _NEAR_THE_END = 20.0
 """s left of a plan below which its table may wait for a review. A choice: it is on its way home."""
 _GLANCE = 0.25
 """s between two reviews of a session in the hand: a person who holds still waits for the result."""
+_TWO_CLOCKS = (
+    'Samples are stamped by both: give each simulated stand a domain of its own (ROS_DOMAIN_ID).'
+)
 
 
 class CalibratorNode(ros.Node):
@@ -245,6 +248,9 @@ class CalibratorNode(ros.Node):
             for unit in self._units
         ]
         self._latest = 0
+        self._clocks = OnePublisher(self, '/clock', _TWO_CLOCKS)
+        self._simulated = bool(self.get_parameter('use_sim_time').value)
+        self._two_clocks = ''
         self._turntable = TurntableStateIntake(self, plan, self._steps, self._diagnostics)
         if self._setup.table is not None:
             self.create_subscription(
@@ -334,7 +340,9 @@ class CalibratorNode(ros.Node):
     def _read_clock(self) -> int:
         """Return the time of the recording, ns; 0 before the first /clock of a simulated time."""
         now = int(self.get_clock().now().nanoseconds)
-        if now < self._latest:
+        if self._two_clocks:
+            self._diagnostics.report('time', Severity.ERROR, self._two_clocks)
+        elif now < self._latest:
             back = (self._latest - now) * 1e-9
             self._diagnostics.report(
                 'time',
@@ -398,6 +406,8 @@ class CalibratorNode(ros.Node):
             if subscriptions.two_devices_persist() and not self._sessions.all[place].is_over:
                 self._two_publishers(place)
         self._turntable.check_publishers(time.monotonic())
+        if self._simulated:
+            self._two_clocks = self._clocks.fault(time.monotonic())
         self._sessions.flush()
         if self._review_is_due():
             self._sessions.solve()

@@ -93,11 +93,13 @@ class OnePublisher:
     Args:
         node: Queries the graph.
         topic: Full name.
+        consequence: What a second publisher means, in a sentence.
     """
 
-    def __init__(self, node: Any, topic: str) -> None:
+    def __init__(self, node: Any, topic: str, consequence: str = _HELD) -> None:
         self._node = node
         self.topic = topic
+        self._consequence = consequence
         self._since: float | None = None
         self._two_sources_at = self._two_at = -math.inf
 
@@ -119,7 +121,9 @@ class OnePublisher:
         two_sources = now - self._two_sources_at <= _FRESH
         if len(listed) < 2:
             self._since = None
-            gone = f'A second node published on {self.topic} and has ended since. {_HELD}'
+            gone = (
+                f'A second node published on {self.topic} and has ended since. {self._consequence}'
+            )
             return gone if two_sources else ''
         self._since = now if self._since is None else self._since
         if not (two_sources or self._are_two(listed, now - self._since)):
@@ -127,8 +131,8 @@ class OnePublisher:
         self._two_at = now
         names = ', '.join(names_of(listed))
         return (
-            f'{len(listed)} publishers are on {self.topic}: {names}. {_HELD} End all but one; a '
-            'process that was killed is listed for up to 20 s.'
+            f'{len(listed)} publishers are on {self.topic}: {names}. {self._consequence} End all '
+            'but one; a process that was killed is listed for up to 20 s.'
         )
 
     def _are_two(self, listed: list[Any], seconds: float) -> bool:

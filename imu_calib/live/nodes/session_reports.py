@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...calibration.results import Review
+from ...common.finding import is_warning, without_label
 from ...common.stream import NS
 from ...common.units import significant
 from ...model.parameters import Parameter
@@ -98,12 +99,16 @@ def report_session(
     _report_joint_states(session, shared)
     _report_skew(session, diagnostics)
     level = Severity.OK
+    figures = {} if session.review is None else _std_figures(session.review)
+    text = session_sentence(session)
     if session.phase is SessionPhase.FAILED:
         level = Severity.ERROR
     elif session.phase is SessionPhase.FINISHED and session.calibration is not None:
-        level = Severity.WARN if session.calibration.findings else Severity.OK
-    figures = {} if session.review is None else _std_figures(session.review)
-    text = session_sentence(session)
+        findings = session.calibration.findings
+        warnings = [without_label(found) for found in findings if is_warning(found)]
+        level = Severity.WARN if warnings else Severity.OK
+        text = ' '.join([text, *warnings])
+        figures |= {f'finding {k}': found for k, found in enumerate(findings, 1)}
     if session.guidance is not None and not session.is_over:
         known = int((session.review.std > 0).sum()) if session.review is not None else 0
         total = len(session.parameters)
