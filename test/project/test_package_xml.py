@@ -139,6 +139,16 @@ def test_the_message_package_declares_what_its_definitions_hold():
     assert held <= declared(folder / 'package.xml', 'depend')
 
 
+def test_the_messages_are_a_package_that_is_released_alone():
+    folder = CHECKOUT / 'msg_defs'
+    licence = ElementTree.parse(folder / 'package.xml').find('license')
+    assert licence is not None
+    assert (folder / licence.attrib['file']).read_bytes() == (CHECKOUT / 'LICENSE').read_bytes()
+    assert declared(folder / 'package.xml', 'author') == declared(
+        folder / 'package.xml', 'maintainer'
+    )
+
+
 def test_the_version_is_the_same_wherever_it_is_stated():
     (version,) = declared(CHECKOUT / 'package.xml', 'version')
     assert declared(CHECKOUT / 'msg_defs' / 'package.xml', 'version') == {version}
