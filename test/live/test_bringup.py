@@ -4,7 +4,7 @@ import importlib.util
 import re
 
 import pytest
-from installed import has_wheel, needs
+from installed import has_wheel, load_launch, needs
 from loopback import CHECKOUT, until
 from ros_stands import LAUNCHABLE, Network, nothing_left
 from sessions import truth
@@ -27,7 +27,7 @@ def folder(tmp_path):
 
 
 def bringup():
-    pytest.importorskip('launch')
+    load_launch()
     spec = importlib.util.spec_from_file_location('bringup', FILE)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -37,7 +37,7 @@ def bringup():
 def described(**arguments):
     """Return the nodes that the launch file makes of arguments."""
     module = bringup()
-    context = importlib.import_module('launch').LaunchContext()
+    context = load_launch().LaunchContext()
     for name, (default, _) in module.ARGUMENTS.items():
         context.launch_configurations[name] = str(arguments.pop(name, default))
     assert not arguments
@@ -89,7 +89,7 @@ def test_what_cannot_be_used_is_said_in_a_sentence(folder, arguments, sentence):
 )
 def test_arguments_of_a_file_that_includes_this_one_are_its_own(started, sentence, monkeypatch):
     module = bringup()
-    context = importlib.import_module('launch').LaunchContext()
+    context = load_launch().LaunchContext()
     context.extend_locals({'current_launch_file_path': str(FILE)})
     monkeypatch.setattr('sys.argv', ['ros2', 'launch', *started, 'seriel:=A1', 'port:=/dev/null'])
     check = module.checks(port=False)
@@ -102,7 +102,7 @@ def test_arguments_of_a_file_that_includes_this_one_are_its_own(started, sentenc
 
 def test_arguments_of_an_including_file_are_not_checked_as_this_ones(monkeypatch):
     module = bringup()
-    context = importlib.import_module('launch').LaunchContext()
+    context = load_launch().LaunchContext()
     context.extend_locals({'current_launch_file_path': str(FILE)})
     monkeypatch.setattr('sys.argv', ['ros2', 'launch', 'robot', 'robot.launch.py'])
     context.launch_configurations.update(plan='patrol', method='ekf', speed='fast')

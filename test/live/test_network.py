@@ -3,6 +3,7 @@
 import socket
 
 import pytest
+from installed import load_launch
 from loopback import start, until
 
 from imu_calib.cli import main
@@ -112,11 +113,9 @@ def test_simulated_hardware_has_no_network(tmp_path, capsys):
 
 def launched(name, **given):
     """Return what the checks of a launch file do before its first node."""
-    # Not launch alone: the checkout has a folder of that name.
-    context = pytest.importorskip('launch.launch_context', reason='the launch files need ROS 2')
+    here = load_launch().LaunchContext()
     from imu_calib.live import launching
 
-    here = context.LaunchContext()
     here.launch_configurations.update(given)
     return launching.checks(table=name != 'calibrator').execute(here) or []
 

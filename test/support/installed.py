@@ -12,6 +12,7 @@ import pytest
 from loopback import CHECKOUT
 
 ROS = Path('/opt/ros/jazzy/setup.bash')
+_UBUNTU = Path('/usr/lib/python3/dist-packages')
 _INDEX = Path('share', 'ament_index', 'resource_index', 'packages')
 
 
@@ -38,6 +39,19 @@ def needs(*packages, verbs=()):
 def needs_nodes():
     """Load the runtime of nodes; conftest.py skips a test or file where none loads."""
     import_module('imu_calib.live.middleware')
+
+
+def load_launch():
+    """Return launch.launch_context of ROS; skip where there is none.
+
+    Not launch alone: the checkout has a folder of that name. Its parser lark is a package of
+    Ubuntu, which a virtual environment does not see.
+    """
+    if find_spec('lark') is None and (_UBUNTU / 'lark').is_dir():
+        sys.path.append(str(_UBUNTU))
+        import_module('lark')
+        sys.path.remove(str(_UBUNTU))
+    return pytest.importorskip('launch.launch_context', reason='the launch files need ROS 2')
 
 
 def needs_modules(*names):
