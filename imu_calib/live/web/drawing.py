@@ -201,7 +201,7 @@ def _kind(shown: Snapshot, step: int) -> tuple[str, str]:
 def joints(shown: Snapshot) -> str:
     """Return the angles and rates of the joints."""
     if shown.table is None or not shown.table.joints:
-        return tag('p', 'No joint states yet.', class_='muted')
+        return tag('p', 'No joint angles yet.', class_='muted')
     cells = ''.join(
         tag('div', tag('dt', escape(name)) + tag('dd', f'{angle}{tag("span", rate)}'))
         for name, angle, rate in joint_words(shown.table)

@@ -44,19 +44,20 @@ _NAMED = re.compile(rf'(?:(?P<of>/?\w+(?:/\w+)*)/|/)?\b(?P<name>{"|".join(_NAMES
 _IN_WORDS = [
     (re.compile(pattern), words)
     for pattern, words in {
-        '(?<=: )joint states$': 'angles of the table',
+        'oint state(s?)': r'oint angle\1',
         '(?<=: )turntable state$': 'report of the table',
         '(?<=: )lifecycle$': 'operation',
         '(?<=: )quality of service$': 'delivery',
         'call ~/reset(?: of calibrator_node)?': 'reset the calibrator',
         'best effort': 'without repetition',
+        r'(?<!\w)/clock\b': "the stand's clock",
+        r'(?<!\w)/estop\b': 'the stop',
         'publisher': 'sender',
         'published': 'sent',
         'publish': 'send',
     }.items()
 ]
 """Words of ROS in the sentences of the nodes."""
-_BEGIN = re.compile(r'(?:^|(?<=[.!?] ))[a-z]')
 
 
 def in_plain_words(text: str) -> str:
@@ -64,19 +65,20 @@ def in_plain_words(text: str) -> str:
 
     Examples:
         >>> in_plain_words('calibrator_node: joint states')
-        'The calibrator: angles of the table'
+        'The calibrator: joint angles'
         >>> in_plain_words('/imu/pulses is silent, but the table is not.')
         "The IMU's stream is silent, but the table is not."
     """
     for pattern, words in _IN_WORDS:
         text = pattern.sub(words, text)
-    text = _NAMED.sub(_named, text)
-    return _BEGIN.sub(lambda found: found[0].upper(), text)
+    return _NAMED.sub(_named, text)
 
 
 def _named(found: re.Match[str]) -> str:
     of = f' of {found["of"].strip("/")}' if found['of'] else ''
-    return f'{_NAMES[found["name"]]}{of}'
+    words = f'{_NAMES[found["name"]]}{of}'
+    begins = found.start() == 0 or found.string[: found.start()].endswith('. ')
+    return words[0].upper() + words[1:] if begins else words
 
 
 @dataclass(frozen=True)
@@ -183,7 +185,7 @@ def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
 def joint_words(table: TableState) -> list[tuple[str, str, str]]:
     """Return name, angle and rate of every joint, as text."""
     return [
-        (name, f'{_rounded(angle / DEG, 3)} deg', f'{_rounded(rate / DEG, 2)} deg/s')
+        (name, f'{_rounded(angle / DEG, 3)}\u00a0deg', f'{_rounded(rate / DEG, 2)} deg/s')
         for name, angle, rate in zip(table.joints, table.angles, table.rates, strict=False)
     ]
 
