@@ -154,6 +154,11 @@ class Setpoint:
     turns: float  #: Whole turns of a RATE step, counted without sign.
     dwell: float  #: Duration of the dwell after arriving, s.
 
+    @property
+    def where(self) -> str:
+        """Step, mode and position, to begin a message."""
+        return f'Setpoint of step {self.step + 1} ({self.mode.name}, position {self.position})'
+
 
 @dataclass(frozen=True)
 class SetpointBlock:

@@ -297,7 +297,7 @@ class Follower:
         """
         age = (now - setpoint.stamp) * 1e-9
         if setpoint.mode is not Mode.HOLD and not abs(age) <= self._age:
-            self.refusal = f'A setpoint is {age:.3g} s old, accepted is up to {self._age:g} s.'
+            self.refusal = f'A setpoint is {age:.3g} s old (allowed: {self._age:g} s).'
             return ()
         self._deadline = steady + self._timeout
         return self._fresh(setpoint, at)
@@ -315,7 +315,7 @@ class Follower:
         self._content, self._rejected = content, False
         try:
             if known and setpoint.mode is Mode.RATE:
-                raise InputError(f'{_where(setpoint)}: a turn that was broken off is not resumed.')
+                raise InputError(f'{setpoint.where}: an interrupted turn is not resumed.')
             orders = self._moves(setpoint, at)
         except InputError as error:
             # What moved until then is not what its leader wants now.
@@ -347,48 +347,16 @@ class Follower:
         self._stopped, self._rejected, self.refusal = True, bool(refusal), refusal
 
     def _moves(self, setpoint: Setpoint, at: Reading) -> tuple[Order, ...]:
-        where = _where(setpoint)
-        goal, rates = self._demand(setpoint, at, where)
+        goal, rates = self._table.demanded(setpoint, at.angles)
         fastest = np.array([joint.max_rate for joint in self._table.joints])
         if setpoint.mode is Mode.RATE:
-            self._aim_turn(setpoint, goal, rates, at, where)
-        self._table.check(goal, rates, where)
+            if (np.abs(at.rates) > _STANDS).any() or (np.abs(goal - at.angles) > _NEAR).any():
+                raise InputError(f'{setpoint.where}: a turn starts from rest at its angles.')
+            # One more turn to start and stop in.
+            goal += np.sign(rates) * TURN * (setpoint.turns + 1)
+        self._table.check(goal, rates, setpoint.where)
         pace = np.where(rates != 0, np.abs(rates), fastest)
         return tuple(Move(k, float(goal[k]), float(pace[k])) for k in range(len(goal)))
-
-    def _demand(self, setpoint: Setpoint, at: Reading, where: str) -> tuple[Floats, Floats]:
-        """Return angles and rates in the table's order; unnamed joints stay."""
-        goal, rates = at.angles.copy(), np.zeros(len(at.angles))
-        names = list(self._table.names)
-        count = len(setpoint.joints)
-        # Only a POSITION does without rates.
-        few = {count} if setpoint.mode is Mode.RATE else {0, count}
-        if len(setpoint.angles) != count or len(setpoint.rates) not in few:
-            raise InputError(f'{where}: its angles or rates are not those of its {count} joints.')
-        if len(set(setpoint.joints)) != count:
-            raise InputError(f'{where}: it names a joint twice.')
-        for k, name in enumerate(setpoint.joints):
-            if name not in names:
-                raise InputError(f'{where}: found joint {name!r}, expected {", ".join(names)}.')
-            goal[names.index(name)] = setpoint.angles[k]
-            if setpoint.mode is Mode.RATE:
-                rates[names.index(name)] = setpoint.rates[k]
-        return goal, rates
-
-    def _aim_turn(
-        self, setpoint: Setpoint, goal: Floats, rates: Floats, at: Reading, where: str
-    ) -> None:
-        """Order whole turns, and one more to start and stop in."""
-        turning = np.flatnonzero(rates)
-        if len(turning) != 1 or not (setpoint.turns >= 1 and float(setpoint.turns).is_integer()):
-            raise InputError(f'{where}: expected whole turns of one joint.')
-        if (np.abs(at.rates) > _STANDS).any() or (np.abs(goal - at.angles) > _NEAR).any():
-            raise InputError(f'{where}: a turn starts from rest at its angles.')
-        goal[turning] += np.sign(rates[turning]) * TURN * (setpoint.turns + 1)
-
-
-def _where(setpoint: Setpoint) -> str:
-    return f'Setpoint of step {setpoint.step + 1} ({setpoint.mode.name})'
 
 
 # Select the setpoints that a table follows: one source at a time, and none while forbidden.
@@ -472,8 +440,8 @@ class OneSource:
             )
         if steady - self._refused_at <= self._timeout:
             return (
-                'The table stands: motion is refused, and setpoints still arrive. It follows '
-                f'again after {self._timeout:g} s without any but HOLD.'
+                'The table stands until the setpoints of a refused motion stop. It follows again '
+                f'after {self._timeout:g} s without them.'
             )
         return ''
 

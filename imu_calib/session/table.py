@@ -15,7 +15,7 @@ from ..common.config import Section, numbers_of
 from ..common.errors import InputError
 from ..common.keys import field_keys, key, part, read_record, record, records
 from ..common.rotations import angle_about, rotation
-from ..common.stream import Floats
+from ..common.stream import Floats, Mode, Setpoint
 from ..common.units import ARCSEC, DEG, PPM, Dimension, counted
 from .table_errors import (
     FINEST,
@@ -390,6 +390,44 @@ class Table:
                 return None
             result[k] = _nearest(inside, float(near[k]))
         return result
+
+    def demanded(self, setpoint: Setpoint, angles: Floats) -> tuple[Floats, Floats]:
+        """Return the (k,) angles, rad, and rates, rad/s, that a setpoint demands.
+
+        Args:
+            setpoint: POSITION, whose rates are 0, or RATE.
+            angles: (k,) of the joints, rad: those it does not name stay.
+
+        Raises:
+            InputError: Its lists differ in length, it names a joint that is not there or one twice,
+                or it turns another number than one by other than whole turns.
+        """
+        goal, rates = angles.copy(), np.zeros(len(angles))
+        names, count = list(self.names), len(setpoint.joints)
+        turns = setpoint.mode is Mode.RATE
+        if len(setpoint.angles) != count or len(setpoint.rates) not in {count, count * turns}:
+            raise InputError(
+                f'{setpoint.where}: found {len(setpoint.angles)} angles and {len(setpoint.rates)} '
+                f'rates, expected those of its {count} joints.'
+            )
+        if len(set(setpoint.joints)) != count:
+            raise InputError(f'{setpoint.where}: it names a joint twice.')
+        for k, name in enumerate(setpoint.joints):
+            if name not in names:
+                raise InputError(
+                    f'{setpoint.where}: found joint {name!r}, expected {", ".join(names)}.'
+                )
+            goal[names.index(name)] = setpoint.angles[k]
+            if turns:
+                rates[names.index(name)] = setpoint.rates[k]
+        turning = int(np.count_nonzero(rates))
+        whole = setpoint.turns >= 1 and float(setpoint.turns).is_integer()
+        if turns and not (whole and turning == 1):
+            raise InputError(
+                f'{setpoint.where}: found {setpoint.turns:g} turns of {counted(turning, "joint")}, '
+                'expected whole turns of one joint.'
+            )
+        return goal, rates
 
     def check(self, angles: Floats, rates: Floats, where: str) -> None:
         """Refuse angles or rates beyond the table's limits.

@@ -132,8 +132,8 @@ class SimulatedTable:
         oldest = step + self.options.setpoint_age
         if setpoint.mode is not Mode.HOLD and not -self.options.setpoint_age <= age <= oldest:
             raise InputError(
-                f'{_where(setpoint)}: its stamp is {age:.3g} s old, '
-                f'accepted is up to {self.options.setpoint_age:g} s.'
+                f'{setpoint.where}: its stamp is {age:.3g} s old '
+                f'(allowed: {self.options.setpoint_age:g} s).'
             )
         if self._setpoint is None or not _repeats(setpoint, self._setpoint):
             self._accept(setpoint, time)
@@ -275,9 +275,9 @@ class SimulatedTable:
             self._order = self._standstill()
             return
         before = self._standstill() if self._stopped else self._order
-        angles, rates = self._demand(setpoint, before)
+        angles, rates = self.table.demanded(setpoint, before.goal)
+        self.table.check(angles, rates, setpoint.where)
         if setpoint.mode is Mode.POSITION:
-            self.table.check(angles, np.zeros(len(angles)), _where(setpoint))
             self._order = self._aim(angles, before)
         else:
             self._order = self._aim_turn(setpoint, angles, rates, before)
@@ -289,28 +289,6 @@ class SimulatedTable:
         encoder, true = rest[self._encoders], rest[self._truths]
         arrives = np.abs(encoder - self._order.encoder) < _STANDS
         return _Order(np.where(arrives, self._order.goal, encoder), encoder, true, self._fastest)
-
-    def _demand(self, setpoint: Setpoint, before: _Order) -> tuple[Floats, Floats]:
-        """Return angles (k,) and rates (k,) in the table's order; unnamed joints stay."""
-        angles, rates = before.goal.copy(), np.zeros(len(self.table.joints))
-        names = list(self.table.names)
-        count = len(setpoint.joints)
-        if len(setpoint.angles) != count or len(setpoint.rates) not in {0, count}:
-            raise InputError(
-                f'{_where(setpoint)}: {count} joints, but {len(setpoint.angles)} angles '
-                f'and {len(setpoint.rates)} rates.'
-            )
-        for i, name in enumerate(setpoint.joints):
-            if name not in names:
-                raise InputError(
-                    f'{_where(setpoint)}: joint {name!r}, table {self.table.name} '
-                    f'has {", ".join(names)}.'
-                )
-            angles[names.index(name)] = setpoint.angles[i]
-            rates[names.index(name)] = setpoint.rates[i] if setpoint.rates else 0.0
-        if not np.isfinite([angles, rates]).all():
-            raise InputError(f'{_where(setpoint)}: an angle or a rate is not a finite number.')
-        return angles, rates
 
     def _aim(self, goal: Floats, before: _Order) -> _Order:
         """Set a goal position; a joint already at that goal keeps its place and its error."""
@@ -328,8 +306,9 @@ class SimulatedTable:
 
         The turn beyond those asked for is used to start and stop.
         """
-        where = _where(setpoint)
-        j = self._turning_joint(setpoint, angles, rates, before)
+        where = setpoint.where
+        self._check_rest(angles, rates, before, where)
+        j = int(np.flatnonzero(rates)[0])
         goal = before.goal.copy()
         goal[j] += math.copysign(TURN * (setpoint.turns + 1), rates[j])
         self.table.check(goal, rates, where)
@@ -349,15 +328,8 @@ class SimulatedTable:
         encoder = np.where(rates != 0, goal + servo, before.encoder)
         return _Order(goal, encoder, encoder + hidden, cruise, turns=True)
 
-    def _turning_joint(
-        self, setpoint: Setpoint, angles: Floats, rates: Floats, before: _Order
-    ) -> int:
-        where = _where(setpoint)
-        turning = np.flatnonzero(rates)
-        if len(turning) != 1:
-            raise InputError(f'{where}: RATE turns one joint, found {len(turning)} with a rate.')
-        if not (setpoint.turns >= 1 and float(setpoint.turns).is_integer()):
-            raise InputError(f'{where}: {setpoint.turns:g} turns, expected a whole number above 0.')
+    def _check_rest(self, angles: Floats, rates: Floats, before: _Order, where: str) -> None:
+        """Refuse a turn of a table that moves, or is elsewhere."""
         if self._time < self._track.end:
             raise InputError(f'{where}: RATE starts from rest, and the table still moves.')
         off = np.where(rates != 0, 0.0, np.abs(angles - before.goal))
@@ -367,7 +339,6 @@ class SimulatedTable:
                 f'{where}: RATE holds joint {self.table.names[k]} at {angles[k] / DEG:g} deg, '
                 f'but it stands at {before.goal[k] / DEG:g} deg.'
             )
-        return int(turning[0])
 
     def _go(self, time: float) -> None:
         """Move to the goal of the order, each joint by itself, after a stop if needed."""
@@ -426,9 +397,3 @@ class SimulatedTable:
 
 def _repeats(setpoint: Setpoint, earlier: Setpoint) -> bool:
     return bool(_CONTENT(setpoint) == _CONTENT(earlier))
-
-
-def _where(setpoint: Setpoint) -> str:
-    return (
-        f'Setpoint of step {setpoint.step + 1} ({setpoint.mode.name}, position {setpoint.position})'
-    )

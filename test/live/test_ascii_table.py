@@ -90,7 +90,7 @@ def test_a_turn_starts_within_half_a_degree_of_its_angles(follower, off, starts)
 
 def test_a_stale_setpoint_moves_nothing_and_keeps_nothing_moving(follower):
     assert follower.command(setpoint(), 2 * NS, 0.0, REST) == ()
-    assert follower.refusal == 'A setpoint is 2 s old, accepted is up to 0.5 s.'
+    assert follower.refusal == 'A setpoint is 2 s old (allowed: 0.5 s).'
     assert follower.command(setpoint(stamp=2 * NS), 2 * NS, 0.1, REST)
     assert follower.refusal == ''
     assert follower.command(setpoint(), 2 * NS, 0.5, REST) == ()
@@ -146,13 +146,13 @@ def test_hold_stops_and_what_the_controller_refused_is_not_tried_again(follower)
         (setpoint(1, Mode.RATE, (0, 0, 0), (0, 5, 5), 1.0), REST, 'whole turns of one joint'),
         (setpoint(1, Mode.RATE, (0, 0, 0), (0, 0, 500), 1.0), REST, '500'),
         (setpoint(1, Mode.RATE, (0, 0, 0), (0, 0, math.nan), 1.0), REST, 'joint inner at nan deg'),
-        (setpoint(1, Mode.RATE, (0, 0, 0), (), 1.0), REST, 'not those of its 3 joints'),
+        (setpoint(1, Mode.RATE, (0, 0, 0), (), 1.0), REST, 'expected those of its 3 joints'),
         (setpoint(1, Mode.RATE, (0, 0, 0), (0, 0, 20), 1e300), REST, 'at 3.6e+302 deg'),
         (setpoint(angles=(0, math.inf, 0)), REST, 'joint middle at inf deg'),
         (setpoint(angles=(0, -math.inf, 0)), REST, 'joint middle at -inf deg'),
         (setpoint(angles=(math.nan, 0, 0)), REST, 'joint outer at nan deg'),
         (setpoint(angles=(0, 0, 1e300)), REST, 'joint inner at 1e+300 deg'),
-        (setpoint(angles=(0, 0)), REST, 'not those of its 3 joints'),
+        (setpoint(angles=(0, 0)), REST, 'found 2 angles and'),
         (replace(setpoint(), joints=('outer', 'outer', 'inner')), REST, 'names a joint twice'),
         (replace(setpoint(), joints=('outer', 'wheel', 'inner')), REST, "found joint 'wheel'"),
     ],
@@ -385,7 +385,7 @@ def test_a_second_source_of_setpoints_is_refused_and_the_table_stands(bench):
     assert named == '/leader, /second'
     # The one that is left has not seen the stop: it asks for the same all the time.
     second.setpoint = None
-    assert bench.until(lambda: bench.leader.has_report('source', 2, 'setpoints still arrive'))
+    assert bench.until(lambda: bench.leader.has_report('source', 2, 'of a refused motion'))
     assert bench.controller.count('MOVE') == 3
     bench.lead(None)
     bench.until(lambda: False, 1.0)
