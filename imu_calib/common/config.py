@@ -328,6 +328,17 @@ class Section:
         """Return a list of mappings."""
         return [Section(v, f'{self.key(name)}[{i}]') for i, v in enumerate(self.items(name))]
 
+    def either(self, first: str, second: str) -> str:
+        """Return which of two keys is present, after all others were read: refuses unknown ones."""
+        present = [name for name in (first, second) if self.has(name)]
+        self.refuse_unknown_keys()
+        if len(present) != 1:
+            found = 'both' if present else 'neither'
+            raise InputError(
+                f'{self.where}: found {found} of {first!r} and {second!r}, expected one of them.'
+            )
+        return present[0]
+
     def refuse_unknown_keys(self) -> None:
         """Refuse unknown keys."""
         unknown = sorted(set(self._data) - set(self._known))

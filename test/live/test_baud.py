@@ -98,7 +98,7 @@ def test_frames_that_do_not_fit_are_said_before_anything_starts(tmp_path, port, 
     arguments = command(tmp_path, port[1], '--baud', 115200)
     assert main.main(arguments) == 1
     output = capsys.readouterr().out
-    sentence = output.index('500 frames of 42 bytes a second are 210000 bit/s')
+    sentence = output.index('500 frames of 42 bytes per second need 210000 bit/s')
     assert sentence < output.index('start imu_node')
     assert 'the port runs at 115200 bit/s: frames will be lost' in output
     assert 'Set the device and baud to 230400 bit/s' in output
@@ -112,7 +112,7 @@ def test_a_shipped_device_fits_at_the_rate_of_its_file_to_the_bit(device, rate, 
     frames = load_format(device)
     assert too_slow(frames.baud, frames, rate) == ''
     assert too_slow(needed, frames, rate) == ''
-    assert f'are {needed} bit/s' in too_slow(needed - 1, frames, rate)
+    assert f'need {needed} bit/s' in too_slow(needed - 1, frames, rate)
     assert too_slow(50, frames, None) == ''
 
 

@@ -23,7 +23,7 @@ CATCH_UP = 100 * MS + 2 * BUNCH
 START = 1_000 * NS
 COUNTER = FrameCounter(Number('u', 4, 2, '<'), 2**32)
 SHORT = FrameCounter(Number('u', 1, 29, '>'), 128)
-SET_BACK = r"The host's clock was set; stamps follow it. By -20 s. (\S+) s after the first sample."
+SET_BACK = r"The host's clock was set; stamps follow it \(by -20 s, (\S+) s after the first"
 SENT = {
     # No frame is that of a turn before: noise sees to that.
     'kvh_1750': (1000, lambda k: kvh(k, rates=(k, 0.0, 0.0))),
@@ -336,7 +336,7 @@ def test_a_clock_that_is_set_is_an_error_for_ten_seconds_and_then_a_warning(tmp_
     assert before.severity is Severity.OK
     assert clock_status(1.0).severity is Severity.ERROR
     # The first sample that was read after the step was made up to a bunch before.
-    said_at = re.fullmatch(SET_BACK, clock_status(1.0).text)
+    said_at = re.match(SET_BACK, clock_status(1.0).text)
     assert APART - (BUNCH + 2 * MS) / NS <= float(said_at[1]) <= APART
     assert clock_status(12.0).severity is Severity.WARN
 

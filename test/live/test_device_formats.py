@@ -203,7 +203,7 @@ def test_what_has_a_fraction_is_no_counter_and_a_time_of_its_own_unit():
         ({'checksum': {'kind': 'sum', 'word': 24, 'offset': 22}}, 'expected 8, 16 or 32'),
         (
             {'checksum': {'kind': 'sum', 'word': 16, 'offset': 22, 'covers': [1, 21]}},
-            'covers: 21 bytes are not a whole number of words',
+            'covers: found 21 bytes, expected whole words',
         ),
         ({'start': [{'wait': '1 s'}]}, "found neither of 'bytes' and 'text'"),
         ({'start': [{'bytes': [1], 'text': 'a'}]}, "found both of 'bytes' and 'text'"),

@@ -402,7 +402,7 @@ BEYOND_A_SCHEMA = {
         ({'stop__0__wait': '2.5 s'}, 'stop: the waits add up to .* expected at most 2 s'),
         (
             {'checksum': {'kind': 'sum', 'word': 16, 'offset': 46, 'covers': [1, 45]}},
-            'covers: .* bytes are not a whole number of words',
+            'covers: found .* bytes, expected whole words',
         ),
         ({'fields__temperature__offset': 47}, "reach beyond the frame's length of 48"),
         ({'sync': [0] * 60, 'constant': None}, 'constant bytes reach beyond the length'),

@@ -149,15 +149,15 @@ _READS = 3
 _PART_OF_A_TURN = 8
 """A delay shows turns of a counter if it is whole turns within an eighth: for a turn of 128 ms
 16 ms, the time for which a USB adapter holds bytes back (latency timer of FTDI's)."""
-_LOST = "Frames are missing, whole turns of the counter: the host's clock shows that time passed."
+_LOST = 'Frames are missing: by the time that passed on the host the counter wrapped in between.'
 _NOT_LOST = 'Frames that were counted as missing were only late.'
-_SET = "The host's clock was set, not the device's; stamps follow it."
+_SET = "The host's clock was set; stamps follow it."
 _JUMPED = "The device's clock jumped against the host's."
-_MISSING = "Samples are missing: the host's clock shows that time passed without them."
-_EARLY = "Samples arrived before they can have been made: the host's clock was set."
+_MISSING = "Samples are missing by the host's clock."
+_EARLY = "Samples arrived before they were due: the host's clock was set."
 _UNCLEAR = (
-    'Frames are missing, or a clock was set: the counter does not show by how much. Stamps restart '
-    'from the time of arrival.'
+    'Frames are missing or a clock was set, the counter does not show by how much: stamps start '
+    'anew from the time of arrival.'
 )
 _HOST_STEP = 10.0 * NS
 """ns: least delay of arrivals that shows a suspended host. A judgement: no driver holds bytes back
@@ -241,7 +241,7 @@ class DeviceClock:
     ) -> None:
         if time is None and period is None:
             raise InputError(
-                'The frames carry no device time: to stamp them, the sample rate must be known.'
+                'The frames carry no device time: give the sample rate, by which they are stamped.'
             )
         self._time = time
         self._counter = counter
@@ -328,7 +328,7 @@ class DeviceClock:
         known = self._compare(elapsed, arrival, steady is not None)
         self._line.add_delays(elapsed[:known], arrival[:known])
         for index, by in settings:
-            self._note(int(elapsed[index]), by / NS, "The host's clock was set; stamps follow it.")
+            self._note(int(elapsed[index]), by / NS, _SET)
         # The fraction of a nanosecond is kept: a thousand roundings a second would add up.
         self._elapsed = float(exact[-1]) + int(elapsed[-1]) - uncorrected
         self._arrival = int(arrival[-1])

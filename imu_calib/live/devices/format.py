@@ -199,14 +199,8 @@ class _Frame:
             return None
         section = fields.section('time')
         number = self.number(section)
-        unit, ticks, _ = (section.has(name) for name in ('unit', 'ticks', 'modulus'))
-        section.refuse_unknown_keys()
-        if unit == ticks:
-            raise InputError(
-                f"{section.where}: found {'both' if unit else 'neither'} of 'unit' "
-                f"and 'ticks', expected unit: {'|'.join(TICKS_NS)}, or ticks: 10 kHz."
-            )
-        if unit:
+        section.has('modulus')
+        if section.either('unit', 'ticks') == 'unit':
             tick = section.choice('unit', TICKS_NS)
         else:
             tick = 1e9 / section.quantity('ticks', Dimension.FREQUENCY, above=0)
@@ -259,12 +253,9 @@ def _fault(section: Section, number: Number) -> Fault:
     when_set = section.choice('when', {'set': True, 'clear': False}, 'set')
     is_error = section.choice('level', {'warn': False, 'error': True}, 'error')
     words = section.text('says')
-    one, other = section.has('bit'), section.has('mask')
-    section.refuse_unknown_keys()
-    if one == other:
-        raise InputError(f"{section.where}: expected one of 'bit' and 'mask'.")
+    key = section.either('bit', 'mask')
     highest = (number.modulus or 1).bit_length() - 2
-    if section.has('bit'):
+    if key == 'bit':
         mask = 1 << section.whole('bit', 0, highest)
     else:
         mask = section.whole('mask', 1, (1 << (highest + 1)) - 1)
@@ -312,7 +303,7 @@ def _check(section: Section, frame: _Frame, constants: int) -> FrameCheck | None
         raise InputError(f'{check.key("covers")}: the checksum cannot cover itself.')
     if not fits(algorithm, covered[1] + 1 - covered[0]):
         raise InputError(
-            f'{check.key("covers")}: {covered[1] + 1 - covered[0]} bytes are not a whole number of '
+            f'{check.key("covers")}: found {covered[1] + 1 - covered[0]} bytes, expected whole '
             'words, of which the checksum is the sum.'
         )
     return FrameCheck(algorithm, number, covered[0], covered[1] + 1, padding)

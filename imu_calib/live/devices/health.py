@@ -71,10 +71,9 @@ class Gravity:
         if low <= force and (force <= high or imu.units is Units.COUNTS):
             return ''
         return (
-            f'The accelerometers read {force:.3g} m/s^2 by the file of IMU {imu.id} (units: '
-            f'{imu.units.value}, scale_factor {imu.accel.scale_factor:.3g}), expected gravity, '
-            f'{STANDARD_GRAVITY:.2f} m/s^2: the file is not that of this device. Give the file '
-            "that says what the numbers of this device's frames mean."
+            f'By the file of IMU {imu.id} (units: {imu.units.value}, scale_factor '
+            f'{imu.accel.scale_factor:.3g}) the accelerometers read {force:.3g} m/s^2, expected '
+            f'gravity, {STANDARD_GRAVITY:.2f} m/s^2. Give the file of the IMU in this device.'
         )
 
 
@@ -331,8 +330,8 @@ class Health:
             return Severity.ERROR, 'Bytes are received, but no frame yet.'
         if not self._bytes and late > 0:
             return Severity.ERROR, (
-                'No frame has come since the start. Is the device on, connected, and set to send '
-                'by itself?'
+                'No frame has come since the start. Check that the device is on, connected, and '
+                'set to send by itself.'
             )
         return Severity.WARN, 'The first frame has not come yet.'
 
@@ -342,9 +341,8 @@ class Health:
             return PartStatus(
                 'format',
                 Severity.ERROR,
-                f'{what} no frame of the format {self._format.name}: this is another device, it is '
-                "configured differently, or the baud rate is wrong. Check the device's file, and "
-                'at its top how the device is to be set up.',
+                f'{what} no frame of the format {self._format.name}: it is another device, set up '
+                'differently, or the baud rate is wrong. Set it up as the top of its file says.',
             )
         if self._misfit:
             return PartStatus('format', Severity.ERROR, self._misfit)
@@ -377,10 +375,10 @@ class Health:
             self._jumps = clock.jumps
             self._events['jump'] = '', steady
         if last is not None:
-            by = '' if last.seconds is None else f' By {last.seconds:.3g} s.'
-            when = f' {last.elapsed / NS:.3f} s after the first sample.'
+            by = '' if last.seconds is None else f'by {last.seconds:.3g} s, '
+            when = f'{last.elapsed / NS:.3f} s after the first sample'
             severity = Severity.ERROR if 'jump' in self._events else Severity.WARN
-            return PartStatus('clock', severity, f'{last.reason}{by}{when}', figures)
+            return PartStatus('clock', severity, f'{last.reason[:-1]} ({by}{when}).', figures)
         certain = 0.0 if drift is None else abs(drift.ppm) - 3 * drift.std
         if certain > _DRIFT_TOLERANCE and clock.drift_counts:
             text = "The device's count of time or samples drifts against the host's clock."

@@ -374,14 +374,7 @@ def _sequence(section: Section, name: str) -> tuple[Command, ...]:
 
 def _command(entry: Section) -> Command:
     wait = entry.quantity('wait', Dimension.TIME, 0.0, least=0.0)
-    stated = entry.has('bytes'), entry.has('text')
-    entry.refuse_unknown_keys()
-    if stated[0] == stated[1]:
-        raise InputError(
-            f"{entry.where}: found {'both' if stated[0] else 'neither'} of 'bytes' and "
-            "'text', expected one of them."
-        )
-    if stated[0]:
+    if entry.either('bytes', 'text') == 'bytes':
         data = bytes(whole_list(entry, 'bytes', 0, 255))
     else:
         text = entry.text('text')

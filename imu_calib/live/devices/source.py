@@ -231,10 +231,9 @@ def too_slow(baud: int, frames: FrameFormat, sample_rate: float | None) -> str:
     enough = next((rate for rate in _COMMON if rate >= needed), None)
     advice = 'a higher one' if enough is None else f'{enough} bit/s'
     return (
-        f'{sample_rate:g} frames of {frames.length} bytes a second are {needed:.0f} bit/s (10 bits '
-        f'a byte), but the port runs at {baud} bit/s: frames will be lost, unless the port is a '
-        f'USB device, to which the rate means nothing. Set the device and baud to {advice}, or '
-        'the device to fewer samples a second.'
+        f'{sample_rate:g} frames of {frames.length} bytes per second need {needed:.0f} bit/s, but '
+        f'the port runs at {baud} bit/s: frames will be lost, except on USB, which ignores the '
+        f'rate. Set the device and baud to {advice}, or lower the sample rate of the device.'
     )
 
 
@@ -259,12 +258,12 @@ _ADVICE = {
         'this is not a serial port. Name the one where the IMU is; ls -l /dev/serial/by-id lists '
         'those that are there.'
     ),
-    errno.EBUSY: 'another program holds it. End that one.',
+    errno.EBUSY: 'another program has it open. End that program.',
     errno.ECONNREFUSED: 'nothing listens there. Switch the device on, and check host and port.',
     errno.EHOSTUNREACH: 'the host does not answer. Check address, cable and network.',
     errno.EADDRNOTAVAIL: 'this machine has no such address. udp:// takes the address at which the '
     'datagrams arrive, 0.0.0.0 for any.',
-    errno.EADDRINUSE: 'another program takes what arrives there. End that one.',
+    errno.EADDRINUSE: 'another program receives there. End that program.',
 }
 """Meaning of an error on opening, and the remedy."""
 _ALIKE = {

@@ -20,6 +20,7 @@ half a period is for rounding. A judgement."""
 _RATE_TOLERANCE = 1e-3
 """The same of the time between two frames: the period is estimated in the first moments, and the
 rate of the device's clock may change afterwards. A judgement: quartzes keep to 1e-4."""
+_RESTARTED = 'The frame counter does not continue: the device was restarted.'
 _PLAUSIBLE = 2e9
 """ns by which a step may exceed the host's elapsed time: data may wait in buffers before it is
 read. A judgement."""
@@ -112,8 +113,7 @@ class Stepper:
             steps = _forward(ticks, self.period, "The device's clock went back.", begins)
         elif counts is not None and self.period is not None:
             counts[counts * self.period > past + _PLAUSIBLE] = 0.0 if self._live else 1.0
-            reason = 'The frame counter does not continue: the device was restarted.'
-            steps = _forward(counts * self.period, self.period, reason, begins)
+            steps = _forward(counts * self.period, self.period, _RESTARTED, begins)
         else:
             assert self.period is not None
             steps = Steps(np.full(len(past), self.period))
@@ -174,11 +174,10 @@ class Stepper:
             seconds = float(ticks[k] - by_counter) / NS
             ticks[k] = by_counter
             return Finding(k, seconds, "The device's clock jumped.")
-        reason = 'The frame counter went back: the device was restarted.'
         if 0 < ticks[k] <= past[k] + _PLAUSIBLE:
-            return Finding(k, None, reason)
+            return Finding(k, None, _RESTARTED)
         ticks[k] = period
-        return Finding(k, None, reason, by_arrival=True)
+        return Finding(k, None, _RESTARTED, by_arrival=True)
 
 
 def _forward(steps: Floats, period: float | None, reason: str, begins: bool) -> Steps:
