@@ -49,7 +49,7 @@ def generate_launch_description() -> LaunchDescription:
                 'table_output',
                 default_value='setpoint',
                 choices=['setpoint', 'trajectory'],
-                description='How the table is led: setpoints, or trajectories of ros2_control.',
+                description='How the table is driven: setpoints, or trajectories of ros2_control.',
             ),
             checks(view=True, table=True),
             _include('calibrator.launch.py', latitude=LaunchConfiguration('latitude')),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..calibration.compensate import Mark, TurnsSeen, noise_gains
+from ..calibration.compensate import MARK_WORDS, Mark, TurnsSeen, noise_gains
 from ..calibration.compensator import Compensator, Reading
 from ..calibration.sample_clock import WholeStream
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_unit, first_of
@@ -41,14 +41,6 @@ if TYPE_CHECKING:
 _MOST = 0.5
 """Share of the samples: with fewer written, most are lost."""
 _RAW, _RATES, _CALIBRATED = '/pulses', '/data_raw', '/data_calibrated'
-_WORDS = {
-    Mark.GYRO_RANGE: 'a saturated gyro (covariance -1: no estimate)',
-    Mark.ACCEL_RANGE: 'a saturated accelerometer (covariance -1: no estimate)',
-    Mark.RATE: 'rotation faster than in the calibration',
-    Mark.TEMPERATURE: 'temperature outside that of the calibration; the nearest was used',
-    Mark.PARITY: 'four gyros that contradict each other',
-    Mark.NO_NUMBER: 'values that are not numbers, or too large to compute with (left out)',
-}
 
 
 @dataclass(frozen=True)
@@ -338,21 +330,23 @@ def _findings(stream: _Stream) -> list[str]:
             'compensated.'
         )
     known += [
-        f'{compensator.counts[m]} samples: {_WORDS[m]}.' for m in Mark if compensator.counts[m]
+        f'{compensator.counts[m]} samples: {words}.'
+        for m, words in MARK_WORDS.items()
+        if compensator.counts[m]
     ]
     if not compensator.gravity.is_gravity:
         known.append(compensator.gravity.contradiction(first_of(compensator.calibration).imu))
     if compensator.alone:
-        known.append(f"{compensator.alone} samples went without the skewed gyro's value.")
+        known.append(f"{compensator.alone} samples lacked the skewed gyro's value.")
     if compensator.repeats:
         known.append(f'{compensator.repeats} samples came twice and are written once.')
     if stream.turns.contradict:
         known.append(stream.turns.contradiction(first_of(compensator.calibration).imu))
     if compensator.untimed:
         known.append(
-            f'The stamps of {compensator.untimed} samples show no sample interval: they are '
-            'compensated without. Unless the description of the IMU states a `sample_rate`, their '
-            'covariances do not contain the noise of single samples.'
+            f'The stamps of {compensator.untimed} samples show no sample interval. Their '
+            'covariances lack the noise of single samples unless the file of the IMU states a '
+            '`sample_rate`.'
         )
     if compensator.dropped:
         known.append(f'{compensator.dropped} samples could not be timed and are left out.')

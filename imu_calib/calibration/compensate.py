@@ -38,6 +38,17 @@ class Mark(IntFlag):
     NO_NUMBER = 32  #: A value is not finite, or too large to compute with.
 
 
+MARK_WORDS = {
+    Mark.GYRO_RANGE: 'a saturated gyro (covariance -1: no estimate)',
+    Mark.ACCEL_RANGE: 'a saturated accelerometer (covariance -1: no estimate)',
+    Mark.RATE: 'rotation faster than in the calibration',
+    Mark.TEMPERATURE: 'temperature outside that of the calibration (the nearest is used)',
+    Mark.PARITY: 'four gyros that contradict each other',
+    Mark.NO_NUMBER: 'values that are not numbers, or too large to compute with (left out)',
+}
+"""What a mark means to the user of the samples."""
+
+
 # Not frozen: one is made for each live sample, and freezing would cost a microsecond.
 @dataclass(eq=False)
 class CompensatedSamples:

@@ -258,7 +258,7 @@ def network_of_hardware(interface: str | None, *, alone: bool) -> dict[str, str]
         check_interface(interface)
     own = interface_variables(interface or LOOPBACK)
     if not alone:
-        check_domain('a table')
+        check_domain()
     elif not os.environ.get('ROS_DOMAIN_ID', '').strip():
         own['ROS_DOMAIN_ID'] = str(own_domain())
     return own

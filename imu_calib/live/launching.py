@@ -30,19 +30,17 @@ from ..session.units_file import PULSES, load_units, remaining
 from .devices.format import load_format
 from .devices.source import check_port
 from .network import LOOPBACK, REACH, check_domain, interface_variables
+from .runtime import BUILD_MESSAGES
 from .security import in_enclave
 
 _MODULES = {
-    'numpy': 'python3-numpy',
-    'scipy': 'python3-scipy',
-    'rich': 'python3-rich',
-    'serial': 'python3-serial',
-    'imu_calib_msgs': (
-        'the package of that name, the folder msg_defs of this one, below which colcon does not '
-        'look: in the workspace, `ln -s imu_calib/msg_defs src/imu_calib_msgs` and `colcon build`'
-    ),
+    'numpy': 'Install python3-numpy.',
+    'scipy': 'Install python3-scipy.',
+    'rich': 'Install python3-rich.',
+    'serial': 'Install python3-serial.',
+    'imu_calib_msgs': BUILD_MESSAGES,
 }
-"""Python modules that the nodes need, and their Ubuntu packages."""
+"""Python modules that the nodes need, and how to get them."""
 
 
 _PACKAGE = 'imu_calib'
@@ -200,7 +198,7 @@ def devices(given: Mapping[str, str]) -> list[Device]:
             )
         return []
     if given.get('port'):
-        raise InputError(f'port:={given["port"]}: the file units states it for each unit.')
+        raise InputError(f'port:={given["port"]}: leave it out, the file of units states it.')
     found = []
     for unit in remaining(load_units(given['units']), given.get('without', '')):
         device = unit.device or given.get('device', '')
@@ -234,7 +232,7 @@ def _restrict_reach() -> list[Any]:
     """
     from launch.actions import LogInfo, SetEnvironmentVariable
 
-    check_domain('a table')
+    check_domain()
     if os.environ.get(REACH, '').strip():
         return []
     own = interface_variables(LOOPBACK)
@@ -263,8 +261,8 @@ def missing(packages: tuple[str, ...]) -> list[str]:
     from ament_index_python.packages import get_packages_with_prefixes
 
     modules = [
-        f'The Python module {module} is missing: install {package}.'
-        for module, package in _MODULES.items()
+        f'The Python module {module} is missing. {remedy}'
+        for module, remedy in _MODULES.items()
         if find_spec(module) is None
     ]
     known = get_packages_with_prefixes() if packages else {}
@@ -374,7 +372,7 @@ def _unless_empty(check: Callable[[str], Any]) -> Callable[[str], None]:
 
 def _file(text: str) -> None:
     if not user_path(text).is_file():
-        raise InputError(f'found no such file, expected one. {text} is missing.')
+        raise InputError('there is no such file.')
 
 
 _BAUD = _whole_number(50, 10_000_000)

@@ -66,11 +66,8 @@ def check_interface(name: str) -> None:
         )
 
 
-def check_domain(whose: str) -> None:
-    """Refuse ROS's default domain, which every program without a choice uses.
-
-    Args:
-        whose: The program that needs its own domain, in words.
+def check_domain() -> None:
+    """Refuse ROS's default domain for a table: every program without a choice uses it.
 
     Raises:
         InputError: ROS_DOMAIN_ID is not set, or 0.
@@ -79,9 +76,9 @@ def check_domain(whose: str) -> None:
     if given not in {'', '0'}:
         return
     raise InputError(
-        f'{_DOMAIN} is {given or "not set"}: {whose} is not led in the default domain 0, which '
-        'every ROS program uses unless told otherwise. Give the stand a domain of its own, in '
-        f'every terminal and for the driver of the table: export {_DOMAIN}=42 (1 to 101).'
+        f'{_DOMAIN} is {given or "not set"}: in the default domain 0 any ROS program could command '
+        'the table. Give the stand a domain of its own, in every terminal and for the driver of '
+        f'the table: export {_DOMAIN}=42 (1 to 101).'
     )
 
 
@@ -151,8 +148,8 @@ def network_refusal(reach: str, how: str) -> str:
         how: Remedy, beginning with 'name' or 'set'.
     """
     return (
-        f'{REACH} is {reach}, and no network interface is named. Who is on that network could '
-        f'lead the table: {how} if that is meant, else unset {REACH} (docs/access.md).'
+        f'{REACH} is {reach}, and no network interface is named: anyone on the network could '
+        f'command the table. If that is meant, {how}, else unset {REACH} (docs/access.md).'
     )
 
 

@@ -49,8 +49,8 @@ def check(step: Step, table: Table) -> None:
         needed = float(rate) ** 2 / TURN
         if needed > joint.max_acceleration * (1 + 1e-9):
             raise InputError(
-                f'{where}: to {rate / DEG:g} deg/s and back within a turn joint {joint.name} '
-                f'needs {needed / DEG:.4g} deg/s^2, table {table.name} allows '
+                f'{where}: to reach {rate / DEG:g} deg/s joint {joint.name} needs '
+                f'{needed / DEG:.4g} deg/s^2, table {table.name} allows '
                 f'{joint.max_acceleration / DEG:g} deg/s^2.'
             )
 

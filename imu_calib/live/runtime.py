@@ -16,6 +16,11 @@ VARIABLE = 'IMU_CALIB_MIDDLEWARE'
 RUNTIMES = ('rclpy', 'dds', 'embedded')
 _FIRST, _LAST = (3, 10), (3, 13)
 """Pythons for which cyclonedds 11.0.1 has wheels, on Linux for x86_64 alone."""
+BUILD_MESSAGES = (
+    'Build it from the folder msg_defs: `colcon build` in a clone alone, in a workspace `ln -s '
+    'imu_calib/msg_defs src/imu_calib_msgs` before; then `source install/setup.bash`.'
+)
+"""How to get the package of messages, below whose folder colcon does not look by itself."""
 
 
 def runtime() -> str:
@@ -60,16 +65,12 @@ def require(chosen: str) -> None:
     if chosen == 'rclpy':
         _import(
             'rclpy',
-            'rclpy does not load: {}. Source the setup file of a ROS 2 installation '
-            f'whose Python this is, or set {VARIABLE}=dds to do without ROS.',
+            'rclpy does not load: {}. Source a ROS 2 installation of this Python, or set '
+            f'{VARIABLE}=dds to do without ROS.',
         )
         _import(
             'imu_calib_msgs.action',
-            'The package imu_calib_msgs is not built, not sourced or old: {}. It is the folder '
-            'msg_defs of imu_calib, below which colcon does not look. In a workspace: '
-            '`ln -s imu_calib/msg_defs src/imu_calib_msgs` and `colcon build`; in a checkout '
-            'alone: `colcon build` there, whose colcon_defaults.yaml names both; then '
-            '`source install/setup.bash`.',
+            f'The package imu_calib_msgs is not built, not sourced or old: {{}}. {BUILD_MESSAGES}',
         )
         return
     _import(
@@ -87,14 +88,14 @@ def require(chosen: str) -> None:
 def _remedy() -> str:
     """Return how to get Cyclone DDS, if a wheel is there, and what works without."""
     instead = (
-        '`imu-calib stand` without --processes, and all that works on recordings, need none of it.'
+        '`imu-calib stand` without --processes and all commands on recordings work without it.'
     )
     version, system, machine = sys.version_info[:2], platform.system(), platform.machine()
     if _FIRST <= version <= _LAST and (system, machine) == ('Linux', 'x86_64'):
-        return f"Install it with `pip install '.[dds]'`, or source ROS 2. {instead}"
+        return f"Install it with `pip install '.[dds]'`, or source ROS 2; {instead}"
     return (
-        f'It has no wheel for Python {version[0]}.{version[1]} on {system} {machine}: processes of '
-        f'their own, and peers on the wire, need ROS 2 there. {instead}'
+        f'It has no wheel for Python {version[0]}.{version[1]} on {system} {machine}: source ROS '
+        f'2; {instead}'
     )
 
 

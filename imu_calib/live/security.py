@@ -64,7 +64,7 @@ def make_keystore(keystore: Path, namespace: str = '', policy: Path | None = Non
         InputError: The default domain, an unreadable policy, or a keystore of another domain.
     """
     # The keys of a stand are for its domain, which sros2 takes from the environment.
-    check_domain('a secured stand')
+    check_domain()
     domain = os.environ['ROS_DOMAIN_ID'].strip()
     _check_domain_of(keystore, domain)
     file = policy or policy_file()
@@ -95,8 +95,8 @@ def _check_domain_of(keystore: Path, domain: str) -> None:
     found = [one.text for one in ET.parse(governance).getroot().iter('id')]
     if found != [domain]:
         raise InputError(
-            f'{keystore} is of domain {", ".join(map(str, found))}, and ROS_DOMAIN_ID is {domain}: '
-            'name another folder, or set ROS_DOMAIN_ID to that domain.'
+            f'{keystore} is for domain {", ".join(map(str, found))}, and ROS_DOMAIN_ID is '
+            f'{domain}: name another folder, or set ROS_DOMAIN_ID to that domain.'
         )
 
 

@@ -106,8 +106,8 @@ class Supervision:
         """
         if not self.needed:
             raise InputError(
-                'To resume a session the parameter supervised must be true: the calibrator reports '
-                'which steps it lacks.'
+                'To resume a session set supervised to true: the calibrator tells which steps it '
+                'lacks.'
             )
         self._resumes = True
 
@@ -266,7 +266,7 @@ class Sequencer:
             InputError: Nothing is running.
         """
         if not self.running and self._stage is not _Stage.WAITING:
-            raise InputError('Nothing is running that could be paused.')
+            raise InputError('Nothing is running.')
         self._halt(_Stage.PAUSED, 'Paused on request.')
 
     def abort(self, reason: str = 'Aborted on request.') -> None:
@@ -276,7 +276,7 @@ class Sequencer:
             InputError: Nothing was started.
         """
         if self._stage in {_Stage.IDLE, _Stage.DONE, _Stage.ABORTED}:
-            raise InputError('Nothing is running that could be aborted.')
+            raise InputError('Nothing is running.')
         self._halt(_Stage.ABORTED, reason)
 
     def emergency(self, on: bool, obstacle: str = 'The emergency stop is on.') -> None:
@@ -447,8 +447,7 @@ class Sequencer:
             self._hold_idle_table(now)
         elif now.gap > self.rules.feedback_timeout:
             self.fail(
-                f'No joint state for {now.gap:.2f} s, accepted is up to '
-                f'{self.rules.feedback_timeout:g} s.'
+                f'No joint state for {now.gap:.2f} s (allowed: {self.rules.feedback_timeout:g} s).'
             )
         elif fault := self._run.follow(now):
             self.fail(fault)

@@ -95,7 +95,7 @@ class Stand:
         except ImuCalibError as error:
             self.close()
             raise InputError(
-                f'{error} Is it started, in this domain (ROS_DOMAIN_ID) and namespace?'
+                f'{error} Check that it runs, with this ROS_DOMAIN_ID and namespace.'
             ) from None
 
     def __repr__(self) -> str:
@@ -174,7 +174,7 @@ class Stand:
         """
         if self._end is None or self._end.done():
             # Otherwise the plan would run without a client that stops it.
-            raise ImuCalibError('No run is in progress: start(resume=True) goes on with one.')
+            raise ImuCalibError('No run is in progress: start(resume=True) continues one.')
         return self._call('start')
 
     def abort(self) -> str:
@@ -255,5 +255,5 @@ class Stand:
 
     def _spin(self) -> None:
         if self._node is None:
-            raise ImuCalibError('The stand was left: make another Stand.')
+            raise ImuCalibError('This Stand is closed: make another one.')
         self._ros.spin_once(self._node, timeout_sec=_SPIN)

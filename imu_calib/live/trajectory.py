@@ -84,8 +84,8 @@ class Lead:
             return None
         if now > self._covered - _LEAD and self._covered > 0:
             raise Overtaken(
-                f'A motion of {course.end:.1f} s was led on for {self._covered:.1f} s, and the '
-                f'next piece comes after {now:.1f} s: the table brakes already.'
+                f'The trajectory reached to {self._covered:.1f} s and was not continued before '
+                f'{now:.1f} s: the table brakes already.'
             )
         self._covered = max(now, 0.0) + _PIECE
         return Piece(self._start, course.until(self._covered, self._accelerations))

@@ -253,7 +253,7 @@ def test_while_the_plan_runs_no_new_session_begins(monkeypatch, tmp_path):
 
         refused = reset_in(Phase.TURNING)
         assert not refused.success
-        assert 'The table runs its plan' in refused.message
+        assert 'The plan is running' in refused.message
         assert bench.node._sessions is before
         agreed = reset_in(Phase.PAUSED)
         assert agreed.success

@@ -331,7 +331,7 @@ def test_it_says_why_nothing_is_published_yet(monkeypatch, file):
     with Bench(monkeypatch, calibration=file) as bench:
         payloads = encode_imu(block(40)).payloads()
         bench.send(payloads[:20])
-        waits = 'not known yet: it takes 33 samples'
+        waits = 'is known after 33 samples'
         assert bench.until(lambda: bench.has_status('stream', waits))
         figures = figures_of(bench, 'stream')
         assert figures['sample interval'] == 'not known yet'
@@ -345,7 +345,7 @@ def test_stamps_that_tell_no_interval_are_named(monkeypatch, file):
         samples = block(100)
         same = replace(samples, stamp=np.zeros_like(samples.stamp))
         bench.send(encode_imu(same).payloads())
-        assert bench.until(lambda: bench.has_status('stream', 'stamps do not show it'))
+        assert bench.until(lambda: bench.has_status('stream', 'show no sample interval'))
 
 
 def test_samples_without_gravity_are_named(monkeypatch, file):
@@ -368,7 +368,7 @@ def test_samples_without_gravity_are_named(monkeypatch, file):
 
         assert said(0.0, 'expected gravity', 'not in the units of the calibration (pulses)')
         assert bench.words['gravity'].level in {b'\x01', 1}
-        assert said(pulses, 'about gravity')
+        assert said(pulses, 'agree with gravity')
 
 
 def test_rates_in_degrees_are_named_in_the_words_of_compensate(monkeypatch, tmp_path):
@@ -407,4 +407,4 @@ def test_rates_in_degrees_are_named_in_the_words_of_compensate(monkeypatch, tmp_
 
         assert heard(degrees, start[:23], end)
         assert bench.words['turns'].level in {b'\x01', 1}
-        assert heard(turned, 'The gyros turn gravity as far as the accelerometers do.')
+        assert heard(turned, 'Gyros and accelerometers agree on the motion.')

@@ -201,7 +201,7 @@ def test_a_file_of_units_becomes_a_node_for_each(tmp_path):
     [
         ({}, 'Give port:= and device:= of the IMU, or units:='),
         ({'port': '/dev/ttyUSB0'}, 'Give device:= of the IMU'),
-        ({'units': '{file}', 'port': '/dev/ttyUSB0'}, 'states it for each unit'),
+        ({'units': '{file}', 'port': '/dev/ttyUSB0'}, 'the file of units states it'),
         ({'units': '{file}'}, 'unit B-2 has no device'),
         ({'units': '{file}', 'without': 'C3'}, "found 'C3', expected some of A1, B-2"),
         ({'units': '{file}', 'without': 'A1, B-2'}, 'All units are left out'),

@@ -346,8 +346,8 @@ class Words:
 @pytest.mark.parametrize(
     ('later', 'words'),
     [
-        (1, 'is stamped 3600 s behind /turntable/joint_states: they are of two clocks'),
-        (-1, 'is stamped 3600 s ahead of /turntable/joint_states: they are of two clocks'),
+        (1, 'is stamped 3600 s behind /turntable/joint_states, by another clock'),
+        (-1, 'is stamped 3600 s ahead of /turntable/joint_states, by another clock'),
         (0, 'is received.'),
     ],
 )

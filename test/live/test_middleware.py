@@ -929,7 +929,7 @@ except ImuCalibError as error:
 @pytest.mark.parametrize(
     ('runtime', 'module', 'advice'),
     [('dds', 'cyclonedds', "pip install '.[dds]'"),
-     ('rclpy', 'rclpy', 'Source the setup file'),
+     ('rclpy', 'rclpy', 'Source a ROS 2'),
      ('other', 'none', 'expected rclpy, dds, embedded')],
 )  # fmt: skip
 def test_a_runtime_that_does_not_load_is_said_in_words(runtime, module, advice):

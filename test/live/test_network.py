@@ -99,7 +99,7 @@ def test_a_table_is_not_led_in_the_default_domain_and_a_hand_has_one_of_its_own(
     file.write_bytes(b'')
     words = ['stand', 'twelve_position', '--port', str(file), '--device', 'simulated']
     assert main.main([*words, '--latitude', '48', '-o', str(tmp_path / 'stand')]) == 2
-    assert 'a table is not led in the default domain 0' in capsys.readouterr().err
+    assert 'in the default domain 0 any ROS program' in capsys.readouterr().err
     assert not (tmp_path / 'stand').exists()
     if not domain:
         assert int(network_of_hardware(None, alone=True)['ROS_DOMAIN_ID']) > 0
@@ -121,7 +121,7 @@ def launched(name, **given):
 
 
 def test_launched_hardware_stays_here_in_a_domain_of_its_own_unless_told_otherwise(monkeypatch):
-    with pytest.raises(InputError, match='a table is not led in the default domain 0'):
+    with pytest.raises(InputError, match='in the default domain 0 any ROS program'):
         launched('ascii_table')
     assert launched('calibrator') == launched('stand', device='simulated') == []
     monkeypatch.setenv('ROS_DOMAIN_ID', '42')

@@ -38,7 +38,7 @@ def test_of_two_that_go_on_neither_moves_the_table_and_neither_does_the_one_that
         assert (gate.checked(GO, (A, B)[k % 2], 0.05 * k).mode is Mode.HOLD) == (k > 0)
     for k in range(40, 80):
         assert gate.checked(GO, B, 0.05 * k).mode is Mode.HOLD
-    assert 'setpoints still arrive' in gate.reason
+    assert 'of a refused motion' in gate.reason
 
 
 @pytest.mark.parametrize('pause', [HOLD, None])

@@ -160,9 +160,9 @@ def test_the_plans_column_says_what_it_assumes_of_the_biases(expected, shown):
     shown.show(Board(expected))
     with chromium() as browser:
         page = shown.opened(browser)
-        assert 'if biases drift by the data sheet' in page.locator('.key').inner_text()
+        assert 'with the bias drift of the data sheet' in page.locator('.key').inner_text()
         heading = page.locator('table.parameters th', has_text='plan').first
-        assert 'if biases drift by the data sheet' in heading.get_attribute('title')
+        assert 'with the bias drift of the data sheet' in heading.get_attribute('title')
 
 
 def test_a_result_stays_when_the_stand_has_ended(expected, shown):

@@ -163,7 +163,7 @@ def test_the_tool_of_ros_cancels_a_goal_of_a_node_without_ros(tmp_path):
         rates = one_joint_state(net)[1]
         logs = [net.stop(name) for name in ('turntable_node', 'imu_node', 'stand_node')]
     assert 'Goal finished with status: ABORTED' in net.log('refused')
-    assert 'names the plan another, this table runs short' in net.log('refused')
+    assert 'names plan another, this table runs short' in net.log('refused')
     assert 'Goal finished with status: CANCELED' in net.log('goal')
     assert 'Cancelled; the table stands.' in net.log('goal')
     assert not any(rates)

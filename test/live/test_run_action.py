@@ -65,7 +65,7 @@ def test_a_goal_runs_the_plan_and_tells_how_far_it_is(session):
     _, ended = client.run(plan='tiny')
     status, result = client.end(ended)
     assert status is Status.SUCCEEDED
-    assert result.message == 'The plan is done; no calibrator was asked for.'
+    assert result.message == 'The plan is done; no calibrator is required.'
     # Nothing was calibrated, and nothing may be taken for a calibration.
     assert result.calibration.status == ros.messages.ImuCalibration.REFUSED
     # States and feedback are topics of their own: the result may overtake them.
@@ -130,7 +130,7 @@ def test_a_second_goal_is_rejected_and_the_first_goes_on(session):
 @pytest.mark.parametrize(
     ('goal', 'words'),
     [
-        ({'plan': 'twelve_position'}, 'names the plan twelve_position, this table runs tiny'),
+        ({'plan': 'twelve_position'}, 'names plan twelve_position, this table runs tiny'),
         ({}, 'The emergency stop is on.'),
     ],
 )

@@ -113,7 +113,7 @@ def test_a_unit_is_left_out_once(finished_session):
     assert finished_session.answer == (True, 'C3 is left out; the session goes on with the others.')
     assert finished_session.twice == (False, 'C3 is left out already.')
     # It had ended the node: its recording was closed.
-    assert finished_session.late == (False, 'The session is over: A1 is not left out.')
+    assert finished_session.late == (False, 'The session is over: A1 cannot be left out.')
     assert 'C3' not in finished_session.stand.progress[-1].serial_numbers
     with open_recording(finished_session.journal) as recording:
         assert recording.custom_data[LEFT_OUT] == 'unit_C3'

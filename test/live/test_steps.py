@@ -40,7 +40,7 @@ def test_a_turn_needs_the_acceleration_to_run_up_and_down_within_a_turn(rate, se
     with pytest.raises(InputError) as refused:
         check(turn, with_acceleration(0.999 * needed))
     message = str(refused.value)
-    assert f'to {sense * rate / DEG:g} deg/s and back within a turn joint outer' in message
+    assert f'to reach {sense * rate / DEG:g} deg/s joint outer needs' in message
     assert f'needs {needed / DEG:.4g} deg/s^2' in message
     assert f'allows {0.999 * needed / DEG:g} deg/s^2' in message
     assert 'Step 4, position 9' in message

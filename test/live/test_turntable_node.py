@@ -113,7 +113,7 @@ def test_the_emergency_stop_holds_and_refuses_a_start_until_it_is_released(sessi
     assert 'call /turntable_node/release' in why
     released, why = session.press('release')
     assert not released
-    assert why == 'A publisher on /estop still publishes stop: release it there first.'
+    assert why == 'A node still publishes stop on /estop: release it there first.'
     session.watcher.estop.publish(ros.messages.Bool(data=False))
     assert session.until(lambda: session.press('release')[0])
     # Neither what was said on the topic nor the release starts anything, autostart or not.
@@ -408,7 +408,7 @@ def test_joint_states_of_others_and_repeated_ones_are_no_word_of_the_table(sessi
     session.reaches(Phase.PAUSED)
     reason = session.watcher.states[-1].reason
     assert reason.startswith('No joint state from the table for 2 s.')
-    assert ('that name door, lid are ignored' in reason) != frozen
+    assert ('of other joints (door, lid) are ignored' in reason) != frozen
     assert session.ends_stopped()
 
 
@@ -703,7 +703,7 @@ def test_a_setpoint_of_a_stranger_is_answered_by_hold_at_once(session):
 def test_a_start_by_itself_that_is_called_off_does_not_come(session, button):
     session.open(autostart=True, **PATIENT)
     session.table.silent = True
-    words = 'The plan does not start by itself any more.'
+    words = 'The automatic start is cancelled.'
     assert session.press(button) == (True, words)
     session.table.silent = False
     assert session.until(lambda: session.node._sequencer.feedback is not None)

@@ -137,7 +137,7 @@ def all_units_are_there_and_one_that_falls_silent_is_named(shown):
             assert silent.locator('.sign.error').count() == 1
             for other in board.names[:2]:
                 assert 'Samples come in' in window.locator(f'tr[data-unit={other}]').inner_text()
-            assert window.get_by_text('unit_C3/imu_node').first.is_visible()
+            assert window.get_by_text("IMU's receiver of unit_C3").first.is_visible()
             keep(window, f'{name}_silent')
             assert width(window) <= SIZES[name][0], 'the page is wider than its window'
             # WCAG 2.1, 1.4.3.

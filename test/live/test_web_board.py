@@ -258,7 +258,7 @@ def test_the_plan_shows_what_is_done_runs_comes_and_is_to_be_repeated(expected):
 def test_faults_are_readable_without_words_of_ros(expected):
     """What the nodes report, and what the page says of their silence."""
     board = Board(expected)
-    stop = 'Two publishers on /imu/pulses: stop one of them, then call ~/reset.'
+    stop = 'Two publishers on /imu/pulses: stop one of them. Then call ~/reset.'
     board.on_diagnostics(diagnostics('calibrator_node: stream', 2, stop), 1.0)
     text = 'There is no message on /turntable/joint_states yet.'
     board.on_diagnostics(diagnostics('calibrator_node: joint states', 1, text), 1.0)
@@ -268,7 +268,7 @@ def test_faults_are_readable_without_words_of_ros(expected):
     shown = [drawing.troubles(board.snapshot(1.0)), drawing.banner(board.snapshot(1.0), NOON)]
     shown += [drawing.banner(board.snapshot(9.0), NOON)]
     said = ' '.join(' '.join(ElementTree.fromstring(f'<i>{one}</i>').itertext()) for one in shown)
-    assert "Two senders on the IMU's stream: stop one of them, then reset the calibrator." in said
+    assert "Two senders on the IMU's stream: stop one of them. Then reset the calibrator." in said
     assert "The IMU's receiver of unit_A1: delivery" in said
     assert "The table's commands: two senders." in said
     assert not re.search(r'_node|/\w|~|publish|topic|best effort', said)

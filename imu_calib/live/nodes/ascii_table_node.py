@@ -88,7 +88,7 @@ class AsciiTableNode(Node):
         """Stop the table; nothing is published afterwards that must be delivered."""
         if not self._control.stop(_PATIENCE):
             self.get_logger().fatal(
-                f'The controller on {self._port} does not answer the last stop; '
+                f'The controller on {self._port} did not confirm the stop; '
                 'its own watchdog must stop the table.'
             )
         return []

@@ -105,11 +105,11 @@ class TurntableStateIntake:
             stamp = state.header.stamp
             for session in sessions.all:
                 session.table_done(stamp.sec * NS + stamp.nanosec)
-        text = f'{self.topic} reports DONE, which is ignored: {refusal}.'
+        text = f'{self.topic} reports that the plan is done, which is ignored: {refusal}.'
         self._diagnostics.report(
             'turntable state',
             Severity.WARN if refusal else Severity.OK,
-            text if refusal else f'{self.topic} says DONE.',
+            text if refusal else f'{self.topic} reports that the plan is done.',
         )
         return False
 
@@ -347,14 +347,14 @@ class CalibratorNode(ros.Node):
             self._diagnostics.report(
                 'time',
                 Severity.WARN,
-                f'The clock jumped back by {back:.3g} s: messages are recorded with the time '
-                'before the jump until it is reached again.',
+                f'The clock jumped back by {back:.3g} s. Messages are recorded with the time '
+                'before the jump until the clock reaches it again.',
             )
         elif now == 0:
             self._diagnostics.report(
                 'time',
                 Severity.WARN,
-                'There is no message on /clock yet: until there is one, all data are ignored.',
+                f'{qos.none_yet("/clock")} Until there is one, all data are ignored.',
             )
         else:
             self._diagnostics.report('time', Severity.OK, 'The clock runs.')
@@ -400,7 +400,7 @@ class CalibratorNode(ros.Node):
                 self._diagnostics.report(
                     'quality of service',
                     Severity.WARN,
-                    f'{topic} is published best effort: messages can be lost on the way.',
+                    qos.best_effort(topic),
                 )
         for place, subscriptions in enumerate(self._of_units):
             if subscriptions.two_devices_persist() and not self._sessions.all[place].is_over:
@@ -431,7 +431,7 @@ class CalibratorNode(ros.Node):
     def _two_publishers(self, place: int) -> None:
         session = self._sessions.all[place]
         topic = session.intakes[Kind.IMU].topic
-        session.fail(f'Two publishers on {topic}: stop one of them, then call ~/reset.')
+        session.fail(f'{qos.two_publishers(topic)} Then call ~/reset.')
         self._publish(place)
 
     def _on_state(self, payload: bytes) -> None:
@@ -505,10 +505,10 @@ class CalibratorNode(ros.Node):
         elif sessions.is_over:
             # Its recording is closed.
             response.success = False
-            response.message = f'The session is over: {serial} is not left out.'
+            response.message = f'The session is over: {serial} cannot be left out.'
         elif alone or sessions.all[place].phase is SessionPhase.FINISHED:
             what = 'is the last unit' if alone else 'has its result'
-            response.success, response.message = False, f'{serial} {what}: it is not left out.'
+            response.success, response.message = False, f'{serial} {what}: it cannot be left out.'
         else:
             sessions.leave_out(place)
             response.success = True
@@ -522,8 +522,8 @@ class CalibratorNode(ros.Node):
         if turntable.runs and not before.is_over and self.count_publishers(turntable.topic):
             response.success = False
             response.message = (
-                'The table runs its plan, and a new session would lack the steps before. Abort '
-                'the plan at turntable_node, call ~/reset, and start it anew.'
+                'The plan is running, and a new session would lack its first steps. Abort the '
+                'plan at turntable_node, call ~/reset, and start the plan again.'
             )
             return response
         try:
@@ -537,8 +537,7 @@ class CalibratorNode(ros.Node):
             response.message = f'A new session is written to {self._sessions.journal.path}.'
             if turntable.paused:
                 response.message += (
-                    ' The plan is paused, and resuming it would run the rest alone: abort it to '
-                    'run all steps.'
+                    ' The plan is paused: abort it to run all steps, resume it to run the rest.'
                 )
         self._publish_progress()
         return response

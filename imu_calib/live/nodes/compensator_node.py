@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...calibration.compensate import GravitySeen, Mark, TurnsSeen
+from ...calibration.compensate import MARK_WORDS, GravitySeen, Mark, TurnsSeen
 from ...calibration.compensator import Compensator, Reading
 from ...calibration.sample_clock import INTERVAL_KNOWN_AFTER
 from ...calibration.thermal import (
@@ -31,7 +31,7 @@ from ..rules import Severity
 from . import qos
 from .convert import calibration_of
 from .diagnostics import Diagnostics
-from .parameters import declare
+from .parameters import declare, declare_autostart
 from .programs import entry_point
 
 _GRAVITY = 10
@@ -41,26 +41,18 @@ _TURNS = 10
 before it does not hide it. A judgement."""
 _STALE = 10.0
 """s without a temperature: ten times the period of the slowest thermometers in use, 1 Hz."""
-_WORDS = {
-    Mark.GYRO_RANGE: 'a saturated gyro',
-    Mark.ACCEL_RANGE: 'a saturated accelerometer',
-    Mark.RATE: 'rotation faster than in the calibration',
-    Mark.TEMPERATURE: 'temperature outside that of the calibration',
-    Mark.PARITY: 'four gyros that contradict each other',
-    Mark.NO_NUMBER: 'values that are not numbers, or too large to compute with',
-}
 
 
 def _why_unknown(waiting: int) -> str:
     """Return why the sample interval is not known."""
     if waiting < INTERVAL_KNOWN_AFTER:
         return (
-            f'The sample interval is not known yet: it takes {INTERVAL_KNOWN_AFTER} samples, '
-            f'{waiting} are here.'
+            f'The sample interval is known after {INTERVAL_KNOWN_AFTER} samples; {waiting} have '
+            'come.'
         )
     return (
-        f'The sample interval is not known: the stamps do not show it in {waiting} samples. Each '
-        'sample needs the time at which it was taken.'
+        f'The stamps of {waiting} samples show no sample interval. Stamp each sample with the '
+        'time at which it was taken.'
     )
 
 
@@ -174,7 +166,7 @@ class CompensatorReports:
         if self._second.given:
             figures['age of the latest sample'] = f'{(now - self._second.newest) * 1e-6:.3f} ms'
         if mixed:
-            level, text = Severity.ERROR, f'Two publishers on {topic}: stop one of them.'
+            level, text = Severity.ERROR, qos.two_publishers(topic)
         elif self.malformed.count:
             level, text = Severity.ERROR, f'{topic}: {self.malformed.reason}'
         elif not self._second.taken:
@@ -193,8 +185,8 @@ class CompensatorReports:
         level, text = Severity.OK, 'All samples are within the range of the calibration.'
         if fresh:
             level = Severity.WARN
-            text = f'In the last second: {", ".join(_WORDS[mark] for mark in fresh)}.'
-        figures = {_WORDS[mark]: str(counts[mark]) for mark in Mark}
+            text = f'In the last second: {", ".join(MARK_WORDS[mark] for mark in fresh)}.'
+        figures = {words: str(counts[mark]) for mark, words in MARK_WORDS.items()}
         if compensator.alone:
             figures["without the skewed gyro's value"] = str(compensator.alone)
         self._diagnostics.report('range', level, text, **figures)
@@ -207,7 +199,7 @@ class CompensatorReports:
             return
         if fresh.is_gravity:
             self._far_from_gravity = 0
-            text = 'The accelerations are about gravity.'
+            text = 'The accelerations agree with gravity.'
             self._diagnostics.report('gravity', Severity.OK, text)
             return
         self._far_from_gravity += 1
@@ -231,7 +223,7 @@ class CompensatorReports:
             text = turns.contradiction(first_of(compensator.calibration).imu)
             self._diagnostics.report('turns', Severity.WARN, text)
         elif turns.scale is not None:
-            text = 'The gyros turn gravity as far as the accelerometers do.'
+            text = 'Gyros and accelerometers agree on the motion.'
             self._diagnostics.report('turns', Severity.OK, text)
 
     def _report_temperature(self, compensator: Compensator) -> None:
@@ -442,12 +434,7 @@ class CompensatorNode(ros.ManagedNode):
         self._frame_id = declare(
             self, 'frame_id', '', 'frame of the output; empty: that of the input'
         )
-        autostart = declare(
-            self,
-            'autostart',
-            True,
-            'Configure and activate at the start, without a lifecycle manager.',
-        )
+        autostart = declare_autostart(self)
         self._diagnostics = Diagnostics(self, 'no calibration yet')
         path = user_path(file) if file else None
         follows = follow or path is None
@@ -466,7 +453,7 @@ class CompensatorNode(ros.ManagedNode):
             # It would compensate its own output, again and again.
             raise InputError(
                 f'imu/pulses and imu/data_raw: found one topic {raw} for both, raw samples and '
-                'output. Remap imu/data_raw to another name, for example imu/data_calibrated.'
+                'output. Remap imu/data_raw to another name, as imu/data_calibrated.'
             )
         self._reports = CompensatorReports(self._diagnostics, raw, temperature)
         self._decoder = ImuDecoder()
@@ -627,7 +614,7 @@ class CompensatorNode(ros.ManagedNode):
         self._diagnostics.report(
             'quality of service',
             Severity.WARN,
-            f'{topic} is published best effort: messages can be lost on the way.',
+            qos.best_effort(topic),
         )
 
 

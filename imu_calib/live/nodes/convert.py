@@ -111,13 +111,13 @@ def calibration_of(message: Any) -> Calibration:
     covariance = np.array(message.covariance, dtype=float)
     if units is None or list(message.parameter_names) != names or covariance.size != size**2:
         raise InputError(
-            f'A calibration of {message.imu_id or "no name"} cannot be used: its units '
-            f'({message.units}), parameters ({len(message.parameter_names)}) and covariance '
-            f'({covariance.size} numbers) do not match a model with {size} parameters.'
+            f'{_name(message)} cannot be used: its units ({message.units}), parameters '
+            f'({len(message.parameter_names)}) and covariance ({covariance.size} numbers) do not '
+            f'match a model with {size} parameters.'
         )
     vector = np.array([getattr(message, name.lower()) for name in PARAMETER_NAMES])
     if not np.isfinite(vector[:12]).all():
-        raise InputError(f'A calibration of {message.imu_id} cannot be used: no gyro parameters.')
+        raise InputError(f'{_name(message)} cannot be used: no gyro parameters.')
     accel = Triad.from_vector(vector[12:]) if np.isfinite(vector[12:]).all() else Triad()
     sensitivity = np.array(message.g_sensitivity, dtype=float).reshape(3, 3)
     spec = ImuSpec(
@@ -138,8 +138,12 @@ def calibration_of(message: Any) -> Calibration:
         changes=_changes(message),
         clock=_clock(message),
     )
-    check_plausible(calibration, f'The calibration of {message.imu_id or "no name"}')
+    check_plausible(calibration, _name(message))
     return calibration
+
+
+def _name(message: Any) -> str:
+    return f'The calibration of {message.imu_id or "no name"}'
 
 
 def _in_no_field(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
@@ -154,8 +158,8 @@ def _parameters(message: Any) -> tuple[Parameter, ...]:
         further = by_name(message.term_parameters)
     except KeyError as error:
         raise InputError(
-            f'A calibration of {message.imu_id or "no name"} cannot be used: it has the parameter '
-            f'{error.args[0]!r}, which this version does not know.'
+            f'{_name(message)} cannot be used: this version does not know its parameter '
+            f'{error.args[0]!r}.'
         ) from None
     terms = (*terms_of(further), *([G_SENSITIVITY] if message.has_g_sensitivity else []))
     parameters = parameters_of(terms, skewed=1 if message.has_skew else 0)
@@ -166,7 +170,7 @@ def _parameters(message: Any) -> tuple[Parameter, ...]:
         or len(message.term_values) != len(further)
     ):
         raise InputError(
-            f'A calibration of {message.imu_id or "no name"} cannot be used: found the terms '
+            f'{_name(message)} cannot be used: found the terms '
             f'{", ".join(message.term_parameters)} in {", ".join(message.term_units)} with '
             f'{len(message.term_values)} values, expected '
             f'{", ".join(p.name for p in _in_no_field(parameters))} in {", ".join(units)}.'
@@ -219,7 +223,7 @@ def _changes(message: Any) -> Changes | None:
     """Return how parameters changed during the session; None if the message does not state it."""
     if not message.change_terms:
         return None
-    name = f'The calibration of {message.imu_id or "no name"}'
+    name = _name(message)
     courses = {course.value: course for course in Course}
     found = []
     for term, of in zip(message.change_terms, message.change_of, strict=False):
@@ -264,7 +268,7 @@ def _clock(message: Any) -> StampingClock | None:
         float(message.clock_faster),
         float(message.clock_faster_std),
     )
-    check_clock(clock, f'The calibration of {message.imu_id or "no name"}: clock')
+    check_clock(clock, f'{_name(message)}: clock')
     return clock
 
 

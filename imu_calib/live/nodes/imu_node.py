@@ -18,7 +18,7 @@ from ..middleware import Clock, ClockType, ManagedNode, messages, publish_all
 from ..rules import Severity
 from . import qos
 from .diagnostics import Diagnostics
-from .parameters import declare
+from .parameters import declare, declare_autostart
 from .programs import entry_point
 
 _DRAIN_PERIOD = 0.004
@@ -58,12 +58,7 @@ class ImuNode(ManagedNode):
         self._gap_timeout = declare(
             self, 'gap_timeout', GAP_TIMEOUT, 'Longest time without a frame, s.', lower=0.01
         )
-        autostart = declare(
-            self,
-            'autostart',
-            True,
-            'Configure and activate at the start, without a lifecycle manager.',
-        )
+        autostart = declare_autostart(self)
         self._simulated = bool(self.get_parameter('use_sim_time').value)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         imu = load_imu(self._imu)
@@ -165,9 +160,7 @@ class ImuNode(ManagedNode):
         """Read, publish and report."""
         if not self._started:
             if self._now() == 0:
-                self._diagnostics.report(
-                    'clock', Severity.WARN, 'There is no message on /clock yet.'
-                )
+                self._diagnostics.report('clock', Severity.WARN, qos.none_yet('/clock'))
                 return
             self._source.start()
             self._started = True

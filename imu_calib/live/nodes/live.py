@@ -88,9 +88,9 @@ class CalibratorFeed:
             return ''
         lost = ', '.join(p.name for p in skewed_parameters(1))
         return (
-            f'There are no messages on {self._topics[Kind.SKEW]}, but there are on '
-            f'{self._topics[Kind.IMU]}: {lost} cannot be determined. Let the driver publish it '
-            '(imu_node: a device file with the field skew), and call ~/reset.'
+            f'{self._topics[Kind.IMU]} is received, {self._topics[Kind.SKEW]} is not: {lost} '
+            'cannot be determined. Let the driver publish it (imu_node: a device file with the '
+            'field skew), and call ~/reset.'
         )
 
 
@@ -125,8 +125,8 @@ class FormerSession:
         return (
             f'Stamps on {intake.topic} begin at {at(first)}, {(last - first) * 1e-9:.0f} s before '
             f'the end of the journal {self._journal}: the clock was set back, or a simulation '
-            'began anew. Samples before that time are ignored. Set the clock right, or give '
-            'another journal, and start again.'
+            'began anew, and these samples are ignored. Set the clock right or give another '
+            'journal, and start again.'
         )
 
     def gap(self, first: int) -> str:
@@ -311,7 +311,7 @@ class LiveSession:
     def flush(self) -> None:
         """Secure the received data, and retry what a full disk refused."""
         if not self.is_over and not self.journal.flush():
-            self.fail(f'{self.trouble} The buffer in memory is full, too.')
+            self.fail(f'{self.trouble} The memory for it is full too.')
 
     def table_done(self, stamp: int) -> None:
         """Record that the table completed its plan, at a stamp in ns."""

@@ -56,6 +56,12 @@ def declare(
     return value
 
 
+def declare_autostart(node: Node) -> bool:
+    """Declare whether a managed node activates itself, and return it."""
+    words = 'Configure and activate at the start, without a lifecycle manager.'
+    return bool(declare(node, 'autostart', True, words))
+
+
 def declare_path(node: Node, name: str, default: str, description: str) -> Path:
     """Declare the path of what a session writes, and return it.
 

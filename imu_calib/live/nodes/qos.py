@@ -60,6 +60,21 @@ def as_offered(offered: QoSProfile) -> QoSProfile:
     return QoSProfile(depth=10, reliability=offered.reliability, durability=offered.durability)
 
 
+def best_effort(topic: str) -> str:
+    """Return the warning on a publisher that does not repeat what was lost."""
+    return f'{topic} is published best effort: messages can be lost on the way.'
+
+
+def none_yet(topic: str) -> str:
+    """Return the sentence on a topic without messages."""
+    return f'There is no message on {topic} yet.'
+
+
+def two_publishers(topic: str) -> str:
+    """Return the sentence on samples of two devices, which cannot be told apart."""
+    return f'Two publishers on {topic}: stop one of them.'
+
+
 def own_topic() -> QoSProfile:
     """Return the profile for detecting other publishers on a node's own topics."""
     return QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)

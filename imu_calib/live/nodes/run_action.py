@@ -130,8 +130,8 @@ class RunAction:
         own = self._sequencer.plan.name
         if plan not in {'', own}:
             raise InputError(
-                f'The goal names the plan {plan}, this table runs {own}: start turntable_node and '
-                f'calibrator_node with the parameter plan:={plan}.'
+                f'The goal names plan {plan}, this table runs {own}: start turntable_node and '
+                f'calibrator_node with plan:={plan}.'
             )
 
     def _on_cancel(self, goal: Any) -> bool:
@@ -173,7 +173,7 @@ class RunAction:
         self._since = now if math.isnan(self._since) else self._since
         progress = self._progress
         if not self._sequencer.rules.supervised:
-            self._end(GoalStatus.SUCCEEDED, 'The plan is done; no calibrator was asked for.')
+            self._end(GoalStatus.SUCCEEDED, 'The plan is done; no calibrator is required.')
         elif progress is not None and progress.state == progress.FAILED:
             self._end(GoalStatus.ABORTED, progress.text)
         elif progress is not None and progress.state == progress.FINISHED and self._has_result:
@@ -313,8 +313,8 @@ class Controller:
         missing = ''
         if not self._client.server_is_ready():
             missing = (
-                f'No controller serves {self._name}: start a joint_trajectory_controller, or name '
-                'its action by the parameter trajectory_action.'
+                f'No controller serves {self._name}: start a joint_trajectory_controller, or set '
+                'trajectory_action to the name of its action.'
             )
         self._sequencer.forbid('controller', missing, awaited=True)
         if self._asked_at is not None and now - self._asked_at > _ANSWER_TIMEOUT:

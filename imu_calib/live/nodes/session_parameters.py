@@ -43,6 +43,14 @@ class StatedUnit:
         return self.setup if self.mount is None else replace(self.setup, plan=UNPLANNED)
 
 
+def declare_units_file(node: Node) -> tuple[str, str]:
+    """Declare the file of several units and those to be left out, and return both."""
+    return (
+        declare(node, 'units', '', 'file of the units where several are mounted; empty: one'),
+        declare(node, 'without', '', 'serial numbers of units to be left out, commas between'),
+    )
+
+
 def declared_units(node: Node) -> tuple[tuple[StatedUnit, ...], dict[str, str]]:
     """Declare and read the set-up of a session with one unit or several.
 
@@ -54,8 +62,7 @@ def declared_units(node: Node) -> tuple[tuple[StatedUnit, ...], dict[str, str]]:
         InputError: As `declared_setup`; the units' file is broken, or leaves no unit.
     """
     setup, description = declared_setup(node)
-    file = declare(node, 'units', '', 'file of the units where several are mounted; empty: one')
-    without = declare(node, 'without', '', 'serial numbers of units to be left out, commas between')
+    file, without = declare_units_file(node)
     if not file:
         return (StatedUnit(setup, '', str(node.get_parameter('imu').value)),), description
     if setup.table is None:

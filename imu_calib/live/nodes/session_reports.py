@@ -18,6 +18,8 @@ from ..middleware import messages
 from ..rules import Severity
 from .diagnostics import Diagnostics, PartOfDiagnostics
 from .live import LiveSession, SessionPhase
+from .qos import none_yet
+from .subscriptions import TopicIntake
 
 IMU_TIMEOUT = 0.5
 """s: default of the longest silence of the IMU against the table, as that of imu_node."""
@@ -140,27 +142,27 @@ def _report_imu(
     """Report whether samples are received, and at the time of the table."""
     imu, joints = session.intakes[Kind.IMU], session.intakes.get(Kind.JOINTS)
     figures = {'samples': str(imu.count), 'malformed': str(imu.malformed.count)}
-    level, text = Severity.OK, f'{imu.topic} is received.'
-    if imu.newest is None:
-        level, text = Severity.WARN, f'There is no message on {imu.topic} yet.'
-    elif joints is None and not session.is_over:
-        if time.monotonic() - imu.received_at > max(_SILENCE_BY_HAND, imu_timeout):
-            level, text = Severity.ERROR, f'{imu.topic} is silent.'
-    elif joints is not None and joints.newest is not None and not session.is_over:
+    level, text = _reception(imu)
+    behind = math.nan
+    if imu.newest is not None and joints is not None and joints.newest is not None:
         behind = (joints.newest - imu.newest) * 1e-9
         figures['behind the table'] = f'{behind:.3f} s'
-        if not is_fed(session, imu_timeout):
-            level, text = Severity.ERROR, f'{imu.topic} is silent, but the table is not.'
+    if level is Severity.OK and not session.is_over:
+        fault = ''
+        if joints is None:
+            if time.monotonic() - imu.received_at > max(_SILENCE_BY_HAND, imu_timeout):
+                fault = f'{imu.topic} is silent.'
+        elif not is_fed(session, imu_timeout):
+            fault = f'{imu.topic} is silent, but the table is not.'
         elif abs(behind) > _APART:
             side = 'behind' if behind > 0 else 'ahead of'
-            level = Severity.ERROR
-            text = (
-                f'{imu.topic} is stamped {abs(behind):.0f} s {side} {joints.topic}: they are of '
-                'two clocks, and no sample can be used. Synchronise the clocks, or stamp the '
-                'samples as they arrive.'
+            fault = (
+                f'{imu.topic} is stamped {abs(behind):.0f} s {side} {joints.topic}, by another '
+                'clock, and no sample can be used. Synchronise the clocks, or stamp the samples '
+                'as they arrive.'
             )
-    if imu.malformed.count:
-        level, text = Severity.ERROR, f'{imu.topic}: {imu.malformed.reason}'
+        if fault:
+            level, text = Severity.ERROR, fault
     diagnostics.report('stream', level, text, **figures)
 
 
@@ -171,11 +173,7 @@ def _report_joint_states(
     joints = session.intakes.get(Kind.JOINTS)
     if joints is None:
         return
-    level, text = Severity.OK, f'{joints.topic} is received.'
-    if not joints.count:
-        level, text = Severity.WARN, f'There is no message on {joints.topic} yet.'
-    if joints.malformed.count:
-        level, text = Severity.ERROR, f'{joints.topic}: {joints.malformed.reason}'
+    level, text = _reception(joints)
     figures = {
         'samples': str(joints.count),
         'of other joints': str(joints.ignored),
@@ -192,18 +190,23 @@ def _report_skew(session: LiveSession, diagnostics: Diagnostics | PartOfDiagnost
     skew = session.intakes.get(Kind.SKEW)
     if skew is None:
         return
-    level, text = Severity.OK, f'{skew.topic} is received.'
-    if session.without_skew:
+    level, text = _reception(skew)
+    if session.without_skew and level is not Severity.ERROR:
         level = Severity.WARN
         text = (
             f"There is no message on {skew.topic}, though the IMU's file has a skewed_gyro: the "
             'session goes on without it.'
         )
-    elif not skew.count:
-        level, text = Severity.WARN, f'There is no message on {skew.topic} yet.'
-    if skew.malformed.count:
-        level, text = Severity.ERROR, f'{skew.topic}: {skew.malformed.reason}'
     diagnostics.report('skewed gyro', level, text, samples=str(skew.count))
+
+
+def _reception(intake: TopicIntake) -> tuple[Severity, str]:
+    """Return whether a topic is received, and can be read."""
+    if intake.malformed.count:
+        return Severity.ERROR, f'{intake.topic}: {intake.malformed.reason}'
+    if not intake.count:
+        return Severity.WARN, none_yet(intake.topic)
+    return Severity.OK, f'{intake.topic} is received.'
 
 
 def journal_sentence(path: Path) -> str:

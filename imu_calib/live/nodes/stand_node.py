@@ -39,6 +39,7 @@ from .diagnostics import Diagnostics
 from .frame_server import IN_MEMORY, Lines, serve_frames
 from .parameters import declare
 from .programs import entry_point
+from .session_parameters import declare_units_file
 
 _STEP = 0.1
 """s of simulated time per step. A choice: the period of setpoints."""
@@ -167,8 +168,7 @@ class StandNode(ros.Node):
         if wrong:
             options = load_imperfections(wrong, options, table, seed)
         self._epoch = options.start_time
-        file = declare(self, 'units', '', 'file of the units where several are mounted; empty: one')
-        without = declare(self, 'without', '', 'serial numbers of units left out, commas between')
+        file, without = declare_units_file(self)
         if file:
             units = [
                 SimulatedUnit(

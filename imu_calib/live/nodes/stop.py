@@ -96,8 +96,8 @@ class StopRecord:
         except OSError as error:
             self._trouble = (
                 f'The emergency stop cannot be saved in {self.path.parent} '
-                f'({error.strerror or error}): the table stays stopped. Make that folder writable, '
-                'or give another one as parameter state_folder.'
+                f'({error.strerror or error}): the table stays stopped. Make that folder writable '
+                'or set state_folder to another one.'
             )
         else:
             self._trouble = ''
@@ -211,8 +211,7 @@ class EmergencyStop:
         name = node.get_fully_qualified_name()
         self._on_press = on_press
         self._pressed = (
-            'The emergency stop is on. Release the emergency stop, then call '
-            f'{name}/release; nothing moves before the next {name}/start.'
+            f'The emergency stop is on. Release it, then call {name}/release and {name}/start.'
         )
         self._released = f'The emergency stop is released; nothing moves before {name}/start.'
         self._record = StopRecord(folder, f'domain {domain_id()} {name}')
@@ -248,7 +247,7 @@ class EmergencyStop:
             raise InputError('The emergency stop is not pressed.')
         if self._topic.is_stopping:
             raise InputError(
-                f'A publisher on {self._topic.topic} still publishes stop: release it there first.'
+                f'A node still publishes stop on {self._topic.topic}: release it there first.'
             )
         self._record.release()
         return self._released
@@ -300,8 +299,8 @@ class Heartbeat:
         now = self._steady.now().nanoseconds * 1e-9
         if now - self._received_at > self._timeout:
             return (
-                f'No heartbeat on {self._topic} for {self._timeout:g} s: the table is stopped, and '
-                'nothing starts without one (stop_required).'
+                f'No heartbeat on {self._topic} for {self._timeout:g} s: the table stays stopped '
+                'without one (stop_required).'
             )
         stops = now - self._refused_at <= self._timeout
         return f'The heartbeat on {self._topic} is false, which means stop.' if stops else ''

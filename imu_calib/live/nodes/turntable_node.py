@@ -57,6 +57,7 @@ _LAST_HOLDS = 3
 """HOLDs sent as the node ends: two may be lost."""
 _LAST_ROUNDS = 20
 """Rounds of the executor to send the result of a goal as the node ends; it takes three."""
+_ENDS = 'The turntable node ends.'
 
 
 class TurntableNode(Node):
@@ -176,7 +177,7 @@ class TurntableNode(Node):
     def stop(self) -> Sequence[Any]:
         """Send HOLD as the last message; return the publishers to be acknowledged."""
         if self._sequencer.running:
-            self._sequencer.abort('The turntable node ends.')
+            self._sequencer.abort(_ENDS)
         for _ in range(_LAST_HOLDS):
             self._send(self._sequencer.hold(self._stamp()))
         self._publish_state(self._sequencer.state())
@@ -185,11 +186,11 @@ class TurntableNode(Node):
 
     def _answer_the_last(self) -> None:
         """End open goals: the client's, and the controller's, which is the stop."""
-        waits = self._action.end('The turntable node ends.')
+        waits = self._action.end(_ENDS)
         if self._controller is not None:
             waits |= not self._controller.answered
         if waits:
-            self._sequencer.forbid('end', 'The turntable node ends.')
+            self._sequencer.forbid('end', _ENDS)
         for _ in range(_LAST_ROUNDS if waits else 0):
             spin_once(self, timeout_sec=0.0)
         # Timers run meanwhile; they detect a controller that does not answer.
@@ -258,8 +259,8 @@ class TurntableNode(Node):
         if not count:
             return ''
         return (
-            f' {count} that name {", ".join(names) or "no joint"} are ignored; the table has '
-            f'{", ".join(self._sequencer.table.names)}.'
+            f' {count} of other joints ({", ".join(names) or "none named"}) are ignored; the table '
+            f'has {", ".join(self._sequencer.table.names)}.'
         )
 
     def _start_by_itself(self) -> None:
@@ -406,7 +407,7 @@ class TurntableNode(Node):
     @property
     def _call_off(self) -> Callable[[], str] | None:
         """Return the action of pause and abort while an automatic start is pending."""
-        return (lambda: 'The plan does not start by itself any more.') if self._autostart else None
+        return (lambda: 'The automatic start is cancelled.') if self._autostart else None
 
     def _answer(self, response: Any, command: Callable[[], str | None]) -> Any:
         """Execute a command at once; a refusal is an answer too."""
@@ -424,8 +425,7 @@ class TurntableNode(Node):
         now = self._steady.now().nanoseconds * 1e-9
         if now - self._ran_at > max(_ASLEEP, self._watchdog) or self._awake < _OVERDUE:
             raise InputError(
-                'This node did not run for a while, and the request may be as old: nothing '
-                'starts. Ask again.'
+                'This node did not run for a while, and the request may be out of date. Ask again.'
             )
         answer = self._sequencer.start()
         self._autostart = False

@@ -78,7 +78,7 @@ class WebNode(ros.Node):
         )
         port = declare(self, 'port', 8080, 'TCP port; 0: a free one', lower=0, upper=65535)
         control = declare(
-            self, 'control', False, 'whether who has the token may start and stop the table'
+            self, 'control', False, 'whether a holder of the token may start and stop the table'
         )
         urdf = declare(self, 'urdf', '', "file with the table's looks; empty: by its joints")
         self._output = declare_path(self, 'output', 'calibration.yaml', 'file with the result')
@@ -260,7 +260,7 @@ class WebNode(ros.Node):
                 self._common_board.set_answer(f'{name.capitalize()}: sent to turntable_node.')
             else:
                 self._common_board.set_answer(
-                    f'{name.capitalize()}: turntable_node is not there; nothing was sent.'
+                    f'{name.capitalize()}: not sent, turntable_node is not there.'
                 )
         for entry in list(self._pending):
             name, future, since = entry

@@ -352,7 +352,7 @@ class Board:
                 Sentence(
                     node,
                     Severity.ERROR,
-                    f'No message has come for {in_words(passed)}: has it ended?',
+                    silence(passed),
                 )
                 for node, passed in silent.items()
             ]
@@ -534,6 +534,11 @@ class UnitsBoard:
             return Severity.WARN, 'No message yet'
         worst = max(received, key=lambda one: one.level)
         return worst.level, 'Samples come in' if worst.level is Severity.OK else worst.text
+
+
+def silence(seconds: float) -> str:
+    """Return the sentence on a node that was heard before."""
+    return f'No message has come for {in_words(seconds)}: has it ended?'
 
 
 def furthest(rows: tuple[Converging, ...]) -> Converging | None:

@@ -106,11 +106,11 @@ def _item(sentence: Sentence, text: str) -> str:
 
 _UNIT_HEADINGS = (
     ('unit', 'serial number'),
-    ('state', 'how its samples come, or how it has ended'),
+    ('state', 'of its samples, or how it ended'),
     ('rate', 'samples per second'),
     ('lost', 'frames that were lost'),
     ('known', 'parameters that are determined'),
-    ('furthest from the plan', 'the parameter whose deviation is furthest from what is predicted'),
+    ('furthest from the plan', 'the parameter whose deviation is furthest from the prediction'),
 )
 _UNIT_COLUMNS = ('name', 'state', 'r', 'r', 'r', 'least')
 
@@ -229,7 +229,7 @@ _HEADINGS = (
     ('', 'parameter'),
     ('value', 'as estimated so far'),
     ('\u00b1 now', 'standard deviation reached'),
-    ('plan', 'standard deviation that the plan reaches if biases drift by the data sheet'),
+    ('plan', 'standard deviation that the plan reaches with the bias drift of the data sheet'),
     ('unit', 'of value, deviations and limit'),
     ('course', 'of the standard deviation, logarithmic, from the beginning to now'),
     ('limit', 'largest amount by the specification'),

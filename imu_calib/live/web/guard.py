@@ -128,9 +128,9 @@ def exposure(host: str) -> str:
     if is_loopback(host):
         return ''
     return (
-        f'The page is served at {host}, without encryption: whoever can reach that interface sees '
-        'the session, and whoever can read the traffic reads a token. Use a network of your own, '
-        'or the loopback interface and ssh -L.'
+        f'The page is served at {host} without encryption: anyone on that network can see the '
+        'session and read the token. Use a network of your own, or the loopback interface and '
+        'ssh -L.'
     )
 
 

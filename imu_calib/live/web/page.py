@@ -74,10 +74,10 @@ _LEAST_ANGLE = 1e-4
 """rad: smaller differences of a pose give the same picture."""
 _KEY = (
     '<div class="key"><span><i></i>standard deviation so far</span>'
-    '<span><i class="predicted"></i>what the plan reaches if biases drift by '
-    'the data sheet: with steadier ones the session ends below</span>'
-    '<span><i class="allowed"></i>half the limit of the specification, at the edge where that is '
-    'far off</span></div>'
+    '<span><i class="predicted"></i>what the plan reaches with the bias drift of the data sheet; '
+    'with less drift the session ends below</span>'
+    '<span><i class="allowed"></i>half the limit of the specification, at the edge if far off'
+    '</span></div>'
 )
 _FPS = 10
 """Pictures of the table per second: the rate of joint states."""

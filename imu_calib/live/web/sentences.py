@@ -10,7 +10,7 @@ from datetime import datetime
 from ...common.units import DEG
 from ...reports.timeline import ends_at, in_words
 from ..rules import Phase, Severity
-from .board import NOT_BEGUN, SessionOutcome, Snapshot, TableState
+from .board import NOT_BEGUN, SessionOutcome, Snapshot, TableState, silence
 
 _WHOLE = 2.0
 """Ratio to real time from which a session is called faster. A choice: it is said in whole
@@ -98,8 +98,7 @@ def headline(shown: Snapshot) -> Headline:
         return Headline(
             Severity.ERROR,
             'The calibrator is silent',
-            f'Nothing has come from it for {in_words(shown.calibrator_silent)}: has it ended? The '
-            'table is stopped without it.',
+            f'{silence(shown.calibrator_silent)} The table is stopped without it.',
         )
     if not shown.expected.table:
         return _hand_headline(shown)
@@ -111,8 +110,7 @@ def headline(shown: Snapshot) -> Headline:
         return Headline(
             Severity.ERROR,
             "The table's control is silent",
-            f'Nothing has come from it for {in_words(shown.table_silent)}: has it ended? A table '
-            'without commands stops by itself.',
+            f'{silence(shown.table_silent)} A table without commands stops by itself.',
         )
     return _table_headline(shown, shown.table)
 
