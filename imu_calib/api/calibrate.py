@@ -13,7 +13,7 @@ from ..calibration.hand import HandCalibrator
 from ..calibration.results import Result
 from ..common.arguments import checked
 from ..common.errors import ImuCalibError, InputError, NotObservable, NotStated
-from ..common.files import printable
+from ..common.files import printable, unwritable
 from ..common.progress import Progress, silent
 from ..common.stream import Block, Floats, ImuBlock
 from ..common.threads import by_one_thread
@@ -186,19 +186,19 @@ def _kelvin(temperature: object) -> list[str]:
         return []
     mean = float(temperature['mean'])
     kelvin = mean - 273.15
-    other = f': {kelvin:.1f} if it is in kelvin' if kelvin <= HOTTEST else ''
+    other = f' ({kelvin:.1f} if it is in kelvin)' if kelvin <= HOTTEST else ''
     return [
-        f'The temperature is {mean:.1f} degrees Celsius, hotter than any unit{other}. '
-        'sensor_msgs/Temperature is in degrees Celsius; correct the driver before calibrations are '
-        'combined by it.'
+        f'The temperature is {mean:.1f} degrees Celsius, hotter than any unit{other}. Correct the '
+        'driver before calibrations are combined by it: sensor_msgs/Temperature is in degrees '
+        'Celsius.'
     ]
 
 
 def _interpolated(rate: float) -> str:
     return (
         f'The accelerometers were recorded at {rate:.4g} Hz and interpolated at the stamps of the '
-        f'gyros: over less than {2 / rate:.2g} s their noise seems smaller than it is. Parameters '
-        'and standard deviations use longer times, and are not affected.'
+        f'gyros. Their noise over less than {2 / rate:.2g} s looks smaller than it is; parameters '
+        'and standard deviations are not affected.'
     )
 
 
@@ -284,7 +284,7 @@ class UnitResults:
         try:
             path.mkdir(exist_ok=True)
         except OSError as error:
-            raise InputError(f'{path}: cannot be written ({error.strerror}).') from None
+            raise InputError(unwritable(path, error)) from None
         written = {}
         for unit in self.units:
             if unit.result is not None:
@@ -413,8 +413,8 @@ def _units_of_session(
     topics, data = units_of(recording), recording.custom_data
     if not topics:
         raise InputError(
-            f'{recording.path} does not say of several topics which units they are: list the units '
-            'in a file and give it with `imus` (docs/files/units.md).'
+            f'{recording.path} does not say which units its topics are of: list the units in a '
+            'file and give it with `imus` (docs/files/units.md).'
         )
     return tuple(_Unit(data[serial_key(topic)], topic) for topic in topics)
 

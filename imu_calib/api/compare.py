@@ -12,7 +12,7 @@ import numpy as np
 from ..calibration.agreement import FALSE_ALARM, Agreement
 from ..calibration.calibration import Calibration
 from ..calibration.results import Result
-from ..calibration.thermal import AnyCalibration, ThermalCalibration, first_of
+from ..calibration.thermal import AnyCalibration, ThermalCalibration
 from ..calibration.thermal import combine as of_temperatures
 from ..calibration.views import compared_frame, draw_differences
 from ..common.arguments import checked
@@ -24,7 +24,7 @@ from ..reports.assessment import Assessed, assess, worst
 from ..reports.side_by_side import SideBySide, side_by_side
 from ..session.imu import COVERAGE, ImuSpec, Specification, Verdict
 from ..session.keywords import Named, as_imu
-from .session import as_applied, as_calibration, as_combined, as_list, name_of
+from .session import as_applied, as_calibration, as_combined, as_list, name_of, single_of
 
 if TYPE_CHECKING:
     import pandas
@@ -187,23 +187,20 @@ def compare(
         findings.append(f'Shown with the nominal scale factors of {called[0]}.')
     if len({c.provenance.get('frame') for c in own if c.provenance}) > 1:
         findings.append(
-            'The axes differ: those of the accelerometers for a calibration in the hand, those of '
-            'the table for one from a table. E and K differ by that alone.'
+            'The axes differ (in the hand those of the accelerometers, on a table those of the '
+            'table), which alone changes E and K.'
         )
     serials = dict.fromkeys(c.serial_number for c in own if c.serial_number)
     if len(serials) > 1:
         findings.append(
-            f'These are different units, with the serial numbers {" and ".join(serials)}: the '
-            'differences are those between units.'
+            f'These are different units, by their serial numbers {" and ".join(serials)}.'
         )
     return Compared(called, compared, tuple(findings))
 
 
 def _single(calibration: Result | AnyCalibration | Named) -> Calibration:
     loaded, name = as_applied(calibration)
-    if isinstance(loaded, ThermalCalibration) and len(loaded.calibrations) > 1:
-        raise InputError(f'{name} combines calibrations at several temperatures: compare one.')
-    return first_of(loaded)
+    return single_of(loaded, name, 'compare one of them')
 
 
 _PLACES = ('first', 'second', 'third')
@@ -250,8 +247,7 @@ class Conformity:
         """Return which parameters are outside, in a sentence; else empty."""
         if not self.outside:
             return ''
-        verb = 'are' if len(self.outside) > 1 else 'is'
-        return f'The unit is outside its specification: {", ".join(self.outside)} {verb} beyond it.'
+        return f'The unit is outside its specification in {", ".join(self.outside)}.'
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units, with the keys of docs/files/output.md."""
@@ -312,7 +308,7 @@ def specification_of(imu: ImuSpec) -> Specification:
     """
     if imu.specification is None:
         raise InputError(
-            f'IMU {imu.id}: nothing states its limits: add the section specification to its file '
+            f'IMU {imu.id} has no limits: add the section specification to its file '
             '(docs/files/imu.md), and name the file with `imu`.'
         )
     return imu.specification

@@ -28,7 +28,7 @@ from ..recordings.cdr_codec import Kind, encode_joints, encode_temperatures
 from ..recordings.remote import AnyPath, local, located
 from ..recordings.rosbag2 import is_storage, open_recording
 from ..recordings.stamp_order import places_by_stamp
-from ..recordings.storage import RecordingError
+from ..recordings.storage import RecordingError, refuse_existing
 from ..recordings.text import Text, read_sensors, read_text
 from ..recordings.writer import RecordingWriter
 from ..segmentation.stream_facts import SEPARATE_ROWS, gravity_removed, halves, quiet_means
@@ -49,7 +49,7 @@ from .converted import (
     resampling,
     write_imu,
 )
-from .opening import against_si
+from .opening import against_si, units_in_doubt
 from .outputs import removed_on_failure
 
 _GYRO = {**Dimension.RATE.value, **Dimension.ANGLE.value, **RAW_UNITS}
@@ -127,10 +127,7 @@ def from_text(
     if numbers is Units.SI and (removed := gravity_removed(quiet_means(forces))):
         sentences.append(removed)
     elif numbers is Units.SI and (seen := against_si(forces, rates)):
-        sentences.append(
-            f'By the units that are stated {seen}: check the columns and units of `gyro` and '
-            '`accel`.'
-        )
+        sentences.append(f'{units_in_doubt(seen)} Check the columns of `gyro` and `accel`.')
     if not spec.units.whole:
         # Whole numbers are not converted: the file says what one is.
         rates, forces = rates / spec.gyro.scale_factor, forces / spec.accel.scale_factor
@@ -186,8 +183,8 @@ def _in_time(
             places[known] = known[order]
             late = int(np.count_nonzero(stamps < np.fmax.accumulate(stamps)))
             sentences.append(
-                f'{late} rows of {text.path.name} came out of the order of their times, and are '
-                'written in that order.'
+                f'{late} rows of {text.path.name} came out of the order of their times and are '
+                'sorted.'
             )
             text, stamps = replace(text, values=text.values[places]), stamps[places]
         _refuse_what_is_no_time(stamps[np.isfinite(stamps)], f'{text.path}: `stamp` {stamp}')
@@ -247,9 +244,9 @@ def _interpolated_forces(
     shared = np.isin(stamps, known)
     if exactly and not shared.all():
         raise InputError(
-            f'The rows of the accelerometers have other times than {int((~shared).sum())} of the '
-            f'{len(stamps)} rows of the gyros, and pulses, counts and increments cannot be '
-            'interpolated: state the columns in SI units, or shared times.'
+            f'{int((~shared).sum())} of {len(stamps)} rows of the gyros have no row of the '
+            'accelerometers at their time, and pulses, counts and increments cannot be '
+            'interpolated. Give columns in SI units, or rows with common times.'
         )
     order = np.argsort(known, kind='stable')
     known, forces = known[order], forces[order]
@@ -304,8 +301,8 @@ def _stamps(text: Text, stamp: str | None, rate: str | None, sentences: list[str
     latest = float(np.nanmax(np.abs(times), initial=0.0)) * 1e-9
     if latest > LAST_SECOND:
         raise InputError(
-            f'`stamp` {stamp}: a row is {latest:.3g} s from 1970, more than a message can hold: '
-            f'is it in another unit of {", ".join(_STAMP)}?'
+            f'`stamp` {stamp}: a row is {latest:.3g} s from 1970, more than a message can hold. '
+            f'Check its unit ({", ".join(_STAMP)}).'
         )
     stamps = np.asarray(np.rint(times[:, 0]))
     sentences += _unwrap(stamps, f'{text.path.name}: `stamp` {stamp}')
@@ -328,8 +325,8 @@ def _unwrap(stamps: Floats, column: str) -> list[str]:
             stamps[known[1:]] += period * np.cumsum(anew)
             times = 'once' if anew.sum() == 1 else f'{anew.sum()} times'
             return [
-                f'{column} begins anew {times}, as a counter of {unit} of 32 bits does: the time '
-                'goes on there.'
+                f'{column} wraps {times}, as a 32-bit counter of {unit} does: the time is '
+                'continued.'
             ]
     return []
 
@@ -351,11 +348,10 @@ def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
     if len(wrong) > _BACKWARDS * len(intervals):
         first = int(wrong[0])
         raise InputError(
-            f'{column}: the time does not increase in {len(wrong)} of {len(intervals)} intervals '
-            f'between rows, first from {stamps[first] * 1e-9:.6f} s to '
-            f'{stamps[first + 1] * 1e-9:.6f} s; at most {_BACKWARDS:.0%} may be so. Name the '
-            'column of the time, written with all its digits and in its order, or give `rate` '
-            'instead; a time in two columns is sec:s,nanosec:ns.'
+            f'{column}: the time does not increase in {len(wrong)} of {len(intervals)} intervals, '
+            f'first from {stamps[first] * 1e-9:.6f} to {stamps[first + 1] * 1e-9:.6f} s. Name the '
+            'column of the time, with all its digits (two columns: sec:s,nanosec:ns), or give '
+            '`rate` instead.'
         )
     hertz = 1e9 / float(np.median(intervals))
     if not _SLOWEST <= hertz <= _FASTEST:
@@ -365,8 +361,7 @@ def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
         known = f'In another unit, {", ".join(others)}'
         advice = known if others else 'Name the column of the time'
         raise InputError(
-            f'{column}: found {hertz:.4g} Hz, by the median of {len(intervals)} intervals between '
-            f'rows; expected {_RATES}. {advice}.'
+            f'{column}: found {hertz:.4g} Hz by the median interval, expected {_RATES}. {advice}.'
         )
 
 
@@ -387,9 +382,8 @@ def _columns(
     empty = [name for name, column in zip(parts, values.T, strict=True) if np.isnan(column).all()]
     if empty:
         raise InputError(
-            f'{option} {stated}: column {empty[0]} of {text.path} holds no number in any row. '
-            'Dates, and times of day with colons, are not read: write seconds, or give `rate` in '
-            'place of `stamp`.'
+            f'{option} {stated}: column {empty[0]} of {text.path} holds no number. Dates and times '
+            'of day are not read: write seconds, or give `rate` in place of `stamp`.'
         )
     return values * units[unit], unit
 
@@ -452,8 +446,7 @@ def convert(
         InputError: Unreadable, the options do not match the file, or the output exists.
     """
     target = user_path(output)
-    if target.exists():
-        raise InputError(f'{target}: exists already; name a folder that does not.')
+    refuse_existing(target)
     path = located(source)
     refuse_device(path)
     columns = {'stamp': stamp, 'gyro': gyro, 'accel': accel, 'joints': joints}
@@ -461,17 +454,15 @@ def convert(
     columns |= {'accel_file': None if accel_file is None else str(accel_file)}
     of_ros_1 = path.suffix.lower() == '.bag' or _is_bag_of_ros_1(path)
     if of_ros_1 or path.is_dir() or is_storage(path):
-        given = [name for name, value in columns.items() if value is not None]
-        if given:
-            raise InputError(f'`{given[0]}` names columns of a text file; {path} is a recording.')
+        refuse_columns(columns)
         if of_ros_1:
             return _from_ros1(path, target)
         if path.is_dir() and not any(is_storage(file) for file in path.iterdir()):
             raise InputError(f'{path} is a folder without a recording; name a file to convert.')
         if gyro_topic is None or accel_topic is None:
             raise InputError(
-                f'{path} is a recording of rosbag2 already. Where gyros and accelerometers are on '
-                'topics of their own, give `gyro_topic` and `accel_topic`.'
+                f'{path} is a recording of rosbag2 already. To join gyros and accelerometers of '
+                'two topics, give `gyro_topic` and `accel_topic`.'
             )
         return joined(path, target, gyro_topic, accel_topic, imu, progress)
     text, own = read_sensors(path, delimiter)
@@ -479,15 +470,13 @@ def convert(
     needed |= {'`stamp` NAME:UNIT or `rate` HZ': stamp or rate}
     lacking = [name for name, value in needed.items() if value is None]
     if gyro is None or accel is None or lacking:
-        other = '' if accel_file else ' Accelerometers in a file of their own: `accel_file`.'
+        other = '' if accel_file else ' (accelerometers in a file of their own: `accel_file`)'
         raise InputError(
-            f'{path}: its columns are {", ".join(text.names)}. Say which are which: '
-            f'{", ".join(lacking)} {"is" if len(lacking) == 1 else "are"} not stated.{other}'
+            f'{path}: its columns are {", ".join(text.names)}. State {", ".join(lacking)}{other}.'
         )
     if stamp is not None and rate is not None:
         raise InputError(
-            f'`stamp` {stamp} and `rate` {rate} both say when the rows were: give the one or the '
-            'other.'
+            f'`stamp` {stamp} and `rate` {rate} both give the times of the rows: leave one out.'
         )
     if accel_file is None and own is None:
         if accel_stamp is not None:
@@ -495,12 +484,19 @@ def convert(
         return from_text(text, target, stamp, rate, gyro, accel, joints, temperature, imu)
     if stamp is None:
         raise InputError(
-            'Gyros and accelerometers in rows of their own are joined by the time of the rows: '
-            'give `stamp`, no `rate`.'
+            'Gyros and accelerometers in rows of their own are joined by their times: give `stamp` '
+            'in place of `rate`.'
         )
     forces = own if accel_file is None else read_text(located(accel_file), delimiter)
     others = (joints, temperature, imu, forces, accel_stamp)
     return from_text(text, target, stamp, None, gyro, accel, *others)
+
+
+def refuse_columns(columns: Mapping[str, object]) -> None:
+    """Refuse columns of a text file, by option, that are stated of a recording."""
+    given = [name for name, value in columns.items() if value is not None]
+    if given:
+        raise InputError(f'`{given[0]}` names columns of a text file, and this is none.')
 
 
 def _is_bag_of_ros_1(path: AnyPath) -> bool:

@@ -221,9 +221,8 @@ def rate_of(stamps: Stamps) -> float:
 def resampling(gyro: Stamps, accel: Stamps, within: Stamps) -> str:
     """Return the rates between which the accelerometers were interpolated, as text."""
     lost = len(gyro) - len(within)
-    loss = f'; {lost} samples of the gyros lie outside these and are left out' if lost else ''
+    loss = f'; {lost} samples of the gyros outside them are left out' if lost else ''
     return (
-        f'The accelerometers come with {rate_of(accel):.4g} Hz and are read at the stamps of the '
-        f'gyros, {rate_of(gyro):.4g} Hz, on straight lines between their samples, which smooths '
-        f'their noise{loss}.'
+        f'The accelerometers ({rate_of(accel):.4g} Hz) are interpolated linearly at the stamps of '
+        f'the gyros ({rate_of(gyro):.4g} Hz), which smooths their noise{loss}.'
     )

@@ -44,7 +44,7 @@ from .calibrate import solve
 from .inputs import recording_at
 from .opening import session_of
 from .outputs import output_path, page_path
-from .session import as_applied, as_calibration, as_combined, as_list
+from .session import as_applied, as_calibration, as_combined, as_list, single_of
 
 _ALIKE = 0.1
 """In standard deviations: two results of one recording that are closer are the same. A judgement:
@@ -129,13 +129,13 @@ def _refuse_with_combined(
     name = calibration if isinstance(calibration, str | Path) else 'the calibration'
     if bag is not None:
         raise InputError(
-            f'{name}: combines calibrations of several recordings, found one recording ({bag}): '
-            'leave it out, or report the calibration that was made from it.'
+            f'{name} combines calibrations of several recordings: leave {bag} out, or report the '
+            'calibration that was made from it.'
         )
     if compare:
         raise InputError(
-            f'{name}: combines several temperatures, at which the unit differs: expected '
-            'calibrations of one temperature each in `compare`.'
+            f'{name} combines calibrations at several temperatures: leave `compare` out, or report '
+            'one of them.'
         )
 
 
@@ -175,9 +175,9 @@ def _recalibrate(
     again = result.calibration
     if again.parameters != calibration.parameters or _far_apart(again, calibration):
         raise InputError(
-            f'{bag}: does not give the numbers of {name}: give the '
-            '`plan`, `imu`, `table`, `latitude`, `height`, `gravity`, `method`, `terms` and '
-            '`segments` that it was made with.'
+            f'{bag} does not give the numbers of {name}: give the `plan`, `imu`, `table`, '
+            '`latitude`, `height`, `gravity`, `method`, `terms` and `segments` that it was made '
+            'with.'
         )
     return result
 
@@ -304,12 +304,7 @@ def _single(calibration: Result | AnyCalibration | Named) -> Calibration:
     if isinstance(calibration, str | Path):
         calibration = load_calibration(calibration)
     if isinstance(calibration, ThermalCalibration):
-        if len(calibration.calibrations) > 1:
-            raise InputError(
-                'The calibration combines several temperatures, and has no uncertainty budget: '
-                'write a certificate for each that it was combined from.'
-            )
-        return calibration.calibrations[0]
+        return single_of(calibration, 'The calibration', 'write a certificate for each of them')
     return as_calibration(calibration)
 
 
@@ -369,11 +364,8 @@ def export(
         raise InputError(f'`output`: {target} is the calibration itself.')
     loaded, name = as_applied(calibration if path is None else path)
     combined = isinstance(loaded, ThermalCalibration) and len(loaded.calibrations) > 1
-    if combined and format != 'ros':
-        raise InputError(
-            f'{name} combines calibrations at several temperatures, which format '
-            f'{format} cannot carry: export one of them.'
-        )
+    if format != 'ros':
+        single_of(loaded, name, f'format {format} cannot carry them, export one')
     beside = None
     if path is None and target is not None and format == 'ros':
         # The node reads a file, which a calibration from Python need not have.

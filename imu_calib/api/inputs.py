@@ -82,7 +82,7 @@ def _samples_of_arrays(
         # What a mask hides is missing.
         found = [np.ma.filled(np.ma.asarray(part, dtype=np.float64), np.nan) for part in parts]
     except (TypeError, ValueError):
-        raise InputError('An array holds something else than numbers, expected numbers.') from None
+        raise InputError('An array holds values that are not numbers.') from None
     shapes = [array.shape for array in found]
     count = shapes[0][0] if shapes and shapes[0] else 0
     if shapes not in ([(count, len(_IMU))], [(count, 3), (count, 3)]):

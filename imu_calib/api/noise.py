@@ -22,9 +22,9 @@ from ..segmentation.long_rest import LongRestReader
 from ..segmentation.stream_facts import separate_messages_sentence
 from ..session.imu import ImuSpec
 from ..session.keywords import Named, Stated
-from .convert import convert
+from .convert import convert, refuse_columns
 from .inputs import Recorded, recording_at
-from .opening import ASSUMED_SI, against_si, assumed_si_imu
+from .opening import ASSUMED_SI, against_si, assumed_si_imu, units_in_doubt
 from .session import serial_of, stated_imu
 from .stamp_clock import average_findings, refused_by_stamps
 from .streams import Streams, streams_of
@@ -105,7 +105,7 @@ def noise(
 def _units_in_doubt(found: NoiseAtRest) -> list[str]:
     """Warn of mean outputs that no unit at rest has: all densities are then of wrong units."""
     seen = against_si(found.mean[None, 3:], found.mean[None, :3])
-    return [warning(f'The units stated may be wrong: {seen}.')] if seen else []
+    return [warning(units_in_doubt(seen))] if seen else []
 
 
 def _read(
@@ -133,17 +133,14 @@ def _recording(
     """Open a recording, or make one of a text file for as long as it is read."""
     stamp, gyro, accel = columns
     if not isinstance(bag, str | Path) or not _is_text(bag):
-        given = [name for name, value in zip(_TEXT, columns, strict=True) if value is not None]
-        if given:
-            raise InputError(f'`{given[0]}` names columns of a text file, and this is none.')
+        refuse_columns(dict(zip(_TEXT, columns, strict=True)))
         with recording_at(bag, rate) as recording:
             yield recording
         return
     if gyro is None or accel is None or (stamp is None and rate is None):
         raise InputError(
             f'{bag} is a text file: name its columns with `stamp` NAME:UNIT (or `rate`), `gyro` '
-            f'and `accel` NAME,NAME,NAME:UNIT; or imu-calib convert {bag} -o OUT makes a recording '
-            'of it.'
+            f'and `accel` NAME,NAME,NAME:UNIT, or use imu-calib convert {bag} -o OUT.'
         )
     if isinstance(imu, ImuSpec):
         raise InputError('`imu`: of a text file it is the name or the path of a file.')

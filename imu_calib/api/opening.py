@@ -48,12 +48,12 @@ _LONGEST_HOLD = 15.0
 """s: longer than a hand holds still, shorter than dwells on a table or of a unit that lies. A
 judgement."""
 ASSUMED_SI = (
-    'The units of the IMU are not stated: rad/s and m/s^2 (REP 145) are assumed; the measured '
-    'length of gravity agrees with that. `imu` states them, and the noise of the unit.'
+    'The units of the IMU are not stated: rad/s and m/s^2 (REP 145) are assumed, and the measured '
+    'gravity agrees. State them, and the noise of the unit, with `imu`.'
 )
 ASSUMED_BY_HAND = (
-    'No plan is stated and there are no joint states: the session is taken as free positions (a '
-    'unit in the hand). If a plan of a table was run, name it with `plan` (docs/bag.md).'
+    'No plan is stated and there are no joint states: free positions (a unit in the hand) are '
+    'assumed. If a table ran a plan, name it with `plan` (docs/bag.md).'
 )
 
 
@@ -94,7 +94,7 @@ def against_si(force: Floats, rate: Floats) -> str:
     length = float(np.median(lengths)) if len(lengths) else float('nan')
     if not abs(length / STANDARD_GRAVITY - 1) < _NEAR_GRAVITY:
         unit = '; 1 would be g' if abs(length - 1) < _NEAR_GRAVITY else ''
-        return f'the length of the acceleration is {length:.4g} in the median, not 9.8{unit}'
+        return f'the median length of the acceleration is {length:.4g}, not 9.8{unit}'
     finite = np.abs(rate[np.isfinite(rate).all(axis=1)])
     fastest = float(finite.max()) if len(finite) else 0.0
     if fastest > _FASTEST:
@@ -103,6 +103,11 @@ def against_si(force: Floats, rate: Floats) -> str:
             'deg/s is possible'
         )
     return ''
+
+
+def units_in_doubt(seen: str) -> str:
+    """Return the sentence on stated units, given what `against_si` returned."""
+    return f'The stated units may be wrong: {seen}.'
 
 
 def plan_by_hand() -> Plan:
@@ -119,8 +124,8 @@ def is_hand_held(session: Segmented) -> bool:
 def ask_for_plan(path: object) -> str:
     """Return the request to state the plan."""
     return (
-        f'{path} does not say which plan was run: give `plan` ({shipped("plans")}). '
-        'None is needed where joint states of a table give the attitudes; here are none.'
+        f'{path} does not say which plan was run: give `plan` ({shipped("plans")}). It has no '
+        'joint states of a table, which would give the attitudes without one.'
     )
 
 

@@ -11,6 +11,7 @@ from ..common.errors import InputError
 from ..common.files import user_path
 from ..recordings.metadata_yaml import NAME
 from ..recordings.rosbag2 import is_storage
+from ..recordings.storage import refuse_existing
 from ..session.keywords import Named
 
 
@@ -25,7 +26,7 @@ def output_path(output: Named) -> Path:
     if path.is_dir():
         raise InputError(f'{path}: is a folder, expected the name of a file.')
     if path.is_file() and _is_of_a_recording(path.resolve()):
-        raise InputError(f'{path} exists already; recordings are not overwritten.')
+        refuse_existing(path)
     return path
 
 
@@ -40,8 +41,7 @@ def new_folder(output: Named) -> Path:
         InputError: Its parent folder does not exist, or it exists already.
     """
     path = _below_a_folder(output)
-    if path.exists():
-        raise InputError(f'{path} exists already; recordings are not overwritten.')
+    refuse_existing(path)
     return path
 
 

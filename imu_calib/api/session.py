@@ -95,6 +95,17 @@ def as_applied(calibration: Result | AnyCalibration | Named) -> tuple[AnyCalibra
     return loaded, f'calibration of {first_of(loaded).imu.id}'
 
 
+def single_of(loaded: AnyCalibration, name: str, advice: str) -> Calibration:
+    """Return the calibration of one temperature.
+
+    Raises:
+        InputError: It is of several; the text ends with the advice.
+    """
+    if isinstance(loaded, ThermalCalibration) and len(loaded.calibrations) > 1:
+        raise InputError(f'{name} combines calibrations at several temperatures: {advice}.')
+    return first_of(loaded)
+
+
 def name_of(calibration: Result | Calibration | Named, otherwise: str) -> str:
     """Return the name of a calibration: the file's if there is one."""
     return str(calibration) if isinstance(calibration, str | Path) else otherwise
@@ -182,10 +193,7 @@ def serial_of(stated: Stated, recording: Recording, topic: str) -> str:
     data = recording.custom_data
     recorded, given = data.get(serial_key(topic), data.get(SERIAL_NUMBER, '')), stated.serial
     if given is not None and recorded and given != recorded:
-        raise InputError(
-            f'`serial`: found {given}, but {recording.path} is of the unit with serial number '
-            f'{recorded}.'
-        )
+        raise InputError(f'`serial`: found {given}, but {recording.path} is of unit {recorded}.')
     return given or recorded
 
 
@@ -214,8 +222,7 @@ def table_of(stated: Stated, recording: Recording) -> Table:
         return stated.simulated_table()
     if not text:
         raise NotStated(
-            f'{recording.path} does not state its table, which was a value without a file: give '
-            '`table`.'
+            f'{recording.path} does not state its table, which had no file: give `table`.'
         )
     return stated.at_azimuth(read_table(Section.parse(text, f'{recording.path}: its table')))
 

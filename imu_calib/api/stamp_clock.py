@@ -70,8 +70,8 @@ def contradiction(recording: Recording, topic: str) -> str:
     times = f'{_POWERS[abs(power)]} times too {"long" if power > 0 else "short"}'
     return (
         f'the header stamps last {stamps.seconds:.4g} s where the recorder counted '
-        f'{log.seconds:.4g} s, {times}: their driver takes one unit of time for another (s, ms, '
-        'us, ns). Correct it, and record again.'
+        f'{log.seconds:.4g} s, {times}: the driver confuses units of time (s, ms, us, ns). Correct '
+        'it, and record again.'
     )
 
 
@@ -115,10 +115,9 @@ def _differing(recording: Recording, topic: str, containing: str) -> list[str]:
     if clock is None or not (said := difference(clock)):
         return []
     return [
-        f'The header stamps of {topic} run {said}, and clocks do not differ by more than '
-        f'{_DIFFERENT / PPM:g} ppm: {containing} contains this difference, unless the '
-        "recorder's clock is the wrong one. Let the driver stamp by a clock that is right (a "
-        'nominal sample interval is none), and record again.'
+        f'The header stamps of {topic} run {said}, more than clocks differ ({_DIFFERENT / PPM:g} '
+        f"ppm): {containing} contains this difference, unless the recorder's clock is wrong. Let "
+        'the driver stamp by a right clock, not by a nominal interval, and record again.'
     ]
 
 

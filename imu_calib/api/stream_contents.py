@@ -147,8 +147,8 @@ def _on_table(setup: Setup, blocks: Iterable[Block]) -> tuple[Segmented, str]:
 def _other_latitude(seen: tuple[float, float], found: tuple[float, float], setup: Setup) -> str:
     rate, std = (v / DEG_H for v in seen)
     return (
-        f'The gyros measure an Earth rate of {rate:+.2f} +- {std:.2f} deg/h about up; at latitude '
-        f'{setup.site.latitude / DEG:.2f} deg it is {setup.site.up_rate / DEG_H:+.2f}. The gyros '
+        f'The gyros measure a vertical Earth rate of {rate:+.2f} +- {std:.2f} deg/h, expected '
+        f'{setup.site.up_rate / DEG_H:+.2f} at latitude {setup.site.latitude / DEG:.2f} deg. They '
         f'show a latitude of {found[0] / DEG:.1f} +- {found[1] / DEG:.1f} deg: check `latitude`.'
     )
 

@@ -157,8 +157,8 @@ def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -
         several = ''
         if kind is Kind.IMU:
             several = (
-                ' Where they are units on one table, `serial` chooses one whose number the '
-                'recording holds, and a calibration with `imus` takes all.'
+                ' If they are units on one table, `serial` chooses one by the number in the '
+                'recording, and `imus` takes all.'
             )
             several = _join_hint(recording, filled) or several
         raise NotStated(

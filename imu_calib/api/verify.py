@@ -103,7 +103,7 @@ def _verify(
         site = site_of(stated, recording, by_hand=by_hand)
     except NotStated as error:
         own = origin.get('latitude_deg')
-        same = '' if own is None else f' {name} was made at latitude {own:g}: the same place?'
+        same = '' if own is None else f' {name} was made at latitude {own:g}.'
         raise NotStated(f'{error}{same}') from None
     table = table_of(stated, recording) if streams.joints is not None else None
     segmenter = Segmenter(imu, table)
@@ -137,7 +137,7 @@ def _check_identity(
         check_identity(calibration, name, imu.id, where, serial)
     except InputError as error:
         raise InputError(
-            f'{error} Give the calibration of that unit; `another_unit` compares them all the same.'
+            f'{error} Give the calibration of that unit, or compare them with `another_unit`.'
         ) from None
 
 
@@ -160,7 +160,8 @@ def _at_temperature(
     if isinstance(loaded, ThermalCalibration):
         if seen is None:
             raise InputError(
-                'The calibration depends on the temperature, which the recording does not hold.'
+                'The calibration depends on the temperature: verify it with a recording that '
+                'holds it.'
             )
         return loaded.at(seen.mean), []
     made_at = loaded.provenance.get('temperature')

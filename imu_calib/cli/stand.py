@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
-from ..common.files import shipped, user_path
+from ..common.files import shipped, unwritable, user_path
 from ..live.devices.format import FrameFormat, load_format
 from ..live.devices.source import Baud, check_port, choose_baud, is_serial, too_slow
 from ..live.table_line import STATE_LINE, BadReply, Line, reading
@@ -174,7 +174,7 @@ def _save_settings(arguments: argparse.Namespace, folder: Path) -> None:
         with removed_on_failure(folder):
             resume.save_settings(arguments, folder)
     except OSError as error:
-        raise InputError(f'{folder}: cannot be written ({error.strerror or error}).') from None
+        raise InputError(unwritable(folder, error)) from None
 
 
 def _resume_session(arguments: argparse.Namespace) -> None:

@@ -66,6 +66,16 @@ def refuse_device(path: AnyFile) -> None:
         raise InputError(f'{path}: found a device or a pipe, expected a file.')
 
 
+def unreadable(path: object, error: OSError) -> str:
+    """Return the sentence on what the system refuses to read."""
+    return f'{path}: cannot be read ({error.strerror or error}).'
+
+
+def unwritable(path: object, error: OSError) -> str:
+    """Return the sentence on what the system refuses to write."""
+    return f'{path}: cannot be written ({error.strerror or error}).'
+
+
 def read_bytes(path: AnyFile) -> bytes:
     """Return the contents of a file."""
     refuse_device(path)
@@ -73,7 +83,7 @@ def read_bytes(path: AnyFile) -> bytes:
         with path.open('rb') as file:
             return bytes(file.read())
     except OSError as error:
-        raise InputError(f'{path}: cannot be read ({error.strerror or error}).') from None
+        raise InputError(unreadable(path, error)) from None
 
 
 def read_text(path: AnyFile) -> str:
@@ -112,7 +122,7 @@ def write_by(path: Path, write: Callable[[IO[bytes]], object]) -> None:
             temporary.chmod(path.stat().st_mode)
         temporary.replace(target)
     except OSError as error:
-        raise InputError(f'{path}: cannot be written ({error.strerror or error}).') from None
+        raise InputError(unwritable(path, error)) from None
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)

@@ -77,8 +77,8 @@ def _stands(fleet: Fleet) -> Iterator[Issue]:
     if shifts:
         sentences = [stand_sentence(shift) for shift in shifts]
         sentences.append(
-            'Check levelling, zeros and alignment before the next unit is calibrated there; what '
-            'is stated of units below is corrected for the shift.'
+            'Check levelling, zeros and alignment before the next unit is calibrated there; the '
+            'figures of units below are corrected for the shift.'
         )
         yield Issue('Stands that are off', 'fail', sentences)
 
@@ -170,8 +170,8 @@ def _failed(fleet: Fleet) -> Iterator[Issue]:
     ]
     if units:
         sentences.append(
-            f'Of {count(len(units), "unit")} it is the newest recording: until it is repeated, '
-            'an older calibration is in use or none.'
+            f'For {count(len(units), "unit")} it is the newest recording: an older calibration is '
+            'in use, or none, until it is repeated.'
         )
     if alone:
         sentences.append(f'{count(len(alone), "failed recording")} did not say of which unit.')
@@ -202,8 +202,8 @@ def _control(fleet: Fleet) -> Iterator[Issue]:
         'fail',
         [
             f'{count(len(units), "unit leaves", "units leave")} a control chart at the newest '
-            f'session; of {count(tested, "unit")} in control some {rate * tested:.2g} would on '
-            'each kind of chart. Repeat the session; if it repeats, the unit has changed.'
+            f'session; by chance about {rate * tested:.2g} of {tested} would on each kind of '
+            'chart. Repeat the session: if the chart signals again, the unit has changed.'
         ],
         ['unit', 'newest session', 'chart'],
         cells,
@@ -277,8 +277,8 @@ def _drifts(fleet: Fleet) -> Iterator[Issue]:
         'Drifting units',
         'marginal',
         [
-            f'{count(len(units), "unit drifts", "units drift")} significantly; of '
-            f'{count(tested, "unit")} without a trend some {rules.false_alarm * tested:.2g} would. '
+            f'{count(len(units), "unit drifts", "units drift")} significantly; by chance '
+            f'about {rules.false_alarm * tested:.2g} of {tested} would. '
             f'{count(len(going), "unit leaves", "units leave")} the specification within '
             f'{rules.horizon:g} years if the trend goes on.'
         ],

@@ -24,7 +24,7 @@ from urllib.parse import quote
 
 from ..common.arguments import checked
 from ..common.errors import InputError, NotObservable
-from ..common.files import other_format, printable, require, user_path, write_whole
+from ..common.files import other_format, printable, require, unwritable, user_path, write_whole
 from ..common.units import counted
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from ..recordings import metadata_yaml
@@ -311,8 +311,8 @@ class Catalogue:
             yield
         except OSError as error:
             raise InputError(
-                f'{self.folder}: cannot be written ({error.strerror or error}). What was added '
-                'before is there; run the command again when it can.'
+                f'{unwritable(self.folder, error)} What was added before is there: run the command '
+                'again when it can be written.'
             ) from None
 
 

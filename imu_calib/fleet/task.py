@@ -18,7 +18,7 @@ from ..api.opening import session_of
 from ..api.streams import units_of
 from ..calibration.results import Result
 from ..common.errors import ImuCalibError, InputError
-from ..common.files import named_file, read_text, user_path, version
+from ..common.files import named_file, read_text, unreadable, user_path, version
 from ..common.stream import NS
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS, indices_of
 from ..recordings.metadata_yaml import NAME as METADATA
@@ -120,7 +120,7 @@ def content_of(path: AnyPath) -> str:
     try:
         return content_hash(find_files(path, Losses()).paths)
     except OSError as error:
-        raise InputError(f'{path}: cannot be read ({error.strerror or error}).') from None
+        raise InputError(unreadable(path, error)) from None
 
 
 def run(job: Job, known: frozenset[str] = frozenset()) -> TaskResult:

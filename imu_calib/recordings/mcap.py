@@ -265,8 +265,8 @@ class McapStorage:
         buffer = np.frombuffer(stored, np.uint8)
         _, end = walk(buffer)
         self._losses.add_loss(
-            f'{self.path.name}: {chunk} is cut off by the end of the file; of its {chunk.size} '
-            f'bytes the first {end} are used.'
+            f'{self.path.name}: {chunk} is cut off by the end of the file; {end} of its '
+            f'{chunk.size} bytes are used.'
         )
         return buffer[:end]
 

@@ -49,8 +49,8 @@ def with_retries(url: str, request: Callable[[], Result]) -> Result:
                 raise
             if _is_refusal(lost):
                 raise InputError(
-                    f'{url}: reading it is not permitted ({lost}). Credentials come from where the '
-                    'protocol looks for them (AWS_PROFILE, AWS_ACCESS_KEY_ID and so on for s3).'
+                    f'{url}: reading it is not permitted ({lost}). Set the credentials of the '
+                    'protocol (for s3 AWS_PROFILE, or AWS_ACCESS_KEY_ID and so on).'
                 ) from None
     raise InputError(
         f'{url}: not read after {TRIES} tries ({type(lost).__name__}: {lost}). Check the network, '
@@ -271,9 +271,8 @@ class RemotePath:
         except Exception as error:
             # Each protocol has its own exceptions for a host, a file or an option that it lacks.
             raise InputError(
-                f'{url}: cannot be opened ({error}). The extra remote brings what reads S3 and '
-                "HTTP (pip install '.[remote]' in a clone of imu_calib); other protocols need "
-                'libraries of their own.'
+                f'{url}: cannot be opened ({error}). S3 and HTTP need the extra remote (pip '
+                "install '.[remote]' in a clone of imu_calib), others their own libraries."
             ) from None
         inside = inside.rstrip('/')
         return cls(url.rstrip('/'), files, inside, _looked_up(url, files, inside))

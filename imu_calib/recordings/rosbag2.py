@@ -18,6 +18,7 @@ from ..common.files import (
     other_encoding,
     other_format,
     refuse_device,
+    unreadable,
 )
 from ..common.stream import SetpointBlock
 from .cdr import Malformed, Messages
@@ -130,7 +131,7 @@ def _listed(
             f'); found {", ".join(extra)}.'
         )
     if extra:
-        losses.add_loss(f'{folder}: {", ".join(extra)} not named by {NAME}, left out.')
+        losses.add_loss(f'{folder}: left out, as {NAME} does not name it: {", ".join(extra)}.')
     return tuple(paths)
 
 
@@ -170,7 +171,7 @@ def open_storage(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage:
             return SqliteStorage(_with_its_log(path), losses)
         return McapStorage(path, losses)
     except OSError as error:
-        raise RecordingError(f'{path} cannot be read: {error.strerror or error}.') from None
+        raise RecordingError(unreadable(path, error)) from None
 
 
 def _with_its_log(path: AnyPath) -> Path:
@@ -218,7 +219,7 @@ def open_recording(path: str | AnyPath, sha256: str | None = None) -> Recording:
     try:
         found = find_files(path, losses)
     except OSError as error:
-        raise RecordingError(f'{path} cannot be read: {error.strerror or error}.') from None
+        raise RecordingError(unreadable(path, error)) from None
     scratch = Scratch()
     try:
         storages = _open_all(found.paths, scratch, losses)
@@ -321,7 +322,7 @@ class Recording:
             try:
                 self._sha256 = content_hash(self.files)
             except OSError as error:
-                raise RecordingError(f'{self.path} cannot be read: {error.strerror}.') from None
+                raise RecordingError(unreadable(self.path, error)) from None
         return self._sha256
 
     def read(

@@ -17,6 +17,7 @@ from .cdr_codec import part
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from ..common.stream import Block, Stamps
     from .cdr import Bytes, Indices, Messages
@@ -25,6 +26,12 @@ if TYPE_CHECKING:
 
 class RecordingError(InputError):
     """A recording, or a file of it, cannot be read."""
+
+
+def refuse_existing(path: Path) -> None:
+    """Refuse to write where something is: nobody can make a recording again."""
+    if path.exists():
+        raise RecordingError(f'{path} exists already; recordings are not overwritten.')
 
 
 @dataclass(frozen=True)
@@ -113,8 +120,7 @@ class Losses:
     def add_order(self, name: str) -> None:
         """State that a file holds messages in another order than that of their log times."""
         self.add_loss(
-            f'{name}: its messages do not lie in the order of their log times, and are read in '
-            'that order.'
+            f'{name}: its messages do not lie in the order of their log times and are sorted.'
         )
 
 

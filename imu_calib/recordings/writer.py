@@ -13,14 +13,14 @@ from weakref import finalize
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.files import user_path
+from ..common.files import unreadable, unwritable, user_path
 from . import metadata_yaml
 from .codec import compressor
 from .definitions import definition
 from .mcap_records import MAGIC
 from .mcap_writer import McapWriter
 from .rosbag2 import Recording, Scratch, find_files, open_recording, open_storage
-from .storage import Cache, Losses, RecordingError, Storage, Topic
+from .storage import Cache, Losses, RecordingError, Storage, Topic, refuse_existing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -81,8 +81,8 @@ class RecordingWriter:
         pack = compressor(compression)
         if resume:
             self._former = _former_files(self.path, progress)
-        elif self.path.exists():
-            raise RecordingError(f'{self.path} exists already; recordings are not overwritten.')
+        else:
+            refuse_existing(self.path)
         with _disk_errors_in_words(self.path):
             self.path.mkdir(parents=True, exist_ok=resume)
             self._name = _free_name(self.path)
@@ -262,7 +262,7 @@ def _former_files(path: Path, progress: Callable[[float], None]) -> list[_Former
             counted.append(_counted(open_storage(file, scratch, losses), part))
         return counted
     except OSError as error:
-        raise RecordingError(f'{path} cannot be read: {error.strerror or error}.') from None
+        raise RecordingError(unreadable(path, error)) from None
     finally:
         scratch.remove()
 
@@ -305,7 +305,7 @@ def _disk_errors_in_words(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise RecordingError(f'{path}: cannot be written ({error.strerror or error}).') from None
+        raise RecordingError(unwritable(path, error)) from None
 
 
 FINISHED = 'imu_calib.finished'

@@ -499,7 +499,7 @@ def test_calibrations_at_several_temperatures_are_combined(
         imu_calib.combine([warm, warm])
     with pytest.raises(InputError, match='combines calibrations at several temperatures'):
         imu_calib.compare(tmp_path / 'both.yaml', result)
-    with pytest.raises(InputError, match='which format c cannot carry'):
+    with pytest.raises(InputError, match='format c cannot carry them, export one'):
         imu_calib.export(combined, 'c')
 
 

@@ -119,7 +119,9 @@ def test_a_text_file_is_read_by_its_columns(tmp_path: Path) -> None:
     assert found.channels['az'].deviation[0] == pytest.approx(2e-2, rel=0.05)
     assert imu_calib.noise(file, rate=50.0, gyro=gyro, accel=accel).rate == pytest.approx(50.0)
     wrong = imu_calib.noise(file, stamp='t:s', gyro=gyro, accel='ax,ay,az:m/s^2')
-    assert wrong.findings[0].startswith('Warning: The units stated may be wrong: the length of')
+    assert wrong.findings[0].startswith(
+        'Warning: The stated units may be wrong: the median length of'
+    )
     assert '1 would be g' in wrong.findings[0]
     assert not any('units stated' in finding for finding in found.findings)
     with pytest.raises(InputError, match='names columns of a text file'):

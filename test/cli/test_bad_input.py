@@ -811,7 +811,7 @@ def test_axes_that_are_not_the_plans(
 def test_a_temperature_in_kelvin(cli: CommandLine) -> None:
     stamp = good().imu.stamp[::100]
     readings = TemperatureBlock(stamp, np.full(len(stamp), 298.15))
-    sentence = 'The temperature is 298.1.? degrees Celsius, hotter than any unit: 25.0 if it is in'
+    sentence = 'The temperature is 298.1.? degrees Celsius, hotter than any unit .25.0 if it is in'
     cli.uses_the_rest(sentence, {**good().columns, '/imu/temperature': readings})
 
 
@@ -1005,7 +1005,7 @@ def test_the_serial_number_of_the_recording_or_of_the_command_line(
     assert Calibration.load(cli.output).serial_number == '0042'
     cli.output.unlink()
     data = {**DATA, 'imu_calib.serial_number': 'A1'}
-    sentence = '--serial: found B2, but .*bag is of the unit with serial number A1'
+    sentence = '--serial: found B2, but .*bag is of unit A1'
     cli.refuses(2, sentence, good().columns, '--serial', 'B2', data=data)
     assert cli.calibrate(cli.folder / 'bag')[0] == 0
     assert Calibration.load(cli.output).serial_number == 'A1'

@@ -158,7 +158,7 @@ def test_what_needs_a_person_is_said_with_numbers(known: Fleet, made: fleets.Inv
     assert {unit.serial for unit in known.flagged(Flag.STEP)} == made.stepping == {'A1023'}
     assert {unit.serial for unit in known.flagged(Flag.DRIFTS)} == made.drifting
     drifts = found['Drifting units']
-    assert drifts.sentences[0].startswith('2 units drift significantly; of 60 units without a')
+    assert drifts.sentences[0].startswith('2 units drift significantly; by chance about 0.6 of 60')
     # 4 ppm a month were put in; 0.12 ppm is what 3 ppm a session leave of six in 30 months.
     slope = re.search(r'K_gx ([\d.]+) \u00b1 ([\d.]+) ppm', drifts.cases[0][1])
     assert slope is not None and abs(float(slope[1]) - 4) < 4 * float(slope[2]) < 1

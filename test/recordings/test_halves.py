@@ -165,7 +165,7 @@ def test_rows_that_name_their_sensor_are_joined(
     at = seen.stamp / 5e6
     assert seen['linear_acceleration.x'] == pytest.approx(0.2 + 0.002 * at)
     assert seen['angular_velocity.x'] == pytest.approx(0.1 + 0.001 * at)
-    with pytest.raises(InputError, match='give `stamp`, no `rate`'):
+    with pytest.raises(InputError, match='give `stamp` in place of `rate`'):
         imu_calib.convert(
             tmp_path / 'log.txt', tmp_path / 'no', **{**words, 'stamp': None}, rate='9'
         )

@@ -27,8 +27,8 @@ FILES = {
 }
 CONVERTED = {
     '.bag': 'cannot be converted: .*Expected a bag of ROS 1',
-    '.csv': 'its columns are t, wx, wy. Say which are which',
-    '.txt': 'its columns are t, wx, wy. Say which are which',
+    '.csv': 'its columns are t, wx, wy. State',
+    '.txt': 'its columns are t, wx, wy. State',
 }
 """convert knows the way itself."""
 NO_FILE = {'keystore': 'the folder of keys is created'}

@@ -336,7 +336,7 @@ def test_a_calibration_without_a_budget_has_no_certificate(
         for c in (10.0, 40.0)
     ]
     combined = imu_calib.combine(parts, tmp_path / 'both.yaml')
-    with pytest.raises(InputError, match='combines several temperatures'):
+    with pytest.raises(InputError, match='combines calibrations at several temperatures'):
         certificate(combined, EXAMPLE, tmp_path / 'c.html')
     with pytest.raises(InputError, match=r'ends in \.html, \.pdf, \.xml'):
         certificate(calibration, EXAMPLE, tmp_path / 'c.doc')
