@@ -481,7 +481,7 @@ def _grid_of_ticks(stamp: Stamps) -> SampleGrid | None:
     samples share a tick, nothing shows how many.
     """
     steps = np.diff(stamp) * 1e-9
-    mean = float(steps.sum()) / len(steps)
+    mean = float(steps.sum()) / max(len(steps), 1)
     if len(steps) < 2 * _UNEVEN or float(np.ptp(steps)) <= _OFF_GRID * mean:
         return None
     advances = steps > SHORT * mean

@@ -435,3 +435,12 @@ def test_noise_of_encoders_is_no_motion() -> None:
     pieces = tracked(position, 7)
     assert [(thing.start, thing.end) for thing in pieces] == [(t.start, t.end) for t in found]
     assert (pieces[2].angles == found[2].angles).all()  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize('count', [0, 1, 2])
+def test_stamps_of_hardly_a_sample_stay_as_they_are(count):
+    """As of a dwell that has just begun when a running session is reviewed."""
+    came = EPOCH + np.arange(count) * 10_000_000
+    made, late = sampling_times(came)
+    assert np.array_equal(made, came)
+    assert not late.any()
