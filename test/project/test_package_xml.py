@@ -139,6 +139,15 @@ def test_the_message_package_declares_what_its_definitions_hold():
     assert held <= declared(folder / 'package.xml', 'depend')
 
 
+def test_the_runtime_of_ros_has_the_names_of_the_other_and_does_not_load_it():
+    folder = CHECKOUT / 'imu_calib' / 'live' / 'middleware'
+    ros, other = ((folder / name).read_text('utf-8') for name in ('ros.py', 'dds/__init__.py'))
+    names = [re.findall(r'^__all__ = \[(.*?)\]', text, re.DOTALL | re.M) for text in (ros, other)]
+    assert names[0]
+    assert names[0] == names[1]
+    assert 'from .dds' not in ros
+
+
 def test_the_messages_are_a_package_that_is_released_alone():
     folder = CHECKOUT / 'msg_defs'
     licence = ElementTree.parse(folder / 'package.xml').find('license')

@@ -1,6 +1,4 @@
-"""rclpy under the names of `dds.__all__`, and the functions that it lacks."""
-
-# ruff: noqa: F401 - `dds` lists the names
+"""rclpy under the names that the nodes use, and the functions that it lacks."""
 
 from __future__ import annotations
 
@@ -58,9 +56,57 @@ from std_srvs.srv import Trigger
 
 from ...common.errors import ImuCalibError, InputError
 from ..network import LEASES, LONGEST_LEASE
-from .dds import __all__
 from .shared import ACTIONS, MESSAGES, GoalStatus, InterfaceTypes, WorkerThread
 from .shared import domain_id as checked_domain
+
+# As `dds` lists them, which cannot be loaded here: under ROS there is no rosbags.
+__all__ = [
+    'LEASE',
+    'ActionClient',
+    'Clock',
+    'ClockType',
+    'DurabilityPolicy',
+    'ExternalShutdownException',
+    'FloatingPointRange',
+    'GoalServer',
+    'HistoryPolicy',
+    'IntegerRange',
+    'InvalidParameterTypeException',
+    'ManagedNode',
+    'Node',
+    'ParameterAlreadyDeclaredException',
+    'ParameterDescriptor',
+    'ParameterNotDeclaredException',
+    'QoSOverridingOptions',
+    'QoSPolicyKind',
+    'QoSProfile',
+    'ReliabilityPolicy',
+    'SingleThreadedExecutor',
+    'SubscriptionEventCallbacks',
+    'Time',
+    'Trigger',
+    'acknowledged',
+    'actions',
+    'deserialize_message',
+    'drain',
+    'drain_sources',
+    'in_step',
+    'init',
+    'messages',
+    'ok',
+    'open_drain',
+    'open_stream',
+    'parameter_names',
+    'publish_all',
+    'qos_profile_sensor_data',
+    'run_beside',
+    'serialize_message',
+    'shutdown',
+    'spin',
+    'spin_once',
+    'spin_until_future_complete',
+    'try_shutdown',
+]
 
 # The publisher of a message under rclpy: rcl has it, rclpy of Jazzy does not pass it on.
 #
