@@ -67,8 +67,9 @@ def declared_by(name, kind, patched):
     module, own = import_module(f'imu_calib.live.nodes.{name}'), {}
 
     def note(node, name, default, *described):
-        # ROS's own: use_sim_time has no description, overrides of QoS have names of their own.
-        for one in described if not name.startswith('qos_overrides.') else ():
+        # ROS's own: use_sim_time has no description, others have names of their own.
+        own_of_ros = name.startswith(('qos_overrides.', 'start_type_description_service'))
+        for one in described if not own_of_ros else ():
             own[name] = default, one.read_only
         return DECLARE(node, name, default, *described)
 

@@ -4,7 +4,7 @@ import socket
 
 import pytest
 from installed import load_launch
-from loopback import start, until
+from loopback import CHECKOUT, start, until
 
 from imu_calib.cli import main
 from imu_calib.cli.processes import network_of_hardware
@@ -116,6 +116,8 @@ def launched(name, **given):
     here = load_launch().LaunchContext()
     from imu_calib.live import launching
 
+    file = CHECKOUT / 'launch' / f'{name}.launch.py'
+    here.extend_locals({'current_launch_file_path': str(file)})
     here.launch_configurations.update(given)
     return launching.checks(table=name != 'calibrator').execute(here) or []
 
