@@ -265,8 +265,8 @@ class McapStorage:
         buffer = np.frombuffer(stored, np.uint8)
         _, end = walk(buffer)
         self._losses.add_loss(
-            f'{self.path.name}: {chunk} is cut off by the end of the file; {end} of its '
-            f'{chunk.size} bytes are used.'
+            f'{self.path.name}: {chunk} is cut off by the end of the file; the first {end} '
+            f'of its {chunk.size} bytes are used.'
         )
         return buffer[:end]
 

@@ -127,7 +127,7 @@ def test_two_units_are_said_to_be_two() -> None:
     """A unit without a serial number, the truth of a simulation for one, may be any."""
     first, second = (replace(unit(), serial_number=n) for n in ('A1004', 'A1005'))
     (finding,) = compare(first, second, unit()).findings
-    assert 'different units, with the serial numbers A1004 and A1005' in finding
+    assert 'different units, by their serial numbers A1004 and A1005' in finding
     assert compare(first, first, unit()).findings == ()
 
 

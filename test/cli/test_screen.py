@@ -252,7 +252,7 @@ def test_a_file_of_another_imu_is_found_out_by_gravity(tmp_path):
     ('error', 'words'),
     [
         (PermissionError(13, 'x'), 'dialout'),
-        (OSError(16, 'x'), 'another program holds it'),
+        (OSError(16, 'x'), 'another program has it open'),
         (socket.gaierror(-2, 'x'), 'name of the host is not known'),
         (TimeoutError('timed out'), 'does not answer'),
         (OSError(5, 'Input/output error'), 'Input/output error.'),

@@ -249,7 +249,9 @@ def test_silence_is_said_before_the_session_is_loaded(tmp_path, port, capsys, mo
     monkeypatch.setattr(stand_session, 'check', check)
     monkeypatch.setenv('ROS_DOMAIN_ID', '42')
     words = ['stand', 'twelve_position', '--port', port[1], '--device', 'simulated']
-    with pytest.raises(LoadedHere, match=r'imu_node: No frame has come since the start\. Is the'):
+    with pytest.raises(
+        LoadedHere, match=r'imu_node: No frame has come since the start\. Check that'
+    ):
         main.main([*words, '--latitude', '48', '-o', str(tmp_path / 'stand')])
 
 
@@ -272,7 +274,9 @@ def test_what_was_said_of_a_silent_device_is_said_once_and_its_end_too(port, cap
     words = NodeReports(real=True)
     listen(port[1], words)
     shown = capsys.readouterr().err
-    assert shown.startswith('imu_node: No frame has come since the start. Is the device on')
+    assert shown.startswith(
+        'imu_node: No frame has come since the start. Check that the device is on'
+    )
     text = shown.removeprefix('imu_node: ').rstrip()
     # imu_node begins anew.
     words.note('imu_node: stream', 1, 'The first frame has not come yet.')

@@ -941,7 +941,7 @@ def test_unbuilt_messages_are_said_in_words():
     if ros.RUNTIME != 'rclpy':
         pytest.skip('only rclpy needs them built')
     out, _ = finish(start(BLOCKED, 'imu_calib_msgs', IMU_CALIB_MIDDLEWARE='rclpy'))
-    assert '`ln -s imu_calib/msg_defs src/imu_calib_msgs` and `colcon build`' in out
+    assert '`ln -s imu_calib/msg_defs src/imu_calib_msgs`' in out
 
 
 def test_a_broken_rclpy_is_no_reason_to_switch(tmp_path):

@@ -461,7 +461,7 @@ def test_of_a_chunk_that_is_cut_the_whole_messages_are_used(opened: Open) -> Non
     assert found.payloads('/b') == [b'yy']
     assert found.losses.sentences[1] == (
         f'a.mcap: the chunk at byte {start} (log time 10.000 s to 12.000 s) is cut off by the end '
-        f'of the file; {kept} of its {size} bytes are used.'
+        f'of the file; the first {kept} of its {size} bytes are used.'
     )
     assert len(found.losses.sentences) == 2
 

@@ -288,8 +288,8 @@ def test_a_combined_file_has_a_report(
     assert imu_calib.report(combined, tmp_path / 'again.html', imu='fog_medium').is_file()
     capsys.readouterr()
     assert main(['report', str(path), 'some_bag', '-o', str(made)]) == 2
-    assert 'leave it out' in capsys.readouterr().err
-    with pytest.raises(InputError, match='one temperature each'):
+    assert 'leave some_bag out' in capsys.readouterr().err
+    with pytest.raises(InputError, match='leave `compare` out'):
         imu_calib.report(path, made, compare=[at_temperatures[0]])
 
 

@@ -465,7 +465,7 @@ def test_without_joint_states_a_plan_is_asked_for(
     assert main(['calibrate', str(bag), '--imu-only', *SAID]) == 2
     error_text = capsys.readouterr().err
     assert 'does not say which plan was run: give --plan' in error_text
-    assert 'where joint states of a table give the attitudes' in error_text
+    assert 'joint states of a table, which would give the attitudes' in error_text
 
 
 def rows_below(text: str, first: str, last: str) -> list[str]:
