@@ -264,6 +264,9 @@ def test_faults_are_readable_without_words_of_ros(expected):
     board.on_diagnostics(diagnostics('calibrator_node: joint states', 1, text), 1.0)
     text = '/imu/pulses is published best effort: messages can be lost on the way.'
     board.on_diagnostics(diagnostics('unit_A1/imu_node: quality of service', 1, text), 1.0)
+    text = 'The emergency stop is on. Release it, then call /turntable_node/release and '
+    text += '/turntable_node/start. A node still publishes stop on /estop: release it there first.'
+    board.on_diagnostics(diagnostics('turntable_node: stop', 2, text), 1.0)
     board.on_state(state(100.0, Phase.PAUSED, reason='/turntable/setpoint: two publishers.'), 1.0)
     shown = [drawing.troubles(board.snapshot(1.0)), drawing.banner(board.snapshot(1.0), NOON)]
     shown += [drawing.banner(board.snapshot(9.0), NOON)]
@@ -271,7 +274,8 @@ def test_faults_are_readable_without_words_of_ros(expected):
     assert "Two senders on the IMU's stream: stop one of them. Then reset the calibrator." in said
     assert "The IMU's receiver of unit_A1: delivery" in said
     assert "The table's commands: two senders." in said
-    assert not re.search(r'_node|/\w|~|publish|topic|best effort', said)
+    assert 'then release and start the table. A program still sends stop' in said
+    assert not re.search(r'_node|/\w|~|publish|topic|best effort|node', said)
     # People of ROS find the names below.
     assert '/imu/pulses' in drawing.diagnostics(board.snapshot(1.0))
 

@@ -51,10 +51,13 @@ _IN_WORDS = [
         'call ~/reset(?: of calibrator_node)?': 'reset the calibrator',
         'best effort': 'without repetition',
         r'(?<!\w)/clock\b': "the stand's clock",
-        r'(?<!\w)/estop\b': 'the stop',
+        r'(?<!\w)/estop\b': 'the line of the stop',
+        r'then call \S+/release and \S+/start': 'then release and start the table',
         'publisher': 'sender',
         'published': 'sent',
+        'publishes': 'sends',
         'publish': 'send',
+        r'\bnode(s?)\b': r'program\1',
     }.items()
 ]
 """Words of ROS in the sentences of the nodes."""
