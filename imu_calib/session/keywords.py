@@ -106,7 +106,7 @@ class OfType(TypedDict, total=False):
         ImuSpec | Named | None,
         "Units and noise of the IMU's samples.",
         Option('name or file of the IMU: what its numbers mean', _FILE),
-        NodeParameter('Name or file of the IMU.', 'fog_medium'),
+        NodeParameter('Name or file of the IMU: what its numbers mean.', 'fog_medium'),
     ]
 
 
@@ -117,13 +117,13 @@ class OnTable(TypedDict, total=False):
         Table | Named | None,
         'The turntable.',
         Option(f'the turntable (default: {_TABLE})', _FILE),
-        NodeParameter('Name or file of the turntable.', _TABLE),
+        NodeParameter('Name or file of the turntable: joints, mounting, how good it is.', _TABLE),
     ]
     azimuth: Annotated[
         float | None,
         "Heading of the table's zero against north, counter-clockwise, deg.",
         Option("heading of the table's zero against north", 'DEG'),
-        NodeParameter("Heading of the table's zero, deg, if known."),
+        NodeParameter("Heading of the table's zero, deg; nan: as the table's file says."),
     ]
 
 
@@ -170,7 +170,7 @@ class AtSite(TypedDict, total=False):
         'Of the site, deg, negative in the south.',
         Option('degrees, negative in the south', 'DEG'),
         NodeParameter(
-            'Latitude of the stand, deg, negative in the south.',
+            'Latitude of the stand, deg, negative in the south; must be given.',
             bounds=SITE_BOUNDS['latitude'],
             required='Parameter latitude: give the latitude of the stand, in degrees.',
         ),
@@ -180,7 +180,7 @@ class AtSite(TypedDict, total=False):
         'Its standard deviation, deg.',
         Option(f'standard deviation of --latitude (default: {LATITUDE_STD / DEG:g})', 'DEG'),
         NodeParameter(
-            'Standard deviation of the latitude, deg; nan: 0.01.',
+            f'Standard deviation of the latitude, deg; nan: {LATITUDE_STD / DEG:g}.',
             bounds=SITE_BOUNDS['latitude_std'],
         ),
     ]
@@ -193,7 +193,9 @@ class AtSite(TypedDict, total=False):
             'M',
         ),
         NodeParameter(
-            'Height above the ellipsoid, m; nan: not known.', bounds=SITE_BOUNDS['height']
+            'Height above the ellipsoid, m; nan: not known, taken as 0, uncertain by '
+            f'{HEIGHT_STD:g} m.',
+            bounds=SITE_BOUNDS['height'],
         ),
     ]
     height_std: Annotated[
@@ -201,7 +203,7 @@ class AtSite(TypedDict, total=False):
         'Its standard deviation, m.',
         Option('standard deviation of --height (default: 0)', 'M'),
         NodeParameter(
-            'Standard deviation of the height, m; nan: 0 if it is stated.',
+            'Standard deviation of a stated height, m; nan: 0.',
             bounds=SITE_BOUNDS['height_std'],
         ),
     ]
@@ -220,7 +222,8 @@ class AtSite(TypedDict, total=False):
             'M/S2',
         ),
         NodeParameter(
-            'Standard deviation of gravity, m/s^2; nan: 0 if measured, 30e-5 if not.',
+            'Standard deviation of gravity, m/s^2; nan: 0 if measured, '
+            f'{NORMAL_GRAVITY_STD:g} for normal gravity.',
             bounds=SITE_BOUNDS['gravity_std'],
         ),
     ]
@@ -243,8 +246,8 @@ class Solved(TypedDict, total=False):
         ),
         Option(f'what the joint estimate adds to the 24 parameters: {_TERM_CHOICES}', 'NAME,NAME'),
         NodeParameter(
-            'Terms that the joint estimate adds: auto (those that are significant), none, or '
-            'names with commas between.',
+            f'Terms that the joint estimate adds: {AUTO_TERMS}, those that the session shows, '
+            f'looked for when it ends; {NO_TERMS}; or names with commas between.',
             DEFAULT_TERMS,
         ),
     ]
@@ -261,7 +264,11 @@ class Numbered(TypedDict, total=False):
             'units in a recording it chooses the one with this number',
             'NUMBER',
         ),
-        NodeParameter('Serial number of the unit; empty: not stated.', '', 'serial_number'),
+        NodeParameter(
+            'Serial number of the unit, for result, message and journal; empty: not stated.',
+            '',
+            'serial_number',
+        ),
     ]
 
 

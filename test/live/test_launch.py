@@ -1,8 +1,8 @@
 """What ships for ROS agrees with the nodes: parameter files, documentation, the table's model."""
 
 import re
+import sys
 import xml.etree.ElementTree as ET
-from importlib import import_module
 from importlib.util import find_spec
 
 import numpy as np
@@ -11,43 +11,32 @@ import yaml
 from loopback import CHECKOUT, environment
 
 from imu_calib.cli import dispatch, stand_session
-from imu_calib.cli.processes import free_port
 from imu_calib.common.errors import ImuCalibError
 from imu_calib.common.files import version
 from imu_calib.common.rotations import rotation
 from imu_calib.session.keywords import node_parameters
 from imu_calib.session.table import load_table
 
+sys.path.insert(0, str(CHECKOUT / 'docs'))
 try:
-    from imu_calib.live import middleware as ros
+    import parameters
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
-NODES = {
-    'turntable_node': 'TurntableNode',
-    'imu_node': 'ImuNode',
-    'calibrator_node': 'CalibratorNode',
-    'compensator_node': 'CompensatorNode',
-    'stand_node': 'StandNode',
-    'hand_node': 'HandNode',
-    'ascii_table_node': 'AsciiTableNode',
-    # Where NiceGUI is not, it says so and ends.
-    **({'web_node': 'WebNode'} if find_spec('nicegui') else {}),
-}
-DECLARE = ros.Node.declare_parameter
-TYPES = {'bool': bool, 'int': int, 'double': float, 'string': str}
+# Where NiceGUI is not, the page's node says so and ends.
+NODES = [n for n in parameters.NODES if n != 'web_node' or find_spec('nicegui')]
 
 
 @pytest.fixture(scope='module')
 def declared(tmp_path_factory):
-    """Start each node; return (default, read-only) of what it declares, by node and name."""
+    """Start each node; return (default, description) of what it declares, by node and name."""
     with pytest.MonkeyPatch.context() as patched:
         for name, value in environment().items():
             patched.setenv(name, value)
         patched.chdir(tmp_path_factory.mktemp('nodes'))
-        if 'web_node' in NODES:
+        if find_spec('nicegui'):
             patched.setattr('imu_calib.live.web.page.Server', Unserved)
-        return {name: declared_by(name, kind, patched) for name, kind in NODES.items()}
+        return {node: parameters.declared(node) for node in NODES}
 
 
 class Unserved:
@@ -63,68 +52,19 @@ class Unserved:
         self._listens.close()
 
 
-def declared_by(name, kind, patched):
-    module, own = import_module(f'imu_calib.live.nodes.{name}'), {}
-
-    def note(node, name, default, *described):
-        # ROS's own: use_sim_time has no description, others have names of their own.
-        own_of_ros = name.startswith(('qos_overrides.', 'start_type_description_service'))
-        for one in described if not own_of_ros else ():
-            own[name] = default, one.read_only
-        return DECLARE(node, name, default, *described)
-
-    patched.setattr(ros.Node, 'declare_parameter', note)
-    port = free_port()
-    given = {
-        'imu_node': {'port': f'socket://127.0.0.1:{port}'},
-        'calibrator_node': {'latitude': 30.0},
-        'web_node': {'latitude': 30.0, 'port': 0},
-        'stand_node': {'port': port},
-        'hand_node': {'port': port},
-        'ascii_table_node': {'port': f'socket://127.0.0.1:{port}'},
-    }
-    words = [w for k, v in given.get(name, {}).items() for w in ('-p', f'{k}:={v}')]
-    ros.init(args=['--ros-args', *words])
-    try:
-        node = getattr(module, kind)()
-        node.stop()
-        node.destroy_node()
-    finally:
-        ros.try_shutdown()
-    return own
-
-
-def test_the_documentation_names_every_parameter(declared):
-    rows = {}
-    for line in (CHECKOUT / 'docs' / 'parameters.md').read_text().splitlines():
-        cells = [cell.strip() for cell in line.strip('|').split('|')]
-        if len(cells) == 7 and cells[0] in NODES:
-            node, name, kind, default, _, read_only, _ = cells
-            rows[node, name] = kind, default.strip('`'), read_only
-    expected = {
-        (node, name): (_kind(default), _text(default), 'yes' if read_only else 'no')
-        for node, parameters in declared.items()
-        for name, (default, read_only) in parameters.items()
-    }
-    assert rows == expected
-
-
-def _kind(value):
-    return next(kind for kind, of in TYPES.items() if type(value) is of)
-
-
-def _text(value):
-    if isinstance(value, bool):
-        return str(value).lower()
-    return str(value) or "''"
+def test_the_documentation_is_what_the_nodes_declare(declared):
+    page = parameters.PAGE.read_text('utf-8')
+    assert parameters.filled(page, declared) == page, 'run python docs/parameters.py'
+    assert re.findall(r'^## (\w+_node)$', page, re.M) == [*parameters.NODES]
+    assert all(one.read_only for own in declared.values() for _, one in own.values())
 
 
 @pytest.mark.parametrize('name', ['stand', 'simulated_stand', 'bringup'])
 def test_parameter_files_hold_what_the_nodes_declare(declared, name):
     content = yaml.safe_load((CHECKOUT / 'config' / 'nodes' / f'{name}.yaml').read_text())
-    for pattern, parameters in content.items():
+    for pattern, given in content.items():
         node = pattern.removeprefix('/**/')
-        for key, value in parameters['ros__parameters'].items():
+        for key, value in given['ros__parameters'].items():
             default, _ = declared[node][key]
             assert type(value) is type(default), (node, key)
 
@@ -191,7 +131,7 @@ def test_the_urdf_moves_as_the_table_does():
 def test_every_installed_node_is_one_of_the_package():
     text = (CHECKOUT / 'setup.py').read_text()
     listed = re.search(r'NODES = \(([^)]*)\)', text)[1]
-    assert set(re.findall(r"'(\w+)'", listed)) == {*NODES, 'web_node'}
+    assert set(re.findall(r"'(\w+)'", listed)) == set(parameters.NODES)
 
 
 def test_every_package_states_the_version_that_is_installed():

@@ -41,24 +41,19 @@ class AsciiTableNode(Node):
 
     def __init__(self) -> None:
         super().__init__('ascii_table_node')
-        table = load_table(declare(self, 'table', 'three_axis', 'Name or file of the table.'))
-        port = declare(self, 'port', '', 'Serial port or socket://host:port of the controller.')
+        words = 'Name or file of the turntable: joints in the order of the axes, limits.'
+        table = load_table(declare(self, 'table', 'three_axis', words))
+        words = 'Serial port or socket://host:port of the controller; must be given.'
+        port = declare(self, 'port', '', words)
         tcp_address(port)  # Refuses what cannot be.
         baud = declare(self, 'baud', 115200, 'Baud rate of a serial port, bit/s.', lower=50)
-        reply = declare(
-            self, 'reply_timeout', 0.2, 'Longest wait for a reply, s.', lower=0.01, upper=0.4
-        )
+        words = 'Longest wait for a reply of the controller, s.'
+        reply = declare(self, 'reply_timeout', 0.2, words, lower=0.01, upper=0.4)
         rate = declare(
             self, 'joint_state_rate', 50.0, 'How often the axes are read, Hz.', lower=5.0, upper=1e3
         )
-        timeout = declare(
-            self,
-            'setpoint_timeout',
-            0.5,
-            'The table stops when no setpoint has come for so long, s.',
-            lower=0.1,
-            upper=2.0,
-        )
+        words = 'The table stops when no setpoint has come for so long, s of the steady clock.'
+        timeout = declare(self, 'setpoint_timeout', 0.5, words, lower=0.1, upper=2.0)
         age = declare(
             self, 'setpoint_age', 0.5, "Greatest age of a setpoint's stamp, s.", lower=0.01
         )

@@ -218,22 +218,12 @@ class CalibratorNode(ros.Node):
         self._several = bool(self._units[0].name)
         table, plan = self._setup.table, self._setup.plan
         self._steps = len(plan.positions if table is None else plan.steps(table))
-        self._output = declare_path(
-            self,
-            'output',
-            'calibration.yaml',
-            'file that takes the result; of several units the folder, which gets SERIAL.yaml',
-        )
-        journal = declare_path(
-            self, 'journal', 'journal', 'folder of the recording; resumed if unfinished'
-        )
-        self._imu_timeout = declare(
-            self,
-            'imu_timeout',
-            IMU_TIMEOUT,
-            'longest silence of the IMU against the table, s',
-            lower=0.01,
-        )
+        words = 'File that takes the result; of several units the folder that gets SERIAL.yaml.'
+        self._output = declare_path(self, 'output', 'calibration.yaml', words)
+        words = 'Folder of the recording; an unfinished one is continued.'
+        journal = declare_path(self, 'journal', 'journal', words)
+        words = 'Longest silence of the IMU against the table, s.'
+        self._imu_timeout = declare(self, 'imu_timeout', IMU_TIMEOUT, words, lower=0.01)
         steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
         stand = f'{len(self._units)} units' if self._several else self._setup.imu.id
         self._diagnostics = Diagnostics(self, stand)

@@ -419,21 +419,20 @@ class CompensatorNode(ros.ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('compensator_node')
-        file = declare(
-            self,
-            'calibration',
-            '',
-            'file of the calibration, loaded again when it changes; empty: from the topic',
+        words = (
+            'Calibration file, single or combined, loaded again when it changes; empty: from the '
+            'topic calibration.'
         )
-        follow = declare(
-            self, 'follow_topic', False, 'also use calibrations published on the topic calibration'
+        file = declare(self, 'calibration', '', words)
+        words = 'Whether to use calibrations published on the topic calibration too.'
+        follow = declare(self, 'follow_topic', False, words)
+        words = (
+            'Serial number of the unit; a calibration that states another, and a message that '
+            'states none, is refused.'
         )
-        serial = declare(
-            self, 'serial_number', '', 'of the unit; calibrations of others are refused'
-        )
-        self._frame_id = declare(
-            self, 'frame_id', '', 'frame of the output; empty: that of the input'
-        )
+        serial = declare(self, 'serial_number', '', words)
+        words = 'Frame of imu/data_raw; empty: the frame that comes in.'
+        self._frame_id = declare(self, 'frame_id', '', words)
         autostart = declare_autostart(self)
         self._diagnostics = Diagnostics(self, 'no calibration yet')
         path = user_path(file) if file else None

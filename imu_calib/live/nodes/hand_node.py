@@ -6,7 +6,6 @@ are read, and at the pace of the wall clock while the person waits for advice.
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from typing import Any
@@ -15,22 +14,16 @@ from ...calibration.calibration import Calibration
 from ...calibration.hand import direction
 from ...common.files import named_file
 from ...common.stream import NS
-from ...common.units import DEG
-from ...model.earth import LUOYANG, Site
-from ...session.imu import load_imu
 from ...simulation.hand import HeldHardware
-from ...simulation.options import StandOptions, load_imperfections, switched_on
+from ...simulation.options import load_imperfections, switched_on
 from .. import middleware as ros
 from ..middleware import messages
 from ..rules import Severity
 from . import qos
 from .diagnostics import Diagnostics
-from .frame_server import (
-    IN_MEMORY,
-    serve_frames,
-)
-from .parameters import declare
+from .frame_server import serve_frames
 from .programs import entry_point
+from .simulation_parameters import declare_simulation
 
 _STEP = 0.1
 """s of simulated time per step. A choice, as in stand_node."""
@@ -47,23 +40,21 @@ class HandNode(ros.Node):
 
     def __init__(self) -> None:
         super().__init__('hand_node')
-        self._hardware = self._read_hardware()
-        self._speed = declare(
-            self,
-            'speed',
-            0.0,
-            'highest speed in multiples of real time; 0: as fast as the nodes follow',
-            lower=0.0,
+        simulation = declare_simulation(self, 'mems_counts', 'mems_counts')
+        options, seed = simulation.options, simulation.seed
+        if simulation.imperfections:
+            options = load_imperfections(simulation.imperfections, options, None, seed)
+        self._epoch = options.start_time
+        self._hardware = HeldHardware(
+            simulation.imu,
+            Calibration.load(named_file('truths', simulation.truth)).model,
+            simulation.site,
+            options,
+            seed=switched_on(seed, simulation.start),
+            epoch=self._epoch,
         )
-        port = declare(
-            self,
-            'port',
-            5760,
-            'TCP port that serves frames; 0: within the process, which has all nodes',
-            lower=IN_MEMORY,
-            upper=65535,
-        )
-        self._line = serve_frames(port)
+        self._speed = simulation.speed
+        self._line = serve_frames(simulation.port)
         self._diagnostics = Diagnostics(self, 'simulated hand')
         self._clock_publisher = self.create_publisher(messages.Clock, '/clock', 10)
         self.create_subscription(
@@ -84,33 +75,6 @@ class HandNode(ros.Node):
             f'{self._line.dropped} bytes of them were not read'
         )
         return []
-
-    def _read_hardware(self) -> HeldHardware:
-        """Declare the parameters of the simulation, and return it."""
-        imu = load_imu(declare(self, 'imu', 'mems_counts', 'name or file of the IMU'))
-        truth = declare(self, 'truth', 'mems_counts', "name or file of the unit's true parameters")
-        latitude = declare(self, 'latitude', LUOYANG, 'deg, negative in the south')
-        height = declare(self, 'height', 0.0, 'm above the ellipsoid')
-        gravity = declare(self, 'gravity', math.nan, 'm/s^2; nan: normal gravity')
-        drifting = declare(self, 'bias_instability', False, 'whether the biases drift')
-        rate = declare(
-            self, 'sample_rate', 0.0, 'sample rate of the IMU, Hz; 0: as its file says', lower=0.0
-        )
-        seed = declare(self, 'seed', 0, 'seed of all random numbers', lower=0)
-        start = declare(self, 'start', 0.0, 'when the simulated time begins, s', lower=0.0)
-        wrong = declare(self, 'imperfections', '', 'name or file of the imperfections; empty: none')
-        options = StandOptions(bias_instability=drifting, sample_rate=rate or None)
-        if wrong:
-            options = load_imperfections(wrong, options, None, seed)
-        self._epoch = round(start * 1e9) + StandOptions.start_time
-        return HeldHardware(
-            imu,
-            Calibration.load(named_file('truths', truth)).model,
-            Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity),
-            options,
-            seed=switched_on(seed, start),
-            epoch=self._epoch,
-        )
 
     def _on_progress(self, message: Any) -> None:
         best = message.next_attitudes

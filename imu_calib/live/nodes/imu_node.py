@@ -36,25 +36,19 @@ class ImuNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('imu_node')
-        self._imu = declare(self, 'imu', 'fog_medium', 'Name or file of the IMU.')
+        words = 'Name or file of the IMU: what its numbers mean, and its sample rate.'
+        self._imu = declare(self, 'imu', 'fog_medium', words)
         self._device = declare(self, 'device', 'simulated', "Name or file of the frames' format.")
-        self._port = declare(
-            self, 'port', '', 'Serial port, socket://host:port, udp://host:port, or a file.'
-        )
-        self._given_baud = declare(
-            self,
-            'baud',
-            0,
-            "Baud rate of a serial port, bit/s; 0: as the device's file says, else 115200.",
-            lower=0,
-        )
+        words = 'Serial port, socket://host:port, udp://host:port, or a file; must be given.'
+        self._port = declare(self, 'port', '', words)
+        words = "Baud rate of a serial port, bit/s; 0: as the device's file says, else 115200."
+        self._given_baud = declare(self, 'baud', 0, words, lower=0)
         self._buffer = declare(
             self, 'buffer', 1 << 18, 'Bytes that may wait before reading pauses.', lower=1 << 12
         )
         self._frame_id = declare(self, 'frame_id', 'imu_link', 'Frame of all messages.')
-        self._rate = declare(
-            self, 'sample_rate', 0.0, "Nominal, Hz; 0: the IMU's own.", lower=0.0, upper=1e5
-        )
+        words = "Nominal sample rate, Hz; 0: as the IMU's file says."
+        self._rate = declare(self, 'sample_rate', 0.0, words, lower=0.0, upper=1e5)
         self._gap_timeout = declare(
             self, 'gap_timeout', GAP_TIMEOUT, 'Longest time without a frame, s.', lower=0.01
         )

@@ -1,4 +1,4 @@
-"""Declare, describe and check parameters of a node in one call."""
+"""Declare, describe and check parameters of a node in one call; all are read-only."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ def declare(
     *,
     lower: float | None = None,
     upper: float | None = None,
-    read_only: bool = True,
 ) -> Any:
     """Declare a parameter and return its value.
 
@@ -27,15 +26,14 @@ def declare(
         node: Declares the parameter.
         name: Of the parameter.
         default: Value if none is given; its type is the parameter's.
-        description: One line with the unit, as `ros2 param describe` shows it.
+        description: A sentence with the unit, for `ros2 param describe` and docs/parameters.md.
         lower: Smallest accepted value, None for no limit.
         upper: Largest accepted value, None for no limit.
-        read_only: Whether it cannot change after the start.
 
     Raises:
         InputError: The given value has another type or lies outside the range.
     """
-    described = ParameterDescriptor(description=description, read_only=read_only)
+    described = ParameterDescriptor(description=description, read_only=True)
     ranged = lower is not None or upper is not None
     if ranged and isinstance(default, float):
         low, high = -math.inf if lower is None else lower, math.inf if upper is None else upper
@@ -58,7 +56,7 @@ def declare(
 
 def declare_autostart(node: Node) -> bool:
     """Declare whether a managed node activates itself, and return it."""
-    words = 'Configure and activate at the start, without a lifecycle manager.'
+    words = 'Configure and activate at the start; false: a lifecycle manager does (rclpy alone).'
     return bool(declare(node, 'autostart', True, words))
 
 

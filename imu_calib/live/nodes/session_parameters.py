@@ -45,10 +45,10 @@ class StatedUnit:
 
 def declare_units_file(node: Node) -> tuple[str, str]:
     """Declare the file of several units and those to be left out, and return both."""
-    return (
-        declare(node, 'units', '', 'file of the units where several are mounted; empty: one'),
-        declare(node, 'without', '', 'serial numbers of units to be left out, commas between'),
-    )
+    words = 'File of several units on the table, in place of imu; empty: one unit.'
+    file = declare(node, 'units', '', words)
+    words = 'Serial numbers of units of that file that are left out, commas between.'
+    return file, declare(node, 'without', '', words)
 
 
 def declared_units(node: Node) -> tuple[tuple[StatedUnit, ...], dict[str, str]]:
@@ -136,7 +136,7 @@ def declare_rules(declare: Callable[..., Any]) -> Rules:
         * declare(
             'arrival_tolerance',
             default.arrival / DEG,
-            'Largest distance from its goal at which a joint has arrived, deg.',
+            'A joint this close to its goal has arrived, deg.',
             lower=1e-6,
             upper=1.0,
         ),
@@ -151,7 +151,7 @@ def declare_rules(declare: Callable[..., Any]) -> Rules:
         feedback_timeout=declare(
             'feedback_timeout',
             default.feedback_timeout,
-            'Longest gap between the stamps of joint states, s.',
+            'Longest gap between two joint states, s of their stamps.',
             lower=0.001,
         ),
         supervised=declare(

@@ -12,6 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,14 +22,13 @@ from ...common.errors import InputError
 from ...common.files import named_file
 from ...common.stream import NS, Mode, Setpoint
 from ...common.units import DEG
-from ...model.earth import LUOYANG, Site
 from ...model.sensors import SensorModel
 from ...recordings.cdr_codec import encode_joints
 from ...session.imu import load_imu
 from ...session.table import load_table
 from ...session.units_file import MountedUnit, load_units, remaining, spread_seeds
 from ...simulation.hardware import SimulatedHardware
-from ...simulation.options import StandOptions, load_imperfections, switched_on
+from ...simulation.options import load_imperfections, switched_on
 from ...simulation.stand import SimulatedUnit
 from .. import middleware as ros
 from ..middleware import messages
@@ -36,10 +36,11 @@ from ..rules import Severity
 from . import qos
 from .commands import Commands
 from .diagnostics import Diagnostics
-from .frame_server import IN_MEMORY, Lines, serve_frames
+from .frame_server import Lines, serve_frames
 from .parameters import declare
 from .programs import entry_point
 from .session_parameters import declare_units_file
+from .simulation_parameters import Simulation, declare_simulation
 
 _STEP = 0.1
 """s of simulated time per step. A choice: the period of setpoints."""
@@ -77,26 +78,11 @@ class StandNode(ros.Node):
 
     def __init__(self) -> None:
         super().__init__('stand_node')
-        self._hardware = self._read_hardware()
-        speed = declare(
-            self,
-            'speed',
-            0.0,
-            'highest speed in multiples of real time; 0: as fast as the nodes follow',
-            lower=0.0,
-        )
-        self._pace = _Pace(speed)
-        port = declare(
-            self,
-            'port',
-            5760,
-            'TCP port that serves frames; of several units the first one, the next ones follow; '
-            '0: within the process, which has all nodes',
-            lower=IN_MEMORY,
-            upper=65535,
-        )
+        simulation = declare_simulation(self, 'fog_medium', 'cao2022_table1')
+        self._hardware = self._read_hardware(simulation)
+        self._pace = _Pace(simulation.speed)
         count = len(self._hardware.frames)
-        self._lines = Lines([serve_frames(port, k) for k in range(count)])
+        self._lines = Lines([serve_frames(simulation.port, k) for k in range(count)])
         self._diagnostics = Diagnostics(self, 'simulated stand')
         self._clock_publisher = self.create_publisher(messages.Clock, '/clock', 10)
         self._joint_publisher = self.create_publisher(
@@ -132,41 +118,27 @@ class StandNode(ros.Node):
         )
         return []
 
-    def _read_hardware(self) -> SimulatedHardware:
-        """Declare the parameters of the simulation, and return it."""
-        table = load_table(declare(self, 'table', 'three_axis', 'name or file of the turntable'))
-        imu = load_imu(declare(self, 'imu', 'fog_medium', 'name or file of the IMU'))
-        truth = declare(
-            self, 'truth', 'cao2022_table1', "name or file of the unit's true parameters"
-        )
-        latitude = declare(self, 'latitude', LUOYANG, 'deg, negative in the south')
-        height = declare(self, 'height', 0.0, 'm above the ellipsoid')
-        gravity = declare(self, 'gravity', math.nan, 'm/s^2; nan: normal gravity')
-        azimuth = declare(self, 'azimuth', 0.0, "true heading of the table's zero, deg")
-        drifting = declare(self, 'bias_instability', False, 'whether the biases drift')
-        offset = declare(self, 'clock_offset', 0.0, 'device clock minus host clock, s')
-        drift = declare(self, 'clock_drift', 0.0, 'how much faster the device clock runs, ppm')
-        joints = declare(self, 'joint_state_rate', 100.0, 'Hz', lower=0.1, upper=10_000.0)
-        rate = declare(
-            self, 'sample_rate', 0.0, 'sample rate of the IMU, Hz; 0: as its file says', lower=0.0
-        )
-        start = declare(self, 'start', 0.0, 'when the simulated time begins, s', lower=0.0)
-        options = StandOptions(
+    def _read_hardware(self, simulation: Simulation) -> SimulatedHardware:
+        """Declare the parameters of the table and its units, and return the hardware."""
+        words = 'Name or file of the simulated turntable.'
+        table = load_table(declare(self, 'table', 'three_axis', words))
+        azimuth = declare(self, 'azimuth', 0.0, "True heading of the table's zero, deg.")
+        offset = declare(self, 'clock_offset', 0.0, 'Device clock minus host clock, s.')
+        drift = declare(self, 'clock_drift', 0.0, 'How much faster the device clock runs, ppm.')
+        words = 'Rate of the joint states, Hz.'
+        joints = declare(self, 'joint_state_rate', 100.0, words, lower=0.1, upper=10_000.0)
+        options = replace(
+            simulation.options,
             azimuth=azimuth * DEG,
             # A uniform error of this half width has the table's stated standard deviation.
             positioning_error=math.sqrt(3) * table.positioning,
-            bias_instability=drifting,
             clock_offset=offset,
             clock_rate_error=drift * 1e-6,
             joint_state_rate=joints,
-            sample_rate=rate or None,
-            start_time=round(start * 1e9) + StandOptions.start_time,
         )
-        site = Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity)
-        seed = declare(self, 'seed', 0, 'seed of all random numbers', lower=0)
-        wrong = declare(self, 'imperfections', '', 'name or file of the imperfections; empty: none')
-        if wrong:
-            options = load_imperfections(wrong, options, table, seed)
+        truth, seed = simulation.truth, simulation.seed
+        if simulation.imperfections:
+            options = load_imperfections(simulation.imperfections, options, table, seed)
         self._epoch = options.start_time
         file, without = declare_units_file(self)
         if file:
@@ -182,8 +154,10 @@ class StandNode(ros.Node):
                 for unit, own in _seeded(file, seed, without)
             ]
         else:
+            imu = simulation.imu
             units = [SimulatedUnit('', imu, _truth(truth), np.eye(3), options.lever, None)]
-        return SimulatedHardware(table, units, site, options, switched_on(seed, start))
+        drawn = switched_on(seed, simulation.start)
+        return SimulatedHardware(table, units, simulation.site, options, drawn)
 
     def _live(self) -> float | None:
         """Advance simulated time if it is due; return the wait for the next call, s, or None."""

@@ -270,20 +270,13 @@ class Heartbeat:
     """
 
     def __init__(self, node: Any) -> None:
-        required = declare(
-            node,
-            'stop_required',
-            False,
-            'Whether every motion requires a heartbeat on the topic heartbeat (std_msgs/Bool).',
+        words = (
+            'Whether the table starts and moves only while a heartbeat comes: std_msgs/Bool, true, '
+            'on the topic heartbeat.'
         )
-        self._timeout = declare(
-            node,
-            'heartbeat_timeout',
-            0.5,
-            'Longest silence of the heartbeat on the steady clock, s.',
-            lower=0.05,
-            upper=5.0,
-        )
+        required = declare(node, 'stop_required', False, words)
+        words = 'Longest silence of the heartbeat, s of the steady clock.'
+        self._timeout = declare(node, 'heartbeat_timeout', 0.5, words, lower=0.05, upper=5.0)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._received_at = self._refused_at = -math.inf
         self._topic = node.resolve_topic_name('heartbeat')

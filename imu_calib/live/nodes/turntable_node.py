@@ -70,40 +70,25 @@ class TurntableNode(Node):
     def __init__(self) -> None:
         super().__init__('turntable_node')
         plan = load_plan(declare(self, 'plan', 'twelve_position', 'Name or file of the plan.'))
-        table = load_table(declare(self, 'table', 'three_axis', 'Name or file of the table.'))
-        self._autostart = declare(
-            self, 'autostart', False, 'Start the plan as soon as all nodes are there.'
-        )
-        resume = declare(
-            self,
-            'resume',
-            False,
-            "Whether to resume the calibrator's session: only the steps that it lacks are run.",
-        )
-        self._watchdog = declare(
-            self,
-            'watchdog_timeout',
-            0.5,
-            'Longest wait for a joint state on the steady clock, s.',
-            lower=0.01,
-        )
-        calibrator_timeout = declare(
-            self,
-            'calibrator_timeout',
-            5.0,
-            'Longest silence of the calibrator on the steady clock, s.',
-            lower=0.1,
-        )
+        words = 'Name or file of the turntable: joints, limits, mounting.'
+        table = load_table(declare(self, 'table', 'three_axis', words))
+        words = 'Start the plan as soon as table and calibrator send; else ~/start does.'
+        self._autostart = declare(self, 'autostart', False, words)
+        words = "Whether to resume the calibrator's session: only the steps that it lacks are run."
+        resume = declare(self, 'resume', False, words)
+        words = 'Longest wait for a joint state, s of the steady clock; the table is then stopped.'
+        self._watchdog = declare(self, 'watchdog_timeout', 0.5, words, lower=0.01)
+        words = 'Longest silence of the calibrator, s of the steady clock.'
+        calibrator_timeout = declare(self, 'calibrator_timeout', 5.0, words, lower=0.1)
         rate = declare(
             self, 'setpoint_rate', 10.0, 'How often setpoints are sent, Hz.', lower=10.0, upper=1e3
         )
         self._pacing = Pacing(rate)
-        folder = declare(
-            self,
-            'state_folder',
-            '',
-            'Folder in which a pressed stop is saved; empty: $XDG_STATE_HOME/imu_calib.',
+        words = (
+            'Folder in which a pressed stop is saved; empty: $XDG_STATE_HOME/imu_calib, else '
+            '~/.local/state/imu_calib.'
         )
+        folder = declare(self, 'state_folder', '', words)
         self._sequencer = Sequencer(plan, table, declare_rules(partial(declare, self)))
         if resume:
             self._sequencer.resume()
@@ -199,18 +184,14 @@ class TurntableNode(Node):
 
     def _declare_output(self) -> Controller | None:
         """Declare how the table is driven; return the ros2_control controller, None without one."""
-        output = declare(
-            self,
-            'output',
-            'setpoint',
-            'setpoint: turntable/setpoint alone; trajectory: to a ros2_control controller too.',
+        words = (
+            'setpoint: turntable/setpoint alone; trajectory: to a joint_trajectory_controller too '
+            '(needs control_msgs under ROS 2).'
         )
-        action = declare(
-            self,
-            'trajectory_action',
-            'joint_trajectory_controller/follow_joint_trajectory',
-            'Action control_msgs/FollowJointTrajectory of the joint_trajectory_controller.',
-        )
+        output = declare(self, 'output', 'setpoint', words)
+        words = "That controller's action, control_msgs/FollowJointTrajectory."
+        default = 'joint_trajectory_controller/follow_joint_trajectory'
+        action = declare(self, 'trajectory_action', default, words)
         if output not in {'setpoint', 'trajectory'}:
             raise InputError(
                 f"Parameter output: found {output!r}, expected 'setpoint' or 'trajectory'."

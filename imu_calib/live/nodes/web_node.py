@@ -73,16 +73,21 @@ class WebNode(ros.Node):
 
         units, _ = declared_units(self)
         self._setup = units[0].setup
-        host = declare(
-            self, 'host', LOOPBACK_HOST, 'interface that serves the page; this machine alone'
+        words = 'Interface that serves the page; the default is reached by this machine alone.'
+        host = declare(self, 'host', LOOPBACK_HOST, words)
+        words = 'TCP port of the page; 0: a free one.'
+        port = declare(self, 'port', 8080, words, lower=0, upper=65535)
+        words = 'Whether viewers who have the token may start, pause and abort the plan.'
+        control = declare(self, 'control', False, words)
+        words = (
+            "File with the table's shape; empty: the supplied one of the table's name, else its "
+            'joints.'
         )
-        port = declare(self, 'port', 8080, 'TCP port; 0: a free one', lower=0, upper=65535)
-        control = declare(
-            self, 'control', False, 'whether a holder of the token may start and stop the table'
-        )
-        urdf = declare(self, 'urdf', '', "file with the table's looks; empty: by its joints")
-        self._output = declare_path(self, 'output', 'calibration.yaml', 'file with the result')
-        self._journal = declare_path(self, 'journal', 'journal', 'folder of the recording')
+        urdf = declare(self, 'urdf', '', words)
+        words = 'File with the result; the report is written beside it.'
+        self._output = declare_path(self, 'output', 'calibration.yaml', words)
+        words = 'Folder of the recording, for the report.'
+        self._journal = declare_path(self, 'journal', 'journal', words)
         self._report_file = self._output.with_name('report.html')
         table = self._setup.table
         shape = None if table is None else table_shape(table, urdf)
