@@ -54,7 +54,7 @@ PACKAGES = {
     'ros2 launch foxglove_bridge': ['foxglove_bridge'],
     'ros2 run plotjuggler': ['plotjuggler'],
 }
-"""What a robot has not, and is needed."""
+"""What a command needs beside our packages and those of `NEEDS_ROS`."""
 OTHERS = (
     'ros2 run imu_calib imu-calib plans',
     SIMULATED,
