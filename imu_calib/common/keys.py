@@ -108,6 +108,25 @@ def read_record(section: Section, kind: type[Record], variant: object = 'key') -
     Raises:
         InputError: File, key, what was found and what was expected.
     """
+    _refuse_others(section, kind, variant)
+    return read_part(section, kind, variant)
+
+
+def read_onto(section: Section, base: Record, variant: object = 'key') -> Record:
+    """Read a whole mapping as `read_record`, on top of a record.
+
+    What the mapping leaves out stays as it is, unless its key has a default.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+    """
+    _refuse_others(section, type(base), variant)
+    result: Record = _read_onto(section, base, variant)
+    return result
+
+
+def _refuse_others(section: Section, kind: type, variant: object) -> None:
+    """Refuse a mapping that lacks a key of a record, or has one that nothing asked for."""
     keys = list(_all_keys(kind, variant))
     # All are looked for first: none of them is then taken for a misspelling of a missing one.
     lacking = [each for each in keys if not section.has(each.name)]
@@ -115,7 +134,6 @@ def read_record(section: Section, kind: type[Record], variant: object = 'key') -
         if each.default is REQUIRED:
             section.raw(each.name)
     section.refuse_unknown_keys()
-    return _read_part(section, kind, variant)
 
 
 def _all_keys(kind: type, variant: object) -> Iterator[FieldKey]:
@@ -125,14 +143,27 @@ def _all_keys(kind: type, variant: object) -> Iterator[FieldKey]:
         yield from _all_keys(within, variant)
 
 
-def _read_part(section: Section, kind: type[Record], variant: object) -> Record:
-    values: dict[str, Any] = {
+def read_part(section: Section, kind: type[Record], variant: object = 'key') -> Record:
+    """Read a record whose keys stand among others, which are not looked at."""
+    within: dict[str, Any] = {
+        name: read_part(section, each, variant) for name, each in parts(kind).items()
+    }
+    return kind(**_values(section, kind, variant), **within)
+
+
+def _read_onto(section: Section, base: Any, variant: object) -> Any:
+    kind = type(base)
+    within = {name: _read_onto(section, getattr(base, name), variant) for name in parts(kind)}
+    return replace(base, **_values(section, kind, variant), **within)
+
+
+def _values(section: Section, kind: type, variant: object) -> dict[str, Any]:
+    """Return the values of what a mapping states, and of defaults, by field."""
+    return {
         name: declared.value(section)
         for name, declared in field_keys(kind, variant).items()
         if declared.default is not None or section.has(declared.name)
     }
-    values |= {name: _read_part(section, within, variant) for name, within in parts(kind).items()}
-    return kind(**values)
 
 
 def record(section: Section, name: str, kind: type[Record], variant: object = 'key') -> Record:

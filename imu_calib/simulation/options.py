@@ -1,17 +1,17 @@
-"""Imperfections of the simulated hardware, and settings of a simulated session."""
+"""Imperfections of the simulated hardware, and settings of a simulated session; SI units, rad."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from ..common.config import Section
 from ..common.errors import InputError
+from ..common.keys import key, part, read_onto, read_part, record
 from ..common.stream import Floats
 from ..common.units import ARCSEC, Dimension
 from ..session.table import TURN, Table
@@ -21,6 +21,74 @@ Channels: TypeAlias = float | tuple[float, float, float]
 """One value for three channels, or one for each."""
 
 
+def read_channels(section: Section, name: str, dimension: Dimension) -> Channels:
+    """Read one figure for all channels, or a list of three.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+    """
+    if not isinstance(section.raw(name), list):
+        return section.quantity(name, dimension)
+    values = section.items(name)
+    if len(values) != 3:
+        raise InputError(f'{section.key(name)}: found {len(values)} figures, expected 3 or one.')
+    x, y, z = (
+        Section({'value': v}, f'{section.key(name)}[{i}]').quantity('value', dimension)
+        for i, v in enumerate(values)
+    )
+    return x, y, z
+
+
+def read_share(section: Section, name: str) -> float:
+    """Read a share of samples.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+    """
+    share = section.quantity(name, Dimension.RATIO, least=0)
+    if share > 1:
+        raise InputError(f'{section.key(name)}: found {section.raw(name)}, expected 100 % or less.')
+    return share
+
+
+@dataclass(frozen=True)
+class Tilt:
+    """Rotation of a table, rad."""
+
+    east: float = key('about east', Dimension.ANGLE, default='0 arcsec')
+    north: float = key('about north', Dimension.ANGLE, default='0 arcsec')
+
+
+def read_tilt(section: Section, name: str) -> tuple[float, float]:
+    """Read the rotation of a table about east and about north, rad."""
+    tilt = record(section, name, Tilt)
+    return tilt.east, tilt.north
+
+
+def _size(
+    variant: str, meaning: str, name: str = '', dimension: Dimension = Dimension.ANGLE
+) -> Any:
+    """Return a field for a size; 0 where its key is left out."""
+    zero = '0 arcsec' if dimension is Dimension.ANGLE else '0 s'
+    return key(meaning, dimension, default=zero, name=name, least=0, variants=(variant,))
+
+
+def _biases(triad: str, meaning: str) -> Any:
+    """Return a field for biases of a triad."""
+    dimension, zero = Dimension.RATE, '0 deg/h'
+    if triad == 'accelerometer':
+        dimension, zero = Dimension.ACCELERATION, '0 ug'
+    return key(meaning, read_channels, dimension, default=zero, name=triad)
+
+
+def _per_kelvin(triad: str, dimension: Dimension, zero: str) -> Any:
+    """Return a field for an effect of temperature on the channels of a triad."""
+    name, meaning = 'bias', 'change of the biases per kelvin'
+    if dimension is Dimension.RATIO_PER_KELVIN:
+        name, meaning = 'scale_factor', 'of the scale factors'
+    return key(meaning, read_channels, dimension, default=zero, name=name, variants=(triad,))
+
+
 @dataclass(frozen=True, kw_only=True)
 class TableOptions:
     """Deviations of the simulated table from an ideal one; errors are drawn anew at each stop."""
@@ -28,28 +96,69 @@ class TableOptions:
     #: True heading of the table's zero against north about up, rad; None: the table's own, or north
     #: if not stated.
     azimuth: float | None = None
-    tilt: tuple[float, float] = (0.0, 0.0)  #: Rotation of the base about east and about north, rad.
-    encoder_resolution: float = TURN / 2**22  #: Step of the angles read, rad; 0 for none.
+    tilt: tuple[float, float] = key(
+        'rotation of the whole table about east and about north, as stated',
+        read_tilt,
+        value=(0.0, 0.0),
+        otherwise='level',
+        variants=('table',),
+    )
+    encoder_noise: float = _size('joint_states', 'standard deviation of one reading', 'noise')
+    #: 0 for none.
+    encoder_resolution: float = key(
+        'step of the angles',
+        Dimension.ANGLE,
+        name='resolution',
+        value=TURN / 2**22,
+        otherwise=f'{TURN / 2**22 / ARCSEC:.3g} arcsec (22 bits)',
+        least=0,
+        variants=('joint_states',),
+    )
     #: Difference of a stopped joint from its encoder reading, uniform within this, rad.
     positioning_error: float = 2 * ARCSEC
-    #: Difference of the encoder reading from the goal at rest, uniform within this, rad.
-    servo_error: float = 0.0
-    #: Relative error of a RATE step's rate, uniform within this, constant per step.
-    rate_error: float = 1e-5
+    #: Uniform within this.
+    servo_error: float = _size(
+        'table',
+        'largest difference of a stopped joint from its goal, shown by its encoder',
+        'servo',
+    )
+    #: Uniform within this, constant per step.
+    rate_error: float = key(
+        'largest error of a steady rate',
+        Dimension.RATIO,
+        name='rate',
+        value=1e-5,
+        otherwise='`10 ppm`',
+        least=0,
+        variants=('table',),
+    )
     setpoint_timeout: float = 0.5  #: Time without a setpoint after which the table stops, s.
     #: Largest difference of a setpoint's stamp from now, s; others are refused.
     setpoint_age: float = 0.5
     wrapped: bool = False  #: Angles are read within -180 to 180 deg instead of continuously.
     true: TrueTable | None = None  #: True axes, zeros, wobble and encoders; None: as described.
-    encoder_noise: float = 0.0  #: Standard deviation of one reading, rad.
-    #: Standard deviation of a stopped joint from its encoder reading until it moves again, whole
-    #: turns included, rad.
-    stop_error: float = 0.0
-    #: Standard deviation of the tilt of the whole table about east and about north, drawn anew
-    #: after every motion, rad.
-    stop_tilt: float = 0.0
-    stop_heading: float = 0.0  #: The same about up, rad.
-    acceleration: float = math.inf  #: Of all joints, if it is below their limits, rad/s^2.
+    #: Standard deviation, whole turns included.
+    stop_error: float = _size(
+        'positioning',
+        'positioning error of a joint, not shown by its encoder, until it moves again',
+        'joints',
+    )
+    stop_tilt: float = _size(
+        'positioning',
+        'lean of the whole table about either horizontal axis, new at every stop',
+        'tilt',
+    )
+    stop_heading: float = _size(
+        'positioning', 'rotation of it about the vertical, new at every stop', 'heading'
+    )
+    acceleration: float = key(
+        'of all joints, where their limits allow more: long ramps',
+        Dimension.ANGULAR_ACCELERATION,
+        value=math.inf,
+        otherwise='their limits',
+        above=0,
+        variants=('table',),
+    )
 
 
 @dataclass(frozen=True)
@@ -57,10 +166,24 @@ class Warming:
     """Temperature: reference + offset + ramp * t + rise * (1 - exp(-t / time_constant))."""
 
     reference: float = 25.0  #: Temperature at which the sensor model holds, degrees Celsius.
-    offset: float = 0.0  #: At the start above the reference, K.
-    rise: float = 0.0  #: In the long run above the start, K.
-    time_constant: float = 600.0  #: s.
-    ramp: float = 0.0  #: K/s.
+    offset: float = key(
+        'at the start, above 25 degrees Celsius',
+        Dimension.TEMPERATURE,
+        default='0 K',
+        variants=('temperature',),
+    )
+    rise: float = key(
+        'final value, reached with `time_constant`',
+        Dimension.TEMPERATURE,
+        default='0 K',
+        variants=('temperature',),
+    )
+    time_constant: float = key(
+        'of the rise', Dimension.TIME, default='600 s', above=0, variants=('temperature',)
+    )
+    ramp: float = key(
+        'steady change', Dimension.TEMPERATURE_RATE, default='0 K/h', variants=('temperature',)
+    )
 
     def celsius(self, times: Floats) -> Floats:
         """Return the (n,) temperature at (n,) times, degrees Celsius."""
@@ -76,43 +199,75 @@ class Warming:
 class ThermalDrift:
     """Linear coefficients per kelvin above the reference, of all channels alike or of each."""
 
-    gyro_bias: Channels = 0.0  #: (rad/s)/K.
-    gyro_scale: Channels = 0.0  #: Relative, 1/K.
-    accel_bias: Channels = 0.0  #: (m/s^2)/K.
-    accel_scale: Channels = 0.0  #: Relative, 1/K.
+    gyro_bias: Channels = _per_kelvin('gyro', Dimension.RATE_PER_KELVIN, '0 (deg/h)/K')
+    gyro_scale: Channels = _per_kelvin('gyro', Dimension.RATIO_PER_KELVIN, '0 ppm/K')
+    accel_bias: Channels = _per_kelvin('accelerometer', Dimension.ACCELERATION_PER_KELVIN, '0 ug/K')
+    accel_scale: Channels = _per_kelvin('accelerometer', Dimension.RATIO_PER_KELVIN, '0 ppm/K')
 
 
 @dataclass(frozen=True)
 class WarmUp:
     """Biases that decay as bias * exp(-t / time_constant), independent of the temperature."""
 
-    gyro_bias: Channels = 0.0  #: At the start, of all channels alike or of each, rad/s.
-    accel_bias: Channels = 0.0  #: At the start, m/s^2.
-    time_constant: float = 600.0  #: s.
+    gyro_bias: Channels = _biases('gyro', 'biases at the start')
+    accel_bias: Channels = _biases('accelerometer', 'biases at the start')
+    time_constant: float = key('of their decay', Dimension.TIME, default='600 s', above=0)
 
 
 @dataclass(frozen=True)
 class BiasStep:
     """Biases that change at one instant, as those of a unit that is switched off and on do."""
 
-    time: float = math.inf  #: s since the start; infinite for none.
-    gyro_bias: Channels = 0.0  #: Added from then on, to all channels alike or to each, rad/s.
-    accel_bias: Channels = 0.0  #: The same, m/s^2.
+    #: Infinite for none.
+    time: float = key(
+        'from the start of the session to it', Dimension.TIME, value=math.inf, least=0
+    )
+    gyro_bias: Channels = _biases('gyro', 'added to the biases from then on')
+    accel_bias: Channels = _biases('accelerometer', 'added to the biases from then on')
 
 
 @dataclass(frozen=True, kw_only=True)
 class Delivery:
     """Delivery of samples from the sensors to the recorder."""
 
-    #: Number of samples that are sent and stamped together, when the last one is made.
-    bunch: int = 1
-    late: float = 0.0  #: Share of the samples that are late, and delay those queued behind them.
-    delay: float = 0.0  #: Mean delay of such a sample, exponentially distributed, s.
-    lost: float = 0.0  #: Share of the samples that never arrive, each independently.
-    twice: float = 0.0  #: Share of the samples that arrive twice, with the same stamp.
-    frozen_every: float = math.inf  #: Mean time from one freeze to the next, s; infinite for none.
-    #: Time for which the device repeats its last sample, with new stamps, s.
-    frozen_for: float = 0.0
+    late: float = key('share of delayed samples', read_share, default='0 %', variants=('stamps',))
+    delay: float = _size(
+        'stamps',
+        'their mean delay (exponential); samples behind them queue',
+        dimension=Dimension.TIME,
+    )
+    bunch: int = key(
+        'number of samples that come and are stamped together, when the last one is made',
+        Section.whole,
+        1,
+        default=1,
+        variants=('stamps',),
+    )
+    lost: float = key(
+        'share of lost samples, independent of each other',
+        read_share,
+        default='0 %',
+        variants=('samples',),
+    )
+    twice: float = key(
+        'share of samples sent twice, with the same stamp',
+        read_share,
+        default='0 %',
+        variants=('samples',),
+    )
+    #: Infinite for none.
+    frozen_every: float = key(
+        'mean time between',
+        Dimension.TIME,
+        name='every',
+        value=math.inf,
+        above=0,
+        variants=('frozen',),
+    )
+    #: Meanwhile the device repeats its last sample, with new stamps.
+    frozen_for: float = key(
+        'how long', Dimension.TIME, name='for', value=0.0, least=0, variants=('frozen',)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,18 +282,40 @@ class ImuOptions:
     turn_on_gyro: float = 0.0  #: Standard deviation of a bias drawn once per run, rad/s.
     turn_on_accel: float = 0.0  #: The same of the accelerometers, m/s^2.
     quantise: bool = True  #: Whether pulses and counts are whole numbers.
-    warming: Warming = field(default_factory=Warming)  #: Temperature over the run.
+    warming: Warming = part(Warming)  #: Temperature over the run.
     #: Effect of temperature on the channels.
-    thermal_drift: ThermalDrift = field(default_factory=ThermalDrift)
+    thermal_drift: ThermalDrift = ThermalDrift()
     #: From the centre of rotation to the accelerometers, body axes, m.
     lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    clock_offset: float = 0.0  #: Device clock minus host clock at the start, s.
-    #: Relative rate error of the device clock (50e-6 is 50 ppm fast).
-    clock_rate_error: float = 0.0
-    imu_stamp_jitter: float = 0.0  #: Standard deviation of the stamps, s; at most 0.45 of a sample.
-    warm_up: WarmUp = field(default_factory=WarmUp)  #: Decaying biases.
-    bias_step: BiasStep = field(default_factory=BiasStep)  #: Biases from an instant on.
-    delivery: Delivery = field(default_factory=Delivery)  #: Delivery of the samples.
+    imu_stamp_jitter: float = _size(
+        'stamps', 'standard deviation; up to 0.45 of a sample', 'jitter', Dimension.TIME
+    )
+    delivery: Delivery = part(Delivery)  #: Delivery of the samples.
+    clock_rate_error: float = key(
+        "how much faster the unit's clock runs than the table's",
+        Dimension.RATIO,
+        name='clock_rate',
+        value=0.0,
+        otherwise='`0 ppm`, or `clock_drift` of stand_node',
+        variants=('stamps',),
+    )
+    #: Device clock minus host clock.
+    clock_offset: float = key(
+        'its offset at the start',
+        Dimension.TIME,
+        value=0.0,
+        otherwise='`0 s`, or `clock_offset` of stand_node',
+        variants=('stamps',),
+    )
+    warm_up: WarmUp = key(
+        'biases that decay, independent of the thermometer',
+        record,
+        WarmUp,
+        default=None,
+        value=WarmUp(),
+        variants=('temperature',),
+    )
+    bias_step: BiasStep = BiasStep()  #: Biases from an instant on.
     frame_id: str = 'imu_link'  #: Of the samples.
 
 
@@ -156,20 +333,39 @@ class Shock:
 class Vibration:
     """Ringing of the mounting after each stop, about and along a random direction."""
 
-    rate: float = 0.0  #: Initial amplitude of the angular rate, rad/s.
-    force: float = 0.0  #: Initial amplitude of the specific force, m/s^2.
-    frequency: float = 20.0  #: Hz.
-    decay: float = 0.2  #: Time constant, s.
+    rate: float = key('amplitude at first', Dimension.RATE, default='0 deg/s', least=0)
+    force: float = key('amplitude at first', Dimension.ACCELERATION, default='0 mg', least=0)
+    frequency: float = key('of the ringing', Dimension.FREQUENCY, default='20 Hz', above=0)
+    decay: float = key('time constant', Dimension.TIME, default='0.2 s', above=0)
 
 
 @dataclass(frozen=True)
 class Shake:
     """Permanent vibration of the floor: tones of random phase within a band."""
 
-    rate: float = 0.0  #: Root mean square of the angular rate about each axis, rad/s.
-    force: float = 0.0  #: Root mean square of the specific force along each axis, m/s^2.
-    lowest: float = 5.0  #: Hz.
-    highest: float = 40.0  #: Hz.
+    rate: float = key(
+        'root mean square about each axis', Dimension.RATE, default='0 deg/s', least=0
+    )
+    force: float = key(
+        'root mean square along each axis', Dimension.ACCELERATION, default='0 mg', least=0
+    )
+    lowest: float = key('lower end of its tones', Dimension.FREQUENCY, default='5 Hz', least=0)
+    highest: float = key('upper end', Dimension.FREQUENCY, default='40 Hz', least=0)
+
+
+def read_shake(section: Section, name: str) -> Shake:
+    """Read the vibration of the floor.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+    """
+    shake = record(section, name, Shake)
+    if shake.lowest > shake.highest:
+        raise InputError(
+            f'{section.key(name)}: found lowest {shake.lowest:g} Hz above highest '
+            f'{shake.highest:g} Hz.'
+        )
+    return shake
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,13 +376,40 @@ class StandOptions(TableOptions, ImuOptions):
     lead: float = 1.0  #: Time at rest before the first setpoint and after the last, s.
     settle: float = 1.0  #: From the end of a step's motion to the start of its dwell, s.
     setpoint_rate: float = 10.0  #: Repetition rate of setpoints, Hz.
-    joint_state_rate: float = 100.0  #: Hz.
-    #: Standard deviation of the joint states' stamps, s; at most 0.45 of their spacing.
-    joint_stamp_jitter: float = 0.0
+    joint_stamp_jitter: float = _size(
+        'joint_states',
+        'standard deviation of the stamps; up to 0.45 of their spacing',
+        'jitter',
+        Dimension.TIME,
+    )
+    joint_state_rate: float = key(
+        'their rate',
+        Dimension.FREQUENCY,
+        name='rate',
+        value=100.0,
+        otherwise='`100 Hz`, or `joint_state_rate` of stand_node',
+        above=0,
+        variants=('joint_states',),
+    )
     temperature_rate: float = 1.0  #: Hz.
     block_length: float = 10.0  #: Longest duration of a block, s.
-    vibration: Vibration = field(default_factory=Vibration)  #: After each stop.
-    shake: Shake = field(default_factory=Shake)  #: Of the floor.
+    vibration: Vibration = key(
+        'of the mounting after each stop, in random directions',
+        record,
+        Vibration,
+        default=None,
+        name='ringing',
+        value=Vibration(),
+        variants=('mounting',),
+    )
+    shake: Shake = key(
+        'constant vibration of the floor',
+        read_shake,
+        default=None,
+        name='floor',
+        value=Shake(),
+        variants=('mounting',),
+    )
     shock: Shock | None = None  #: One shock, or None.
 
 
@@ -219,7 +442,7 @@ def load_imperfections(
 def read_imperfections(
     section: Section, options: StandOptions, table: Table | None, seed: int
 ) -> StandOptions:
-    """Read imperfections on top of options; omitted ones stay unchanged.
+    """Read imperfections on top of options; a section that is left out changes nothing.
 
     Args:
         section: Their YAML mapping.
@@ -230,218 +453,42 @@ def read_imperfections(
     Raises:
         InputError: File, key, what was found and what was expected.
     """
-    readers: dict[str, Callable[[Section, StandOptions], StandOptions]] = {
-        'table': lambda part, o: _table(part, o, table, seed),
-        'joint_states': _joint_states,
-        'stamps': _stamps,
-        'samples': _samples,
-        'mounting': _mounting,
-        'temperature': _temperature,
-        'bias_step': _bias_step,
-    }
-    for key, read in readers.items():
-        if not section.has(key):
+    for name in ('table', 'joint_states', 'stamps', 'samples', 'mounting', 'temperature'):
+        if not section.has(name):
             continue
-        if table is None and key in {'table', 'joint_states', 'mounting'}:
+        if table is None and name in {'table', 'joint_states', 'mounting'}:
             raise InputError(
-                f'{section.key(key)}: found an imperfection of a table, '
+                f'{section.key(name)}: found an imperfection of a table, '
                 'expected none: the unit is held by hand.'
             )
-        part = section.section(key)
-        options = read(part, options)
-        part.refuse_unknown_keys()
+        within = section.section(name)
+        if name == 'table':
+            options = _table(within, options, table, seed)
+        elif name == 'samples' and within.has('frozen'):
+            frozen = read_onto(within.section('frozen'), options.delivery, 'frozen')
+            options = replace(options, delivery=frozen)
+        elif name == 'temperature':
+            drift = options.thermal_drift
+            for triad in ('gyro', 'accelerometer'):
+                if within.has(triad):
+                    drift = read_onto(within.section(triad), drift, triad)
+            options = replace(options, thermal_drift=drift)
+        options = read_onto(within, options, name)
+    if section.has('bias_step'):
+        options = replace(options, bias_step=record(section, 'bias_step', BiasStep))
     section.refuse_unknown_keys()
     return options
 
 
-def _table(part: Section, options: StandOptions, table: Table | None, seed: int) -> StandOptions:
-    sizes = TableSizes(
-        zeros=_size(part, 'zeros'),
-        orthogonality=_size(part, 'orthogonality'),
-        wobble=_harmonics(part, 'wobble'),
-        encoder=_harmonics(part, 'encoder'),
-    )
-    options = replace(
-        options,
-        servo_error=_size(part, 'servo', options.servo_error),
-        rate_error=_size(part, 'rate', options.rate_error, Dimension.RATIO),
-        acceleration=part.quantity(
-            'acceleration', Dimension.ANGULAR_ACCELERATION, options.acceleration, above=0
-        ),
-    )
-    if part.has('tilt'):
-        tilt = part.section('tilt')
-        both = (
-            tilt.quantity('east', Dimension.ANGLE, 0.0),
-            tilt.quantity('north', Dimension.ANGLE, 0.0),
-        )
-        tilt.refuse_unknown_keys()
-        options = replace(options, tilt=both)
+def _table(section: Section, options: StandOptions, table: Table | None, seed: int) -> StandOptions:
+    """Read what the keys on the fields of the options do not say."""
     # Files of version 0.1.0 call them arrivals.
-    key = 'positioning' if part.has('positioning') else 'arrivals'
-    if part.has(key):
-        positioning = part.section(key)
-        options = replace(
-            options,
-            # The file replaces the positioning error of the table's description.
-            positioning_error=0.0,
-            stop_error=_size(positioning, 'joints'),
-            stop_tilt=_size(positioning, 'tilt'),
-            stop_heading=_size(positioning, 'heading'),
-        )
-        positioning.refuse_unknown_keys()
+    name = 'positioning' if section.has('positioning') else 'arrivals'
+    if section.has(name):
+        # The file replaces the positioning error of the table's description.
+        options = replace(options, positioning_error=0.0)
+        options = read_onto(section.section(name), options, 'positioning')
+    sizes = read_part(section, TableSizes)
     if table is None or sizes == TableSizes():
         return options
     return replace(options, true=TrueTable.drawn(table, sizes, seed))
-
-
-def _joint_states(part: Section, options: StandOptions) -> StandOptions:
-    return replace(
-        options,
-        encoder_noise=_size(part, 'noise'),
-        encoder_resolution=_size(part, 'resolution', options.encoder_resolution),
-        joint_stamp_jitter=_size(part, 'jitter', 0.0, Dimension.TIME),
-        joint_state_rate=part.quantity(
-            'rate', Dimension.FREQUENCY, options.joint_state_rate, above=0
-        ),
-    )
-
-
-def _stamps(part: Section, options: StandOptions) -> StandOptions:
-    delivery = replace(
-        options.delivery,
-        bunch=part.whole('bunch', 1, default=1),
-        late=_share(part, 'late'),
-        delay=_size(part, 'delay', 0.0, Dimension.TIME),
-    )
-    return replace(
-        options,
-        imu_stamp_jitter=_size(part, 'jitter', 0.0, Dimension.TIME),
-        clock_rate_error=part.quantity('clock_rate', Dimension.RATIO, options.clock_rate_error),
-        clock_offset=part.quantity('clock_offset', Dimension.TIME, options.clock_offset),
-        delivery=delivery,
-    )
-
-
-def _samples(part: Section, options: StandOptions) -> StandOptions:
-    delivery = replace(options.delivery, lost=_share(part, 'lost'), twice=_share(part, 'twice'))
-    if part.has('frozen'):
-        frozen = part.section('frozen')
-        delivery = replace(
-            delivery,
-            frozen_every=frozen.quantity('every', Dimension.TIME, above=0),
-            frozen_for=_size(frozen, 'for', None, Dimension.TIME),
-        )
-        frozen.refuse_unknown_keys()
-    return replace(options, delivery=delivery)
-
-
-def _mounting(part: Section, options: StandOptions) -> StandOptions:
-    if part.has('ringing'):
-        s, usual = part.section('ringing'), Vibration()
-        ringing = Vibration(
-            _size(s, 'rate', 0.0, Dimension.RATE),
-            _size(s, 'force', 0.0, Dimension.ACCELERATION),
-            s.quantity('frequency', Dimension.FREQUENCY, usual.frequency, above=0),
-            s.quantity('decay', Dimension.TIME, usual.decay, above=0),
-        )
-        s.refuse_unknown_keys()
-        options = replace(options, vibration=ringing)
-    if part.has('floor'):
-        s, still = part.section('floor'), Shake()
-        shake = Shake(
-            _size(s, 'rate', 0.0, Dimension.RATE),
-            _size(s, 'force', 0.0, Dimension.ACCELERATION),
-            _size(s, 'lowest', still.lowest, Dimension.FREQUENCY),
-            _size(s, 'highest', still.highest, Dimension.FREQUENCY),
-        )
-        if shake.lowest > shake.highest:
-            raise InputError(
-                f'{s.where}: found lowest {shake.lowest:g} Hz above highest {shake.highest:g} Hz.'
-            )
-        s.refuse_unknown_keys()
-        options = replace(options, shake=shake)
-    return options
-
-
-def _temperature(part: Section, options: StandOptions) -> StandOptions:
-    usual = options.warming
-    warming = Warming(
-        usual.reference,
-        part.quantity('offset', Dimension.TEMPERATURE, usual.offset),
-        part.quantity('rise', Dimension.TEMPERATURE, usual.rise),
-        part.quantity('time_constant', Dimension.TIME, usual.time_constant, above=0),
-        part.quantity('ramp', Dimension.TEMPERATURE_RATE, usual.ramp),
-    )
-    drift, fading = options.thermal_drift, options.warm_up
-    if part.has('gyro') or part.has('accelerometer'):
-        gyro, accel = (
-            part.section(key) if part.has(key) else Section({}, part.key(key))
-            for key in ('gyro', 'accelerometer')
-        )
-        drift = ThermalDrift(
-            _channels(gyro, 'bias', Dimension.RATE_PER_KELVIN),
-            _channels(gyro, 'scale_factor', Dimension.RATIO_PER_KELVIN),
-            _channels(accel, 'bias', Dimension.ACCELERATION_PER_KELVIN),
-            _channels(accel, 'scale_factor', Dimension.RATIO_PER_KELVIN),
-        )
-        gyro.refuse_unknown_keys()
-        accel.refuse_unknown_keys()
-    if part.has('warm_up'):
-        s = part.section('warm_up')
-        fading = WarmUp(
-            _channels(s, 'gyro', Dimension.RATE),
-            _channels(s, 'accelerometer', Dimension.ACCELERATION),
-            s.quantity('time_constant', Dimension.TIME, fading.time_constant, above=0),
-        )
-        s.refuse_unknown_keys()
-    return replace(options, warming=warming, thermal_drift=drift, warm_up=fading)
-
-
-def _bias_step(part: Section, options: StandOptions) -> StandOptions:
-    step = BiasStep(
-        part.quantity('time', Dimension.TIME, least=0),
-        _channels(part, 'gyro', Dimension.RATE),
-        _channels(part, 'accelerometer', Dimension.ACCELERATION),
-    )
-    return replace(options, bias_step=step)
-
-
-def _size(
-    part: Section,
-    key: str,
-    default: float | None = 0.0,
-    dimension: Dimension = Dimension.ANGLE,
-) -> float:
-    """Return a quantity that cannot be negative."""
-    return part.quantity(key, dimension, default, least=0)
-
-
-def _share(part: Section, key: str) -> float:
-    share = _size(part, key, 0.0, Dimension.RATIO)
-    if share > 1:
-        raise InputError(f'{part.key(key)}: found {part.raw(key)}, expected 100 % or less.')
-    return share
-
-
-def _harmonics(part: Section, key: str) -> tuple[float, float]:
-    if not part.has(key):
-        return 0.0, 0.0
-    s = part.section(key)
-    pair = _size(s, 'once'), _size(s, 'twice')
-    s.refuse_unknown_keys()
-    return pair
-
-
-def _channels(part: Section, key: str, dimension: Dimension) -> Channels:
-    """Return one figure for all channels, or a list of three."""
-    if not part.has(key) or not isinstance(part.raw(key), list):
-        return part.quantity(key, dimension, 0.0)
-    values = part.items(key)
-    if len(values) != 3:
-        raise InputError(f'{part.key(key)}: found {len(values)} figures, expected 3 or one.')
-    three = [
-        Section({'value': v}, f'{part.key(key)}[{i}]').quantity('value', dimension)
-        for i, v in enumerate(values)
-    ]
-    return three[0], three[1], three[2]

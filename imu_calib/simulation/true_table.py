@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from ..common.config import Section
 from ..common.files import write_whole
+from ..common.keys import key, record
 from ..common.rotations import rotation
 from ..common.stream import Floats
-from ..common.units import ARCSEC, DEG
+from ..common.units import ARCSEC, DEG, Dimension
 from ..session.table import Table
 from .motion import Link
 
@@ -21,16 +23,49 @@ Harmonic = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
+class HarmonicSizes:
+    """Standard deviations of an error within the turn, rad."""
+
+    once: float = key('once per turn', Dimension.ANGLE, default='0 arcsec', least=0)
+    twice: float = key('twice per turn', Dimension.ANGLE, default='0 arcsec', least=0)
+
+
+def read_harmonics(section: Section, name: str) -> Harmonic:
+    """Read both sizes of a harmonic error, rad."""
+    sizes = record(section, name, HarmonicSizes)
+    return sizes.once, sizes.twice
+
+
+@dataclass(frozen=True, kw_only=True)
 class TableSizes:
     """Standard deviations from which the errors of a simulated table are drawn, rad."""
 
-    zeros: float = 0.0  #: Of each joint's true zero about the described one.
-    #: Of each joint's axis about either direction across it, except the first's, whose lean is the
-    #: tilt of the table.
-    orthogonality: float = 0.0
-    #: Of an axis about either direction across it, once and twice per turn.
-    wobble: Harmonic = (0.0, 0.0)
-    encoder: Harmonic = (0.0, 0.0)  #: Error of an encoder within the turn, once and twice per turn.
+    zeros: float = key(
+        "standard deviation of each joint's true zero about the described one",
+        Dimension.ANGLE,
+        default='0 arcsec',
+        least=0,
+    )
+    orthogonality: float = key(
+        'standard deviation of each axis about both directions across it; the first axis leans by '
+        'the tilt',
+        Dimension.ANGLE,
+        default='0 arcsec',
+        least=0,
+    )
+    wobble: Harmonic = key(
+        'standard deviation by which an axis leans about both directions across it, once and twice '
+        'per turn of its joint',
+        read_harmonics,
+        value=(0.0, 0.0),
+        otherwise='0 arcsec',
+    )
+    encoder: Harmonic = key(
+        "standard deviation of an encoder's error within the turn, once and twice per turn",
+        read_harmonics,
+        value=(0.0, 0.0),
+        otherwise='0 arcsec',
+    )
 
 
 @dataclass(frozen=True)
