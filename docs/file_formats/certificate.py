@@ -20,7 +20,7 @@ from imu_calib.reports.certificate_fields import (
     read_size,
 )
 
-from .keys import VALUES, Tables, Value, keys_of, mapping_of, number
+from .keys import CONDITIONS, VALUES, Tables, Value, given, keys_of, mapping_of, number, when
 
 _DAY = Value(
     {'type': 'string', 'pattern': '^[0-9]{4}-(0[1-9]|1[0-2])-(0[1-9]|[12][0-9]|3[01])$'},
@@ -35,6 +35,7 @@ VALUES.update(
         read_period: lambda: mapping_of(Period),
     }
 )
+CONDITIONS[Requirement] = [when(given('requirement'), given('rule'))]
 
 TABLES: Tables = {
     'certificate': keys_of(Fields),
