@@ -253,6 +253,8 @@ def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> SearchResu
             unobservable.append(costly)
             rejected.add(costly.family)
         else:
+            kept, hinted = _with_carried_alternatives(start, trial, kept)
+            unobservable += [one for one in hinted if one.family not in rejected]
             search = _search_of(trial, kept, first, weigh_drifts=True)
     if search is None:
         search = _search_of(first, (), first, weigh_drifts=find_terms and noisy)
@@ -288,6 +290,33 @@ def _without_use(
         elif beyond.any():
             together.append(this)
     return max(costly or together, key=lambda one: one.log_p, default=None)
+
+
+def _with_carried_alternatives(
+    start: _Model, trial: Estimate, found: Sequence[SignificantFamily]
+) -> tuple[tuple[SignificantFamily, ...], list[UnobservableFamily]]:
+    """Return families with the alternatives that leave the parameters of use, and the others.
+
+    What such an alternative makes of the parameters is arbitrary where they are not determined.
+    """
+    carried, unobservable = [], dict[Family, UnobservableFamily]()
+    for k, one in enumerate(found):
+        model = start.with_found((*found[:k], *found[k + 1 :]))
+        without = _common_std(*model.on(trial.equations, trial.state))
+        for other in one.alternatives:
+            trying = model.with_found([SignificantFamily(other, 0.0)])
+            try:
+                ratios = _common_std(*trying.on(trial.equations, trial.state)) / without
+            except NotObservable:
+                continue
+            worst = int(np.argmax(ratios))
+            if ratios[worst] > _WITHOUT_USE:
+                unobservable[other] = UnobservableFamily(
+                    other, one.log_p, PARAMETERS[worst], float(ratios[worst])
+                )
+        alternatives = tuple(f for f in one.alternatives if f not in unobservable)
+        carried.append(replace(one, alternatives=alternatives))
+    return tuple(carried), list(unobservable.values())
 
 
 def _common_std(equations: Equations, state: Floats) -> Floats:

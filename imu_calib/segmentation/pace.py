@@ -22,6 +22,11 @@ _SURE_PACE = 0.1
 """Of an interval: largest standard deviation for which the number between is certain."""
 _FEWEST_FREE = 2
 """Degrees of freedom from which on the scatter of segments about their line is used."""
+_SUDDEN = 3e-6
+"""Relative change of the interval within a minute that no quartz makes: three times what one does
+that warms by a degree. Clocks are slewed by tens of ppm and more."""
+_SAME_PACE = 1e-6  #: Relative: intervals this close are of one pace. Of a quartz within minutes.
+_SURELY = 6.0  #: Standard deviations beyond which intervals differ: once in 10^9 by chance.
 _LEAST_STD = 1e-10  #: Of the level of a segment, s: stamps in ns, averaged.
 
 
@@ -57,6 +62,8 @@ class Pace:
         self.tick = 0.0  #: Of stamps in ticks, the longest of a segment, s; 0 for others.
         #: First and last stamps of the segments whose stamps lie on no line of ticks, ns.
         self.without_ticks: list[tuple[int, int]] = []
+        self._read: list[tuple[int, int, float, float]] = []
+        """First and last stamp, ns, interval and its standard deviation, s, of all segments."""
 
     def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
         """Return the grid of a segment, (n,) stamps in ns, and its timing by all so far."""
@@ -68,6 +75,8 @@ class Pace:
             self._start, self._reference = int(stamp[0]), grid.period
         if grid.is_counted and np.isfinite(grid.period_std):
             self._note(float(stamp[0] - self._start) * 1e-9, grid)
+            error = max(grid.period_std, _LEAST_STD / (len(stamp) - 1))
+            self._read.append((int(stamp[0]), int(stamp[-1]), grid.period, error))
         timing = Timing(grid.period, grid.period, grid.period_std)
         return grid, replace(timing, used=self.combined(timing)[0])
 
@@ -75,6 +84,35 @@ class Pace:
         """Begin another line: the clock was set."""
         self._pieces += _line(self._knots, self._reference)
         self._knots, self._known = [], None
+
+    def leave_out_slewed(self) -> tuple[list[tuple[int, int]], float]:
+        """Take the interval from where stamps run at one pace; return where they do not.
+
+        A quartz, that of the samples, keeps its rate within minutes; one of another rate, or a
+        clock that is brought up to time, changes it at once: then the pace
+        of the longest time counts.
+
+        Returns:
+            First and last stamps of these parts, ns, and the largest relative difference there;
+            none where no change is sudden and significant.
+        """
+        if len(self._read) < 2:
+            return [], 0.0
+        first, last, period, std = np.array(self._read).T
+        apart = np.abs(np.diff(period)) / period[1:]
+        error = np.hypot(std[1:], std[:-1]) / period[1:]
+        minutes = np.diff(first + last) / 2 * 1e-9 / 60
+        if not np.any(apart > np.maximum(_SUDDEN * np.maximum(1.0, minutes), _SURELY * error)):
+            return [], 0.0
+        off = np.abs(period[:, None] / period - 1)
+        alike = off <= np.maximum(_SAME_PACE, _SURELY * np.hypot(std[:, None], std) / period)
+        usual = int(np.argmax(alike @ (last - first)))
+        kept, rows = alike[:, usual], np.flatnonzero(~alike[:, usual])
+        weight = std[kept] ** -2
+        self._known = float(weight @ period[kept] / weight.sum()), float(weight.sum() ** -0.5)
+        spans = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+        where = [(self._read[k[0]][0], self._read[k[-1]][1]) for k in spans if len(k)]
+        return where, float(off[rows, usual].max(initial=0.0))
 
     @property
     def interval(self) -> float:

@@ -133,6 +133,26 @@ def reject_without_ticks(reader: IntervalReader) -> None:
     )
 
 
+def reject_off_pace(reader: IntervalReader) -> list[int]:
+    """Reject data whose stamps run faster or slower than those of most of the session.
+
+    Returns:
+        When such stamps begin, ns: from there on the offset of the clocks is another.
+    """
+    slewed, most = reader.pace.leave_out_slewed()
+
+    def is_within(instant: float) -> bool:
+        return any(first <= instant <= last for first, last in slewed)
+
+    reader.found.reject(
+        f'the stamps run at another pace there, by up to {most * 1e6:.2g} ppm: their clock was '
+        'slewed, or the sample rate changed',
+        lambda one: is_within(one.start),
+    )
+    reader.clock = [one for one in reader.clock if not is_within(one.time)]
+    return [first for first, _ in slewed]
+
+
 _LONGEST_REST = 1 << 20  #: Most samples held: a longer dwell is cut, so that memory stays bounded.
 _SAMPLES_FOR_PERIOD = 256
 """Samples whose median step is the interval. A choice: a quarter of a second at 1 kHz."""
@@ -260,6 +280,7 @@ class Segmenter:
             found.reject('the file of segments does not list it', is_left_out)
         reject_untimed(reader, self._intake)
         reject_without_ticks(reader)
+        slewed = reject_off_pace(reader)
         self._frozen = reject_hidden(reader)
         if self._clocks_unknown:
             # All was cut by clocks of unknown offset: its positions and rates are wrong.
@@ -272,7 +293,8 @@ class Segmenter:
         found.retime(reader.pace)
         restarts = [begins for _, begins in self._intake.interruptions.found]
         of_imu, of_table = self._intake.imu_clock.found, self._intake.joint_clock.found
-        clock = fit_clock(reader.clock, restarts, [one.instant for one in (*of_imu, *of_table)])
+        set_back = [one.instant for one in (*of_imu, *of_table)]
+        clock = fit_clock(reader.clock, restarts, set_back + slewed)
         return Segmented(
             tuple(found.segments),
             tuple(found.turns),
