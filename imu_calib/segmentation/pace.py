@@ -25,6 +25,9 @@ _FEWEST_FREE = 2
 _SUDDEN = 3e-6
 """Relative change of the interval within a minute that no quartz makes: three times what one does
 that warms by a degree. Clocks are slewed by tens of ppm and more."""
+_LARGEST_SLEW = 1e-3
+"""Relative: twice what kernels slew a clock by. Intervals further apart are of segments in which
+jitter hides how many samples are missing."""
 _SAME_PACE = 1e-6  #: Relative: intervals this close are of one pace. Of a quartz within minutes.
 _SURELY = 6.0  #: Standard deviations beyond which intervals differ: once in 10^9 by chance.
 _LEAST_STD = 1e-10  #: Of the level of a segment, s: stamps in ns, averaged.
@@ -60,8 +63,9 @@ class Pace:
         self._knots: list[_Knot] = []
         self._known: tuple[float, float] | None = None  #: Cache of `_long`.
         self.tick = 0.0  #: Of stamps in ticks, the longest of a segment, s; 0 for others.
-        #: First and last stamps of the segments whose stamps lie on no line of ticks, ns.
-        self.without_ticks: list[tuple[int, int]] = []
+        self._is_in_ticks = False  #: Whether stamps in ticks lie on a line somewhere.
+        self._uncounted: list[tuple[int, int]] = []
+        self._without_ticks: list[tuple[int, int]] = []
         self._read: list[tuple[int, int, float, float]] = []
         """First and last stamp, ns, interval and its standard deviation, s, of all segments."""
 
@@ -69,8 +73,10 @@ class Pace:
         """Return the grid of a segment, (n,) stamps in ns, and its timing by all so far."""
         grid = read_grid(stamp, self._long()[0] or None)
         self.tick = max(self.tick, grid.tick)
-        if not (grid.tick and grid.is_counted):
-            self.without_ticks.append((int(stamp[0]), int(stamp[-1])))
+        self._is_in_ticks |= grid.tick > 0 and grid.is_counted
+        if not grid.tick or not grid.is_counted:
+            uncounted = self._uncounted if grid.tick else self._without_ticks
+            uncounted.append((int(stamp[0]), int(stamp[-1])))
         if not self._reference:
             self._start, self._reference = int(stamp[0]), grid.period
         if grid.is_counted and np.isfinite(grid.period_std):
@@ -85,12 +91,19 @@ class Pace:
         self._pieces += _line(self._knots, self._reference)
         self._knots, self._known = [], None
 
+    @property
+    def uncounted(self) -> list[tuple[int, int]]:
+        """First and last stamps, ns, of segments with unknown numbers of missing samples.
+
+        Where stamps come in ticks, those off a line of ticks are among them.
+        """
+        return self._uncounted + (self._without_ticks if self._is_in_ticks else [])
+
     def leave_out_slewed(self) -> tuple[list[tuple[int, int]], float]:
         """Take the interval from where stamps run at one pace; return where they do not.
 
-        A quartz, that of the samples, keeps its rate within minutes; one of another rate, or a
-        clock that is brought up to time, changes it at once: then the pace
-        of the longest time counts.
+        A quartz, that of the samples, keeps its rate within minutes. A clock that is brought up to
+        time, or another sample rate, changes it at once: then the pace of the longest time counts.
 
         Returns:
             First and last stamps of these parts, ns, and the largest relative difference there;
@@ -102,12 +115,14 @@ class Pace:
         apart = np.abs(np.diff(period)) / period[1:]
         error = np.hypot(std[1:], std[:-1]) / period[1:]
         minutes = np.diff(first + last) / 2 * 1e-9 / 60
-        if not np.any(apart > np.maximum(_SUDDEN * np.maximum(1.0, minutes), _SURELY * error)):
+        sudden = apart > np.maximum(_SUDDEN * np.maximum(1.0, minutes), _SURELY * error)
+        if not np.any(sudden & (apart < _LARGEST_SLEW)):
             return [], 0.0
         off = np.abs(period[:, None] / period - 1)
         alike = off <= np.maximum(_SAME_PACE, _SURELY * np.hypot(std[:, None], std) / period)
         usual = int(np.argmax(alike @ (last - first)))
-        kept, rows = alike[:, usual], np.flatnonzero(~alike[:, usual])
+        kept = alike[:, usual]
+        rows = np.flatnonzero(~kept & (off[:, usual] < _LARGEST_SLEW))
         weight = std[kept] ** -2
         self._known = float(weight @ period[kept] / weight.sum()), float(weight.sum() ** -0.5)
         spans = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)

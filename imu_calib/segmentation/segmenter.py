@@ -118,18 +118,13 @@ def reject_hidden(reader: IntervalReader) -> tuple[int, int]:
     return int(frozen.sum()), round(float(instants[frozen][0])) if frozen.any() else 0
 
 
-def reject_without_ticks(reader: IntervalReader) -> None:
-    """Reject data whose stamps lie on no line although those of the session come in ticks.
-
-    Samples are missing there, and how many does not show in such stamps.
-    """
-    if not reader.pace.tick:
-        return
-    without = reader.pace.without_ticks
+def reject_uncounted(reader: IntervalReader) -> None:
+    """Reject data with missing samples whose stamps, in coarse steps, do not show how many."""
+    uncounted = reader.pace.uncounted
     reader.found.reject(
         f'samples are missing, and stamps in steps of {reader.pace.tick * 1e3:.3g} ms do not show '
         'how many',
-        lambda one: any(first <= one.start <= last for first, last in without),
+        lambda one: any(first <= one.start <= last for first, last in uncounted),
     )
 
 
@@ -279,7 +274,7 @@ class Segmenter:
             is_left_out = self._choice.left_out(found.turns, last, alone=alone)
             found.reject('the file of segments does not list it', is_left_out)
         reject_untimed(reader, self._intake)
-        reject_without_ticks(reader)
+        reject_uncounted(reader)
         slewed = reject_off_pace(reader)
         self._frozen = reject_hidden(reader)
         if self._clocks_unknown:

@@ -82,7 +82,7 @@ def test_a_serial_number_chooses_the_topic_that_the_recording_says_is_its(
     # A number that nobody has chooses nothing, and a topic that is named goes before.
     with pytest.raises(InputError, match=r'3 topics of type.*`serial` chooses one'):
         imu_calib.calibrate(session, serial='N-7', **KNOWN)
-    with pytest.raises(InputError, match=r'found N-1, but .* serial number A1'):
+    with pytest.raises(InputError, match=r'found N-1, but .* is of unit A1'):
         imu_calib.calibrate(session, serial='N-1', imu_topic='/unit_A1/imu/pulses', **KNOWN)
 
 
