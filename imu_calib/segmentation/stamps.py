@@ -491,7 +491,10 @@ def _grid_of_ticks(stamp: Stamps) -> SampleGrid | None:
     advances = steps > SHORT * mean
     tick = float(np.quantile(steps[advances], _ONE_TICK))
     counts = np.rint(steps / tick)
-    uneven = counts != np.median(counts)
+    uneven = counts - np.median(counts)
+    # A stamp that is late by itself makes two steps that cancel: jitter, and no tick.
+    late = np.append(uneven[:-1] + uneven[1:] == 0, False)
+    uneven[late | np.append(False, late[:-1])] = 0
     on_tick = np.abs(steps - counts * tick) < _NEAR_TICK * tick
     if tick * _TICKS < mean or np.count_nonzero(uneven) < _UNEVEN or np.mean(on_tick) < _ON_TICKS:
         return None

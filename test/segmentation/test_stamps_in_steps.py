@@ -80,6 +80,16 @@ def test_a_reader_that_misses_some_polls_misses_no_samples(rate: float, tick: fl
     assert grid.period * rate == pytest.approx(1, abs=1e-5)
 
 
+def test_stamps_that_are_late_one_by_one_are_no_steps() -> None:
+    rng = np.random.default_rng(3)
+    stamp = np.arange(12_000) * 10_000_000 + np.rint(rng.normal(size=12_000) * 2e5).astype(int)
+    stamp[rng.choice(12_000, 40, replace=False)] += rng.integers(4_000_000, 9_000_000, 40)
+    grid = read_grid(np.sort(stamp))
+    assert grid.tick == 0
+    assert grid.is_counted
+    assert (grid.index == np.arange(12_000)).all()
+
+
 def test_lost_samples_of_regular_stamps_are_no_steps() -> None:
     rng = np.random.default_rng(1)
     for share in (0.02, 0.05, 0.1, 0.3):
