@@ -25,7 +25,15 @@ from ..session.keywords import Stated
 from ..session.plan import UNPLANNED, Plan, load_plan
 from ..session.segments_file import read_segments
 from .inputs import Recorded, recording_at
-from .session import mounted_on, serial_of, site_of, stated_imu, stated_plan, table_of
+from .session import (
+    contradicted_latitude,
+    mounted_on,
+    serial_of,
+    site_of,
+    stated_imu,
+    stated_plan,
+    table_of,
+)
 
 if TYPE_CHECKING:
     from ..segmentation.segmented import Segmented
@@ -53,7 +61,7 @@ ASSUMED_SI = (
 )
 ASSUMED_BY_HAND = (
     'No plan is stated and there are no joint states: free positions (a unit in the hand) are '
-    'assumed. If a table ran a plan, name it with `plan` (docs/bag.md).'
+    'assumed. Name it with `plan` if a table ran one (docs/bag.md).'
 )
 
 
@@ -222,6 +230,7 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
         refuse_rest(recording, streams.imu, imu)
     steps = plan_by_hand() if plan is None else plan
     statements = (*([] if known else [ASSUMED_SI]), *([] if plan else [ASSUMED_BY_HAND]))
+    statements += contradicted_latitude(stated, recording)
     if stated.segments is not None:
         statements += (f'The holds are those that {Path(stated.segments).name} lists.',)
     if streams.skew is None:

@@ -20,6 +20,7 @@ from ..calibration.thermal import (
 from ..common.config import Section
 from ..common.errors import InputError, NotStated
 from ..common.files import named_file
+from ..common.finding import warning
 from ..common.units import DEG
 from ..model.earth import MEASURED, VAGUE, Site
 from ..session.imu import ImuSpec, read_imu
@@ -225,6 +226,26 @@ def table_of(stated: Stated, recording: Recording) -> Table:
             f'{recording.path} does not state its table, which had no file: give `table`.'
         )
     return stated.at_azimuth(read_table(Section.parse(text, f'{recording.path}: its table')))
+
+
+_SAME_LATITUDE = 0.06
+"""deg: a latitude that is rounded to a tenth differs by no more; gravity by 6 ppm then."""
+
+
+def contradicted_latitude(stated: Stated, recording: Recording) -> tuple[str, ...]:
+    """Return a warning that the recording itself states another latitude than is stated."""
+    if stated.latitude is None or not states_site(recording.custom_data):
+        return ()
+    own = described_site(recording.custom_data, str(recording.path)).latitude / DEG
+    if abs(own - stated.latitude) <= _SAME_LATITUDE:
+        return ()
+    return (
+        warning(
+            f'The recording states latitude {own:.6g}, and {stated.latitude:.6g} is used as given: '
+            'gravity, and so every K_a, and the Earth rate follow from it. Leave `latitude` out if '
+            'the recording is right.'
+        ),
+    )
 
 
 def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> Site:

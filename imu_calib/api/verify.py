@@ -25,7 +25,15 @@ from ..session.keywords import Named, Stated, Verified, with_keywords
 from ..session.metadata import compensated_already
 from ..session.plan import UNPLANNED
 from .inputs import Recorded, recording_at
-from .session import as_applied, serial_of, site_of, stated_imu, stated_plan, table_of
+from .session import (
+    as_applied,
+    contradicted_latitude,
+    serial_of,
+    site_of,
+    stated_imu,
+    stated_plan,
+    table_of,
+)
 from .stamp_clock import clock_findings, refused_by_stamps
 from .streams import streams_of
 
@@ -119,6 +127,7 @@ def _verify(
             observed = observe(session, imu, site, plan, table, calibration.clock)
         except NotObservable as error:
             raise type(error)(f'{error} {session.facts.sentence}'.strip()) from None
+    notes += contradicted_latitude(stated, recording)
     notes += clock_findings(recording, streams, imu.units)
     already = compensated_already(recording.custom_data, streams.imu)
     found = judge(

@@ -97,6 +97,17 @@ def test_what_a_mask_hides_is_missing() -> None:
     assert np.isnan(block.gyro).tolist() == np.eye(3, dtype=bool).tolist()
 
 
+def test_a_latitude_that_the_recording_contradicts_is_a_warning(
+    hand: Path, expected: imu_calib.Calibration
+) -> None:
+    text = 'The recording states latitude 48.1, and 50 is used'
+    off = imu_calib.calibrate(hand, plan='free_positions', latitude=50.0)
+    assert text in ' '.join(off.calibration.findings)
+    assert text in ' '.join(imu_calib.verify(hand, expected, latitude=50.0).findings)
+    same = imu_calib.calibrate(hand, plan='free_positions', latitude=48.14)
+    assert 'states latitude' not in ' '.join(same.calibration.findings)
+
+
 def test_a_frame_is_verified_and_compensated_as_its_recording(
     hand: Path, frame: pd.DataFrame, expected: imu_calib.Calibration, tmp_path: Path
 ) -> None:
