@@ -175,9 +175,9 @@ def _recalibrate(
     again = result.calibration
     if again.parameters != calibration.parameters or _far_apart(again, calibration):
         raise InputError(
-            f'{bag} does not give the numbers of {name}: give the `plan`, `imu`, `table`, '
-            '`latitude`, `height`, `gravity`, `method`, `terms` and `segments` that it was made '
-            'with.'
+            f'{bag} does not give the numbers of {name}: it is another recording, or give the '
+            '`plan`, `imu`, `table`, `latitude`, `height`, `gravity`, `method`, `terms` and '
+            '`segments` that it was made with.'
         )
     return result
 

@@ -94,7 +94,8 @@ def _verify(
     another_unit: bool,
     progress: Progress,
 ) -> Verification:
-    streams = streams_of(stated, recording)
+    serial = stated.serial or first_of(loaded).serial_number
+    streams = streams_of(replace(stated, serial=serial), recording)
     # Omit what is not stated: a plan gives names, a table attitudes.
     plan = stated_plan(stated, recording) or UNPLANNED
     known = stated_imu(stated, recording, streams.imu)

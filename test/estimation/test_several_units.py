@@ -79,6 +79,7 @@ def test_a_serial_number_chooses_the_topic_that_the_recording_says_is_its(
     # So does the number in a calibration that is applied.
     written = imu_calib.compensate(session, alone, folder / 'compensated')
     assert written.topic == '/unit_N_1/imu/pulses'
+    assert imu_calib.verify(session, alone).own_recording
     # A number that nobody has chooses nothing, and a topic that is named goes before.
     with pytest.raises(InputError, match=r'3 topics of type.*`serial` chooses one'):
         imu_calib.calibrate(session, serial='N-7', **KNOWN)
