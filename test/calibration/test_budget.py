@@ -509,8 +509,9 @@ def recording(tmp_path, monkeypatch) -> str:
 def test_the_screen_shows_the_budget_in_80_columns(recording, tmp_path, capsys) -> None:
     options = ['--height', '520', '--latitude-std', '0.1']
     assert main(['calibrate', recording, '--budget', '-o', 'c.yaml', *options]) == 0
-    shown = capsys.readouterr().out.partition('Uncertainty budget')[2].splitlines()
-    assert max(map(len, shown)) <= 100
+    budget = capsys.readouterr().out.partition('Uncertainty budget')[2].partition('\nNotes\n')[0]
+    shown = budget.splitlines()
+    assert max(map(len, shown)) <= 80
     found = Calibration.load(tmp_path / 'c.yaml')
     assert found.provenance['latitude_std_deg'] == pytest.approx(0.1)
     k_ax = [line.split() for line in shown if line.startswith('K_ax')]
