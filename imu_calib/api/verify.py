@@ -94,8 +94,8 @@ def _verify(
     another_unit: bool,
     progress: Progress,
 ) -> Verification:
-    serial = stated.serial or first_of(loaded).serial_number
-    streams = streams_of(replace(stated, serial=serial), recording)
+    wanted = stated.serial or first_of(loaded).serial_number
+    streams = streams_of(replace(stated, serial=wanted), recording)
     # Omit what is not stated: a plan gives names, a table attitudes.
     plan = stated_plan(stated, recording) or UNPLANNED
     known = stated_imu(stated, recording, streams.imu)

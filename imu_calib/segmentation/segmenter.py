@@ -128,7 +128,7 @@ def reject_uncounted(reader: IntervalReader) -> None:
     )
 
 
-def reject_off_pace(reader: IntervalReader) -> list[int]:
+def reject_slewed(reader: IntervalReader) -> list[int]:
     """Reject data whose stamps run faster or slower than those of most of the session.
 
     Returns:
@@ -275,7 +275,7 @@ class Segmenter:
             found.reject('the file of segments does not list it', is_left_out)
         reject_untimed(reader, self._intake)
         reject_uncounted(reader)
-        slewed = reject_off_pace(reader)
+        slewed = reject_slewed(reader)
         self._frozen = reject_hidden(reader)
         if self._clocks_unknown:
             # All was cut by clocks of unknown offset: its positions and rates are wrong.
