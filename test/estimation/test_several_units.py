@@ -154,7 +154,7 @@ def test_one_that_is_missing_fails_by_itself(session, folder, units, capsys, sep
 
 @pytest.fixture(scope='module')
 def damaged(session, folder):
-    """One unit's samples freeze half way, another's end there."""
+    """From half way one unit freezes for some seconds again and again; another's samples end."""
     path = folder / 'damaged'
     with open_recording(session) as recording:
         data, topics = recording.custom_data, {t.name: t.type for t in recording.topics}
@@ -184,7 +184,7 @@ def damaged(session, folder):
     return path
 
 
-def test_units_that_freeze_or_end_half_way_do_not_spoil_the_others(damaged, separate):
+def test_units_that_freeze_again_and_again_or_end_half_way_do_not_spoil_the_others(damaged, separate):
     found = imu_calib.calibrate_units(damaged, **KNOWN)
     cut, frozen = (next(u for u in found.units if u.topic == t) for t in (CUT, FROZEN))
     assert isinstance(cut.error, NotObservable)
