@@ -184,7 +184,7 @@ def damaged(session, folder):
     return path
 
 
-def test_units_that_freeze_again_and_again_or_end_half_way_do_not_spoil_the_others(damaged, separate):
+def test_units_that_freeze_again_and_again_or_end_half_way_do_not_spoil_others(damaged, separate):
     found = imu_calib.calibrate_units(damaged, **KNOWN)
     cut, frozen = (next(u for u in found.units if u.topic == t) for t in (CUT, FROZEN))
     assert isinstance(cut.error, NotObservable)
