@@ -119,20 +119,36 @@ def as_truth(truth: Calibration | Named) -> Calibration:
     return Calibration.load(named_file('truths', truth))
 
 
-def load_truth(truth: Calibration | Named, imu: ImuSpec) -> Calibration:
+DEFAULT_TRUTH = 'cao2022_table1'
+_APART = 0.1
+"""Standard deviation between units, as a share of each true parameter. A choice: many times what
+a session of a fibre-optic unit determines, and far within any specification."""
+
+
+def load_truth(truth: Calibration | Named | None, imu: ImuSpec, serial: str = '') -> Calibration:
     """Return the true parameters of a simulated unit.
+
+    Args:
+        truth: Value, name or file; None for `DEFAULT_TRUTH`, from which a unit with a serial number
+            departs by a tenth of each parameter.
+        imu: Its type.
+        serial: Its serial number; the same one gives the same unit.
 
     Raises:
         InputError: They do not describe the unit's skewed gyro.
     """
-    known = as_truth(truth)
+    known = as_truth(truth or DEFAULT_TRUTH)
     if imu.skewed is not None and known.model.skewed is None:
         name = 'of this unit' if isinstance(truth, Calibration) else truth
         raise InputError(
             f'`truth` {name} does not describe the skewed gyro of IMU {imu.id}: a simulated '
             'one needs it (for instance the truth fog_skewed).'
         )
-    return known
+    if truth or not serial:
+        return known
+    drawn = np.random.default_rng(list(serial.encode())).normal(1.0, _APART, len(known.values))
+    values = known.values * drawn
+    return replace(known, model=known.model.with_values(known.parameters, values))
 
 
 TRUE_TABLE = 'true_table.yaml'

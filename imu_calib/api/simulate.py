@@ -78,10 +78,6 @@ TRUTH = 'truth.yaml'
 """File in a simulated recording: the true parameters of the unit."""
 
 _TABLE = 'three_axis'
-_UNIT = 'cao2022_table1'
-_APART = 0.1
-"""Standard deviation between units, as a share of each true parameter. A choice: many times what
-a session of a fibre-optic unit determines, and far within any specification."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,11 +195,7 @@ def _true_unit(
 ) -> tuple[ImuSpec, Calibration]:
     """Return a unit's description and true parameters, relative to its nominal scale factors."""
     spec = as_imu(imu)
-    true = replace(load_truth(truth or _UNIT, spec), imu=spec)
-    if truth is not None or not serial:
-        return spec, true
-    drawn = np.random.default_rng(list(serial.encode())).normal(1.0, _APART, len(true.values))
-    return spec, replace(true, model=true.model.with_values(true.parameters, true.values * drawn))
+    return spec, replace(load_truth(truth, spec, serial), imu=spec)
 
 
 def _options(

@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from ..api.session import load_truth
+from ..api.session import DEFAULT_TRUTH, load_truth
 from ..calibration.calibration import Calibration
 from ..common.config import load
 from ..common.errors import InputError
@@ -28,9 +28,9 @@ from ..session.plan import load_plan
 from ..session.units_file import PULSES, TRUTHS, MountedUnit, load_units, remaining
 from .options import refuse_with_imus
 from .screen import print_findings
-from .terminal import OUTPUT
+from .terminal import print_whole
 
-USUAL_IMU, USUAL_TRUTH, HELD_UNIT = 'fog_medium', 'cao2022_table1', 'mems_counts'
+USUAL_IMU, HELD_UNIT = 'fog_medium', 'mems_counts'
 CALIBRATIONS = 'calibrations'
 """Folder of the results, SERIAL.yaml each."""
 _FILES = {'imu': 'imus', 'device': 'devices', 'truth': 'truths'}
@@ -122,10 +122,12 @@ def truths(arguments: argparse.Namespace) -> dict[str, Calibration]:
     Raises:
         InputError: A file is missing, or of another kind of unit.
     """
-    return {
-        unit.serial_number: load_truth(unit.truth or arguments.truth, load_imu(unit.imu))
-        for unit in units_of(arguments)
-    }
+    return {unit.serial_number: _truth_of(unit, arguments) for unit in units_of(arguments)}
+
+
+def _truth_of(unit: MountedUnit, arguments: argparse.Namespace) -> Calibration:
+    """Return a unit's true parameters; those of several differ unless they are stated."""
+    return load_truth(unit.truth or arguments.truth, load_imu(unit.imu), unit.serial_number)
 
 
 def node_parameters(
@@ -174,7 +176,10 @@ def remappings(arguments: argparse.Namespace) -> dict[str, dict[str, str]]:
 
 
 def save_settings(arguments: argparse.Namespace, settings: Path) -> None:
-    """Copy the units' file and all files that it names into the settings of a session."""
+    """Copy the units' file and all files that it names into the settings of a session.
+
+    The true parameters of simulated units are written, too: the nodes take them from there.
+    """
     file = user_path(arguments.imus)
     units = {unit.name: unit for unit in load_units(file)}
     kept = load(read_text(file))
@@ -187,6 +192,10 @@ def save_settings(arguments: argparse.Namespace, settings: Path) -> None:
                 copy = folder / f'{name}_{key}.yaml'
                 write_whole(copy, read_text(named_file(kind, given)))
                 entry[key] = os.path.relpath(copy, settings)
+        if not (unit.port or unit.truth or arguments.truth):
+            copy = folder / f'{name}_truth.yaml'
+            _truth_of(unit, arguments).save(copy)
+            entry['truth'] = os.path.relpath(copy, settings)
     write_whole(settings / 'imus.yaml', yaml.safe_dump(kept, sort_keys=False))
 
 
@@ -200,7 +209,7 @@ def print_results(
         folder: Of the stand.
         true: True parameters of simulated units; empty for real ones.
     """
-    rows = plain_table(('unit', 'type', 'samples', 'least known', 'file'), 'lllll', no_wrap=True)
+    rows = plain_table(('unit', 'type', 'samples', 'least known'), 'llrl', no_wrap=True)
     if true:
         rows.add_column('largest error/std', justify='right', no_wrap=True)
         (folder / TRUTHS).mkdir(exist_ok=True)
@@ -217,11 +226,11 @@ def print_results(
         found = Calibration.load(file)
         for finding in found.findings:
             findings.setdefault(finding, []).append(serial)
-        cells = [serial, found.imu.id, str(found.provenance['samples']), _least(found), str(file)]
+        cells = [serial, found.imu.id, str(found.provenance['samples']), _least(found)]
         if serial in true:
             cells.append(f'{_largest_error(found, true[serial]):.2f}')
         rows.add_row(*cells)
-    OUTPUT.print(rows)
+    print_whole(rows)
     # Missing data of the site or the table is reported for every unit alike.
     sentences = [_of_units(finding, of) for finding, of in findings.items()]
     print_findings(sentences, verbose=arguments.verbose)
@@ -252,9 +261,10 @@ def _largest_error(found: Calibration, true: Calibration) -> float:
 
 
 def complete(arguments: argparse.Namespace) -> None:
-    """Set defaults: the IMU, and its true parameters if it is simulated."""
+    """Set defaults for one unit: its type, and its true parameters if it is simulated."""
+    if arguments.imus:
+        return
     held = load_plan(arguments.plan).by_hand
-    if not arguments.imus:
-        arguments.imu = arguments.imu or (HELD_UNIT if held else USUAL_IMU)
+    arguments.imu = arguments.imu or (HELD_UNIT if held else USUAL_IMU)
     if not is_real(arguments):
-        arguments.truth = arguments.truth or (HELD_UNIT if held else USUAL_TRUTH)
+        arguments.truth = arguments.truth or (HELD_UNIT if held else DEFAULT_TRUTH)

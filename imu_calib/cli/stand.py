@@ -6,6 +6,7 @@ import argparse
 import math
 from pathlib import Path
 
+from ..api.session import DEFAULT_TRUTH
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.files import shipped, unwritable, user_path
@@ -114,8 +115,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     simulated.add_argument(
         '--truth',
         metavar='NAME|FILE',
-        help=f"the unit's true parameters (default: {several.USUAL_TRUTH}; "
-        f'{several.HELD_UNIT} where it is held by hand)',
+        help=f"the unit's true parameters (default: {DEFAULT_TRUTH}, from which each of several "
+        f'units departs by a tenth; {several.HELD_UNIT} where it is held by hand)',
     )
     simulated.add_argument(
         '--azimuth', type=float, default=0.0, metavar='DEG', help="true heading of the table's zero"

@@ -15,7 +15,7 @@ from typing import Any
 from rich.live import Live
 from rich.text import Text
 
-from ..api.session import TRUE_TABLE
+from ..api.session import DEFAULT_TRUTH, TRUE_TABLE
 from ..api.stand import (
     check_stand,
     has_simulated_hands,
@@ -287,7 +287,8 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
     }
     # The node that simulates the stand, or the hand.
     played = {
-        'truth': arguments.truth,
+        # Of several units the settings state that of each.
+        'truth': arguments.truth or DEFAULT_TRUTH,
         'imperfections': arguments.imperfections or '',
         'sample_rate': arguments.sample_rate,
         'seed': arguments.seed,

@@ -5,8 +5,9 @@ import argparse
 import numpy as np
 import pytest
 import yaml
+from calibrations import brick_at
 
-from imu_calib.cli import dispatch, main, processes, several
+from imu_calib.cli import dispatch, main, processes, several, terminal
 from imu_calib.cli.terminal import NodeReports
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.files import named_file
@@ -77,13 +78,24 @@ def test_a_stand_keeps_the_units_and_all_files_that_they_name(file, tmp_path):
     settings = tmp_path / 'settings'
     settings.mkdir()
     before = load_units(given)
-    several.save_settings(argparse.Namespace(imus=given), settings)
+    several.save_settings(argparse.Namespace(imus=given, truth=None), settings)
     own.unlink()
     after = load_units(settings / 'imus.yaml')
     assert [unit.name for unit in after] == [unit.name for unit in before]
     assert np.array_equal(after[0].mount, before[0].mount)
     assert (after[0].place, after[1].seed) == ('left', 7)
     assert load_imu(after[0].imu).id == load_imu(after[1].imu).id == 'fog_medium'
+
+
+@pytest.mark.parametrize('stated', [None, 'cao2022_table1'])
+def test_simulated_units_differ_unless_their_truth_is_stated(file, tmp_path, stated):
+    arguments = argparse.Namespace(imus=file({}, {}), without='', truth=stated)
+    first, second = several.truths(arguments).values()
+    assert np.array_equal(first.values, second.values) == bool(stated)
+    several.save_settings(arguments, tmp_path)
+    arguments.imus = str(tmp_path / 'imus.yaml')
+    again = several.truths(arguments).values()
+    assert [one.values.tolist() for one in again] == [first.values.tolist(), second.values.tolist()]
 
 
 def test_a_device_of_their_own_counts_before_that_of_all(file):
@@ -110,6 +122,19 @@ def test_units_without_a_result_are_named(file, tmp_path, capsys):
     arguments = argparse.Namespace(imus=file({}, {}, {}), without='U2', verbose=False)
     assert several.print_results(arguments, tmp_path, {}) == ['U0', 'U1']
     capsys.readouterr()
+
+
+def test_a_narrow_terminal_shows_each_result_whole(file, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(terminal.OUTPUT, 'width', 40)
+    arguments = argparse.Namespace(
+        imus=file({'serial_number': 'A1001-2026'}), without='', verbose=False
+    )
+    result = brick_at(20.0, std=1e-6, samples=123456)
+    (tmp_path / 'calibrations').mkdir()
+    result.save(tmp_path / 'calibrations' / 'A1001-2026.yaml')
+    several.print_results(arguments, tmp_path, {'A1001-2026': brick_at(20.0)})
+    shown = capsys.readouterr().out
+    assert all(word in shown for word in ('A1001-2026', 'brick', '123456', 'D_gx ±0.206 deg/h'))
 
 
 @pytest.mark.parametrize('several_units', [False, True])

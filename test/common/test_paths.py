@@ -137,7 +137,9 @@ writers = [
     partial(
         resume.save_settings, argparse.Namespace(**given, serial_number='x' * 2000), folder / 'two'
     ),
-    partial(several.save_settings, argparse.Namespace(imus=str(imus)), folder / 'several'),
+    partial(
+        several.save_settings, argparse.Namespace(imus=str(imus), truth=None), folder / 'several'
+    ),
     partial(files.arguments, 'imu_node', {'a': 'x' * 2000}, {}),
 ]
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
