@@ -22,7 +22,7 @@ from ..common.units import counted
 from ..model.parameters import Parameter
 from ..reports.assessment import Assessed, assess, worst
 from ..reports.side_by_side import SideBySide, side_by_side
-from ..session.imu import COVERAGE, ImuSpec, Specification, Verdict
+from ..session.imu import COVERAGE, GENERIC, ImuSpec, Specification, Verdict
 from ..session.keywords import Named, as_imu
 from .session import as_applied, as_calibration, as_combined, as_list, name_of, single_of
 
@@ -283,14 +283,14 @@ def conformity(
         imu: The unit's file; None uses the one stated to `calibrate`.
 
     Raises:
-        InputError: The unit's file states no specification.
+        InputError: The unit's file states no specification, or is of another type.
     """
     if isinstance(calibration, ThermalCalibration):
         found = calibration.calibrations
     else:
         several = as_combined(calibration)
         found = (as_calibration(calibration),) if several is None else several.calibrations
-    limits = specification_of(found[0].imu if imu is None else as_imu(imu))
+    limits = specification_of(found[0].imu if imu is None else of_its_type(imu, found[0]))
     columns = zip(*(assess(one, limits) for one in found), strict=True)
     return Conformity(tuple(max(column, key=_beyond) for column in columns))
 
@@ -298,6 +298,21 @@ def conformity(
 def _beyond(one: Assessed) -> float:
     """Return the share of its limit that a parameter with uncertainty uses; 0 without a limit."""
     return (abs(one.value) + COVERAGE * one.std) / one.limit if one.limit else 0.0
+
+
+def of_its_type(imu: ImuSpec | Named, calibration: Calibration) -> ImuSpec:
+    """Return the description whose limits apply to a calibrated unit.
+
+    Raises:
+        InputError: It is of another type.
+    """
+    spec = as_imu(imu)
+    if calibration.imu.id not in {spec.id, GENERIC}:
+        raise InputError(
+            f'`imu`: found the limits of type {spec.id}, but the calibration is of a '
+            f'{calibration.imu.id}: give the file of that type.'
+        )
+    return spec
 
 
 def specification_of(imu: ImuSpec) -> Specification:

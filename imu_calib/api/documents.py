@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +37,12 @@ from ..reports.certificate_page import certificate_page, pdf
 from ..reports.dcc import dcc
 from ..reports.page import Contents, page
 from ..reports.thermal import thermal_page
-from ..session.imu import GENERIC, ImuSpec, Specification
+from ..session.imu import ImuSpec
 from ..session.keywords import NO_PLAN, Named, Stated, as_imu
 from ..session.metadata import PLAN
 from ..session.plan import Plan, load_plan
-from .calibrate import solve
+from .calibrate import serials_in, solve, units_of_recording
+from .compare import of_its_type
 from .inputs import recording_at
 from .opening import session_of
 from .outputs import output_path, page_path
@@ -58,6 +60,7 @@ def report(
     *,
     bag: Named | None = None,
     imu: ImuSpec | Named | None = None,
+    imus: Named | None = None,
     compare: Result | Calibration | Named | Sequence[Result | Calibration | Named] = (),
     progress: Progress = silent,
 ) -> Path:
@@ -70,6 +73,8 @@ def report(
         bag: The recording of a calibration: it is calibrated again for the course of the session.
             If it does not state its set-up, pass the result of `calibrate` instead.
         imu: The unit's file, for verdicts against its specification; else that of the recording.
+        imus: File of the units with which it was calibrated (docs/files/units.md), if the recording
+            does not state them.
         compare: A further calibration of the unit, or several: adds repeatability and drift.
         progress: Shows the progress; nothing by default.
 
@@ -77,10 +82,10 @@ def report(
         The file.
 
     Raises:
-        InputError: A file is missing or broken, the recording is another one, or does not reproduce
-            the calibration.
+        InputError: A file is missing or broken, `imu` is of another type, the recording is another
+            one, or does not reproduce the calibration.
     """
-    return written(calibration, output, bag, imu, as_list(compare), Stated(), progress)[0]
+    return written(calibration, output, bag, imu, imus, as_list(compare), Stated(), progress)[0]
 
 
 def written(
@@ -88,6 +93,7 @@ def written(
     output: Named,
     bag: Named | None,
     imu: ImuSpec | Named | None,
+    imus: Named | None,
     compare: Sequence[Result | Calibration | Named],
     stated: Stated,
     progress: Progress,
@@ -96,7 +102,7 @@ def written(
     path = page_path(output)
     combined = as_combined(calibration)
     if combined is not None:
-        unit = None if imu is None else as_imu(imu)
+        unit = None if imu is None else of_its_type(imu, combined.calibrations[0])
         _refuse_with_combined(calibration, bag, compare)
         text = thermal_page(combined, _name(calibration, combined.calibrations[0]), unit)
         write_whole(path, text)
@@ -109,11 +115,11 @@ def written(
         str(other) if isinstance(other, str | Path) else f'{k + 1}': as_calibration(other)
         for k, other in enumerate(compare)
     }
+    unit = None if imu is None else of_its_type(imu, found)
     if result is None and bag is not None:
-        result = _recalibrate(bag, replace(stated, imu=imu), found, name, progress)
-    unit = None if result is None else result.calibration.imu
-    if unit is None and imu is not None:
-        unit = as_imu(imu)
+        result = _recalibrate(bag, imus, replace(stated, imu=imu), found, name, progress)
+    if result is not None:
+        unit = result.calibration.imu
     write_whole(path, page(Contents(found, name, unit, result, others)))
     return path, unit
 
@@ -152,7 +158,12 @@ def _terms(calibration: Calibration) -> str:
 
 
 def _recalibrate(
-    bag: Named, stated: Stated, calibration: Calibration, name: str, progress: Progress
+    bag: Named,
+    imus: Named | None,
+    stated: Stated,
+    calibration: Calibration,
+    name: str,
+    progress: Progress,
 ) -> Result:
     """Calibrate the recording again, with the options of the calibration."""
     origin = calibration.provenance
@@ -160,18 +171,18 @@ def _recalibrate(
     terms = _terms(calibration) if stated.terms is None and method in JOINT else stated.terms
     recording = recording_at(located(bag))
     plan = _plan_it_was(stated, origin, recording, name)
-    stated = replace(stated, method=method, terms=terms, plan=plan)
+    serial = stated.serial or calibration.serial_number
+    stated = replace(stated, method=method, terms=terms, plan=plan, serial=serial)
     if all(value is None for value in (stated.latitude, stated.height, stated.gravity)):
         stated = _where_it_was(stated, origin)
-    opened = session_of(recording, stated)
-    with opened.recording as recording:
+    with recording:
         expected, found = origin.get('sha256'), recording.sha256()
         if expected is not None and expected != found:
             raise InputError(
                 f'{recording.path}: is not the recording that {name} was made '
                 f'from (sha256 {found[:12]}..., expected {str(expected)[:12]}...).'
             )
-        result = solve(opened, progress)
+        result = _solved_again(recording, imus, stated, origin, progress)
     again = result.calibration
     if again.parameters != calibration.parameters or _far_apart(again, calibration):
         raise InputError(
@@ -180,6 +191,23 @@ def _recalibrate(
             '`segments` that it was made with.'
         )
     return result
+
+
+def _solved_again(
+    recording: Recording,
+    imus: Named | None,
+    stated: Stated,
+    origin: Mapping[str, Any],
+    progress: Progress,
+) -> Result:
+    """Return the result of a unit: of all units of the recording if it shared their table."""
+    shared = bool(origin.get('shared_with'))
+    if imus is None and not shared:
+        return solve(session_of(recording, stated), progress)
+    if stated.serial not in serials_in(recording, imus):
+        raise InputError(f'{recording.path}: none of its units is {stated.serial}.')
+    found = units_of_recording(recording, imus, stated, progress, separate=not shared)
+    return found[str(stated.serial)]
 
 
 def _plan_it_was(
@@ -272,7 +300,13 @@ def certificate(
     found = _single(calibration)
     if not isinstance(fields, Fields):
         fields = read_fields(Section.load(user_path(fields), 'the fields of a certificate'))
-    specification = None if imu is None else _limits(as_imu(imu), found)
+    today = date.today()
+    if fields.issued is not None and fields.issued > today and not draft:
+        raise InputError(
+            f'{fields.where}: issued: found {fields.issued}, which is after today, {today}: state '
+            'the day on which it is issued, or write a draft (`draft`).'
+        )
+    specification = None if imu is None else of_its_type(imu, found).specification
     made = certificate_of(found, fields, specification, dcc='.xml' in kinds, draft=draft)
     html = certificate_page(made)
     for target, kind in zip(targets, kinds, strict=True):
@@ -283,20 +317,6 @@ def certificate(
 def default_output(*, draft: bool) -> str:
     """Return the file of a certificate: a draft does not take the place of a final one."""
     return 'certificate_draft.html' if draft else 'certificate.html'
-
-
-def _limits(imu: ImuSpec, calibration: Calibration) -> Specification | None:
-    """Return the limits of the calibrated unit.
-
-    Raises:
-        InputError: They are of another type.
-    """
-    if calibration.imu.id not in {imu.id, GENERIC}:
-        raise InputError(
-            f'`imu`: found the limits of type {imu.id}, but the calibration is of a '
-            f'{calibration.imu.id}: give the file of that type.'
-        )
-    return imu.specification
 
 
 def _single(calibration: Result | AnyCalibration | Named) -> Calibration:

@@ -27,6 +27,7 @@ from ..session.segments_file import read_segments
 from .inputs import Recorded, recording_at
 from .session import (
     contradicted_latitude,
+    gravity_as_exact,
     mounted_on,
     serial_of,
     site_of,
@@ -231,6 +232,7 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
     steps = plan_by_hand() if plan is None else plan
     statements = (*([] if known else [ASSUMED_SI]), *([] if plan else [ASSUMED_BY_HAND]))
     statements += contradicted_latitude(stated, recording)
+    statements += gravity_as_exact(stated)
     if stated.segments is not None:
         statements += (f'The holds are those that {Path(stated.segments).name} lists.',)
     if streams.skew is None:

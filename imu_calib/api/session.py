@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from ..calibration.thermal import (
 from ..common.config import Section
 from ..common.errors import InputError, NotStated
 from ..common.files import named_file
-from ..common.finding import warning
+from ..common.finding import Finding, warning
 from ..common.units import DEG
 from ..model.earth import MEASURED, VAGUE, Site
 from ..session.imu import ImuSpec, read_imu
@@ -260,6 +261,19 @@ def contradicted_latitude(stated: Stated, recording: Recording) -> tuple[str, ..
             f'The recording states latitude {own:.6g}, and {stated.latitude:.6g} is used as given: '
             'gravity, and so every K_a, and the Earth rate follow from it. Leave `latitude` out if '
             'the recording is right.'
+        ),
+    )
+
+
+def gravity_as_exact(stated: Stated) -> tuple[str, ...]:
+    """Return a note that a measured gravity is taken as exact if no deviation of it is stated."""
+    if stated.gravity is None or stated.gravity_std is not None:
+        return ()
+    return (
+        Finding(
+            f'The stated gravity, {stated.gravity:g} m/s^2, is taken as exact: no K_a has an '
+            'uncertainty of it. State its standard deviation with `gravity_std`.',
+            effect=math.inf,
         ),
     )
 

@@ -14,6 +14,7 @@ from ..api.outputs import output_or_default, output_path
 from ..calibration.calibration import Calibration
 from ..reports.assessment import summary
 from ..reports.budget import budget_tables
+from ..reports.overview import verdict_line
 from ..reports.side_by_side import comparison_tables, table_estimate
 from ..session.keywords import Calibrated
 from ..session.plan import METHOD_NAMES
@@ -86,6 +87,8 @@ def _show(found: UnitResults, judged: Mapping[str, Conformity], *, verbose: bool
         OUTPUT.print()
     for unit in found.units:
         OUTPUT.print(f'{unit.serial_number}{_place(unit)}: {_state(unit)}', markup=False)
+        if unit.result is not None:
+            OUTPUT.print(f'  {verdict_line(unit.result.calibration)}', markup=False)
         if unit.serial_number in judged:
             OUTPUT.print(f'  {summary(judged[unit.serial_number].assessed)}', markup=False)
     if found.table is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.documents import FORMATS, certificate, default_output
-from ..api.outputs import output_path
+from ..api.outputs import output_or_default, output_path
 from .terminal import OUTPUT
 
 
@@ -37,14 +37,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         nargs='+',
         metavar='FILE',
         help=f'files to write, by their suffixes: {", ".join(FORMATS)} '
-        '(default: certificate.html, of a draft certificate_draft.html)',
+        '(default: certificate.html, of a draft certificate_draft.html, which are not overwritten; '
+        'files that are named here are)',
     )
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the files, and print what a draft lacks."""
-    names = arguments.output or [default_output(draft=arguments.draft)]
+    names = arguments.output or [output_or_default(None, default_output(draft=arguments.draft))]
     paths = [output_path(name) for name in names]
     made = certificate(
         arguments.calibration,

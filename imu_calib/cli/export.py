@@ -21,7 +21,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         choices=tuple(EXPORTS),
         help='ros: parameters of compensator_node; kalibr: imu.yaml; imucal: JSON; c: a header',
     )
-    parser.add_argument('-o', '--output', required=True, metavar='OUT', help='file to write')
+    parser.add_argument(
+        '-o', '--output', required=True, metavar='OUT', help='file to write, or to overwrite'
+    )
     parser.add_argument(
         '--sample-rate',
         type=float,

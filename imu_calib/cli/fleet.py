@@ -18,7 +18,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
     options.add_history_options(parser)
     parser.add_argument(
-        '-o', '--output', default='fleet.html', metavar='FILE', help='default: %(default)s'
+        '-o',
+        '--output',
+        default='fleet.html',
+        metavar='FILE',
+        help='file to write, or to overwrite (default: %(default)s)',
     )
     parser.add_argument('--on', metavar='DATE', help='date of the page (default: today)')
     parser.add_argument(

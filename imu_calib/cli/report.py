@@ -6,12 +6,14 @@ import argparse
 
 from ..api.compare import Conformity, conformity
 from ..api.documents import written
-from ..api.outputs import output_path
+from ..api.outputs import output_or_default, output_path
 from ..reports.assessment import summary
 from ..session.keywords import Calibrated
 from . import options
 from .outcome import EXIT_CODES, CommandResult, add_json_option, judged_result
 from .terminal import OUTPUT, progress_bar
+
+_FILE = 'report.html'
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -24,6 +26,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='the recording it was made from, or its URL: adds the course of the session',
     )
     options.add_statements(parser, Calibrated)
+    options.add_imus_option(parser)
     parser.add_argument(
         '--compare',
         nargs='+',
@@ -33,7 +36,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='further calibrations of the unit: adds repeatability and drift',
     )
     parser.add_argument(
-        '-o', '--output', default='report.html', metavar='FILE', help='default: %(default)s'
+        '-o',
+        '--output',
+        metavar='FILE',
+        help=f'default: {_FILE}, which is not overwritten; a file that is named here is',
     )
     add_json_option(parser)
     parser.epilog = EXIT_CODES
@@ -44,9 +50,10 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     """Write the report, and print why it has no verdicts."""
     path, imu = written(
         arguments.calibration,
-        output_path(arguments.output),
+        output_path(output_or_default(arguments.output, _FILE)),
         arguments.bag,
         arguments.imu,
+        arguments.imus,
         arguments.compare,
         options.stated(arguments),
         progress_bar,

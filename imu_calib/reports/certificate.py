@@ -112,6 +112,11 @@ def certificate_of(
     fields = _completed(fields, calibration)
     _check(fields, calibration)
     lacking = missing(fields, dcc=dcc, limits=specification is not None)
+    if not calibration.serial_number:
+        lacking.append(
+            'a serial number in the calibration, without which nothing says that it is of this '
+            'unit: calibrate again with `serial` (7.8.2.1 g)'
+        )
     if lacking and not draft:
         raise InputError(
             f'{fields.where}: {len(lacking)} of the entries that a certificate needs '

@@ -252,7 +252,7 @@ def test_every_result_is_shown_in_one_line(
         imu_calib.read(folder / 'bag', '/imu/pulses'),
         imu_calib.inspect(folder / 'bag'),
         imu_calib.compare(result, tmp_path / 'c.yaml'),
-        imu_calib.conformity(result, 'fog_navigation'),
+        imu_calib.conformity(result, 'fog_medium'),
         imu_calib.export(result, 'c'),
         imu_calib.compensate(folder / 'bag', result, tmp_path / 'compensated'),
         imu_calib.verify(folder / 'bag', result),
@@ -382,6 +382,25 @@ def test_reports_of_results_and_of_files_are_the_same(
     assert by_file.read_text().replace('c.yaml', name) == by_value.read_text()
     with pytest.raises(InputError, match='nowhere does not exist'):
         imu_calib.report(result, tmp_path / 'nowhere' / 'a.html')
+
+
+def test_limits_of_another_type_judge_nothing(
+    folder: Path, result: imu_calib.Result, tmp_path: Path
+) -> None:
+    other = 'found the limits of type fog_navigation, but the calibration is of a fog_medium'
+    with pytest.raises(InputError, match=other):
+        imu_calib.conformity(result, 'fog_navigation')
+    with pytest.raises(InputError, match=other):
+        imu_calib.report(result, tmp_path / 'a.html', imu='fog_navigation')
+
+
+def test_gravity_without_a_standard_deviation_is_said_to_be_exact(folder: Path) -> None:
+    def notes(**stated: float) -> str:
+        return ' '.join(imu_calib.calibrate(folder / 'bag', **stated).calibration.findings)
+
+    words = 'The stated gravity, 9.797 m/s^2, is taken as exact'
+    assert words in notes(gravity=9.797)
+    assert words not in notes(gravity=9.797, gravity_std=2e-5)
 
 
 def test_a_report_takes_the_site_of_the_calibration_not_of_the_recording(

@@ -134,6 +134,10 @@ def test_the_command_writes_each_by_serial_and_shows_them_side_by_side(
     assert head.split() == ['parameter', 'A2', 'A1', 'N-1', 'unit']
     assert [unit['serial_number'] for unit in document['result']['units']] == ['A2', 'A1', 'N-1']
     assert document['result']['table'][1]['name'] == 'tilt about x'
+    assert captured.err.count('  Verdict: ') == 3
+    # A report of one of them calibrates all of them again: they share the table.
+    page = imu_calib.report(out / 'A2.yaml', folder / 'A2.html', bag=session)
+    assert 'Course of the session' in page.read_text()
 
 
 def test_one_that_is_missing_fails_by_itself(session, folder, units, capsys, separate):

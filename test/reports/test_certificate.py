@@ -243,6 +243,39 @@ def test_each_thing_that_is_asked_for_is_missed(
         )
 
 
+def test_a_calibration_without_a_serial_number_gives_a_draft_alone(
+    calibration: Calibration,
+) -> None:
+    unnamed = replace(calibration, serial_number='')
+    with pytest.raises(InputError, match='calibrate again with `serial`'):
+        made(unnamed)
+    draft = certificate_of(unnamed, fields(), draft=True)
+    assert 'calibrate again with `serial`' in draft.missing[-1]
+
+
+def test_a_certificate_is_not_issued_before_its_day(
+    calibration: Calibration, tmp_path: Path
+) -> None:
+    later = fields(issued='2123-11-16')
+    with pytest.raises(InputError, match='issued: found 2123-11-16, which is after today'):
+        certificate(calibration, later, tmp_path / 'c.html', imu='fog_medium')
+    certificate(calibration, later, tmp_path / 'd.html', imu='fog_medium', draft=True)
+
+
+def test_a_certificate_that_nobody_named_is_not_overwritten(
+    calibration: Calibration,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    calibration.save(tmp_path / 'c.yaml')
+    command = ['certificate', 'c.yaml', '--fields', str(EXAMPLE), '--imu', 'fog_medium']
+    assert [main(command), main(command)] == [0, 2]
+    assert 'certificate.html exists already' in capsys.readouterr().err
+    assert main([*command, '-o', 'certificate.html']) == 0
+
+
 def referring(valid_until: str) -> list[dict[str, Any]]:
     """The references of the example, the first of them valid until a date."""
     first, *others = yaml.safe_load(EXAMPLE.read_text())['equipment']
