@@ -29,7 +29,7 @@ from ..segmentation.segmented import Segmented
 from ..segmentation.segmenter import Segmenter
 from ..session.plan import Plan, Step
 from ..session.table_errors import clock_share
-from .findings import false_samples_first, loss_findings, losses_of_all_segments
+from .findings import bad_samples_first, loss_findings, losses_of_all_segments
 from .mistakes import (
     dead_channels,
     explained,
@@ -263,9 +263,9 @@ class Calibrator:
             if not mistake and self._setup.table is not None:
                 mistake = wrong_joint_signs(session, self._setup.table)
             refusal = Contradiction(mistake) if mistake else error
-            raise false_samples_first(refusal, session) from None
+            raise bad_samples_first(refusal, session) from None
         except InputError as error:
-            raise false_samples_first(error, session) from None
+            raise bad_samples_first(error, session) from None
 
     def _solve_as_stated(self, session: Segmented, labelled: Labelled, *, final: bool) -> Result:
         setup = self._setup

@@ -146,12 +146,12 @@ def losses_of_all_segments(session: Segmented, labelled: Labelled, setup: Setup)
     return [text, *(f'{sentence}.' for sentence in sentences)]
 
 
-def false_samples_first(error: ImuCalibError, session: Segmented) -> ImuCalibError:
-    """Return a refusal that names false samples first, if there are many: they may explain it."""
-    found = session.false_samples
-    if not found.is_large:
+def bad_samples_first(error: ImuCalibError, session: Segmented) -> ImuCalibError:
+    """Return a refusal that first names frozen samples, or many false ones: they may explain it."""
+    false = session.false_samples
+    sentence = session.frozen or (false.sentences[0] if false.is_large else '')
+    if not sentence:
         return error
-    (sentence,) = found.sentences
     others = tuple(text.replace(f'{sentence}.', '').strip() for text in error.args)
     refusal = error.among(before=(f'{sentence}.',))
     refusal.args = (refusal.args[0], *others)

@@ -45,7 +45,7 @@ from ..segmentation.segmenter import Segmenter
 from ..segmentation.segments import Segment
 from ..session.imu import SCALE_LIMIT
 from .calibration import BY_ACCELEROMETERS
-from .findings import false_samples_first, provenance
+from .findings import bad_samples_first, provenance
 from .mistakes import dead_channels, explained, refuse_separate_messages, with_facts
 from .results import Result, Review, calibrated
 
@@ -312,7 +312,7 @@ class HandCalibrator:
             if not (session.segments and is_clear(self.evidence(session))):
                 self._solve(session)
         except (InputError, NotObservable) as error:
-            return str(false_samples_first(error, session))
+            return str(bad_samples_first(error, session))
         return ''
 
     def evidence(self, session: Segmented) -> Evidence:
@@ -327,7 +327,7 @@ class HandCalibrator:
         try:
             return self._solve_as_read(session)
         except (InputError, NotObservable) as error:
-            raise false_samples_first(error, session) from None
+            raise bad_samples_first(error, session) from None
 
     def _solve_as_read(self, session: Segmented) -> Result:
         lost = [*self._other_offsets(), *(f'{loss}.' for loss in session.losses)]

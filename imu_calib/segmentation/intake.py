@@ -23,6 +23,7 @@ from ..session.table import Table
 from .counts_after_gaps import CountsAfterGaps
 from .false_samples import SCALE_OF_SI, FalseSampleFilter, FalseSamples, Rows
 from .interruptions import Interruptions
+from .repeated_samples import LastRun
 from .stamp_faults import SetBackClock, SharedStamps, set_back_sentences
 from .stamps import RowBuffer
 from .stream_facts import StreamFacts
@@ -136,6 +137,7 @@ class _Samples:
         self.shared = SharedStamps(rate)
         self.after_gaps = CountsAfterGaps(units, scale, of)
         self.false = FalseSampleFilter(units, scale, of)
+        self.last_run = LastRun()
         self.first: int | None = None  #: Stamp of the first sample, ns; None before it.
         self.last: int | None = None  #: Stamp of the last one, likewise.
         self.certain: int | None = None  #: Stamp up to which they are buffered, likewise.
@@ -168,6 +170,7 @@ class _Samples:
     def _buffer(self, rows: Rows) -> None:
         if self._rows is not None and len(rows.stamp):
             self.certain = int(rows.stamp[-1])
+            self.last_run.add(*rows)
             self._rows.append(rows.stamp, rows.values)
 
 
@@ -237,6 +240,11 @@ class StreamBuffer:
         if self.first_stamp is None or self.last_stamp is None:
             return 0.0
         return (self.last_stamp - self.first_stamp) * 1e-9
+
+    @property
+    def last_run(self) -> LastRun:
+        """The run of equal samples of the IMU at the end."""
+        return self._imu.last_run
 
     @property
     def false_samples(self) -> FalseSamples:

@@ -85,6 +85,11 @@ class MoveReader:
         """
         self._add(samples, delivered, len(samples.stamp))
 
+    def leave_out_after(self, last: int) -> None:
+        """Leave out what ends after an instant, ns."""
+        self._moves = [one for one in self._moves if one[1] <= last]
+        self._lost = [one for one in self._lost if one.end <= last]
+
     def lose(self, reason: str) -> None:
         """Drop the motion since the last segment, for a reason."""
         self._open, self._reason = None, self._reason or reason

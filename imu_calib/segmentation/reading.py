@@ -14,6 +14,7 @@ from ..common.units import DEG
 from ..session.table import TURN, Table
 from .choice import SegmentChoice
 from .clock import ClockSample, MeasuredShare, cells, clock_sample, measured_share
+from .clock_offset_search import FARTHEST
 from .dwells import read_dwell
 from .gaps import LONGEST, Bridged, bridged
 from .intake import StreamBuffer
@@ -33,6 +34,9 @@ NEAR = 0.5
 _ALONE = 0.01
 """Of the largest travel of a joint: where another turns by more, the clocks are not compared, since
 the gyros' measured angle is compared with that of one joint. A judgement."""
+_STEPS = 10
+"""Steps of the gyros by which a sample of a table that turns differs from one at rest. A judgement:
+no noise hides so many for seconds."""
 _SIGNIFICANT = 10 * DEG  #: rad: longer motions determine the offset of the clocks.
 
 
@@ -42,6 +46,14 @@ class Comparison(NamedTuple):
     instant: int
     gave_offset: bool
     near: bool
+
+
+class TableMotion(NamedTuple):
+    """A motion of the table by its clock, ns, with the largest angle of a joint, rad."""
+
+    start: int
+    end: int
+    angle: float
 
 
 class SeenMotion(NamedTuple):
@@ -83,6 +95,13 @@ class ReadParts:
             self.rejected.append(Rejected(one.start, one.end, reason, turn=of_turn))
         self.segments = [one for one in self.segments if not is_rejected(one)]
         self.turns = [one for one in self.turns if not (turns and is_rejected(one))]
+
+    def leave_out_after(self, last: int) -> None:
+        """Leave out what ends after an instant, ns."""
+        self.segments = [one for one in self.segments if one.end <= last]
+        self.turns = [one for one in self.turns if one.end <= last]
+        self.mount_shifts = [one for one in self.mount_shifts if one.instant <= last]
+        self.rejected = [one for one in self.rejected if one.end <= last]
 
     def retime(self, pace: Pace) -> None:
         """Retime everything with the sample interval of the whole session."""
@@ -130,6 +149,7 @@ class IntervalReader:
         self.large_offset_ns = offset_ns if abs(offset_ns) > NEAR * 1e9 else 0
         self.clock: list[ClockSample] = []
         self.comparisons: list[Comparison] = []
+        self.table_motions: list[TableMotion] = []
         self.seen_motions: list[SeenMotion] = []
         #: Last stamp before and first after each silence that was a clock set on, ns.
         self.set_on: list[tuple[int, int]] = []
@@ -212,6 +232,8 @@ class IntervalReader:
         """Read the samples of a motion: a move, whole turns, and the offset of the clocks."""
         if self._table is not None and len(motion.stamp):
             self._judge_silences(motion, self._table)
+            angle = float(motion.travel.max())
+            self.table_motions.append(TableMotion(motion.start, motion.end, angle))
         start = motion.start + self.offset_ns - MARGIN_NS
         end = motion.end + self.offset_ns + MARGIN_NS
         begins, ends_at = motion.start + self.offset_ns, motion.end + self.offset_ns
@@ -250,6 +272,39 @@ class IntervalReader:
         self._compare_clocks(motion, samples, self._table)
         self._note_seen(motion, values, samples, self._table)
         self.found.store(read_turns(around, motion, self._table, self.offset_ns))
+
+    def froze_at(self) -> int | None:
+        """Return the stamp, ns, from which on the IMU repeats one sample to the end; None if not.
+
+        A unit at rest may repeat itself for as long as it rests, where it has little noise. But no
+        sample is that of a table at rest as well as that of one that turns by ten steps of the
+        gyros a sample: the run must go on from a second before to a second after a motion begins,
+        or ends. If no motion has shown how far the clocks are apart, it is as much longer.
+        """
+        run, last = self._intake.last_run, self._intake.last_stamp
+        if run.since is None or last is None or not self.pace.interval:
+            return None
+        beyond = MARGIN_NS if self.offset_known else round(FARTHEST * 1e9)
+        first, until = (at - self.offset_ns for at in (run.since + beyond, last - beyond))
+        least = _STEPS * float(self.sensor.step(self.pace.interval, run.sample[None])[0])
+        for motion in self.table_motions:
+            rate = motion.angle / max(motion.end - motion.start, 1) * 1e9
+            crossed = first <= motion.start <= until or first <= motion.end <= until
+            if motion.angle > _SIGNIFICANT and rate > least and crossed:
+                return run.since
+        return None
+
+    def leave_out_after(self, last: int) -> None:
+        """Leave out what was read of samples after an instant, ns."""
+        self.found.leave_out_after(last)
+        self.moves.leave_out_after(last)
+        # A motion that goes on beyond it gives no offset of the clocks.
+        ends = [m.start for m in self.table_motions if m.end + self.offset_ns > last]
+        until = min(ends, default=last - self.offset_ns)
+        self.clock = [one for one in self.clock if one.time < until]
+        until += self.offset_ns
+        self.comparisons = [one for one in self.comparisons if one.instant < until]
+        self.seen_motions = [one for one in self.seen_motions if one.middle < until]
 
     def _set_back_within(self, motion: Motion) -> str:
         """Return that a clock was set back within a motion, as a reason; else an empty text."""

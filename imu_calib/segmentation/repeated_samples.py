@@ -7,12 +7,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.stream import Floats
+from ..common.stream import Floats, Stamps, at
 from ..common.units import DEG
-from .counters import all_in_row, runs_of
+from .counters import all_in_row, any_in_row, runs_of
 
 _FEWEST = 8
 """Fewest repeated samples in a row that count as frozen: a judgement, fewer cost nothing."""
+_ENOUGH = 100
+"""Other samples that show the chance of a repetition, however long that is: a table that settles
+for a second is at rest for most of them. A judgement."""
 _CHANCE = 1e-9  #: Probability of so long a repetition anywhere in a segment of sound samples.
 _AROUND = 32  #: Samples before and after a repetition that show whether codes are noisy.
 _SAME = 1e-3
@@ -29,7 +32,7 @@ def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
     """Find the samples (n,) that repeat the one before more often than by chance.
 
     The chance that two samples in a row are equal is estimated from the rest of the segment: codes
-    of low noise often are. If most of the segment repeats itself, the chance is unknown.
+    of low noise often are. If nearly all of the segment repeats itself, the chance is unknown.
 
     Args:
         values: (n, 6) as delivered.
@@ -47,12 +50,46 @@ def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
         length = int(last[k] - first[k])
         others, alike = others - length, alike - length
         chance = (alike + 1) / (others + 2)
-        if length < _FEWEST or others < length or n * chance**length > _CHANCE:
+        few = others < min(length, _ENOUGH)
+        if length < _FEWEST or few or n * chance**length > _CHANCE:
             break
         if not counted and not _noisy(values, int(first[k]), int(last[k]) + 1):
             continue
         found[first[k] + 1 : last[k] + 1] = True
     return found
+
+
+class LastRun:
+    """The run of equal samples at the end of a stream, however it was cut into blocks."""
+
+    def __init__(self) -> None:
+        self.since: int | None = None  #: Stamp of its first sample, ns; None before any.
+        self.sample: Floats = np.full(6, np.nan)  #: (6,) as delivered.
+
+    def add(self, stamp: Stamps, values: Floats) -> None:
+        """Add (n,) stamps, ns, with (n, 6) values."""
+        if not len(stamp):
+            return
+        others = np.flatnonzero(any_in_row(values != values[-1]))
+        if len(others):
+            self.since = int(stamp[others[-1] + 1])
+        elif not np.array_equal(values[-1], self.sample):
+            self.since = int(stamp[0])
+        self.sample = values[-1].copy()
+
+
+def frozen_sentence(since: int, seconds: float) -> str:
+    """Return that a device repeats one sample from an instant, ns, to the end, without a full stop.
+
+    Args:
+        since: Its first stamp.
+        seconds: From there to the end of the stream.
+    """
+    return (
+        f'The IMU repeats one sample from {at(since)} to the end of its stream ({seconds:.0f} s), '
+        'while the table turns and stops: it froze, and all from there on counts as missing. '
+        'Switch it on again, look at its bus and its driver, and record again what is missing'
+    )
 
 
 @dataclass(frozen=True)

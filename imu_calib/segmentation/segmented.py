@@ -120,3 +120,5 @@ class Segmented:
     facts: StreamFacts = field(default_factory=StreamFacts)  #: Of the IMU's stream, as it came in.
     #: Samples of the IMU that are false, and count as missing.
     false_samples: FalseSamples = NONE_FALSE
+    #: That the IMU froze for good, as one of `losses`; empty if it did not.
+    frozen: str = ''

@@ -29,6 +29,7 @@ from .intake import Ordered, StreamBuffer
 from .interruptions import interruptions
 from .moves import MoveReader
 from .reading import NEAR, IntervalReader
+from .repeated_samples import frozen_sentence
 from .segmented import Move, Segmented
 from .segments import Segment, Turn
 from .statistics import Sensor, sample_period, to_samples
@@ -201,6 +202,7 @@ class Segmenter:
         self._patterns_differ = False
         # Number of motions in which the device repeated one sample, and when the first was, ns.
         self._frozen = 0, 0
+        self._froze = ''  # Sentence on a device that froze for good.
         self._ended: Segmented | None = None
 
     @property
@@ -273,6 +275,10 @@ class Segmenter:
             last, alone = self._intake.last_stamp or 0, self._joints is None
             is_left_out = self._choice.left_out(found.turns, last, alone=alone)
             found.reject('the file of segments does not list it', is_left_out)
+        if (froze := reader.froze_at()) is not None:
+            reader.leave_out_after(froze)
+            seconds = ((self._intake.last_stamp or froze) - froze) * 1e-9
+            self._froze = frozen_sentence(froze, seconds)
         reject_untimed(reader, self._intake)
         reject_uncounted(reader)
         slewed = reject_slewed(reader)
@@ -309,6 +315,7 @@ class Segmenter:
             tuple(self._intake.interruptions.found),
             self._intake.facts,
             self._intake.false_samples,
+            self._froze,
         )
 
     @property
@@ -459,6 +466,7 @@ class Segmenter:
     def _loss_sentences(self) -> tuple[str, ...]:
         """Return sentences on all data that was lost or corrected on input."""
         reader = self._reader
+        froze = [self._froze] if self._froze else []
         ahead_ns = reader.large_offset_ns
         lost = self._intake.losses(ahead_ns)
         if ahead_ns:
@@ -508,7 +516,7 @@ class Segmenter:
         ]
         if self._table is not None and self._joints is not None and self._joints.silent:
             lost.append(f'There are no joint states of table {self._table.name}')
-        return (*lost, *self._thermometer.losses)
+        return (*froze, *lost, *self._thermometer.losses)
 
 
 _SHOWN = 1e-4  #: Resolution of a reported jump, s: smaller ones do not matter to a user.

@@ -43,6 +43,8 @@ _SURER = 2.0
 """Ratio: a whole motion known so much better than the line replaces it. A judgement: the common
 error of several motions is overestimated."""
 
+_SEEN = 0.5  #: Of what the table turned: gyros that read less did not see it, or read nothing.
+
 _LEAST_POSITIONING = 1 * ARCSEC
 """Least assumed positioning error at the ends of motions, rad: a table that is stated exact has
 encoders that show its rates."""
@@ -203,6 +205,8 @@ def _compare_whole_way(
     resting = (before + after) / (2 * period)
     turned, lasted = float(gained[begin:end].sum()), (end - begin) * period
     within, whole = cut - resting * seconds, turned - resting * lasted
+    if min(abs(within), abs(whole)) < _SEEN * abs(way) * min(1.0, seconds / lasted):
+        return None
     # Change of the share with the output at rest, relative.
     lever = lasted / whole - seconds / within
     looked = np.array([begin - first, last - end]) * period
