@@ -47,7 +47,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='SIZE',
         help='memory of each worker on this machine (default: %(default)s)',
     )
-    parser.add_argument('--retry', action='store_true', help='run failed recordings again')
+    parser.add_argument(
+        '--retry',
+        action='store_true',
+        help='run failed recordings again, and those calibrated with other options since',
+    )
     options.add_statements(parser, Session)
     options.add_imus_option(parser)
     parser.epilog = (
@@ -84,7 +88,9 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     )
     units = done.calibrated + done.failed + done.known + done.repeated
     several = '' if units == done.recordings else f' of {units} units'
-    before = f' ({done.known_failed} failed)' if done.known_failed else ''
+    counts = {'failed': done.known_failed, 'superseded': done.known_superseded}
+    before = ', '.join(f'{count} {word}' for word, count in counts.items() if count)
+    before = f' ({before})' if before else ''
     OUTPUT.print(
         f'{counted(done.recordings, "recording")}{several} in {done.seconds:.1f} s: '
         f'{done.calibrated} calibrated, {done.failed} failed, {done.known} done before{before}'
@@ -100,6 +106,11 @@ def run(arguments: argparse.Namespace) -> CommandResult:
             'text files and of bags of ROS 1, and imu-calib info FILE says the way for others'
         )
     OUTPUT.print(f'written to {done.catalogue}', markup=False)
+    if done.known_superseded:
+        OUTPUT.print(
+            f'{done.known_superseded} of these recordings were calibrated with other options '
+            'since, and those results count: --retry goes back to these options'
+        )
     failed = done.failed + done.known_failed
     if not failed:
         return CommandResult()

@@ -16,7 +16,7 @@ from ..common.units import counted
 from ..session.keywords import Session, Stated, with_keywords
 from ..session.units_file import load_units
 from .recordings import OF_ONE, Job, convertible, find_jobs
-from .task import CALIBRATED, TaskResult, lost, run
+from .task import CALIBRATED, FAILED, SUPERSEDED, TaskResult, lost, run
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -51,6 +51,7 @@ class Batch:
     convertible: tuple[Path, ...] = ()
     #: Names of recordings with the same content and statements, which count once.
     alike: tuple[tuple[str, ...], ...] = ()
+    known_superseded: int = 0  #: Those of `known` whose recordings were calibrated again since.
     repeated: int = 0  #: Number of units that they would have given again.
 
     def __repr__(self) -> str:
@@ -90,7 +91,7 @@ def batch(
         scheduler: Address of a Dask scheduler (tcp://host:8786); None starts local workers.
         workers: Number of local workers; None for one per core.
         memory: Of each local worker ('2GiB').
-        retry: Repeat failed tasks.
+        retry: Repeat failed tasks, and those superseded by others on the same recordings.
         progress: Shows the progress.
         connected: Called with the address of Dask's dashboard when work begins.
         **stated: Keywords of `calibrate` for every recording whose manifest does not state
@@ -140,15 +141,19 @@ def run_batch(
     After an interruption the finished tasks are in the catalogue.
     """
     begun = time.monotonic()
-    count = {'calibrated': 0, 'failed': 0, 'known': 0, 'known_failed': 0, 'repeated': 0}
+    count = dict.fromkeys(('calibrated', 'failed', 'known', 'repeated'), 0)
+    count |= {'known_failed': 0, 'known_superseded': 0}
     names: dict[str, list[str]] = {}
     unsaved: list[TaskResult] = []
     with engine.connected() as client, progress('calibrating') as show:
         connected(client.dashboard_link)
         show(0, len(jobs))
         saved = time.monotonic()
-        known = catalogue.keys(failed=not retry)
-        failed_before = known - catalogue.keys(failed=False)
+        known = catalogue.keys(status=CALIBRATED if retry else None)
+        before = {
+            'known_failed': known & catalogue.keys(status=FAILED),
+            'known_superseded': known & catalogue.keys(status=SUPERSEDED),
+        }
         try:
             for k, (job, ended) in enumerate(_results_of_each(client, jobs, known, task), 1):
                 for done in ended:
@@ -157,7 +162,8 @@ def run_batch(
                         count['repeated'] += 1
                     elif done.row is None:
                         count['known'] += 1
-                        count['known_failed'] += done.key in failed_before
+                        for name, keys in before.items():
+                            count[name] += done.key in keys
                     else:
                         count['calibrated' if done.row['status'] == CALIBRATED else 'failed'] += 1
                         unsaved.append(done)

@@ -5,7 +5,7 @@
     CATALOGUE/calibrations/TYPE/SERIAL/DATE_KEY.yaml   all of them
 
 Every file is written completely under another name and then moved. Parts do not change, except when
-failed rows are replaced, and when a newer version adds columns.
+failed rows are replaced or older ones superseded, and when a newer version adds columns.
 Columns and their versions: docs/fleet.md.
 """
 
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -29,7 +29,7 @@ from ..common.units import counted
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from ..recordings import metadata_yaml
 from .sentences import listed
-from .task import CALIBRATED, TaskResult
+from .task import CALIBRATED, FAILED, SUPERSEDED, TaskResult
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -94,6 +94,8 @@ class _Part:
     mark: tuple[int, int]  #: Time of its last change, ns, and its bytes.
     keys: frozenset[str]
     failed: frozenset[str]  #: Keys of the failed recordings.
+    superseded: frozenset[str]  #: Keys of the rows that newer ones replaced.
+    contents: frozenset[str]  #: Hashes of the recordings.
     current: bool  #: Whether it has the present columns.
 
 
@@ -133,17 +135,25 @@ class Catalogue:
         """Return one line."""
         return f'<Catalogue in {self.folder}>'
 
-    def keys(self, *, failed: bool = True) -> frozenset[str]:
-        """Return the keys of all rows; without failed ones if these are to be retried."""
+    def keys(self, *, status: str | None = None) -> frozenset[str]:
+        """Return the keys of all rows, or of those of one status."""
         self._look()
         parts = self._seen.values()
-        return frozenset().union(*(p.keys if failed else p.keys - p.failed for p in parts))
+        if status == FAILED:
+            return frozenset().union(*(p.failed for p in parts))
+        if status == SUPERSEDED:
+            return frozenset().union(*(p.superseded for p in parts))
+        every = frozenset().union(*(p.keys for p in parts))
+        if status == CALIBRATED:
+            return every - self.keys(status=FAILED) - self.keys(status=SUPERSEDED)
+        return every
 
     def add(self, done: Sequence[TaskResult], *, replace: bool = False) -> int:
         """Add rows with their calibration files, or replace those of the same keys.
 
-        Parts of older versions get the present columns first: other readers take the columns of
-        one part for those of all.
+        A new calibration supersedes the older rows of the same recording and topic: they were made
+        with other statements, or by another version. Parts of older versions get the present
+        columns first: other readers take the columns of one part for those of all.
 
         Returns:
             The number of new ones.
@@ -157,8 +167,10 @@ class Catalogue:
                 if not self._seen[part].current:
                     self._write(part, _read(part))
             fresh = {one.key: one for one in done if replace or one.key not in there}
+            again = _newest([one.row or {} for one in fresh.values()])
+            self._supersede(again)
             newest: dict[Path, str] = {}
-            rows = {key: self._with_file(one, newest) for key, one in fresh.items()}
+            rows = {key: self._with_file(one, again, newest) for key, one in fresh.items()}
             for part in self._parts():
                 mine = self._seen[part].keys & rows.keys()
                 if mine:
@@ -223,27 +235,60 @@ class Catalogue:
             raise NotObservable(f'{self.folder}: no row meets {where}. {_contents(self, where)}')
         return found
 
-    def _with_file(self, one: TaskResult, newest: dict[Path, str]) -> dict[str, Any]:
+    def _supersede(self, again: Mapping[tuple[str, str], str]) -> None:
+        """Mark older rows of recordings that were calibrated again, and remove their files."""
+        contents = {sha256 for sha256, _ in again}
+        for part in self._parts():
+            if not self._seen[part].contents & contents:
+                continue
+            old = [row for row in _read(part).to_pylist() if _is_replaced(row, again)]
+            if old:
+                self._replace(part, {row['key']: _superseded(row) for row in old})
+            for row in old:
+                if row['status'] == CALIBRATED:
+                    self._remove_file(row)
+
+    def _remove_file(self, row: dict[str, Any]) -> None:
+        """Remove the calibration of a row; the unit's newest one is then another."""
+        own, latest = self._files_of(row)
+        own.unlink(missing_ok=True)
+        others = sorted(own.parent.glob('*.yaml'))
+        if others and row['serial']:
+            write_whole(latest, others[-1].read_bytes())
+        elif row['serial']:
+            latest.unlink(missing_ok=True)
+
+    def _files_of(self, row: dict[str, Any]) -> tuple[Path, Path]:
+        """Return the file of a row, and that of the unit's newest calibration."""
+        date = row['date'] or _NO_DATE
+        serial = _file_name(row['serial'] or '') or _UNNAMED
+        kind = self.folder / 'calibrations' / _file_name(row['imu'] or '')
+        name = f'{date:%Y-%m-%dT%H%M%SZ}_{row["key"][:8]}.yaml'
+        return kind / serial / name, kind / f'{serial}.yaml'
+
+    def _with_file(
+        self, one: TaskResult, again: Mapping[tuple[str, str], str], newest: dict[Path, str]
+    ) -> dict[str, Any]:
         """Write a calibration's files; return its row with the path of the first.
 
         Args:
             one: With a row.
+            again: As `_newest` gives them.
             newest: Name of the newest file in each folder of a unit; filled in as they are listed.
         """
         row = {k: printable(v) if isinstance(v, str) else v for k, v in (one.row or {}).items()}
         if row['status'] != CALIBRATED:
             return row
-        date = row['date'] or _NO_DATE
-        serial = _file_name(row['serial']) or _UNNAMED
-        kind = self.folder / 'calibrations' / _file_name(row['imu'])
-        own = kind / serial / f'{date:%Y-%m-%dT%H%M%SZ}_{one.key[:8]}.yaml'
+        if _is_replaced(row, again):
+            return _superseded(row)
+        own, latest = self._files_of(row)
         own.parent.mkdir(parents=True, exist_ok=True)
         write_whole(own, one.calibration)
         if own.parent not in newest:
             newest[own.parent] = max(path.name for path in own.parent.glob('*.yaml'))
         newest[own.parent] = max(newest[own.parent], own.name)
         if newest[own.parent] == own.name and row['serial']:
-            write_whole(kind / f'{serial}.yaml', one.calibration)
+            write_whole(latest, one.calibration)
         return {**row, 'calibration': str(own.relative_to(self.folder))}
 
     def _append(self, rows: list[dict[str, Any]]) -> None:
@@ -289,11 +334,20 @@ class Catalogue:
             stat = part.stat()
             mark = (stat.st_mtime_ns, stat.st_size)
             if part not in self._seen or self._seen[part].mark != mark:
-                table = _read(part, ['key', 'status'])
-                both = list(zip(*(table[n].to_pylist() for n in ('key', 'status')), strict=True))
-                lost = frozenset(key for key, status in both if status != CALIBRATED)
-                current = pq.read_schema(part).names == schema().names
-                self._seen[part] = _Part(mark, frozenset(key for key, _ in both), lost, current)
+                table = _read(part, ['key', 'status', 'sha256'])
+                keys, status = table['key'].to_pylist(), table['status'].to_pylist()
+                by_status = {
+                    word: frozenset(k for k, s in zip(keys, status, strict=True) if s == word)
+                    for word in (FAILED, SUPERSEDED)
+                }
+                self._seen[part] = _Part(
+                    mark,
+                    frozenset(keys),
+                    by_status[FAILED],
+                    by_status[SUPERSEDED],
+                    frozenset(table['sha256'].to_pylist()),
+                    pq.read_schema(part).names == schema().names,
+                )
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
@@ -326,6 +380,32 @@ def _make_room(folder: Path) -> None:
         raise InputError(f'{folder}: is a file, expected the name of a folder.')
     if (folder / metadata_yaml.NAME).is_file():
         raise InputError(f'{folder}: is a recording, expected a folder for the catalogue alone.')
+
+
+def _newest(rows: Iterable[dict[str, Any]]) -> dict[tuple[str, str], str]:
+    """Return the keys of the calibrations among rows by recording and topic."""
+    return {
+        (row['sha256'], row['topic']): row['key']
+        for row in rows
+        if row['status'] == CALIBRATED and row['sha256']
+    }
+
+
+def _superseded(row: dict[str, Any]) -> dict[str, Any]:
+    """Return a row that no longer counts: its numbers remain, its file does not."""
+    return {**row, 'status': SUPERSEDED, 'calibration': None}
+
+
+def _is_replaced(row: dict[str, Any], again: Mapping[tuple[str, str], str]) -> bool:
+    """Return whether a row's recording was calibrated again, by the keys of `_newest`.
+
+    A failed row may not know its topic.
+    """
+    if row['status'] == FAILED and not row['topic']:
+        newer = {key for (sha256, _), key in again.items() if sha256 == row['sha256']}
+    else:
+        newer = {again.get((row['sha256'], row['topic']), row['key'])}
+    return row['status'] != SUPERSEDED and bool(newer) and row['key'] not in newer
 
 
 def _file_name(name: str) -> str:

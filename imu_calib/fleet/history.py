@@ -22,7 +22,7 @@ from .catalogue import Catalogue
 from .evaluation import backtest
 from .results import USUAL, History, Rules, Sessions
 from .sentences import listed
-from .task import CALIBRATED, limits_of
+from .task import CALIBRATED, FAILED, SUPERSEDED, limits_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -136,12 +136,10 @@ def _left_out(columns: Mapping[str, list[str]], of_one: Iterable[Sequence[int]])
         columns: Texts of all rows.
         of_one: Rows of each recording and unit, the newest last.
     """
-    good = {
-        serial
-        for serial, status in zip(columns['serial'], columns['status'], strict=True)
-        if status == CALIBRATED
-    }
-    failed = sorted({serial for serial in columns['serial'] if serial} - good)
+    by_status: dict[str, set[str]] = {CALIBRATED: set(), FAILED: set(), SUPERSEDED: set()}
+    for serial, status in zip(columns['serial'], columns['status'], strict=True):
+        by_status.setdefault(status, set()).add(serial)
+    failed = sorted(by_status[FAILED] - by_status[CALIBRATED] - {''})
     found = []
     if failed:
         found.append(

@@ -30,7 +30,7 @@ from .evaluation import backtest
 from .history import columns_of, history, times_of
 from .page_contents import AHEAD, Flag, Fleet, Recordings, count, day, sessions_data, units_data
 from .results import USUAL, History, Rules, Sessions
-from .task import CALIBRATED
+from .task import CALIBRATED, SUPERSEDED
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -307,6 +307,8 @@ def recordings_of(table: pa.Table, folder: Path, base: Path) -> Recordings:
         folder: Of the catalogue.
         base: Folder of the page: links are relative to it.
     """
+    counted = [k for k, word in enumerate(table['status'].to_pylist()) if word != SUPERSEDED]
+    table = table.take(counted)
 
     def texts(name: str) -> list[str]:
         return [one or '' for one in table[name].to_pylist()]

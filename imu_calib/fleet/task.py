@@ -6,16 +6,18 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime, timezone
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from ..api.calibrate import serials_in, solve, units_of_recording
 from ..api.inputs import recording_at
 from ..api.opening import session_of
-from ..api.streams import units_of
+from ..api.session import serial_of, stated_imu
+from ..api.streams import imu_topic, units_of
 from ..calibration.results import Result
 from ..common.errors import ImuCalibError, InputError
 from ..common.files import named_file, read_text, unreadable, user_path, version
@@ -33,6 +35,8 @@ from .recordings import OF_ONE, Job
 
 CALIBRATED = 'calibrated'
 FAILED = 'failed'
+SUPERSEDED = 'superseded'
+"""Status of a row whose recording was calibrated again, by other statements or another version."""
 
 DEFECT = 70
 """Exit code of an unforeseen error (EX_SOFTWARE of sysexits.h)."""
@@ -127,6 +131,7 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> TaskResult:
     """Calibrate from one recording, unless its key is known; a failure is a row too."""
     begun = time.process_time()
     key, sha256 = '', ''
+    known_unit: dict[str, str] = {}
     try:
         path = located(job.recording)
         sha256 = content_of(path)
@@ -136,6 +141,7 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> TaskResult:
         with recording_at(path, sha256=sha256) as recording:
             if _is_of_several(job, recording):
                 return _several(job, recording, key, known, begun)
+            known_unit = _unit_in(recording, job)
             opened = session_of(recording, job.stated)
             start = recording.start_ns
             result = solve(opened)
@@ -151,9 +157,24 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> TaskResult:
         # One recording must not end a batch: an unforeseen error is a row as well.
         sentence = f'Unforeseen error ({type(error).__name__}: {error}): please report it.'
         code = DEFECT
-    ended = _none_of(job, key, sha256, sentence, code, time.process_time() - begun)
+    seconds = time.process_time() - begun
+    ended = _none_of(job, key, sha256, sentence, code, seconds, known_unit)
     # Do not add a second row for the same failure; several units have a key each.
     return _as_one(TaskResult(one.key) if one.key in known else one for one in ended.results)
+
+
+def _unit_in(recording: Recording, job: Job) -> dict[str, str]:
+    """Return topic, serial number and type of a unit, as far as recording and job state them."""
+    found: dict[str, str] = {}
+    try:
+        found['topic'] = topic = imu_topic(job.stated.imu_topic, recording, job.stated.serial)
+        found['serial'] = serial_of(job.stated, recording, topic)
+        if imu := stated_imu(job.stated, recording, topic):
+            found['imu'] = imu[0].id
+    except ImuCalibError:
+        # The calibration says what is wrong.
+        pass
+    return found
 
 
 def _is_of_several(job: Job, recording: Recording) -> bool:
@@ -200,16 +221,32 @@ def _as_one(ended: Iterable[TaskResult]) -> TaskResult:
 
 
 def _none_of(
-    job: Job, key: str, sha256: str, sentence: str, code: int, seconds: float = math.nan
+    job: Job,
+    key: str,
+    sha256: str,
+    sentence: str,
+    code: int,
+    seconds: float = math.nan,
+    known_unit: Mapping[str, str] = MappingProxyType({}),
 ) -> TaskResult:
-    """Return the row of a failed recording, or of each unit if a file lists them."""
+    """Return the row of a failed recording, or of each unit if a file lists them.
+
+    Args:
+        job: The task.
+        key: Its key; empty if it is not known.
+        sha256: Of the recording's content; empty if that cannot be read.
+        sentence: Why it failed.
+        code: The exit code that the command would have.
+        seconds: Time of a processor.
+        known_unit: Columns that say which unit it is.
+    """
     session = key or unread_key(job, sha256)
     try:
         units = load_units(job.imus) if job.imus else ()
     except ImuCalibError:
         units = ()
     if not units:
-        row = failed(job, session, sha256, sentence, code) | {'seconds': seconds}
+        row = failed(job, session, sha256, sentence, code) | {'seconds': seconds} | known_unit
         return TaskResult(session, row)
     ended = []
     for unit in units:

@@ -351,6 +351,54 @@ def test_no_row_is_there_twice(tmp_path: Path) -> None:
     assert [row['error'] for row in rows(tmp_path / 'c')] == ['It failed.', 'Again.', 'It failed.']
 
 
+def test_a_recording_calibrated_again_supersedes_its_older_rows(tmp_path: Path) -> None:
+    def calibrated(k: int, serial: str, **values: object) -> TaskResult:
+        one = {'sha256': 'same', 'topic': '/imu', 'status': 'calibrated', 'imu': 'fog', 'date': NOW}
+        return replace(a_row(k, serial=serial, **(one | values)), calibration=f'of {k}')
+
+    kept = Catalogue(tmp_path / 'c', create=True)
+    files = tmp_path / 'c' / 'calibrations' / 'fog'
+    lost = a_row(0, sha256='same')
+    kept.add([lost, calibrated(1, 'mistaken'), calibrated(2, 'A2', topic='/other')])
+    kept.add([calibrated(3, 'A1')])
+    states = {row['serial']: row['status'] for row in rows(tmp_path / 'c') if row['serial']}
+    assert states == {'mistaken': 'superseded', 'A2': 'calibrated', 'A1': 'calibrated'}
+    assert rows(tmp_path / 'c')[0]['status'] == 'superseded'
+    assert sorted(path.name for path in files.glob('*.yaml')) == ['A1.yaml', 'A2.yaml']
+    # The options of before, again: its row counts again, the other's no longer.
+    assert kept.add([calibrated(1, 'A1')], replace=True) == 0
+    assert (files / 'A1.yaml').read_text() == 'of 1'
+    assert [row['status'] for row in rows(tmp_path / 'c')][1:] == [
+        'calibrated',
+        'calibrated',
+        'superseded',
+    ]
+
+
+def test_a_recording_with_other_options_counts_once(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / 'c'
+    batch = ['batch', str(recordings / 'a'), '-o', str(folder), '--workers', '1']
+    # A mistake that fails, one that does not, and at last the right options.
+    assert main([*batch, '--method', 'skewed']) == 1
+    (failure,) = rows(folder)
+    assert (failure['serial'], failure['imu'], failure['topic']) == (
+        'S1',
+        'fog_medium',
+        '/imu/pulses',
+    )
+    assert main([*batch, '--height', '4000']) == 0
+    assert main(batch) == 0
+    assert [row['status'] for row in rows(folder)] == ['superseded', 'superseded', 'calibrated']
+    assert len(imu_calib.history(folder).units[0].key) == 1
+    assert imu_calib.history(folder).findings == imu_calib.history(folder).stands.findings
+    capsys.readouterr()
+    assert main([*batch, '--height', '4000']) == 0
+    out = capsys.readouterr().out.replace('\n', ' ')
+    assert '1 done before (1 superseded)' in out and '--retry goes back to these options' in out
+
+
 def test_two_clients_and_a_reader_at_a_time(tmp_path: Path) -> None:
     folder = tmp_path / 'c'
     Catalogue(folder, create=True)

@@ -14,7 +14,7 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.fleet.catalogue import Catalogue
 from imu_calib.fleet.recordings import Job, find_jobs
-from imu_calib.fleet.task import LOST, content_of, key_of, lost, run
+from imu_calib.fleet.task import CALIBRATED, LOST, content_of, key_of, lost, run
 from imu_calib.session.keywords import Stated
 
 needs_modules('pyarrow', 'duckdb', 'distributed')
@@ -95,7 +95,7 @@ def test_what_is_done_is_not_done_again_until_the_list_changes(
     known = Catalogue(done).keys()
     assert [one.row for one in run(job, known).results] == [None] * 3
     # What failed is done again, and its fellows stay as they are.
-    (first, second, third) = run(job, Catalogue(done).keys(failed=False)).results
+    (first, second, third) = run(job, Catalogue(done).keys(status=CALIBRATED)).results
     assert first.row is second.row is None
     assert third.row is not None and third.key in known
     changed = folder / 'changed.yaml'
