@@ -17,7 +17,7 @@ from ..reports.charts import drawing, tag
 from ..reports.html import bullets, paragraph, table
 from ..reports.tables import engineering, fixed
 from ..session.imu import COVERAGE
-from .page_contents import PLACE_OF, Flag, Fleet, Unit, amount, count, day
+from .page_contents import PLACE_OF, Flag, Fleet, Unit, count, day
 from .results import Outlier, Population, Signal, UnitHistory
 from .sentences import listed, percent, quantity, stand_sentence, step_sentence
 
@@ -109,7 +109,10 @@ def _outside_of(unit: Unit) -> str:
     words = []
     for name in history.outside:
         k = PLACE_OF[name]
-        value, limit = (quantity(float(x[k]), name) for x in (history.values[-1], history.limit))
+        value, limit = (
+            quantity(float(x[k]), name, by_hand=history.by_hand)
+            for x in (history.values[-1], history.limit)
+        )
         words.append(f'{name} {value} (limit {limit})')
     return listed(words, 2)
 
@@ -238,9 +241,8 @@ def _steps(fleet: Fleet) -> Iterator[Issue]:
         history = unit.history
         assert history is not None
         newest = [s for s in history.steps if s.index == len(history.key) - 1]
-        cells.append(
-            [link(unit), escape(typeset(' '.join(step_sentence(step) for step in newest)))]
-        )
+        words = ' '.join(step_sentence(step, by_hand=history.by_hand) for step in newest)
+        cells.append([link(unit), escape(typeset(words))])
     yield Issue(
         'Steps',
         'marginal',
@@ -295,15 +297,18 @@ def _slopes(unit: Unit) -> str:
     chosen = [k for k in order if trend.significant[k]]
     words = []
     for k in chosen:
-        shown = amount(PARAMETERS[k], float(trend.slope[k]), float(trend.std[k]))
-        words.append(f'{PARAMETERS[k].name} {shown} {engineering(PARAMETERS[k]).symbol}')
+        unit_shown = engineering(PARAMETERS[k], by_hand=unit.history.by_hand)
+        slope, std = (float(x[k]) / unit_shown.scale for x in (trend.slope, trend.std))
+        places = decimals(std)
+        amount = f'{fixed(slope, places)} \u00b1 {fixed(std, places)}'
+        words.append(f'{PARAMETERS[k].name} {amount} {unit_shown.symbol}')
     return listed(words, 2)
 
 
 def _outliers(fleet: Fleet) -> Iterator[Issue]:
-    populations = fleet.history.populations.values()
-    found = [(p.imu, o) for p in populations for o in p.outliers]
-    lots = [(p.imu, lot) for p in populations for lot in p.lots]
+    populations = fleet.history.populations
+    found = [(p.imu, o) for p in populations.values() for o in p.outliers]
+    lots = [(p.imu, lot) for p in populations.values() for lot in p.lots]
     if not found and not lots:
         return
     unit_of_name = {(u.imu, u.serial): u for u in fleet.units}
@@ -313,16 +318,18 @@ def _outliers(fleet: Fleet) -> Iterator[Issue]:
         seen.setdefault((imu, outlier.serial), outlier)
     cells = []
     for name, outlier in seen.items():
-        value = f'{outlier.parameter} {quantity(outlier.value, outlier.parameter)}'
+        held = populations[name[0]].by_hand
+        value = typeset(quantity(outlier.value, outlier.parameter, by_hand=held))
         named = link(unit_of_name[name]) if name in unit_of_name else escape(' '.join(name))
-        cells.append([named, escape(typeset(value)), fixed(outlier.score, 1)])
+        cells.append([named, escape(f'{outlier.parameter} {value}'), fixed(outlier.score, 1)])
     sentences = []
     if seen:
         sentences.append(
             f'{count(len(seen), "unit is", "units are")} unlike the others of the type.'
         )
     for imu, lot in lots:
-        shift = quantity(lot.shift, lot.parameter, sign=True)
+        held = populations[imu].by_hand
+        shift = quantity(lot.shift, lot.parameter, sign=True, by_hand=held)
         sentences.append(
             f'{imu}, lot {lot.lot} ({count(lot.units, "unit")}): {lot.parameter} differs from the '
             f'other lots by {shift} (chance {lot.chance:.2g}).'
@@ -382,7 +389,8 @@ def _row(
     population: Population, k: int, newest: Floats, limits: Floats, apart: Counter[str]
 ) -> list[str]:
     parameter = PARAMETERS[k]
-    scale = engineering(parameter).scale
+    shown = engineering(parameter, by_hand=population.by_hand)
+    scale = shown.scale
     spread, turn_on = population.robust_std[k] / scale, population.turn_on[k] / scale
     places = decimals(spread)
     slope, slope_std = population.trend[k] / scale, population.trend_std[k] / scale
@@ -393,7 +401,7 @@ def _row(
         _number(spread, places),
         _number(turn_on, decimals(turn_on)),
         _number(slope, decimals(slope_std) if slope_std > 0 else 3),
-        escape(engineering(parameter).symbol),
+        escape(shown.symbol),
         _distribution(
             parameter.name, newest, limits, population.median[k], population.robust_std[k]
         ),

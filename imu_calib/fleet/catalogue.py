@@ -383,12 +383,10 @@ def _make_room(folder: Path) -> None:
 
 
 def _newest(rows: Iterable[dict[str, Any]]) -> dict[tuple[str, str], str]:
-    """Return the keys of the calibrations among rows by recording and topic."""
-    return {
-        (row['sha256'], row['topic']): row['key']
-        for row in rows
-        if row['status'] == CALIBRATED and row['sha256']
-    }
+    """Return the keys of the newest calibrations among rows, by recording and topic."""
+    done = [row for row in rows if row['status'] == CALIBRATED and row['sha256']]
+    done.sort(key=lambda row: row['at'] or _NO_DATE)
+    return {(row['sha256'], row['topic']): row['key'] for row in done}
 
 
 def _superseded(row: dict[str, Any]) -> dict[str, Any]:

@@ -250,6 +250,7 @@ def _units(
             steps=steps_of(u, part.places, lines, recorded.date[rows], rules),
             charts=Charts(part.scores[u], ewma[u], t2, t2_limit, t2_chance, signals),
             findings=(),
+            by_hand=recorded.imu[first] in recorded.by_hand,
         )
         yield replace(unit, findings=unit_sentences(unit, rules))
 
@@ -399,6 +400,7 @@ def population_of(imu: str, judged: Judged, false_alarm: float) -> Population:
         outside=np.array([sum(name in unit.outside for unit in units) for name in PARAMETER_NAMES]),
         outliers=tuple(apart),
         lots=tuple(lots),
+        by_hand=any(unit.by_hand for unit in units),
     )
 
 

@@ -15,6 +15,7 @@ from ..common.arguments import checked
 from ..common.errors import InputError, NotObservable
 from ..common.files import is_shipped
 from ..common.stream import Floats
+from ..estimation.hand import NAME as FREE_POSITIONS
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from ..session.imu import ImuSpec
 from ..session.keywords import Named, as_imu
@@ -28,7 +29,12 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 _SIZE = len(PARAMETERS)
-_TEXTS = ('key', 'sha256', 'recording', 'serial', 'imu', 'lot', 'stand', 'status')
+_TEXTS = (
+    *('key', 'sha256', 'recording', 'serial', 'imu', 'lot', 'stand', 'status', 'error'),
+    *('method', 'plan'),
+)
+_BY_HAND = frozenset({FREE_POSITIONS, 'six_position_by_hand'})
+"""Methods and plans of units that are held and turned by hand."""
 
 
 @checked
@@ -90,13 +96,16 @@ def sessions_of(table: pa.Table) -> tuple[Sessions, list[str], dict[str, Floats]
     """
     columns = {name: [one or '' for one in table[name].to_pylist()] for name in _TEXTS}
     at = times_of(table['at'].to_pylist())
-    done = [k for k, status in enumerate(columns['status']) if status == CALIBRATED]
+    current = [status == CALIBRATED for status in columns['status']]
+    # A superseded one that had not failed is named beside the one that counts.
+    done = [k for k, error in enumerate(columns['error']) if current[k] or not error]
     of_one: dict[tuple[str, str, str], list[int]] = {}
     for k in sorted(done, key=lambda k: at[k]):
         recording = columns['sha256'][k] or columns['recording'][k] or columns['key'][k]
         of_one.setdefault((recording, columns['imu'][k], columns['serial'][k]), []).append(k)
-    rows = sorted(again[-1] for again in of_one.values())
-    findings = _left_out(columns, of_one.values())
+    again = [group for group in of_one.values() if current[group[-1]]]
+    rows = sorted(group[-1] for group in again)
+    findings = _left_out(columns, again)
     date = times_of(table['date'].to_pylist())
     kept = table.take(np.array(rows, dtype=np.int64))
     stated = kept['limits'].to_pylist()
@@ -118,9 +127,20 @@ def sessions_of(table: pa.Table) -> tuple[Sessions, list[str], dict[str, Floats]
         date=date[rows],
         values=values,
         covariance=covariance,
+        by_hand=_held(text('imu'), text('method'), text('plan')),
     )
     shipped = [kind for kind in {*sessions.imu} - limits.keys() if is_shipped('imus', kind)]
     return sessions, findings, {**_limits_of(shipped), **limits}
+
+
+def _held(imus: Sequence[str], methods: Sequence[str], plans: Sequence[str]) -> frozenset[str]:
+    """Return the types of which every session was held by hand."""
+    on_table = {
+        imu
+        for imu, method, plan in zip(imus, methods, plans, strict=True)
+        if not _BY_HAND & {method, plan}
+    }
+    return frozenset(imus) - on_table
 
 
 def times_of(stamps: list[datetime | None]) -> np.ndarray[tuple[int], np.dtype[np.datetime64]]:

@@ -319,6 +319,9 @@ function closeUnit() {
   if (from) from.focus();
 }
 
+// Name, words, unit and its size of each parameter, as a unit of this grade is shown.
+const parametersOf = u => (units.by_hand[u] ? units.parameters_by_hand : units.parameters);
+
 // The parameter that says most: that stepped last, that drifts or signals most, by which the unit is
 // due, or that is nearest to its limit.
 function worst(u, s) {
@@ -368,7 +371,7 @@ function grid(headings, rows, kind) {
 
 function parameterTable(u, s) {
   const last = s.first[u] + units.sessions[u] - 1;
-  const rows = units.parameters.map(([name, , unit, scale], p) => {
+  const rows = parametersOf(u).map(([name, , unit, scale], p) => {
     const std = s.stdOf(p, last) / scale, limit = perUnit(s.limit, p, u) / scale;
     const slope = perUnit(s.slope, p, u) / scale, slopeStd = perUnit(s.slope_std, p, u) / scale;
     const scatter = perUnit(s.scatter, p, u) / scale;
@@ -402,7 +405,7 @@ function recordingTable(u, s) {
 
 async function course(u, s, p) {
   await library();
-  const [name, words, unit, scale] = units.parameters[p];
+  const [name, words, unit, scale] = parametersOf(u)[p];
   const first = s.first[u], count = units.sessions[u], row = s.firstRow[u];
   const dated = Array.from({length: count}, (_, k) => s.date[row + k] !== BAD);
   const timed = dated.some(Boolean);
@@ -524,8 +527,8 @@ async function population(p) {
   blocks.forEach(b => { b.hidden = b !== block; });
   const s = await sessions();
   await library();
-  const [name, words, unit, scale] = units.parameters[p];
   const mine = [...units.serials.keys()].filter(u => units.imus[units.imu[u]] === block.dataset.imu && units.sessions[u]);
+  const [name, words, unit, scale] = mine.length ? parametersOf(mine[0])[p] : units.parameters[p];
   const of = mine.map(u => s.values[p][s.first[u] + units.sessions[u] - 1] / scale);
   const known = of.filter(isFinite);
   byId('population-title').textContent = `${name}, ${words}, of ${block.dataset.imu}`;

@@ -307,8 +307,8 @@ def recordings_of(table: pa.Table, folder: Path, base: Path) -> Recordings:
         folder: Of the catalogue.
         base: Folder of the page: links are relative to it.
     """
-    counted = [k for k, word in enumerate(table['status'].to_pylist()) if word != SUPERSEDED]
-    table = table.take(counted)
+    status = table['status'].to_pylist()
+    table = table.filter([word != SUPERSEDED for word in status]) if status else table
 
     def texts(name: str) -> list[str]:
         return [one or '' for one in table[name].to_pylist()]

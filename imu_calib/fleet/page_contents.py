@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from ..common.stream import Floats
 from ..common.units import decimals, typeset
-from ..model.parameters import PARAMETERS, Parameter
-from ..reports.tables import engineering, fixed
+from ..model.parameters import PARAMETERS
+from ..reports.tables import engineering
 from ..session.imu import Verdict
 from . import results
 from .results import Dates, Flags, History, UnitHistory
@@ -236,13 +236,6 @@ def count(number: int, noun: str, nouns: str = '') -> str:
     return f'{written} {noun if number == 1 else nouns or noun + "s"}'.replace('\u202f', ' ')
 
 
-def amount(parameter: Parameter, value: float, std: float) -> str:
-    """Return an SI value with its standard deviation in the parameter's display unit."""
-    scale = engineering(parameter).scale
-    places = decimals(std / scale)
-    return f'{fixed(value / scale, places)} \u00b1 {fixed(std / scale, places)}'
-
-
 # Arrays and texts as one compressed text for the page's script.
 #
 # zlib( length of the head, 4 bytes | head, JSON | arrays, one after the other )
@@ -388,19 +381,27 @@ def units_data(fleet: Fleet) -> str:
         'sessions': np.array([len(u.sessions) for u in units], np.int32),
         'failed': np.array([len(u.failed) for u in units], np.int32),
         'rows': np.array([len(u.rows) for u in units], np.int32),
+        'by_hand': np.array([h is not None and h.by_hand for h in histories], np.int8),
         'bitmask': np.array([sum(1 << places[f] for f in u.flags) for u in units], np.int32),
     }
     texts = {
         'serials': [unit.serial for unit in units],
         **texts_of,
         'flags': [[f.name, f.value.words, f.value.kind, f.value.meaning] for f in Flag],
-        'parameters': [
-            [p.name, p.kind.value.words, engineering(p).symbol, engineering(p).scale]
-            for p in PARAMETERS
-        ],
+        'parameters': _headings(by_hand=False),
+        'parameters_by_hand': _headings(by_hand=True),
         'today': day(fleet.today),
     }
     return pack(arrays, texts)
+
+
+def _headings(*, by_hand: bool) -> list[list[object]]:
+    """Return name, words, unit and the unit's size of each parameter."""
+    shown = [engineering(p, by_hand=by_hand) for p in PARAMETERS]
+    return [
+        [p.name, p.kind.value.words, one.symbol, one.scale]
+        for p, one in zip(PARAMETERS, shown, strict=True)
+    ]
 
 
 def sessions_data(fleet: Fleet) -> str:
@@ -524,16 +525,17 @@ def _steps(unit: Unit) -> list[list[object]]:
     """Return the steps of a unit: [index of the session after it, looks like, sizes as shown]."""
     found: list[list[object]] = []
     before = len(unit.sessions) - _sessions_in_history(unit)
+    by_hand = unit.history is not None and unit.history.by_hand
     for step in unit.history.steps if unit.history is not None else ():
         sizes = [
-            [name, _shown(name, size), _shown(name, std)]
+            [name, _shown(name, size, by_hand=by_hand), _shown(name, std, by_hand=by_hand)]
             for name, size, std in zip(step.parameters, step.size, step.std, strict=True)
         ]
         found.append([before + step.index, step.cause.value, sizes])
     return found
 
 
-def _shown(name: str, value: float) -> float:
+def _shown(name: str, value: float, *, by_hand: bool) -> float:
     parameter = PARAMETERS[PLACE_OF[name]]
-    shown = value / engineering(parameter).scale
+    shown = value / engineering(parameter, by_hand=by_hand).scale
     return round(float(shown), decimals(abs(shown)) + 1) if np.isfinite(shown) else 0.0

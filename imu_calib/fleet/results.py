@@ -84,6 +84,8 @@ class Sessions:
     date: Dates  #: (n,) date, UTC.
     values: Floats  #: (n, 24) SI units; NaN if not estimated.
     covariance: Floats  #: (n, 24, 24) as stated; NaN if not stated.
+    #: Types of which every session was held by hand: they are shown in units of that grade.
+    by_hand: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,6 +233,7 @@ class UnitHistory:
     steps: tuple[Step, ...]  #: Changes between sessions.
     charts: Charts  #: Control charts.
     findings: tuple[str, ...]  #: Messages for the user on this unit, sentences.
+    by_hand: bool = False  #: Whether its type is held by hand, for the units shown.
 
 
 @dataclass(frozen=True)
@@ -279,6 +282,7 @@ class Population:
     outside: NDArray[np.int64]
     outliers: tuple[Outlier, ...]  #: Units that differ from the others.
     lots: tuple[LotShift, ...]  #: Lots that differ from the others.
+    by_hand: bool = False  #: Whether they are held by hand, for the units shown.
 
 
 @dataclass(frozen=True)

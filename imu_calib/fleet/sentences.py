@@ -31,15 +31,17 @@ def listed(names: Sequence[str], most: int = _NAMED) -> str:
     return shown[0] if len(shown) == 1 else f'{", ".join(shown[:-1])} and {shown[-1]}'
 
 
-def quantity(value: float, parameter: str, *, per: str = '', sign: bool = False) -> str:
-    """Return a value (SI) of a parameter in engineering units.
+def quantity(
+    value: float, parameter: str, *, per: str = '', sign: bool = False, by_hand: bool = False
+) -> str:
+    """Return a value (SI) of a parameter in engineering units, or in those of a unit in the hand.
 
     Examples:
         >>> quantity(5.1e-6, 'K_ax', sign=True), quantity(1e-6, 'K_gx', per='month')
         ('+5.1 ppm', '1 ppm/month')
     """
-    unit = _BY_NAME[parameter].unit
-    shown = f'{unit.shown}/{per}' if per else unit.shown
+    unit = engineering(_BY_NAME[parameter], by_hand=by_hand)
+    shown = f'{unit.unit}/{per}' if per else unit.unit
     return f'{value / unit.scale:{"+" if sign else ""}.3g} {shown}'
 
 
@@ -59,7 +61,7 @@ def unit_sentences(unit: UnitHistory, rules: Rules) -> tuple[str, ...]:
         *_outside(unit),
         *_due(unit, rules),
         *_drifts(unit, rules),
-        *(step_sentence(step) for step in unit.steps),
+        *(step_sentence(step, by_hand=unit.by_hand) for step in unit.steps),
         *_signals(unit),
         *_few(unit),
     )
@@ -68,10 +70,10 @@ def unit_sentences(unit: UnitHistory, rules: Rules) -> tuple[str, ...]:
 def _outside(unit: UnitHistory) -> Iterator[str]:
     for name in unit.outside:
         k = PARAMETER_NAMES.index(name)
-        yield (
-            f'{name} is outside its specification: {quantity(unit.values[-1, k], name)}, allowed '
-            f'{quantity(unit.limit[k], name)} to either side.'
+        value, limit = (
+            quantity(x, name, by_hand=unit.by_hand) for x in (unit.values[-1, k], unit.limit[k])
         )
+        yield f'{name} is outside its specification: {value}, allowed {limit} to either side.'
 
 
 def _due(unit: UnitHistory, rules: Rules) -> Iterator[str]:
@@ -104,17 +106,17 @@ def _drifts(unit: UnitHistory, rules: Rules) -> Iterator[str]:
     trend = unit.trend
     for k in np.flatnonzero(trend.significant):
         name = PARAMETER_NAMES[k]
-        low, high = (quantity(x[k], name, per='month', sign=True) for x in (trend.low, trend.high))
-        yield (
-            f'{name} drifts: {quantity(trend.slope[k], name, per="month", sign=True)} '
-            f'({percent(rules.confidence)}: {low} to {high}).'
+        slope, low, high = (
+            quantity(x[k], name, per='month', sign=True, by_hand=unit.by_hand)
+            for x in (trend.slope, trend.low, trend.high)
         )
+        yield f'{name} drifts: {slope} ({percent(rules.confidence)}: {low} to {high}).'
 
 
-def step_sentence(step: Step) -> str:
-    """Return a sentence on a step, its sessions and its cause."""
+def step_sentence(step: Step, *, by_hand: bool) -> str:
+    """Return a sentence on a step of a unit, its sessions and its cause."""
     parts = [
-        f'{name} {quantity(size, name, sign=True)}'
+        f'{name} {quantity(size, name, sign=True, by_hand=by_hand)}'
         for name, size in zip(step.parameters, step.size, strict=True)
     ]
     looks = (
@@ -240,7 +242,7 @@ def parameter_course_table(unit: UnitHistory, confidence: float) -> Table:
     for k, parameter in enumerate(PARAMETERS):
         if not np.isfinite(unit.values[-1, k]):
             continue
-        shown = engineering(parameter)
+        shown = engineering(parameter, by_hand=unit.by_hand)
         std = unit.std[-1, k] / shown.scale
         places = decimals(std if std > 0 else scatter.std[k] / shown.scale)
         finer = decimals(trend.std[k] / shown.scale)
@@ -268,7 +270,7 @@ def population_table(one: Population) -> Table:
     """Return one row for each parameter of a type."""
     table = plain_table(('', *_HEADS, 'unit'), f'l{"r" * len(_HEADS)}l', no_wrap=True)
     for k, parameter in enumerate(PARAMETERS):
-        shown = engineering(parameter)
+        shown = engineering(parameter, by_hand=one.by_hand)
         places = decimals(one.robust_std[k] / shown.scale / 10)
         finer = decimals(one.trend_std[k] / shown.scale)
         turn_on = one.turn_on[k] / shown.scale

@@ -246,7 +246,7 @@ def _none_of(
     except ImuCalibError:
         units = ()
     if not units:
-        row = failed(job, session, sha256, sentence, code) | {'seconds': seconds} | known_unit
+        row = {**failed(job, session, sha256, sentence, code), 'seconds': seconds, **known_unit}
         return TaskResult(session, row)
     ended = []
     for unit in units:

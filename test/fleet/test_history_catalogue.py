@@ -226,3 +226,15 @@ def test_two_days_make_a_history(tmp_path: Path, run: Run) -> None:
         'All sessions were on one stand, east',
     ):
         assert sentence in out
+
+
+def test_units_in_the_hand_are_shown_in_units_of_their_grade(tmp_path: Path, run: Run) -> None:
+    made = sessions(np.random.default_rng(2), 3, 4)
+    rows = [done(made, k, method='free_positions') for k in range(len(made.key))]
+    Catalogue(tmp_path / 'held', create=True).add(rows)
+    for words in ([], ['--serial', 'F000']):
+        _, out, _ = run(tmp_path / 'held', *words)
+        assert 'ppm' not in out and 'arcmin' not in out
+        assert {'%', 'deg', 'deg/s', 'mg'} <= set(out.split())
+    page = imu_calib.fleet_report(tmp_path / 'held', tmp_path / 'held.html').read_text()
+    assert '>deg/s</td>' in page and '>ppm</td>' not in page
