@@ -22,7 +22,7 @@ from ..common.units import DEG, significant
 from ..live.rules import Severity
 from ..live.web.board import Snapshot, UnitRow
 from ..live.web.sentences import headline, time_left
-from ..reports.plain_table import plain_table
+from ..reports.tables import plain_table
 from ..reports.timeline import READING, Converging
 from .embedded import Nodes
 from .processes import START, SessionEnd

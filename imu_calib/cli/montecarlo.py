@@ -16,8 +16,7 @@ from ..calibration.views import empty_figure
 from ..common.errors import InputError
 from ..common.files import write_by
 from ..common.units import decimals
-from ..reports.plain_table import plain_table
-from ..reports.tables import engineering
+from ..reports.tables import engineering, plain_table
 from ..session.keywords import AtSite, Solved
 from ..session.plan import METHOD_NAMES
 from . import options

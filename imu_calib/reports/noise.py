@@ -15,8 +15,7 @@ from ..common.units import HOUR, decimals, typeset
 from ..session.imu import TRIAD_NAMES, Coefficient, TriadUnits
 from .charts import COLOURS, Axis, Panel, drawing, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, section, table
-from .plain_table import plain_table
-from .tables import three_digits
+from .tables import plain_table, three_digits
 
 if TYPE_CHECKING:
     from rich.table import Table

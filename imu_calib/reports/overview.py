@@ -9,16 +9,18 @@ from rich.table import Table
 from ..calibration.calibration import Calibration
 from ..common.finding import is_warning
 from ..common.units import counted
-from .plain_table import plain_table
 from .provenance import gravity_won, noise_table, number, origin_rows
 from .tables import (
     FREE_OF_FRAME,
+    TERM_HEADINGS,
+    TERM_NOTE,
     angle_table,
     change_note,
     change_table,
     parameter_table,
+    plain_table,
+    term_rows,
 )
-from .term_rows import TERM_HEADINGS, TERM_NOTE, term_rows
 
 _LETTERS = (
     'K: scale-factor error; D: what a channel reads at zero (bias); g: gyro, a: accelerometer.\n'

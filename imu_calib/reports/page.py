@@ -20,8 +20,7 @@ from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, scrolling, section, table
 from .provenance import written
 from .signals import signals_plot
-from .tables import FREE_OF_FRAME, change_note, three_digits
-from .term_rows import TERM_HEADINGS, TERM_NOTE, term_rows
+from .tables import FREE_OF_FRAME, TERM_HEADINGS, TERM_NOTE, change_note, term_rows, three_digits
 
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
 """px; layout."""

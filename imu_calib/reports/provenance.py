@@ -17,8 +17,7 @@ from ..session.imu import (
 )
 from .charts import tag
 from .html import named_rows, table
-from .plain_table import plain_table
-from .tables import three_digits
+from .tables import plain_table, three_digits
 
 Facts = Mapping[str, object]
 

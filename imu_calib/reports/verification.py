@@ -11,8 +11,7 @@ from rich.table import Table
 from ..calibration.diagnosis import ShiftedParameter
 from ..calibration.verify import ComparedQuantity, Quantity, Verdict, Verification
 from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G, decimals
-from .plain_table import plain_table
-from .tables import Shown, engineering
+from .tables import Shown, engineering, plain_table
 
 _SHOWN = {
     Quantity.GRAVITY: Shown('ug', MICRO_G),

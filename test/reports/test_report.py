@@ -37,7 +37,7 @@ from imu_calib.reports.repeatability import (
     repeatability_table,
     repeated,
 )
-from imu_calib.reports.term_rows import TERM_HEADINGS
+from imu_calib.reports.tables import TERM_HEADINGS
 from imu_calib.segmentation.segmented import Rejected
 from imu_calib.session.imu import (
     NOT_ESTIMATED,
