@@ -68,7 +68,7 @@ OTHERS = {
     'calibration/exports.py': 'a command of ROS',
     'common/files.py': 'a whole command',
     'fleet/history.py': 'a whole command',
-    'reports/certificate_page.py': 'options of Chromium',
+    'reports/certificate.py': 'options of Chromium',
     'segmentation/stream_facts.py': 'a whole command',
     'session/segments_file.py': 'a whole command',
     'live/middleware/__init__.py': 'options of ROS',

@@ -31,9 +31,8 @@ from ..model.session_terms import SESSION_TERMS
 from ..model.terms import AUTO_TERMS, NO_TERMS
 from ..recordings.remote import located
 from ..recordings.rosbag2 import Recording
-from ..reports.certificate import Certificate, certificate_of
+from ..reports.certificate import Certificate, certificate_of, certificate_page, pdf
 from ..reports.certificate_fields import Fields, read_fields
-from ..reports.certificate_page import certificate_page, pdf
 from ..reports.dcc import dcc
 from ..reports.page import Contents, page
 from ..reports.thermal import thermal_page

@@ -23,7 +23,7 @@ def show_calibration(
 ) -> None:
     """Print the parameters, the data and the verdict; with `verbose` all that the file holds."""
     # Loaded here: most commands show no calibration.
-    from ..reports.overview import details, overview
+    from ..reports.provenance import details, overview
 
     print_parts(overview(calibration, truth))
     if verbose:

@@ -1,22 +1,36 @@
-"""A certificate as a value: statements of the laboratory, and results of the calibration."""
+"""A certificate: its contents as a value, and as HTML for A4 (ISO/IEC 17025:2017, 7.8)."""
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Sequence
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime, timedelta
+from html import escape
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 
 from ..calibration.calibration import Calibration
-from ..common.budget import Budget
+from ..common.budget import PROBABILITY, Budget
 from ..common.errors import InputError
+from ..common.files import version
 from ..common.stream import Units
-from ..common.units import counted
+from ..common.units import ARCSEC, counted, decimals
 from ..model.parameters import Parameter
 from ..session.imu import Specification
-from .certificate_fields import Conformity, Fields, decide, missing
+from . import provenance
+from .budget import budget_parts, freedom_words
+from .certificate_fields import Conformity, Equipment, Fields, decide, missing
+from .charts import tag
+from .html import bullets, document, named_rows, paragraph, section, sheet, table
+from .tables import engineering, fixed
 
 OUTPUT = {
     Units.PULSES: 'pulse',
@@ -216,3 +230,349 @@ def groups(results: Sequence[Stated]) -> list[tuple[str, list[Stated]]]:
         (title, [r for r in results if r.parameter.triad == letter]) for title, letter in named
     ]
     return [(title, some) for title, some in found if some]
+
+
+# The certificate as HTML, and printed.
+
+_PAGES = """
+@page {{ size: A4; margin: 20mm 16mm 18mm 20mm;
+  @top-left {{ content: {title}; font: 8.5pt {font}; color: #333; }}
+  @top-right {{ content: {mark}; font: bold 8.5pt {font}; color: #b3261e; }}
+  @bottom-left {{ content: {laboratory}; font: 8.5pt {font}; color: #333; }}
+  @bottom-right {{ content: "page " counter(page) " of " counter(pages);
+    font: 8.5pt {font}; color: #333; }} }}
+"""
+_FONT = '"DejaVu Sans", Arial, sans-serif'
+_SHEET = sheet('certificate.css')
+
+
+def style(title: str, laboratory: str, mark: str) -> str:
+    """Return the style of a certificate, with texts for the margins of every printed page."""
+    texts = {'title': title, 'laboratory': laboratory, 'mark': mark}
+    quoted = {name: _quoted(text) for name, text in texts.items()}
+    return _PAGES.format(font=_FONT, **quoted) + _SHEET
+
+
+def _quoted(text: str) -> str:
+    """Return a text as a string of CSS, escaped so that it cannot end its string or element."""
+    kept = ''.join(c if c.isalnum() or c in ' .,-' else f'\\{ord(c):x} ' for c in text)
+    return f'"{kept}"'
+
+
+_MISSING = 'MISSING'
+_UNCERTAINTY = (
+    'U is the expanded uncertainty: the standard uncertainty multiplied by the coverage factor k, '
+    f"which for Student's t with \u03bd effective degrees of freedom (Welch-Satterthwaite) gives a "
+    f'coverage probability of {PROBABILITY:.0%}. It was evaluated by JCGM 100:2008 (GUM).'
+)
+_SHARES = 'The shares of the sources in the variance of each parameter, in percent.'
+_DEFINITION = (
+    'input = (I + M)\u207b\u00b9 (output \u00d7 scale factor {per} \u2212 D). M holds the '
+    'scale-factor errors K on its diagonal and the misalignments E beside it (row: channel, '
+    'column: input axis), D are the biases. Misalignments are those against {frame}.'
+)
+_STATEMENTS = (
+    'The results relate only to the item calibrated, as it was received and at the time and under '
+    'the conditions stated.',
+    'This certificate may be reproduced in full only, unless the laboratory approves otherwise in '
+    'writing.',
+)
+
+
+def certificate_page(certificate: Certificate) -> str:
+    """Return a certificate as HTML; equal contents give equal text."""
+    fields, calibration = certificate.fields, certificate.calibration
+    title = f'Calibration certificate {fields.number or _MISSING}'
+    laboratory = fields.laboratory.name or _MISSING
+    mark = 'DRAFT, not a certificate' if certificate.draft else ''
+    body = ''.join(
+        [
+            _head(certificate),
+            _draft(certificate),
+            _parties(certificate),
+            section('Procedure and traceability', _procedure(certificate)),
+            section('Results', *_results_section(certificate)),
+            _conformity(certificate),
+            section('Uncertainty budget', *budget_parts(calibration, certificate.budget, _SHARES)),
+            section('Remarks', bullets(certificate.remarks)),
+            section('Statements', bullets(_STATEMENTS)),
+            _signatures(certificate),
+        ]
+    )
+    return document(title, body, style(title, laboratory, mark))
+
+
+def _or_dash(value: object) -> str:
+    """Return the statement; in a draft that it is missing."""
+    return str(value) if value not in (None, '', ()) else _MISSING
+
+
+def _head(certificate: Certificate) -> str:
+    fields = certificate.fields
+    replaced = f'replaces certificate {fields.replaces}' if fields.replaces else ''
+    code = fields.laboratory.accreditation
+    accredited = f' Accreditation {code}.' if code else ''
+    left = tag('h1', 'Calibration certificate') + paragraph(
+        f'Contents by ISO/IEC 17025:2017, 7.8.{accredited}', 'note'
+    )
+    right = tag('div', escape(_or_dash(fields.number)), class_='number') + paragraph(
+        replaced, 'note'
+    )
+    return tag('div', tag('div', left) + tag('div', right), class_='head')
+
+
+def _draft(certificate: Certificate) -> str:
+    if not certificate.draft:
+        return ''
+    words = 'This is a draft, not a certificate.'
+    if certificate.missing:
+        words += f' Missing: {"; ".join(certificate.missing)}.'
+    return tag('div', escape(words), class_='draft')
+
+
+def _parties(certificate: Certificate) -> str:
+    fields, calibration = certificate.fields, certificate.calibration
+    item = fields.item
+    period = _MISSING
+    if fields.calibrated is not None:
+        first, last = fields.calibrated
+        period = f'{first}' if first == last else f'{first} to {last}'
+    site = {'laboratory': "the laboratory's premises", 'customer': "the customer's premises"}
+    rows = [
+        ('laboratory', _or_dash(', '.join(fields.laboratory.lines))),
+        ('calibrated at', site.get(fields.location, fields.location)),
+        ('customer', _or_dash(', '.join(fields.customer.lines))),
+        ('item', _or_dash(item.description)),
+        ('manufacturer, model', f'{_or_dash(item.manufacturer)}, {_or_dash(item.model)}'),
+        ('serial number', _or_dash(item.serial_number)),
+        *([('identification by the customer', item.customer_id)] if item.customer_id else []),
+        ('condition', _or_dash(item.condition)),
+        ('adjustment', _or_dash(item.adjustment)),
+        ('received', _or_dash(fields.received)),
+        ('calibrated', period),
+        ('issued', _or_dash(fields.issued)),
+        ('IMU description', calibration.imu.id),
+    ]
+    return section('Item and parties', named_rows(rows))
+
+
+def _procedure(certificate: Certificate) -> str:
+    fields, where = certificate.fields, certificate.calibration.provenance
+    unit = provenance.temperature(where)
+    rows = [
+        ('procedure', f'{_or_dash(fields.procedure.name)}; {_or_dash(fields.procedure.reference)}'),
+        ('plan and estimator', f'{provenance.plan(where)}, {where.get("method") or "-"}'),
+        ('software', f'imu_calib {version()}'),
+        ('recording', f'{where.get("recording") or "-"}, begun {provenance.date(where)}'),
+        ('SHA-256 of the recording', str(where.get('sha256') or '-')),
+        ('latitude', provenance.latitude(where) or '-'),
+        ('gravity, standard uncertainty', provenance.gravity(where) or '-'),
+        ('environment', _environment(certificate)),
+        *([('temperature of the item', unit)] if unit else []),
+    ]
+    headings = ['reference', 'serial number', 'certificate', 'valid until', 'traceability']
+    equipment = [[escape(cell) for cell in _reference(e)] for e in fields.equipment]
+    listed = table(headings, equipment, 'stacked') if equipment else paragraph(_MISSING, 'missing')
+    return named_rows(rows) + tag('h3', 'Reference equipment') + listed
+
+
+def _environment(certificate: Certificate) -> str:
+    texts = []
+    for words, unit, condition in certificate.fields.environment.stated.values():
+        texts.append(f'{words} ({condition.value:g} \u00b1 {condition.within:g}) {unit}')
+    return _or_dash(', '.join(texts))
+
+
+def _reference(equipment: Equipment) -> list[str]:
+    made = ' '.join(part for part in (equipment.manufacturer, equipment.model) if part)
+    return [
+        f'{_or_dash(equipment.name)}{": " + made if made else ""}',
+        _or_dash(equipment.serial_number),
+        f'{_or_dash(equipment.certificate)}, {_or_dash(equipment.issued_by)}',
+        str(equipment.valid_until or '-'),
+        _or_dash(equipment.traceability),
+    ]
+
+
+def _results_section(certificate: Certificate) -> list[str]:
+    calibration = certificate.calibration
+    imu = calibration.imu
+    pulses = imu.units.per_interval
+    per = '/ sample interval' if pulses else ''
+    by_sensors = calibration.provenance.get('frame') is not None
+    frame = 'the frame that the remarks state' if by_sensors else 'the axes of the table'
+    definition = _DEFINITION.format(per=per, frame=frame).replace('  ', ' ')
+    parts = [paragraph(definition, 'note')]
+    scales = [
+        (
+            'nominal scale factor of the gyros',
+            _nominal_scale(imu.gyro.scale_factor, imu.units, 'g'),
+        ),
+        ('of the accelerometers', _nominal_scale(imu.accel.scale_factor, imu.units, 'a')),
+    ]
+    parts.append(named_rows(scales))
+    limits = any(r.limit is not None for r in certificate.results)
+    verdicts = certificate.conformity is not None
+    headings = ['', 'measurand', 'value', 'U', 'unit', 'k', '\u03bd']
+    columns = 'llrrlrr'
+    if limits:
+        headings, columns = [*headings, 'limit'], columns + 'r'
+    if verdicts:
+        headings, columns = [*headings, 'conformity'], columns + 'l'
+    for title, results in groups(certificate.results):
+        rows = [
+            _row(r, limits=limits, verdicts=verdicts, by_hand=calibration.by_hand) for r in results
+        ]
+        parts.append(tag('h3', title) + table(headings, rows, 'numbers stacked', columns))
+    parts.append(paragraph(_UNCERTAINTY, 'note'))
+    return parts
+
+
+def _nominal_scale(value: float, units: Units, triad: str) -> str:
+    if units is Units.SI:
+        return '1: the output is in SI units'
+    per = OUTPUT[units]
+    if triad == 'g':
+        shown, unit = value / ARCSEC, 'arcsec' if units.per_interval else 'arcsec/s'
+    else:
+        shown, unit = value, 'm/s' if units.per_interval else 'm/s\u00b2'
+    return f'{shown:.10g} {unit} per {per}'
+
+
+def _row(result: Stated, *, limits: bool, verdicts: bool, by_hand: bool) -> list[str]:
+    shown = engineering(result.parameter, by_hand=by_hand)
+    expanded = result.expanded / shown.scale
+    places = decimals(expanded)
+    cells = [
+        tag('b', result.parameter.name),
+        f'{result.parameter.kind.value.words}',
+        fixed(result.value / shown.scale, places),
+        f'{expanded:.{places}f}',
+        escape(shown.symbol),
+        f'{result.factor:.2f}',
+        escape(freedom_words(result.freedom).replace('inf', '\u221e')),
+    ]
+    if limits:
+        cells.append('-' if result.limit is None else f'\u00b1{result.limit / shown.scale:g}')
+    if verdicts:
+        cells.append('-' if result.conformity is None else result.conformity.words)
+    return cells
+
+
+def _conformity(certificate: Certificate) -> str:
+    fields, worst = certificate.fields, certificate.conformity
+    if fields.conformity.rule is None:
+        return section(
+            'Conformity', paragraph('No statement of conformity was requested, and none is made.')
+        )
+    if worst is None:
+        return section('Conformity', paragraph(_MISSING, 'missing'))
+    counted = _counted(certificate.results)
+    return section(
+        'Conformity',
+        paragraph(f'Requirement: {_or_dash(fields.conformity.requirement)}.'),
+        paragraph(f'Decision rule: {fields.conformity.rule.words}'),
+        paragraph(f'Statement: {worst.words}. {counted}'),
+        kind='whole',
+    )
+
+
+def _counted(results: Sequence[Stated]) -> str:
+    found = [r.conformity for r in results if r.conformity is not None]
+    words = [
+        f'{found.count(kind)} of {len(found)} parameters: {kind.words}'
+        for kind in dict.fromkeys(found)
+    ]
+    without = len(results) - len(found)
+    rest = f'; {without} have no limit, and nothing is stated of them' if without else ''
+    return f'{"; ".join(words)}{rest}.'
+
+
+def _signatures(certificate: Certificate) -> str:
+    boxes = [
+        tag('div', tag('b', escape(_or_dash(s.name))) + tag('br') + escape(_or_dash(s.role)))
+        for s in certificate.fields.signatures
+    ]
+    inside = ''.join(boxes) or tag('div', _MISSING, class_='missing')
+    issued = paragraph(f'Issued on {_or_dash(certificate.fields.issued)}, authorized by:')
+    return section('Authorization', issued + tag('div', inside, class_='signatures'))
+
+
+_BROWSERS = ('chromium', 'chromium-browser', 'google-chrome', 'chrome')
+_OLDEST = 131
+"""First version of Chromium that prints the margin boxes of @page."""
+_PATIENCE = 300.0
+"""s: a page takes a second or two; a machine may be very busy."""
+
+
+def pdf(html: str) -> bytes:
+    """Print a page.
+
+    Raises:
+        InputError: No printing software is installed, or it failed; the text states the remedy.
+    """
+    by_weasyprint = _weasyprint()
+    if by_weasyprint is not None:
+        return by_weasyprint(html)
+    browser = next(filter(None, map(shutil.which, _BROWSERS)), None)
+    if browser is None:
+        raise InputError(
+            'A PDF needs WeasyPrint or Chromium, and neither is installed. Run '
+            f"{sys.executable} -m pip install '.[pdf]' in a clone of imu_calib, or write "
+            'the .html and print it from a browser.'
+        )
+    return _by_chromium(html, browser)
+
+
+def _weasyprint() -> Callable[[str], bytes] | None:
+    """Return a function that prints by WeasyPrint; None if it, or a system library, is missing."""
+    if find_spec('weasyprint') is None:
+        return None
+    try:
+        from weasyprint import HTML
+    except OSError:
+        return None
+    return lambda html: bytes(HTML(string=html).write_pdf())
+
+
+def _by_chromium(html: str, browser: str) -> bytes:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        page, target = folder / 'page.html', folder / 'page.pdf'
+        page.write_text(html, encoding='utf-8')
+        _run([browser, '--version'], oldest=True)
+        _run(
+            [
+                browser,
+                '--headless',
+                # As root Chromium has no sandbox; the page has no script and loads nothing.
+                *(['--no-sandbox'] if os.geteuid() == 0 else []),
+                '--disable-gpu',
+                '--no-first-run',
+                '--disable-background-networking',
+                f'--user-data-dir={folder / "profile"}',
+                '--no-pdf-header-footer',
+                f'--print-to-pdf={target}',
+                page.as_uri(),
+            ]
+        )
+        try:
+            return target.read_bytes()
+        except OSError as error:
+            raise InputError(f'{browser} printed no PDF ({error.strerror}).') from None
+
+
+def _run(command: list[str], *, oldest: bool = False) -> None:
+    """Run a browser."""
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=_PATIENCE, check=True
+        )
+    except (OSError, subprocess.SubprocessError) as error:
+        raise InputError(f'{command[0]} printed no PDF ({error}).') from None
+    found = re.search(r'(\d+)\.\d+', done.stdout)
+    if oldest and found and int(found[1]) < _OLDEST:
+        raise InputError(
+            f'{command[0]} is version {found[1]}, which does not number pages; expected '
+            f'{_OLDEST} or newer, or WeasyPrint (pip install weasyprint).'
+        )

@@ -32,10 +32,9 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.terms import TERMS
-from imu_calib.reports import certificate_page as printing
-from imu_calib.reports.certificate import Certificate, certificate_of
+from imu_calib.reports import certificate as printing
+from imu_calib.reports.certificate import Certificate, certificate_of, certificate_page
 from imu_calib.reports.certificate_fields import Conformity, Rule, decide, read_fields
-from imu_calib.reports.certificate_page import certificate_page
 from imu_calib.reports.dcc import DCC, SI, dcc, digital
 from imu_calib.session.imu import load_imu
 

@@ -21,9 +21,8 @@ from imu_calib.calibration.export_formats import EXPORTS
 from imu_calib.calibration.exports import ExportSource
 from imu_calib.calibration.results import Result
 from imu_calib.common.config import Section
-from imu_calib.reports.certificate import Certificate, certificate_of
+from imu_calib.reports.certificate import Certificate, certificate_of, certificate_page
 from imu_calib.reports.certificate_fields import read_fields
-from imu_calib.reports.certificate_page import certificate_page
 from imu_calib.reports.dcc import DCC, dcc
 from imu_calib.reports.page import Contents, page
 from imu_calib.session.imu import load_imu
