@@ -1,9 +1,9 @@
-"""The noise of a unit that lay still: tables, one HTML page, and rows for a file."""
+"""Noise: of a unit that lay still as tables, one page and rows; of a session in its report."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -12,16 +12,19 @@ import numpy as np
 from ..calibration.noise_at_rest import KINDS, ChannelAllan, Kind, NoiseAtRest
 from ..common.stream import utc
 from ..common.units import HOUR, decimals, typeset
-from ..session.imu import TRIAD_NAMES, Coefficient, TriadUnits
-from .charts import COLOURS, Axis, Panel, drawing, legend, tag
+from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, ImuSpec, TriadSpec, TriadUnits
+from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, section, table
+from .provenance import written
 from .tables import plain_table, three_digits
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-_WIDTH, _HEIGHT, _LEFT, _TOP, _FRAME = 372.0, 270.0, 56.0, 52.0, 300.0
-"""px; layout of a panel: the drawing's width, the frame's height, left, top and width."""
+_WIDTH, _LEFT, _TOP, _FRAME = 372.0, 56.0, 52.0, 300.0
+"""px; layout of a panel: the drawing's width, the frame's left, top and width."""
+_HEIGHT, _HEIGHT_AT_REST = 250.0, 270.0
+"""px: height of the frame, of the noise of a session and of a record at rest."""
 _DASH = '4 3'
 LOWEST = 'lowest, at time'
 _WORDS = (
@@ -95,27 +98,40 @@ def noise_page(noise: NoiseAtRest) -> str:
 
 
 def _drawings(noise: NoiseAtRest) -> str:
-    shown = [units for units in TRIAD_NAMES if noise.triad(units)]
+    return _halves([(u, _panel(noise.triad(u), u)) for u in TRIAD_NAMES if noise.triad(u)])
+
+
+def _halves(panels: Sequence[tuple[TriadUnits, Panel]]) -> str:
+    """Return the curves of the triads side by side."""
     drawings = [
         drawing(
-            [legend('XYZ', _WIDTH - 216, 14), *_panel(noise.triad(units), units).parts],
+            [legend('XYZ', _WIDTH - 216, 14), *panel.parts],
             _WIDTH,
-            _TOP + _HEIGHT + 42,
+            _TOP + panel.height + 42,
             f'Allan deviation of the {units.name}s',
         )
-        for units in shown
+        for units, panel in panels
     ]
     return tag('div', ''.join(drawings), class_='panels halves')
 
 
+def _axes(
+    curves: Sequence[ChannelNoise | ChannelAllan], scale: float, title: str, height: float
+) -> Panel:
+    """Return the axes of Allan deviations, which are shown in units of `scale`."""
+    taus, heights = (
+        Axis.decades(np.concatenate(some).tolist())
+        for some in ([c.tau for c in curves], [c.deviation / scale for c in curves])
+    )
+    panel = Panel(taus, heights, _LEFT, _TOP, _FRAME, height)
+    panel.frame('averaging time, s', title)
+    return panel
+
+
 def _panel(channels: Mapping[str, ChannelAllan], units: TriadUnits) -> Panel:
     scale = units.rate_scale
-    taus = np.concatenate([one.tau for one in channels.values()])
-    heights = np.concatenate([one.deviation for one in channels.values()]) / scale
-    panel = Panel(
-        Axis.decades(taus.tolist()), Axis.decades(heights.tolist()), _LEFT, _TOP, _FRAME, _HEIGHT
-    )
-    panel.frame('averaging time, s', f'{units.name}s, {typeset(units.rate)}')
+    title = f'{units.name}s, {typeset(units.rate)}'
+    panel = _axes(list(channels.values()), scale, title, _HEIGHT_AT_REST)
     for name, one in channels.items():
         k = units.channels.index(name)
         panel.curve(
@@ -163,3 +179,146 @@ def noise_rows(noise: NoiseAtRest) -> list[dict[str, Any]]:
         for name, one in noise.channels.items()
         for i in range(len(one.tau))
     ]
+
+
+# The noise of a session, in its report.
+
+_LEAST = 0.02
+"""Share of a value at which the error bar of an undetermined one ends."""
+_CHANNELS = 'xyz'
+_ABOVE = 2.0
+"""Standard deviations by which a curve is above the data sheet: by chance one curve in forty."""
+
+
+def noise_plots(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
+    """Draw one panel per triad, with the random walk of the data sheet if it is known."""
+    shown = [t for t in TRIAD_NAMES if any(c in noise for c in t.channels)]
+    if not shown:
+        return ''
+    panels = []
+    for units in shown:
+        channels = {c: noise[c] for c in units.channels if c in noise}
+        spec = None if imu is None else _spec_of(units, imu)
+        panels.append((units, _session_panel(units, channels, spec)))
+    return _halves(panels)
+
+
+def _spec_of(units: TriadUnits, imu: ImuSpec) -> TriadSpec:
+    return imu.gyro if units.name == 'gyro' else imu.accel
+
+
+def _session_panel(
+    units: TriadUnits, channels: Mapping[str, ChannelNoise], spec: TriadSpec | None
+) -> Panel:
+    scale = units.rate_scale
+    title = f'{units.name}s: Allan deviation, {typeset(units.rate)}'
+    panel = _axes(list(channels.values()), scale, title, _HEIGHT)
+    ends = panel.x.low, panel.x.high
+    if spec is not None and spec.random_walk > 0:
+        stated = [(t, spec.random_walk / np.sqrt(t) / scale) for t in ends]
+        inside = _clipped(panel, stated)
+        panel.curve(inside, '#555555', '5 3')
+        x, y = inside[-1]
+        at = panel.across(x) - 5, min(panel.down(y) + 6, _TOP + _HEIGHT - 6)
+        panel.parts.append(label('data sheet', *at, class_='tick', text_anchor='end'))
+    for name, channel in channels.items():
+        k = units.channels.index(name)
+        points = [
+            (float(t), float(d) / scale)
+            for t, d in zip(channel.tau, channel.deviation, strict=True)
+            if d > 0
+        ]
+        panel.curve(points, COLOURS[k])
+        for t, d, s in zip(channel.tau, channel.deviation, channel.std, strict=True):
+            if d > 0:
+                spread = max(float(d - s), _LEAST * float(d)) / scale, float(d + s) / scale
+                panel.point(float(t), float(d) / scale, k, spread)
+    return panel
+
+
+def _clipped(panel: Panel, line: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Clip a line of slope -1/2 to the frame."""
+    (first, high), (last, low) = line
+    if high > panel.y.high:
+        first, high = first * (high / panel.y.high) ** 2, panel.y.high
+    if low < panel.y.low:
+        last, low = last * (low / panel.y.low) ** 2, panel.y.low
+    return [(first, high), (last, low)]
+
+
+def noise_table(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
+    """Return a table of the coefficients of all channels and those of the data sheet."""
+    rows = []
+    for units in TRIAD_NAMES:
+        spec = TriadSpec() if imu is None else _spec_of(units, imu)
+        for axis, name in zip(_CHANNELS, units.channels, strict=True):
+            if name not in noise:
+                continue
+            channel = noise[name]
+            rows.append(
+                [
+                    f'{units.name} {axis.upper()}',
+                    *_both(channel.random_walk, spec.random_walk, units.walk_scale),
+                    typeset(units.walk),
+                    *_both(channel.bias_instability, spec.bias_instability, units.rate_scale),
+                    typeset(units.rate),
+                ]
+            )
+    headings = ['', 'random walk', 'stated', '', 'bias instability', 'stated', '']
+    return table(headings, rows, 'plain', 'lrrlrrl') if rows else ''
+
+
+def _both(coefficient: Coefficient, stated: float, scale: float) -> tuple[str, str]:
+    noise = written(coefficient, scale).replace('+-', ' \u00b1 ').replace('<', 'below ')
+    return escape(noise), f'{stated / scale:.3g}' if stated else '-'
+
+
+def _quantised(noise: Mapping[str, ChannelNoise], imu: ImuSpec) -> list[str]:
+    """Return the channels whose curves begin above the data sheet because of quantisation.
+
+    Quantisation has the Allan deviation sqrt(3) Q / tau (IEEE Std 952-1997, annex C.2).
+    """
+    found = []
+    for units in TRIAD_NAMES:
+        walk = _spec_of(units, imu).random_walk
+        for name in units.channels:
+            if walk <= 0 or name not in noise or not len(noise[name].tau):
+                continue
+            channel = noise[name]
+            tau, deviation, std = (
+                float(x[0]) for x in (channel.tau, channel.deviation, channel.std)
+            )
+            above = deviation - _ABOVE * std > walk / tau**0.5
+            by_steps = np.sqrt(3) * (channel.quantisation.value or 0.0) / tau
+            if above and not channel.timed and 2 * by_steps**2 > deviation**2:
+                found.append(name)
+    return found
+
+
+def noise_notes(
+    noise: Mapping[str, ChannelNoise], imu: ImuSpec | None, accel_rate: float | None = None
+) -> str:
+    """Return sentences on the curves; interpolated accelerometers have a sample rate, Hz."""
+    if not noise:
+        return ''
+    text = (
+        'Overlapping Allan deviation of all static dwells together, with one standard '
+        'deviation; "below" is a 95 % bound. A dwell of two minutes shows the random walk and '
+        'seldom the bias instability: for that, let one position last for hours.'
+    )
+    if any(c.timed for c in noise.values()):
+        text += (
+            ' Where single pulses hide the noise, the curve begins at ten seconds: its points are '
+            'made of the moments at which pulses came.'
+        )
+    if imu is not None and (names := _quantised(noise, imu)):
+        text += (
+            f' At short times {", ".join(names)} are above the data sheet by quantisation, the '
+            'steps of the output: it falls with slope -1, and is no random walk.'
+        )
+    if accel_rate is not None:
+        text += (
+            f' The accelerometers were interpolated from {accel_rate:.4g} Hz: below '
+            f'{2 / accel_rate:.2g} s their curves are too low.'
+        )
+    return paragraph(text, 'note')

@@ -12,13 +12,13 @@ from ..calibration.calibration import Calibration
 from ..calibration.results import Result
 from ..common.stream import Floats
 from ..common.units import DEG_H, MICRO_G, decimals, typeset
-from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, ImuSpec, TriadSpec, TriadUnits
+from ..session.imu import ImuSpec
 from . import attitudes, provenance, repeatability, timeline
 from .assessment import LIMITS, angles_table, assess, limits_tables, outcome, summary, worst
 from .budget import budget_section
-from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
+from .charts import Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, scrolling, section, table
-from .provenance import written
+from .noise import noise_notes, noise_plots, noise_table
 from .signals import signals_plot
 from .tables import FREE_OF_FRAME, TERM_HEADINGS, TERM_NOTE, change_note, term_rows, three_digits
 
@@ -167,162 +167,6 @@ def terms_section(calibration: Calibration) -> tuple[str, ...]:
     if not rows:
         return ()
     return table(TERM_HEADINGS, rows, 'terms stacked', 'lllrll'), paragraph(TERM_NOTE, 'note')
-
-
-_ALLAN_WIDTH, _ALLAN_HEIGHT, _ALLAN_LEFT, _ALLAN_TOP = 372.0, 250.0, 56.0, 52.0
-"""px; layout."""
-_FRAME = 300.0
-"""px wide."""
-_LEAST = 0.02
-"""Share of a value at which the error bar of an undetermined one ends."""
-_CHANNELS = 'xyz'
-_ABOVE = 2.0
-"""Standard deviations by which a curve is above the data sheet: by chance one curve in forty."""
-
-
-def noise_plots(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
-    """Draw one panel per triad, with the random walk of the data sheet if it is known."""
-    shown = [t for t in TRIAD_NAMES if any(c in noise for c in t.channels)]
-    if not shown:
-        return ''
-    drawings = []
-    for units in shown:
-        channels = {c: noise[c] for c in units.channels if c in noise}
-        spec = None if imu is None else _spec_of(units, imu)
-        parts = [legend('XYZ', _ALLAN_WIDTH - 216, 14), *_allan_panel(units, channels, spec).parts]
-        title = f'Allan deviation of the {units.name}s'
-        drawings.append(drawing(parts, _ALLAN_WIDTH, _ALLAN_TOP + _ALLAN_HEIGHT + 42, title))
-    return tag('div', ''.join(drawings), class_='panels halves')
-
-
-def _spec_of(units: TriadUnits, imu: ImuSpec) -> TriadSpec:
-    return imu.gyro if units.name == 'gyro' else imu.accel
-
-
-def _allan_panel(
-    units: TriadUnits, channels: Mapping[str, ChannelNoise], spec: TriadSpec | None
-) -> Panel:
-    scale = units.rate_scale
-    taus = np.concatenate([c.tau for c in channels.values()])
-    heights = np.concatenate([c.deviation for c in channels.values()]) / scale
-    panel = Panel(
-        Axis.decades(taus.tolist()),
-        Axis.decades(heights[heights > 0].tolist()),
-        _ALLAN_LEFT,
-        _ALLAN_TOP,
-        _FRAME,
-        _ALLAN_HEIGHT,
-    )
-    panel.frame('averaging time, s', f'{units.name}s: Allan deviation, {typeset(units.rate)}')
-    ends = panel.x.low, panel.x.high
-    if spec is not None and spec.random_walk > 0:
-        stated = [(t, spec.random_walk / np.sqrt(t) / scale) for t in ends]
-        inside = _clipped(panel, stated)
-        panel.curve(inside, '#555555', '5 3')
-        x, y = inside[-1]
-        at = panel.across(x) - 5, min(panel.down(y) + 6, _ALLAN_TOP + _ALLAN_HEIGHT - 6)
-        panel.parts.append(label('data sheet', *at, class_='tick', text_anchor='end'))
-    for name, channel in channels.items():
-        k = units.channels.index(name)
-        points = [
-            (float(t), float(d) / scale)
-            for t, d in zip(channel.tau, channel.deviation, strict=True)
-            if d > 0
-        ]
-        panel.curve(points, COLOURS[k])
-        for t, d, s in zip(channel.tau, channel.deviation, channel.std, strict=True):
-            if d > 0:
-                spread = max(float(d - s), _LEAST * float(d)) / scale, float(d + s) / scale
-                panel.point(float(t), float(d) / scale, k, spread)
-    return panel
-
-
-def _clipped(panel: Panel, line: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Clip a line of slope -1/2 to the frame."""
-    (first, high), (last, low) = line
-    if high > panel.y.high:
-        first, high = first * (high / panel.y.high) ** 2, panel.y.high
-    if low < panel.y.low:
-        last, low = last * (low / panel.y.low) ** 2, panel.y.low
-    return [(first, high), (last, low)]
-
-
-def noise_table(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
-    """Return a table of the coefficients of all channels and those of the data sheet."""
-    rows = []
-    for units in TRIAD_NAMES:
-        spec = TriadSpec() if imu is None else _spec_of(units, imu)
-        for axis, name in zip(_CHANNELS, units.channels, strict=True):
-            if name not in noise:
-                continue
-            channel = noise[name]
-            rows.append(
-                [
-                    f'{units.name} {axis.upper()}',
-                    *_both(channel.random_walk, spec.random_walk, units.walk_scale),
-                    typeset(units.walk),
-                    *_both(channel.bias_instability, spec.bias_instability, units.rate_scale),
-                    typeset(units.rate),
-                ]
-            )
-    headings = ['', 'random walk', 'stated', '', 'bias instability', 'stated', '']
-    return table(headings, rows, 'plain', 'lrrlrrl') if rows else ''
-
-
-def _both(coefficient: Coefficient, stated: float, scale: float) -> tuple[str, str]:
-    noise = written(coefficient, scale).replace('+-', ' \u00b1 ').replace('<', 'below ')
-    return escape(noise), f'{stated / scale:.3g}' if stated else '-'
-
-
-def _quantised(noise: Mapping[str, ChannelNoise], imu: ImuSpec) -> list[str]:
-    """Return the channels whose curves begin above the data sheet because of quantisation.
-
-    Quantisation has the Allan deviation sqrt(3) Q / tau (IEEE Std 952-1997, annex C.2).
-    """
-    found = []
-    for units in TRIAD_NAMES:
-        walk = _spec_of(units, imu).random_walk
-        for name in units.channels:
-            if walk <= 0 or name not in noise or not len(noise[name].tau):
-                continue
-            channel = noise[name]
-            tau, deviation, std = (
-                float(x[0]) for x in (channel.tau, channel.deviation, channel.std)
-            )
-            above = deviation - _ABOVE * std > walk / tau**0.5
-            by_steps = np.sqrt(3) * (channel.quantisation.value or 0.0) / tau
-            if above and not channel.timed and 2 * by_steps**2 > deviation**2:
-                found.append(name)
-    return found
-
-
-def noise_notes(
-    noise: Mapping[str, ChannelNoise], imu: ImuSpec | None, accel_rate: float | None = None
-) -> str:
-    """Return sentences on the curves; interpolated accelerometers have a sample rate, Hz."""
-    if not noise:
-        return ''
-    text = (
-        'Overlapping Allan deviation of all static dwells together, with one standard '
-        'deviation; "below" is a 95 % bound. A dwell of two minutes shows the random walk and '
-        'seldom the bias instability: for that, let one position last for hours.'
-    )
-    if any(c.timed for c in noise.values()):
-        text += (
-            ' Where single pulses hide the noise, the curve begins at ten seconds: its points are '
-            'made of the moments at which pulses came.'
-        )
-    if imu is not None and (names := _quantised(noise, imu)):
-        text += (
-            f' At short times {", ".join(names)} are above the data sheet by quantisation, the '
-            'steps of the output: it falls with slope -1, and is no random walk.'
-        )
-    if accel_rate is not None:
-        text += (
-            f' The accelerometers were interpolated from {accel_rate:.4g} Hz: below '
-            f'{2 / accel_rate:.2g} s their curves are too low.'
-        )
-    return paragraph(text, 'note')
 
 
 @dataclass(frozen=True, eq=False)

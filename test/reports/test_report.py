@@ -29,7 +29,8 @@ from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.reports.assessment import assess, limits_tables
 from imu_calib.reports.budget import budget_section
 from imu_calib.reports.charts import Axis
-from imu_calib.reports.page import Contents, noise_notes, page, terms_section
+from imu_calib.reports.noise import noise_notes
+from imu_calib.reports.page import Contents, page, terms_section
 from imu_calib.reports.repeatability import (
     RepeatedParameter,
     Variation,

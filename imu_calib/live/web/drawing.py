@@ -13,7 +13,7 @@ from ...common.stream import Units
 from ...model.terms import TERMS
 from ...reports.charts import number, tag
 from ...reports.html import facts
-from ...reports.page import noise_plots
+from ...reports.noise import noise_plots
 from ...reports.timeline import Converging
 from ...segmentation.segments import CHANNELS
 from ...session.imu import COVERAGE, ImuSpec
