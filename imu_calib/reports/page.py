@@ -13,7 +13,7 @@ from ..calibration.results import Result
 from ..common.stream import Floats
 from ..common.units import DEG_H, MICRO_G, decimals, typeset
 from ..session.imu import ImuSpec
-from . import attitudes, provenance, repeatability, timeline
+from . import attitudes, course, provenance, repeatability
 from .assessment import LIMITS, angles_table, assess, limits_tables, outcome, summary, worst
 from .budget import budget_section
 from .charts import Axis, Panel, drawing, label, legend, tag
@@ -268,12 +268,12 @@ def _changes(calibration: Calibration) -> str:
 def _course(result: Result | None) -> str:
     if result is None:
         return ''
-    found = timeline.intervals(result)
-    rejected = timeline.rejected_table(found, result.session.start)
+    found = course.intervals(result)
+    rejected = course.rejected_table(found, result.session.start)
     return section(
         'Course of the session',
-        paragraph(timeline.when(result), 'note'),
-        timeline.time_line(found, result.session.duration),
+        paragraph(course.when(result), 'note'),
+        course.time_line(found, result.session.duration),
         signals_plot(result, found),
         rejected or paragraph('Every segment of the session was used.', 'note'),
         tag('h3', 'Positions') + attitudes.attitudes(attitudes.stands(result)),

@@ -12,7 +12,7 @@ from ..common.stream import Floats
 from ..common.units import DEG
 from .charts import CLASSES, Axis, legend, number, segment, tag
 from .html import paragraph
-from .timeline import Interval, Lane
+from .course import Interval, Lane
 
 _ZOOMS = (1, 4, 16)
 """Widths of the plot over that of the page: at the largest, a session of ten minutes has 17 px per
@@ -34,7 +34,7 @@ def signals_plot(result: Result, found: Sequence[Interval]) -> str:
 
     Args:
         result: Of the session.
-        found: Its intervals (`timeline.intervals`).
+        found: Its intervals (`course.intervals`).
     """
     signals, session, imu = result.signals, result.session, result.calibration.imu
     if signals is None or not len(signals.stamp) or not session.duration > 0:

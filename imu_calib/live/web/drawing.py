@@ -14,7 +14,7 @@ from ...model.terms import TERMS
 from ...reports.charts import number, tag
 from ...reports.html import facts
 from ...reports.noise import noise_plots
-from ...reports.timeline import Converging
+from ...reports.course import Converging
 from ...segmentation.segments import CHANNELS
 from ...session.imu import COVERAGE, ImuSpec
 from ..rules import Phase, Severity
