@@ -22,8 +22,8 @@ from ..common.units import DEG, significant
 from ..live.rules import Severity
 from ..live.web.board import Snapshot, UnitRow
 from ..live.web.sentences import headline, time_left
+from ..reports.convergence import READING, Converging
 from ..reports.tables import plain_table
-from ..reports.course import READING, Converging
 from .embedded import Nodes
 from .processes import START, SessionEnd
 from .terminal import ERRORS, OUTPUT, NodeReports

@@ -1,24 +1,24 @@
-"""The course of a session: dwells, turns, and rejected data with reasons."""
+"""The course of a session: its intervals on a time line, the attitudes, and the signals."""
 
 from __future__ import annotations
 
-import math
-from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
+from datetime import timedelta
 from enum import Enum
 from html import escape
 
+import numpy as np
+
 from ..calibration.results import Result
-from ..common.stream import utc
+from ..common.rotations import across
+from ..common.stream import Floats, utc
 from ..common.units import DEG
 from ..estimation.hand import NAME as FREE_POSITIONS
-from ..model.parameters import Parameter
-from ..session.imu import Specification, Verdict, judge
-from .charts import Axis, Panel, drawing, label, segment, tag
-from .html import scrolling, table
-from .tables import engineering, three_digits
+from ..segmentation.labelling import attitude_words, up_words
+from ..segmentation.segments import Segment
+from .charts import CLASSES, Axis, Panel, drawing, joined, label, legend, number, segment, tag
+from .html import paragraph, scrolling, table
 
 _WIDTH, _ROW, _LEFT, _TOP = 760.0, 30.0, 84.0, 14.0
 """px; layout."""
@@ -184,186 +184,336 @@ def rejected_table(found: Sequence[Interval], start: int | None) -> str:
     return table(headings, rows, '', 'lrrrl')
 
 
-_MOST_POINTS = 120
-"""Most points of a course: more than a drawing of 120 px can show."""
-_NEWS = 0.01
-"""Relative change of a deviation that adds a point to its course. A judgement: a pixel."""
-_THERE = 1.1
-"""Ratio to the prediction at which it counts as reached. A judgement: a standard deviation is
-determined to 10 % with 50 degrees of freedom."""
+# Attitudes of the unit: a small cube for every position, seen from the south-west and above.
+
+_SIDE, _HALF = 104.0, 21.0
+"""px: of a drawing, and half of the cube's edge."""
+_AZIMUTH, _ELEVATION = -32 * DEG, 26 * DEG
+"""Direction of view: from south towards west, and above level. No two of the six directions
+coincide."""
+_REACH = 1.95
+"""Half edges from the centre to an axis's letter; its line ends before."""
+_ROOM = 11.0
+"""px between letters: their height."""
+_MOST = 60
+"""Number of cubes drawn; further ones are only counted."""
+_ALIGNED = np.cos(1 * DEG)
+"""Cosine of the largest angle between an axis and the direction that its text names; texts are in
+whole degrees."""
+_AXES = 'XYZ'
+_WHERE = ('east', 'north', 'up')
+_OPPOSITE = ('west', 'south', 'down')
+_NOTE = (
+    'East and north are those of the table: of the Earth if its zeros point north. Each cube is '
+    'seen from the south-west and above; the arrows are the axes of the unit.'
+)
+_UNKNOWN = (
+    'The heading was not measured: the cubes show which way up the unit stood, by its '
+    'accelerometers, and no more.'
+)
 
 
-@dataclass(frozen=True)
-class Converging:
-    """One parameter of a running session; SI units."""
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """A position with all static dwells at it."""
 
-    parameter: Parameter  #: The parameter.
-    value: float = math.nan  #: Estimated so far; NaN before the first estimate.
-    std: float = math.nan  #: Reached so far; NaN while it is not determined.
-    predicted: float = math.nan  #: Prediction of the plan; NaN without one.
-    #: Largest amount that the specification allows; None if it states none.
-    limit: float | None = None
-    #: Times (s since the session began) with the standard deviations reached then.
-    course: tuple[tuple[float, float], ...] = ()
-    by_hand: bool = False  #: Whether the unit is held by hand, for the units shown.
-
-    @property
-    def determined(self) -> bool:
-        """Whether the data determines it."""
-        return self.std > 0
-
-    @property
-    def is_reached(self) -> bool:
-        """Whether the predicted standard deviation is reached."""
-        return self.std <= _THERE * self.predicted
-
-    @property
-    def verdict(self) -> Verdict | None:
-        """The verdict on the value so far by its limit; None without either."""
-        if self.limit is None or math.isnan(self.value) or not self.determined:
-            return None
-        return judge(self.value, self.std, self.limit)
+    name: str  #: Name of the position.
+    attitude: Floats  #: (3, 3) R_nb in east, north, up.
+    known: bool  #: Whether the heading is known; else only the direction of up.
+    dwells: tuple[Segment, ...]  #: In order of time.
 
     @property
-    def unit(self) -> str:
-        """The unit used by engineers."""
-        return engineering(self.parameter, by_hand=self.by_hand).symbol
+    def words(self) -> str:
+        """Directions of its axes, as text."""
+        if not self.known:
+            return up_words(self.attitude[2])
+        words = [_pointing(self.attitude[:, k]) for k in range(3)]
+        if None in words:
+            return attitude_words(self.attitude)
+        return ', '.join(f'{axis} {word}' for axis, word in zip(_AXES, words, strict=True))
 
-    def shown(self, amount: float) -> str:
-        """Return an amount in that unit with three digits; a dash if it is unknown."""
-        if math.isnan(amount):
-            return '\u2013'
-        return three_digits(amount / engineering(self.parameter, by_hand=self.by_hand).scale)
+    @property
+    def when(self) -> str:
+        """Start of the first dwell, and the total duration."""
+        first, count = utc(self.dwells[0].start), len(self.dwells)
+        seconds = sum(s.end - s.start for s in self.dwells) * 1e-9
+        parts = [] if first is None else [f'{first:%H:%M:%S}']
+        parts += [f'{count} dwells'] * (count > 1)
+        return ', '.join([*parts, f'{seconds:.0f} s'])
 
 
-class Courses:
-    """Collects the standard deviations, SI, that a calibrator reports in succession."""
+def _pointing(axis: Floats) -> str | None:
+    """Return the compass direction, or up or down, of an axis."""
+    k = int(np.abs(axis).argmax())
+    if abs(axis[k]) < _ALIGNED:
+        return None
+    return _WHERE[k] if axis[k] > 0 else _OPPOSITE[k]
 
-    def __init__(
-        self,
-        parameters: Mapping[str, Parameter],
-        predicted: Mapping[str, float],
-        specification: Specification | None,
-        *,
-        by_hand: bool = False,
-    ) -> None:
-        self._parameters = parameters
-        self._by_hand = by_hand
-        self._predicted = predicted
-        self._limits = specification or Specification()
-        self._points: dict[str, list[tuple[float, float]]] = {}
-        self._std: dict[str, float] = {}
-        self._values: dict[str, float] = {}
 
-    def note(self, time: float, names: Sequence[str], std: Sequence[float]) -> None:
-        """Add the deviations reached at a time, s since the session began."""
-        for name, value in zip(names, std, strict=True):
-            self._std[name] = value
-            if not value > 0:
-                continue
-            points = self._points.setdefault(name, [])
-            if points and abs(value / points[-1][1] - 1) < _NEWS:
-                continue
-            points.append((time, value))
-            if len(points) > _MOST_POINTS:
-                del points[1:-1:2]
+def stands(result: Result) -> list[Stand]:
+    """Return the positions of a session in the order of their first dwells."""
+    found: dict[str, list[Segment]] = {}
+    for dwell in result.labelled.segments:
+        found.setdefault(dwell.position or '?', []).append(dwell)
+    return [_stand(name, tuple(dwells)) for name, dwells in found.items()]
 
-    def value(self, name: str, value: float) -> None:
-        """Set the value of a parameter, SI."""
-        self._values[name] = value
 
-    def begin(self) -> None:
-        """Reset for another session."""
-        for kept in (self._points, self._std, self._values):
-            kept.clear()
+def _stand(name: str, dwells: tuple[Segment, ...]) -> Stand:
+    attitude = dwells[0].attitude
+    if attitude is not None:
+        return Stand(name, attitude, known=True, dwells=dwells)
+    force = dwells[0].statistics.mean[3:]
+    up = force / np.linalg.norm(force)
+    east, north = across(up)
+    return Stand(name, np.array([east, north, up]), known=False, dwells=dwells)
 
-    def rows(self) -> tuple[Converging, ...]:
-        """Return the present state of all parameters."""
-        return tuple(
-            Converging(
-                parameter,
-                self._values.get(name, math.nan),
-                self._std.get(name, math.nan),
-                self._predicted.get(name, math.nan),
-                self._limits.limit(parameter),
-                tuple(self._points.get(name, ())),
-                self._by_hand,
-            )
-            for name, parameter in self._parameters.items()
+
+def attitudes(found: Sequence[Stand]) -> str:
+    """Draw every position as a cube with its axes, and its time."""
+    if not found:
+        return ''
+    figures = [_figure(stand) for stand in found[:_MOST]]
+    more = len(found) - _MOST
+    notes = [_NOTE] if any(s.known for s in found) else []
+    notes += [_UNKNOWN] if any(not s.known for s in found) else []
+    notes += [f'{more} more positions are not shown.'] if more > 0 else []
+    return tag('div', ''.join(figures), class_='attitudes') + paragraph(' '.join(notes), 'note')
+
+
+def _figure(stand: Stand) -> str:
+    small = tag('small', escape(stand.when))
+    text = f'{tag("b", escape(stand.name))}'
+    if stand.words != stand.name:
+        text += f'{tag("br")}{escape(stand.words)}'
+    caption = tag('figcaption', f'{text}{tag("br")}{small}')
+    return tag('figure', cube(stand.attitude, f'{stand.name}: {stand.words}') + caption)
+
+
+def cube(attitude: Floats, title: str) -> str:
+    """Draw a cube with the axes of a unit: the columns of R_nb (3, 3) in east, north, up."""
+    toward = _toward_eye()
+    faces, axes, letters = [], [], []
+    for k in range(3):
+        for sign in (1, -1):
+            normal = sign * attitude[:, k]
+            if normal @ toward > 1e-9:
+                faces.append(_face(attitude, k, sign))
+    for k in range(3):
+        axis = attitude[:, k]
+        before = bool(axis @ toward > 0)
+        axes.append((before, _arrow(axis, k)))
+        letters.append((not before, k, _screen(_REACH * axis)))
+    behind = [arrow for before, arrow in axes if not before]
+    front = [arrow for before, arrow in axes if before]
+    return drawing([*behind, *faces, *front, *_letters(letters)], _SIDE, _SIDE, title)
+
+
+def _toward_eye() -> Floats:
+    level = np.cos(_ELEVATION)
+    south, west = np.cos(_AZIMUTH), np.sin(_AZIMUTH)
+    return np.array([west * level, -south * level, np.sin(_ELEVATION)])
+
+
+def _screen(point: Floats) -> tuple[float, float]:
+    """Return the screen position of a point (3,) in half edges, east, north, up, px."""
+    right = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
+    above = np.cross(_toward_eye(), right)
+    middle = _SIDE / 2
+    return middle + _HALF * float(right @ point), middle - _HALF * float(above @ point)
+
+
+def _face(attitude: Floats, k: int, sign: int) -> str:
+    """Return the face through which an axis leaves the cube, or enters it."""
+    first, second = (attitude[:, (k + step) % 3] for step in (1, 2))
+    middle = sign * attitude[:, k]
+    corners = [middle + a * first + b * second for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+    kind = f'face {CLASSES[k]}' + ('' if sign > 0 else ' back')
+    return tag('polygon', points=joined([_screen(c) for c in corners]), class_=kind)
+
+
+def _arrow(axis: Floats, k: int) -> str:
+    tip = _screen((_REACH - 0.42) * axis)
+    shaft = segment(_screen(axis), tip, f'line axis-line {CLASSES[k]}')
+    return shaft + tag('circle', cx=tip[0], cy=tip[1], r=2.2, class_=CLASSES[k])
+
+
+def _letters(places: Sequence[tuple[bool, int, tuple[float, float]]]) -> list[str]:
+    """Return the names of the axes; overlapping ones are moved apart."""
+    taken: list[tuple[float, float]] = []
+    parts = []
+    for _, k, (x, place) in sorted(places):
+        y = place
+        while any(abs(x - a) < _ROOM and abs(y - b) < _ROOM for a, b in taken):
+            y += _ROOM / 2
+        taken.append((x, y))
+        kind = f'letter {CLASSES[k]}'
+        parts.append(label(_AXES[k], x, y + 4, class_=kind, text_anchor='middle'))
+    return parts
+
+
+# The signals of a session with its dwells and turns on them, to be enlarged without a script.
+
+_ZOOMS = (1, 4, 16)
+"""Widths of the plot over that of the page: at the largest, a session of ten minutes has 17 px per
+second on a screen."""
+_FILM_WIDTH, _FILM_HEIGHT = 2000.0, 100.0
+"""Of a drawing, in its own units: it is stretched to the page."""
+_NARROWEST = 620.0
+"""px: width at which names are still apart; a phone scrolls."""
+_FILM_LETTER = 7.0
+"""px: mean width of a character."""
+_SEEN = 0.4
+"""Of the height's hundred: a smaller change is not drawn."""
+_SCALE = 2  #: Fewest ticks of the vertical axis.
+_TICKS = 4  #: Fewest ticks of the time, at the smallest width.
+
+
+def signals_plot(result: Result, found: Sequence[Interval]) -> str:
+    """Return the plot of a session; empty if its signals were not kept.
+
+    Args:
+        result: Of the session.
+        found: Its intervals (`course.intervals`).
+    """
+    signals, session, imu = result.signals, result.session, result.calibration.imu
+    if signals is None or not len(signals.stamp) or not session.duration > 0:
+        return ''
+    seconds = np.asarray((signals.stamp - (session.start or 0)) * 1e-9, dtype=np.float64)
+    across = _FILM_WIDTH * seconds / session.duration
+    interval = session.duration / max(session.samples - 1, 1) if imu.units.per_interval else 1.0
+    scales = imu.gyro.scale_factor / DEG, imu.accel.scale_factor
+    triads = [
+        ('gyros, deg/s', signals.mean[:, :3] * scales[0] / interval),
+        ('accelerometers, m/s\u00b2', signals.mean[:, 3:] * scales[1] / interval),
+    ]
+    bands = ''.join(_band(one, session.duration) for one in found)
+    plots = [_plot(title, across, values, bands) for title, values in triads]
+    film = [*plots, _names(found, session.duration), _times(session.duration)]
+    period = signals.size * session.duration / max(session.samples - 1, 1)
+    return ''.join(
+        [
+            paragraph(
+                f'Signals as means over {period:.2g} s, on dwells and turns in the colours of the '
+                'time line; times in s after the first sample, as in a file of segments '
+                '(docs/free_positions.md).',
+                'note',
+            ),
+            tag(
+                'div',
+                _controls()
+                + tag('div', tag('div', ''.join(film), class_='film'), class_='window', tabindex=0),
+                class_='zoom',
+            ),
+        ]
+    )
+
+
+def _controls() -> str:
+    """Return the buttons that choose the width; the style does the rest."""
+    return ''.join(
+        tag(
+            'input',
+            type='radio',
+            name='zoom',
+            id=f'zoom-{factor}',
+            checked='checked' if factor == 1 else None,
         )
+        + tag('label', f'{factor}\u00d7', for_=f'zoom-{factor}')
+        for factor in _ZOOMS
+    )
 
 
-READING = 'The journal is read: '
-"""Beginning of the report while the session before an interruption is read."""
-_SPAN = 20.0
-"""s of the wall clock over which the stand's time is compared with it: longer than the motion of a
-table between positions, during which simulated time advances unevenly."""
-_LEAST = 2.0
-"""s before the comparison is used."""
-_REAL = 0.1
-"""Relative difference up to which the stand's time and the wall clock count as equal: stamps come
-twice a second."""
+def _plot(title: str, across: Floats, values: Floats, bands: str) -> str:
+    """Return the drawing of a triad (n, 3) with its title and scale, which stay in view."""
+    axis = Axis.around(values[np.isfinite(values)].tolist())
+    ticks = axis.ticks(_SCALE)
+    shares = [1 - axis.share(value) for value, _ in ticks]
+    lines = ''.join(
+        segment((0.0, _FILM_HEIGHT * share), (_FILM_WIDTH, _FILM_HEIGHT * share), 'grid')
+        for share in shares
+    )
+    height = _FILM_HEIGHT * (1 - (values - axis.low) / (axis.high - axis.low))
+    curves = ''.join(
+        tag('path', d=_path(across, height[:, k]), class_=f'line {CLASSES[k]}') for k in range(3)
+    )
+    svg = tag(
+        'svg',
+        tag('title', escape(f'{title} over time')) + bands + lines + curves,
+        viewBox=f'0 0 {number(_FILM_WIDTH)} {number(_FILM_HEIGHT)}',
+        preserveAspectRatio='none',
+        role='img',
+    )
+    labels = ''.join(
+        tag('span', escape(text), style=f'top: {100 * share:.1f}%')
+        for (_, text), share in zip(ticks, shares, strict=True)
+        if _MARGIN < share < 1 - _MARGIN
+    )
+    key = tag('svg', legend('XYZ', 6, 14), viewBox='0 0 230 20', class_='key')
+    heading = tag('div', tag('span', escape(title)) + key, class_='heading')
+    scale = tag('div', tag('div', labels or ' '), class_='scale')
+    return heading + tag('div', scale + svg, class_='plot')
 
 
-class Pace:
-    """Compares the stand's time with the wall clock, while a plan runs.
-
-    During a pause simulated time is no faster than the wall clock, however fast it is else.
-    """
-
-    def __init__(self) -> None:
-        self._last: tuple[float, float] | None = None
-        self._run = deque([(0.0, 0.0)])
-
-    def note(self, stamp: float, now: float) -> None:
-        """Add a stamp of the stand, received at a time of the steady clock, both s."""
-        last, self._last = self._last, (stamp, now)
-        if last is None:
-            return
-        if stamp < last[0] or now < last[1]:
-            self._run = deque([(0.0, 0.0)])
-            return
-        stand, wall = self._run[-1]
-        self._run.append((stand + stamp - last[0], wall + now - last[1]))
-        while self._run[-1][1] - self._run[0][1] > _SPAN:
-            self._run.popleft()
-
-    def pause(self) -> None:
-        """Leave out the time until the next stamp."""
-        self._last = None
-
-    @property
-    def speed(self) -> float:
-        """Seconds of the stand per second of the wall clock; 1 until it is known."""
-        (stamp, begun), (last, now) = self._run[0], self._run[-1]
-        if now - begun < _LEAST or last <= stamp:
-            return 1.0
-        speed = (last - stamp) / (now - begun)
-        return 1.0 if abs(speed - 1) < _REAL else speed
+_MARGIN = 0.06
+"""Of the height: a label nearer to the edge would stand on what is beside the plot."""
 
 
-def reading_sentence(share: float) -> str:
-    """Return a sentence on how much of the journal of a resumed session is read, 0 to 1."""
-    return f'{READING}{100 * share:.0f} %.'
+def _path(across: Floats, height: Floats) -> str:
+    """Return a line through points; those that change nothing to the eye are left out."""
+    words: list[str] = []
+    last, skipped = np.nan, -1
+    for k, (x, y) in enumerate(zip(across.tolist(), height.tolist(), strict=True)):
+        if not np.isfinite(y):
+            last, skipped = np.nan, -1
+            continue
+        if np.isfinite(last) and abs(y - last) < _SEEN and k < len(across) - 1:
+            skipped = k
+            continue
+        if skipped >= 0:
+            words.append(f'L{across[skipped]:.1f} {height[skipped]:.1f}')
+        words.append(f'{"L" if np.isfinite(last) else "M"}{x:.1f} {y:.1f}')
+        last, skipped = y, -1
+    return ''.join(words) or 'M0 0'
 
 
-def in_words(seconds: float) -> str:
-    """Return a duration in at most two units.
-
-    Examples:
-        >>> in_words(42.0), in_words(754.0), in_words(7260.0)
-        ('42 s', '12 min 34 s', '2 h 1 min')
-    """
-    if math.isnan(seconds):
-        return 'not known'
-    whole = max(0, round(seconds))
-    hours, minutes, rest = whole // 3600, whole // 60 % 60, whole % 60
-    if hours:
-        return f'{hours} h {minutes} min'
-    return f'{minutes} min {rest} s' if minutes else f'{rest} s'
+def _band(one: Interval, duration: float) -> str:
+    """Return the band of an interval; its name and times are shown at the pointer."""
+    words = f'{one.name}, {one.start:.3f} s to {one.end:.3f} s'
+    return tag(
+        'rect',
+        tag('title', escape(words + (f': {one.reason}' if one.reason else ''))),
+        x=_FILM_WIDTH * one.start / duration,
+        y=0.0,
+        width=_FILM_WIDTH * max(one.end - one.start, 0.0) / duration,
+        height=_FILM_HEIGHT,
+        class_=f'band {one.lane.name.lower()}',
+    )
 
 
-def ends_at(seconds: float, now: datetime) -> str:
-    """Return the time of day of the end, with the date if that is another day."""
-    end = now + timedelta(seconds=seconds)
-    return f'{end:%H:%M}' if end.date() == now.date() else f'{end:%Y-%m-%d %H:%M}'
+def _names(found: Sequence[Interval], duration: float) -> str:
+    """Return the names of the dwells, each from the width on at which it fits."""
+    spans = []
+    for one in found:
+        share = (one.end - one.start) / duration
+        room = [f for f in _ZOOMS if share * f * _NARROWEST > _FILM_LETTER * (len(one.name) + 1)]
+        if one.lane is Lane.STATIC and room:
+            place = f'left: {100 * one.start / duration:.3f}%; width: {100 * share:.3f}%'
+            spans.append(tag('span', escape(one.name), style=place, class_=f'from-{room[0]}'))
+    return tag('div', ''.join(spans) or ' ', class_='names')
+
+
+def _times(duration: float) -> str:
+    """Return the ticks of the time, of every width their own."""
+    rows = []
+    for factor in _ZOOMS:
+        spans = [
+            tag('span', escape(text), style=f'left: {100 * value / duration:.3f}%')
+            for value, text in Axis(0.0, duration).ticks(_TICKS * factor)
+            if _EDGE < value / duration * factor < factor - _EDGE
+        ]
+        rows.append(tag('div', ''.join(spans) or ' ', class_=f'times at-{factor}'))
+    return ''.join(rows)
+
+
+_EDGE = 0.04
+"""Of the window's width: a time nearer to the end would be cut."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
 
-from ..common.units import DEG, typeset
+from ..common.units import typeset
 from .charts import tag
 
 _STATIC = "default-src 'none'; style-src 'unsafe-inline'"
@@ -113,10 +113,3 @@ def sheet(name: str) -> str:
 
 STYLE = sheet('report.css')
 """On a screen, light or dark, on a phone, and on A4 paper."""
-
-
-_SIDE, _HALF = 104.0, 21.0
-"""px: of a drawing, and half of the cube's edge."""
-_AZIMUTH, _ELEVATION = -32 * DEG, 26 * DEG
-"""Direction of view: from south towards west, and above level. No two of the six directions
-coincide."""

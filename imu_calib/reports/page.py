@@ -13,13 +13,12 @@ from ..calibration.results import Result
 from ..common.stream import Floats
 from ..common.units import DEG_H, MICRO_G, decimals, typeset
 from ..session.imu import ImuSpec
-from . import attitudes, course, provenance, repeatability
+from . import course, provenance, repeatability
 from .assessment import LIMITS, angles_table, assess, limits_tables, outcome, summary, worst
 from .budget import budget_section
 from .charts import Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, scrolling, section, table
 from .noise import noise_notes, noise_plots, noise_table
-from .signals import signals_plot
 from .tables import FREE_OF_FRAME, TERM_HEADINGS, TERM_NOTE, change_note, term_rows, three_digits
 
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
@@ -274,9 +273,9 @@ def _course(result: Result | None) -> str:
         'Course of the session',
         paragraph(course.when(result), 'note'),
         course.time_line(found, result.session.duration),
-        signals_plot(result, found),
+        course.signals_plot(result, found),
         rejected or paragraph('Every segment of the session was used.', 'note'),
-        tag('h3', 'Positions') + attitudes.attitudes(attitudes.stands(result)),
+        tag('h3', 'Positions') + course.attitudes(course.stands(result)),
     )
 
 

@@ -25,7 +25,7 @@ from imu_calib.live.web.expectation import expectation
 from imu_calib.live.web.samples import Dwells
 from imu_calib.live.web.sentences import headline, time_left
 from imu_calib.live.web.shape import table_shape
-from imu_calib.reports.course import Courses, Pace, ends_at, in_words
+from imu_calib.reports.convergence import Courses, Pace, ends_at, in_words
 from imu_calib.session.table import load_table
 
 

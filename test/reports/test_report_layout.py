@@ -26,8 +26,8 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.rotations import rotations
 from imu_calib.common.stream import at, iso
-from imu_calib.reports.attitudes import Stand, attitudes, cube, stands
 from imu_calib.reports.budget import budget_section
+from imu_calib.reports.course import Stand, attitudes, cube, stands
 from imu_calib.reports.html import bullets, paragraph
 from imu_calib.reports.page import Contents, page
 from imu_calib.reports.provenance import provenance

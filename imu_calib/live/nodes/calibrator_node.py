@@ -13,7 +13,7 @@ from ...common.errors import InputError
 from ...common.stream import NS
 from ...recordings.cdr_codec import Kind
 from ...recordings.writer import Journal
-from ...reports.course import reading_sentence
+from ...reports.convergence import reading_sentence
 from ...session.metadata import mount_description, unit_description
 from ...session.plan import Plan
 from .. import middleware as ros

@@ -10,7 +10,7 @@ from typing import Any
 
 from ...common.stream import NS
 from ...model.parameters import Parameter
-from ...reports.course import Converging, Courses, Pace, in_words
+from ...reports.convergence import Converging, Courses, Pace, in_words
 from ...session.imu import Specification
 from ..rules import Phase, Severity
 from .samples import Streams

@@ -12,9 +12,9 @@ import numpy as np
 from ...common.stream import Units
 from ...model.terms import TERMS
 from ...reports.charts import number, tag
+from ...reports.convergence import Converging
 from ...reports.html import facts
 from ...reports.noise import noise_plots
-from ...reports.course import Converging
 from ...segmentation.segments import CHANNELS
 from ...session.imu import COVERAGE, ImuSpec
 from ..rules import Phase, Severity

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from ...common.units import DEG
-from ...reports.course import ends_at, in_words
+from ...reports.convergence import ends_at, in_words
 from ..rules import Phase, Severity
 from .board import NOT_BEGUN, SessionOutcome, Snapshot, TableState, silence
 
