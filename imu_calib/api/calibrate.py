@@ -19,9 +19,9 @@ from ..common.stream import Block, Floats, ImuBlock
 from ..common.threads import by_one_thread
 from ..common.units import counted
 from ..estimation.common_unknowns import TableEstimate
+from ..recordings.order import StampSorter
 from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording
-from ..recordings.stamp_order import StampSorter
 from ..segmentation.segmented import Segmented
 from ..segmentation.signal_means import SignalMeans
 from ..session.imu import HOTTEST

@@ -25,9 +25,9 @@ from ..common.stream import (
 from ..common.units import Dimension, counted, parse
 from ..recordings.cdr import Messages
 from ..recordings.cdr_codec import Kind, encode_joints, encode_temperatures
+from ..recordings.order import places_by_stamp
 from ..recordings.remote import AnyPath, local, located
 from ..recordings.rosbag2 import is_storage, open_recording
-from ..recordings.stamp_order import places_by_stamp
 from ..recordings.storage import RecordingError, refuse_existing
 from ..recordings.text import Text, read_sensors, read_text
 from ..recordings.writer import RecordingWriter

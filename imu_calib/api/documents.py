@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 
 from ..calibration.calibration import Calibration
-from ..calibration.export_formats import EXPORTS
-from ..calibration.exports import Exported, ExportSource
-from ..calibration.noise_at_rest import NoiseAtRest
-from ..calibration.noise_exports import export_noise
+from ..calibration.exports import EXPORTS, Exported, ExportSource
+from ..calibration.noise_at_rest import NoiseAtRest, export_noise
 from ..calibration.results import Result
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, first_of, load_calibration
 from ..common.arguments import checked

@@ -15,9 +15,9 @@ from ..common.finding import warning
 from ..common.progress import Progress, silent
 from ..common.threads import by_one_thread
 from ..recordings.cdr_codec import Kind
+from ..recordings.order import StampSorter
 from ..recordings.remote import located
 from ..recordings.rosbag2 import Recording, is_storage
-from ..recordings.stamp_order import StampSorter
 from ..segmentation.long_rest import LongRestReader
 from ..segmentation.stream_facts import separate_messages_sentence
 from ..session.imu import ImuSpec

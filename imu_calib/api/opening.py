@@ -17,9 +17,9 @@ from ..common.stream import Block, Floats, ImuBlock, Units
 from ..common.units import LARGEST, STANDARD_GRAVITY
 from ..estimation.setup import Setup
 from ..recordings.cdr_codec import Kind
+from ..recordings.order import StampSorter
 from ..recordings.remote import AnyPath, located
 from ..recordings.rosbag2 import Recording
-from ..recordings.stamp_order import StampSorter
 from ..session.imu import GENERIC, ImuSpec, load_imu
 from ..session.keywords import Stated
 from ..session.plan import UNPLANNED, Plan, load_plan

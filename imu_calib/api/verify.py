@@ -16,8 +16,8 @@ from ..common.progress import Progress, silent
 from ..common.threads import by_one_thread
 from ..estimation.hand import NAME as FREE_POSITIONS
 from ..estimation.system import observe
+from ..recordings.order import StampSorter
 from ..recordings.rosbag2 import Recording
-from ..recordings.stamp_order import StampSorter
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.thermometer import Temperature
 from ..session.imu import ImuSpec

@@ -29,7 +29,6 @@ from ..segmentation.segmented import Segmented
 from ..segmentation.segmenter import Segmenter
 from ..session.plan import Plan, Step
 from ..session.table_errors import clock_share
-from .findings import bad_samples_first, loss_findings, losses_of_all_segments
 from .mistakes import (
     dead_channels,
     explained,
@@ -38,7 +37,14 @@ from .mistakes import (
     with_facts,
     wrong_joint_signs,
 )
-from .results import Basis, Result, Review
+from .results import (
+    Basis,
+    Result,
+    Review,
+    bad_samples_first,
+    loss_findings,
+    losses_of_all_segments,
+)
 
 if TYPE_CHECKING:
     from .hand import HandCalibrator

@@ -45,9 +45,8 @@ from ..segmentation.segmenter import Segmenter
 from ..segmentation.segments import Segment
 from ..session.imu import SCALE_LIMIT
 from .calibration import BY_ACCELEROMETERS
-from .findings import bad_samples_first, provenance
 from .mistakes import dead_channels, explained, refuse_separate_messages, with_facts
-from .results import Result, Review, calibrated
+from .results import Result, Review, bad_samples_first, calibrated, provenance
 
 # Guide a user with the unit in hand: what to do next, and the gain of each further hold.
 #

@@ -1,4 +1,4 @@
-"""Results of a calibrator, of a completed session and of one in progress."""
+"""Results of a calibrator, of a completed session and of one in progress; their provenance."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ..common.budget import Budget, ErrorSource
-from ..common.errors import InputError, NotObservable
-from ..common.stream import Floats
-from ..common.units import counted
+from ..common.errors import ImuCalibError, InputError, NotObservable
+from ..common.files import version
+from ..common.stream import Floats, iso
+from ..common.units import DEG, counted
 from ..estimation.evidence import Evidence
 from ..estimation.joint import Comparison
 from ..estimation.setup import Setup
@@ -18,14 +20,15 @@ from ..estimation.solution import Solution
 from ..estimation.term_tests import summary
 from ..model.parameters import Parameter
 from ..model.sensors import terms_of
+from ..model.session_terms import terms_in_words
 from ..segmentation.labelling import Labelled
+from ..segmentation.noise import session_noise
 from ..segmentation.segmented import Segmented
 from ..segmentation.signal_means import Signals
 from ..session.plausibility import check_plausible
 from ..session.stamping import StampingClock
 from ..session.table_errors import clock_share
 from .calibration import Calibration, ResidualRow
-from .findings import assumption_findings, noise, provenance, stamping
 from .gravity import with_gravity
 
 
@@ -172,3 +175,193 @@ class Basis:
             )
             calibration = calibration.with_share(ErrorSource.TABLE_CLOCK, share)
         return Result(calibration, solution, self.session, self.labelled, comparison, self)
+
+
+# The provenance of a calibration; sentences on unused data and missing steps of a session.
+
+
+def provenance(
+    setup: Setup,
+    evidence: Evidence,
+    session: Segmented,
+    solution: Solution,
+    comparison: Comparison | None = None,
+) -> dict[str, object]:
+    """Return the provenance in a calibration file, by key (docs/parameters.md)."""
+    clock, seen = session.clock, session.temperature
+    residuals = np.array([r.value for r in solution.residuals]).reshape(-1, 6)
+    rms = np.sqrt((residuals**2).mean(axis=0)) if len(residuals) else np.full(6, np.nan)
+    special: dict[str, object] = {}
+    if missing := evidence.missing_positions():
+        special['missing_positions'] = missing
+    if solution.bias_drift is not None:
+        special['bias_drift'] = [float(v) for v in solution.bias_drift]
+    changes = () if solution.changes is None else solution.changes.changes
+    # About any axis of the unit. Turns by hand are faster in their middle than on average, and
+    # moves between positions turn several joints at once: the session itself is within this rate.
+    rates = [abs(float(turn.rate())) for turn in evidence.turns]
+    rates += [move.fastest for move in session.moves]
+    special |= _gravity_off(evidence, solution)
+    if comparison is not None:
+        special['closed_form'] = comparison.document()
+    if solution.tests:
+        special['tests_of_terms'] = {test.name: test.document() for test in solution.tests}
+    return {
+        'recorded': iso(session.start),
+        'method': setup.method_name,
+        'terms': [*(t.name for t in terms_of(solution.parameters)), *terms_in_words(changes)],
+        'terms_looked_for': setup.search_terms and bool(solution.tests),
+        'plan': setup.plan.name or None,
+        'by_hand': setup.plan.by_hand,
+        'table': setup.table.name if setup.table is not None else None,
+        'table_clock_std': setup.table.clock if setup.table is not None else None,
+        'latitude_deg': setup.site.latitude / DEG,
+        'latitude_std_deg': setup.site.latitude_std / DEG,
+        'gravity': setup.site.gravity,
+        'gravity_source': setup.site.gravity_source,
+        'gravity_std': setup.site.gravity_std,
+        'height': setup.site.height,
+        'height_assumed': setup.site.height_assumed,
+        'azimuth_seen_deg': _or_none(solution.azimuth / DEG),
+        'azimuth_seen_std_deg': _or_none(solution.azimuth_std / DEG),
+        'segments': len(evidence.segments),
+        'turns': len(evidence.turns),
+        'duration': session.duration,
+        'samples': sum(s.statistics.samples for s in evidence.segments)
+        + sum(t.statistics.samples for t in evidence.turns),
+        'random_walk': [float(v) for v in evidence.walk],
+        'residual_rms': [_or_none(v) for v in rms],
+        'condition_number': solution.condition,
+        'highest_rate': max(rates, default=None),
+        'temperature': seen and {'mean': seen.mean, 'lowest': seen.lowest, 'highest': seen.highest},
+        **special,
+        'clock': {
+            'offset_s': clock.offset,
+            'offset_std_s': clock.offset_std,
+            'rate_ppm': clock.rate * 1e6,
+            'rate_std_ppm': clock.rate_std * 1e6,
+            'motions': clock.motions,
+        },
+        'versions': {'imu_calib': version(), 'numpy': np.__version__, 'scipy': scipy.__version__},
+    }
+
+
+def _gravity_off(evidence: Evidence, solution: Solution) -> dict[str, object]:
+    """Return by how much the accelerometers at rest miss gravity, before and after calibration.
+
+    Ratios, at the worst static dwell; the length of a force does not depend on the attitude.
+    """
+    of_accels = np.array([p.triad == 'a' for p in solution.parameters])
+    if not (evidence.segments and np.isfinite(solution.std[of_accels]).all()):
+        return {}
+    means = np.array([s.statistics.mean for s in evidence.segments])
+    _, forces = solution.model.compensate(means[:, :3], means[:, 3:])
+    before, after = (
+        float(np.abs(np.linalg.norm(f, axis=1) / evidence.site.gravity - 1).max())
+        for f in (means[:, 3:], forces)
+    )
+    return {'gravity_off_before': before, 'gravity_off_after': after}
+
+
+def noise(evidence: Evidence) -> dict[str, object]:
+    """Return the noise of a completed session; this takes time."""
+    seen = session_noise([s.statistics for s in evidence.segments], evidence.walk)
+    return {'noise': {name: channel.document() for name, channel in seen.items()}}
+
+
+def stamping(setup: Setup, evidence: Evidence) -> StampingClock | None:
+    """Return the stamping clock, if motions compare it with the table's."""
+    if setup.table is None or not evidence.clocks_compared:
+        return None
+    unit = ' '.join([setup.imu.id, setup.serial_number]).strip()
+    faster, std = evidence.clock_rate()
+    return StampingClock(f'stamps of {unit}', f'clock of table {setup.table.name}', faster, std)
+
+
+def _or_none(value: float) -> float | None:
+    """Return a number, or None if it is not known."""
+    return float(value) if np.isfinite(value) else None
+
+
+def losses_of_all_segments(session: Segmented, labelled: Labelled, setup: Setup) -> list[str]:
+    """Return sentences that no dwell or whole turn was found, and why."""
+    if not session.samples:
+        return ['The IMU stream is empty: nothing can be determined.']
+    if not session.duration:
+        losses = (f'{loss}.' for loss in session.losses)
+        return [f'None of {session.samples} IMU samples can be used.', *losses]
+    looked_for = 'Neither a static dwell nor a whole turn'
+    if setup.plan.is_stated:
+        looked_for = f'None of the positions of plan {setup.plan.name}'
+    text = (
+        f'{looked_for} was found in {session.samples} IMU samples ({session.duration:.0f} s): '
+        'nothing can be determined.'
+    )
+    reasons = sorted({r.reason for r in labelled.rejected})
+    loose = len(session.segments)
+    if loose and setup.plan.is_stated:
+        text += f' {loose} static dwells fit no position of the plan.'
+    sentences = [*(f'Left out: {reason}' for reason in reasons[:3]), *session.losses]
+    return [text, *(f'{sentence}.' for sentence in sentences)]
+
+
+def bad_samples_first(error: ImuCalibError, session: Segmented) -> ImuCalibError:
+    """Return a refusal that first names frozen samples, or many false ones: they may explain it."""
+    false = session.false_samples
+    sentence = session.frozen or (false.sentences[0] if false.is_large else '')
+    if not sentence:
+        return error
+    others = tuple(text.replace(f'{sentence}.', '').strip() for text in error.args)
+    refusal = error.among(before=(f'{sentence}.',))
+    refusal.args = (refusal.args[0], *others)
+    return refusal
+
+
+def loss_findings(
+    setup: Setup, evidence: Evidence, labelled: Labelled, session: Segmented
+) -> list[str]:
+    """Return sentences on data not used or outside the plan, and on missing steps of the plan."""
+    sentences = []
+    missing = evidence.missing_positions()
+    if missing:
+        sentences.append(f'Missing from the recording: position {", ".join(missing)}.')
+    if setup.plan.is_stated:
+        sentences += _beside_plan(setup, labelled)
+    found = {segment.position for segment in labelled.segments}
+    alike: dict[tuple[bool, bool, str], list[str]] = {}
+    for rejected in labelled.rejected:
+        again = '; it was measured again' if rejected.position in found else ''
+        reason = rejected.reason + ('' if rejected.turn else again)
+        at = f'{(rejected.start - (session.start or 0)) * 1e-9:.0f} s'
+        known = rejected.position is not None
+        alike.setdefault((known, rejected.turn, reason), []).append(rejected.position or at)
+    for (known, turn, reason), names in alike.items():
+        what = 'a turn is left out' if turn else 'left out'
+        place = 'Position' if known else 'At'
+        sentences.append(f'{place} {", ".join(dict.fromkeys(names))}: {what}, {reason}.')
+    sentences += [
+        f'Position {segment.position}: {note}.'
+        for segment in labelled.segments
+        for note in segment.notes
+    ]
+    sentences += [f'{loss}.' for loss in (*labelled.notes, *session.losses)]
+    return list(dict.fromkeys(sentences))
+
+
+def _beside_plan(setup: Setup, labelled: Labelled) -> list[str]:
+    """Return sentences on dwells that fit no position of the plan, and on their use."""
+    of_plan = labelled.of_plan(setup.plan).segments
+    names = [str(s.position) for s in labelled.segments if s not in of_plan]
+    if not names:
+        return []
+    becomes = f'{setup.method_name} uses them all the same'
+    if setup.plan_alone:
+        becomes = f"{setup.method_name}, which uses the plan's positions alone, leaves them out"
+    fit = f'Static dwells that count as no position of plan {setup.plan.name}'
+    return [f'{fit}: {"; ".join(names)}: {becomes}.']
+
+
+def assumption_findings(setup: Setup, solution: Solution) -> list[str]:
+    """Return sentences on assumptions about the table that its file does not state but are used."""
+    table = None if setup.plan.by_hand or solution.shares is None else setup.table
+    return [table.assumption] if table is not None and table.assumption else []

@@ -6,7 +6,7 @@ import argparse
 
 from ..api.documents import export
 from ..api.outputs import output_path
-from ..calibration.export_formats import EXPORTS
+from ..calibration.exports import EXPORTS
 from . import options
 from .screen import print_findings
 from .terminal import OUTPUT

@@ -8,8 +8,7 @@ from pathlib import Path
 from ..api.documents import export
 from ..api.noise import noise
 from ..api.outputs import output_path, page_path
-from ..calibration.noise_at_rest import NoiseAtRest
-from ..calibration.noise_exports import NOISE_EXPORTS
+from ..calibration.noise_at_rest import NOISE_EXPORTS, NoiseAtRest
 from ..common.errors import InputError
 from ..common.files import require, write_by, write_whole
 from ..common.units import HOUR

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     _Stored = tuple[ChunkGroup, memoryview, list[dict[int, Indices]]]
     _Content = tuple[Bytes, list[ChunkContent]]
-from .log_order import LogOrder, time_order
+from .order import LogOrder, time_order
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,8 @@ from urllib.parse import quote
 import numpy as np
 
 from .cdr import Messages
-from .log_order import LogOrder, time_order
 from .metadata_yaml import custom_data_of
+from .order import LogOrder, time_order
 from .storage import Cache, Described, Losses, MessageBatch, RecordingError, Times, Topic
 
 if TYPE_CHECKING:

@@ -22,8 +22,7 @@ from sessions import SITE, truth
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.compensate import Compensation, Mark, concatenated
-from imu_calib.calibration.export_formats import EXPORTS
-from imu_calib.calibration.exports import ExportSource
+from imu_calib.calibration.exports import EXPORTS, ExportSource
 from imu_calib.calibration.thermal import (
     ThermalCalibration,
     by_temperature,

@@ -14,8 +14,7 @@ from c_program import compensated_in_c
 from installed import needs_modules
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.export_formats import EXPORTS
-from imu_calib.calibration.exports import ExportSource
+from imu_calib.calibration.exports import EXPORTS, ExportSource
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Floats, Units

@@ -10,8 +10,13 @@ import numpy as np
 import pytest
 import yaml
 
-from imu_calib.calibration.noise_at_rest import KINDS, NoiseAtRest, noise_at_rest
-from imu_calib.calibration.noise_exports import NOISE_EXPORTS, export_noise
+from imu_calib.calibration.noise_at_rest import (
+    KINDS,
+    NOISE_EXPORTS,
+    NoiseAtRest,
+    export_noise,
+    noise_at_rest,
+)
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.stream import Floats, ImuBlock, Units
 from imu_calib.segmentation.allan import (

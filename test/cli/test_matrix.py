@@ -32,7 +32,7 @@ from extent import ALL
 
 from imu_calib.api.compare import conformity
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.export_formats import EXPORTS
+from imu_calib.calibration.exports import EXPORTS
 from imu_calib.cli.main import main
 from imu_calib.cli.several import HELD_UNIT as HELD
 from imu_calib.common.files import share_folder

@@ -11,8 +11,7 @@ import pytest
 from sessions import SITE, at_one_rate, calibrate, fed, gathered, quick_plan, session, stand, truth
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.export_formats import EXPORTS
-from imu_calib.calibration.exports import ExportSource
+from imu_calib.calibration.exports import EXPORTS, ExportSource
 from imu_calib.calibration.verify import Verdict, verify
 from imu_calib.common.errors import InputError
 from imu_calib.common.units import DEG

@@ -12,8 +12,7 @@ from shaky import GRAVITY, LATITUDE, shaky
 import imu_calib
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.compensate import Compensation
-from imu_calib.calibration.export_formats import EXPORTS
-from imu_calib.calibration.exports import ExportSource
+from imu_calib.calibration.exports import EXPORTS, ExportSource
 from imu_calib.calibration.hand import HandCalibrator
 from imu_calib.calibration.verify import Quantity
 from imu_calib.common.errors import InputError

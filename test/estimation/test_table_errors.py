@@ -26,8 +26,7 @@ from sessions import (
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.calibration.findings import assumption_findings
-from imu_calib.calibration.results import Result
+from imu_calib.calibration.results import Result, assumption_findings
 from imu_calib.cli.main import main
 from imu_calib.cli.screen import print_findings, show_calibration
 from imu_calib.common.budget import ErrorSource

@@ -14,8 +14,8 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.order import HELD, StampSorter, places_by_stamp
 from imu_calib.recordings.rosbag2 import open_recording
-from imu_calib.recordings.stamp_order import HELD, StampSorter, places_by_stamp
 from imu_calib.recordings.storage import Times
 from imu_calib.recordings.text import read_sensors
 from imu_calib.recordings.writer import RecordingWriter

@@ -12,7 +12,7 @@ from mcap_bytes import Chunked
 from imu_calib.common.stream import ImuBlock, Stamps
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import Kind, encode_imu
-from imu_calib.recordings.log_order import time_order
+from imu_calib.recordings.order import time_order
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import RecordingWriter
 

@@ -17,8 +17,7 @@ from loopback import CHECKOUT
 from sessions import at_one_rate, calibrate, quick_plan, session, stand
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.export_formats import EXPORTS
-from imu_calib.calibration.exports import ExportSource
+from imu_calib.calibration.exports import EXPORTS, ExportSource
 from imu_calib.calibration.results import Result
 from imu_calib.common.config import Section
 from imu_calib.reports.certificate import Certificate, certificate_of, certificate_page

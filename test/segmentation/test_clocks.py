@@ -15,8 +15,7 @@ from sessions import gathered, truth
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.compensate import Compensation
-from imu_calib.calibration.export_formats import EXPORTS
-from imu_calib.calibration.exports import ExportSource
+from imu_calib.calibration.exports import EXPORTS, ExportSource
 from imu_calib.calibration.thermal import combine
 from imu_calib.calibration.verify import Verdict, verify
 from imu_calib.common.errors import InputError
