@@ -21,7 +21,7 @@ from imu_calib.common.units import ARCMIN, ARCSEC, DEG, DEG_H, MICRO_G, STANDARD
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.parameters import ParameterKind
-from imu_calib.reports.tables import plain_table
+from imu_calib.reports.plain_table import plain_table
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import Plan, load_plan
 from imu_calib.session.table import load_table

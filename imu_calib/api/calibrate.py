@@ -29,7 +29,7 @@ from ..session.keywords import Calibrated, Named, OfSeveral, Stated, with_keywor
 from ..session.metadata import compensated_already, interpolated_from, serial_key
 from ..session.plan import load_plan
 from ..session.units_file import MountedUnit
-from .inputs import Recorded, recording_at
+from .files import Recorded, recording_at
 from .opening import (
     ASSUMED_BY_HAND,
     Opened,
@@ -39,8 +39,7 @@ from .opening import (
     session_of,
 )
 from .session import as_units
-from .stamp_clock import clock_findings, refused_by_stamps
-from .streams import units_of
+from .streams import clock_findings, refused_by_stamps, units_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

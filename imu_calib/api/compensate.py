@@ -29,11 +29,9 @@ from ..session.imu import ImuSpec, compensated_imu
 from ..session.keywords import Named, Stated
 from ..session.metadata import COMPENSATED, compensated_already, compensated_key, stream_description
 from ..session.units_file import TOPIC
-from .inputs import Recorded, recording_at
-from .outputs import new_folder, removed_on_failure
+from .files import Recorded, new_folder, recording_at, removed_on_failure
 from .session import as_applied, serial_of, stated_imu
-from .stamp_clock import sample_findings
-from .streams import imu_topic, skew_topic, temperature_topic
+from .streams import imu_topic, sample_findings, skew_topic, temperature_topic
 
 if TYPE_CHECKING:
     from ..calibration.results import Result

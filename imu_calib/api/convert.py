@@ -49,8 +49,8 @@ from .converted import (
     resampling,
     write_imu,
 )
+from .files import removed_on_failure
 from .opening import against_si, units_in_doubt
-from .outputs import removed_on_failure
 
 _GYRO = {**Dimension.RATE.value, **Dimension.ANGLE.value, **RAW_UNITS}
 _ACCEL = {**Dimension.ACCELERATION.value, **Dimension.VELOCITY.value, **RAW_UNITS}

@@ -23,7 +23,7 @@ from ..session.imu import ImuSpec, load_imu
 from ..session.keywords import Named
 from ..session.metadata import IMU, interpolation_description
 from .columns import columns_of
-from .outputs import removed_on_failure
+from .files import removed_on_failure
 
 RAW, SI, JOINTS, TEMPERATURE = (
     '/imu/pulses',

@@ -40,9 +40,9 @@ from ..session.metadata import PLAN
 from ..session.plan import Plan, load_plan
 from .calibrate import serials_in, solve, units_of_recording
 from .compare import of_its_type
-from .inputs import recording_at
+from .files import recording_at
+from .files import output_path, page_path, recording_at
 from .opening import session_of
-from .outputs import output_path, page_path
 from .session import as_applied, as_calibration, as_combined, as_list, single_of
 
 _ALIKE = 0.1

@@ -16,7 +16,7 @@ from ..recordings.rosbag2 import Recording, open_recording
 from ..session.keywords import Named, Session, Stated, with_keywords
 from ..session.metadata import COMPENSATED
 from .opening import open_session
-from .stamp_clock import contradiction, difference
+from .streams import contradiction, difference
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

@@ -23,11 +23,10 @@ from ..segmentation.stream_facts import separate_messages_sentence
 from ..session.imu import ImuSpec
 from ..session.keywords import Named, Stated
 from .convert import convert, refuse_columns
-from .inputs import Recorded, recording_at
+from .files import Recorded, recording_at
 from .opening import ASSUMED_SI, against_si, assumed_si_imu, units_in_doubt
 from .session import serial_of, stated_imu
-from .stamp_clock import average_findings, refused_by_stamps
-from .streams import Streams, streams_of
+from .streams import Streams, average_findings, refused_by_stamps, streams_of
 
 _TEXT = ('stamp', 'gyro', 'accel')
 

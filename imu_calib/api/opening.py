@@ -24,7 +24,7 @@ from ..session.imu import GENERIC, ImuSpec, load_imu
 from ..session.keywords import Stated
 from ..session.plan import UNPLANNED, Plan, load_plan
 from ..session.segments_file import read_segments
-from .inputs import Recorded, recording_at
+from .files import Recorded, recording_at
 from .session import (
     contradicted_latitude,
     gravity_as_exact,
@@ -38,7 +38,7 @@ from .session import (
 
 if TYPE_CHECKING:
     from ..segmentation.segmented import Segmented
-from .streams import _BY_HAND, Streams, streams_of
+from .streams import Streams, streams_of
 
 _BLOCKS = 200
 """Blocks that are examined: some minutes of most recordings, and never more than fit into
@@ -121,7 +121,7 @@ def units_in_doubt(seen: str) -> str:
 
 def plan_by_hand() -> Plan:
     """Return the plan without table and order."""
-    return load_plan(_BY_HAND)
+    return load_plan('free_positions')
 
 
 def is_hand_held(session: Segmented) -> bool:

@@ -44,7 +44,7 @@ from ..session.imu import ImuSpec
 from ..session.keywords import Named, Optimised, Planned, Stated, as_imu, as_plan, with_keywords
 from ..session.plan import Plan
 from ..session.table import Table
-from .outputs import output_path
+from .files import output_path
 from .session import as_truth
 
 if TYPE_CHECKING:

@@ -66,7 +66,7 @@ from ..simulation.stand import (
     SimulatedStand,
     SimulatedUnit,
 )
-from .outputs import new_folder, removed_on_failure
+from .files import new_folder, removed_on_failure
 from .session import TRUE_TABLE, as_units, load_truth
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from ..session.plan import Plan
 from ..session.segments_file import ListedSegment, SegmentKind
 from ..session.table import TURN
 from .opening import Opened
-from .stamp_clock import refused_by_stamps
+from .streams import refused_by_stamps
 
 _SAME_UP = 0.999
 """Cosine of 2.6 deg: turns about closer axes belong to the same position. A judgement: the

@@ -24,7 +24,7 @@ from ..session.imu import ImuSpec
 from ..session.keywords import Named, Stated, Verified, with_keywords
 from ..session.metadata import compensated_already
 from ..session.plan import UNPLANNED
-from .inputs import Recorded, recording_at
+from .files import Recorded, recording_at
 from .session import (
     as_applied,
     contradicted_latitude,
@@ -34,8 +34,7 @@ from .session import (
     stated_plan,
     table_of,
 )
-from .stamp_clock import clock_findings, refused_by_stamps
-from .streams import streams_of
+from .streams import clock_findings, refused_by_stamps, streams_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..api.calibrate import UnitResult, UnitResults, calibrate_units, calibrated, holds_several
 from ..api.compare import Conformity, conformity
+from ..api.files import output_or_default, output_path
 from ..api.opening import recording_path
-from ..api.outputs import output_or_default, output_path
 from ..calibration.calibration import Calibration
 from ..reports.assessment import summary
 from ..reports.budget import budget_tables

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.documents import FORMATS, certificate, default_output
-from ..api.outputs import output_or_default, output_path
+from ..api.files import output_or_default, output_path
 from .terminal import OUTPUT
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.compare import combine
-from ..api.outputs import output_path
+from ..api.files import output_path
 from .terminal import OUTPUT
 
 

@@ -23,7 +23,7 @@ from ..live.rules import Severity
 from ..live.web.board import Snapshot, UnitRow
 from ..live.web.sentences import headline, time_left
 from ..reports.convergence import READING, Converging
-from ..reports.tables import plain_table
+from ..reports.plain_table import plain_table
 from .embedded import Nodes
 from .processes import START, SessionEnd
 from .terminal import ERRORS, OUTPUT, NodeReports

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.documents import export
-from ..api.outputs import output_path
+from ..api.files import output_path
 from ..calibration.exports import EXPORTS
 from . import options
 from .screen import print_findings

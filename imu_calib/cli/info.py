@@ -9,7 +9,7 @@ from rich.table import Table as Rows
 
 from ..api.inspect import Inspection, inspect_streams, topics
 from ..common.units import DEG, DEG_H, PPM, STANDARD_GRAVITY, counted
-from ..reports.tables import plain_table
+from ..reports.plain_table import plain_table
 from ..session.keywords import Session
 from ..session.segments_file import write_segments
 from . import options

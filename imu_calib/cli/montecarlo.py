@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.table import Table as Rows
 
-from ..api.outputs import output_path
+from ..api.files import output_path
 from ..api.simulate import montecarlo
 from ..calibration.views import empty_figure
 from ..common.errors import InputError
 from ..common.files import write_by
 from ..common.units import decimals
-from ..reports.tables import engineering, plain_table
+from ..reports.plain_table import plain_table
+from ..reports.tables import engineering
 from ..session.keywords import AtSite, Solved
 from ..session.plan import METHOD_NAMES
 from . import options

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 from ..api.documents import export
+from ..api.files import output_path, page_path
 from ..api.noise import noise
-from ..api.outputs import output_path, page_path
 from ..calibration.noise_at_rest import NOISE_EXPORTS, NoiseAtRest
 from ..common.errors import InputError
 from ..common.files import require, write_by, write_whole

@@ -6,7 +6,7 @@ import argparse
 
 from ..api.compare import Conformity, conformity
 from ..api.documents import written
-from ..api.outputs import output_or_default, output_path
+from ..api.files import output_or_default, output_path
 from ..reports.assessment import summary
 from ..session.keywords import Calibrated
 from . import options

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from ..api.outputs import output_path
+from ..api.files import output_path
 from ..common.errors import InputError
 from ..common.files import write_by
 from .outcome import finite

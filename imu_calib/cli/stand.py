@@ -168,7 +168,7 @@ def _begin(arguments: argparse.Namespace) -> None:
 
 def _save_settings(arguments: argparse.Namespace, folder: Path) -> None:
     """Write the settings of a new session, or leave no folder that could not be resumed."""
-    from ..api.outputs import removed_on_failure
+    from ..api.files import removed_on_failure
     from . import resume
 
     try:

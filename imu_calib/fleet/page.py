@@ -15,7 +15,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ..api.outputs import page_path
+from ..api.files import page_path
 from ..common.arguments import checked
 from ..common.files import require, write_whole
 from ..common.progress import Progress, silent

@@ -18,7 +18,8 @@ from ..common.units import decimals, typeset
 from ..model.parameters import Parameter
 from .charts import drawing, label, tag
 from .html import paragraph, table
-from .tables import engineering, plain_table
+from .plain_table import plain_table
+from .tables import engineering
 
 _LEAST = 0.005
 """A source below half a percent of every variance has no column: it would be shown as zero."""

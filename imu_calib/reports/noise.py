@@ -15,8 +15,9 @@ from ..common.units import HOUR, decimals, typeset
 from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, ImuSpec, TriadSpec, TriadUnits
 from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, section, table
+from .plain_table import plain_table
 from .provenance import written
-from .tables import plain_table, three_digits
+from .tables import three_digits
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -15,6 +15,7 @@ from ..model.earth import MEASURED, VAGUE
 from ..session.imu import TRIAD_NAMES, Coefficient
 from .charts import tag
 from .html import named_rows, table
+from .plain_table import plain_table
 from .tables import (
     FREE_OF_FRAME,
     TERM_HEADINGS,
@@ -23,7 +24,6 @@ from .tables import (
     change_note,
     change_table,
     parameter_table,
-    plain_table,
     term_rows,
     three_digits,
 )

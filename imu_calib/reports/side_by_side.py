@@ -16,7 +16,8 @@ from ..common.units import ARCSEC, DEG, decimals
 from ..estimation.common_unknowns import TableEstimate
 from ..model.parameters import AXES, Parameter, ParameterKind
 from ..model.sensors import OF_MOTION
-from .tables import engineering, plain_table, section_of
+from .plain_table import plain_table
+from .tables import engineering, section_of
 
 _COARSE = 60 * ARCSEC
 """Standard deviation from which an angle is shown in degrees."""

@@ -17,22 +17,9 @@ from ..model.parameters import AXES, Parameter, ParameterKind
 from ..model.sensors import by_name
 from ..model.session_terms import Change, largest
 from ..model.terms import TERMS, coefficients_of
+from .plain_table import plain_table
 
 _OF_TERMS = {term.kind for term in TERMS}
-
-
-def plain_table(headings: Sequence[str], sides: str, *, no_wrap: bool = False) -> Table:
-    """Return a table, to which rows are then added.
-
-    Args:
-        headings: Of the columns.
-        sides: 'r' for each right-aligned column, else 'l'.
-        no_wrap: Whether cells stay on one line.
-    """
-    table = Table(box=None, pad_edge=False, header_style='bold')
-    for heading, side in zip(headings, sides, strict=True):
-        table.add_column(heading, justify='right' if side == 'r' else 'left', no_wrap=no_wrap)
-    return table
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ from rich.table import Table
 from ..calibration.diagnosis import ShiftedParameter
 from ..calibration.verify import ComparedQuantity, Quantity, Verdict, Verification
 from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G, decimals
-from .tables import Shown, engineering, plain_table
+from .plain_table import plain_table
+from .tables import Shown, engineering
 
 _SHOWN = {
     Quantity.GRAVITY: Shown('ug', MICRO_G),

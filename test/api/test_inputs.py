@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import imu_calib
-from imu_calib.api.inputs import recording_at
+from imu_calib.api.files import recording_at
 
 NAMES = [f'{name}.{a}' for name in ('angular_velocity', 'linear_acceleration') for a in 'xyz']
 

@@ -1,10 +1,12 @@
-"""Recordings as functions take them: paths, data frames of pandas, or arrays with a rate."""
+"""Recordings as functions take them (paths, data frames, arrays), and the files they write."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Union
@@ -12,12 +14,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Union
 import numpy as np
 
 from ..common.errors import InputError
+from ..common.files import user_path
 from ..common.stream import LAST_SECOND, NS, Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock
 from ..recordings.cdr_codec import RATES, Kind, encode_imu, encode_joints, encode_temperatures
 from ..recordings.definitions import definition
-from ..recordings.metadata_yaml import Metadata
+from ..recordings.metadata_yaml import NAME, Metadata
 from ..recordings.remote import AnyPath, RemotePath
-from ..recordings.rosbag2 import Recording, Scratch, StorageFiles, open_recording
+from ..recordings.rosbag2 import Recording, Scratch, StorageFiles, is_storage, open_recording
 from ..recordings.storage import (
     Cache,
     Described,
@@ -26,11 +29,12 @@ from ..recordings.storage import (
     Times,
     Topic,
     first_and_last,
+    refuse_existing,
 )
 from ..session.keywords import Named
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
     import pandas
     from numpy.typing import ArrayLike, NDArray
@@ -302,3 +306,85 @@ class SamplesInMemory(Recording):
             for column in (samples.stamp, *samples.columns):
                 digest.update(np.ascontiguousarray(column).data)
         return digest.hexdigest()
+
+
+# Outputs of commands: in existing folders, complete or not at all.
+
+
+def output_path(output: Named) -> Path:
+    """Return the path of a file to be written.
+
+    Raises:
+        InputError: Its folder does not exist, it is a folder itself, or a recording, which nobody
+            can make again.
+    """
+    path = _below_a_folder(output)
+    if path.is_dir():
+        raise InputError(f'{path}: is a folder, expected the name of a file.')
+    if path.is_file() and _is_of_a_recording(path.resolve()):
+        refuse_existing(path)
+    return path
+
+
+def _is_of_a_recording(path: Path) -> bool:
+    return is_storage(path) or (path.name == NAME and any(map(is_storage, path.parent.iterdir())))
+
+
+def new_folder(output: Named) -> Path:
+    """Return the path of a folder to create.
+
+    Raises:
+        InputError: Its parent folder does not exist, or it exists already.
+    """
+    path = _below_a_folder(output)
+    refuse_existing(path)
+    return path
+
+
+def page_path(output: Named) -> Path:
+    """Return the path of an HTML file to be written.
+
+    Raises:
+        InputError: As for `output_path`, or its name is that of a PDF.
+    """
+    path = output_path(output)
+    if path.suffix.lower() == '.pdf':
+        raise InputError(
+            f'{path}: the page is HTML, expected a name that ends in .html; a browser prints it.'
+        )
+    return path
+
+
+def output_or_default(output: str | None, default: str) -> str:
+    """Return the path of -o, or the default if that does not exist yet.
+
+    Raises:
+        InputError: No path is given and the default exists: it may be the only copy of another
+            session's result.
+    """
+    if output is None and user_path(default).exists():
+        raise InputError(
+            f'{default} exists already: name another with -o, or give -o {default} to overwrite it.'
+        )
+    return default if output is None else output
+
+
+def _below_a_folder(output: Named) -> Path:
+    if output == '-':
+        raise InputError(
+            '-: expected a name. /dev/stdout is the standard output, ./- a file of that name.'
+        )
+    path = user_path(output)
+    if not path.parent.is_dir():
+        raise InputError(f'{path}: the folder {path.parent} does not exist.')
+    return path
+
+
+@contextmanager
+def removed_on_failure(folder: Path) -> Iterator[None]:
+    """Remove a new folder if its writing ends early, by Ctrl-C too."""
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
