@@ -40,7 +40,6 @@ from ..session.metadata import PLAN
 from ..session.plan import Plan, load_plan
 from .calibrate import serials_in, solve, units_of_recording
 from .compare import of_its_type
-from .files import recording_at
 from .files import output_path, page_path, recording_at
 from .opening import session_of
 from .session import as_applied, as_calibration, as_combined, as_list, single_of

@@ -14,7 +14,7 @@ from ..api.opening import recording_path
 from ..calibration.calibration import Calibration
 from ..reports.assessment import summary
 from ..reports.budget import budget_tables
-from ..reports.overview import verdict_line
+from ..reports.provenance import verdict_line
 from ..reports.side_by_side import comparison_tables, table_estimate
 from ..session.keywords import Calibrated
 from ..session.plan import METHOD_NAMES
