@@ -274,11 +274,7 @@ class UnitResults:
 
     @checked
     def save(self, folder: Named) -> dict[str, Path]:
-        """Write the calibration of each unit to `<serial number>.yaml`; return the files.
-
-        Raises:
-            InputError: The folder cannot be written.
-        """
+        """Write the calibration of each unit to `<serial number>.yaml`; return the files."""
         path = Path(folder)
         try:
             path.mkdir(exist_ok=True)
@@ -333,11 +329,7 @@ def units_of_recording(
     *,
     separate: bool = False,
 ) -> UnitResults:
-    """Calibrate several units from an open recording; the caller closes it.
-
-    Raises:
-        InputError: As `calibrate_units`.
-    """
+    """Calibrate several units from an open recording; the caller closes it."""
     sessions = [_started(recording, stated, unit) for unit in _units_of_session(recording, imus)]
     _feed_units(recording, sessions, progress)
     alone = [one.result() for one in sessions]
@@ -372,21 +364,13 @@ def _documented(sessions: Sequence[_UnitSession], found: SharedResults) -> UnitR
 
 
 def holds_several(bag: str | AnyPath) -> bool:
-    """Return whether a recording states the units of several topics.
-
-    Raises:
-        InputError: There is no recording, or it is unreadable.
-    """
+    """Return whether a recording states the units of several topics."""
     with recording_at(bag) as recording:
         return bool(units_of(recording))
 
 
 def serials_in(recording: Recording, imus: Named | None) -> tuple[str, ...]:
-    """Return the serial numbers of the units that `units_of_recording` calibrates, in its order.
-
-    Raises:
-        InputError: The file of the units is unreadable, or the units are not stated.
-    """
+    """Return the serial numbers of the units that `units_of_recording` calibrates, in its order."""
     return tuple(unit.serial_number for unit in _units_of_session(recording, imus))
 
 

@@ -78,11 +78,7 @@ class Columns:
         return self.columns[name]
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return a pandas.DataFrame, its index the stamps, its `attrs['units']` the units.
-
-        Raises:
-            InputError: pandas is not installed.
-        """
+        """Return a pandas.DataFrame, its index the stamps, its `attrs['units']` the units."""
         require('pandas', 'A data frame', 'dataframe')
         import pandas as pd
 
@@ -95,9 +91,6 @@ class Columns:
         """Draw the fields over time, grouped by quantity; return the matplotlib Figure.
 
         Many samples are drawn as means over equal numbers of samples.
-
-        Raises:
-            InputError: matplotlib is not installed.
         """
         numbers = {n: v for n, v in self.columns.items() if np.issubdtype(v.dtype, np.number)}
         return draw_columns(self.topic, self.stamp, numbers, self.units)
@@ -130,11 +123,7 @@ def read(bag: str | Path, topic: str | None = None) -> Columns | dict[str, Colum
 
 
 def columns_of(recording: Recording, topic: str) -> Columns:
-    """Return a topic of an open recording; as `read`.
-
-    Raises:
-        InputError: There is no such topic.
-    """
+    """Return a topic of an open recording; as `read`."""
     names = {topic, f'/{topic}'}
     found = next((t for t in recording.topics if t.name in names and t.message_type in _READ), None)
     if found is None:

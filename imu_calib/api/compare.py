@@ -132,11 +132,7 @@ class Compared:
         }
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return values and unit by parameter; for two also difference, std and their ratio.
-
-        Raises:
-            InputError: pandas is not installed.
-        """
+        """Return values and unit by parameter; for two also difference, std and their ratio."""
         shown = [*self.names, *([] if self.std.ndim > 1 else ['difference', 'std'])]
         columns = [*self.values, *([] if self.std.ndim > 1 else [self.difference, self.std])]
         plain = {'chance': self.agreement.chance}
@@ -316,11 +312,7 @@ def of_its_type(imu: ImuSpec | Named, calibration: Calibration) -> ImuSpec:
 
 
 def specification_of(imu: ImuSpec) -> Specification:
-    """Return the limits of a unit.
-
-    Raises:
-        InputError: Its file states none.
-    """
+    """Return the limits of a unit; refuse one whose file states none."""
     if imu.specification is None:
         raise InputError(
             f'IMU {imu.id} has no limits: add the section specification to its file '

@@ -85,9 +85,6 @@ def inspect(bag: Named, *, progress: Progress = silent, **stated: Unpack[Session
         bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
         progress: Shows the progress.
         **stated: The session, by the keywords of `calibrate`; by default as in the recording.
-
-    Raises:
-        InputError: Unreadable, or the statements do not match it.
     """
     return inspect_streams(topics(bag, progress), Stated(**stated), progress)
 

@@ -187,11 +187,7 @@ class Opened:
 
 
 def recording_path(bag: str | AnyPath) -> AnyPath:
-    """Return the path of a recording: a remote one is fetched once for all that take it.
-
-    Raises:
-        InputError: It is a URL that cannot be read.
-    """
+    """Return the path of a recording: a remote one is fetched once for all that take it."""
     return located(bag)
 
 
@@ -202,19 +198,12 @@ def open_session(bag: Recorded | AnyPath, stated: Stated, rate: float | None = N
         bag: As for `calibrate`, or already located.
         stated: Known facts of the session.
         rate: Samples per second of arrays.
-
-    Raises:
-        InputError: Something is missing, ambiguous or unreadable.
     """
     return session_of(recording_at(bag, rate), stated)
 
 
 def session_of(recording: Recording, stated: Stated) -> Opened:
-    """Find the set-up of a recording's session.
-
-    Raises:
-        InputError: Something is missing or ambiguous.
-    """
+    """Find the set-up of a recording's session."""
     streams = streams_of(stated, recording)
     described = table_of(stated, recording)
     table = mounted_on(described, stated, recording, streams.imu)

@@ -97,11 +97,7 @@ class Prediction:
         return times_on(self.setup.plan, table)[0]
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return std, the smallest that the session allows (best) and unit, by parameter.
-
-        Raises:
-            InputError: pandas is not installed.
-        """
+        """Return std, the smallest that the session allows (best) and unit, by parameter."""
         found = self.forecast
         return predicted_frame(found.parameters, found.std, found.best)
 

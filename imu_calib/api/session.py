@@ -54,11 +54,7 @@ def as_list(given: Any) -> list[Any]:
 
 
 def as_units(imus: Named | Sequence[MountedUnit]) -> tuple[MountedUnit, ...]:
-    """Return several units given by file or value.
-
-    Raises:
-        InputError: The file is broken, or there is no unit.
-    """
+    """Return several units given by file or value."""
     units = load_units(imus) if isinstance(imus, str | Path) else tuple(imus)
     if not units:
         raise InputError('`imus`: found no unit, expected one or more.')
@@ -82,11 +78,7 @@ def as_combined(calibration: Result | AnyCalibration | Named) -> ThermalCalibrat
 
 
 def as_applied(calibration: Result | AnyCalibration | Named) -> tuple[AnyCalibration, str]:
-    """Return a calibration for compensation (over temperature, if it has that) and its name.
-
-    Raises:
-        InputError: A file cannot be read, or is not a calibration.
-    """
+    """Return a calibration for compensation (over temperature, if it has that) and its name."""
     if isinstance(calibration, str | Path):
         return load_calibration(calibration), str(calibration)
     if isinstance(calibration, ThermalCalibration):
@@ -162,11 +154,7 @@ in the hand. The error of the vertical Earth rate is then at most 15 deg/h in ei
 
 
 def stated_plan(stated: Stated, recording: Recording) -> Plan | None:
-    """Return the stated plan, or the one in the recording; None without.
-
-    Raises:
-        InputError: The file is broken.
-    """
+    """Return the stated plan, or the one in the recording; None without."""
     if stated.plan == NO_PLAN:
         return None
     if stated.plan is not None:
@@ -223,9 +211,6 @@ def mounted_on(table: Table, stated: Stated, recording: Recording, topic: str) -
         stated: Known facts.
         recording: The recording.
         topic: Of the unit's samples.
-
-    Raises:
-        InputError: The mount in the recording is invalid.
     """
     mount = stated.mount
     if mount is None:

@@ -208,11 +208,7 @@ def _options(
     start: str | datetime | None,
     temperature: float | None,
 ) -> StandOptions:
-    """Return how a simulated stand differs from its descriptions; arguments as for `simulate`.
-
-    Raises:
-        InputError: The file is broken, or an azimuth, a date or a temperature is invalid.
-    """
+    """Return how a simulated stand differs from its descriptions; arguments as for `simulate`."""
     options = StandOptions(
         azimuth=azimuth_of(azimuth or 0.0),
         # A uniform error of this half width has the table's stated standard deviation.
@@ -450,9 +446,6 @@ class MonteCarloResult:
         Columns: mean error (bias), scatter of the errors (spread), stated standard deviation,
         largest error (worst), root mean square of the errors over their stated standard deviations
         (normalised), unit.
-
-        Raises:
-            InputError: pandas is not installed.
         """
         outcome = self.outcome
         columns = {
@@ -464,11 +457,7 @@ class MonteCarloResult:
         return compared_frame(outcome.parameters, columns, {'normalised': outcome.rms})
 
     def plot(self) -> Figure:
-        """Draw the errors over the stated standard deviations; return the matplotlib Figure.
-
-        Raises:
-            InputError: matplotlib is not installed.
-        """
+        """Draw the errors over the stated standard deviations; return the matplotlib Figure."""
         setup, outcome = self.setup, self.outcome
         title = f'{setup.plan.name}, {setup.method_name}: {len(outcome.errors)} runs'
         known = np.isfinite(outcome.mean_stated)

@@ -154,11 +154,7 @@ def _run(words: list[str], keywords: Collection[str]) -> None:
 def setup_of_stand(
     stated: Stated, imu: ImuSpec, plan: Plan, table: Table | None, site: Site
 ) -> Setup:
-    """Return the set-up of a live session, with the stated method and terms.
-
-    Raises:
-        InputError: There is no such term.
-    """
+    """Return the set-up of a live session, with the stated method and terms."""
     terms, changes, search = stated.sensor_terms, stated.changes, stated.search_terms
     return Setup(
         imu, plan, table, site, stated.method, terms=terms, changes=changes, search_terms=search
@@ -191,11 +187,7 @@ def has_simulated_hands(setup: Setup) -> bool:
 
 
 def true_table_of(imperfections: Named, table: Table | None, seed: int) -> TrueTable | None:
-    """Return the simulated table where imperfections differ from its description.
-
-    Raises:
-        InputError: There is no such file, or it is broken.
-    """
+    """Return the simulated table where imperfections differ from its description."""
     return load_imperfections(imperfections, StandOptions(), table, seed).true
 
 

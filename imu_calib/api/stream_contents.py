@@ -80,11 +80,7 @@ class StreamContents:
 
 
 def stream_contents(opened: Opened, progress: Progress) -> StreamContents:
-    """Read the streams, and return their contents.
-
-    Raises:
-        InputError: Unreadable, or the statements do not match it.
-    """
+    """Read the streams, and return their contents."""
     setup = opened.setup
     free = setup.method_name == _FREE
     with refused_by_stamps(opened.recording, opened.streams):

@@ -245,11 +245,7 @@ class Calibration:
         }
 
     def to_yaml(self) -> str:
-        """Return the file's text: SI units, for people and for yaml.safe_load.
-
-        Raises:
-            InputError: An estimated parameter is not a finite number.
-        """
+        """Return the file's text: SI units, for people and for yaml.safe_load."""
         head = (
             '# Calibration of an IMU, SI units: rad, m, s.\n'
             '# Outputs times scale_factor = (I + error_matrix) input + bias.\n'
@@ -326,29 +322,18 @@ class Calibration:
         Args:
             text: As written by `to_yaml`.
             where: The file, for messages.
-
-        Raises:
-            InputError: Not a calibration; names file, key, what was found and what was expected.
         """
         return cls.read(Section.parse(text, where))
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return value, std and unit of each parameter as a pandas.DataFrame, by its name.
-
-        Raises:
-            InputError: pandas is not installed.
-        """
+        """Return value, std and unit of each parameter as a pandas.DataFrame, by its name."""
         from .views import compared_frame
 
         return compared_frame(self.parameters, {'value': self.values, 'std': self.std}, {})
 
     @property
     def labelled(self) -> LabelledValues:
-        """`values`, `std`, `covariance` and `noise` with their names, as pandas holds them: SI.
-
-        Raises:
-            InputError: pandas is not installed.
-        """
+        """`values`, `std`, `covariance` and `noise` with their names, as pandas holds them: SI."""
         from .views import labelled
 
         return labelled(self.parameters, self.values, self.std, self.covariance, self.noise)
@@ -398,11 +383,7 @@ class Calibration:
         return parameter_page(title, self.parameters, self.values, self.std)
 
     def plot(self) -> Figure:
-        """Draw the parameters with bars of two standard deviations; return the matplotlib Figure.
-
-        Raises:
-            InputError: matplotlib is not installed.
-        """
+        """Draw the parameters with bars of two standard deviations, as a matplotlib Figure."""
         from .views import draw_parameters
 
         return draw_parameters(self.unit_name, self.parameters, self.values, self.std)
@@ -436,21 +417,13 @@ class Calibration:
 
     @checked
     def save(self, path: str | Path) -> None:
-        """Write the file whole or not at all.
-
-        Raises:
-            InputError: It cannot be written.
-        """
+        """Write the file whole or not at all."""
         write_whole(user_path(path), self.to_yaml())
 
     @classmethod
     @checked
     def load(cls, path: str | Path) -> Calibration:
-        """Read a calibration file.
-
-        Raises:
-            InputError: Unreadable, or not a calibration.
-        """
+        """Read a calibration file."""
         return cls.read(calibration_section(path))
 
     @classmethod
@@ -585,11 +558,7 @@ def _read_covariance(
 
 
 def calibration_section(path: str | Path) -> Section:
-    """Read the mapping of a calibration file.
-
-    Raises:
-        InputError: Unreadable, a recording, or another file.
-    """
+    """Read the mapping of a calibration file."""
     file = user_path(path)
     inside = file.iterdir() if file.is_dir() else (file,)
     if any(one.suffix in _RECORDINGS for one in inside):

@@ -34,11 +34,7 @@ class ExportSource:
     sheet: ImuSpec | None = None
 
     def rate_for(self, purpose: str) -> float:
-        """Return the sample rate, Hz.
-
-        Raises:
-            InputError: It is not stated; the text states its purpose.
-        """
+        """Return the sample rate, Hz."""
         if self.sample_rate is not None:
             return self.sample_rate
         if self.sheet is not None and self.sheet.sample_rate is not None:
@@ -136,11 +132,7 @@ _UNITS = {
 
 
 def export_imucal(source: ExportSource) -> Exported:
-    """Return a TurntableCalibrationInfo.
-
-    Raises:
-        InputError: Pulses without a sample rate.
-    """
+    """Return a TurntableCalibrationInfo."""
     calibration = source.calibration
     imu, model = calibration.imu, calibration.model
     per_second, comment = 1.0, f'{imu.id}, by imu_calib'
@@ -322,9 +314,6 @@ def export_ros(source: ExportSource) -> Exported:
     """Return parameters that name the calibration file for the node.
 
     The file is not copied: the node reads it again when it changes.
-
-    Raises:
-        InputError: The calibration has no file.
     """
     if source.path is None:
         raise InputError(

@@ -46,11 +46,7 @@ _AnyReview = TypeVar('_AnyReview', bound=Review)
 
 
 def refuse_separate_messages(session: Segmented) -> None:
-    """Refuse a session whose gyros and accelerometers come in messages of their own.
-
-    Raises:
-        InputError: They do.
-    """
+    """Refuse a session whose gyros and accelerometers come in messages of their own."""
     if session.facts.sensors_separate:
         raise InputError(separate_messages_sentence('TOPIC', session.facts.units))
 

@@ -178,11 +178,7 @@ class NoiseAtRest:
         }
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return the coefficients: a row for each kind of noise and channel, SI units.
-
-        Raises:
-            InputError: pandas is not installed.
-        """
+        """Return the coefficients: a row for each kind of noise and channel, SI units."""
         require('pandas', 'A data frame', 'dataframe')
         import pandas as pd
 
@@ -203,11 +199,7 @@ class NoiseAtRest:
         return pd.DataFrame(rows, columns=names).set_index(['channel', 'noise'])
 
     def plot(self) -> Figure:
-        """Draw the Allan deviations with their fits; return the matplotlib Figure.
-
-        Raises:
-            InputError: matplotlib is not installed.
-        """
+        """Draw the Allan deviations with their fits; return the matplotlib Figure."""
         figure = empty_figure(_WIDTH, _HEIGHT, 'A picture')
         for triad, axes in zip(TRIAD_NAMES, figure.subplots(1, 2), strict=True):
             for name, one in self.triad(triad).items():
@@ -226,11 +218,7 @@ class NoiseAtRest:
         return figure
 
     def curves(self) -> pandas.DataFrame:
-        """Return the Allan deviations: index tau, s; a column for each channel, SI units.
-
-        Raises:
-            InputError: pandas is not installed.
-        """
+        """Return the Allan deviations: index tau, s; a column for each channel, SI units."""
         require('pandas', 'A data frame', 'dataframe')
         import pandas as pd
 
@@ -422,11 +410,7 @@ def export_noise(
 
 
 def filter_noise(noise: NoiseAtRest, units: TriadUnits) -> FilterNoise:
-    """Return the noise of a triad.
-
-    Raises:
-        InputError: The record does not determine it.
-    """
+    """Return the noise of a triad."""
     channels = list(noise.triad(units).values())
     walks = [c.noise.random_walk.value for c in channels]
     known = [walk for walk in walks if walk is not None]

@@ -45,11 +45,7 @@ Reader = Callable[[str], Any]
 
 
 def read_origin(section: Section) -> dict[str, Any]:
-    """Return the provenance in a file; empty without one.
-
-    Raises:
-        InputError: Names the key, what was found and what was expected.
-    """
+    """Return the provenance in a file; empty without one."""
     if not section.has('provenance'):
         return {}
     mine = section.section('provenance')

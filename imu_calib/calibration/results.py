@@ -106,11 +106,7 @@ class Result:
         return (f'terms: {names or "none"}',)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values, SI units, by the keys of docs/files/output.md.
-
-        Raises:
-            InputError: An estimated parameter is not a finite number.
-        """
+        """Return it as plain values, SI units, by the keys of docs/files/output.md."""
         found = self.calibration
         rows = zip(found.parameters, found.values, found.std, strict=True)
         return {

@@ -149,11 +149,7 @@ class ThermalCalibration:
 
     @checked
     def save(self, path: str | Path) -> None:
-        """Write the file whole or not at all.
-
-        Raises:
-            InputError: It cannot be written.
-        """
+        """Write the file whole or not at all."""
         write_whole(user_path(path), self.to_yaml())
 
 
@@ -226,20 +222,12 @@ def temperature_range(calibration: AnyCalibration) -> tuple[float, float]:
 
 
 def load_calibration(path: str | Path) -> AnyCalibration:
-    """Read a calibration file, single or combined.
-
-    Raises:
-        InputError: Unreadable, or not a calibration; names file and key.
-    """
+    """Read a calibration file, single or combined."""
     return read_calibration(calibration_section(path))
 
 
 def read_calibration(section: Section) -> AnyCalibration:
-    """Read a calibration, single or combined, from its YAML mapping.
-
-    Raises:
-        InputError: Not a calibration; names file and key.
-    """
+    """Read a calibration, single or combined, from its YAML mapping."""
     if not (section.has('calibrations') or section.alike('calibrations')):
         calibration = Calibration.read(section)
         return by_temperature(calibration, section.where)
@@ -315,11 +303,7 @@ def first_of(calibration: AnyCalibration) -> Calibration:
 def check_same_unit(
     calibration: AnyCalibration, name: str, other: AnyCalibration, other_name: str
 ) -> None:
-    """Refuse calibrations that are not of one unit, or whose outputs differ in meaning.
-
-    Raises:
-        InputError: Names the key, what was found and what was expected.
-    """
+    """Refuse calibrations that are not of one unit, or whose outputs differ in meaning."""
     unit = first_of(other)
     check_unit(calibration, name, unit.imu, other_name, unit.serial_number)
 
@@ -337,9 +321,6 @@ def check_unit(
         imu: Description of the unit to compensate.
         where: Source of this description.
         serial_number: Of the unit to compensate; empty if not stated.
-
-    Raises:
-        InputError: Names the key, what was found and what was expected.
     """
     check_identity(calibration, name, imu.id, where, serial_number)
     own = first_of(calibration).imu
@@ -362,9 +343,6 @@ def check_identity(
         imu: Id of the unit, or of its type.
         where: Source of this id.
         serial_number: Of the unit; empty if not stated. Compared if both state one.
-
-    Raises:
-        InputError: Names the key, what was found and what was expected.
     """
     own = first_of(calibration)
     compared: dict[str, tuple[str | float, str | float]] = {'imu': (own.imu.id, imu)}

@@ -47,7 +47,8 @@ class ImuCalibError(Exception):
 class InputError(ImuCalibError):
     """Wrong usage or unreadable input: file, key, topic, what was found, what was expected.
 
-    Every function that reads a file or takes a user's value raises it; `Raises:` states more.
+    Every function that reads a file, takes a user's value or needs an optional library raises it;
+    `Raises:` states more.
     """
 
     exit_code = 2

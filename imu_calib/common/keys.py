@@ -104,9 +104,6 @@ def read_record(section: Section, kind: type[Record], variant: object = 'key') -
     """Read a whole mapping by the keys that the fields of a record declare.
 
     Keys are checked before values: a misspelt one is named, and not what follows from its absence.
-
-    Raises:
-        InputError: File, key, what was found and what was expected.
     """
     _refuse_others(section, kind, variant)
     return read_part(section, kind, variant)
@@ -116,9 +113,6 @@ def read_onto(section: Section, base: Record, variant: object = 'key') -> Record
     """Read a whole mapping as `read_record`, on top of a record.
 
     What the mapping leaves out stays as it is, unless its key has a default.
-
-    Raises:
-        InputError: File, key, what was found and what was expected.
     """
     _refuse_others(section, type(base), variant)
     result: Record = _read_onto(section, base, variant)

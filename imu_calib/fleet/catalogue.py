@@ -182,9 +182,6 @@ class Catalogue:
         """Return all rows, in the order of their addition.
 
         A row that is there twice, in a copied part for instance, counts once.
-
-        Raises:
-            InputError: A part is broken, or of a newer version.
         """
         import pyarrow as pa
 

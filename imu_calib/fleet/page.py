@@ -37,11 +37,7 @@ if TYPE_CHECKING:
 
 
 def bokeh_script() -> str:
-    """Return the script in a form that an HTML file can contain.
-
-    Raises:
-        InputError: Bokeh is not installed.
-    """
+    """Return the script in a form that an HTML file can contain."""
     require('bokeh', 'A page on a catalogue', 'fleet')
     from bokeh.resources import Resources
 
@@ -59,9 +55,6 @@ def page(fleet: Fleet) -> str:
     """Return the page as HTML.
 
     Equal contents give equal text.
-
-    Raises:
-        InputError: Bokeh is not installed.
     """
     title = f'Fleet {fleet.name}'
     library = bokeh_script()

@@ -33,11 +33,7 @@ MONTH_DAYS = 30.4375
 
 @dataclass(frozen=True)
 class Rules:
-    """Rules of the evaluation of a history.
-
-    Raises:
-        InputError: A number is outside its range.
-    """
+    """Rules of the evaluation of a history."""
 
     #: Largest probability of a wrong statement: for each kind of chart that any parameter of a unit
     #: gives a signal at a session; that any step, or any significant trend, is found in a unit

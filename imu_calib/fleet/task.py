@@ -70,9 +70,6 @@ def key_of(job: Job, sha256: str) -> str:
     Args:
         job: The task.
         sha256: Of the recording's content.
-
-    Raises:
-        InputError: A file cannot be read.
     """
     stated = {one.name: getattr(job.stated, one.name) for one in fields(job.stated)}
     for name, folder in _FOLDERS.items():
@@ -116,11 +113,7 @@ def _text_of_type(unit: MountedUnit) -> str:
 
 
 def content_of(path: AnyPath) -> str:
-    """Return the SHA-256 of a recording's storage files, equal to its `sha256`, without opening it.
-
-    Raises:
-        InputError: There is no recording, or it cannot be read.
-    """
+    """Return the SHA-256 of a recording's storage files, its `sha256`, without opening it."""
     try:
         return content_hash(find_files(path, Losses()).paths)
     except OSError as error:

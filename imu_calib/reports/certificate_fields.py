@@ -329,11 +329,7 @@ class Fields:
 
 
 def read_fields(section: Section) -> Fields:
-    """Read a file of fields.
-
-    Raises:
-        InputError: A key is unknown or of another kind; a missing one is not an error here.
-    """
+    """Read a file of fields."""
     found = replace(read_record(section, Fields), where=section.where)
     first, last = found.calibrated or (None, None)
     steps = [('received', found.received), ('calibrated: from', first)]

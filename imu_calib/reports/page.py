@@ -186,9 +186,6 @@ def page(contents: Contents) -> str:
     """Return the report as HTML.
 
     Equal contents give equal text, independent of time and place.
-
-    Raises:
-        InputError: The calibrations to compare are not of one unit.
     """
     calibration = contents.calibration
     # A unit without a number is known by its type, or its recording.

@@ -145,11 +145,7 @@ class RepeatedParameter:
 
 
 def date_of(calibration: Calibration) -> datetime | None:
-    """Return when the recording of a calibration began; None if it is not stated.
-
-    Raises:
-        InputError: The entry is not a date.
-    """
+    """Return when the recording of a calibration began; None if it is not stated."""
     text = calibration.provenance.get('recorded')
     if text is None:
         return None

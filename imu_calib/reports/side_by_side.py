@@ -94,11 +94,7 @@ class SideBySide:
 
 
 def side_by_side(calibrations: Sequence[Calibration]) -> SideBySide:
-    """Compare two or more calibrations.
-
-    Raises:
-        InputError: Their streams have different units.
-    """
+    """Compare two or more calibrations."""
     first = calibrations[0]
     in_scale = (first, *(in_scale_of(one, first) for one in calibrations[1:]))
     known = [
@@ -202,9 +198,6 @@ def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:
 
     With twice the nominal scale factor the same unit has twice the response: I + M, bias and the
     coefficients of terms double.
-
-    Raises:
-        InputError: The streams have different units.
     """
     mine, its = calibration.imu, other.imu
     if mine.units is not its.units:
