@@ -2,8 +2,21 @@
 
 from __future__ import annotations
 
+import inspect
+import re
+from dataclasses import fields
+from enum import Enum
+from typing import Any, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
 from imu_calib.cli.outcome import FORMAT
+from imu_calib.common.stream import Floats
+from imu_calib.fleet import results
+from imu_calib.fleet.results import Dates, Flags
 from imu_calib.model.parameters import TRIADS
+from imu_calib.session.imu import Verdict
 
 from .keys import (
     REQUIRED,
@@ -264,158 +277,120 @@ _INFO = [
 _REPORT = [_FILE, _SPECIFIED]
 _DAY = _maybe(_TEXT, 'date, `2026-11-22`, or `null`')
 _EACH = array(_UNKNOWN, 24, 24, 'list of 24 numbers, each may be `null`')
-_RULES = [
-    _key('false_alarm', _NUMBER, 'largest probability of a wrong statement of each kind'),
-    _key('confidence', _NUMBER, 'of intervals'),
-    _key('inside', _NUMBER, 'probability of being within the specification until due'),
-    _key('smoothing', _NUMBER, 'weight of the newest session in an EWMA'),
-    _key('horizon', _NUMBER, 'years beyond which nothing is predicted'),
-    _key('individuals_limit', _NUMBER, 'of scores, to either side'),
-    _key('ewma_limit', _NUMBER, 'of their EWMA, to either side'),
-    _key('parameter_run', _NUMBER, 'sessions between false alarms of one parameter'),
-    _key('unit_run', _NUMBER, 'sessions between false alarms of a unit, at least'),
-]
+_OF_TYPES: dict[Any, Value] = {
+    str: _TEXT,
+    bool: flag(),
+    int: whole(0),
+    float: _NUMBER,
+    np.datetime64: _DAY,
+    Verdict | None: _maybe(_VERDICT),
+    tuple[str, ...]: _TEXTS,
+    tuple[tuple[str, ...], ...]: array(_TEXTS, 0, words='list of lists'),
+    NDArray[np.int64]: array(whole(0), 0, words='list of numbers'),
+}
+_IN_ROWS: dict[Any, Value] = {
+    Floats: _UNKNOWN,
+    Dates: _DAY,
+    Flags: flag(),
+    NDArray[np.int64]: whole(0),
+    tuple[str, ...]: _TEXT,
+}
+_SHAPE = re.compile(r'\(\w+(?:, \w+|,)?\) ')
+_FIRST = re.compile(r"^[A-Z](?=[a-z]+\b(?!'))")
+"""First letter of a sentence, not of a name."""
+
+
+def _stated(kind: type, *names: str, rows: bool = False, **others: Value) -> list[Key]:
+    """Return keys of a result by its fields, with the words beside them (`#:`).
+
+    Args:
+        kind: The result.
+        names: Of the fields; without any all of which the value follows from the type.
+        rows: Whether arrays are columns, of which a row has one element.
+        others: Values where they do not follow from the type.
+    """
+    hints, words, keys = get_type_hints(kind), _beside(kind), []
+    for each in fields(kind):
+        hint, meaning = hints[each.name], words[each.name]
+        value = others.get(each.name) or (_IN_ROWS if rows else _OF_TYPES).get(hint)
+        if isinstance(hint, type) and issubclass(hint, Enum):
+            value = choice([one.value for one in hint])
+        elif hint == Floats and (', 24)' in meaning or not rows) and each.name not in others:
+            value = _EACH
+        if (each.name in names or not names) and value is not None:
+            meaning = re.sub('NaN|NaT|None', '`null`', _SHAPE.sub('', meaning).rstrip('.'))
+            meaning = _FIRST.sub(lambda first: first[0].lower(), meaning)
+            keys.append(_key(each.metadata.get('key', each.name), value, meaning))
+    return keys
+
+
+def _beside(kind: type) -> dict[str, str]:
+    """Return the words beside the fields of a result, or above them."""
+    found: dict[str, str] = {}
+    above: list[str] = []
+    for line in inspect.getsource(kind).splitlines():
+        code, _, words = line.partition('#:')
+        field = re.match(r'    (\w+):', code)
+        above.append(words.strip())
+        if field:
+            found[field[1]] = ' '.join(filter(None, above))
+        if field or not words:
+            above.clear()
+    return found
+
+
 _OF_UNIT = [
     _NAME,
     _UNIT,
     _key('value', _UNKNOWN, 'at the newest session'),
     _key('std', _UNKNOWN, 'its standard deviation, as stated'),
-    _key('limit', _UNKNOWN, 'largest amount allowed'),
-    _key('outside', flag(), 'whether it is significantly beyond that'),
-    _key('level', _UNKNOWN, 'of the line at the newest session'),
-    _key('level_std', _UNKNOWN, 'its standard deviation'),
-    _key('slope', _UNKNOWN, 'of the line, per month'),
-    _key('slope_std', _UNKNOWN, 'its standard deviation'),
-    _key('slope_low', _UNKNOWN, 'lower end of its interval'),
-    _key('slope_high', _UNKNOWN, 'upper end'),
-    _key('slope_chance', _UNKNOWN, 'probability of so much without a trend'),
-    _key('drifts', flag(), 'whether the slope is significant, all parameters considered'),
-    _key('turn_on', _UNKNOWN, 'standard deviation between sessions, beyond what they state'),
-    _key('turn_on_low', _UNKNOWN, 'lower end of its interval'),
-    _key('turn_on_high', _UNKNOWN, 'upper end'),
-    _key('stated', _UNKNOWN, 'standard deviation that sessions state, root mean square'),
-    _key('degrees_of_freedom', _NUMBER, 'of the scatter'),
-    _key('overstated', flag(), 'whether sessions agree better than they state'),
-    _key('leaves', _DAY, 'when the line crosses the limit'),
-    _key('inside_until', _DAY, 'until when it is inside with the probability `inside`'),
+    _key('outside', flag(), 'whether it is significantly beyond its limit'),
+    *_stated(results.Trend, rows=True),
+    *_stated(results.Scatter, rows=True),
+    *_stated(results.Forecast, 'limit', 'leaves', 'earliest', rows=True),
 ]
 _OF_SESSION = [
-    _key('key', _TEXT, 'of the row in the catalogue'),
+    *_stated(results.UnitHistory, 'key', 'stand', 'values', 'std', 'corrected', rows=True),
     _key('date', _TEXT, 'UTC'),
-    _key('stand', _TEXT, 'empty where it is not known'),
-    _key('values', _EACH, 'in the order of `parameters`'),
-    _key('std', _EACH, 'as stated'),
-    _key('corrected', _EACH, 'values less what a named stand adds'),
-    _key('score', _EACH, 'against the sessions before, as normal deviates'),
-    _key('ewma', _EACH, 'of the scores'),
-    _key('t2', _UNKNOWN, "Hotelling's T^2 of the scores"),
-    _key('t2_limit', _UNKNOWN, 'its limit'),
-    _key('t2_chance', _UNKNOWN, 'probability of so much in control'),
+    *_stated(results.Charts, rows=True),
 ]
-_STEPPED = [
-    _NAME,
-    _UNIT,
-    _key('size', _NUMBER, 'after less before'),
-    _key('std', _NUMBER, 'its standard deviation'),
-    _key('low', _NUMBER, 'lower end of its interval'),
-    _key('high', _NUMBER, 'upper end'),
-]
+_STEPPED = [_NAME, _UNIT, *_stated(results.Step, 'size', 'std', 'low', 'high', rows=True)]
 _STEP = [
-    _key('session', whole(0), 'first one after it, from 0'),
-    _key('after', _TEXT, 'date of the last session before it'),
-    _key('before', _TEXT, 'date of the first session after it'),
-    _key('cause', choice(['mount', 'unit']), 'what it looks like'),
-    _key('rotation', array(_UNKNOWN, 3, 3, 'list of 3 numbers'), 'of a mount, rad; else `null`'),
+    *_stated(
+        results.Step,
+        *('index', 'after', 'before', 'cause', 'rotation'),
+        rotation=array(_UNKNOWN, 3, 3, 'list of 3 numbers'),
+    ),
     _key('parameters', _rows(_STEPPED), 'that step significantly'),
 ]
-_SIGNAL = [
-    _key('chart', choice(['individuals', 'EWMA', 'T^2']), 'which'),
-    _key('session', whole(0), 'from 0'),
-    _key('parameter', _TEXT, 'empty for T^2'),
-    _key('value', _NUMBER, 'what the chart shows'),
-    _key('limit', _NUMBER, 'that it leaves'),
-]
 _OF_UNITS = [
-    _key('serial', _TEXT, 'number'),
-    _key('imu', _TEXT, 'type'),
-    _key('lot', _TEXT, 'empty where it is not known'),
-    _key('verdict', _maybe(_VERDICT), 'of the newest session'),
-    _key('outside', _TEXTS, 'parameters beyond their limits'),
-    _key('recalibrate', _DAY, 'until when all parameters are inside'),
-    _key('first_in_doubt', _TEXT, 'parameter that is most likely outside then'),
-    _key('borrowed', flag(), "whether the type's trends stand in for the unit's"),
-    _key('reason', _TEXT, 'why there is no date; else empty'),
+    *_stated(results.UnitHistory, 'serial', 'imu', 'lot', 'verdict', 'outside'),
+    *_stated(results.Forecast, 'recalibrate', 'parameter', 'borrowed', 'reason'),
     _key('parameters', _rows(_OF_UNIT), 'all 24'),
     _key('sessions', _rows(_OF_SESSION), 'by date'),
     _key('steps', _rows(_STEP), 'between sessions'),
-    _key('signals', _rows(_SIGNAL), 'of the charts'),
+    _key('signals', _rows(_stated(results.Signal)), 'of the charts'),
     _key('findings', _TEXTS, 'what the user of the result must know'),
 ]
 _DISTRIBUTION = [
     _NAME,
     _UNIT,
-    _key('count', whole(0), 'units with a value'),
-    _key('mean', _UNKNOWN, 'of the newest values'),
-    _key('std', _UNKNOWN, 'between units'),
-    _key('median', _UNKNOWN, 'of them'),
-    _key('robust_std', _UNKNOWN, '1.4826 times the median absolute deviation'),
-    _key('quantiles', Value({'type': 'object'}, 'by probability'), 'of them'),
-    _key('turn_on', _UNKNOWN, 'typical standard deviation between sessions'),
-    _key('trend', _UNKNOWN, 'mean slope, per month'),
-    _key('trend_std', _UNKNOWN, "of units' slopes about it"),
-    _key('outside', whole(0), 'units beyond the limit'),
-]
-_OUTLIER = [
-    _key('serial', _TEXT, 'unit'),
-    _key('parameter', _TEXT, 'name'),
-    _key('value', _NUMBER, 'SI'),
-    _key('score', _UNKNOWN, 'distance from the median in robust standard deviations'),
-]
-_LOT = [
-    _key('lot', _TEXT, 'name'),
-    _key('parameter', _TEXT, 'name'),
-    _key('units', whole(0), 'of it'),
-    _key('shift', _NUMBER, 'against all others, SI'),
-    _key('std', _NUMBER, 'its standard deviation'),
-    _key('chance', _NUMBER, 'probability of this or more, corrected for all tests'),
+    *_stated(results.Population, rows=True, quantiles=Value({'type': 'object'}, 'by probability')),
 ]
 _POPULATION = [
-    _key('imu', _TEXT, 'type'),
-    _key('units', whole(0), 'how many'),
-    _key('sessions', whole(0), 'of all'),
+    *_stated(results.Population, 'imu', 'units', 'sessions'),
     _key('parameters', _rows(_DISTRIBUTION), 'all 24'),
-    _key('outliers', _rows(_OUTLIER), 'outlying units'),
-    _key('lots', _rows(_LOT), 'outlying lots'),
+    _key('outliers', _rows(_stated(results.Outlier, score=_UNKNOWN)), 'outlying units'),
+    _key('lots', _rows(_stated(results.LotShift)), 'outlying lots'),
 ]
-_COUNTS = array(whole(0), 0, words='list of numbers')
-_EFFECT = [
-    _key('stand', _TEXT, 'name'),
-    _key('effect', _EACH, 'less the mean of the linked stands'),
-    _key('std', _EACH, 'their standard deviations'),
-]
-_SHIFT = [
-    _key('stand', _TEXT, 'name'),
-    _key('others', _TEXTS, 'stands that it was compared with'),
-    _key('identified', flag(), 'whether this one is off'),
-    _key('what', _TEXT, 'a parameter, or `K_g`, `K_a`, `E about X`'),
-    _key('parameters', _TEXTS, 'shifted parameters'),
-    _UNIT,
-    _key('shift', _NUMBER, 'its shift'),
-    _key('std', _NUMBER, 'its standard deviation'),
-    _key('low', _NUMBER, 'lower end of its interval, simultaneous for all tests'),
-    _key('high', _NUMBER, 'upper end'),
-    _key('chance', _NUMBER, 'probability of this or more, corrected for all tests'),
-    _key('units', whole(0), 'units that were on this stand and on another'),
-]
+_EFFECT = [_key('stand', _TEXT, 'name'), *_stated(results.Stands, 'effect', 'std')]
 _STANDS = [
-    _key('names', _TEXTS, 'of the stands'),
-    _key('sessions', _COUNTS, 'of each'),
-    _key('units', _COUNTS, 'of each'),
-    _key('groups', array(_TEXTS, 0, words='list of lists'), 'linked by units'),
+    *_stated(results.Stands, 'names', 'sessions', 'units', 'groups'),
     _key('effects', _rows(_EFFECT), 'of each'),
-    _key('reproducibility', _EACH, 'standard deviation between stands'),
-    _key('shifts', _rows(_SHIFT), 'stands that are off'),
+    *_stated(results.Stands, 'reproducibility'),
+    _key('shifts', _rows(_stated(results.StandShift)), 'stands that are off'),
 ]
+_RULES = [*_stated(results.Rules), *_stated(results.ChartLimits)]
 _HISTORY = [
     _key('rules', _below(_RULES), 'limits and probabilities used'),
     _key('units', _rows(_OF_UNITS), 'by type and serial number'),
@@ -482,14 +457,14 @@ TABLES: Tables = {
     'sessions': _OF_SESSION,
     'steps': _STEP,
     'stepped': _STEPPED,
-    'signals': _SIGNAL,
+    'signals': _stated(results.Signal),
     'populations': _POPULATION,
     'distribution': _DISTRIBUTION,
-    'outliers': _OUTLIER,
-    'lots': _LOT,
+    'outliers': _stated(results.Outlier, score=_UNKNOWN),
+    'lots': _stated(results.LotShift),
     'stands': _STANDS,
     'effects': _EFFECT,
-    'shifts': _SHIFT,
+    'shifts': _stated(results.StandShift),
 }
 VALUE = mapping(KEYS, *(_of_command(name) for name in COMMANDS))
 TITLE = 'What calibrate, verify, compare, info, report and history write to stdout with --json'
