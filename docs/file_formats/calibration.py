@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
+from imu_calib.calibration import provenance
 from imu_calib.calibration.thermal import MOST
 from imu_calib.common.budget import ErrorSource
+from imu_calib.common.config import Section
+from imu_calib.common.keys import FieldKey
 from imu_calib.common.stream import Units
 from imu_calib.model.alignment import GROUPS
 from imu_calib.model.parameters import AXES, MOST_SKEWED, TRIADS
@@ -14,6 +18,7 @@ from imu_calib.model.terms import TERMS
 
 from .keys import (
     REQUIRED,
+    VALUES,
     Key,
     Schema,
     Tables,
@@ -23,6 +28,7 @@ from .keys import (
     either,
     flag,
     given,
+    key_of,
     mapping,
     number,
     text,
@@ -208,7 +214,6 @@ def _named(value: Value, words: str) -> Value:
 
 
 _MAYBE = Value({'type': ['number', 'null'], 'minimum': 0}, 'number')
-_SIX = array(_MAYBE, 6, 6, 'list of 6 numbers, 0 or more')
 _CURVE_OF = array(_MAYBE, 0, None, 'list of numbers, 0 or more')
 _TIMES = array(
     Value({'type': ['number', 'null'], 'exclusiveMinimum': 0}, 'number'),
@@ -216,7 +221,6 @@ _TIMES = array(
     None,
     'list of numbers above 0',
 )
-_COUNT = whole(0)
 _TEMPERATURE = [
     Key(name, _NUMBER, f'{words}, degC', REQUIRED)
     for name, words in (
@@ -224,13 +228,6 @@ _TEMPERATURE = [
         ('lowest', 'of the session'),
         ('highest', 'of the session'),
     )
-]
-_COMPARED = [
-    Key('offset_s', _NUMBER, 'clock of the IMU against that of the table, s'),
-    Key('offset_std_s', _NUMBER, 'its standard deviation, s'),
-    Key('rate_ppm', _NUMBER, 'relative excess of its rate, ppm'),
-    Key('rate_std_ppm', _NUMBER, 'its standard deviation, ppm'),
-    Key('motions', _COUNT, 'used for the comparison'),
 ]
 _CHANNEL = [
     *(
@@ -271,75 +268,38 @@ _TEST = [
         'the parameter that a coefficient would move most',
     ),
 ]
-_CLOSED_FORM = [
-    Key('method', text(), 'its name'),
-    Key('refusal', text(), 'why it has no result'),
-    Key('joint_std_over_closed_form', number(least=0), 'ratio of the standard deviations'),
-    Key(
-        'difference_in_std',
-        _named(_NUMBER, 'by parameter'),
-        'closed form less joint, in standard deviations',
-    ),
-]
-_PROVENANCE = [
-    Key('recording', text(), 'name of the recording'),
-    Key('sha256', text(), 'of its files'),
-    Key('segments_file', text(), 'file of the holds and turns that were chosen by hand'),
-    Key('topics', array(text(), 0, words='list of texts'), 'topics that were read'),
-    Key(
-        'accel_interpolated_from_hz',
-        number(above=0),
-        'rate of the accelerometers before `convert` read them at the stamps of the gyros, Hz',
-    ),
-    Key('recorded', text(), 'when it began, `2026-01-31T12:00:00Z`'),
-    Key('method', text(), 'the estimator'),
-    Key('terms', array(text(), 0, words='list of texts'), 'that were estimated'),
-    Key('terms_looked_for', flag(), 'whether terms were tested and significant ones estimated'),
-    Key('plan', text(), 'its name'),
-    Key('by_hand', flag(), 'whether the unit was held by hand'),
-    Key('table', text(), 'its name'),
-    Key('table_clock_std', number(least=0), "of the table's clock, a ratio"),
-    Key('latitude_deg', _between(-90, 90), 'of the site, deg'),
-    Key('latitude_std_deg', number(least=0), 'its standard deviation, deg'),
-    Key('gravity', _between(9.7, 9.9), 'value used, m/s^2'),
-    Key('gravity_source', text(), 'its source'),
-    Key('gravity_std', number(least=0), 'its standard deviation, m/s^2'),
-    Key('height', _NUMBER, 'of the site above the ellipsoid, m'),
-    Key('height_assumed', flag(), 'whether it was not stated'),
-    Key('azimuth_seen_deg', _NUMBER, "heading of the table's zero by the session, deg"),
-    Key('azimuth_seen_std_deg', number(least=0), 'its standard deviation, deg'),
-    Key('segments', _COUNT, 'static dwells'),
-    Key('turns', _COUNT, 'turns'),
-    Key('samples', _COUNT, 'samples used'),
-    Key('duration', number(least=0), 'from the first to the last sample, s'),
-    Key('random_walk', _SIX, 'of the channels, rad/sqrt(s) and (m/s)/sqrt(s)'),
-    Key(
-        'sensor_random_walk',
-        _SIX,
-        'of the sensors without the hand: by the data sheet, else by neighbouring samples',
-        None,
-        'unknown (sessions in the hand)',
-    ),
-    Key('residual_rms', _SIX, 'root mean square of the residuals, rad/s and m/s^2'),
-    Key(
-        'gravity_off_before',
-        number(least=0),
-        'by how much the nominal accelerometers miss gravity at the worst static dwell, a ratio',
-    ),
-    Key('gravity_off_after', number(least=0), 'the same of the calibrated ones'),
-    Key('bias_drift', _SIX, 'bias drift included in the standard deviations, rad/s and m/s^2'),
-    Key('condition_number', _NUMBER, 'of the equations'),
-    Key('highest_rate', number(least=0), 'of the turns, rad/s'),
-    Key('temperature', _noted(_TEMPERATURE), 'of the unit', None, 'not recorded'),
-    Key('missing_positions', array(text(), 0, words='list of texts'), 'of the plan'),
-    Key('shared_with', array(text(), 0, words='list of texts'), 'other units of its table'),
-    Key('closed_form', _noted(_CLOSED_FORM), 'the closed form of the plan beside it'),
-    Key('clock', _noted(_COMPARED), 'comparison of the clocks'),
-    Key('versions', _named(text(), 'by name'), 'of the software'),
-    Key('frame', text(), '`accelerometers`: the axes of a session in the hand'),
-    Key('tests_of_terms', _named(_noted(_TEST), 'by the name of the term'), 'terms, as tested'),
-    Key('noise', _named(mapping(_CHANNEL), 'by channel, `gx` to `az`'), 'noise of the session'),
-]
+
+
+def _entries(known: Mapping[str, FieldKey]) -> list[Key]:
+    return [key_of(replace(one, name=name)) for name, one in known.items()]
+
+
+def _at_least(least: float, most: float | None = None) -> Value:
+    if most is not None:
+        return _between(*(int(x) if x == round(x) else x for x in (least, most)))
+    return number(above=0) if least == provenance.LEAST else number(least=least)
+
+
+_NAMED = {
+    Section.number: (_NUMBER, 'by parameter'),
+    Section.text: (text(), 'by name'),
+    provenance.test_of_term: (_noted(_TEST), 'by the name of the term'),
+    provenance.channel_noise: (mapping(_CHANNEL), 'by channel, `gx` to `az`'),
+}
+VALUES.update(
+    {
+        provenance.texts: lambda: array(text(), 0, words='list of texts'),
+        provenance.number_within: _at_least,
+        provenance.possible: number,
+        provenance.numbers: lambda count: array(
+            _MAYBE, count, count, f'list of {count} numbers, 0 or more'
+        ),
+        provenance.temperature: lambda: _noted(_TEMPERATURE),
+        provenance.entries: lambda known: _noted(_entries(known)),
+        provenance.each: lambda read: _named(*_NAMED[read]),
+    }
+)
+_PROVENANCE = _entries(provenance.ENTRIES)
 
 
 def _needed(key: Key) -> Key:
@@ -430,10 +390,10 @@ TABLES: Tables = {
     'residuals': _RESIDUAL,
     'provenance': _PROVENANCE,
     'temperature': _TEMPERATURE,
-    'clocks': _COMPARED,
+    'clocks': _entries(provenance.ENTRIES['clock'].arguments[0]),
     'tests': _TEST,
     'moved': _MOVED,
-    'closed form': _CLOSED_FORM,
+    'closed form': _entries(provenance.ENTRIES['closed_form'].arguments[0]),
     'noise': _CHANNEL,
     'combined': COMBINED,
 }

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from imu_calib.common.config import Section
-from imu_calib.common.keys import REQUIRED, field_keys, parts, record, records
+from imu_calib.common.keys import REQUIRED, FieldKey, field_keys, parts, record, records
 from imu_calib.common.units import Dimension
 
 Schema = dict[str, Any]
@@ -220,15 +220,19 @@ def keys_of(kind: type, variant: object = 'key') -> list[Key]:
         if each.name in parts(kind):
             keys += keys_of(parts(kind)[each.name], variant)
         if declared := field_keys(kind, variant).get(each.name):
-            name, default = declared.name, declared.default
-            value = VALUES[declared.read](*declared.arguments, **declared.bounds)
-            if declared.read is records:
-                most = declared.bounds.get('most')
-                number = '' if most is None else f'1 to {most} '
-                value = Value(value.schema, f'list of {number}{name}, below')
-            clause = f' ({declared.source})' if declared.source else ''
-            keys.append(Key(name, value, declared.meaning + clause, default, declared.otherwise))
+            keys.append(key_of(declared))
     return keys
+
+
+def key_of(declared: FieldKey) -> Key:
+    """Return the key that a field declares."""
+    name, value = declared.name, VALUES[declared.read](*declared.arguments, **declared.bounds)
+    if declared.read is records:
+        most = declared.bounds.get('most')
+        number = '' if most is None else f'1 to {most} '
+        value = Value(value.schema, f'list of {number}{name}, below')
+    clause = f' ({declared.source})' if declared.source else ''
+    return Key(name, value, declared.meaning + clause, declared.default, declared.otherwise)
 
 
 CONDITIONS: dict[type, list[Schema]] = {}

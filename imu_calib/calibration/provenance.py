@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..common.budget import LEAST_FREEDOM, PROBABILITY, Budget, BudgetLine, ErrorSource
 from ..common.config import Section, as_number, numbers_of
 from ..common.errors import InputError
+from ..common.keys import FieldKey
 from ..common.stream import Floats
 from ..common.units import LARGEST
 from ..model.earth import SITE_BOUNDS
@@ -25,59 +26,37 @@ from ..model.terms import TERMS, coefficients_of
 from ..session.imu import COEFFICIENTS, CURVE
 
 _CHANNELS = 6  #: Channels of an IMU, gx to az.
-_TEXTS = (
-    *('recording', 'sha256', 'segments_file', 'recorded', 'method', 'plan', 'table'),
-    *('gravity_source', 'frame'),
-)
-_LISTS_OF_TEXTS = ('topics', 'terms', 'missing_positions', 'shared_with')
-_FLAGS = ('terms_looked_for', 'height_assumed', 'by_hand')
-_COUNTS = ('segments', 'turns', 'samples')
-_NUMBERS = ('height', 'azimuth_seen_deg', 'condition_number')
-_SIX = ('random_walk', 'sensor_random_walk', 'residual_rms', 'bias_drift')
-_NOT_NEGATIVE = (
-    *('table_clock_std', 'latitude_std_deg', 'gravity_std', 'highest_rate'),
-    *('azimuth_seen_std_deg', 'duration', 'gravity_off_before', 'gravity_off_after'),
-)
-_LEAST = 1e-30
+LEAST = 1e-30
 """Smallest averaging time and sample rate in SI: none is near, and its square is not zero."""
 
-Reader = Callable[[str], Any]
+Reader = Callable[..., Any]
+
+
+def _entry(meaning: str, read: Reader, *arguments: Any, otherwise: str = '') -> FieldKey:
+    """Return an entry that may be left out or empty; `read` gets the section and the name."""
+    return FieldKey(meaning, read, arguments, {}, None, otherwise, '')
 
 
 def read_origin(section: Section) -> dict[str, Any]:
     """Return the provenance in a file; empty without one."""
     if not section.has('provenance'):
         return {}
-    mine = section.section('provenance')
-    return _read(
-        mine,
-        {
-            **dict.fromkeys(_TEXTS, mine.text),
-            **dict.fromkeys(_LISTS_OF_TEXTS, lambda name: list(mine.texts(name))),
-            **dict.fromkeys(_FLAGS, lambda name: mine.flag(name, default=False)),
-            **dict.fromkeys(_COUNTS, lambda name: mine.whole(name, 0)),
-            **dict.fromkeys(_NUMBERS, mine.number),
-            **dict.fromkeys(_NOT_NEGATIVE, lambda name: _number(mine, name, 0.0)),
-            'accel_interpolated_from_hz': lambda name: _number(mine, name, _LEAST),
-            'latitude_deg': lambda name: _number(mine, name, *SITE_BOUNDS['latitude']),
-            'gravity': lambda name: _number(mine, name, *SITE_BOUNDS['gravity']),
-            **dict.fromkeys(_SIX, lambda name: _numbers(mine, name, _CHANNELS)),
-            'temperature': lambda name: _temperature(mine.section(name)),
-            'clock': lambda name: _clock(mine.section(name)),
-            'closed_form': lambda name: _closed_form(mine.section(name)),
-            'versions': lambda name: _read_each(mine.section(name), Section.text),
-            'tests_of_terms': lambda name: _tests(mine.section(name)),
-            'noise': lambda name: _noise(mine.section(name)),
-        },
-    )
+    return _read(section.section('provenance'), ENTRIES)
 
 
-def _read(section: Section, readers: Mapping[str, Reader]) -> dict[str, Any]:
+def _read(section: Section, known: Mapping[str, FieldKey]) -> dict[str, Any]:
     """Return the values of a mapping: those of known keys as read, others as they are."""
-    return {
-        name: readers.get(name, section.raw)(name) if section.has(name) else None
-        for name in section.names()
-    }
+    found: dict[str, Any] = {}
+    for name in section.names():
+        one = known.get(name)
+        read, arguments = (Section.raw, ()) if one is None else (one.read, one.arguments)
+        found[name] = read(section, name, *arguments) if section.has(name) else None
+    return found
+
+
+def texts(section: Section, name: str) -> list[str]:
+    """Return a list of texts."""
+    return list(section.texts(name))
 
 
 def _read_each(section: Section, read: Callable[[Section, str], Any]) -> dict[str, Any]:
@@ -85,7 +64,8 @@ def _read_each(section: Section, read: Callable[[Section, str], Any]) -> dict[st
     return {name: read(section, name) for name in section.names()}
 
 
-def _number(section: Section, name: str, least: float, most: float | None = None) -> float:
+def number_within(section: Section, name: str, least: float, most: float | None = None) -> float:
+    """Return a number of a range."""
     value = section.number(name)
     if value < least or (most is not None and value > most):
         bound = f'{least:g} or more' if most is None else f'{least:g} to {most:g}'
@@ -93,7 +73,7 @@ def _number(section: Section, name: str, least: float, most: float | None = None
     return value
 
 
-def _possible(section: Section, name: str) -> float:
+def possible(section: Section, name: str) -> float:
     """Return a number that may be infinite or unknown."""
     value = as_number(section.raw(name))
     if value is None or (isfinite(value) and abs(value) > LARGEST):
@@ -101,7 +81,7 @@ def _possible(section: Section, name: str) -> float:
     return value
 
 
-def _numbers(
+def numbers(
     section: Section, name: str, count: int | None = None, least: float = 0.0
 ) -> list[float | None]:
     """Return a list of numbers, some possibly unknown."""
@@ -120,61 +100,45 @@ def _numbers(
     return found
 
 
-def _temperature(section: Section) -> dict[str, Any]:
-    lowest, mean, highest = (section.number(name) for name in ('lowest', 'mean', 'highest'))
+def temperature(section: Section, name: str) -> dict[str, Any]:
+    """Return the temperatures of a session."""
+    mine = section.section(name)
+    lowest, mean, highest = (mine.number(key) for key in ('lowest', 'mean', 'highest'))
     if not lowest <= mean <= highest:
         raise InputError(
-            f'{section.where}: found mean {mean:g}, expected one from lowest, {lowest:g}, to '
-            f'highest, {highest:g}.'
+            f'{mine.where}: found mean {mean:g}, expected one from lowest, {lowest:g}, to highest, '
+            f'{highest:g}.'
         )
-    return _read(section, dict.fromkeys(('mean', 'lowest', 'highest'), section.number))
+    return _read(mine, dict.fromkeys(('mean', 'lowest', 'highest'), _entry('', Section.number)))
 
 
-def _clock(section: Section) -> dict[str, Any]:
-    names = ('offset_s', 'offset_std_s', 'rate_ppm', 'rate_std_ppm')
-    # Any number: the deviation of a clock that was not compared is infinite.
-    return _read(
-        section,
-        {
-            **dict.fromkeys(names, lambda name: _possible(section, name)),
-            'motions': lambda name: section.whole(name, 0),
-        },
-    )
+def entries(section: Section, name: str, known: Mapping[str, FieldKey]) -> dict[str, Any]:
+    """Return a mapping behind a key: those of known keys as read, others as they are."""
+    return _read(section.section(name), known)
 
 
-def _closed_form(section: Section) -> dict[str, Any]:
-    return _read(
-        section,
-        {
-            **dict.fromkeys(('method', 'refusal'), section.text),
-            'joint_std_over_closed_form': lambda name: _number(section, name, 0.0),
-            'difference_in_std': lambda name: _read_each(section.section(name), Section.number),
-        },
-    )
+def each(section: Section, name: str, read: Reader) -> dict[str, Any]:
+    """Return a mapping behind a key whose own keys are names, all read alike."""
+    return _read_each(section.section(name), read)
 
 
-def _tests(section: Section) -> dict[str, Any]:
-    return _read_each(
-        section, lambda tests, name: _test(tests.section(name), tests.key(name), name)
-    )
-
-
-def _test(section: Section, where: str, name: str) -> dict[str, Any]:
+def test_of_term(tests: Section, name: str) -> dict[str, Any]:
     """Return the test of a term."""
+    section = tests.section(name)
     try:
         known = {one.name for one in coefficients_of(name)}
     except InputError as error:
-        raise InputError(f'{where}: {error}') from None
+        raise InputError(f'{tests.key(name)}: {error}') from None
     section.raw('state')
     found = _read(
         section,
         {
-            'state': section.text,
+            'state': _entry('', Section.text),
             # Of a number that is zero in double precision.
-            'log10_p': lambda key: _number(section, key, -LARGEST, 0.0),
-            'probability': lambda key: _number(section, key, 0.0, 1.0),
-            'found_from': lambda key: _numbers(section, key, len(known) or None),
-            'would_move': lambda key: _read_each(section.section(key), _moved),
+            'log10_p': _entry('', number_within, -LARGEST, 0.0),
+            'probability': _entry('', number_within, 0.0, 1.0),
+            'found_from': _entry('', numbers, len(known) or None),
+            'would_move': _entry('', each, _moved),
         },
     )
     for one in found.get('would_move') or ():
@@ -200,21 +164,101 @@ def _moved(section: Section, name: str) -> dict[str, Any]:
 _NAMES = {parameter.name for parameter in parameters_of(TERMS, skewed=MOST_SKEWED)}
 
 
-def _noise(section: Section) -> dict[str, Any]:
-    return _read_each(section, lambda channels, name: _channel(channels.section(name)))
-
-
-def _channel(section: Section) -> dict[str, Any]:
+def channel_noise(channels: Section, name: str) -> dict[str, Any]:
+    """Return the noise of a channel."""
+    section = channels.section(name)
     names = [f'{name}{end}' for name in COEFFICIENTS for end in ('', '_std', '_below')]
     section.raw('timed')
-    found = {key: _number(section, key, 0.0) for key in names if section.has(key)}
-    curve = {key: _numbers(section, key, least=_LEAST if key == 'tau' else 0.0) for key in CURVE}
+    found = {key: number_within(section, key, 0.0) for key in names if section.has(key)}
+    curve = {key: numbers(section, key, least=LEAST if key == 'tau' else 0.0) for key in CURVE}
     timed = section.flag('timed', default=False)
     section.refuse_unknown_keys()
     if len({len(values) for values in curve.values()}) > 1:
         raise InputError(f'{section.where}: found {", ".join(CURVE)} of different lengths.')
     return {**found, **curve, 'timed': timed}
 
+
+_CLOCK = {
+    'offset_s': _entry('clock of the IMU against that of the table, s', possible),
+    'offset_std_s': _entry('its standard deviation, s', possible),
+    'rate_ppm': _entry('relative excess of its rate, ppm', possible),
+    'rate_std_ppm': _entry('its standard deviation, ppm', possible),
+    'motions': _entry('used for the comparison', Section.whole, 0),
+}
+"""Any numbers: the deviation of a clock that was not compared is infinite."""
+_CLOSED_FORM = {
+    'method': _entry('its name', Section.text),
+    'refusal': _entry('why it has no result', Section.text),
+    'joint_std_over_closed_form': _entry('ratio of the standard deviations', number_within, 0),
+    'difference_in_std': _entry(
+        'closed form less joint, in standard deviations', each, Section.number
+    ),
+}
+ENTRIES = {
+    'recording': _entry('name of the recording', Section.text),
+    'sha256': _entry('of its files', Section.text),
+    'segments_file': _entry('file of the holds and turns that were chosen by hand', Section.text),
+    'topics': _entry('topics that were read', texts),
+    'accel_interpolated_from_hz': _entry(
+        "rate of the accelerometers before imu-calib convert read them at the gyros' stamps, Hz",
+        number_within,
+        LEAST,
+    ),
+    'recorded': _entry('when it began, `2026-01-31T12:00:00Z`', Section.text),
+    'method': _entry('the estimator', Section.text),
+    'terms': _entry('that were estimated', texts),
+    'terms_looked_for': _entry(
+        'whether terms were tested and significant ones estimated', Section.flag
+    ),
+    'plan': _entry('its name', Section.text),
+    'by_hand': _entry('whether the unit was held by hand', Section.flag),
+    'table': _entry('its name', Section.text),
+    'table_clock_std': _entry("of the table's clock, a ratio", number_within, 0),
+    'latitude_deg': _entry('of the site, deg', number_within, *SITE_BOUNDS['latitude']),
+    'latitude_std_deg': _entry('its standard deviation, deg', number_within, 0),
+    'gravity': _entry('value used, m/s^2', number_within, *SITE_BOUNDS['gravity']),
+    'gravity_source': _entry('its source', Section.text),
+    'gravity_std': _entry('its standard deviation, m/s^2', number_within, 0),
+    'height': _entry('of the site above the ellipsoid, m', Section.number),
+    'height_assumed': _entry('whether it was not stated', Section.flag),
+    'azimuth_seen_deg': _entry("heading of the table's zero by the session, deg", Section.number),
+    'azimuth_seen_std_deg': _entry('its standard deviation, deg', number_within, 0),
+    'segments': _entry('static dwells', Section.whole, 0),
+    'turns': _entry('turns', Section.whole, 0),
+    'samples': _entry('samples used', Section.whole, 0),
+    'duration': _entry('from the first to the last sample, s', number_within, 0),
+    'random_walk': _entry('of the channels, rad/sqrt(s) and (m/s)/sqrt(s)', numbers, _CHANNELS),
+    'sensor_random_walk': _entry(
+        'of the sensors without the hand: by the data sheet, else by neighbouring samples',
+        numbers,
+        _CHANNELS,
+        otherwise='unknown (sessions in the hand)',
+    ),
+    'residual_rms': _entry(
+        'root mean square of the residuals, rad/s and m/s^2', numbers, _CHANNELS
+    ),
+    'gravity_off_before': _entry(
+        'by how much the nominal accelerometers miss gravity at the worst static dwell, a ratio',
+        number_within,
+        0,
+    ),
+    'gravity_off_after': _entry('the same of the calibrated ones', number_within, 0),
+    'bias_drift': _entry(
+        'bias drift included in the standard deviations, rad/s and m/s^2', numbers, _CHANNELS
+    ),
+    'condition_number': _entry('of the equations', Section.number),
+    'highest_rate': _entry('of the turns, rad/s', number_within, 0),
+    'temperature': _entry('of the unit', temperature, otherwise='not recorded'),
+    'missing_positions': _entry('of the plan', texts),
+    'shared_with': _entry('other units of its table', texts),
+    'closed_form': _entry('the closed form of the plan beside it', entries, _CLOSED_FORM),
+    'clock': _entry('comparison of the clocks', entries, _CLOCK),
+    'versions': _entry('of the software', each, Section.text),
+    'frame': _entry('accelerometers: the axes are those of a session in the hand', Section.text),
+    'tests_of_terms': _entry('terms, as tested', each, test_of_term),
+    'noise': _entry('noise of the session', each, channel_noise),
+}
+"""What `provenance` may hold, by its keys; schema and page are made of it."""
 
 # The uncertainty budget as `uncertainty_budget` of calibration.yaml: SI units, named.
 
