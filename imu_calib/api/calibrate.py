@@ -93,12 +93,7 @@ def calibrated(
 ) -> Result:
     """Calibrate from a recording, with the statements as one value; as `calibrate`.
 
-    Args:
-        bag: As for `calibrate`.
-        stated: Known facts of the session.
-        progress: Shows the progress.
-        rate: Samples per second of arrays.
-        to_be_judged: Refuse a unit without a specification before the computation.
+    With `to_be_judged` a unit without a specification is refused before the computation.
     """
     opened = open_session(bag, stated, rate)
     with opened.recording:
@@ -237,7 +232,6 @@ class UnitResult:
     imu: str = ''  #: Its type; as stated if it cannot be read, empty if not stated.
 
     def __repr__(self) -> str:
-        """Return one line."""
         outcome = self.error if self.result is None else self.result.calibration
         return f'<UnitResult of {self.serial_number} on {self.topic}: {outcome}>'
 
@@ -254,7 +248,6 @@ class UnitResults:
     left_out: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        """Return one line."""
         failed = sum(unit.result is None for unit in self.units)
         return f'<UnitResults of {counted(len(self.units), "unit")}, {failed} failed>'
 

@@ -56,7 +56,6 @@ class Columns:
     losses: tuple[str, ...] = ()  #: Sentences about what could not be read.
 
     def __repr__(self) -> str:
-        """Return one line."""
         return (
             f'<Columns of {self.topic}: {counted(len(self), "message")}, '
             f'{counted(len(self.columns), "column")}>'

@@ -44,7 +44,6 @@ class Compared:
     findings: tuple[str, ...]  #: Messages for the user, in sentences.
 
     def __repr__(self) -> str:
-        """Return one line."""
         count, differ = len(self.parameters), len(self.agreement.names)
         return (
             f'<Compared: {counted(len(self.names), "calibration")} by '
@@ -225,7 +224,6 @@ class Conformity:
     assessed: tuple[Assessed, ...]
 
     def __repr__(self) -> str:
-        """Return one line."""
         verdict = 'no limits' if self.verdict is None else self.verdict.value
         return f'<Conformity: {verdict}, {counted(len(self.assessed), "parameter")}>'
 

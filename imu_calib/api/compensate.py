@@ -55,7 +55,6 @@ class Compensated:
     findings: tuple[str, ...]  #: Messages for the user, in sentences.
 
     def __repr__(self) -> str:
-        """Return one line."""
         findings = counted(len(self.findings), 'finding')
         return f'<Compensated: {self.samples_out} samples in {self.path}, {findings}>'
 

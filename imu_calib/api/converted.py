@@ -60,17 +60,12 @@ class Converted:
     findings: tuple[str, ...]  #: Messages for the user, in sentences.
 
     def __repr__(self) -> str:
-        """Return one line."""
         messages = counted(sum(self.counts.values()), 'message')
         return f'<Converted: {messages} in {self.path}, {counted(len(self.findings), "finding")}>'
 
 
 def described(imu: Named | None, numbers: Units) -> tuple[dict[str, str], ImuSpec]:
     """Return the description of the IMU for the recording, as text and as a value.
-
-    Args:
-        imu: Its file; None if not stated.
-        numbers: Of the columns: SI, INCREMENTS (rad and m/s), PULSES or COUNTS.
 
     Raises:
         InputError: The meaning of pulses or counts is not stated, or other units are stated.
@@ -120,14 +115,6 @@ def joined(
     progress: Progress,
 ) -> Converted:
     """Join two topics, or the halves of one, to one topic; copy the other topics unchanged.
-
-    Args:
-        path: The recording.
-        target: Folder to create.
-        gyro_topic: Of the rates, rad/s.
-        accel_topic: Of the accelerations, m/s^2, with other stamps.
-        imu: Data sheet of the IMU.
-        progress: Shows the share of copied messages.
 
     Raises:
         InputError: The topics hold too few samples, or pulses; or the joined topic exists.

@@ -68,7 +68,6 @@ class Inspection:
     clocks: tuple[TopicClock, ...] = ()  #: Stamps of the topics with samples, if these were read.
 
     def __repr__(self) -> str:
-        """Return one line."""
         topics = counted(len(self.topics), 'topic')
         return f'<Inspection of {self.path}: {topics}, {self.seconds:.0f} s>'
 

@@ -192,13 +192,7 @@ def recording_path(bag: str | AnyPath) -> AnyPath:
 
 
 def open_session(bag: Recorded | AnyPath, stated: Stated, rate: float | None = None) -> Opened:
-    """Open a recording, and find its set-up.
-
-    Args:
-        bag: As for `calibrate`, or already located.
-        stated: Known facts of the session.
-        rate: Samples per second of arrays.
-    """
+    """Open a recording, and find its set-up."""
     return session_of(recording_at(bag, rate), stated)
 
 

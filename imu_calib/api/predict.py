@@ -75,7 +75,6 @@ class Prediction:
     notes: tuple[str, ...]  #: Sentences on parameters that rely on a table that is stated exact.
 
     def __repr__(self) -> str:
-        """Return one line."""
         setup, count = self.setup, len(self.forecast.parameters)
         return (
             f'<Prediction of plan {setup.plan.name} with IMU {setup.imu.id}: '
@@ -301,12 +300,6 @@ def shortest(
     scheduler: str | None = None,
 ) -> Reached:
     """Find the shortest dwells that reach standard deviations.
-
-    Args:
-        setup: As `setup_of` returns it.
-        truth: Assumed true parameters of the unit.
-        wanted: By the name of a parameter: a number in SI units, or a text with its unit.
-        scheduler: As of `reach`.
 
     Raises:
         InputError: No such parameter, no valid standard deviation, or one that no dwell can reach.

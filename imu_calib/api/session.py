@@ -188,11 +188,6 @@ def stated_imu(stated: Stated, recording: Recording, topic: str) -> tuple[ImuSpe
 def serial_of(stated: Stated, recording: Recording, topic: str) -> str:
     """Return the stated serial number, or that of the recording; empty without one.
 
-    Args:
-        stated: Known facts.
-        recording: The recording.
-        topic: Of the unit's samples: each of several units has its own.
-
     Raises:
         InputError: The two differ.
     """
@@ -204,14 +199,7 @@ def serial_of(stated: Stated, recording: Recording, topic: str) -> str:
 
 
 def mounted_on(table: Table, stated: Stated, recording: Recording, topic: str) -> Table:
-    """Return a table with the unit's mount, as stated or as in the recording.
-
-    Args:
-        table: As described.
-        stated: Known facts.
-        recording: The recording.
-        topic: Of the unit's samples.
-    """
+    """Return a table with the unit's mount, as stated or as in the recording."""
     mount = stated.mount
     if mount is None:
         mount = described_mount(recording.custom_data, topic, str(recording.path))

@@ -91,7 +91,6 @@ class Simulated:
     true_table: Path | None  #: The file of the true table; None if it is as described.
 
     def __repr__(self) -> str:
-        """Return one line."""
         return f'<Simulated: {self.duration:.0f} s of plan {self.plan.name} in {self.path}>'
 
 
@@ -333,7 +332,6 @@ class SimulatedUnits:
     true_table: Path | None  #: The file of the true table; None if it is as described.
 
     def __repr__(self) -> str:
-        """Return one line."""
         units = counted(len(self.truths), 'unit')
         return f'<SimulatedUnits: {self.duration:.0f} s of {units} in {self.path}>'
 
@@ -433,7 +431,6 @@ class MonteCarloResult:
     findings: tuple[str, ...]  #: Messages for the user, in sentences.
 
     def __repr__(self) -> str:
-        """Return one line."""
         setup, runs = self.setup, len(self.outcome.errors)
         return (
             f'<MonteCarloResult of plan {setup.plan.name} by {setup.method_name}: '

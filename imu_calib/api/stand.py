@@ -50,7 +50,6 @@ class StandRun:
     true_table: Path | None  #: File of the true table; None if it is as described.
 
     def __repr__(self) -> str:
-        """Return one line."""
         return f'<StandRun: {self.calibration} in {self.path}>'
 
 

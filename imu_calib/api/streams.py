@@ -74,11 +74,6 @@ def streams_of(stated: Stated, recording: Recording) -> Streams:
 def imu_topic(wanted: str | None, recording: Recording, serial: str | None = None) -> str:
     """Return the topic of the IMU: the stated one, or the only candidate.
 
-    Args:
-        wanted: The stated topic.
-        recording: The recording.
-        serial: Serial number: selects the unit that has it in the recording.
-
     Raises:
         InputError: There is none, or several; they are listed.
     """
@@ -295,13 +290,7 @@ def clock_findings(recording: Recording, streams: Streams, units: Units) -> list
 
 
 def sample_findings(recording: Recording, topic: str, units: Units) -> list[str]:
-    """Return a sentence on stamps of samples that are compensated, if these cannot be right.
-
-    Args:
-        recording: Of which the topic was read last.
-        topic: The raw stream.
-        units: Of its samples.
-    """
+    """Return a sentence on stamps of samples that are compensated, if these cannot be right."""
     if sentence := contradiction(recording, topic):
         return [f'{topic}: {sentence}']
     # Increments become rates by the interval of the stamps.

@@ -317,12 +317,7 @@ class Calibration:
     @classmethod
     @checked
     def from_yaml(cls, text: str, where: str) -> Calibration:
-        """Read a calibration.
-
-        Args:
-            text: As written by `to_yaml`.
-            where: The file, for messages.
-        """
+        """Read a calibration."""
         return cls.read(Section.parse(text, where))
 
     def to_dataframe(self) -> pandas.DataFrame:

@@ -51,17 +51,12 @@ class Exported:
     findings: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        """Return one line."""
         lines = counted(len(self.text.splitlines()), 'line')
         return f'<Exported: {lines}, {counted(len(self.findings), "finding")}>'
 
 
 def left_out(calibration: Calibration, export: str) -> list[str]:
     """Return sentences on omitted parameters; refuse if the others would be wrong without them.
-
-    Args:
-        calibration: The calibration.
-        export: Name of the format.
 
     Raises:
         InputError: The text names the parameters and the remedy.
@@ -84,10 +79,6 @@ def left_out(calibration: Calibration, export: str) -> list[str]:
 
 def common_omissions(calibration: Calibration, export: str) -> list[str]:
     """Return sentences on the content that most formats omit.
-
-    Args:
-        calibration: The calibration.
-        export: Name of the format.
 
     Raises:
         InputError: The format cannot represent parameters without which the others are wrong.

@@ -153,7 +153,6 @@ class NoiseAtRest:
     findings: tuple[str, ...]  #: What to know about it, in sentences.
 
     def __repr__(self) -> str:
-        """Return one line."""
         return f'<NoiseAtRest of {self.imu}: {self.seconds / HOUR:.3g} h at {self.rate:.4g} Hz>'
 
     def with_findings(self, findings: tuple[str, ...]) -> NoiseAtRest:
@@ -391,11 +390,6 @@ def export_noise(
     topic: str = '/imu/data',
 ) -> Exported:
     """Return the noise as a file of other software.
-
-    Args:
-        noise: Of a unit that lay still.
-        format: One of `NOISE_EXPORTS`.
-        topic: Topic of the unit's stream, for formats that name it.
 
     Raises:
         InputError: There is no such format, or the record does not determine what it needs.

@@ -51,7 +51,6 @@ class ThermalCalibration:
     order: int | None = None  #: Of the polynomial; None for straight lines.
 
     def __repr__(self) -> str:
-        """Return one line."""
         points = ', '.join(f'{one:.1f}' for one in self.temperatures)
         return f'<ThermalCalibration of {self.calibrations[0].unit_name}: at {points} degC>'
 
@@ -314,13 +313,6 @@ def check_unit(
     """Refuse a calibration of a unit other than that of an IMU's description.
 
     Serial numbers are compared where both are stated.
-
-    Args:
-        calibration: Single or combined.
-        name: Its file, for the message.
-        imu: Description of the unit to compensate.
-        where: Source of this description.
-        serial_number: Of the unit to compensate; empty if not stated.
     """
     check_identity(calibration, name, imu.id, where, serial_number)
     own = first_of(calibration).imu
@@ -335,15 +327,7 @@ def check_unit(
 def check_identity(
     calibration: AnyCalibration, name: str, imu: str, where: str, serial_number: str = ''
 ) -> None:
-    """Refuse a calibration that states another unit.
-
-    Args:
-        calibration: Single or combined.
-        name: Its file, for the message.
-        imu: Id of the unit, or of its type.
-        where: Source of this id.
-        serial_number: Of the unit; empty if not stated. Compared if both state one.
-    """
+    """Refuse a calibration that states another unit."""
     own = first_of(calibration)
     compared: dict[str, tuple[str | float, str | float]] = {'imu': (own.imu.id, imu)}
     if own.serial_number and serial_number:

@@ -73,7 +73,6 @@ class Optimum:
     seconds: float  #: Time on the table, s.
 
     def __repr__(self) -> str:
-        """Return one line."""
         return (
             f'<Optimum: {counted(len(self.plan.positions), "position")} in '
             f'{self.seconds / 60:.1f} min>'
@@ -326,7 +325,6 @@ class Reached:
     wanted: Mapping[str, float]  #: Standard deviations by name of the parameter, SI units.
 
     def __repr__(self) -> str:
-        """Return one line."""
         total = sum(position.dwell for position in self.plan.positions)
         return f'<Reached: plan {self.plan.name} with dwells of {total:.0f} s in all>'
 

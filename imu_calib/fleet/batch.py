@@ -55,7 +55,6 @@ class Batch:
     repeated: int = 0  #: Number of units that they would have given again.
 
     def __repr__(self) -> str:
-        """Return one line."""
         return (
             f'<Batch: {counted(self.recordings, "recording")}, {self.calibrated} calibrated, '
             f'{self.failed} failed, {self.known} known, in {self.catalogue}>'

@@ -132,7 +132,6 @@ class Catalogue:
             raise InputError(other or sentence)
 
     def __repr__(self) -> str:
-        """Return one line."""
         return f'<Catalogue in {self.folder}>'
 
     def keys(self, *, status: str | None = None) -> frozenset[str]:

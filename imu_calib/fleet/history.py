@@ -150,12 +150,7 @@ def times_of(stamps: list[datetime | None]) -> np.ndarray[tuple[int], np.dtype[n
 
 
 def _left_out(columns: Mapping[str, list[str]], of_one: Iterable[Sequence[int]]) -> list[str]:
-    """Return sentences on units and rows that are not used.
-
-    Args:
-        columns: Texts of all rows.
-        of_one: Rows of each recording and unit, the newest last.
-    """
+    """Return sentences on units and rows that are not used."""
     by_status: dict[str, set[str]] = {CALIBRATED: set(), FAILED: set(), SUPERSEDED: set()}
     for serial, status in zip(columns['serial'], columns['status'], strict=True):
         by_status.setdefault(status, set()).add(serial)

@@ -293,13 +293,7 @@ def _day(on: datetime | None) -> np.datetime64:
 
 
 def recordings_of(table: pa.Table, folder: Path, base: Path) -> Recordings:
-    """Return the rows of a catalogue.
-
-    Args:
-        table: Rows.
-        folder: Of the catalogue.
-        base: Folder of the page: links are relative to it.
-    """
+    """Return the rows of a catalogue."""
     status = table['status'].to_pylist()
     table = table.filter([word != SUPERSEDED for word in status]) if status else table
 

@@ -331,7 +331,6 @@ class History:
     findings: tuple[str, ...] = field(default=())  #: Messages for the user on the whole, sentences.
 
     def __repr__(self) -> str:
-        """Return one line."""
         kinds = counted(len(self.populations), 'type')
         return f'<History of {counted(len(self.units), "unit")} of {kinds}>'
 

@@ -66,10 +66,6 @@ def key_of(job: Job, sha256: str) -> str:
     The key is made from the recording's content, all statements with the content of the files that
     they name, the labels, and the package's version. The recording's name is not included: copies
     with two names have one key.
-
-    Args:
-        job: The task.
-        sha256: Of the recording's content.
     """
     stated = {one.name: getattr(job.stated, one.name) for one in fields(job.stated)}
     for name, folder in _FOLDERS.items():

@@ -99,7 +99,6 @@ class Stand:
             ) from None
 
     def __repr__(self) -> str:
-        """Return one line."""
         return f'<Stand: {"no run" if self.feedback is None else self.feedback.text}>'
 
     def __enter__(self) -> Stand:

@@ -96,11 +96,9 @@ class LogOrder:
         self._waiting: MessageBatch | None = None
 
     def __iter__(self) -> LogOrder:
-        """Return itself."""
         return self
 
     def __next__(self) -> MessageBatch:
-        """Return the next messages."""
         while not self._ready:
             following = next(self._batches, None)
             if following is None:

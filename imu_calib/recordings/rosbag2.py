@@ -298,7 +298,6 @@ class Recording:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the recording."""
         self.close()
 
     @property

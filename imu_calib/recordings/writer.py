@@ -100,7 +100,6 @@ class RecordingWriter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the recording."""
         self.close()
 
     def add_topic(self, topic: str, type_name: str, *, transient_local: bool = False) -> None:

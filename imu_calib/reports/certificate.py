@@ -78,7 +78,6 @@ class Certificate:
     draft: bool = False  #: Whether it is not yet a certificate.
 
     def __repr__(self) -> str:
-        """Return one line."""
         kind = 'a draft' if self.draft else counted(len(self.results), 'result')
         return f'<Certificate of {self.calibration}: {kind}>'
 

@@ -68,14 +68,7 @@ class Conformity(Enum):
 
 
 def decide(value: float, expanded: float, limit: float, rule: Rule) -> Conformity:
-    """Return the statement on a value with a limit on both sides of zero.
-
-    Args:
-        value: The estimate.
-        expanded: Its expanded uncertainty, in the same unit.
-        limit: Largest amount allowed.
-        rule: Decision rule.
-    """
+    """Return the statement on a value with a limit on both sides of zero."""
     amount = abs(value)
     guard = 0.0 if rule is Rule.SIMPLE else expanded
     if amount <= limit - guard:
@@ -352,13 +345,7 @@ def read_fields(section: Section) -> Fields:
 
 
 def missing(fields: Fields, *, dcc: bool, limits: bool) -> list[str]:
-    """Return the missing fields that ISO/IEC 17025 requires: key and clause.
-
-    Args:
-        fields: The statements.
-        dcc: Whether a DCC is written, which requires more.
-        limits: Whether there is a specification for statements of conformity.
-    """
+    """Return the missing fields that ISO/IEC 17025 requires: key and clause."""
     found = list(_unstated(fields, ''))
     for name in ('equipment', 'signatures'):
         for k, one in enumerate(getattr(fields, name)):

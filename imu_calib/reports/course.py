@@ -369,12 +369,7 @@ _TICKS = 4  #: Fewest ticks of the time, at the smallest width.
 
 
 def signals_plot(result: Result, found: Sequence[Interval]) -> str:
-    """Return the plot of a session; empty if its signals were not kept.
-
-    Args:
-        result: Of the session.
-        found: Its intervals (`course.intervals`).
-    """
+    """Return the plot of a session; empty if its signals were not kept."""
     signals, session, imu = result.signals, result.session, result.calibration.imu
     if signals is None or not len(signals.stamp) or not session.duration > 0:
         return ''

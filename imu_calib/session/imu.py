@@ -259,7 +259,6 @@ class ImuSpec:
     )
 
     def __repr__(self) -> str:
-        """Return one line."""
         return f'<ImuSpec {self.id}: {self.units.value}>'
 
     @property

@@ -118,7 +118,6 @@ class Plan:
     by_hand: bool = False  #: Turned by hand: the angle of a turn is known, its rate is not.
 
     def __repr__(self) -> str:
-        """Return one line."""
         return f'<Plan {self.name}: {counted(len(self.positions), "position")}>'
 
     @property

@@ -204,7 +204,6 @@ class Table:
     described: Table | None = None
 
     def __repr__(self) -> str:
-        """Return one line."""
         return f'<Table {self.name}: {counted(len(self.joints), "joint")}>'
 
     @property

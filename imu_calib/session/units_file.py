@@ -118,7 +118,6 @@ class MountedUnit:
     )
 
     def __repr__(self) -> str:
-        """Return one line."""
         return f'<MountedUnit {self.serial_number} of type {self.imu} on {self.topic}>'
 
     @property
