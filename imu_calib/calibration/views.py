@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from html import escape
+from io import BytesIO
 from itertools import zip_longest
 from typing import TYPE_CHECKING
 
@@ -23,8 +25,7 @@ from ..session.imu import COEFFICIENTS, TRIAD_NAMES, ChannelNoise
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
-
-    from .picture import Picture
+    from matplotlib.figure import Figure
 
 _TRIADS = {'g': 'gyros', 'a': 'accelerometers'}
 _NOISE_UNITS = {
@@ -40,6 +41,7 @@ _WHISKERS_95 = (2.5, 97.5)  #: Percentiles that contain 95 %.
 _NORMAL_95 = 1.96  #: Standard deviations that contain 95 % of a normal law.
 _POINTS = 1000  #: Most points of a line: the width of a picture in pixels.
 _NAMES = 30  #: Most names below an axis: more would overlap.
+_DOTS = 72.0  #: Dots per inch in a notebook: legible, and a small file.
 _HEIGHT = 4.2  #: Height of a row of panels, and width of a panel, inches.
 
 
@@ -148,7 +150,7 @@ def predicted_frame(parameters: Sequence[Parameter], std: Floats, best: Floats) 
 
 def draw_parameters(
     unit_name: str, parameters: tuple[Parameter, ...], values: Floats, std: Floats
-) -> Picture:
+) -> Figure:
     """Draw parameters, (n,) in SI, with bars of two standard deviations, grouped by unit."""
     groups = _groups(parameters)
     columns = max(sum(triad == letter for triad, _ in groups) for letter in _TRIADS)
@@ -169,7 +171,7 @@ def draw_parameters(
     return figure
 
 
-def draw_residuals(unit_name: str, positions: Sequence[str], residuals: list[Floats]) -> Picture:
+def draw_residuals(unit_name: str, positions: Sequence[str], residuals: list[Floats]) -> Figure:
     """Draw the residuals of each static dwell by position: (n, 3) of each triad, SI."""
     figure = empty_figure(2 * _HEIGHT, _HEIGHT)
     for triad, own, axes in zip(TRIAD_NAMES, residuals, figure.subplots(1, 2), strict=True):
@@ -185,7 +187,7 @@ def draw_residuals(unit_name: str, positions: Sequence[str], residuals: list[Flo
     return figure
 
 
-def draw_noise(unit_name: str, seen: Mapping[str, ChannelNoise]) -> Picture:
+def draw_noise(unit_name: str, seen: Mapping[str, ChannelNoise]) -> Figure:
     """Draw the Allan deviation of the session, with the estimated random walk.
 
     Raises:
@@ -217,7 +219,7 @@ def draw_noise(unit_name: str, seen: Mapping[str, ChannelNoise]) -> Picture:
     return figure
 
 
-def draw_differences(title: str, parameters: Sequence[Parameter], normalised: Floats) -> Picture:
+def draw_differences(title: str, parameters: Sequence[Parameter], normalised: Floats) -> Figure:
     """Draw differences over their standard deviations, by parameter.
 
     Args:
@@ -238,7 +240,7 @@ def draw_differences(title: str, parameters: Sequence[Parameter], normalised: Fl
 
 def draw_columns(
     title: str, stamp: Stamps, columns: Mapping[str, Floats], units: Mapping[str, str]
-) -> Picture:
+) -> Figure:
     """Draw columns over time, with a panel for each quantity: their names up to the point.
 
     Args:
@@ -272,7 +274,7 @@ def _means(values: Floats, few: int) -> Floats:
     return np.asarray(values[: count * few].reshape(count, few).mean(axis=1))
 
 
-def draw_normalised(title: str, names: Sequence[str], normalised: Floats) -> Picture:
+def draw_normalised(title: str, names: Sequence[str], normalised: Floats) -> Figure:
     """Draw normalised errors (runs, n) of repeated sessions beside those of a normal law."""
     figure = empty_figure(0.4 * len(names) + 2, _HEIGHT)
     axes = figure.subplots()
@@ -285,16 +287,31 @@ def draw_normalised(title: str, names: Sequence[str], normalised: Floats) -> Pic
     return figure
 
 
-def empty_figure(width: float, height: float, what: str = 'A plot') -> Picture:
+def empty_figure(width: float, height: float, what: str = 'A plot') -> Figure:
     """Return a figure of a size in inches, without a window.
 
     Raises:
         InputError: matplotlib is not installed; begins with the feature that needs it.
     """
     require('matplotlib', what, 'plot')
-    from .picture import Picture
+    return _picture()(figsize=(width, height), layout='constrained')
 
-    return Picture(figsize=(width, height), layout='constrained')
+
+@cache
+def _picture() -> type[Figure]:
+    """Return a figure that a notebook displays at the end of a cell.
+
+    Those of `matplotlib.pyplot` are displayed too, but only if the notebook has set this up.
+    """
+    from matplotlib.figure import Figure
+
+    class Picture(Figure):
+        def _repr_png_(self) -> bytes:
+            buffer = BytesIO()
+            self.savefig(buffer, format='png', dpi=_DOTS)
+            return buffer.getvalue()
+
+    return Picture
 
 
 def _beside_normal(axes: Axes) -> None:
