@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..common.stream import Floats
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from ..session.imu import Verdict, judge
-from .charts import (
+from .control_charts import (
     SIZE,
     Block,
     Correlations,

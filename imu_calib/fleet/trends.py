@@ -14,7 +14,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..common.stream import Floats
-from .charts import Block, StepPlaces, step_design
+from .control_charts import Block, StepPlaces, step_design
 from .results import Rules
 from .scatter import FEWEST_UNITS, Prior, fit, line_design
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import t as student
 
-from imu_calib.fleet.charts import Block
+from imu_calib.fleet.control_charts import Block
 from imu_calib.fleet.results import Rules
 from imu_calib.fleet.scatter import Prior
 from imu_calib.fleet.trends import Due, Lines, forecast

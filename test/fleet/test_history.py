@@ -8,7 +8,7 @@ import scipy
 from histories import MONTH, SCALE, START, index, joined, of, sessions
 
 from imu_calib.common.errors import InputError
-from imu_calib.fleet.charts import chart_limits, ewma_limit, mean_run_length
+from imu_calib.fleet.control_charts import chart_limits, ewma_limit, mean_run_length
 from imu_calib.fleet.evaluation import backtest
 from imu_calib.fleet.results import Cause, Chart, Rules
 from imu_calib.fleet.scatter import between, interval
