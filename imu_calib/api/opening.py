@@ -24,7 +24,7 @@ from ..session.imu import GENERIC, ImuSpec, load_imu
 from ..session.keywords import Stated
 from ..session.plan import UNPLANNED, Plan, load_plan
 from ..session.segments_file import read_segments
-from .files import Recorded, recording_at
+from .files import Recorded, SamplesInMemory, recording_at
 from .session import (
     contradicted_latitude,
     gravity_as_exact,
@@ -158,9 +158,11 @@ def refuse_rest(recording: Recording, topic: str, imu: ImuSpec) -> None:
                 return
             break
     if still.seconds >= _LEAST_REST:
+        in_memory = isinstance(recording, SamplesInMemory)
+        way = '`imu_calib.noise`' if in_memory else f'imu-calib noise {recording.path}'
         raise NotStated(
-            f'{recording.path}: the unit lies still, which calibrates nothing: imu-calib noise '
-            f'{recording.path} estimates its noise (if it is turned later on, give `plan`).'
+            f'{recording.path}: the unit lies still, which calibrates nothing: {way} estimates its '
+            'noise (if it is turned later on, give `plan`).'
         )
 
 
@@ -196,13 +198,28 @@ def open_session(bag: Recorded | AnyPath, stated: Stated, rate: float | None = N
     return session_of(recording_at(bag, rate), stated)
 
 
+def _also_missing(stated: Stated, recording: Recording, streams: Streams) -> str:
+    """Return a sentence on all else that the recording does not state; empty without any."""
+    missing = []
+    try:
+        site_of(stated, recording, by_hand=True)
+    except NotStated:
+        missing.append('`latitude`, in degrees')
+    if stated_plan(stated, recording) is None and streams.joints is None:
+        missing.append('`plan`, if one was run')
+    return f' Give also {" and ".join(missing)}.' if missing else ''
+
+
 def session_of(recording: Recording, stated: Stated) -> Opened:
     """Find the set-up of a recording's session."""
     streams = streams_of(stated, recording)
     described = table_of(stated, recording)
     table = mounted_on(described, stated, recording, streams.imu)
     known = stated_imu(stated, recording, streams.imu)
-    imu = assumed_si_imu(recording, streams.imu) if known is None else known[0]
+    try:
+        imu = assumed_si_imu(recording, streams.imu) if known is None else known[0]
+    except NotStated as error:
+        raise NotStated(f'{error}{_also_missing(stated, recording, streams)}') from None
     plan = stated_plan(stated, recording)
     if plan is None and streams.joints is not None:
         # Joint states give the attitudes.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -348,7 +349,7 @@ class Calibration:
 
         Raises:
             InputError: The arrays do not have three columns each and as many rows, or `rate` is
-                missing.
+                missing or no number above 0.
             NotObservable: The model cannot be inverted.
         """
         raw = np.asarray(gyro, dtype=np.float64), np.asarray(accel, dtype=np.float64)
@@ -357,11 +358,13 @@ class Calibration:
                 f'`gyro`, `accel`: found the shapes {raw[0].shape} and {raw[1].shape}, expected '
                 '(n, 3) of both.'
             )
+        if rate is not None and not (isinstance(rate, Real) and rate > 0):
+            raise InputError(f'`rate`: found {rate!r}, expected samples per second, above 0.')
         per_second = 1.0
         if self.imu.units.per_interval:
-            if rate is None or not rate > 0:
+            if rate is None:
                 raise InputError(
-                    f'`rate`: found {rate}, expected samples per second: outputs of '
+                    '`rate`: found None, expected samples per second: outputs of '
                     f'{self.imu.id} are {self.imu.units.value} counted over the sample interval.'
                 )
             per_second = rate if self.clock is None else rate * (1 + self.clock.faster)

@@ -244,8 +244,10 @@ def _lower(response: Floats, name: str) -> tuple[Floats, Floats]:
 def _noise(source: ExportSource) -> tuple[dict[str, float], list[str]]:
     """Return noise densities and random walks of Kalibr, and which of them were not measured."""
     calibration, sheet = source.calibration, source.sheet
-    in_the_hand = calibration.in_the_hand
-    walk = np.nan_to_num(calibration.sensor_walk)
+    in_the_hand = calibration.by_hand
+    # Holds of a plan in the hand show the hand's noise, and nothing states that of the sensor.
+    hands_own = in_the_hand and not calibration.in_the_hand
+    walk = np.zeros(6) if hands_own else np.nan_to_num(calibration.sensor_walk)
     # A session without noise shows only the rounding of numbers, which is not a noise density.
     walk = np.where(walk**2 > SMALLEST_VARIANCE, walk, 0.0)
     # The drift in the hand is the hand's, too.
@@ -278,7 +280,8 @@ def _noise(source: ExportSource) -> tuple[dict[str, float], list[str]]:
         if not (density > 0 and drift > 0):
             raise InputError(
                 f'The calibration does not hold the noise of the {name} that imu.yaml needs: '
-                'give `imu` with its data sheet (random walk and bias instability).'
+                'give `imu` with its data sheet (random walk and bias instability), or write the '
+                'noise of the unit lying still: imu-calib noise BAG --kalibr FILE.'
             )
         if note:
             notes.append(f'{kalibr}_random_walk {note}.')

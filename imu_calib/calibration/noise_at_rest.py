@@ -59,7 +59,6 @@ class Kind:
     words: str
     units: tuple[str, str]  #: Of gyros and accelerometers.
     scales: tuple[float, float]  #: Their SI values.
-    si: tuple[str, str]  #: The SI units.
 
     def coefficient(self, noise: ChannelNoise) -> Coefficient:
         """Return the coefficient of a channel."""
@@ -74,7 +73,6 @@ KINDS = (
         'quantisation Q',
         ('arcsec', 'mm/s'),
         (ARCSEC, 1e-3),
-        ('rad', 'm/s'),
     ),
     Kind(
         Term.RANDOM_WALK,
@@ -82,7 +80,6 @@ KINDS = (
         'random walk N',
         (TRIAD_NAMES[0].walk, TRIAD_NAMES[1].walk),
         (TRIAD_NAMES[0].walk_scale, TRIAD_NAMES[1].walk_scale),
-        ('rad/sqrt(s)', '(m/s)/sqrt(s)'),
     ),
     Kind(
         Term.BIAS_INSTABILITY,
@@ -90,7 +87,6 @@ KINDS = (
         'bias instability B',
         ('deg/h', 'ug'),
         (DEG_H, MICRO_G),
-        ('rad/s', 'm/s^2'),
     ),
     Kind(
         Term.RATE_RANDOM_WALK,
@@ -98,7 +94,6 @@ KINDS = (
         'rate random walk K',
         ('deg/h/sqrt(h)', 'ug/sqrt(h)'),
         (DEG_H / _ROOT_HOUR, MICRO_G / _ROOT_HOUR),
-        ('rad/s/sqrt(s)', 'm/s^2/sqrt(s)'),
     ),
     Kind(
         Term.RAMP,
@@ -106,7 +101,6 @@ KINDS = (
         'rate ramp R',
         ('deg/h/h', 'ug/h'),
         (DEG_H / HOUR, MICRO_G / HOUR),
-        ('rad/s^2', 'm/s^3'),
     ),
 )
 """In the order of their slopes, -1 to +1 (IEEE Std 952-1997, table C.1)."""
@@ -177,7 +171,7 @@ class NoiseAtRest:
         }
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return the coefficients: a row for each kind of noise and channel, SI units."""
+        """Return the coefficients: a row for each kind and channel, in data sheets' units."""
         require('pandas', 'A data frame', 'dataframe')
         import pandas as pd
 
@@ -185,14 +179,15 @@ class NoiseAtRest:
             {
                 'channel': name,
                 'noise': kind.name,
-                'value': np.nan if found.value is None else found.value,
-                'std': np.nan if found.std is None else found.std,
-                'below': found.below,
-                'unit': kind.si[name[0] == 'a'],
+                'value': np.nan if found.value is None else found.value / scale,
+                'std': np.nan if found.std is None else found.std / scale,
+                'below': found.below / scale,
+                'unit': kind.units[name[0] == 'a'],
             }
             for name, one in self.channels.items()
             for kind in KINDS
             for found in [kind.coefficient(one.noise)]
+            for scale in [kind.scales[name[0] == 'a']]
         ]
         names = ['channel', 'noise', 'value', 'std', 'below', 'unit']
         return pd.DataFrame(rows, columns=names).set_index(['channel', 'noise'])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
@@ -30,6 +30,9 @@ from ..session.stamping import StampingClock
 from ..session.table_errors import clock_share
 from .calibration import Calibration, ResidualRow
 from .gravity import with_gravity
+
+if TYPE_CHECKING:
+    import pandas
 
 
 def calibrated(
@@ -96,6 +99,19 @@ class Result:
     def _repr_html_(self) -> str:
         """Return the calibration as a small table, for a notebook."""
         return self.calibration._repr_html_()
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What the user of the calibration must know, in sentences."""
+        return self.calibration.findings
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the parameters as a pandas.DataFrame, as `Calibration.to_dataframe` does.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        return self.calibration.to_dataframe()
 
     @property
     def terms(self) -> tuple[str, ...]:

@@ -66,6 +66,11 @@ def check(known: Signature, args: tuple[object, ...], kwargs: Mapping[str, objec
     try:
         given = known.bind(*args, **kwargs).arguments
     except TypeError:
+        if 'bag' in known.parameters and sum(map(_is_array, args)) > 1:
+            raise InputError(
+                'Gyro and accelerometer are one argument, and need their rate: '
+                'calibrate((gyro, accel), rate=200).'
+            ) from None
         # Missing or unknown arguments: the call itself says so, with the name of the function.
         return
     for name, value in given.items():
@@ -74,6 +79,10 @@ def check(known: Signature, args: tuple[object, ...], kwargs: Mapping[str, objec
         for one in value if several else (value,):
             if isinstance(parameter.annotation, str):
                 _check(name, one, _parsed(parameter.annotation))
+
+
+def _is_array(value: object) -> bool:
+    return _is_of(value, 'ndarray') or _is_of(value, 'DataFrame')
 
 
 def _check(name: str, value: object, annotation: ast.expr) -> None:

@@ -61,6 +61,21 @@ def test_a_truth_without_a_session_has_no_noise() -> None:
     assert list(truth.labelled.noise.columns) == ['value', 'std', 'below', 'unit']
 
 
+def test_a_result_shows_what_its_calibration_shows(result: imu_calib.Result) -> None:
+    assert result.findings == result.calibration.findings
+    assert result.to_dataframe().equals(result.calibration.to_dataframe())
+
+
+def test_wrong_calls_are_refused_in_words(result: imu_calib.Result) -> None:
+    gyro, accel = np.zeros((6000, 3)), np.tile([0.0, 0.0, 9.81], (6000, 1))
+    with pytest.raises(imu_calib.InputError, match=r'calibrate\(\(gyro, accel\), rate=200\)'):
+        imu_calib.calibrate(gyro, accel)  # type: ignore[misc]
+    with pytest.raises(imu_calib.InputError, match="`rate`: found '100'"):
+        result.calibration.apply(gyro, accel, rate='100')  # type: ignore[arg-type]
+    with pytest.raises(imu_calib.InputError, match=r'`imu_calib\.noise` estimates its noise'):
+        imu_calib.calibrate((gyro, accel), rate=100.0, latitude=48.1)
+
+
 def test_samples_in_memory_become_what_compensate_writes(
     bag: Path, result: imu_calib.Result, tmp_path: Path
 ) -> None:

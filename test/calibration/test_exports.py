@@ -182,6 +182,17 @@ def test_noise_that_nobody_measured_is_the_data_sheets_and_it_is_said() -> None:
     assert any('rule of thumb' in sentence for sentence in found.findings)
 
 
+def test_the_noise_of_a_hand_is_not_written_as_that_of_the_sensor() -> None:
+    noise = unit('si').provenance
+    held = replace(unit('si'), provenance={**noise, 'by_hand': True})
+    with pytest.raises(InputError, match=r'noise of the accelerometers.*imu-calib noise BAG'):
+        EXPORTS['kalibr'](ExportSource(held, Path('/c.yaml'), RATE))
+    sheet = load_imu('mems_counts')
+    file = EXPORTS['kalibr'](ExportSource(held, Path('/c.yaml'), RATE, sheet=sheet))
+    density = yaml.safe_load(file.text)['gyroscope_noise_density']
+    assert density == pytest.approx(sheet.gyro.random_walk)
+
+
 def test_kalibr_is_refused_what_it_needs_in_words() -> None:
     calibration = unit('si')
     with pytest.raises(InputError, match='give `sample_rate`'):

@@ -253,6 +253,16 @@ def test_a_unit_without_any_noise_gives_a_table_without_rows() -> None:
     assert found(np.zeros((12_000, 6)) + UP).to_dataframe().empty
 
 
+def test_the_table_is_in_the_units_of_data_sheets() -> None:
+    noise = found(made(np.random.default_rng(4), 20_000, walk=1e-4) + UP)
+    table = noise.to_dataframe()
+    walk = noise.channels['gx'].noise.random_walk.value
+    assert walk is not None
+    # 1 rad/sqrt(s) is 180/pi 60 deg/sqrt(h).
+    assert table.loc[('gx', 'random_walk'), 'value'] == pytest.approx(walk * 180 / np.pi * 60)
+    assert table.loc[('gx', 'random_walk'), 'unit'] == 'deg/sqrt(h)'
+
+
 def test_lost_doubled_and_false_samples_do_not_change_the_curve() -> None:
     rng = np.random.default_rng(9)
     values = made(rng, 100_000, walk=1e-4) + UP + 1e-3

@@ -241,6 +241,15 @@ def test_info_tells_times_from_the_start_and_attitudes_in_the_hand(bag: str) -> 
     assert looked.streams.contradictions == ()
 
 
+def test_all_that_a_recording_does_not_state_is_asked_for_at_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    session = Path(__file__).parents[1] / 'data' / 'hand_session'
+    assert main(['calibrate', str(session)]) == 2
+    message = ' '.join(capsys.readouterr().err.split())
+    assert all(option in message for option in ('--imu (', '--latitude', '--plan'))
+
+
 def test_info_says_that_another_latitude_is_contradicted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
