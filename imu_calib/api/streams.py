@@ -156,9 +156,12 @@ def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -
         if kind is Kind.IMU:
             several = (
                 ' If they are units on one table, `serial` chooses one by the number in the '
-                'recording, and `imus` takes all.'
+                'recording, and calibrating with `imus` takes all.'
             )
             several = _join_hint(recording, filled) or several
+            if units := units_of(recording):
+                numbers = [recording.custom_data[serial_key(topic)] for topic in units]
+                several = f' They are of the units {", ".join(numbers)}: `serial` chooses one.'
         raise NotStated(
             f'{recording.path}: {len(filled)} topics of type {kind.type_name}: {listed}. '
             f'Choose with {option}.{several}'

@@ -120,8 +120,11 @@ class RecordedClock:
         delay = seconds[:, 1] - seconds[:, 0] / ratio.value
         medians = np.median(np.lib.stride_tricks.sliding_window_view(delay, _BESIDE), axis=1)
         change = medians[_BESIDE:] - medians[:-_BESIDE]
+        # A message of a slow topic may be logged anywhere before the next one.
+        assert self._stamps is not None
+        least = max(_STEP, 1.0 / (self._stamps.rate or np.inf))
         steps = []
-        while len(change) and abs(change[k := int(np.abs(change).argmax())]) > _STEP:
+        while len(change) and abs(change[k := int(np.abs(change).argmax())]) > least:
             steps.append((int(pairs[k + _BESIDE, 1]), float(change[k])))
             change[max(k - _BESIDE, 0) : k + _BESIDE + 1] = 0.0
         return sorted(steps)

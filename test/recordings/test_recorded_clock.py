@@ -210,3 +210,11 @@ def test_a_step_of_log_times_is_located() -> None:
     assert by == pytest.approx(4, abs=0.1)
     assert abs(at - log[40_000]) < 10 * NS
     assert clock_of(*delayed(600, 50 * PPM, 1)).log_steps() == []
+
+
+def test_a_slow_topic_that_is_logged_before_its_next_message_has_no_steps() -> None:
+    """One message per second, as of a thermometer, of which some wait for almost the next one."""
+    stamp = np.arange(1200, dtype=np.int64) * NS
+    late = np.where((stamp // (100 * NS)) % 2, 9 * NS // 10, 0)
+    assert clock_of(stamp, stamp + late).log_steps() == []
+    assert len(clock_of(stamp, stamp + 3 * late).log_steps()) == 11
