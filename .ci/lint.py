@@ -77,7 +77,7 @@ OTHERS = {
     'live/middleware/ros.py': 'a command of ROS',
     'live/nodes/programs.py': 'options of ROS',
     'session/keywords.py': 'the options themselves',
-    'live/runtime.py': 'a whole command',
+    'live/network.py': 'a whole command',
     'live/web/drawing.py': 'variables of CSS',
 }
 """Files outside cli that name options, and whose."""

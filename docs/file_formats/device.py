@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from imu_calib.common.units import Dimension
 from imu_calib.live.devices import messages as commands
-from imu_calib.live.devices.checksum import CATALOGUE
+from imu_calib.live.devices.fields import CATALOGUE
 from imu_calib.live.devices.format import BAUD, COUNTLESS, LONGEST, TICKS_NS, TYPES
 from imu_calib.live.devices.messages import FLETCHER, LENGTH_TYPES, ORDERS, OWN_KINDS, WORDS
 

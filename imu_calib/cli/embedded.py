@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import IO, Any, TypeAlias
 
 from ..common.errors import InputError
-from ..live.runtime import forced
+from ..live.network import forced
 from .processes import NodeFiles, Processes
 from .terminal import ERRORS
 
@@ -37,7 +37,7 @@ class Embedded:
         # Before the middleware is loaded: the nodes' modules take their names from it.
         self._until_the_end.enter_context(forced('embedded'))
         try:
-            from ..live.middleware.dds.container import Container
+            from ..live.middleware.dds.executor import Container
 
             self._container = Container(in_step=in_step)
         except BaseException:

@@ -10,7 +10,7 @@ from typing import Any
 from ..live import middleware as ros
 from ..live.middleware import messages
 from ..live.nodes import qos
-from ..live.nodes.subscriptions import listen_to_each
+from ..live.nodes.intake import listen_to_each
 from ..live.web.board import Board, UnitsBoard
 from .embedded import Nodes
 from .terminal import NodeReports

@@ -26,11 +26,11 @@ from ..live.network import (
     REACH,
     check_domain,
     check_interface,
+    in_enclave,
     interface_variables,
     on_interface,
     own_domain,
 )
-from ..live.security import in_enclave
 from .terminal import ERRORS
 
 START = 30.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..common.files import user_path
-from ..live.security import enclave, make_keystore
+from ..live.network import enclave, make_keystore
 from .terminal import OUTPUT
 
 

@@ -19,7 +19,7 @@ from ..common.files import named_file, read_text, user_path, write_whole
 from ..common.finding import is_warning, warning, without_label
 from ..common.units import significant
 from ..live.devices.format import load_format
-from ..live.devices.in_memory import SCHEME
+from ..live.devices.simulated import SCHEME
 from ..live.devices.source import check_port
 from ..reports.plain_table import plain_table
 from ..reports.tables import engineering

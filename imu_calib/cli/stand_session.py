@@ -24,9 +24,8 @@ from ..api.stand import (
 )
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError, NotObservable
-from ..live.runtime import forced
-from ..live.web.board import Board, UnitsBoard
-from ..live.web.expectation import expectation, units_board
+from ..live.network import forced
+from ..live.web.board import Board, UnitsBoard, expectation, units_board
 from ..model.earth import LUOYANG, Site
 from ..session.imu import ImuSpec, load_imu
 from ..session.keywords import DEFAULT_TERMS, AtSite

@@ -29,9 +29,7 @@ from ..session.table import load_table
 from ..session.units_file import PULSES, load_units, remaining
 from .devices.format import load_format
 from .devices.source import check_port
-from .network import LOOPBACK, REACH, check_domain, interface_variables
-from .runtime import BUILD_MESSAGES
-from .security import in_enclave
+from .network import BUILD_MESSAGES, LOOPBACK, REACH, check_domain, in_enclave, interface_variables
 
 _MODULES = {
     'numpy': 'Install python3-numpy.',

@@ -10,10 +10,9 @@ from ..common.errors import InputError
 from ..common.stream import JointBlock, Setpoint
 from ..session.plan import Plan
 from ..session.table import Table
-from .encoders import Encoders, Feedback, FeedbackError
 from .plan_run import Leg, Run
 from .rules import Phase, Rules, SequencerState
-from .table_watch import IdleWatch
+from .table_watch import Encoders, Feedback, FeedbackError, IdleWatch
 
 _NO_FEEDBACK = 'There are no joint states from the table.'
 

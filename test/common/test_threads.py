@@ -24,7 +24,7 @@ print(len(os.listdir('/proc/self/task')))
 @pytest.mark.skipif(
     not Path('/proc/self/task').is_dir(), reason='threads are counted as Linux does'
 )
-@pytest.mark.parametrize('module', ['imu_calib.cli.main', 'imu_calib.live.nodes.live'])
+@pytest.mark.parametrize('module', ['imu_calib.cli.main', 'imu_calib.live.nodes.live_session'])
 def test_a_product_of_matrices_takes_one_thread(module):
     environ = {k: v for k, v in os.environ.items() if not k.endswith('_NUM_THREADS')}
     environ['PYTHONPATH'] = os.pathsep.join([str(CHECKOUT), os.environ.get('PYTHONPATH', '')])

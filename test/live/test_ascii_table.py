@@ -23,8 +23,7 @@ from turntable_bench import TABLE as NIMBLE
 
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.common.stream import Mode, Setpoint, SetpointBlock
-from imu_calib.live import table_control
-from imu_calib.live import table_control as control
+from imu_calib.live import table_line
 from imu_calib.live.nodes import qos
 from imu_calib.live.table_line import Follower, Line, Move, Reading, Stop
 from imu_calib.recordings.cdr import Messages
@@ -35,7 +34,7 @@ from imu_calib.session.table import load_table
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
     from imu_calib.live import middleware as ros
-    from imu_calib.live.nodes import commands
+    from imu_calib.live.nodes import stop
     from imu_calib.live.nodes.ascii_table_node import AsciiTableNode
     from imu_calib.live.nodes.turntable_node import TurntableNode
 except ImuCalibError as error:
@@ -395,8 +394,8 @@ def test_a_second_source_of_setpoints_is_refused_and_the_table_stands(bench):
 
 
 def test_where_a_message_does_not_tell_its_source_two_that_are_listed_are_two(bench, monkeypatch):
-    told = commands.drain_sources
-    monkeypatch.setattr(commands, 'drain_sources', lambda s: [(p, b'') for p, _ in told(s)])
+    told = stop.drain_sources
+    monkeypatch.setattr(stop, 'drain_sources', lambda s: [(p, b'') for p, _ in told(s)])
     bench.lead(FAR)
     assert bench.until(lambda: bench.controller.count('MOVE') == 3)
     before = bench.stops()
@@ -537,8 +536,8 @@ class Slow:
 
 def test_orders_that_are_held_up_midway_are_not_gone_on_with(monkeypatch, follower):
     line = Slow()
-    monkeypatch.setattr(control, 'time', line)
-    at_work = table_control.Control(lambda: line, follower, TABLE.names, lambda: 0, 0.001)
+    monkeypatch.setattr(table_line, 'time', line)
+    at_work = table_line.Control(lambda: line, follower, TABLE.names, lambda: 0, 0.001)
     at_work.start()
     assert until(lambda: 'STATE' in line.lines)
     at_work.command(setpoint())
@@ -552,7 +551,7 @@ def test_orders_that_are_held_up_midway_are_not_gone_on_with(monkeypatch, follow
 
 def test_a_reading_is_stamped_in_the_middle_between_question_and_answer(follower):
     clock = itertools.count(0, 100)
-    at_work = table_control.Control(Slow, follower, TABLE.names, lambda: next(clock), 0.001)
+    at_work = table_line.Control(Slow, follower, TABLE.names, lambda: next(clock), 0.001)
     at_work.start()
     assert until(lambda: len(at_work._readings) > 3)
     assert at_work.stop(5.0)
@@ -582,7 +581,7 @@ def test_an_answer_to_an_earlier_question_is_none_to_this_one():
 def test_the_third_bad_answer_in_a_row_is_another_device(follower):
     line = Slow()
     line.state = iter(['STATE 0 0 0 0 0 0', 'STAT', '?', 'STATE 0 0 0 0 0 0', *'abcdef'])
-    at_work = table_control.Control(lambda: line, follower, TABLE.names, lambda: 0, 0.001)
+    at_work = table_line.Control(lambda: line, follower, TABLE.names, lambda: 0, 0.001)
     at_work.start()
     assert until(lambda: at_work.status.breaks == 1)
     assert at_work.stop(5.0)
@@ -592,7 +591,7 @@ def test_the_third_bad_answer_in_a_row_is_another_device(follower):
 
 def test_what_was_wanted_before_the_line_was_open_moves_nothing(follower):
     line = Slow()
-    at_work = table_control.Control(lambda: line, follower, TABLE.names, lambda: 0, 0.001)
+    at_work = table_line.Control(lambda: line, follower, TABLE.names, lambda: 0, 0.001)
     at_work.command(setpoint())
     at_work.start()
     assert until(lambda: line.lines.count('STATE') > 5)

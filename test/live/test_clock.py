@@ -6,7 +6,7 @@ from loopback import environment, patience, start, until
 
 from imu_calib.common.errors import ImuCalibError
 from imu_calib.common.stream import ImuBlock
-from imu_calib.live.nodes import subscriptions
+from imu_calib.live.nodes import intake
 from imu_calib.live.rules import Phase
 from imu_calib.recordings.cdr_codec import Kind, encode_imu
 from imu_calib.recordings.rosbag2 import open_recording
@@ -112,7 +112,7 @@ class Bench:
 
 def test_what_waits_at_the_end_is_recorded_however_much_it_is(monkeypatch, tmp_path):
     # More than two rounds take, as after a long solve of another session.
-    count = 3 * subscriptions._MOST
+    count = 3 * intake._MOST
     with Bench(monkeypatch, tmp_path) as bench:
         bench.set_time(EPOCH)
         ros.publish_all(bench.pulses, samples(EPOCH, count).payloads())

@@ -16,9 +16,16 @@ from loopback import until
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
-from imu_calib.live.devices.checksum import CATALOGUE, Checksums, Sum, Xor
 from imu_calib.live.devices.clock import DeviceClock
-from imu_calib.live.devices.fields import DeviceTime, FrameCounter, Number
+from imu_calib.live.devices.fields import (
+    CATALOGUE,
+    Checksums,
+    DeviceTime,
+    FrameCounter,
+    Number,
+    Sum,
+    Xor,
+)
 from imu_calib.live.devices.format import Decoder, load_format, read_format
 from imu_calib.live.devices.health import Reception
 from imu_calib.live.devices.source import Chunk, DeviceReader

@@ -2,7 +2,7 @@
 
 import pytest
 
-from imu_calib.live.nodes.done_check import DoneCheck
+from imu_calib.live.nodes.calibrator_node import DoneCheck
 
 STATE = {'plan': 'short', 'steps': 14, 'commanded': 14, 'alone': True}
 

@@ -24,7 +24,7 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.units import DEG
 from imu_calib.live import middleware as ros
-from imu_calib.live.nodes.frame_server import FrameServer
+from imu_calib.live.devices.simulated import FrameServer
 from imu_calib.live.nodes.turntable_node import TurntableNode
 from imu_calib.model.earth import LUOYANG, Site
 from imu_calib.session.imu import load_imu

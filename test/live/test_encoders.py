@@ -9,7 +9,7 @@ import pytest
 
 from imu_calib.common.stream import JointBlock
 from imu_calib.common.units import DEG
-from imu_calib.live.encoders import Encoders, Feedback, FeedbackError
+from imu_calib.live.table_watch import Encoders, Feedback, FeedbackError
 from imu_calib.session.table import load_table
 
 TABLE = load_table('three_axis')

@@ -7,9 +7,8 @@ from dataclasses import replace
 import pytest
 
 from imu_calib.common.units import DEG
-from imu_calib.live.encoders import Feedback
 from imu_calib.live.rules import Rules
-from imu_calib.live.table_watch import IdleWatch
+from imu_calib.live.table_watch import Feedback, IdleWatch
 from imu_calib.session.table import load_table
 
 TABLE = load_table('three_axis')

@@ -23,7 +23,7 @@ from imu_calib.estimation.hand import FREE
 from imu_calib.estimation.setup import Setup
 from imu_calib.live.devices.format import Decoder, load_format
 from imu_calib.live.nodes import hand_node
-from imu_calib.live.nodes.live import SessionPhase
+from imu_calib.live.nodes.live_session import SessionPhase
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.parameters import PARAMETER_NAMES, ParameterKind
 from imu_calib.recordings.cdr_codec import Kind, encode_imu

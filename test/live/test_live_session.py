@@ -16,7 +16,7 @@ from imu_calib.common.budget import ErrorSource
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
 from imu_calib.estimation.setup import Setup
-from imu_calib.live.nodes.live import SessionPhase
+from imu_calib.live.nodes.live_session import SessionPhase
 from imu_calib.live.nodes.session_reports import report_session
 from imu_calib.live.rules import Severity
 from imu_calib.model.sensors import SensorModel

@@ -13,8 +13,8 @@ from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock, SkewBlock
 from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup
-from imu_calib.live.nodes import live as calibrator_feed
-from imu_calib.live.nodes.live import SessionPhase
+from imu_calib.live.nodes import intake
+from imu_calib.live.nodes.live_session import SessionPhase
 from imu_calib.recordings.cdr_codec import Kind, encode_imu, encode_joints, encode_setpoints
 from imu_calib.session.imu import load_imu
 from imu_calib.session.metadata import describe
@@ -101,7 +101,7 @@ def test_an_interrupted_session_goes_on_with_its_skewed_gyro(tmp_path, wire):
 def test_a_skewed_gyro_that_nobody_publishes_ends_the_session_soon_and_by_name(
     tmp_path, wire, monkeypatch
 ):
-    monkeypatch.setattr(calibrator_feed, '_SKEW_AWAITED', 0.0)
+    monkeypatch.setattr(intake, '_SKEW_AWAITED', 0.0)
     session = begin(tmp_path / 'journal')
     send(session, wire[:40], without={Kind.SKEW})
     assert session.phase is SessionPhase.FAILED
@@ -111,7 +111,7 @@ def test_a_skewed_gyro_that_nobody_publishes_ends_the_session_soon_and_by_name(
 
 
 def test_other_methods_go_on_without_it_and_take_it_no_more(tmp_path, wire, monkeypatch):
-    monkeypatch.setattr(calibrator_feed, '_SKEW_AWAITED', 0.0)
+    monkeypatch.setattr(intake, '_SKEW_AWAITED', 0.0)
     session = begin(tmp_path / 'journal', replace(SETUP, method='twelve_position'))
     send(session, wire[:40], without={Kind.SKEW})
     assert session.without_skew

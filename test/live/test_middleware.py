@@ -898,7 +898,7 @@ def test_a_domain_out_of_range_is_said(text, monkeypatch):
 
 
 def test_the_reach_of_discovery_is_one_of_four_words(monkeypatch):
-    from imu_calib.live.middleware.shared import configuration
+    from imu_calib.live.network import configuration
 
     monkeypatch.delenv('CYCLONEDDS_URI', raising=False)
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'localhost')

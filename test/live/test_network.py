@@ -31,7 +31,7 @@ def silent(monkeypatch):
 def configuration():
     """Return what the runtime without ROS tells Cyclone DDS besides its announcements."""
     try:
-        from imu_calib.live.middleware.shared import ANNOUNCEMENTS, configuration
+        from imu_calib.live.network import ANNOUNCEMENTS, configuration
     except ImuCalibError as error:
         pytest.skip(str(error))
     # First, so that what is the user's has the last word.

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from imu_calib.common.stream import Mode, Setpoint
-from imu_calib.live.table_line import OneSource
+from imu_calib.live.nodes.stop import OneSource
 
 TIMEOUT = 0.5
 GO = Setpoint(0, 'plan', 1, '1', Mode.POSITION, ('outer',), (1.0,), (), 0.0, 0.0)

@@ -13,8 +13,7 @@ from loopback import patience
 
 from imu_calib.common.config import Section
 from imu_calib.live.rules import Phase
-from imu_calib.live.web.board import Board, UnitsBoard
-from imu_calib.live.web.expectation import expectation, units_board
+from imu_calib.live.web.board import Board, UnitsBoard, expectation, units_board
 from imu_calib.live.web.guard import Token
 from imu_calib.live.web.shape import table_shape
 from imu_calib.session.units_file import read_units

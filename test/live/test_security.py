@@ -13,8 +13,7 @@ from ros_stands import LAUNCHABLE, Network, launch, nothing_left
 
 from imu_calib.cli.processes import free_port
 from imu_calib.common.errors import ImuCalibError, InputError
-from imu_calib.live.network import on_interface
-from imu_calib.live.security import enclave, policy_file
+from imu_calib.live.network import enclave, on_interface, policy_file
 
 INCLUDE = '{http://www.w3.org/2001/XInclude}include'
 SECURED = {'ROS_SECURITY_ENABLE': 'true', 'ROS_SECURITY_STRATEGY': 'Enforce'}

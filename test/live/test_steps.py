@@ -11,7 +11,7 @@ import pytest
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Mode
 from imu_calib.common.units import DEG
-from imu_calib.live.plan_steps import check, end_of, held, motion_time, setpoint_of, steps_of_plan
+from imu_calib.live.plan_run import check, end_of, held, motion_time, setpoint_of, steps_of_plan
 from imu_calib.live.sequencer import Obstacles
 from imu_calib.session.plan import Step, load_plan
 from imu_calib.session.table import TURN, Limits, load_table

@@ -23,7 +23,7 @@ os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
     from imu_calib.live import middleware as ros
     from imu_calib.live.nodes import stop, turntable_node
-    from imu_calib.live.nodes.run_reports import CalibratorProgress
+    from imu_calib.live.nodes.run_action import CalibratorProgress
     from imu_calib.live.rules import Phase
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)

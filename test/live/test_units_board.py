@@ -12,8 +12,7 @@ from rich.console import Console
 from imu_calib.cli.displays import view_table
 from imu_calib.live.rules import Severity
 from imu_calib.live.web import drawing
-from imu_calib.live.web.board import SessionOutcome
-from imu_calib.live.web.expectation import units_board
+from imu_calib.live.web.board import SessionOutcome, units_board
 
 mounted = board_messages.mounted
 

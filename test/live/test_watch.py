@@ -7,9 +7,8 @@ import pytest
 
 from imu_calib.common.stream import Mode
 from imu_calib.common.units import DEG
-from imu_calib.live.encoders import Feedback
 from imu_calib.live.rules import Rules
-from imu_calib.live.table_watch import Standing, Watch
+from imu_calib.live.table_watch import Feedback, Standing, Watch
 from imu_calib.session.plan import Step
 from imu_calib.session.table import Limits, load_table
 

@@ -14,8 +14,17 @@ from ...common.config import Section
 from ...common.errors import InputError
 from ...common.stream import Floats
 from ...common.units import Dimension
-from .checksum import Bytes, Checksums, checksums, fits
-from .fields import Channel, DeviceTime, Fault, FrameCounter, Number
+from .fields import (
+    Bytes,
+    Channel,
+    Checksums,
+    DeviceTime,
+    Fault,
+    FrameCounter,
+    Number,
+    checksums,
+    fits,
+)
 from .messages import (
     NOTHING,
     Commands,

@@ -10,8 +10,19 @@ import numpy as np
 from ...common.config import Section, as_number, as_whole
 from ...common.errors import InputError
 from ...common.units import Dimension
-from .checksum import CATALOGUE, Algorithm, Crc, Fletcher, Sum, Xor, checksums, fits
-from .fields import HIGH_WORD_FIRST, LOW_WORD_FIRST, Number
+from .fields import (
+    CATALOGUE,
+    HIGH_WORD_FIRST,
+    LOW_WORD_FIRST,
+    Algorithm,
+    Crc,
+    Fletcher,
+    Number,
+    Sum,
+    Xor,
+    checksums,
+    fits,
+)
 
 _ORDERS = {'little': '<', 'big': '>'}
 ORDERS = {**_ORDERS, 'low_word_first': LOW_WORD_FIRST, 'high_word_first': HIGH_WORD_FIRST}

@@ -28,7 +28,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any, Protocol
 
-from ..runtime import require, runtime
+from ..network import require, runtime
 from .shared import GoalStatus
 
 if TYPE_CHECKING:

@@ -56,8 +56,8 @@ from std_srvs.srv import Trigger
 
 from ...common.errors import ImuCalibError, InputError
 from ..network import LEASES, LONGEST_LEASE
+from ..network import domain_id as checked_domain
 from .shared import ACTIONS, MESSAGES, GoalStatus, InterfaceTypes, WorkerThread
-from .shared import domain_id as checked_domain
 
 # As `dds` lists them, which cannot be loaded here: under ROS there is no rosbags.
 __all__ = [
@@ -188,7 +188,7 @@ def _middleware() -> bytes:
     return str(get_rmw_implementation_identifier()).encode()
 
 
-# rclpy's action server, with goals that the node ends; see `dds.action`.
+# rclpy's action server, with goals that the node ends; see `dds.endpoints`.
 
 
 class ServerGoal:

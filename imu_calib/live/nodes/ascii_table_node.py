@@ -9,18 +9,18 @@ from ...recordings.cdr_codec import encode_joints
 from ...session.table import load_table
 from ..middleware import Clock, ClockType, Node, messages, publish_all
 from ..rules import Severity
-from ..table_control import Control
 from ..table_guard import Guard
 from ..table_line import (
+    Control,
     Follower,
     Line,
     tcp_address,
 )
 from . import qos
-from .commands import Commands
 from .diagnostics import Diagnostics
 from .parameters import declare
 from .programs import entry_point
+from .stop import Commands
 
 _PERIOD = 0.005
 """s: half the period of a table that answers at 100 Hz, so that no answer waits for the next

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,26 +11,75 @@ from typing import Any
 from ...common.errors import InputError
 from ...common.stream import NS
 from ...recordings.cdr_codec import Kind
-from ...recordings.writer import Journal
 from ...reports.convergence import reading_sentence
-from ...session.metadata import mount_description, unit_description
 from ...session.plan import Plan
 from .. import middleware as ros
 from ..middleware import Node, messages
 from ..rules import Phase, Severity
 from . import qos
 from .diagnostics import Diagnostics
-from .done_check import DoneCheck
-from .live import SessionPhase
-from .parameters import declare, declare_path
+from .intake import Subscriptions, topics_of_table, topics_of_unit
+from .live_session import SessionPhase
+from .parameters import StatedUnit, declare, declare_path, declared_units
 from .programs import entry_point
 from .qos import OnePublisher
-from .session_parameters import StatedUnit, declared_units
-from .session_reports import IMU_TIMEOUT, journal_sentence, session_sentence
-from .sessions import Sessions, UnitResults, progress_of_all
-from .subscriptions import Subscriptions, topics_of_table, topics_of_unit
+from .session_reports import (
+    IMU_TIMEOUT,
+    UnitResults,
+    journal_sentence,
+    progress_of_all,
+    session_sentence,
+)
+from .sessions import STATE_TYPE, SessionFactory, Sessions
 
-STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
+
+class DoneCheck:
+    """Receives turntable/state, and accepts DONE only with independent evidence.
+
+    Any publisher on the topic could end a session. Therefore the calibrator must have received
+    setpoints of every step, no other node may publish the state, and DONE must come twice in
+    succession: the node that runs the plan repeats its state twice a second and would contradict.
+
+    Args:
+        plan: Name of the plan that is calibrated.
+        steps: Number of its steps.
+    """
+
+    def __init__(self, plan: str, steps: int) -> None:
+        self._plan = plan
+        self._steps = steps
+        self._in_succession = 0
+
+    def deny(self) -> None:
+        """Record a state other than DONE."""
+        self._in_succession = 0
+
+    def refusal(self, plan: str, steps: int, commanded: int, *, alone: bool) -> str:
+        """Record a state DONE; return why it is not accepted, else empty.
+
+        Args:
+            plan: Name of the plan in the state.
+            steps: Number of steps in the state.
+            commanded: Number of steps commanded by setpoints.
+            alone: Whether the state has one publisher.
+        """
+        self._in_succession += 1
+        if plan != self._plan:
+            return f'it names the plan {plan or "(none)"}, not {self._plan}'
+        if steps != self._steps:
+            return f'it has {steps} steps, plan {self._plan} has {self._steps}'
+        if commanded < self._steps:
+            first = f'{commanded + 1} to ' if commanded + 1 < self._steps else ''
+            return f'step {first}{self._steps} of {self._plan} was never commanded'
+        if not alone:
+            return 'more than one node publishes the state'
+        return ''
+
+    @property
+    def is_repeated(self) -> bool:
+        """Whether DONE was received more than once in succession."""
+        return self._in_succession > 1
+
 
 _RUNS = frozenset(phase for phase in Phase if phase.at_a_step)
 
@@ -122,64 +170,6 @@ class TurntableStateIntake:
     def paused(self) -> bool:
         """Whether the plan is interrupted, and may be resumed."""
         return self.phase == Phase.PAUSED
-
-
-class SessionFactory:
-    """Opens journals, one after the other, and the sessions of all units with each.
-
-    Args:
-        units: What is calibrated.
-        description: Set-up that every journal contains.
-        journal: Folder of the first; later ones have a number at the end of their names.
-        state: Full name of turntable/state; None without a table.
-        progress: Called now and then with the read share of a journal that is resumed, 0 to 1.
-    """
-
-    def __init__(
-        self,
-        units: Sequence[StatedUnit],
-        description: Mapping[str, str],
-        journal: Path,
-        state: str | None,
-        progress: Callable[[float], None] = lambda _: None,
-    ) -> None:
-        self._units = units
-        self._description = description
-        self._journal = journal
-        self._state = state
-        self._progress = progress
-        self._count = 0
-
-    def begin(self, common: Mapping[Kind, str], of_units: Sequence[Mapping[Kind, str]]) -> Sessions:
-        """Begin sessions, or resume those in the journal.
-
-        Args:
-            common: Full names of the table's topics by content.
-            of_units: The same of each unit.
-
-        Raises:
-            InputError: The journal cannot be written, or holds another set-up.
-        """
-        path = self._journal
-        if self._count:
-            path = path.with_name(f'{path.name}_{self._count + 1}')
-        self._count += 1
-        kinds = {topic: kind for names in (common, *of_units) for kind, topic in names.items()}
-        journal = Journal(path, self._described(of_units), kinds, self._progress)
-        if self._state is not None:
-            journal.add_latched_topic(self._state, STATE_TYPE)
-        return Sessions(self._units, of_units, journal, common)
-
-    def _described(self, of_units: Sequence[Mapping[Kind, str]]) -> dict[str, str]:
-        """Return the set-up, with that of each of several units."""
-        description = dict(self._description)
-        for unit, topics in zip(self._units, of_units, strict=True):
-            if unit.name:
-                topic = topics[Kind.IMU]
-                description |= unit_description(topic, unit.imu, unit.setup.serial_number)
-                if unit.mount is not None:
-                    description |= mount_description(topic, unit.mount)
-        return description
 
 
 _TICK = 0.02

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...calibration.calibration import Calibration
 from ...common.errors import InputError
-from ...common.stream import NS, Units
+from ...common.stream import Units
 from ...model.parameters import PARAMETER_NAMES, Parameter
 from ...model.sensors import SensorModel, Skewed, Triad, by_name, parameters_of, terms_of
 from ...model.session_terms import Changes, Course, change
@@ -19,7 +19,6 @@ from ...session.plausibility import check_plausible
 from ...session.stamping import StampingClock, check_clock
 from ..middleware import Time, messages
 from ..rules import SequencerState
-from ..trajectory import Piece
 
 _UNITS = {
     Units.PULSES: messages.ImuCalibration.UNIT_PULSES,
@@ -326,19 +325,4 @@ def state_message(state: SequencerState, joints: tuple[str, ...], stamp: int) ->
         seconds_left=float(state.seconds_left),
     )
     message.header.stamp = Time(nanoseconds=stamp).to_msg()
-    return message
-
-
-def trajectory_message(piece: Piece, names: tuple[str, ...]) -> Any:
-    """Return a piece as trajectory_msgs/JointTrajectory."""
-    message = messages.JointTrajectory(joint_names=list(names))
-    message.header.stamp = Time(nanoseconds=piece.stamp).to_msg()
-    course = piece.course
-    for time, angles, rates in zip(course.time, course.angles, course.rates, strict=True):
-        point = messages.JointTrajectoryPoint(
-            positions=[float(a) for a in angles], velocities=[float(r) for r in rates]
-        )
-        sec, nanosec = divmod(round(float(time) * NS), NS)
-        point.time_from_start.sec, point.time_from_start.nanosec = sec, nanosec
-        message.points.append(point)
     return message

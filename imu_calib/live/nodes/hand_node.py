@@ -17,13 +17,13 @@ from ...common.stream import NS
 from ...simulation.hand import HeldHardware
 from ...simulation.options import load_imperfections, switched_on
 from .. import middleware as ros
+from ..devices.simulated import serve_frames
 from ..middleware import messages
 from ..rules import Severity
 from . import qos
 from .diagnostics import Diagnostics
-from .frame_server import serve_frames
+from .parameters import declare_simulation
 from .programs import entry_point
-from .simulation_parameters import declare_simulation
 
 _STEP = 0.1
 """s of simulated time per step. A choice, as in stand_node."""

@@ -12,7 +12,7 @@ from ...recordings.cdr_codec import PULSES, RATES, encode_imu, encode_temperatur
 from ...session.imu import load_imu
 from ..devices.format import Samples, load_format
 from ..devices.health import GAP_TIMEOUT, Reception
-from ..devices.in_memory import SCHEME, InMemorySource
+from ..devices.simulated import SCHEME, InMemorySource
 from ..devices.source import Chunk, DeviceReader, choose_baud, is_serial
 from ..middleware import Clock, ClockType, ManagedNode, messages, publish_all
 from ..rules import Severity

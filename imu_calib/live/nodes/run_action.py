@@ -5,22 +5,135 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from typing import Any
 
 from ...common.errors import InputError
-from ...common.stream import Mode, Setpoint
-from ..encoders import Feedback
-from ..middleware import ActionClient, GoalServer, Node, actions, messages
+from ...common.stream import NS
+from ...common.units import DEG
+from ..middleware import GoalServer, Node, actions, messages
 from ..middleware.shared import GoalStatus
-from ..rules import Phase
+from ..rules import Phase, SequencerState, Severity
 from ..sequencer import Sequencer
 from ..table_watch import SETS_OUT
-from ..trajectory import Lead, Overtaken
 from . import qos
-from .convert import trajectory_message
 from .diagnostics import Diagnostics
-from .run_reports import state_sentence
+
+# The run in words, and the calibrator's progress.
+
+
+def state_sentence(state: SequencerState) -> str:
+    """Return a sentence on the state; it changes only with step and phase."""
+    if state.waits_for:
+        return f'Waits for {state.waits_for}.'
+    if state.reason:
+        return state.reason
+    if state.phase in {Phase.IDLE, Phase.DONE}:
+        return {Phase.IDLE: 'Nothing is started.', Phase.DONE: 'The plan is done.'}[state.phase]
+    where = f'position {state.position}' if state.position else 'back to the start'
+    return f'{state.phase.name.capitalize()}: step {state.step + 1} of {state.steps}, {where}.'
+
+
+def state_figures(state: SequencerState, joints: tuple[str, ...]) -> dict[str, str]:
+    """Return figures of a state for a person, with units."""
+    described = {
+        'plan': state.plan,
+        'phase': state.phase.name,
+        'step': f'{state.step + 1} of {state.steps}' if state.steps else 'none',
+        'position': state.position or 'none',
+        'time left': f'{state.seconds_left:.0f} s',
+    }
+    for name, angle, rate in zip(joints, state.angles, state.rates, strict=False):
+        described[f'joint {name}'] = f'{angle / DEG:.4f} deg, {rate / DEG:.3f} deg/s'
+    return described
+
+
+class CalibratorProgress:
+    """Receives progress: the calibrator is ready, has a fault, or requests steps again.
+
+    Args:
+        sequencer: Runs the plan.
+        diagnostics: Receives reports of faults.
+        timeout: Longest silence of the calibrator on the steady clock, s.
+        is_alone: Returns whether one node alone publishes progress; argument: steady clock, s.
+    """
+
+    def __init__(
+        self,
+        sequencer: Sequencer,
+        diagnostics: Diagnostics,
+        timeout: float,
+        is_alone: Callable[[float], bool],
+    ) -> None:
+        self._sequencer = sequencer
+        self._diagnostics = diagnostics
+        self._timeout = timeout
+        self._is_alone = is_alone
+        self._received_at = -math.inf
+
+    def check(self, now: float) -> None:
+        """Check for silence of the calibrator at a time of the steady clock, s."""
+        self._sequencer.set_calibrator_present(
+            now - self._received_at <= self._timeout,
+            f'The calibrator is silent for {self._timeout:g} s.',
+        )
+
+    def on_progress(self, progress: Any, now: float) -> bool:
+        """Process imu_calib_msgs/CalibrationProgress; return whether it concerns this plan."""
+        sequencer = self._sequencer
+        fault = _fault_of(progress)
+        failed = progress.state == progress.FAILED
+        # A fault stops the table, whichever node publishes it.
+        if failed and sequencer.running:
+            sequencer.fail(fault)
+        of_this_plan = bool(progress.plan == sequencer.plan.name)
+        if of_this_plan:
+            self._pass_steps(progress, now)
+        elif not fault:
+            self._diagnostics.report(
+                'calibrator',
+                Severity.ERROR,
+                f'The calibrator expects plan {progress.plan or "(no name)"}, the table runs '
+                f'{sequencer.plan.name}: its progress is ignored.',
+            )
+            return False
+        sequencer.set_calibrator_fault(fault)
+        level = Severity.WARN if _lacks_samples(progress) else Severity.OK
+        self._diagnostics.report(
+            'calibrator',
+            Severity.ERROR if failed else level,
+            fault or 'The calibrator expects this plan.',
+        )
+        return of_this_plan
+
+    def _pass_steps(self, progress: Any, now: float) -> None:
+        """Pass the steps to be repeated, and those already done, to the sequencer."""
+        self._received_at = now
+        if not self._is_alone(now):
+            return
+        # rclpy's Time refuses times before 1970, where simulated time may begin.
+        stamp = progress.header.stamp.sec * NS + progress.header.stamp.nanosec
+        repeat_steps = [int(step) for step in progress.repeat_steps]
+        self._sequencer.review(stamp, repeat_steps)
+        if stamp:
+            self._sequencer.skip_done(int(progress.step), repeat_steps)
+
+
+def _fault_of(progress: Any) -> str:
+    """Return the fault that prevents a session; empty without one."""
+    if progress.state == progress.FAILED:
+        return f'The calibrator has failed: {progress.text}'
+    if progress.state == progress.FINISHED:
+        return 'The calibrator has finished its session: call ~/reset of calibrator_node first.'
+    if _lacks_samples(progress):
+        # Every step would have to be repeated for a unit that sends no samples.
+        return f'The calibrator lacks samples. {progress.text}'
+    return ''
+
+
+def _lacks_samples(progress: Any) -> bool:
+    """Return whether no samples of a unit have come to the calibrator."""
+    return bool(progress.state == progress.WAITING)
+
 
 _FEEDBACK_PERIOD = 0.5
 """s between two equal feedbacks: the period of turntable/state."""
@@ -232,131 +345,3 @@ class RunAction:
             result.calibration.status = messages.ImuCalibration.REFUSED
             result.calibration.status_text = message
         goal.end(status, result)
-
-
-_ANSWER_TIMEOUT = 0.5
-"""s for the controller to accept a goal: the longest accepted silence of joint states, and shorter
-than the second after which a table counts as stalled."""
-
-
-class Controller:
-    """Sends pieces of trajectories, each a goal that replaces the previous one.
-
-    A goal that the controller rejects, aborts, does not answer, or cancels without a request is a
-    fault; a replaced goal is not. If the controller does not follow a stop, its goal is cancelled:
-    it then holds the table by itself.
-
-    Args:
-        node: turntable_node.
-        name: Of the action, control_msgs/FollowJointTrajectory.
-        sequencer: Runs the plan; receives faults.
-        hold: Sends the sequencer's setpoint at once.
-    """
-
-    def __init__(
-        self, node: Node, name: str, sequencer: Sequencer, hold: Callable[[], None]
-    ) -> None:
-        self._kind = actions.FollowJointTrajectory
-        self._client = ActionClient(node, self._kind, name)
-        self._name = node.resolve_service_name(name)
-        self._sequencer, self._hold = sequencer, hold
-        self._lead = Lead(sequencer.table)
-        self._number = 0
-        self._asked_at: float | None = None
-        self._stops = False
-        self._handle: Any = None
-        self._last: Feedback | None = None
-        self._seen_at = 0.0
-        self._fault = ''
-
-    @property
-    def answered(self) -> bool:
-        """Whether the controller has answered the last goal, or none was sent."""
-        return self._asked_at is None
-
-    def follow(self, setpoint: Setpoint, now: float) -> None:
-        """Send the piece of trajectory that is due with a setpoint.
-
-        Args:
-            setpoint: The published setpoint.
-            now: Steady time, s.
-        """
-        at = self._sequencer.feedback
-        if at is None or not self._client.server_is_ready():
-            return
-        if at is not self._last:
-            self._last, self._seen_at = at, now
-        unseen = now - self._seen_at
-        try:
-            piece = self._lead.piece(setpoint, at, unseen)
-        except Overtaken as error:
-            self._sequencer.fail(str(error))
-            setpoint = self._sequencer.hold(setpoint.stamp)
-            piece = self._lead.piece(setpoint, at, unseen)
-        if piece is None:
-            return
-        self._number += 1
-        self._asked_at, self._stops = now, setpoint.mode is Mode.HOLD
-        if not self._stops:
-            self._fault = ''
-        goal = self._kind.Goal(trajectory=trajectory_message(piece, self._sequencer.table.names))
-        answer = self._client.send_goal_async(goal)
-        answer.add_done_callback(partial(self._on_answer, self._number))
-
-    def check(self, now: float, diagnostics: Diagnostics) -> None:
-        """Detect a controller that is missing or does not answer; report its state.
-
-        Args:
-            now: Steady time, s.
-            diagnostics: Receives the report.
-        """
-        missing = ''
-        if not self._client.server_is_ready():
-            missing = (
-                f'No controller serves {self._name}: start a joint_trajectory_controller, or set '
-                'trajectory_action to the name of its action.'
-            )
-        self._sequencer.forbid('controller', missing, awaited=True)
-        if self._asked_at is not None and now - self._asked_at > _ANSWER_TIMEOUT:
-            self._asked_at = None
-            self._fail(f'has not answered a goal within {_ANSWER_TIMEOUT:g} s')
-        fine = 'The joint_trajectory_controller accepts goals.'
-        diagnostics.report_fault('controller', missing or self._fault, fine)
-
-    def _on_answer(self, number: int, future: Any) -> None:
-        """Keep an accepted goal; a rejected one is a fault."""
-        handle, newest = future.result(), number == self._number
-        if newest:
-            self._asked_at = None
-        if handle.accepted:
-            self._handle = handle
-            handle.get_result_async().add_done_callback(partial(self._on_result, number))
-        elif newest:
-            self._fail('rejects a goal')
-
-    def _on_result(self, number: int, future: Any) -> None:
-        """Report a goal that did not end as requested as a fault."""
-        answer = future.result()
-        if answer.status == GoalStatus.SUCCEEDED:
-            return
-        result, kind = answer.result, self._kind.Result
-        violated = {
-            kind.PATH_TOLERANCE_VIOLATED: 'the path tolerance is violated',
-            kind.GOAL_TOLERANCE_VIOLATED: 'the goal tolerance is violated',
-        }.get(result.error_code)
-        # A replaced goal may end in any way; a violated tolerance is a fault in any case.
-        if violated is None and number != self._number:
-            return
-        cancelled = answer.status == GoalStatus.CANCELED
-        ends = 'cancels a goal without being asked to' if cancelled else 'aborts a goal'
-        words = ': '.join(filter(None, (violated, result.error_string)))
-        self._fail(f'{ends}: {words}' if words else ends)
-
-    def _fail(self, what: str) -> None:
-        """Stop the table because of the controller."""
-        self._fault = f'The controller of {self._name} {what}'.rstrip('.') + '.'
-        if self._stops and self._handle is not None:
-            # Without a goal the controller holds the table.
-            self._handle.cancel_goal_async()
-        self._sequencer.fail(self._fault)
-        self._hold()

@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ...calibration.calibration import Calibration
 from ...calibration.calibrator import estimate_together
 from ...calibration.results import Result, Review
-from ...common.errors import ImuCalibError, InputError
-from ...estimation.setup import Setup
+from ...common.errors import ImuCalibError
 from ...recordings.cdr_codec import Kind
 from ...recordings.writer import Journal
-from ...session.metadata import LEFT_OUT
+from ...session.metadata import LEFT_OUT, mount_description, unit_description
 from ...session.units_file import namespace
-from .. import middleware as ros
-from ..middleware import messages
-from ..rules import Severity
-from . import qos
-from .convert import calibration_message, final_status, refusal_message
-from .diagnostics import Diagnostics, PartOfDiagnostics
-from .live import LiveSession, SessionPhase
-from .session_parameters import StatedUnit
-from .session_reports import is_fed, progress_message, report_session, session_sentence
-from .shared import AnyCalibrator, SharedJournal, SharedSolver, SolverPart
+from .live_session import (
+    AnyCalibrator,
+    LiveSession,
+    SessionPhase,
+    SharedJournal,
+    SharedSolver,
+    SolverPart,
+)
+from .parameters import StatedUnit
 
 _LEFT_OUT = 'The unit was left out of the session.'
 
@@ -218,184 +213,62 @@ def _reviewed(calibrator: AnyCalibrator) -> Review | ImuCalibError:
         return error
 
 
-_ENDS = frozenset({SessionPhase.FINISHED, SessionPhase.FAILED})
-
-
-def progress_of_all(
-    sessions: Sessions, each: Sequence[Any], imu_timeout: float, folder: Path
-) -> Any:
-    """Return the common progress of the sessions; the node that runs the plan uses it.
-
-    The standard deviation of a parameter is that of the unit with the largest. Steps are repeated
-    if any unit whose session continues lacks their data. Excluded units do not count.
+class SessionFactory:
+    """Opens journals, one after the other, and the sessions of all units with each.
 
     Args:
-        sessions: Of all units.
-        each: imu_calib_msgs/CalibrationProgress of each, in their order.
-        imu_timeout: Longest silence of a unit against the table, s.
-        folder: Folder of the results.
-    """
-    open_ = [(s, m) for s, m in zip(sessions.all, each, strict=True) if s in sessions.open]
-    running = [(s, m) for s, m in open_ if not s.is_over] or open_ or [(sessions.all[0], each[0])]
-    std: dict[str, float] = {}
-    for _, message in running:
-        pairs = zip(message.parameter_names, message.standard_deviations, strict=True)
-        for name, value in pairs:
-            # A NaN is worse than any number, and is kept.
-            least = std.get(name, 0.0)
-            std[name] = math.nan if math.isnan(value + least) else max(least, float(value))
-    state, text = _state(sessions, imu_timeout)
-    first = each[0]
-    common = messages.CalibrationProgress(
-        plan=first.plan,
-        step=max(int(message.step) for message in each),
-        steps=first.steps,
-        state=int(state),
-        text=text,
-        parameter_names=list(std),
-        standard_deviations=list(std.values()),
-        seconds_left=first.seconds_left,
-        repeat_steps=sorted({int(k) for _, message in running for k in message.repeat_steps}),
-        file=str(folder.absolute()),
-        journal=first.journal,
-        serial_numbers=[session.setup.serial_number for session in sessions.open],
-    )
-    stamps = [message.header.stamp for _, message in running]
-    common.header.stamp = min(stamps, key=lambda stamp: (stamp.sec, stamp.nanosec))
-    return common
-
-
-def _state(sessions: Sessions, imu_timeout: float) -> tuple[SessionPhase, str]:
-    """Return the common phase, and a sentence on it."""
-    trouble = next((s.trouble for s in sessions.open if s.trouble), '')
-    if trouble:
-        # A full disk stops the table: further data could not be recorded.
-        return SessionPhase.FAILED, trouble
-    phase = sessions.phase
-    failed = [s for s in sessions.open if s.phase is SessionPhase.FAILED]
-    reasons = ' '.join(f'{_name(s)}: {s.failure}' for s in failed)
-    if not sessions.open:
-        return phase, 'All units are left out.'
-    if phase in _ENDS:
-        done = len(sessions.open) - len(failed)
-        if sessions.is_over:
-            return phase, f'{done} of {len(sessions.open)} units are calibrated. {reasons}'.strip()
-        return phase, f'{reasons} Leave the unit out to go on with the others, or call ~/reset.'
-    silent = [s for s in sessions.open if not is_fed(s, imu_timeout)]
-    if silent and phase is not SessionPhase.FINISHED:
-        names = ', '.join(_name(s) for s in silent)
-        return SessionPhase.WAITING, f'No samples come from {names}.'
-    running = [s for s in sessions.open if not s.is_over] or sessions.open
-    known = [0 if s.review is None else int((s.review.std > 0).sum()) for s in running]
-    least = running[known.index(min(known))]
-    reached = f'{min(known)} of {len(least.parameters)} parameters'
-    return (
-        phase,
-        f'{len(sessions.open)} units; {_name(least)} has the fewest determined: {reached}.',
-    )
-
-
-def _name(session: LiveSession) -> str:
-    return session.setup.serial_number
-
-
-class UnitResults:
-    """The topics calibration and calibration/progress of a unit, its file, and its diagnostics.
-
-    Args:
-        node: The node that publishes.
-        setup: Of the unit.
-        namespace: Of its topics; empty for a single unit.
-        output: File of the result.
-        diagnostics: Of the node.
+        units: What is calibrated.
+        description: Set-up that every journal contains.
+        journal: Folder of the first; later ones have a number at the end of their names.
+        state: Full name of turntable/state; None without a table.
+        progress: Called now and then with the read share of a journal that is resumed, 0 to 1.
     """
 
     def __init__(
         self,
-        node: ros.Node,
-        setup: Setup,
-        namespace: str,
-        output: Path,
-        diagnostics: Diagnostics,
+        units: Sequence[StatedUnit],
+        description: Mapping[str, str],
+        journal: Path,
+        state: str | None,
+        progress: Callable[[float], None] = lambda _: None,
     ) -> None:
-        self._node = node
-        self._setup = setup
-        self.output = output
-        self._shown: Calibration | None = None
-        self._stand: Diagnostics | None = None
-        self._diagnostics: Diagnostics | PartOfDiagnostics = diagnostics
-        within = ''
-        if namespace:
-            within = f'{namespace}/'
-            hardware = f'{setup.imu.id} {setup.serial_number}'
-            self._stand = diagnostics
-            self._diagnostics = PartOfDiagnostics(diagnostics, namespace, hardware)
-        self.result = node.create_publisher(
-            messages.ImuCalibration, f'{within}calibration', qos.latched()
-        )
-        self.progress = node.create_publisher(
-            messages.CalibrationProgress, f'{within}calibration/progress', qos.latched()
-        )
+        self._units = units
+        self._description = description
+        self._journal = journal
+        self._state = state
+        self._progress = progress
+        self._count = 0
 
-    def begin(self) -> None:
-        """Begin a session."""
-        self._shown = None
+    def begin(self, common: Mapping[Kind, str], of_units: Sequence[Mapping[Kind, str]]) -> Sessions:
+        """Begin sessions, or resume those in the journal.
 
-    def publish(self, session: LiveSession) -> Any:
-        """Publish the calibration if it changed; return a final message, else None."""
-        now = self._node.get_clock().now().to_msg()
-        if session.phase is SessionPhase.FAILED:
-            message = refusal_message(
-                self._setup.imu, self._setup.plan.name, session.failure, session.frame_id, now
-            )
-            if self._stand is not None:
-                # The serial number distinguishes several units.
-                message.serial_number = self._setup.serial_number
-            self.result.publish(message)
-            return message
-        if session.calibration is None or not self._is_news(session, session.calibration):
-            return None
-        self._shown = session.calibration
-        final = session.phase is SessionPhase.FINISHED
-        status = messages.ImuCalibration.PROVISIONAL
-        if final:
-            status = final_status(session.calibration)
-        message = calibration_message(session.calibration, status, session.frame_id, now)
-        self.result.publish(message)
-        if not final:
-            return None
-        self.save(session)
-        return message
+        Args:
+            common: Full names of the table's topics by content.
+            of_units: The same of each unit.
 
-    def _is_news(self, session: LiveSession, calibration: Calibration) -> bool:
-        return (
-            self._shown is None
-            or session.phase is SessionPhase.FINISHED
-            or calibration.provenance['samples'] != self._shown.provenance['samples']
-        )
+        Raises:
+            InputError: The journal cannot be written, or holds another set-up.
+        """
+        path = self._journal
+        if self._count:
+            path = path.with_name(f'{path.name}_{self._count + 1}')
+        self._count += 1
+        kinds = {topic: kind for names in (common, *of_units) for kind, topic in names.items()}
+        journal = Journal(path, self._described(of_units), kinds, self._progress)
+        if self._state is not None:
+            journal.add_latched_topic(self._state, STATE_TYPE)
+        return Sessions(self._units, of_units, journal, common)
 
-    def publish_progress(self, session: LiveSession, steps: int, seconds_left: float) -> Any:
-        """Publish the progress of the session; return the message."""
-        message = progress_message(session, steps, seconds_left, self.output)
-        self.progress.publish(message)
-        return message
+    def _described(self, of_units: Sequence[Mapping[Kind, str]]) -> dict[str, str]:
+        """Return the set-up, with that of each of several units."""
+        description = dict(self._description)
+        for unit, topics in zip(self._units, of_units, strict=True):
+            if unit.name:
+                topic = topics[Kind.IMU]
+                description |= unit_description(topic, unit.imu, unit.setup.serial_number)
+                if unit.mount is not None:
+                    description |= mount_description(topic, unit.mount)
+        return description
 
-    def report(self, session: LiveSession, imu_timeout: float) -> None:
-        """Report the state of its streams and calibration on /diagnostics."""
-        report_session(session, self._diagnostics, imu_timeout, self._stand)
 
-    def report_part(self, part: str, level: Severity, text: str) -> None:
-        """Report on a part of the unit on /diagnostics."""
-        self._diagnostics.report(part, level, text)
-
-    def save(self, session: LiveSession) -> str:
-        """Write the result; return why that failed, else empty."""
-        if session.calibration is None:
-            return f'Nothing is written: there is no result yet. {session_sentence(session)}'
-        try:
-            session.calibration.save(self.output)
-        except InputError as error:
-            self._diagnostics.report('file', Severity.ERROR, str(error))
-            return str(error)
-        self._diagnostics.report('file', Severity.OK, f'{self.output} is written.')
-        return ''
+STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'

@@ -31,16 +31,14 @@ from ...simulation.hardware import SimulatedHardware
 from ...simulation.options import load_imperfections, switched_on
 from ...simulation.stand import SimulatedUnit
 from .. import middleware as ros
+from ..devices.simulated import Lines, serve_frames
 from ..middleware import messages
 from ..rules import Severity
 from . import qos
-from .commands import Commands
 from .diagnostics import Diagnostics
-from .frame_server import Lines, serve_frames
-from .parameters import declare
+from .parameters import Simulation, declare, declare_simulation, declare_units_file
 from .programs import entry_point
-from .session_parameters import declare_units_file
-from .simulation_parameters import Simulation, declare_simulation
+from .stop import Commands
 
 _STEP = 0.1
 """s of simulated time per step. A choice: the period of setpoints."""

@@ -6,18 +6,25 @@ import contextlib
 import math
 import os
 import re
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
 from ...common.errors import InputError
 from ...common.files import user_path
+from ...common.stream import Mode, Setpoint
+from ...recordings.cdr import Malformed, Messages
+from ...recordings.cdr_codec import decode_setpoints
 from .. import middleware as ros
-from ..middleware import Clock, ClockType, messages
-from ..middleware.shared import domain_id
+from ..middleware import Clock, ClockType, drain_sources, messages, open_drain
+from ..network import domain_id
 from . import qos
+from .diagnostics import Diagnostics
 from .parameters import declare
+from .qos import names_of
 
 
 class StopRecord:
@@ -302,3 +309,149 @@ class Heartbeat:
         self._received_at = self._steady.now().nanoseconds * 1e-9
         if not message.data:
             self._refused_at = self._received_at
+
+
+# The setpoints that a table's driver follows: of one source, while a heartbeat is received.
+
+
+class OneSource:
+    """Pass the setpoints of one source; any other setpoint makes the table hold.
+
+    A source controls the table from its first setpoint until its silence exceeds the timeout, after
+    which the table has stopped; then another source may take over. Meanwhile a setpoint of another
+    source is not followed: which of the two is right is unknown, so the table holds. HOLD is passed
+    from all sources, since standing still is always safe. After such a hold nothing moves until the
+    timeout has passed without a setpoint other than HOLD, so that a leader that did not notice
+    cannot continue where it was.
+
+    Args:
+        timeout: Silence after which a source no longer controls the table, s: that of the driver's
+            setpoints.
+
+    Attributes:
+        reason: Why setpoints are not followed, in sentences; otherwise empty.
+    """
+
+    def __init__(self, timeout: float) -> None:
+        self._timeout = timeout
+        self._source: bytes | None = None
+        self._received_at = self._second_at = self._refused_at = -math.inf
+        self._forbidden = ''
+        self._followed: Setpoint | None = None
+        self.reason = ''
+
+    def forbid(self, why: str) -> Setpoint | None:
+        """Set whether movement is forbidden.
+
+        Args:
+            why: A sentence; empty if allowed.
+
+        Returns:
+            The HOLD that stops the motion being followed; None if there is none.
+        """
+        if self.reason == self._forbidden:
+            self.reason = ''
+        self._forbidden = why
+        if not why:
+            return None
+        self.reason = why
+        followed, self._followed = self._followed, None
+        return None if followed is None else replace(followed, mode=Mode.HOLD)
+
+    def checked(self, setpoint: Setpoint, source: bytes, steady: float) -> Setpoint:
+        """Return the setpoint for the table: as received, or HOLD in its place.
+
+        Args:
+            setpoint: As received from the topic.
+            source: Identifies its publisher.
+            steady: Monotonic time, s.
+        """
+        if source != self._source and steady - self._received_at <= self._timeout:
+            self._second_at = steady
+        else:
+            self._source, self._received_at = source, steady
+        if setpoint.mode is Mode.HOLD:
+            return self._stand(setpoint, steady)
+        reason = self._objection(steady)
+        if reason:
+            self._refused_at, self.reason = steady, reason
+            return self._stand(setpoint, steady)
+        self._followed, self.reason = setpoint, ''
+        return setpoint
+
+    def _objection(self, steady: float) -> str:
+        """Return why a movement is not followed; otherwise empty."""
+        if self._forbidden:
+            return self._forbidden
+        if steady - self._second_at <= self._timeout:
+            return (
+                'Setpoints come from two sources: none is followed, and the table stands. End one '
+                'of them.'
+            )
+        if steady - self._refused_at <= self._timeout:
+            return (
+                'The table stands until the setpoints of a refused motion stop. It follows again '
+                f'after {self._timeout:g} s without them.'
+            )
+        return ''
+
+    def _stand(self, setpoint: Setpoint, steady: float) -> Setpoint:
+        self._followed = None
+        self.reason = self.reason if self._objection(steady) else ''
+        return replace(setpoint, mode=Mode.HOLD)
+
+
+class Commands:
+    """Receives setpoints and passes on those that the table must follow.
+
+    Args:
+        node: The driver.
+        timeout: Silence after which the table stops, s, of the steady clock.
+    """
+
+    def __init__(self, node: Any, timeout: float) -> None:
+        self._node = node
+        self._gate = OneSource(timeout)
+        self._heartbeat = Heartbeat(node)
+        self._malformed = Malformed()
+        self._unknown = 0
+        self._drain = open_drain(
+            node, messages.TurntableSetpoint, 'turntable/setpoint', qos.command()
+        )
+
+    def dispatch(self, follow: Callable[[Setpoint], None]) -> None:
+        """Pass on new setpoints, and HOLD if the heartbeat is lost; to be called often."""
+        stop = self._gate.forbid(self._heartbeat.reason)
+        if stop is not None:
+            follow(stop)
+        now = time.monotonic()
+        for payload, source in drain_sources(self._drain):
+            for block in decode_setpoints(Messages.join([payload]), self._malformed):
+                for setpoint in block.setpoints:
+                    follow(self._gate.checked(setpoint, source or self._known(), now))
+
+    def report(self, diagnostics: Diagnostics) -> None:
+        """Report whose setpoints are followed, or why none are."""
+        publishers = names_of(self._listed())
+        diagnostics.report_fault(
+            'source',
+            self._gate.reason,
+            'Setpoints of one source are followed.',
+            publishers=', '.join(publishers) or 'none',
+            heartbeat='required' if self._heartbeat.required else 'not required',
+            malformed=f'{self._malformed.count} messages',
+        )
+
+    def _listed(self) -> list[Any]:
+        return list(self._node.get_publishers_info_by_topic(self._drain.topic_name))
+
+    def _known(self) -> bytes:
+        """Return the listed publisher as source, where the middleware gives none per message.
+
+        With several publishers the source is unknown: each message then counts as from another.
+        """
+        listed = self._listed()
+        if len(listed) == 1:
+            return bytes(listed[0].endpoint_gid)
+        self._unknown += 1
+        return f'unknown {self._unknown}'.encode()

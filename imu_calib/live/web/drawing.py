@@ -18,8 +18,7 @@ from ...reports.noise import noise_plots
 from ...segmentation.segments import CHANNELS
 from ...session.imu import COVERAGE, ImuSpec
 from ..rules import Phase, Severity
-from .board import Sentence, SessionOutcome, Snapshot, UnitRow
-from .samples import Streams
+from .board import Sentence, SessionOutcome, Snapshot, Streams, UnitRow
 from .sentences import headline, in_plain_words, joint_words, time_left
 
 _LEVELS = {Severity.OK: 'ok', Severity.WARN: 'warn', Severity.ERROR: 'error'}

@@ -2,13 +2,12 @@
 
 from ...network import LEASES
 from ..shared import ACTIONS, MESSAGES, InterfaceTypes
-from .action import ActionClient, GoalServer, action_type
-from .container import run_beside
 from .context import Clock, ClockType, Time, in_step, init, ok, shutdown, try_shutdown
-from .endpoints import Trigger
+from .endpoints import ActionClient, GoalServer, Trigger, action_type
 from .executor import (
     ExternalShutdownException,
     SingleThreadedExecutor,
+    run_beside,
     spin,
     spin_once,
     spin_until_future_complete,

@@ -13,9 +13,7 @@ from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
 from ....common.errors import ImuCalibError
 from ....common.stream import NS
-from ...runtime import runtime
-from ...security import refuse_to_pretend
-from ..shared import domain_id
+from ...network import domain_id, refuse_to_pretend, runtime
 from . import memory
 from .arguments import Arguments, parse
 from .message_types import deserialize_message, message_class, serialize_message

@@ -16,7 +16,7 @@ from typing import Any
 from rosbags.interfaces import Nodetype
 
 from ....common.errors import ImuCalibError
-from ..shared import configuration
+from ...network import configuration
 from .message_types import Message, deserialize_message, interface, serialize_message, type_hash
 from .qos import QoSIncompatibleInfo, QoSProfile, to_dds
 

@@ -3,142 +3,287 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
+from typing import Any
 
 from ...calibration.calibration import Calibration
-from ...calibration.calibrator import Calibrator, calibrator_of
+from ...calibration.calibrator import Calibrator
 from ...calibration.hand import Guidance, HandCalibrator, HandReview, Stage
 from ...calibration.results import Review
-from ...common.errors import ImuCalibError
-from ...common.stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock, at
+from ...common.errors import ImuCalibError, InputError
+from ...common.stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
 from ...estimation.setup import Setup
-from ...model.parameters import Parameter, skewed_parameters
+from ...model.parameters import Parameter
 from ...recordings.cdr import Malformed, Messages
 from ...recordings.cdr_codec import Kind
-from ...segmentation.interruptions import INTERRUPTION, interruption
-from .shared import JournalPart, SolverPart
-from .subscriptions import TopicIntake
+from ...recordings.writer import Journal
+from ..middleware import in_step
+from .intake import CalibratorFeed, FormerSession, TopicIntake
 
-_SKEW_AWAITED = 10.0
-"""Longest time for which IMU samples come without the skewed gyro: s, by stamps and by the
-clock."""
+AnyCalibrator = Calibrator | HandCalibrator
+Concluding = Callable[[Sequence[AnyCalibrator], Sequence[str]], Sequence[Review | ImuCalibError]]
 
 
-class CalibratorFeed:
-    """Holds blocks back until the calibrator can be created, then feeds it.
+class SharedJournal:
+    """One recording of several sessions: common data is written once.
 
     Args:
-        setup: What is calibrated, and how.
-        topics: Full topic names by content; a skewed gyro is expected if its topic is among them.
+        journal: Open.
+        common: Topics of the table, which feed every session.
+    """
+
+    def __init__(self, journal: Journal, common: frozenset[str]) -> None:
+        self.journal = journal
+        self._common = common
+        self._parts: list[JournalPart] = []
+        self._flushed: set[JournalPart] = set()
+        self._refused: InputError | None = None
+
+    def part(self) -> JournalPart:
+        """Return the journal as seen by one more session."""
+        self._parts.append(JournalPart(self))
+        return self._parts[-1]
+
+    def writes(self, part: JournalPart, topic: str) -> bool:
+        """Return whether a session writes a topic: the first open one does."""
+        if topic not in self._common:
+            return True
+        return next((one for one in self._parts if one.open), part) is part
+
+    def flush(self, part: JournalPart) -> None:
+        """Flush once for all sessions that request it in turn.
+
+        Raises:
+            InputError: The disk accepts no more data.
+        """
+        if not self._flushed or part in self._flushed:
+            self._flushed.clear()
+            self._refused = None
+            try:
+                self.journal.flush()
+            except InputError as error:
+                self._refused = error
+        self._flushed.add(part)
+        if self._refused is not None:
+            raise self._refused
+
+    def settle(self) -> None:
+        """Close the recording with its last session; secure the data of the others until then.
+
+        Raises:
+            InputError: The disk accepts no more data.
+        """
+        if any(part.open for part in self._parts):
+            self.journal.flush()
+        else:
+            self.journal.close(finished=all(part.finished for part in self._parts))
+
+
+class JournalPart:
+    """The journal as one session sees it; data refused by a full disk is held and retried.
 
     Attributes:
-        calibrator: None while the presence of a skewed gyro is unknown.
-        without_skew: Whether the session continues without a skewed gyro.
-
-    Raises:
-        InputError: The method cannot solve the plan.
+        open: Whether the session still writes.
+        finished: Whether it came to its end.
+        trouble: Why the disk refuses data, else empty.
     """
 
-    def __init__(self, setup: Setup, topics: Mapping[Kind, str]) -> None:
-        self._setup = setup
-        self._topics = topics
-        self._began = time.monotonic()
-        self._held: list[Block] = []
-        self.without_skew = False
-        # Refuse a plan that the method cannot solve now, before the calibrator is created.
-        calibrator_of(setup)
-        self.calibrator: Calibrator | HandCalibrator | None = None
-        if setup.imu.skewed is None or Kind.SKEW not in topics:
-            self.begin(with_skew=False)
+    def __init__(self, shared: SharedJournal) -> None:
+        self._shared = shared
+        self.open = True
+        self.finished = False
+        self.trouble = ''
 
-    def add_block(self, block: Block, intakes: Mapping[Kind, TopicIntake]) -> str:
-        """Add a block, or hold it back; return as `begin`.
+    @property
+    def path(self) -> Path:
+        """Folder of the recording."""
+        return self._shared.journal.path
 
-        The received samples decide on the skewed gyro, as in reprocessing.
-        """
-        if self.calibrator is not None:
-            self.calibrator.add_block(block)
-            return ''
-        self._held.append(block)
-        imu = intakes[Kind.IMU]
-        if intakes[Kind.SKEW].count:
-            return self.begin(with_skew=True)
-        if imu.oldest is not None and imu.newest is not None:
-            spanned = (imu.newest - imu.oldest) * 1e-9
-            if min(spanned, time.monotonic() - self._began) > _SKEW_AWAITED:
-                return self.begin(with_skew=False)
-        return ''
+    def write(self, topic: str, type_name: str, messages: Messages, now: int) -> None:
+        """Record messages received at `now`, host time in ns, unless another session does."""
+        if self._shared.writes(self, topic):
+            try:
+                self._shared.journal.write(topic, type_name, messages, now)
+            except InputError as error:
+                # Held in memory, and written with the next successful flush.
+                self.trouble = str(error)
 
-    def begin(self, *, with_skew: bool) -> str:
-        """Create the calibrator, and feed it with the blocks received before.
+    def flush(self) -> bool:
+        """Secure the received data; return whether the memory can hold what the disk refuses."""
+        self.trouble = ''
+        try:
+            self._shared.flush(self)
+        except InputError as error:
+            self.trouble = str(error)
+        return not self._shared.journal.overfull
 
-        Returns:
-            Why the session cannot succeed, in sentences; else empty.
-        """
-        self.without_skew = not with_skew
-        imu = self._setup.imu if with_skew else replace(self._setup.imu, skewed=None)
-        self.calibrator = calibrator_of(replace(self._setup, imu=imu))
-        held, self._held = self._held, []
-        for block in held:
-            self.calibrator.add_block(block)
-        if with_skew or not held or self._setup.method_name != 'skewed':
-            return ''
-        lost = ', '.join(p.name for p in skewed_parameters(1))
-        return (
-            f'{self._topics[Kind.IMU]} is received, {self._topics[Kind.SKEW]} is not: {lost} '
-            'cannot be determined. Let the driver publish it (imu_node: a device file with the '
-            'field skew), and call ~/reset.'
-        )
-
-
-_SET_BACK = 10_000_000_000
-"""ns that stamps may begin before a journal's last: less than the shortest step of the plans."""
-
-
-class FormerSession:
-    """The last stamps of a journal, compared with the first ones after it.
-
-    Args:
-        journal: Its folder.
-        intakes: The topics after the whole journal was read.
-    """
-
-    def __init__(self, journal: Path, intakes: Mapping[Kind, TopicIntake]) -> None:
-        self._journal = journal
-        self._imu_end = intakes[Kind.IMU].newest
-        timed = {k: intakes[k].newest for k in (Kind.IMU, Kind.JOINTS) if k in intakes}
-        self._ends = {k: newest for k, newest in timed.items() if newest is not None}
-
-    def adjust_to_journal(self, intake: TopicIntake, blocks: Sequence[Block]) -> str:
-        """Return a warning if stamps begin so far before the journal's last that steps are lost.
-
-        Samples older than the preceding ones are dropped until the old time is reached: after a
-        restart of a simulation that may be the whole session.
-        """
-        timed = [b for b in blocks if isinstance(b, ImuBlock | JointBlock) and len(b)]
-        last = self._ends.pop(intake.kind, None) if timed else None
-        if last is None or (first := int(timed[0].stamp[0])) > last - _SET_BACK:
-            return ''
-        return (
-            f'Stamps on {intake.topic} begin at {at(first)}, {(last - first) * 1e-9:.0f} s before '
-            f'the end of the journal {self._journal}: the clock was set back, or a simulation '
-            'began anew, and these samples are ignored. Set the clock right or give another '
-            'journal, and start again.'
-        )
-
-    def gap(self, first: int) -> str:
-        """Return how long the session was interrupted, where the stream alone does not show it.
+    def close(self, *, finished: bool) -> bool:
+        """End this session's part, and the recording with the last; return whether it is saved.
 
         Args:
-            first: Stamp of the first IMU sample after it, ns; later ones are ignored.
+            finished: Whether it is kept for inspection only; else it can be resumed.
         """
-        last, self._imu_end = self._imu_end, None
-        if last is None or first - last > INTERRUPTION:
-            return ''
-        return f'{interruption(last, first)}.'
+        self.open, self.finished = False, finished
+        try:
+            self._shared.settle()
+        except InputError as error:
+            self.trouble = str(error)
+            return False
+        return True
+
+
+@dataclass(frozen=True, eq=False)
+class PendingReview:
+    """A running or completed review."""
+
+    future: Future[Review]  #: Its result or error.
+    final: bool  #: Whether it was the session's last.
+    until: int  #: Stamp of the last data used, ns.
+
+
+class ImmediateExecutor:
+    """Executes at once, in the thread that asks, what a thread pool would do meanwhile."""
+
+    def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
+        """Return the future of a function that has been called."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(work(*args))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def shutdown(self, **_: Any) -> None:
+        """Do nothing: nothing is left to be done."""
+
+
+class SharedSolver:
+    """One thread for all sessions: reviews in turn, the final ones together.
+
+    The table errors that the units share are estimated from all of them at the end. Therefore
+    sessions are concluded when all open ones are ready, and together.
+
+    Args:
+        concluded: Concludes the sessions of units with these serial numbers: returns a review or an
+            error for each.
+    """
+
+    def __init__(self, concluded: Concluding) -> None:
+        self._concluded = concluded
+        self._reviews = 0
+        self._since = self._rested_at = 0.0
+        self.threads = ImmediateExecutor() if in_step() else ThreadPoolExecutor(1, 'solver')
+
+    @property
+    def may_review(self) -> bool:
+        """Whether the pause since the last round of reviews is as long as that round.
+
+        A round has one review of each session; the pause leaves time to record incoming data.
+        """
+        return not self._reviews and (in_step() or time.monotonic() >= self._rested_at)
+
+    def review(self, calibrator: AnyCalibrator) -> Future[Review]:
+        """Begin to review the data of a calibrator."""
+        if not self._reviews:
+            self._since = time.monotonic()
+        self._reviews += 1
+        return self.threads.submit(calibrator.snapshot().review)
+
+    def reviewed(self) -> None:
+        """Record that a review has ended."""
+        self._reviews -= 1
+        now = time.monotonic()
+        self._rested_at = now + (now - self._since)
+
+    def conclude(self, parts: Sequence[SolverPart]) -> None:
+        """Conclude sessions that are all ready for it."""
+        serials = [part.serial_number for part in parts]
+        taken = [part.final_calibrator() for part in parts]
+        snapshots = [snapshot for snapshot, _ in taken]
+        self.threads.submit(self._work, snapshots, serials, [future for _, future in taken])
+
+    def _work(
+        self,
+        snapshots: Sequence[AnyCalibrator],
+        serials: Sequence[str],
+        futures: Sequence[Future[Review]],
+    ) -> None:
+        """Conclude sessions in the solver's thread, each with a result or an error."""
+        try:
+            found = self._concluded(snapshots, serials)
+        except BaseException as error:
+            for future in futures:
+                future.set_exception(error)
+            raise
+        for future, one in zip(futures, found, strict=True):
+            if isinstance(one, ImuCalibError):
+                future.set_exception(one)
+            else:
+                future.set_result(one)
+
+
+class SolverPart:
+    """The solver as one session sees it: it solves snapshots of a calibrator that continues.
+
+    Args:
+        shared: Solver of all sessions.
+        serial_number: Of the session's unit.
+    """
+
+    def __init__(self, shared: SharedSolver, serial_number: str) -> None:
+        self._shared = shared
+        self.serial_number = serial_number
+        self._work: PendingReview | None = None
+        self._last: tuple[AnyCalibrator, int] | None = None
+
+    @property
+    def ready(self) -> bool:
+        """Whether it waits for the other sessions to be ready."""
+        return self._last is not None
+
+    @property
+    def busy(self) -> bool:
+        """Whether it solves, or waits to conclude."""
+        return self._work is not None or self.ready
+
+    @property
+    def concludes(self) -> bool:
+        """Whether it solves the final result."""
+        return self._work is not None and self._work.final
+
+    def begin(self, calibrator: AnyCalibrator, until: int, *, final: bool) -> None:
+        """Begin to solve the data of a calibrator up to a stamp in ns; not while busy."""
+        assert not self.busy, 'one at a time'
+        if final:
+            self._last = calibrator, until
+        else:
+            self._work = PendingReview(self._shared.review(calibrator), final, until)
+
+    def final_calibrator(self) -> tuple[AnyCalibrator, Future[Review]]:
+        """Return the calibrator to conclude in its present state, and the future of its review."""
+        assert self._last is not None, 'it is not ready'
+        (calibrator, until), self._last = self._last, None
+        future: Future[Review] = Future()
+        self._work = PendingReview(future, True, until)
+        return calibrator.snapshot(), future
+
+    def poll(self) -> PendingReview | None:
+        """Return a review that has ended since the last call, else None."""
+        work = self._work
+        if work is None or not work.future.done():
+            return None
+        self._work = None
+        if not work.final:
+            self._shared.reviewed()
+        return work
+
+    def close(self) -> None:
+        """Begin no more reviews for this session."""
+        self._last = None
 
 
 _LATE = 500_000_000

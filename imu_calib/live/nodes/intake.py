@@ -6,19 +6,22 @@ The table has its topics; each of several units has its own in its namespace.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
-from ...common.stream import Block, SetpointBlock
+from ...calibration.calibrator import Calibrator, calibrator_of
+from ...calibration.hand import HandCalibrator
+from ...common.stream import Block, ImuBlock, JointBlock, SetpointBlock, at
 from ...estimation.setup import Setup
+from ...model.parameters import skewed_parameters
 from ...recordings.cdr import Malformed
 from ...recordings.cdr_codec import Kind
+from ...segmentation.interruptions import INTERRUPTION, interruption
 from .. import middleware as ros
-from ..middleware import (
-    messages,
-)
+from ..middleware import messages
 from ..web.board import Board, UnitsBoard
 from .qos import latched, overridable, stream
 
@@ -175,3 +178,122 @@ def listen_to_each(node: ros.Node, board: UnitsBoard) -> None:
 
 def _on_progress(board: Board, message: Any) -> None:
     board.on_progress(message, time.monotonic())
+
+
+_SKEW_AWAITED = 10.0
+"""Longest time for which IMU samples come without the skewed gyro: s, by stamps and by the
+clock."""
+
+
+class CalibratorFeed:
+    """Holds blocks back until the calibrator can be created, then feeds it.
+
+    Args:
+        setup: What is calibrated, and how.
+        topics: Full topic names by content; a skewed gyro is expected if its topic is among them.
+
+    Attributes:
+        calibrator: None while the presence of a skewed gyro is unknown.
+        without_skew: Whether the session continues without a skewed gyro.
+
+    Raises:
+        InputError: The method cannot solve the plan.
+    """
+
+    def __init__(self, setup: Setup, topics: Mapping[Kind, str]) -> None:
+        self._setup = setup
+        self._topics = topics
+        self._began = time.monotonic()
+        self._held: list[Block] = []
+        self.without_skew = False
+        # Refuse a plan that the method cannot solve now, before the calibrator is created.
+        calibrator_of(setup)
+        self.calibrator: Calibrator | HandCalibrator | None = None
+        if setup.imu.skewed is None or Kind.SKEW not in topics:
+            self.begin(with_skew=False)
+
+    def add_block(self, block: Block, intakes: Mapping[Kind, TopicIntake]) -> str:
+        """Add a block, or hold it back; return as `begin`.
+
+        The received samples decide on the skewed gyro, as in reprocessing.
+        """
+        if self.calibrator is not None:
+            self.calibrator.add_block(block)
+            return ''
+        self._held.append(block)
+        imu = intakes[Kind.IMU]
+        if intakes[Kind.SKEW].count:
+            return self.begin(with_skew=True)
+        if imu.oldest is not None and imu.newest is not None:
+            spanned = (imu.newest - imu.oldest) * 1e-9
+            if min(spanned, time.monotonic() - self._began) > _SKEW_AWAITED:
+                return self.begin(with_skew=False)
+        return ''
+
+    def begin(self, *, with_skew: bool) -> str:
+        """Create the calibrator, and feed it with the blocks received before.
+
+        Returns:
+            Why the session cannot succeed, in sentences; else empty.
+        """
+        self.without_skew = not with_skew
+        imu = self._setup.imu if with_skew else replace(self._setup.imu, skewed=None)
+        self.calibrator = calibrator_of(replace(self._setup, imu=imu))
+        held, self._held = self._held, []
+        for block in held:
+            self.calibrator.add_block(block)
+        if with_skew or not held or self._setup.method_name != 'skewed':
+            return ''
+        lost = ', '.join(p.name for p in skewed_parameters(1))
+        return (
+            f'{self._topics[Kind.IMU]} is received, {self._topics[Kind.SKEW]} is not: {lost} '
+            'cannot be determined. Let the driver publish it (imu_node: a device file with the '
+            'field skew), and call ~/reset.'
+        )
+
+
+_SET_BACK = 10_000_000_000
+"""ns that stamps may begin before a journal's last: less than the shortest step of the plans."""
+
+
+class FormerSession:
+    """The last stamps of a journal, compared with the first ones after it.
+
+    Args:
+        journal: Its folder.
+        intakes: The topics after the whole journal was read.
+    """
+
+    def __init__(self, journal: Path, intakes: Mapping[Kind, TopicIntake]) -> None:
+        self._journal = journal
+        self._imu_end = intakes[Kind.IMU].newest
+        timed = {k: intakes[k].newest for k in (Kind.IMU, Kind.JOINTS) if k in intakes}
+        self._ends = {k: newest for k, newest in timed.items() if newest is not None}
+
+    def adjust_to_journal(self, intake: TopicIntake, blocks: Sequence[Block]) -> str:
+        """Return a warning if stamps begin so far before the journal's last that steps are lost.
+
+        Samples older than the preceding ones are dropped until the old time is reached: after a
+        restart of a simulation that may be the whole session.
+        """
+        timed = [b for b in blocks if isinstance(b, ImuBlock | JointBlock) and len(b)]
+        last = self._ends.pop(intake.kind, None) if timed else None
+        if last is None or (first := int(timed[0].stamp[0])) > last - _SET_BACK:
+            return ''
+        return (
+            f'Stamps on {intake.topic} begin at {at(first)}, {(last - first) * 1e-9:.0f} s before '
+            f'the end of the journal {self._journal}: the clock was set back, or a simulation '
+            'began anew, and these samples are ignored. Set the clock right or give another '
+            'journal, and start again.'
+        )
+
+    def gap(self, first: int) -> str:
+        """Return how long the session was interrupted, where the stream alone does not show it.
+
+        Args:
+            first: Stamp of the first IMU sample after it, ns; later ones are ignored.
+        """
+        last, self._imu_end = self._imu_end, None
+        if last is None or first - last > INTERRUPTION:
+            return ''
+        return f'{interruption(last, first)}.'
