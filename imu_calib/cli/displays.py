@@ -45,14 +45,7 @@ _WIDE = 78
 
 
 def view_table(shown: Snapshot, now: datetime, width: int, units: Sequence[UnitRow] = ()) -> Group:
-    """Lay out a running session.
-
-    Args:
-        shown: Its state.
-        now: Of the wall clock.
-        width: Of the terminal, characters.
-        units: Several units: each has a line in place of the parameters.
-    """
+    """Lay out a running session: each of several units has a line in place of the parameters."""
     first = headline(shown)
     parts: list[RenderableType] = [Text(first.now, style=_STYLES[first.level])]
     if first.detail:
@@ -143,12 +136,7 @@ _JOURNAL = 'calibrator_node: journal'
 
 
 class Start:
-    """Follows the start of a session.
-
-    Args:
-        reports: Of the nodes.
-        patience: Longest wait without progress in reading the journal, s.
-    """
+    """Follows the start of a session; `patience`: longest wait without progress, s."""
 
     def __init__(self, reports: NodeReports, patience: float) -> None:
         self._reports = reports
@@ -165,14 +153,7 @@ class Start:
         return f'calibrator_node reads its journal: {report.removeprefix(READING)}'
 
     def check(self, otherwise: str) -> None:
-        """Check that the wait is not too long.
-
-        Args:
-            otherwise: Why, if it is too long and no journal is read.
-
-        Raises:
-            InputError: It is.
-        """
+        """Raise an error if the wait is too long: `otherwise`, if no journal is read."""
         now, report = time.monotonic(), self._reports.text(_JOURNAL)
         if report != self._report:
             if READING in report + self._report:
@@ -225,12 +206,7 @@ def follow(processes: Nodes, reports: NodeReports) -> SessionEnd:
 
 
 def view_hand(progress: Any, refusal: str = '') -> Group:
-    """Lay out imu_calib_msgs/CalibrationProgress for a person with the unit in hand.
-
-    Args:
-        progress: The message.
-        refusal: Why a request to end the session was refused, else empty.
-    """
+    """Lay out imu_calib_msgs/CalibrationProgress for a person with the unit in hand."""
     best = max(progress.next_gains, default=0.0)
     rows = plain_table(('next', 'gain', ''), 'lrl')
     pairs = list(zip(progress.next_attitudes, progress.next_gains, strict=True))

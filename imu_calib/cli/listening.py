@@ -28,15 +28,7 @@ def listen(
     reports: NodeReports,
     node: str = 'imu_node',
 ) -> None:
-    """Read until the device is confirmed to be the described one, or its silence is reported.
-
-    Args:
-        port: As for `DeviceReader`; it is closed at the end.
-        frames: The format of the device's frames.
-        imu: Description of its numbers.
-        baud: Of a serial port.
-        reports: Shows messages.
-        node: Name of the node shown in messages.
+    """Read a port until the device is confirmed, or its silence or another device is reported.
 
     Raises:
         InputError: The port is invalid.

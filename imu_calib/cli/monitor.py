@@ -20,17 +20,7 @@ _DEEP = 100
 
 
 class Monitor:
-    """Subscribes to turntable/state, calibration/progress, calibration and /diagnostics.
-
-    Args:
-        nodes: Of the stand.
-        reports: Shows the reports of the nodes.
-        board: Receives the messages for display, or None. A board of several units lists them.
-
-    Attributes:
-        outcome: Whether there is a calibration, with the final message; None while it runs.
-        stopped: Why the table stopped before the end of its plan, else empty.
-    """
+    """Subscribes to turntable/state, calibration/progress, calibration and /diagnostics."""
 
     def __init__(
         self,
@@ -50,8 +40,9 @@ class Monitor:
         self._span = (0.0, 0.0)
         self._first: float | None = None
         self._last = 0.0
+        #: Whether there is a calibration, with the final message; None while it runs.
         self.outcome: tuple[bool, str] | None = None
-        self.stopped = ''
+        self.stopped = ''  #: Why the table stopped before the end of its plan, else empty.
         subscribe = self._node.create_subscription
         subscribe(messages.TurntableState, 'turntable/state', self._on_state, qos.latched())
         subscribe(
@@ -70,11 +61,7 @@ class Monitor:
             self._board.on_diagnostics(message, time.monotonic())
 
     def spin(self, seconds: float) -> None:
-        """Receive messages for a time, and show the reports of the nodes.
-
-        Raises:
-            InputError: The IMU cannot deliver data.
-        """
+        """Receive messages for a time, and show the reports of the nodes."""
         self._nodes.spin(self._node, seconds)
         self._reports.show()
 

@@ -51,11 +51,7 @@ class SessionEnd:
 
 
 class NodeFiles:
-    """Parameter files and logs of the nodes of a stand.
-
-    Args:
-        folder: Of the stand; its folder `nodes` takes them.
-    """
+    """Parameter files and logs of the nodes of a stand, in its folder `nodes`."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder / 'nodes'
@@ -88,9 +84,6 @@ class Processes:
         folder: Its folder `nodes` takes parameter files and logs.
         environment: Variables in addition to those of this process.
         inherited: File descriptors that the nodes keep open while they run.
-
-    Attributes:
-        environment: As given.
     """
 
     def __init__(
@@ -204,11 +197,7 @@ class Processes:
         return self._running[node][0].pid
 
     def check(self) -> None:
-        """Check that all needed nodes still run; report other ended nodes once.
-
-        Raises:
-            InputError: One was killed, or has ended; the text has its last line.
-        """
+        """Check that all needed nodes still run; report other ended nodes once."""
         for node, (process, _) in self._running.items():
             if process.poll() is None:
                 continue
@@ -249,10 +238,6 @@ def network_of_hardware(interface: str | None, *, alone: bool) -> dict[str, str]
     Args:
         interface: Network interface of the stand; None if it stays on this machine.
         alone: Whether there is no driver of a table to be found: no agreed domain is needed.
-
-    Raises:
-        InputError: There is no such interface; the domain is the default one; or the environment
-            requests a network and no interface is named.
     """
     if interface is not None:
         check_interface(interface)

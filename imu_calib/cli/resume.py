@@ -58,9 +58,6 @@ def save_settings(arguments: argparse.Namespace, folder: Path) -> None:
     """Write the settings of a session into its folder, with paths of the copies there.
 
     Files are copied: the session is resumed unchanged even if the originals change.
-
-    Raises:
-        InputError: One of the files is missing, or cannot be written.
     """
     settings = folder / _SETTINGS
     settings.mkdir()
@@ -77,11 +74,7 @@ def save_settings(arguments: argparse.Namespace, folder: Path) -> None:
 
 
 def restore(arguments: argparse.Namespace) -> Path:
-    """Set the options of the interrupted session; return its folder.
-
-    Raises:
-        InputError: The folder is not a stand's, or options are given that belong to the session.
-    """
+    """Set the options of the interrupted session; return its folder."""
     folder = user_path(arguments.resume)
     settings = folder / _SETTINGS
     try:
@@ -106,12 +99,7 @@ def restore(arguments: argparse.Namespace) -> Path:
 
 
 def check_unfinished(folder: Path) -> None:
-    """Refuse to resume a complete session.
-
-    Raises:
-        InputError: It is complete; the text states where the result is, or how to see why there is
-            none.
-    """
+    """Refuse to resume a complete session."""
     if not unfinished(folder):
         raise InputError(_complete(folder))
 
@@ -139,9 +127,6 @@ def locked_folder(folder: Path) -> Iterator[int]:
     """Lock a folder for this run; yield the file descriptor that its nodes must inherit.
 
     The lock ends with the last process that has it, in every case.
-
-    Raises:
-        InputError: Another stand runs in it.
     """
     descriptor = os.open(folder / _RUNNING, os.O_RDWR | os.O_CREAT, 0o644)
     try:

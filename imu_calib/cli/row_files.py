@@ -18,11 +18,7 @@ _ENDINGS = ('.csv', '.json')
 
 
 def row_file(stated: str | None) -> Path | None:
-    """Return the requested file, or None.
-
-    Raises:
-        InputError: It has another ending, exists or cannot be written.
-    """
+    """Return the requested file, or None."""
     if stated is None:
         return None
     path = output_path(stated)
@@ -34,11 +30,7 @@ def row_file(stated: str | None) -> Path | None:
 def write_rows(
     path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]], whole: Any
 ) -> None:
-    """Write rows to a .csv file, or their source as plain values to a .json file.
-
-    Raises:
-        InputError: It cannot be written; a file that was there is unchanged.
-    """
+    """Write rows to a .csv file, or their source as plain values to a .json file."""
 
     def write(file: IO[bytes]) -> None:
         text = io.TextIOWrapper(file, encoding='utf-8', newline='')

@@ -48,11 +48,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def units_of(arguments: argparse.Namespace) -> tuple[MountedUnit, ...]:
-    """Return the present units of --imus, or the only one, without a serial number.
-
-    Raises:
-        InputError: The file is broken, or --without names no unit of it, or all.
-    """
+    """Return the present units of --imus, or the only one, without a serial number."""
     if arguments.imus:
         return remaining(load_units(arguments.imus), arguments.without)
     port, device, baud = arguments.port or '', arguments.device, arguments.baud or 0
@@ -81,11 +77,7 @@ def is_embedded(arguments: argparse.Namespace) -> bool:
 
 
 def check(arguments: argparse.Namespace) -> None:
-    """Refuse options that do not apply to several units, or units that do not match each other.
-
-    Raises:
-        InputError: The text states which.
-    """
+    """Refuse options that do not apply to several units, or units that do not match each other."""
     if not arguments.imus:
         if arguments.without:
             raise InputError('--without is for several units; give --imus, too.')
@@ -117,11 +109,7 @@ def device_of(unit: MountedUnit, arguments: argparse.Namespace) -> str:
 
 
 def truths(arguments: argparse.Namespace) -> dict[str, Calibration]:
-    """Return true parameters of simulated units, by serial number: empty of the only one.
-
-    Raises:
-        InputError: A file is missing, or of another kind of unit.
-    """
+    """Return true parameters of simulated units, by serial number: empty of the only one."""
     return {unit.serial_number: _truth_of(unit, arguments) for unit in units_of(arguments)}
 
 
@@ -133,13 +121,7 @@ def _truth_of(unit: MountedUnit, arguments: argparse.Namespace) -> Calibration:
 def node_parameters(
     arguments: argparse.Namespace, clock: Mapping[str, Any], port: int
 ) -> dict[str, dict[str, Any]]:
-    """Return the parameters of each unit's imu_node by its name with namespace.
-
-    Args:
-        arguments: The command line.
-        clock: Parameters that all nodes share.
-        port: TCP port of the first simulated unit; the next ones follow.
-    """
+    """Return the parameters of each unit's imu_node by its name with namespace."""
     nodes: dict[str, dict[str, Any]] = {}
     for place, unit in enumerate(units_of(arguments)):
         skewed = load_imu(unit.imu).skewed is not None
@@ -202,13 +184,7 @@ def save_settings(arguments: argparse.Namespace, settings: Path) -> None:
 def print_results(
     arguments: argparse.Namespace, folder: Path, true: Mapping[str, Calibration]
 ) -> list[str]:
-    """Print a line for each unit; return the serial numbers of those without a result.
-
-    Args:
-        arguments: The command line.
-        folder: Of the stand.
-        true: True parameters of simulated units; empty for real ones.
-    """
+    """Print a line for each unit; return the serial numbers of those without a result."""
     rows = plain_table(('unit', 'type', 'samples', 'least known'), 'llrl', no_wrap=True)
     if true:
         rows.add_column('largest error/std', justify='right', no_wrap=True)

@@ -331,14 +331,7 @@ def _follow(
     *,
     control: bool,
 ) -> SessionEnd:
-    """Monitor the session until it ends, and show its progress.
-
-    Args:
-        processes: The nodes.
-        reports: Shows the reports of the nodes.
-        board: Holds the displayed state.
-        control: Whether a viewer can resume a table that has stopped.
-    """
+    """Monitor the session until it ends, and show its progress; with `control` a stop is no end."""
     from .monitor import watching
 
     with (

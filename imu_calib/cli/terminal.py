@@ -166,12 +166,10 @@ class NodeReports:
 
     Args:
         real: Whether there is hardware that could be missing.
-
-    Attributes:
-        nodes: Names of the monitored nodes: others may be in the domain.
     """
 
     def __init__(self, *, real: bool) -> None:
+        #: Names of the monitored nodes: others may be in the domain.
         self.nodes: Collection[str] = ('imu_node',)
         self._real = real
         self._patience = _STANDS if real else _STARTS
@@ -185,14 +183,7 @@ class NodeReports:
             self.note(status.name, status.level[0], status.message, came=came)
 
     def note(self, name: str, level: int, text: str, *, came: bool = False) -> None:
-        """Note a report on one part of a node.
-
-        Args:
-            name: For instance 'imu_node: stream'.
-            level: As in diagnostic_msgs/DiagnosticStatus.
-            text: A sentence.
-            came: Whether bytes have come from the device.
-        """
+        """Note a report on one part of a node; `came`: whether bytes have come from the device."""
         if name.partition(': ')[0] not in self.nodes or name in _ENDS_IT:
             return
         level = Severity(min(level, Severity.ERROR))

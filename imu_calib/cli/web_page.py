@@ -60,11 +60,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def check(arguments: argparse.Namespace) -> None:
-    """Refuse a page that cannot be served, before anything starts.
-
-    Raises:
-        InputError: Options that do not go together, a port that is taken, or no NiceGUI.
-    """
+    """Refuse a page that cannot be served, before anything starts."""
     if arguments.web is None:
         if arguments.control or arguments.web_host != LOOPBACK_HOST:
             name = '--control' if arguments.control else '--web-host'

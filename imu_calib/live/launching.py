@@ -183,9 +183,6 @@ def devices(given: Mapping[str, str]) -> list[Device]:
 
     Args:
         given: Arguments by name: units and without; device, the default for units; port.
-
-    Raises:
-        InputError: Neither units nor a port are given, or both, or a unit lacks its device.
     """
     if not given.get('units'):
         missing = [name for name in ('port', 'device') if not given.get(name)]
@@ -224,9 +221,6 @@ _SIMULATED = 'simulated'
 def _restrict_reach() -> list[Any]:
     """Restrict a stand to this machine, unless the environment sets otherwise, and to its own
     domain.
-
-    Raises:
-        InputError: The domain is the default one.
     """
     from launch.actions import LogInfo, SetEnvironmentVariable
 
@@ -280,11 +274,7 @@ _WITHOUT = {
 
 
 def wrong(given: Mapping[str, str]) -> list[str]:
-    """Return the invalid arguments: which, what was found, what is expected.
-
-    Args:
-        given: Arguments by name; unknown names are ignored.
-    """
+    """Return which arguments are invalid, what was found, and what is expected."""
     sentences = []
     for name, check in _CHECKS.items():
         if name not in given:

@@ -42,9 +42,6 @@ def runtime() -> str:
     """Return 'rclpy' if a module of that name exists, else 'dds'.
 
     The environment variable IMU_CALIB_MIDDLEWARE forces one of the three.
-
-    Raises:
-        ImuCalibError: The variable has another value.
     """
     forced = os.environ.get(VARIABLE, '')
     if forced:
@@ -69,14 +66,7 @@ def forced(chosen: str) -> Iterator[None]:
 
 
 def require(chosen: str) -> None:
-    """Check that a runtime works.
-
-    Args:
-        chosen: One of `RUNTIMES`.
-
-    Raises:
-        ImuCalibError: It does not; the text states the remedy.
-    """
+    """Check that one of `RUNTIMES` works; the error states the remedy."""
     if chosen == 'rclpy':
         _import(
             'rclpy',
@@ -165,11 +155,7 @@ def names_interface(uri: str) -> bool:
 
 
 def check_interface(name: str) -> None:
-    """Check that this machine has a network interface.
-
-    Raises:
-        InputError: It does not; lists the existing ones.
-    """
+    """Check that this machine has a network interface."""
     known = [known for _, known in socket.if_nameindex()]
     if name not in known:
         raise InputError(
@@ -178,11 +164,7 @@ def check_interface(name: str) -> None:
 
 
 def check_domain() -> None:
-    """Refuse ROS's default domain for a table: every program without a choice uses it.
-
-    Raises:
-        InputError: ROS_DOMAIN_ID is not set, or 0.
-    """
+    """Refuse ROS's default domain for a table: every program without a choice uses it."""
     given = os.environ.get(_DOMAIN, '').strip()
     if given not in {'', '0'}:
         return
@@ -194,11 +176,7 @@ def check_domain() -> None:
 
 
 def interface_variables(interface: str) -> dict[str, str]:
-    """Return the variables that restrict nodes to an interface; those set by the user stay.
-
-    Raises:
-        InputError: The user asks for a wider reach without naming another interface.
-    """
+    """Return the variables that restrict nodes to an interface; those set by the user stay."""
     reach = os.environ.get(REACH, '').strip().upper()
     user = os.environ.get(_URI, '').strip()
     named = names_interface(user)
@@ -220,9 +198,6 @@ def own_domain() -> int:
     A node binds the port of its domain only when it has started: until then other processes of the
     suite are kept away by a socket name that Linux gives to one process at a time. It is released
     when the process ends.
-
-    Raises:
-        InputError: All are in use.
     """
     for domain in random.sample(_DOMAINS, len(_DOMAINS)):
         claim = _claim(domain)
@@ -252,12 +227,7 @@ def _claim(domain: int) -> socket.socket | None:
 
 
 def network_refusal(reach: str, how: str) -> str:
-    """Return the sentence for a request for a network without an interface.
-
-    Args:
-        reach: Value of ROS_AUTOMATIC_DISCOVERY_RANGE.
-        how: Remedy, beginning with 'name' or 'set'.
-    """
+    """Return why a request for a network is refused; `how` begins with 'name' or 'set'."""
     return (
         f'{REACH} is {reach}, and no network interface is named: anyone on the network could '
         f'command the table. If that is meant, {how}, else unset {REACH} (docs/access.md).'
@@ -297,11 +267,7 @@ def in_enclave(name: str) -> dict[str, str]:
 
 
 def refuse_to_pretend() -> None:
-    """Refuse unencrypted communication if the environment asks for security.
-
-    Raises:
-        InputError: It does, and this runtime has no security plug-ins.
-    """
+    """Refuse unencrypted communication if the environment asks for security."""
     if os.environ.get(_ENABLE, '').strip().lower() == 'true':
         raise InputError(
             f'{_ENABLE} is true, and without ROS 2 there is no security: source ROS 2, or unset '
@@ -392,11 +358,7 @@ _HERE = 'localhost'
 
 
 def domain_id() -> int:
-    """Return the domain in ROS_DOMAIN_ID, 0 if it is not set.
-
-    Raises:
-        InputError: It is not a number, or out of range.
-    """
+    """Return the domain in ROS_DOMAIN_ID, 0 if it is not set."""
     text = os.environ.get('ROS_DOMAIN_ID', '').strip()
     if not text:
         return 0
@@ -412,10 +374,6 @@ def configuration() -> str:
 
     The loopback interface is used unless CYCLONEDDS_URI names others: this runtime has no security
     plug-ins, so any sender can command the table.
-
-    Raises:
-        InputError: ROS_AUTOMATIC_DISCOVERY_RANGE is none of its four values, or requests more than
-            the loopback interface while no other is named.
     """
     given = os.environ.get(REACH, '').strip().upper()
     user = os.environ.get('CYCLONEDDS_URI', '').strip()

@@ -21,16 +21,7 @@ from .table_watch import Feedback, IdleWatch, Rest, Standing, Watch
 
 
 def steps_of_plan(plan: Plan, table: Table, start: Floats) -> tuple[tuple[Step, ...], Step]:
-    """Return the steps of a plan from the table's present position, and the way back there.
-
-    Args:
-        plan: The plan.
-        table: The table.
-        start: (k,) present angles of the table, rad.
-
-    Raises:
-        InputError: Beyond the table's limits: names joint, value and limit.
-    """
+    """Return a plan's steps from the present (k,) angles of the table, rad, and the way back."""
     still = np.zeros(len(start))
     table.check(start, still, 'Where the table stands')
     steps = plan.steps(table, start)
@@ -42,11 +33,7 @@ def steps_of_plan(plan: Plan, table: Table, start: Floats) -> tuple[tuple[Step, 
 
 
 def check(step: Step, table: Table) -> None:
-    """Refuse steps beyond the table's limits of angle, rate and acceleration.
-
-    Raises:
-        InputError: Names joint, value and limit.
-    """
+    """Refuse steps beyond the table's limits of angle, rate and acceleration."""
     where = f'Step {step.index + 1}, position {step.position or "of the start"}'
     table.check(step.angles, step.rates, where)
     table.check(end_of(step), step.rates, where)
@@ -101,14 +88,7 @@ def setpoint_of(step: Step, plan: str, joints: tuple[str, ...]) -> Setpoint:
 
 
 def held(current: Step | None, angles: Sequence[float] | None, plan: str, table: Table) -> Setpoint:
-    """Return the setpoint that stops a table where it is; the sender sets its stamp.
-
-    Args:
-        current: The interrupted step, if any.
-        angles: Present angles, rad, for the record; None if unknown.
-        plan: Name of the plan.
-        table: The table.
-    """
+    """Return the setpoint, not yet stamped, that stops a table where it is."""
     joints = table.joints
     known = (0.0,) * len(joints) if angles is None else angles
     return Setpoint(
@@ -126,28 +106,17 @@ def held(current: Step | None, angles: Sequence[float] | None, plan: str, table:
 
 
 class Orders:
-    """The present setpoint, from its sending on, and the watch on its execution.
-
-    Args:
-        plan: Name of the plan.
-        table: The table.
-        rules: Tolerances.
-
-    Attributes:
-        revision: Changes with the setpoint.
-        motion: The motion that was ordered last; None once the table was commanded to hold.
-        turns_done: Turns at rate of the last motion, without sign.
-        idle: Motion of the table while idle.
-    """
+    """The present setpoint, from its sending on, and the watch on its execution."""
 
     def __init__(self, plan: str, table: Table, rules: Rules) -> None:
         self._plan = plan
         self._table = table
         self._rules = rules
-        self.revision = 0
+        self.revision = 0  #: Changes with the setpoint.
+        #: The motion that was ordered last; None once the table was commanded to hold.
         self.motion: Step | None = None
-        self.turns_done = 0.0
-        self.idle = IdleWatch(table, rules, None)
+        self.turns_done = 0.0  #: Turns at rate of the last motion, without sign.
+        self.idle = IdleWatch(table, rules, None)  #: Motion of the table while idle.
         self._setpoint: Setpoint | None = None
         self._sent = False
         self._watch: Watch | Standing = Standing(table, rules, None)
@@ -163,12 +132,7 @@ class Orders:
         return held(current, angles, self._plan, self._table)
 
     def hold(self, current: Step | None, at: Feedback | None) -> None:
-        """Command the table to hold; the present watch is kept.
-
-        Args:
-            current: The interrupted step, if any.
-            at: The last joint state, if any.
-        """
+        """Command the table to hold; the present watch is kept."""
         self._order(self.hold_setpoint(current, at), None)
 
     def stop(self, current: Step | None, at: Feedback | None) -> None:
@@ -189,12 +153,7 @@ class Orders:
         self._watch.keep(goal)
 
     def to_send(self, stamp: int, at: Feedback | None) -> Setpoint | None:
-        """Return the present setpoint, None before the first; it counts as sent now.
-
-        Args:
-            stamp: Time of sending, ns.
-            at: The last joint state, if any: the watch on a motion begins there.
-        """
+        """Return the setpoint, None before the first; it counts as sent, and is watched."""
         if self._setpoint is None:
             return None
         if not self._sent:
@@ -228,11 +187,7 @@ class Orders:
 
 
 class Itinerary:
-    """The steps of a plan from the table's present position, and the way back there.
-
-    Attributes:
-        current: The current or next step; None before the plan is laid out.
-    """
+    """The steps of a plan from the table's present position, and the way back there."""
 
     def __init__(self, plan: Plan, table: Table, rules: Rules) -> None:
         self._plan = plan
@@ -243,6 +198,7 @@ class Itinerary:
         self._queue: deque[Step] = deque()
         self._repeated: Counter[int] = Counter()
         self._times: dict[str | int, float] = {}
+        #: The current or next step; None before the plan is laid out.
         self.current: Step | None = None
 
     def __len__(self) -> int:
@@ -265,14 +221,7 @@ class Itinerary:
         return self._return_step
 
     def plan_steps(self, angles: Sequence[float]) -> None:
-        """Recompute the steps.
-
-        Args:
-            angles: Present angles of the table, rad.
-
-        Raises:
-            InputError: The steps are beyond the table's limits.
-        """
+        """Recompute the steps from the present angles of the table, rad."""
         before = np.array(angles)
         self._steps, self._return_step = steps_of_plan(self._plan, self._table, before)
         self._queue = deque(self._steps)
@@ -351,27 +300,15 @@ _PHASES = {
 
 
 class Run:
-    """Run a table from step to step, each confirmed by the joint states.
-
-    Args:
-        plan: The plan.
-        table: The table.
-        rules: Tolerances and times.
-
-    Attributes:
-        itinerary: The steps in order.
-        orders: The commands to the table.
-        leg: Stage within the plan; STOPPING while idle.
-        remark: How the plan ended, in a sentence; else empty.
-    """
+    """Run a table from step to step, each confirmed by the joint states."""
 
     def __init__(self, plan: Plan, table: Table, rules: Rules) -> None:
         self._table = table
         self._rules = rules
-        self.itinerary = Itinerary(plan, table, rules)
-        self.orders = Orders(plan.name, table, rules)
-        self.leg = Leg.STOPPING
-        self.remark = ''
+        self.itinerary = Itinerary(plan, table, rules)  #: The steps in order.
+        self.orders = Orders(plan.name, table, rules)  #: The commands to the table.
+        self.leg = Leg.STOPPING  #: Stage within the plan; STOPPING while idle.
+        self.remark = ''  #: How the plan ended, in a sentence; else empty.
         self._since = 0
         self._ended = 0
         self._place_is_known = False
@@ -385,12 +322,7 @@ class Run:
         return _PHASES[self.leg]
 
     def go(self, at: Feedback | None, done: frozenset[int] = frozenset()) -> None:
-        """Continue with the remaining plan once the table is at rest.
-
-        Args:
-            at: The last joint state.
-            done: Steps that need not be run.
-        """
+        """Continue with the plan, without steps already done, once the table is at rest."""
         if done:
             self.itinerary.leave_out(done)
         self.remark = ''

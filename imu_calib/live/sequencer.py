@@ -18,18 +18,12 @@ _NO_FEEDBACK = 'There are no joint states from the table.'
 
 
 class Obstacles:
-    """Obstacles to starting a plan.
-
-    Attributes:
-        emergency: Reply to a start during the emergency stop; else empty.
-        feedback: Fault of the joint states; empty while they are valid.
-        calibrator: Fault of the calibrator; empty without.
-    """
+    """Obstacles to starting a plan."""
 
     def __init__(self) -> None:
-        self.emergency = ''
-        self.feedback = _NO_FEEDBACK
-        self.calibrator = ''
+        self.emergency = ''  #: Reply to a start during the emergency stop; else empty.
+        self.feedback = _NO_FEEDBACK  #: Fault of the joint states; empty while they are valid.
+        self.calibrator = ''  #: Fault of the calibrator; empty without.
         self._forbidden: dict[str, str] = {}
 
     def forbid(self, what: str, why: str) -> bool:
@@ -49,16 +43,12 @@ class Obstacles:
 
 
 class Reasons:
-    """Reason for a stop, and events since.
-
-    Attributes:
-        reason: Why the table stopped, or goes home without the calibrator's reply; else empty.
-        fault: Whether there was a fault since the last start, not a requested stop.
-    """
+    """Reason for a stop, and events since."""
 
     def __init__(self) -> None:
+        #: Why the table stopped, or goes home without the calibrator's reply; else empty.
         self.reason = ''
-        self.fault = False
+        self.fault = False  #: Whether there was a fault since the last start, not a requested stop.
         self._remarks: dict[str, str] = {}
 
     def begin(self, reason: str = '', *, fault: bool = False) -> None:
@@ -82,27 +72,16 @@ CALIBRATOR = 'the calibrator (calibration/progress)'
 
 
 class Supervision:
-    """Presence of a calibrator, and the steps that it has from a session that is resumed.
-
-    Args:
-        needed: Whether the table is moved only while one is present.
-
-    Attributes:
-        present: Whether the calibrator, if needed, is present.
-    """
+    """Presence of a calibrator, if needed, and the steps that it has of a resumed session."""
 
     def __init__(self, *, needed: bool) -> None:
         self.needed = needed
-        self.present = not needed
+        self.present = not needed  #: Whether the calibrator, if needed, is present.
         self._resumes = False
         self._done: frozenset[int] | None = None
 
     def resume(self) -> None:
-        """Make the next start run only the steps that the calibrator lacks.
-
-        Raises:
-            InputError: No calibrator is needed.
-        """
+        """Make the next start run only the steps that the calibrator lacks."""
         if not self.needed:
             raise InputError(
                 'To resume a session set supervised to true: the calibrator tells which steps it '
@@ -153,14 +132,6 @@ class Sequencer:
     A step counts as begun when its setpoint was sent: `setpoint` returns what to send, `revision`
     changes with it. Every fault ends in HOLD and PAUSED; `start` then repeats the interrupted step.
     After an abort or an emergency stop it restarts the plan: the unit may have been touched.
-
-    Args:
-        plan: The plan.
-        table: The table.
-        rules: Tolerances and times.
-
-    Raises:
-        InputError: The plan is turned by hand, or a joint has no limits.
     """
 
     def __init__(self, plan: Plan, table: Table, rules: Rules | None = None) -> None:
@@ -242,11 +213,7 @@ class Sequencer:
         return f'Resumes with step {index + 1}.' if resumes else f'Runs {self.plan.name}.'
 
     def resume(self) -> None:
-        """Make the first start run only the steps that the calibrator lacks, in its old session.
-
-        Raises:
-            InputError: The sequencer is not supervised by a calibrator.
-        """
+        """Make the first start run only the steps that the calibrator lacks, in its old session."""
         self._supervision.resume()
 
     def skip_done(self, seen: int, repeat_steps: Sequence[int]) -> None:
@@ -279,12 +246,7 @@ class Sequencer:
         self._halt(_Stage.ABORTED, reason)
 
     def emergency(self, on: bool, obstacle: str = 'The emergency stop is on.') -> None:
-        """Set the state of the emergency stop; its release alone moves nothing.
-
-        Args:
-            on: Whether it is on.
-            obstacle: Reply to a start while it is on.
-        """
+        """Set the emergency stop, and the reply to a start; its release alone moves nothing."""
         if on and not self._obstacles.emergency:
             if self._stage is _Stage.DONE:
                 self._remark('emergency', 'Emergency stop.')
@@ -372,11 +334,7 @@ class Sequencer:
         return advanced
 
     def setpoint(self, stamp: int) -> Setpoint | None:
-        """Return the setpoint to send now, None before the first start.
-
-        Args:
-            stamp: Time of sending, ns.
-        """
+        """Return the setpoint to send at a stamp, ns; None before the first start."""
         return self._run.orders.to_send(stamp, self._feedback)
 
     def hold(self, stamp: int) -> Setpoint:

@@ -132,17 +132,7 @@ class Port(Protocol):
 
 
 class Line:
-    """Send lines and wait for replies.
-
-    Args:
-        url: A serial port, or socket://host:port for TCP.
-        baud: Of a serial port.
-        timeout: Longest wait for a reply, s.
-
-    Raises:
-        InputError: The URL is neither.
-        OSError: It cannot be opened.
-    """
+    """Send lines to a serial port or socket://host:port, and wait for replies so many s at most."""
 
     def __init__(self, url: str, baud: int, timeout: float) -> None:
         address = tcp_address(url)
@@ -179,11 +169,7 @@ class Line:
 
 
 def tcp_address(url: str) -> tuple[str, int] | None:
-    """Return host and port of a socket's URL, None for a serial port.
-
-    Raises:
-        InputError: Empty, or a socket without host or port.
-    """
+    """Return host and port of a socket's URL, None for a serial port."""
     if not url:
         raise InputError("The controller's port is missing: /dev/ttyUSB0 or socket://host:port.")
     scheme, separator, _ = url.partition('://')
@@ -267,12 +253,6 @@ class Follower:
         table: Joints in the order of the axes, and their limits.
         timeout: Longest time without a setpoint while the table may move, s.
         age: Greatest age of a setpoint's stamp, s.
-
-    Attributes:
-        refusal: Why the last setpoint is not followed; otherwise empty.
-
-    Raises:
-        InputError: A joint has no maximum rate.
     """
 
     def __init__(self, table: Table, timeout: float, age: float) -> None:
@@ -286,7 +266,7 @@ class Follower:
         self._deadline = math.inf
         self._stopped = True
         self._rejected = False
-        self.refusal = ''
+        self.refusal = ''  #: Why the last setpoint is not followed; otherwise empty.
 
     def command(
         self, setpoint: Setpoint, now: int, steady: float, at: Reading
@@ -345,8 +325,7 @@ class Follower:
     def halt(self, refusal: str = '') -> None:
         """Note that the table stops, or will soon, for a reason other than its setpoints.
 
-        Args:
-            refusal: Why the present setpoint must not be retried.
+        With a refusal the present setpoint must not be retried.
         """
         self._stopped, self._rejected, self.refusal = True, bool(refusal), refusal
 

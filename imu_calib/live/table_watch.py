@@ -66,10 +66,6 @@ class Encoders:
         table: The table.
         quiet: Largest angle that counts as no motion, rad.
         patience: A stamp that is earlier by more than this restarts the stream, s.
-
-    Attributes:
-        ignored: Messages that lack a joint of the table.
-        ignored_names: Joint names of the latest of them.
     """
 
     def __init__(self, table: Table, quiet: float, patience: float) -> None:
@@ -77,8 +73,8 @@ class Encoders:
         self._quiet = quiet
         self._patience = round(patience * 1e9)
         self._fastest = [joint.max_rate for joint in table.joints]
-        self.ignored = 0
-        self.ignored_names: tuple[str, ...] = ()
+        self.ignored = 0  #: Messages that lack a joint of the table.
+        self.ignored_names: tuple[str, ...] = ()  #: Joint names of the latest of them.
         self._past: deque[tuple[int, tuple[float, ...]]] = deque()
         self._turns = [0.0] * len(table.joints)
 
@@ -110,10 +106,6 @@ class Encoders:
 
         Their stamps increase by half a window at most. The last two windows of them are kept:
         `read_feedback` then yields the same for these as after all the others.
-
-        Args:
-            block: Joint states.
-            rest: Where the table stands, and until when.
         """
         joints = block.select_joints(self._table.names)
         if joints is None or not self._past:
@@ -238,17 +230,12 @@ class _JointMotion:
 
 
 class Watch:
-    """Monitor a motion to its end.
-
-    Attributes:
-        begin: Stamp of the joint state before the first setpoint, ns.
-        expected: Duration of the motion at the table's limits, s.
-    """
+    """Monitor a motion to its end."""
 
     def __init__(self, table: Table, rules: Rules, step: Step, at: Feedback) -> None:
         self._rules = rules
-        self.begin = at.stamp
-        self.expected = 0.0
+        self.begin = at.stamp  #: Stamp of the joint state before the first setpoint, ns.
+        self.expected = 0.0  #: Duration of the motion at the table's limits, s.
         self._unseen = 0.0
         self._motions = []
         self._turn: _TurnRate | None = None
@@ -402,9 +389,6 @@ class Standing:
         at: The last joint state before the command, None if there is none.
         commanded: Whether it was in a commanded motion until then: rest before that motion starts
             does not count.
-
-    Attributes:
-        commanded: The same, until it has come to rest.
     """
 
     def __init__(
@@ -413,7 +397,7 @@ class Standing:
         self._table = table
         self._rules = rules
         self._begin = None if at is None else at.stamp
-        self.commanded = commanded
+        self.commanded = commanded  #: As given, until it has come to rest.
         self._rest: tuple[float, ...] | None = None
         stop = max(joint.max_rate / joint.max_acceleration for joint in table.joints)
         self._allowed = _LAG + _SLACK * stop
@@ -471,17 +455,7 @@ class IdleWatch:
     joint state shows no motion since the one before, and rates that move no joint by more than the
     arrival tolerance within `WINDOW`.
 
-    Args:
-        table: The table.
-        rules: Tolerances.
-        at: The last joint state before the stop, None if there is none.
-        commanded: Whether it was in a commanded motion until then.
-
-    Attributes:
-        is_moving: Whether it moves at present.
-        text: Sentences on its motion; empty without.
-        excursion: Largest distance from its rest, rad.
-        rate: Largest rate, rad/s.
+    Arguments are as of `Standing`.
     """
 
     def __init__(
@@ -494,10 +468,10 @@ class IdleWatch:
         self._fault = ''
         self._joint = ''
         self._reported = 0.0
-        self.is_moving = False
-        self.text = ''
-        self.excursion = 0.0
-        self.rate = 0.0
+        self.is_moving = False  #: Whether it moves at present.
+        self.text = ''  #: Sentences on its motion; empty without.
+        self.excursion = 0.0  #: Largest distance from its rest, rad.
+        self.rate = 0.0  #: Largest rate, rad/s.
 
     def check(self, now: Feedback) -> bool:
         """Check a joint state; return whether there is a new report."""

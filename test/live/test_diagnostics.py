@@ -44,14 +44,13 @@ def spoken():
     """Return node and part of everything that the sources report."""
     words = CHECKOUT / 'imu_calib' / 'live' / 'nodes' / 'session_reports.py'
     parts = {('calibrator_node', part) for part in reported(words)}
-    parts |= {('calibrator_node', part) for part in reported(words.with_name('sessions.py'))}
-    for taken in ('run_action.py', 'run_reports.py', 'diagnostics.py'):
+    for taken in ('run_action.py', 'trajectory.py', 'diagnostics.py'):
         told = reported(words.with_name(taken))
         parts |= {('turntable_node', part) for part in told}
     for path in (CHECKOUT / 'imu_calib' / 'live' / 'nodes').glob('*_node.py'):
         parts |= {(path.stem, part) for part in reported(path)}
         if 'Commands(' in path.read_text():
-            taken = path.with_name('commands.py')
+            taken = path.with_name('stop.py')
             parts |= {(path.stem, part) for part in reported(taken)}
     return parts | {('imu_node', part) for part in first_texts(HEALTH, 'PartStatus')}
 

@@ -53,11 +53,6 @@ class Stepper:
         counter: The frame counter, None without one.
         period: Nominal, ns; None if unknown, which requires a clock.
         live: Whether the host's time shows the elapsed time.
-
-    Attributes:
-        period: Sample period by the device's clock once it is settled, else nominal, ns.
-        settled: Set from outside when the period must not change any more.
-        unseen: Frames lost in whole turns of the counter, which its steps do not show.
     """
 
     def __init__(
@@ -74,9 +69,10 @@ class Stepper:
         self._early_periods: list[Floats] = []
         self._ticks = 0
         self._count = 0
+        #: Sample period by the device's clock once it is settled, else nominal, ns.
         self.period = period
-        self.settled = False
-        self.unseen = 0
+        self.settled = False  #: Set from outside when the period must not change any more.
+        self.unseen = 0  #: Frames lost in whole turns of the counter, which its steps do not show.
 
     def time_steps(
         self, time: Indices | None, counter: Indices | None, past: Floats, *, begins: bool
@@ -397,15 +393,6 @@ class DeviceClock:
         tolerance: Largest contradiction between arrivals and device, s; None if the host's clock
             is too coarse to judge.
         live: Whether arrivals show the time; those of a file do not.
-
-    Attributes:
-        offset: Host stamp of elapsed 0, ns; None until it is settled.
-        jumps: Number of jumps and restarts of the clock.
-        last_jump: The last of them.
-        set_by: (n,) sum of the steps of the host's clock, ns, for the samples fed last.
-
-    Raises:
-        InputError: Neither a clock nor a nominal period is known.
     """
 
     def __init__(
@@ -432,9 +419,10 @@ class DeviceClock:
         self._late: _Late | None = None
         self._line = Delays()
         self._host = HostClock()
+        #: (n,) sum of the steps of the host's clock, ns, for the samples fed last.
         self.set_by: Stamps = np.empty(0, np.int64)
-        self.offset: int | None = None
-        self.jumps = 0
+        self.offset: int | None = None  #: Host stamp of elapsed 0, ns; None until it is settled.
+        self.jumps = 0  #: Number of jumps and restarts of the clock.
         self.last_jump: Jump | None = None
 
     @property

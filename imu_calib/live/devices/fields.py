@@ -93,15 +93,10 @@ def fits(algorithm: Algorithm, length: int) -> bool:
 
 
 class Checksums:
-    """Compute one checksum for messages of one length.
+    """Compute one checksum of messages with `length` bytes and `padding` zero bytes assumed behind.
 
     A CRC is linear over GF(2): it is the exclusive or of the contributions of each byte at its
     place. With one table per place it takes one look-up per byte, independent of the others.
-
-    Args:
-        algorithm: The algorithm.
-        length: Bytes of a message.
-        padding: Zero bytes assumed to follow (STIM300 fills up to whole words).
     """
 
     def __init__(self, algorithm: Algorithm, length: int, padding: int = 0) -> None:

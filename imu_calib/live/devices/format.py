@@ -96,20 +96,12 @@ class FrameFormat:
 
 
 def load_format(name: str | Path) -> FrameFormat:
-    """Read a device's YAML file, shipped (by name) or the user's (by path).
-
-    Raises:
-        InputError: File, key, what was found and what was expected.
-    """
+    """Read a device's YAML file, shipped (by name) or the user's (by path)."""
     return read_format(Section.named('devices', name))
 
 
 def read_format(section: Section) -> FrameFormat:
-    """Read a format from its YAML mapping.
-
-    Raises:
-        InputError: File, key, what was found and what was expected.
-    """
+    """Read a format from its YAML mapping."""
     length = section.whole('length', 2, LONGEST)
     order = read_order(section, None)
     frame = _Frame(length, order)
@@ -393,9 +385,6 @@ class Decoder:
 
     From left to right, a frame begins where the constant bytes match and the checksum holds; the
     search continues behind it, else at the next byte.
-
-    Attributes:
-        counts: Counts so far.
     """
 
     def __init__(self, frames: FrameFormat) -> None:

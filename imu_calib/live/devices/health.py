@@ -26,11 +26,7 @@ _PIECE_NS = 100_000_000
 
 
 class Gravity:
-    """Check the first half second of samples.
-
-    Args:
-        imu: Description of the numbers; None: no check.
-    """
+    """Check the first half second of samples, if the IMU is described."""
 
     def __init__(self, imu: ImuSpec | None) -> None:
         self._imu = imu
@@ -418,10 +414,6 @@ class Reception:
         baud: Of a serial port; None without one.
         live: Whether arrivals show the time; those of a file do not.
         simulated: Whether the host's time is simulated.
-
-    Attributes:
-        clock: Maps samples to the host's time.
-        health: Monitors the device.
     """
 
     def __init__(
@@ -438,6 +430,7 @@ class Reception:
         nominal = sample_rate or imu.sample_rate
         self._decoder = Decoder(frames)
         # Simulated time comes in steps that are too coarse to check the device's clock.
+        #: Maps samples to the host's time.
         self.clock = DeviceClock(
             frames.time,
             frames.counter,
@@ -446,7 +439,7 @@ class Reception:
             live=live,
         )
         caution = '' if baud is None else too_slow(baud.rate, frames, nominal)
-        self.health = Health(frames, nominal, gap_timeout, caution, imu)
+        self.health = Health(frames, nominal, gap_timeout, caution, imu)  #: Monitors the device.
         self._received = 0
 
     def decode_chunks(self, chunks: list[Chunk], now: int, steady: float) -> tuple[Samples, Stamps]:

@@ -268,11 +268,7 @@ class Messages:
 
 
 def read_message(section: Section, order: str) -> Message:
-    """Read one kind of message from its YAML mapping; numbers have the frames' byte order.
-
-    Raises:
-        InputError: File, key, what was found and what was expected.
-    """
+    """Read one kind of message from its YAML mapping; numbers have the frames' byte order."""
     sync = bytes(whole_list(section, 'sync', 0, 255))
     length: int | Number
     more = 0
@@ -354,11 +350,7 @@ NOTHING = Commands()
 
 
 def read_commands(section: Section) -> Commands:
-    """Read `start`, `start_again` and `stop` of a device's file.
-
-    Raises:
-        InputError: File, key, what was found and what was expected.
-    """
+    """Read `start`, `start_again` and `stop` of a device's file."""
     start, stop = _sequence(section, 'start'), _sequence(section, 'stop')
     again = None
     if section.has('start_again'):

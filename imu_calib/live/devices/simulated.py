@@ -17,23 +17,14 @@ SCHEME = 'memory://'
 
 
 class InMemoryLine:
-    """Serves the bytes of a simulated device; without a reader they are lost.
-
-    Args:
-        name: Under which `InMemorySource` finds it.
-
-    Attributes:
-        name: As given.
-        connected: Whether a reader is there.
-        dropped: Number of bytes lost without one.
-    """
+    """Serves the bytes of a simulated device, by its name; without a reader they are lost."""
 
     served: dict[str, InMemoryLine] = {}  # noqa: RUF012 (all lines of the process)
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.connected = False
-        self.dropped = 0
+        self.connected = False  #: Whether a reader is there.
+        self.dropped = 0  #: Number of bytes lost without one.
         self._sent: list[bytes] = []
         self.served[name] = self
 
@@ -65,12 +56,7 @@ class InMemoryLine:
 
 
 class InMemorySource:
-    """Reads an `InMemoryLine`, with the interface of `DeviceReader`.
-
-    Args:
-        url: SCHEME and the name of the line.
-        now: The host's time, ns.
-    """
+    """Reads an `InMemoryLine`, with the interface of `DeviceReader`."""
 
     live = True
     commands = NOTHING
@@ -88,11 +74,7 @@ class InMemorySource:
         return True
 
     def start(self) -> None:
-        """Connect.
-
-        Raises:
-            InputError: There is no such line in this process.
-        """
+        """Connect."""
         self._line = InMemoryLine.served.get(self.url.removeprefix(SCHEME))
         if self._line is None:
             raise InputError(f'{self.url}: no simulated device of this process has this name.')
@@ -208,9 +190,6 @@ def serve_frames(port: int, place: int = 0) -> FrameServer | InMemoryLine:
     Args:
         port: Of the first device, the next ones follow; `IN_MEMORY`: memory://0, memory://1, ...
         place: Of the device among several.
-
-    Raises:
-        InputError: The port is taken.
     """
     return InMemoryLine(str(place)) if port == IN_MEMORY else FrameServer(port + place)
 

@@ -216,13 +216,7 @@ def choose_baud(given: int | None, frames: FrameFormat) -> Baud:
 
 
 def too_slow(baud: int, frames: FrameFormat, sample_rate: float | None) -> str:
-    """Return a sentence if the frames exceed the port's rate; else an empty one.
-
-    Args:
-        baud: bit/s.
-        frames: The format of the frames.
-        sample_rate: Frames per second; None if unknown.
-    """
+    """Return a sentence if frames at a rate in Hz exceed the port's rate in bit/s; else ''."""
     if sample_rate is None:
         return ''
     needed = frames.bits_per_second(sample_rate)
@@ -318,15 +312,6 @@ class DeviceReader:
         restarts: Whether closing stops the device: the stop commands are sent, and a serial port
             lowers its control lines as usual (some devices restart when the next opening raises
             them).
-
-    Attributes:
-        url: As given.
-        commands: Commands to the device.
-        state: Present state.
-        opened: Number of openings; counted before anything is read.
-
-    Raises:
-        InputError: The URL is none of these, or the file does not exist.
     """
 
     def __init__(
@@ -341,7 +326,7 @@ class DeviceReader:
     ) -> None:
         self._kind, self._where = _parse(url, baud, restarts)
         sent = commands if self._kind in {Serial, Tcp} else NOTHING
-        self.commands = sent if restarts else replace(sent, stop=())
+        self.commands = sent if restarts else replace(sent, stop=())  #: Commands to the device.
         self.url = url
         self._now = now
         self._capacity = capacity
@@ -350,7 +335,7 @@ class DeviceReader:
         self._changed = threading.Condition()
         self._stopping = threading.Event()
         self.state = ReaderState(False, False, f'{url} is not open yet.', tried=False)
-        self.opened = 0
+        self.opened = 0  #: Number of openings; counted before anything is read.
         self._thread = threading.Thread(target=self._run, name=f'read {url}', daemon=True)
 
     def start(self) -> None:
@@ -466,12 +451,6 @@ def check_port(url: str) -> None:
     """Refuse a device that cannot be read now, without opening it.
 
     Opening a serial port moves its control lines, which resets some devices.
-
-    Args:
-        url: As in `DeviceReader`.
-
-    Raises:
-        InputError: The URL is invalid, the device or file does not exist, or may not be read.
     """
     kind, _ = _parse(url, baud=50, restarts=True)
     if kind is not Serial or '://' in url or not url.startswith('/'):

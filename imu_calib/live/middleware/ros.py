@@ -154,10 +154,7 @@ def _libraries() -> tuple[Any, Any]:
 
 
 def take_serialized(handle: Any) -> tuple[bytes, bytes] | None:
-    """Take a message from a subscription.
-
-    Args:
-        handle: Of the subscription, entered.
+    """Take a message from the entered handle of a subscription.
 
     Returns:
         Its serialised bytes, and the identifier of its publisher: empty if this middleware does not
@@ -310,11 +307,7 @@ class ManagedNode(LifecycleNode):  # type: ignore[misc,unused-ignore]
         """Discard what was read."""
 
     def begin(self, *, autostart: bool) -> None:
-        """Configure and activate, unless a lifecycle manager does so.
-
-        Raises:
-            ImuCalibError: As the step that fails.
-        """
+        """Configure and activate, unless a lifecycle manager does so."""
         if not autostart:
             return
         self._begins = True
@@ -383,14 +376,7 @@ actions = InterfaceTypes(ACTIONS, _interface)
 
 
 def init(**options: Any) -> None:
-    """Initialise rclpy without its signal handlers, which would end the context at once.
-
-    Args:
-        **options: Arguments of rclpy.init.
-
-    Raises:
-        InputError: ROS_DOMAIN_ID is out of range, or --ros-args is invalid.
-    """
+    """Initialise rclpy without its signal handlers, which would end the context at once."""
     checked_domain()
     options.setdefault('signal_handler_options', SignalHandlerOptions.NO)
     try:

@@ -78,13 +78,7 @@ Work: TypeAlias = Callable[[], float | None]
 
 
 class WorkerThread:
-    """Call a function again and again in a thread of its own.
-
-    Args:
-        node: Logs the error of the package that ends the work.
-        work: The function.
-        name: Of the work, as a noun.
-    """
+    """Call a function again and again in a thread; an error of the package ends it."""
 
     def __init__(self, node: Any, work: Work, name: str) -> None:
         self._work = guarded(node, work, name)

@@ -39,10 +39,6 @@ class DoneCheck:
     Any publisher on the topic could end a session. Therefore the calibrator must have received
     setpoints of every step, no other node may publish the state, and DONE must come twice in
     succession: the node that runs the plan repeats its state twice a second and would contradict.
-
-    Args:
-        plan: Name of the plan that is calibrated.
-        steps: Number of its steps.
     """
 
     def __init__(self, plan: str, steps: int) -> None:
@@ -55,13 +51,8 @@ class DoneCheck:
         self._in_succession = 0
 
     def refusal(self, plan: str, steps: int, commanded: int, *, alone: bool) -> str:
-        """Record a state DONE; return why it is not accepted, else empty.
-
-        Args:
-            plan: Name of the plan in the state.
-            steps: Number of steps in the state.
-            commanded: Number of steps commanded by setpoints.
-            alone: Whether the state has one publisher.
+        """Record DONE of a plan, and the steps that setpoints commanded; return why it is not
+        accepted.
         """
         self._in_succession += 1
         if plan != self._plan:
@@ -85,23 +76,13 @@ _RUNS = frozenset(phase for phase in Phase if phase.at_a_step)
 
 
 class TurntableStateIntake:
-    """Passes to sessions whether the table runs, is done, or runs another plan; records the state.
-
-    Args:
-        node: The node that subscribes.
-        plan: Name of the plan that is calibrated.
-        steps: Number of its steps.
-        diagnostics: Receives the reason why a DONE is not accepted.
-
-    Attributes:
-        topic: Full name.
-        seconds_left: Remaining time of the plan as the table states, s; else NaN.
-        phase: Of the table, a constant of TurntableState; None before the first message.
-    """
+    """Passes to sessions whether the table runs, is done, or runs another plan; records it."""
 
     def __init__(self, node: Node, plan: Plan, steps: int, diagnostics: Diagnostics) -> None:
-        self.topic = node.resolve_topic_name('turntable/state')
+        self.topic = node.resolve_topic_name('turntable/state')  #: Full name.
+        #: Remaining time of the plan as the table states, s; else NaN.
         self.seconds_left = math.nan
+        #: Of the table, a constant of TurntableState; None before the first message.
         self.phase: int | None = None
         self._plan = plan
         self._diagnostics = diagnostics
@@ -124,13 +105,7 @@ class TurntableStateIntake:
         self._publisher.fault(now)
 
     def follow(self, state: Any, sessions: Sessions, now: float) -> bool:
-        """Process a message after all earlier data; return whether it ended the sessions.
-
-        Args:
-            state: imu_calib_msgs/TurntableState.
-            sessions: The sessions it concerns.
-            now: Of the steady clock, s.
-        """
+        """Process a message after all earlier data; return whether it ended the sessions."""
         if state.plan and state.plan != self._plan.name:
             for session in sessions.all:
                 session.fail(

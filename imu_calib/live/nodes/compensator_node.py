@@ -71,21 +71,11 @@ class _Second:
 
 
 class CompensatorReports:
-    """Counts incoming and outgoing samples between two reports.
-
-    Args:
-        diagnostics: Receives a report once a second.
-        pulses: Topic of the samples.
-        temperature: Topic of the temperatures.
-
-    Attributes:
-        malformed: Messages that could not be read.
-        unused: Samples received without a calibration, or with two publishers.
-    """
+    """Counts incoming and outgoing samples between two reports."""
 
     def __init__(self, diagnostics: Diagnostics, pulses: str, temperature: str) -> None:
-        self.malformed = Malformed()
-        self.unused = 0
+        self.malformed = Malformed()  #: Messages that could not be read.
+        self.unused = 0  #: Samples received without a calibration, or with two publishers.
         self._diagnostics = diagnostics
         self._pulses = pulses
         self._temperature = temperature
@@ -124,13 +114,7 @@ class CompensatorReports:
         self._temperature_at = time.monotonic()
 
     def report(self, compensator: Compensator | None, now: int, *, mixed: bool) -> None:
-        """Report what happened since the last report.
-
-        Args:
-            compensator: None without a calibration.
-            now: By the node's clock, ns.
-            mixed: Whether two publishers send samples.
-        """
+        """Report what happened since the last report; `mixed`: two publishers send samples."""
         self._report_stream(compensator, now, mixed=mixed)
         if compensator is not None:
             self._report_range(compensator)
@@ -254,10 +238,6 @@ class AppliedCalibration:
             be replaced by a message.
         serial_number: Of the unit; empty if it is not stated.
         diagnostics: Receives reports on the applied and the refused calibrations.
-
-    Attributes:
-        compensator: None until there is a calibration.
-        follows: As above.
     """
 
     def __init__(
@@ -269,7 +249,7 @@ class AppliedCalibration:
         follows: bool,
         serial_number: str,
     ) -> None:
-        self.compensator: Compensator | None = None
+        self.compensator: Compensator | None = None  #: None until there is a calibration.
         self._file = file
         self._topic = topic
         self.follows = follows

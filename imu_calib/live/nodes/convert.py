@@ -30,14 +30,7 @@ _UNITS = {
 
 
 def calibration_message(calibration: Calibration, status: int, frame_id: str, stamp: Any) -> Any:
-    """Return imu_calib_msgs/ImuCalibration.
-
-    Args:
-        calibration: The result.
-        status: VALID, INCOMPLETE or PROVISIONAL.
-        frame_id: The IMU's frame.
-        stamp: builtin_interfaces/Time of now.
-    """
+    """Return imu_calib_msgs/ImuCalibration: VALID, INCOMPLETE or PROVISIONAL."""
     findings = list(calibration.findings)
     if status == messages.ImuCalibration.INCOMPLETE:
         missing = ', '.join(_missing(calibration))

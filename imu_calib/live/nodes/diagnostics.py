@@ -22,12 +22,7 @@ class _Report:
 
 
 class Diagnostics:
-    """Publishes the last report of each part of a node every second, and changes at once.
-
-    Args:
-        node: The node that reports.
-        hardware_id: Of the device, for instance the IMU's id.
-    """
+    """Publishes the last report of each part of a node every second, and changes at once."""
 
     def __init__(self, node: Node, hardware_id: str) -> None:
         self._node = node
@@ -39,24 +34,12 @@ class Diagnostics:
         self._timer = node.create_timer(_PERIOD, self.publish, clock=steady)
 
     def report(self, part: str, level: Severity, text: str, **figures: str) -> None:
-        """Replace the report on a part of the node.
-
-        Args:
-            part: For instance 'stream' or 'table'.
-            level: Severity.
-            text: One sentence for a person; it need not contain the figures.
-            **figures: Values with their units, by name.
-        """
+        """Replace the report on a part of the node: a sentence, and figures with their units."""
         self.report_of('', part, level, text, figures)
 
     def report_fault(self, part: str, fault: str, otherwise: str, **figures: str) -> None:
-        """Replace the report on a part: an error if there is a fault; see `report`.
-
-        Args:
-            part: As of `report`.
-            fault: The fault, a sentence; empty without one.
-            otherwise: Text without a fault.
-            **figures: As of `report`.
+        """Replace the report on a part: its fault, a sentence, as an error; without one the other
+        text.
         """
         level = Severity.ERROR if fault else Severity.OK
         self.report(part, level, fault or otherwise, **figures)
@@ -105,13 +88,7 @@ class Diagnostics:
 
 
 class PartOfDiagnostics:
-    """Reports on one of several units: its parts are prefixed with the unit's name.
-
-    Args:
-        diagnostics: Of the node.
-        name: Of the unit.
-        hardware_id: Of the unit: its type and serial number.
-    """
+    """Reports on one of several units: its parts are prefixed with the unit's name."""
 
     def __init__(self, diagnostics: Diagnostics, name: str, hardware_id: str) -> None:
         self._diagnostics = diagnostics

@@ -44,13 +44,7 @@ def topics_of_table(setup: Setup) -> dict[Kind, str]:
 
 
 def topics_of_unit(setup: Setup, namespace: str = '', imu_topic: str = '') -> dict[Kind, str]:
-    """Return the names of a unit's topics by content.
-
-    Args:
-        setup: States whether the unit has a skewed gyro.
-        namespace: Of the unit; empty for a single one.
-        imu_topic: Topic of its samples; empty: imu/pulses.
-    """
+    """Return the names of a unit's topics by content; `imu_topic` if it is not imu/pulses."""
     kinds = [kind for kind in _TOPICS if kind not in _OF_THE_TABLE]
     if setup.imu.skewed is None:
         kinds.remove(Kind.SKEW)
@@ -59,19 +53,12 @@ def topics_of_unit(setup: Setup, namespace: str = '', imu_topic: str = '') -> di
 
 
 class Subscriptions:
-    """Subscriptions that are drained.
-
-    Args:
-        node: The node that subscribes.
-        topics: Names by content.
-
-    Attributes:
-        topics: Their full names.
-    """
+    """Subscriptions that are drained."""
 
     def __init__(self, node: ros.Node, topics: Mapping[Kind, str]) -> None:
         self._node = node
         self._names = dict(topics)
+        #: Their full names.
         self.topics = {kind: node.resolve_topic_name(name) for kind, name in topics.items()}
         self._unreliable: set[Kind] = set()
         self._drains = {kind: self._open(kind, reliable=True) for kind in topics}
@@ -158,12 +145,7 @@ class TopicIntake:
 
 
 def listen_to_each(node: ros.Node, board: UnitsBoard) -> None:
-    """Subscribe to calibration and calibration/progress of every unit.
-
-    Args:
-        node: The node that subscribes.
-        board: Receives the messages.
-    """
+    """Subscribe to calibration and calibration/progress of every unit."""
     for name, own in board.each.items():
         node.create_subscription(
             messages.CalibrationProgress,
@@ -188,16 +170,7 @@ clock."""
 class CalibratorFeed:
     """Holds blocks back until the calibrator can be created, then feeds it.
 
-    Args:
-        setup: What is calibrated, and how.
-        topics: Full topic names by content; a skewed gyro is expected if its topic is among them.
-
-    Attributes:
-        calibrator: None while the presence of a skewed gyro is unknown.
-        without_skew: Whether the session continues without a skewed gyro.
-
-    Raises:
-        InputError: The method cannot solve the plan.
+    A skewed gyro is expected if its topic is among the topics.
     """
 
     def __init__(self, setup: Setup, topics: Mapping[Kind, str]) -> None:
@@ -205,9 +178,10 @@ class CalibratorFeed:
         self._topics = topics
         self._began = time.monotonic()
         self._held: list[Block] = []
-        self.without_skew = False
+        self.without_skew = False  #: Whether the session continues without a skewed gyro.
         # Refuse a plan that the method cannot solve now, before the calibrator is created.
         calibrator_of(setup)
+        #: None while the presence of a skewed gyro is unknown.
         self.calibrator: Calibrator | HandCalibrator | None = None
         if setup.imu.skewed is None or Kind.SKEW not in topics:
             self.begin(with_skew=False)
@@ -257,12 +231,7 @@ _SET_BACK = 10_000_000_000
 
 
 class FormerSession:
-    """The last stamps of a journal, compared with the first ones after it.
-
-    Args:
-        journal: Its folder.
-        intakes: The topics after the whole journal was read.
-    """
+    """The last stamps of a journal, compared with the first ones after it."""
 
     def __init__(self, journal: Path, intakes: Mapping[Kind, TopicIntake]) -> None:
         self._journal = journal

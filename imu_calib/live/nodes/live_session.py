@@ -29,12 +29,7 @@ Concluding = Callable[[Sequence[AnyCalibrator], Sequence[str]], Sequence[Review 
 
 
 class SharedJournal:
-    """One recording of several sessions: common data is written once.
-
-    Args:
-        journal: Open.
-        common: Topics of the table, which feed every session.
-    """
+    """One open recording of several sessions: data of the common topics is written once."""
 
     def __init__(self, journal: Journal, common: frozenset[str]) -> None:
         self.journal = journal
@@ -72,11 +67,7 @@ class SharedJournal:
             raise self._refused
 
     def settle(self) -> None:
-        """Close the recording with its last session; secure the data of the others until then.
-
-        Raises:
-            InputError: The disk accepts no more data.
-        """
+        """Close the recording with its last session; secure the data of the others until then."""
         if any(part.open for part in self._parts):
             self.journal.flush()
         else:
@@ -84,19 +75,13 @@ class SharedJournal:
 
 
 class JournalPart:
-    """The journal as one session sees it; data refused by a full disk is held and retried.
-
-    Attributes:
-        open: Whether the session still writes.
-        finished: Whether it came to its end.
-        trouble: Why the disk refuses data, else empty.
-    """
+    """The journal as one session sees it; data refused by a full disk is held and retried."""
 
     def __init__(self, shared: SharedJournal) -> None:
         self._shared = shared
-        self.open = True
-        self.finished = False
-        self.trouble = ''
+        self.open = True  #: Whether the session still writes.
+        self.finished = False  #: Whether it came to its end.
+        self.trouble = ''  #: Why the disk refuses data, else empty.
 
     @property
     def path(self) -> Path:
@@ -227,12 +212,7 @@ class SharedSolver:
 
 
 class SolverPart:
-    """The solver as one session sees it: it solves snapshots of a calibrator that continues.
-
-    Args:
-        shared: Solver of all sessions.
-        serial_number: Of the session's unit.
-    """
+    """The solver as one session sees it: it solves snapshots of a calibrator that continues."""
 
     def __init__(self, shared: SharedSolver, serial_number: str) -> None:
         self._shared = shared
@@ -309,30 +289,8 @@ class LiveSession:
     The final result equals that of `imu-calib calibrate` on the journal, bit for bit: the same
     calibrator receives the same messages, and a snapshot of it is solved.
 
-    Attributes:
-        setup: What is calibrated, and how.
-        journal: Its part of the recording.
-        intakes: The topics by content.
-        phase: Progress of the session.
-        failure: Why it failed, else empty.
-        notes: Messages for the user in addition to the calibration's findings.
-        review: Result of the last solution; None before the first.
-        calibration: The result so far; None while it is not determined.
-        worked_until: Stamp up to which the last review reaches, ns: of the joints, of the IMU
-            without a table.
-        frame_id: The IMU's frame.
-        steps_seen: Steps of the plan that have been commanded: up to the last one seen.
-
-    Args:
-        setup: What is calibrated, and how.
-        journal: Its part of the recording.
-        topics: Full topic names by content; a skewed gyro is expected if its topic is among them.
-        solver: Solves the session.
-        solved: The set-up used to solve: without the plan for a unit whose axes differ from the
-            plan's.
-
-    Raises:
-        InputError: The method cannot solve the plan.
+    `solved` is the set-up used to solve: without the plan for a unit whose axes differ from the
+    plan's. A skewed gyro is expected if its topic is among the topics.
     """
 
     def __init__(
@@ -343,19 +301,23 @@ class LiveSession:
         solver: SolverPart,
         solved: Setup,
     ) -> None:
-        self.setup = setup
-        self.journal = journal
+        self.setup = setup  #: What is calibrated, and how.
+        self.journal = journal  #: Its part of the recording.
         self._solved = solved
         now = time.monotonic()
+        #: The topics by content.
         self.intakes = {k: TopicIntake(k, topic, Malformed(), now) for k, topic in topics.items()}
-        self.phase = SessionPhase.WAITING
-        self.failure = ''
+        self.phase = SessionPhase.WAITING  #: Progress of the session.
+        self.failure = ''  #: Why it failed, else empty.
+        #: Messages for the user in addition to the calibration's findings.
         self.notes: list[str] = []
-        self.review: Review | None = None
+        self.review: Review | None = None  #: Result of the last solution; None before the first.
+        #: The result so far; None while it is not determined.
         self.calibration: Calibration | None = None
+        #: Stamp up to which the last review reaches, ns: of the joints, of the IMU without a table.
         self.worked_until = 0
-        self.frame_id = ''
-        self.steps_seen = 0
+        self.frame_id = ''  #: The IMU's frame.
+        self.steps_seen = 0  #: Steps of the plan that have been commanded: up to the last one seen.
         self._feed = CalibratorFeed(solved, topics)
         self._solver = solver
         self._ending = False
@@ -399,13 +361,7 @@ class LiveSession:
         return self.is_over or self._solver.concludes
 
     def add_messages(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
-        """Add serialised messages of a topic.
-
-        Args:
-            kind: Content of the topic.
-            payloads: At least one message.
-            now: Host time, ns.
-        """
+        """Add serialised messages of a topic, at least one, received at a host time in ns."""
         if self._closed:
             return
         intake = self.intakes[kind]
@@ -499,12 +455,7 @@ class LiveSession:
         return True
 
     def fail(self, reason: str, *, finished: bool = True) -> None:
-        """End the session without a result.
-
-        Args:
-            reason: Why.
-            finished: Whether the journal is kept for inspection only; else it can be resumed.
-        """
+        """End the session without a result; a `finished` journal cannot be resumed."""
         self.phase = SessionPhase.FAILED
         self.failure = reason
         self.calibration = None

@@ -44,9 +44,6 @@ def declare(
         description: A sentence with the unit, for `ros2 param describe` and docs/parameters.md.
         lower: Smallest accepted value, None for no limit.
         upper: Largest accepted value, None for no limit.
-
-    Raises:
-        InputError: The given value has another type or lies outside the range.
     """
     described = ParameterDescriptor(description=description, read_only=True)
     ranged = lower is not None or upper is not None
@@ -120,9 +117,6 @@ def declared_units(node: Node) -> tuple[tuple[StatedUnit, ...], dict[str, str]]:
     Returns:
         The units without the excluded ones, and recording entries that describe what they share; of
         a single unit, the unit too.
-
-    Raises:
-        InputError: As `declared_setup`; the units' file is broken, or leaves no unit.
     """
     setup, description = declared_setup(node)
     file, without = declare_units_file(node)
@@ -148,9 +142,6 @@ def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
 
     Returns:
         The set-up, and recording entries that describe it.
-
-    Raises:
-        InputError: A file is missing or broken, or the latitude is not stated.
     """
     given = {
         name: declare(node, name, one.default, one.description)
@@ -179,14 +170,7 @@ def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
 
 
 def declare_rules(declare: Callable[..., Any]) -> Rules:
-    """Declare tolerances and times, and return them.
-
-    Args:
-        declare: `parameters.declare` of the node.
-
-    Raises:
-        InputError: A value has another type or lies outside its range.
-    """
+    """Declare tolerances and times, and return them."""
     default = Rules()
     return Rules(
         settle=declare(
@@ -252,16 +236,7 @@ class Simulation(NamedTuple):
 
 
 def declare_simulation(node: Node, imu: str, truth: str) -> Simulation:
-    """Declare a simulation and return it.
-
-    Args:
-        node: Declares the parameters.
-        imu: Default of the IMU.
-        truth: Default of the unit's true parameters.
-
-    Raises:
-        InputError: A value has another type or lies outside its range, or the IMU's file is broken.
-    """
+    """Declare a simulation with default IMU and true parameters, and return it."""
     spec = load_imu(declare(node, 'imu', imu, 'Name or file of the simulated IMU.'))
     words = "Name or file of the unit's true parameters; of several, of those that state none."
     truth = declare(node, 'truth', truth, words)

@@ -46,9 +46,7 @@ A node of imu_calib; docs/parameters.md lists its parameters. It runs until Ctrl
 def answered(node: str, words: Sequence[str]) -> int | None:
     """Print the usage where it is asked for, and refuse words that no node takes.
 
-    Args:
-        node: Name of the program.
-        words: Its arguments; those of ROS, from --ros-args to --, are checked elsewhere.
+    Words of ROS, from --ros-args to --, are checked elsewhere.
 
     Returns:
         The exit code; None if the node is to run.

@@ -104,11 +104,6 @@ class OnePublisher:
     two have the same name in different participants, one may be a killed process that was
     restarted: they count as two when messages of both arrive (`note_two_sources`), or when both are
     listed for longer than the killed one's lease.
-
-    Args:
-        node: Queries the graph.
-        topic: Full name.
-        consequence: What a second publisher means, in a sentence.
     """
 
     def __init__(self, node: Any, topic: str, consequence: str = _HELD) -> None:
@@ -127,11 +122,7 @@ class OnePublisher:
         return not self.fault(now) and now - self._two_at > _FRESH
 
     def fault(self, now: float) -> str:
-        """Return the fault, in sentences with the nodes' names; empty with one publisher.
-
-        Args:
-            now: Of the steady clock, s.
-        """
+        """Return the fault, in sentences with the nodes' names; empty with one publisher."""
         listed = self._node.get_publishers_info_by_topic(self.topic)
         two_sources = now - self._two_sources_at <= _FRESH
         if len(listed) < 2:

@@ -150,12 +150,6 @@ class RunAction:
 
     A goal ends with the calibrator's final result; it is aborted by anything that stops the plan
     except a requested pause.
-
-    Args:
-        node: turntable_node.
-        sequencer: Runs the plan.
-        start: Starts the plan, and returns the effect as text.
-        hold: Sends the sequencer's setpoint at once.
     """
 
     def __init__(
@@ -191,11 +185,7 @@ class RunAction:
         self._progress = progress
 
     def update(self, now: float) -> None:
-        """Publish feedback, and end the goal when the plan has ended.
-
-        Args:
-            now: Steady time, s.
-        """
+        """Publish feedback, and end the goal when the plan has ended."""
         if self._goal is None:
             return
         if self._refused:

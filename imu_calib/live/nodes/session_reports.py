@@ -58,14 +58,7 @@ def session_sentence(session: LiveSession) -> str:
 
 
 def progress_message(session: LiveSession, steps: int, seconds_left: float, file: Path) -> Any:
-    """Return the progress of a session as a message.
-
-    Args:
-        session: The session.
-        steps: Number of steps of its plan, or of holds.
-        seconds_left: As the node that runs the plan states, s; else NaN.
-        file: File of the result.
-    """
+    """Return the progress of a session as a message."""
     review = session.review
     stamp = messages.TimeMsg(sec=session.worked_until // NS, nanosec=session.worked_until % NS)
     names = [parameter.name for parameter in session.parameters]
@@ -96,14 +89,7 @@ def report_session(
     imu_timeout: float,
     stand: Diagnostics | None = None,
 ) -> None:
-    """Report the state of streams and calibration on /diagnostics.
-
-    Args:
-        session: The session.
-        diagnostics: Receives the report.
-        imu_timeout: Longest silence of the IMU against the table, s.
-        stand: Receives the report on shared topics; None for a single unit.
-    """
+    """Report streams and calibration on /diagnostics; of several units shared topics to `stand`."""
     shared = stand or diagnostics
     _report_imu(session, diagnostics, imu_timeout)
     _report_joint_states(session, shared)
@@ -131,12 +117,7 @@ def report_session(
 
 
 def is_fed(session: LiveSession, imu_timeout: float) -> bool:
-    """Return whether samples come, and keep up with the table.
-
-    Args:
-        session: The session; a table turns the unit.
-        imu_timeout: Longest silence of the IMU against the table, s.
-    """
+    """Return whether samples come, and keep up with the table."""
     imu, joints = session.intakes[Kind.IMU], session.intakes[Kind.JOINTS]
     if imu.newest is None or joints.newest is None:
         return imu.newest is not None
@@ -248,12 +229,6 @@ def progress_of_all(
 
     The standard deviation of a parameter is that of the unit with the largest. Steps are repeated
     if any unit whose session continues lacks their data. Excluded units do not count.
-
-    Args:
-        sessions: Of all units.
-        each: imu_calib_msgs/CalibrationProgress of each, in their order.
-        imu_timeout: Longest silence of a unit against the table, s.
-        folder: Folder of the results.
     """
     open_ = [(s, m) for s, m in zip(sessions.all, each, strict=True) if s in sessions.open]
     running = [(s, m) for s, m in open_ if not s.is_over] or open_ or [(sessions.all[0], each[0])]
@@ -320,15 +295,7 @@ def _name(session: LiveSession) -> str:
 
 
 class UnitResults:
-    """The topics calibration and calibration/progress of a unit, its file, and its diagnostics.
-
-    Args:
-        node: The node that publishes.
-        setup: Of the unit.
-        namespace: Of its topics; empty for a single unit.
-        output: File of the result.
-        diagnostics: Of the node.
-    """
+    """The topics calibration and calibration/progress of a unit, its file, and its diagnostics."""
 
     def __init__(
         self,

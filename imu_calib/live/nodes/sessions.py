@@ -31,18 +31,7 @@ _LEFT_OUT = 'The unit was left out of the session.'
 class Sessions:
     """A `LiveSession` for each unit, with a common journal.
 
-    Attributes:
-        all: One for each unit, in their order.
-        left_out: Places of the units that the user has excluded.
-
-    Args:
-        units: At least one.
-        topics: Full names of each unit's topics by content.
-        journal: Open; data from before a crash is read first, in one pass.
-        common: Full names of the table's topics by content.
-
-    Raises:
-        InputError: The journal does not match the set-up.
+    Data in the journal from before a crash is read first, in one pass.
     """
 
     def __init__(
@@ -52,12 +41,13 @@ class Sessions:
         journal: Journal,
         common: Mapping[Kind, str],
     ) -> None:
-        self.left_out: set[int] = set()
+        self.left_out: set[int] = set()  #: Places of the units that the user has excluded.
         self.journal = journal
         self._names = [unit.name for unit in units]
         self._solver = SharedSolver(concluded)
         self._parts = [SolverPart(self._solver, unit.setup.serial_number) for unit in units]
         shared = SharedJournal(journal, frozenset(common.values()))
+        #: One for each unit, in their order.
         self.all = tuple(
             LiveSession(unit.setup, shared.part(), {**common, **own}, part, unit.solved)
             for unit, own, part in zip(units, topics, self._parts, strict=True)
@@ -175,10 +165,6 @@ def concluded(
 ) -> list[Review | ImuCalibError]:
     """Conclude sessions: each by itself, then their common table errors from all of them.
 
-    Args:
-        calibrators: With all data.
-        serials: Serial numbers of the units.
-
     Returns:
         A review of each, or the error that prevented it.
     """
@@ -240,15 +226,7 @@ class SessionFactory:
         self._count = 0
 
     def begin(self, common: Mapping[Kind, str], of_units: Sequence[Mapping[Kind, str]]) -> Sessions:
-        """Begin sessions, or resume those in the journal.
-
-        Args:
-            common: Full names of the table's topics by content.
-            of_units: The same of each unit.
-
-        Raises:
-            InputError: The journal cannot be written, or holds another set-up.
-        """
+        """Begin sessions, or resume those in the journal."""
         path = self._journal
         if self._count:
             path = path.with_name(f'{path.name}_{self._count + 1}')

@@ -57,11 +57,7 @@ class StopRecord:
         self._try(lambda: _write(self.path, f'pressed {when}: {why}\n'))
 
     def release(self) -> None:
-        """Delete the saved stop.
-
-        Raises:
-            InputError: The file cannot be removed, or a stop could not be saved again.
-        """
+        """Delete the saved stop."""
         self._try(self._remove)
         if self._trouble:
             raise InputError(self._trouble)
@@ -132,11 +128,7 @@ def _sync(folder: Path) -> None:
 
 
 def state_folder(given: str) -> Path:
-    """Return the folder of stops: as given, else the state folder of the XDG base directories.
-
-    Raises:
-        InputError: The home folder of the user is unknown.
-    """
+    """Return the folder of stops: as given, else the state folder of the XDG base directories."""
     base = os.environ.get('XDG_STATE_HOME', '')
     try:
         if given:
@@ -158,16 +150,13 @@ class StopTopic:
     receive earlier messages of a latched publisher. Therefore there is one subscription that
     matches all, one of ROS's default, and one for each kind of publisher found; duplicate messages
     do no harm.
-
-    Attributes:
-        topic: Full name.
     """
 
     def __init__(self, node: Any, topic: str, callback: Callable[[bool], None]) -> None:
         self._node = node
         self._callback = callback
         self._stopping = False
-        self.topic: str = node.resolve_topic_name(topic)
+        self.topic: str = node.resolve_topic_name(topic)  #: Full name.
         self._offered: set[tuple[Any, Any]] = set()
         self._listen(qos.sensor_data())
         # `ros2 topic pub --once` ends before the next check, and its one message may arrive before
@@ -208,10 +197,7 @@ class StopTopic:
 class EmergencyStop:
     """The emergency stop of a node: pressed by a message, released only by `release`.
 
-    Args:
-        node: Its domain and full name identify the stand.
-        folder: Folder of saved stops.
-        on_press: Called at every stop message, before the disk is written.
+    `on_press` is called at every stop message, before the disk is written.
     """
 
     def __init__(self, node: Any, folder: Path, on_press: Callable[[], None]) -> None:
@@ -271,9 +257,6 @@ class Heartbeat:
     The table may move after true; it must not after false, or without messages. A false counts for
     the timeout at least, so that nobody who asks from time to time misses it. The subscription is
     best effort, to match every publisher, and volatile, so that earlier messages do not count.
-
-    Args:
-        node: Declares stop_required and heartbeat_timeout.
     """
 
     def __init__(self, node: Any) -> None:
@@ -327,9 +310,6 @@ class OneSource:
     Args:
         timeout: Silence after which a source no longer controls the table, s: that of the driver's
             setpoints.
-
-    Attributes:
-        reason: Why setpoints are not followed, in sentences; otherwise empty.
     """
 
     def __init__(self, timeout: float) -> None:
@@ -338,13 +318,10 @@ class OneSource:
         self._received_at = self._second_at = self._refused_at = -math.inf
         self._forbidden = ''
         self._followed: Setpoint | None = None
-        self.reason = ''
+        self.reason = ''  #: Why setpoints are not followed, in sentences; otherwise empty.
 
     def forbid(self, why: str) -> Setpoint | None:
         """Set whether movement is forbidden.
-
-        Args:
-            why: A sentence; empty if allowed.
 
         Returns:
             The HOLD that stops the motion being followed; None if there is none.
@@ -359,13 +336,7 @@ class OneSource:
         return None if followed is None else replace(followed, mode=Mode.HOLD)
 
     def checked(self, setpoint: Setpoint, source: bytes, steady: float) -> Setpoint:
-        """Return the setpoint for the table: as received, or HOLD in its place.
-
-        Args:
-            setpoint: As received from the topic.
-            source: Identifies its publisher.
-            steady: Monotonic time, s.
-        """
+        """Return the setpoint for the table: as received, or HOLD in its place."""
         if source != self._source and steady - self._received_at <= self._timeout:
             self._second_at = steady
         else:

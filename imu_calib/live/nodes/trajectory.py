@@ -180,12 +180,6 @@ class Controller:
     A goal that the controller rejects, aborts, does not answer, or cancels without a request is a
     fault; a replaced goal is not. If the controller does not follow a stop, its goal is cancelled:
     it then holds the table by itself.
-
-    Args:
-        node: turntable_node.
-        name: Of the action, control_msgs/FollowJointTrajectory.
-        sequencer: Runs the plan; receives faults.
-        hold: Sends the sequencer's setpoint at once.
     """
 
     def __init__(
@@ -210,12 +204,7 @@ class Controller:
         return self._asked_at is None
 
     def follow(self, setpoint: Setpoint, now: float) -> None:
-        """Send the piece of trajectory that is due with a setpoint.
-
-        Args:
-            setpoint: The published setpoint.
-            now: Steady time, s.
-        """
+        """Send the piece of trajectory that is due with a setpoint."""
         at = self._sequencer.feedback
         if at is None or not self._client.server_is_ready():
             return
@@ -239,12 +228,7 @@ class Controller:
         answer.add_done_callback(partial(self._on_answer, self._number))
 
     def check(self, now: float, diagnostics: Diagnostics) -> None:
-        """Detect a controller that is missing or does not answer; report its state.
-
-        Args:
-            now: Steady time, s.
-            diagnostics: Receives the report.
-        """
+        """Detect a controller that is missing or does not answer; report its state."""
         missing = ''
         if not self._client.server_is_ready():
             missing = (

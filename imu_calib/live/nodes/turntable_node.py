@@ -37,29 +37,19 @@ from .trajectory import Controller
 
 
 class Pacing:
-    """Keeps a rate by the stamps of joint states, and by the steady clock without them.
-
-    Args:
-        rate: Of setpoints, Hz.
-
-    Attributes:
-        seconds: Between two setpoints.
-    """
+    """Keeps a rate by the stamps of joint states, and by the steady clock without them."""
 
     def __init__(self, rate: float) -> None:
         self._period = round(NS / rate)
-        self.seconds = self._period * 1e-9
+        self.seconds = self._period * 1e-9  #: Between two setpoints.
         self._revision = -1
         self._due_stamp = 0
         self._due = -math.inf
 
     def is_due(self, table_time: int | None, now: float, revision: int) -> bool:
-        """Return whether a setpoint is due.
+        """Return whether a setpoint is due, by table time in ns or by the steady clock in s.
 
-        Args:
-            table_time: Stamp of the last joint state, ns; None before the first.
-            now: Of the steady clock, s.
-            revision: Of the setpoint: a new one is due at once.
+        One of a new revision is due at once.
         """
         if table_time is not None and self._due_stamp > table_time + 2 * self._period:
             # The table's time restarted.
@@ -152,11 +142,7 @@ class TurntableNode(Node):
         self._check_peers()
 
     def _open_topics(self, calibrator_timeout: float) -> None:
-        """Create publishers and subscriptions, and what detects a second publisher on them.
-
-        Args:
-            calibrator_timeout: Longest silence of the calibrator on the steady clock, s.
-        """
+        """Create publishers and subscriptions, and what detects a second publisher on them."""
         self._setpoints = self.create_publisher(
             messages.TurntableSetpoint, 'turntable/setpoint', qos.command()
         )

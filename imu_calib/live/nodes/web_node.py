@@ -68,14 +68,7 @@ _RATE_SPAN = 2_000_000_000
 
 
 class Dwells:
-    """Receives samples, and sums those of the dwells.
-
-    Attributes:
-        streams: Present results.
-
-    Args:
-        imu: Description of the samples.
-    """
+    """Receives samples, and sums those of the dwells."""
 
     def __init__(self, imu: ImuSpec) -> None:
         self._imu = imu

@@ -191,9 +191,6 @@ class Board:
 
     Times `now` are of the steady clock, s. Only the fields of messages are used, independent of
     their transport.
-
-    Args:
-        expected: Known values before the session begins.
     """
 
     def __init__(self, expected: Expected) -> None:
@@ -451,11 +448,7 @@ class UnitRow:
 
 
 class UnitsBoard:
-    """Receives the nodes' messages, and keeps a `Board` for each unit and one for all.
-
-    Args:
-        units: By their namespaces.
-    """
+    """Receives the nodes' messages, and keeps a `Board` for each unit and one for all."""
 
     def __init__(self, units: Mapping[str, ShownUnit]) -> None:
         self._units = dict(units)
@@ -619,12 +612,7 @@ def expectation(setup: Setup) -> Expected:
 
 
 def units_board(setup: Setup, units: Sequence[MountedUnit]) -> UnitsBoard:
-    """Return a board for several units, with the known values of each before the session begins.
-
-    Args:
-        setup: Of the session: its plan, its table and its site.
-        units: The mounted units.
-    """
+    """Return a board for several units, with the known values of each before the session begins."""
     # A forecast takes time; units of one type share it.
     types: dict[str, Expected] = {}
     for unit in units:

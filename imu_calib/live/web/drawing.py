@@ -115,12 +115,7 @@ _UNIT_COLUMNS = ('name', 'state', 'r', 'r', 'r', 'least')
 
 
 def units(rows: Sequence[UnitRow], chosen: str) -> str:
-    """Return a line for each unit.
-
-    Args:
-        rows: State of each.
-        chosen: The selected unit; empty for all.
-    """
+    """Return a line for each unit; `chosen` is the selected one, empty for all."""
     head = ''.join(
         tag('th', escape(heading), title=words, scope='col', class_=kind)
         for (heading, words), kind in zip(_UNIT_HEADINGS, _UNIT_COLUMNS, strict=True)

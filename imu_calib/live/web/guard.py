@@ -135,13 +135,7 @@ def exposure(host: str) -> str:
 
 
 class Guard:
-    """Passes only requests that are addressed to a page and come from it (ASGI).
-
-    Args:
-        app: The page.
-        host: Interface that the server listens on.
-        port: Its port.
-    """
+    """Passes only requests that are addressed to a page and come from it (ASGI)."""
 
     def __init__(self, app: App, host: str, port: int) -> None:
         self._app = app
@@ -222,11 +216,7 @@ def _same(origin: str, host: str) -> bool:
 
 
 class Token:
-    """The secret that authorises a viewer to command the table.
-
-    Args:
-        secret: Empty if no viewer may.
-    """
+    """The secret that authorises a viewer to command the table; empty: no viewer may."""
 
     def __init__(self, secret: str) -> None:
         self._secret = secret.encode()

@@ -56,11 +56,7 @@ addEventListener('load', () => {
 
 
 def notice(now: datetime) -> str:
-    """Return the headline of a page that has lost its server, which the style hides until then.
-
-    Args:
-        now: Of the stand's wall clock.
-    """
+    """Return the headline of a page that has lost its server, which the style hides until then."""
     clock = tag('span', f'{now:%H:%M:%S}', id='lost-since', data_clock=f'{now:%Y-%m-%dT%H:%M:%S}')
     words = sign(Severity.ERROR) + 'Connection lost at ' + clock
     return tag('h2', words) + tag('p', _TEXT, class_='detail')
@@ -376,15 +372,7 @@ _PATIENCE = 5.0
 
 
 def listening_socket(host: str, port: int) -> socket.socket:
-    """Return a listening socket.
-
-    Args:
-        host: Name or address of the interface.
-        port: 0 for any free one.
-
-    Raises:
-        InputError: The port is taken, or there is no such interface.
-    """
+    """Return a socket that listens at an interface; port 0: any free one."""
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         return socket.create_server((host, port), family=family)
@@ -396,12 +384,7 @@ def listening_socket(host: str, port: int) -> socket.socket:
 
 
 class Server:
-    """A web server of one page.
-
-    Args:
-        source: Content of the page.
-        listens: As `listening_socket` returns it.
-    """
+    """A web server of one page."""
 
     def __init__(self, source: PageContent, listens: socket.socket) -> None:
         app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)

@@ -160,12 +160,7 @@ def _doing(shown: Snapshot, table: TableState) -> str:
 
 
 def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
-    """Return the remaining time, and the time of its end or the basis of the estimate.
-
-    Args:
-        shown: The state.
-        now: Of the wall clock.
-    """
+    """Return the remaining time, and the time of its end or the basis of the estimate."""
     if shown.outcome is not SessionOutcome.OPEN:
         return '0 s', f'it took {in_words(shown.elapsed)}'
     if not shown.expected.table:

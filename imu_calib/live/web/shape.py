@@ -74,9 +74,6 @@ def table_shape(table: Table, urdf: str = '') -> Link:
         table: Its joints.
         urdf: File with its appearance; empty for the supplied one of its name, or one made from its
             joints.
-
-    Raises:
-        InputError: The file cannot be read, or lacks a joint of the table.
     """
     path = user_path(urdf) if urdf else share_folder() / 'urdf' / f'{table.name}.urdf'
     if not urdf and not path.is_file():

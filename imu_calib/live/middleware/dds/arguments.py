@@ -28,11 +28,7 @@ class Remap:
 
 
 def check_node_name(name: str) -> str:
-    """Return a valid node name.
-
-    Raises:
-        InputError: It has other characters than letters, digits and underscores.
-    """
+    """Return a valid node name."""
     if not _NODE.fullmatch(name):
         raise InputError(
             f'{name!r} is not a valid node name: expected letters, digits and underscores, no '
@@ -42,11 +38,7 @@ def check_node_name(name: str) -> str:
 
 
 def namespace_of(text: str) -> str:
-    """Return a namespace with a leading and without a trailing slash.
-
-    Raises:
-        InputError: It is not a valid namespace.
-    """
+    """Return a namespace with a leading and without a trailing slash."""
     name = '/' + text.strip('/')
     if not _TOPIC.fullmatch(name):
         raise InputError(f'{text!r} is not a valid namespace.')
@@ -59,16 +51,7 @@ def fully_qualified(namespace: str, name: str) -> str:
 
 
 def expand(name: str, namespace: str, node: str) -> str:
-    """Return the absolute name of a topic or service.
-
-    Args:
-        name: Absolute, relative, or private (~/name).
-        namespace: Namespace of the node.
-        node: Name of the node.
-
-    Raises:
-        InputError: It is not a valid topic name.
-    """
+    """Return the absolute name of an absolute, relative or private (~/name) topic or service."""
     if not name or not _TOPIC.fullmatch(name):
         raise InputError(f'{name!r} is not a valid name of a topic or service.')
     if name.startswith('/'):
@@ -135,14 +118,7 @@ class Arguments:
 
 
 def parse(args: Sequence[str]) -> Arguments:
-    """Parse a command line.
-
-    Args:
-        args: All arguments; those outside of --ros-args ... -- are ignored.
-
-    Raises:
-        InputError: An argument inside cannot be understood.
-    """
+    """Parse a command line; words outside of --ros-args ... -- are ignored."""
     parameters: list[tuple[str, str, Any]] = []
     remaps: list[Remap] = []
     levels: list[tuple[str, str]] = []

@@ -86,17 +86,14 @@ def in_step() -> bool:
 
 
 class Clock:
-    """A clock of one type; ROS time follows /clock while `simulated` holds a time.
-
-    Attributes:
-        of_the_wall: Whether steady time is the system's even beside a simulation in this process.
-    """
+    """A clock of one type; ROS time follows /clock while `simulated` holds a time."""
 
     def __init__(
         self, *, clock_type: ClockType = ClockType.SYSTEM_TIME, of_the_wall: bool = False
     ) -> None:
         self.clock_type = clock_type
         self.simulated: int | None = None
+        #: Whether steady time is the system's even beside a simulation in this process.
         self.of_the_wall = of_the_wall
 
     @property
@@ -308,11 +305,7 @@ class Graph:
 
 
 class _Endpoints:
-    """All writers, or all readers, of a domain: only changes are read.
-
-    Attributes:
-        changes: Number of changes so far.
-    """
+    """All writers, or all readers, of a domain: only changes are read."""
 
     def __init__(self, reader: Any) -> None:
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
@@ -320,7 +313,7 @@ class _Endpoints:
         self._reader = reader
         self._condition = ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.Any)
         self._known: dict[bytes, Any] = {}
-        self.changes = 0
+        self.changes = 0  #: Number of changes so far.
 
     def alive(self) -> list[Any]:
         """Return the endpoints that are alive."""
@@ -416,12 +409,7 @@ class Context:
         return self.participant is not None
 
     def init(self, args: Sequence[str] | None = None) -> None:
-        """Join the domain.
-
-        Raises:
-            ImuCalibError: It has joined before; an argument is wrong; the domain is out of range;
-                Cyclone DDS cannot join.
-        """
+        """Join the domain."""
         if self.ok():
             raise ImuCalibError('init() is called twice without shutdown().')
         self.arguments = parse(sys.argv[1:] if args is None else args)
@@ -445,11 +433,7 @@ class Context:
             self.arguments, self.log = former, None
 
     def joined(self) -> AnyParticipant:
-        """Return the participant.
-
-        Raises:
-            ImuCalibError: It is not, or no longer, in the domain.
-        """
+        """Return the participant."""
         if self.participant is None:
             raise ImuCalibError('The context is shut down, or init() was not called.')
         return self.participant
@@ -494,11 +478,7 @@ def ok() -> bool:
 
 
 def shutdown() -> None:
-    """Destroy all nodes and leave the domain.
-
-    Raises:
-        ImuCalibError: init was not called, or shutdown was.
-    """
+    """Destroy all nodes and leave the domain."""
     if not CONTEXT.ok():
         raise ImuCalibError('shutdown() without init().')
     CONTEXT.shutdown()

@@ -202,12 +202,7 @@ class Service(_ServiceEnd):
 
     It may return a future of the response instead.
 
-    Args:
-        participant: AnyParticipant of the node that serves.
-        srv_type: Class of the service.
-        srv_name: Absolute name.
-        callback: Answers a request.
-        retry: Called with a function that is to be called again and again until it returns True.
+    `retry` is called with a function that is to be called again and again until it returns True.
     """
 
     def __init__(
@@ -370,12 +365,7 @@ class ServerGoal:
         self._server.publish_feedback(self, feedback)
 
     def end(self, status: GoalStatus, result: Any) -> None:
-        """End it; clients receive its result.
-
-        Args:
-            status: One of `shared.ENDS`; CANCELED only after a request to cancel, as in ROS.
-            result: Of the action's type.
-        """
+        """End it, with a result for clients; CANCELED only after a request to cancel, as in ROS."""
         self._server.end(self, status, result)
 
 

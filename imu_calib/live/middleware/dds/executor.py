@@ -62,10 +62,7 @@ class SingleThreadedExecutor:
         return True
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Run what is ready, after waiting for it if needed.
-
-        Args:
-            timeout_sec: Longest wait, s; None or negative: unlimited.
+        """Run what is ready, after waiting for it at most so many s; None or negative: unlimited.
 
         Raises:
             ExternalShutdownException: The context is shut down.
@@ -184,16 +181,11 @@ _LONGEST_WAIT = 0.05
 
 
 class Hosted:
-    """A node in the container.
-
-    Attributes:
-        node: The node.
-        failure: Why it has ended; empty while it runs.
-    """
+    """A node in the container."""
 
     def __init__(self, node: Any, log: IO[str]) -> None:
         self.node = node
-        self.failure = ''
+        self.failure = ''  #: Why it has ended; empty while it runs.
         self._log = log
 
     def run(self) -> bool:
@@ -246,14 +238,7 @@ class Container:
         STEADY.simulate(in_step)
 
     def load(self, name: str, factory: Callable[[], Any], args: Sequence[str], log: IO[str]) -> Any:
-        """Create a node, and return it.
-
-        Args:
-            name: Under which the container knows it.
-            factory: Creates it.
-            args: Its arguments, with --ros-args.
-            log: Takes what it logs.
-        """
+        """Create a node of a name with arguments of --ros-args, and return it."""
         before = list(CONTEXT.nodes)
         with CONTEXT.given(args, log):
             try:

@@ -37,10 +37,8 @@ class Interface:
     1; a process needs one or two of them, and starts faster without the rest.
 
     Attributes:
-        name: Full name.
         constants: (name, type, value) of each.
         fields: (name, description) of each; a description is (kind, details).
-        defaults: Default numbers of fields, as texts.
     """
 
     cls: Callable[..., Any]  #: Creates a message from the values of its fields, in order.
@@ -51,7 +49,8 @@ class Interface:
         ((self.constants, self.fields),) = get_types_from_msg(
             text, name.replace('/srv/', '/msg/')
         ).values()
-        self.name = name
+        self.name = name  #: Full name.
+        #: Default numbers of fields, as texts.
         self.defaults: dict[str, str] = dict(_DEFAULT.findall(text))
 
     @cached_property
@@ -97,14 +96,7 @@ STORE = _Store()
 
 @cache
 def interface(name: str) -> Interface:
-    """Return a message's fields and its reader and writer.
-
-    Args:
-        name: Full name, for instance sensor_msgs/msg/Imu.
-
-    Raises:
-        InputError: There is no definition.
-    """
+    """Return a message's fields, reader and writer, by its full name, as sensor_msgs/msg/Imu."""
     found = Interface(name)
     STORE.fielddefs[name] = found.constants, found.fields
     for _, (kind, details) in found.fields:
@@ -224,14 +216,7 @@ class Message:
 
 @cache
 def message_class(name: str) -> Any:
-    """Return the class of a message.
-
-    Args:
-        name: Full name, for instance sensor_msgs/msg/Imu.
-
-    Raises:
-        InputError: There is no definition of that name.
-    """
+    """Return the class of a message by its full name, for instance sensor_msgs/msg/Imu."""
     described = interface(name)
     fields = {n: _field(desc, described.defaults.get(n, '')) for n, desc in described.fields}
     content: dict[str, Any] = {
@@ -342,11 +327,7 @@ _HEADER = 4
 
 
 def serialize_message(message: Any, prefix: bytes = b'') -> bytes:
-    """Return the bytes of a message, encapsulation header included.
-
-    Args:
-        message: A message object.
-        prefix: Bytes between the header and the message; a multiple of eight.
+    """Return encapsulation header, prefix (a multiple of eight bytes) and content of a message.
 
     Raises:
         TypeError: A list holds an element of another type, which no assignment has checked.
@@ -361,16 +342,7 @@ def serialize_message(message: Any, prefix: bytes = b'') -> bytes:
 
 
 def deserialize_message(payload: bytes, message_class: Any, skip: int = 0) -> Any:
-    """Return the message that bytes hold.
-
-    Args:
-        payload: Serialised message with its encapsulation header.
-        message_class: Class of the message.
-        skip: Bytes between the header and the message.
-
-    Raises:
-        InputError: The bytes contradict the type.
-    """
+    """Return the message in bytes that begin with the encapsulation header and `skip` others."""
     if skip:
         payload = payload[:_HEADER] + payload[_HEADER + skip :]
     try:

@@ -91,11 +91,6 @@ class Parameters:
     ) -> Parameter:
         """Declare a parameter; a value from a file or an argument replaces the default.
 
-        Args:
-            name: Name.
-            value: Default; its type is the parameter's.
-            descriptor: Its description.
-
         Raises:
             ParameterException: Declared before, or of the wrong type, or out of range.
         """
@@ -123,11 +118,7 @@ class Parameters:
         return list(self._overrides), list(self._values)
 
     def get(self, name: str) -> Parameter:
-        """Return a parameter.
-
-        Raises:
-            ParameterNotDeclaredException: It is not declared.
-        """
+        """Return a parameter."""
         if name not in self._values:
             raise ParameterNotDeclaredException(
                 f'Parameter {name!r} of {self._node} is not declared.'
@@ -436,11 +427,7 @@ class ManagedNode(Node):
         """Start working."""
 
     def begin(self, *, autostart: bool) -> None:
-        """Configure and activate.
-
-        Raises:
-            InputError: It must not start by itself.
-        """
+        """Configure and activate."""
         if not autostart:
             raise InputError(
                 'Parameter autostart: found false, expected true: without ROS 2 no tool can '
@@ -455,12 +442,7 @@ def open_drain(
 ) -> Subscription:
     """Subscribe without a callback: messages wait until `drain` takes them.
 
-    Args:
-        node: Node that subscribes.
-        msg_type: Class of the messages.
-        topic: Name of the topic.
-        qos_profile: Keep all on both ends loses nothing.
-        **options: Further arguments of create_subscription.
+    Options are those of create_subscription; keep all on both ends loses nothing.
     """
     return node.create_subscription(msg_type, topic, None, qos_profile, raw=True, **options)
 
@@ -478,13 +460,7 @@ def open_stream(
     The callback is called as soon as messages arrive: a single message does not wait for a timer,
     and many are taken together.
 
-    Args:
-        node: Node that subscribes.
-        msg_type: Class of the messages.
-        topic: Name of the topic.
-        callback: Takes at least one message.
-        qos_profile: Keep all on both ends loses nothing.
-        **options: Further arguments of create_subscription.
+    Options are those of create_subscription; keep all on both ends loses nothing.
     """
     subscription = node.create_subscription(
         msg_type, topic, callback, qos_profile, raw=True, **options
@@ -496,21 +472,15 @@ def open_stream(
 def drain(subscription: Subscription, most: int | None = None) -> list[bytes]:
     """Return what has arrived, serialised, oldest first; for `cdr.Messages.join`.
 
-    Args:
-        subscription: One of `open_drain`.
-        most: Largest number to take; a few thousand fit the processor's cache and decode fastest.
+    With a few thousand messages at most they fit the processor's cache and decode fastest.
     """
     return subscription.reader.drain(most)
 
 
 def drain_sources(subscription: Subscription) -> list[tuple[bytes, bytes]]:
-    """Return what has arrived, serialised, each with the identifier of its publisher.
+    """Return what has arrived, serialised, oldest first, each with the identifier of its publisher.
 
-    Args:
-        subscription: One of `open_drain`.
-
-    Returns:
-        Oldest first; the identifier is empty if the publisher is unknown (not on this runtime).
+    Under rclpy it is empty where the publisher is unknown.
     """
     return subscription.reader.drain_sources()
 
@@ -521,10 +491,6 @@ def publish_all(publisher: Publisher, payloads: Iterable[bytes]) -> None:
     With keep all on both ends this waits for slow subscriptions, and for a killed one until its
     lease ends: 10 s with Cyclone DDS, 20 s with Fast DDS.
 
-    Args:
-        publisher: Publisher that keeps all.
-        payloads: Messages.
-
     Raises:
         ImuCalibError: The middleware refuses one for good (rclpy: RCLError, after 30 s).
     """
@@ -532,13 +498,5 @@ def publish_all(publisher: Publisher, payloads: Iterable[bytes]) -> None:
 
 
 def acknowledged(publisher: Publisher, timeout_sec: float) -> bool:
-    """Wait until all reliable subscriptions have all messages of a publisher.
-
-    Args:
-        publisher: Publisher.
-        timeout_sec: Longest wait, s.
-
-    Returns:
-        Whether they have.
-    """
+    """Wait until all reliable subscriptions have all messages; return whether they have."""
     return publisher.writer.acknowledged(int(timeout_sec * 1e9))

@@ -125,17 +125,7 @@ def overridden(
     prefix: str,
     declare: Callable[[str, Any], Any],
 ) -> QoSProfile:
-    """Apply the parameters that override a profile.
-
-    Args:
-        qos: Profile in the code.
-        options: What may be overridden; None for nothing.
-        prefix: Start of the parameters' names.
-        declare: Declares a read-only parameter with its default and returns its value.
-
-    Raises:
-        InputError: A value is not valid for its policy.
-    """
+    """Apply the parameters that override a profile; `prefix` begins their names."""
     if options is None:
         return qos
     values: dict[str, Any] = {}
@@ -154,12 +144,7 @@ def overridden(
 
 
 def to_dds(qos: QoSProfile, user_data: str) -> Any:
-    """Return the wheel's Qos for a reader or a writer.
-
-    Args:
-        qos: Profile.
-        user_data: Text that discovery sends to peers, mainly the type hash.
-    """
+    """Return the wheel's Qos of a profile; discovery sends `user_data`, mainly the type hash."""
     from cyclonedds.qos import Policy, Qos
 
     keep_all = qos.history is HistoryPolicy.KEEP_ALL

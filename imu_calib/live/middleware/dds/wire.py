@@ -33,9 +33,7 @@ _LENGTH = 4
 def describe(idl: Any, name: str) -> None:
     """Give a type its description: the kept one, or that of the wheel, which is then kept.
 
-    Args:
-        idl: The wheel's type.
-        name: Distinguishes it from every other type, and from every other definition of it.
+    The name distinguishes it from every other type, and from every other definition of it.
     """
     made = idl.__idl__
     path = _folder() / f'{sha256(f"{_wheel()} {name}".encode()).hexdigest()}.xtypes'
@@ -100,14 +98,7 @@ def delete(entity: Any) -> None:
 
 
 class Participant:
-    """One process in a domain.
-
-    Args:
-        number: The domain.
-
-    Raises:
-        ImuCalibError: Cyclone DDS cannot join it.
-    """
+    """One process in a domain."""
 
     def __init__(self, number: int) -> None:
         from cyclonedds.core import DDSException
@@ -134,11 +125,7 @@ class Participant:
         return not self._has_left
 
     def topic(self, name: str, idl: Any) -> Any:
-        """Return the DDS topic of a name; it is created once.
-
-        Raises:
-            ImuCalibError: It has another type already, or cannot be created.
-        """
+        """Return the DDS topic of a name; it is created once."""
         from cyclonedds.core import DDSException
         from cyclonedds.topic import Topic
 
@@ -175,9 +162,7 @@ _BULK = 4096
 def idl_type(name: str, prefix: str = '') -> Any:
     """Return the wheel's type of a message, with ROS 2's name on the wire.
 
-    Args:
-        name: Full name, for instance sensor_msgs/msg/Imu.
-        prefix: 'service' puts the id of a request in front.
+    The prefix 'service' puts the id of a request in front.
     """
     from cyclonedds.idl import annotations, make_idl_struct, types
 
@@ -264,11 +249,7 @@ class Writer(Endpoint):
         self._flush = library.dds_write_flush
 
     def write(self, payload: bytes) -> None:
-        """Send one message, its encapsulation header included.
-
-        Raises:
-            ImuCalibError: The middleware refuses it.
-        """
+        """Send one message, its encapsulation header included."""
         self.write_all([payload])
 
     def write_message(self, message: Message) -> None:
@@ -276,11 +257,7 @@ class Writer(Endpoint):
         self.write(serialize_message(message))
 
     def write_all(self, payloads: Iterable[bytes]) -> None:
-        """Send messages, as many per packet as fit: each packet costs both ends a call.
-
-        Raises:
-            ImuCalibError: The middleware refuses one; those before it are sent.
-        """
+        """Send messages, as many per packet as fit: each packet costs both ends a call."""
         try:
             for payload in payloads:
                 self._write_payload(payload)
@@ -329,11 +306,7 @@ class Reader(Endpoint):
         self._take = ddspy_take
 
     def drain(self, most: int | None = None) -> list[bytes]:
-        """Return all arrived messages, or at most `most` of the oldest.
-
-        Raises:
-            ImuCalibError: The middleware cannot read.
-        """
+        """Return all arrived messages, or at most `most` of the oldest."""
         payloads: list[bytes] = []
         while most is None or len(payloads) < most:
             room = _BULK if most is None else min(_BULK, most - len(payloads))
@@ -349,11 +322,7 @@ class Reader(Endpoint):
         return (deserialize_message(payload, message_type) for payload in self.drain(most))
 
     def drain_sources(self, most: int = _BULK) -> list[tuple[bytes, bytes]]:
-        """Return the oldest arrived messages, each with the number of its writer, 8 bytes.
-
-        Raises:
-            ImuCalibError: The middleware cannot read.
-        """
+        """Return the oldest arrived messages, each with the number of its writer, 8 bytes."""
         return [
             (payload, info.publication_handle.to_bytes(8, 'little'))
             for payload, info in self._pop_messages(min(most, _BULK))
@@ -361,11 +330,7 @@ class Reader(Endpoint):
         ]
 
     def user_data_of(self, source: bytes) -> bytes | None:
-        """Return the user data of a writer, None if it does not match (any more).
-
-        Args:
-            source: Its number, of `drain_sources`.
-        """
+        """Return the user data of a writer by its number (`drain_sources`), None if it has left."""
         handle = int.from_bytes(source, 'little')
         return _user_data(self.entity.get_matched_publication_data(handle))
 
@@ -393,10 +358,6 @@ class WaitSet:
     """Waits until any reader has messages, and returns which.
 
     The wheel's own reports only that some have: asking each reader costs more than most messages.
-
-    Args:
-        participant: Participant of the readers.
-        readers: To wait for.
     """
 
     def __init__(self, participant: Participant, readers: Sequence[Reader]) -> None:
