@@ -498,9 +498,9 @@ class ActionClient:
     def __init__(self, node: Any, kind: Any, name: str) -> None:
         self._kind = kind
         impl, below = kind.Impl, f'{name}/_action'
-        self._send = node.create_client(impl.SendGoalService, f'{below}/send_goal')
-        self._result = node.create_client(impl.GetResultService, f'{below}/get_result')
-        self._cancel = node.create_client(impl.CancelGoalService, f'{below}/cancel_goal')
+        self._send: Client = node.create_client(impl.SendGoalService, f'{below}/send_goal')
+        self._result: Client = node.create_client(impl.GetResultService, f'{below}/get_result')
+        self._cancel: Client = node.create_client(impl.CancelGoalService, f'{below}/cancel_goal')
 
     def server_is_ready(self) -> bool:
         """Return whether the action has a server."""

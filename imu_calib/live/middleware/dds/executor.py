@@ -13,6 +13,8 @@ from .context import CONTEXT, STEADY, init, try_shutdown
 from .wire import TransportError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from .context import AnyParticipant, Future
     from .endpoints import Client, Service, Subscription
     from .node import Node
@@ -163,13 +165,6 @@ def spin_until_future_complete(
 
 # All nodes of a stand in one process and one thread, as ROS composes nodes in a container.
 
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from .endpoints import Client, Service, Subscription
-
-    _Awaited: TypeAlias = Subscription | Service | Client
 
 _STEP = 20_000_000
 """ns of simulated steady time per step of the simulation. A choice: every timer that reads data is
