@@ -88,7 +88,7 @@ setup(
     author='The imu_calib developers',
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed', 'fleet/page.js', 'fleet/page.css', 'reports/*.css']},
+    package_data={NAME: ['py.typed', 'fleet/page.*s', 'live/web/page.*s', 'reports/*.css']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

@@ -78,7 +78,6 @@ OTHERS = {
     'live/nodes/programs.py': 'options of ROS',
     'session/keywords.py': 'the options themselves',
     'live/network.py': 'a whole command',
-    'live/web/drawing.py': 'variables of CSS',
 }
 """Files outside cli that name options, and whose."""
 NO_KEYWORDS = {'reach': 'the function itself', 'network': 'of a stand alone'}

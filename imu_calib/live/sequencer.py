@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum, auto
 
 from ..common.errors import InputError
-from ..common.stream import JointBlock, Setpoint
+from ..common.stream import NS, JointBlock, Setpoint
 from ..session.plan import Plan
 from ..session.table import Table
 from .plan_run import Leg, Run
@@ -417,3 +418,35 @@ class Sequencer:
         """Hold an idle table that moves, and report how far and how fast."""
         if self.idle.check(now):
             self._remark('uncommanded', self.idle.text)
+
+
+class Pacing:
+    """Keeps a rate by the stamps of joint states, and by the steady clock without them."""
+
+    def __init__(self, rate: float) -> None:
+        self._period = round(NS / rate)
+        self.seconds = self._period * 1e-9  #: Between two setpoints.
+        self._revision = -1
+        self._due_stamp = 0
+        self._due = -math.inf
+
+    def is_due(self, table_time: int | None, now: float, revision: int) -> bool:
+        """Return whether a setpoint is due, by table time in ns or by the steady clock in s.
+
+        One of a new revision is due at once.
+        """
+        if table_time is not None and self._due_stamp > table_time + 2 * self._period:
+            # The table's time restarted.
+            self._due_stamp = table_time
+        by_table = table_time is not None and table_time >= self._due_stamp
+        return by_table or now >= self._due or revision != self._revision
+
+    def sent(self, table_time: int | None, now: float, revision: int) -> None:
+        """Record that a setpoint was sent; arguments as of `is_due`."""
+        if table_time is not None and table_time >= self._due_stamp:
+            # Count from the due time: a delay by one joint state each time would lower the mean
+            # rate.
+            late = table_time - self._due_stamp
+            self._due_stamp = table_time + self._period - (late if late < self._period else 0)
+        self._due = now + self.seconds
+        self._revision = revision

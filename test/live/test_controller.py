@@ -12,8 +12,8 @@ from turntable_bench import NAMES, PATIENT, FakeTable
 from imu_calib.common.stream import JointBlock, Mode
 from imu_calib.common.units import DEG
 from imu_calib.live import middleware as ros
-from imu_calib.live.nodes.trajectory import Overtaken
 from imu_calib.live.rules import Phase
+from imu_calib.live.trajectory import Overtaken
 from imu_calib.recordings.cdr_codec import encode_joints
 
 session = turntable_bench.session
@@ -53,7 +53,7 @@ def led(session, monkeypatch):
     monkeypatch.setattr(turntable_bench, 'FakeTable', FollowingTable)
 
     def open_it(rate=90, answer_timeout=30.0):
-        monkeypatch.setattr('imu_calib.live.nodes.trajectory._ANSWER_TIMEOUT', answer_timeout)
+        monkeypatch.setattr('imu_calib.live.nodes.run_action._ANSWER_TIMEOUT', answer_timeout)
         session.turn_at(rate).open(output='trajectory', **PATIENT)
         session.controller = session.table.controller
         session.executor.add_node(session.controller)

@@ -44,7 +44,7 @@ def spoken():
     """Return node and part of everything that the sources report."""
     words = CHECKOUT / 'imu_calib' / 'live' / 'nodes' / 'session_reports.py'
     parts = {('calibrator_node', part) for part in reported(words)}
-    for taken in ('run_action.py', 'trajectory.py', 'diagnostics.py'):
+    for taken in ('run_action.py', 'diagnostics.py'):
         told = reported(words.with_name(taken))
         parts |= {('turntable_node', part) for part in told}
     for path in (CHECKOUT / 'imu_calib' / 'live' / 'nodes').glob('*_node.py'):

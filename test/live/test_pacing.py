@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from imu_calib.live.nodes.turntable_node import Pacing
+from imu_calib.live.sequencer import Pacing
 
 MS = 1_000_000
 

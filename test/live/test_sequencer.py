@@ -17,10 +17,10 @@ from sequenced_table import ALONE, EPOCH, PERIOD, TABLE, Stand, setpoint, small_
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import JointBlock, Mode
 from imu_calib.common.units import DEG
-from imu_calib.live.nodes.trajectory import Lead, Overtaken
 from imu_calib.live.rules import Phase, Rules
 from imu_calib.live.sequencer import Sequencer
 from imu_calib.live.table_watch import Encoders, Feedback
+from imu_calib.live.trajectory import Lead, Overtaken
 from imu_calib.session.table import TURN, Limits
 from imu_calib.simulation.table import SimulatedTable
 

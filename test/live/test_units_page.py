@@ -12,8 +12,8 @@ from browser import chromium, contrasts, width
 from installed import needs_modules
 from loopback import patience
 
-from imu_calib.live.nodes.web_node import Dwells
 from imu_calib.live.web.board import units_board
+from imu_calib.live.web.dwells import Dwells
 from imu_calib.live.web.guard import Token
 from imu_calib.live.web.shape import table_shape
 from imu_calib.session.imu import load_imu

@@ -17,11 +17,11 @@ from imu_calib.cli.displays import view_table
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
 from imu_calib.common.units import DEG
-from imu_calib.live.nodes.web_node import Dwells
 from imu_calib.live.rules import Phase, Severity
 from imu_calib.live.web import drawing
 from imu_calib.live.web.board import Board, SessionOutcome, expectation
 from imu_calib.live.web.drawing import STYLE
+from imu_calib.live.web.dwells import Dwells
 from imu_calib.live.web.sentences import headline, time_left
 from imu_calib.live.web.shape import table_shape
 from imu_calib.reports.convergence import Courses, Pace, ends_at, in_words

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from ...common.errors import InputError
-from ...common.stream import NS, Mode, Setpoint, SetpointBlock
+from ...common.stream import Mode, Setpoint, SetpointBlock
 from ...recordings.cdr import Malformed, Messages
 from ...recordings.cdr_codec import decode_joints, decode_setpoints, encode_setpoints
 from ...session.plan import load_plan
@@ -24,49 +24,15 @@ from ..middleware import (
     spin_once,
 )
 from ..rules import SequencerState, Severity
-from ..sequencer import Sequencer
+from ..sequencer import Pacing, Sequencer
 from . import qos
 from .convert import state_message
 from .diagnostics import Diagnostics
 from .parameters import declare, declare_rules
 from .programs import entry_point
 from .qos import OwnTopics
-from .run_action import CalibratorProgress, RunAction, state_figures, state_sentence
+from .run_action import CalibratorProgress, Controller, RunAction, state_figures, state_sentence
 from .stop import EmergencyStop, Heartbeat, state_folder
-from .trajectory import Controller
-
-
-class Pacing:
-    """Keeps a rate by the stamps of joint states, and by the steady clock without them."""
-
-    def __init__(self, rate: float) -> None:
-        self._period = round(NS / rate)
-        self.seconds = self._period * 1e-9  #: Between two setpoints.
-        self._revision = -1
-        self._due_stamp = 0
-        self._due = -math.inf
-
-    def is_due(self, table_time: int | None, now: float, revision: int) -> bool:
-        """Return whether a setpoint is due, by table time in ns or by the steady clock in s.
-
-        One of a new revision is due at once.
-        """
-        if table_time is not None and self._due_stamp > table_time + 2 * self._period:
-            # The table's time restarted.
-            self._due_stamp = table_time
-        by_table = table_time is not None and table_time >= self._due_stamp
-        return by_table or now >= self._due or revision != self._revision
-
-    def sent(self, table_time: int | None, now: float, revision: int) -> None:
-        """Record that a setpoint was sent; arguments as of `is_due`."""
-        if table_time is not None and table_time >= self._due_stamp:
-            # Count from the due time: a delay by one joint state each time would lower the mean
-            # rate.
-            late = table_time - self._due_stamp
-            self._due_stamp = table_time + self._period - (late if late < self._period else 0)
-        self._due = now + self.seconds
-        self._revision = revision
-
 
 _PERIOD = 0.01
 """s between checks of the clocks without joint states: a tenth of a setpoint's period."""

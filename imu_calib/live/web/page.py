@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from html import escape
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -32,26 +33,7 @@ from .shape import Link, Solid
 
 
 _TEXT = 'Nothing on this page is newer. Look at the stand: its table may still move.'
-SCRIPT = """
-addEventListener('load', () => {
-  const since = document.getElementById('lost-since'), lost = document.body.classList;
-  // The stand's clock, which the rest of the page shows; the viewer may be in another time zone.
-  const ahead = new Date(since.dataset.clock) - Date.now();
-  let heard = Date.now();
-  const hear = () => { heard = Date.now(); };
-  const lose = () => {
-    if (!lost.contains('lost'))
-      since.textContent = new Date(heard + ahead).toTimeString().slice(0, 8);
-    lost.add('lost');
-  };
-  socket.onAny(hear);
-  // The server's sign of life, every few seconds.
-  socket.io.on('ping', hear);
-  socket.on('connect', () => { hear(); lost.remove('lost'); });
-  socket.on('disconnect', lose);
-  socket.on('connect_error', lose);
-});
-"""
+SCRIPT = files(__package__).joinpath('page.js').read_text(encoding='utf-8')
 """Marks the page as `lost` while it is not connected, with the time of the last message."""
 
 

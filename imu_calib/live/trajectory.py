@@ -11,37 +11,14 @@ brakes: transmission delays do no harm, and the table brakes if its node fails.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 import numpy as np
 
-from ...common.errors import ImuCalibError
-from ...common.stream import NS, Floats, Mode, Setpoint
-from ...session.table import TURN, Course, Table, moving
-from ..middleware import ActionClient, Node, Time, actions, messages
-from ..middleware.shared import GoalStatus
-from ..sequencer import Sequencer
-from ..table_watch import WINDOW, Feedback
-from .diagnostics import Diagnostics
-
-
-def trajectory_message(piece: Piece, names: tuple[str, ...]) -> Any:
-    """Return a piece as trajectory_msgs/JointTrajectory."""
-    message = messages.JointTrajectory(joint_names=list(names))
-    message.header.stamp = Time(nanoseconds=piece.stamp).to_msg()
-    course = piece.course
-    for time, angles, rates in zip(course.time, course.angles, course.rates, strict=True):
-        point = messages.JointTrajectoryPoint(
-            positions=[float(a) for a in angles], velocities=[float(r) for r in rates]
-        )
-        sec, nanosec = divmod(round(float(time) * NS), NS)
-        point.time_from_start.sec, point.time_from_start.nanosec = sec, nanosec
-        message.points.append(point)
-    return message
-
+from ..common.errors import ImuCalibError
+from ..common.stream import Floats, Mode, Setpoint
+from ..session.table import TURN, Course, Table, moving
+from .table_watch import WINDOW, Feedback
 
 _LEAD = 0.1
 """s from sending the first piece of a motion to its start. A choice: one period of setpoints."""
@@ -167,115 +144,3 @@ class Lead:
             return None
         self._course = None
         return Piece(self._start, course.until(max(end, 0.0), self._accelerations))
-
-
-_ANSWER_TIMEOUT = 0.5
-"""s for the controller to accept a goal: the longest accepted silence of joint states, and shorter
-than the second after which a table counts as stalled."""
-
-
-class Controller:
-    """Sends pieces of trajectories, each a goal that replaces the previous one.
-
-    A goal that the controller rejects, aborts, does not answer, or cancels without a request is a
-    fault; a replaced goal is not. If the controller does not follow a stop, its goal is cancelled:
-    it then holds the table by itself.
-    """
-
-    def __init__(
-        self, node: Node, name: str, sequencer: Sequencer, hold: Callable[[], None]
-    ) -> None:
-        self._kind = actions.FollowJointTrajectory
-        self._client = ActionClient(node, self._kind, name)
-        self._name = node.resolve_service_name(name)
-        self._sequencer, self._hold = sequencer, hold
-        self._lead = Lead(sequencer.table)
-        self._number = 0
-        self._asked_at: float | None = None
-        self._stops = False
-        self._handle: Any = None
-        self._last: Feedback | None = None
-        self._seen_at = 0.0
-        self._fault = ''
-
-    @property
-    def answered(self) -> bool:
-        """Whether the controller has answered the last goal, or none was sent."""
-        return self._asked_at is None
-
-    def follow(self, setpoint: Setpoint, now: float) -> None:
-        """Send the piece of trajectory that is due with a setpoint."""
-        at = self._sequencer.feedback
-        if at is None or not self._client.server_is_ready():
-            return
-        if at is not self._last:
-            self._last, self._seen_at = at, now
-        unseen = now - self._seen_at
-        try:
-            piece = self._lead.piece(setpoint, at, unseen)
-        except Overtaken as error:
-            self._sequencer.fail(str(error))
-            setpoint = self._sequencer.hold(setpoint.stamp)
-            piece = self._lead.piece(setpoint, at, unseen)
-        if piece is None:
-            return
-        self._number += 1
-        self._asked_at, self._stops = now, setpoint.mode is Mode.HOLD
-        if not self._stops:
-            self._fault = ''
-        goal = self._kind.Goal(trajectory=trajectory_message(piece, self._sequencer.table.names))
-        answer = self._client.send_goal_async(goal)
-        answer.add_done_callback(partial(self._on_answer, self._number))
-
-    def check(self, now: float, diagnostics: Diagnostics) -> None:
-        """Detect a controller that is missing or does not answer; report its state."""
-        missing = ''
-        if not self._client.server_is_ready():
-            missing = (
-                f'No controller serves {self._name}: start a joint_trajectory_controller, or set '
-                'trajectory_action to the name of its action.'
-            )
-        self._sequencer.forbid('controller', missing, awaited=True)
-        if self._asked_at is not None and now - self._asked_at > _ANSWER_TIMEOUT:
-            self._asked_at = None
-            self._fail(f'has not answered a goal within {_ANSWER_TIMEOUT:g} s')
-        fine = 'The joint_trajectory_controller accepts goals.'
-        diagnostics.report_fault('controller', missing or self._fault, fine)
-
-    def _on_answer(self, number: int, future: Any) -> None:
-        """Keep an accepted goal; a rejected one is a fault."""
-        handle, newest = future.result(), number == self._number
-        if newest:
-            self._asked_at = None
-        if handle.accepted:
-            self._handle = handle
-            handle.get_result_async().add_done_callback(partial(self._on_result, number))
-        elif newest:
-            self._fail('rejects a goal')
-
-    def _on_result(self, number: int, future: Any) -> None:
-        """Report a goal that did not end as requested as a fault."""
-        answer = future.result()
-        if answer.status == GoalStatus.SUCCEEDED:
-            return
-        result, kind = answer.result, self._kind.Result
-        violated = {
-            kind.PATH_TOLERANCE_VIOLATED: 'the path tolerance is violated',
-            kind.GOAL_TOLERANCE_VIOLATED: 'the goal tolerance is violated',
-        }.get(result.error_code)
-        # A replaced goal may end in any way; a violated tolerance is a fault in any case.
-        if violated is None and number != self._number:
-            return
-        cancelled = answer.status == GoalStatus.CANCELED
-        ends = 'cancels a goal without being asked to' if cancelled else 'aborts a goal'
-        words = ': '.join(filter(None, (violated, result.error_string)))
-        self._fail(f'{ends}: {words}' if words else ends)
-
-    def _fail(self, what: str) -> None:
-        """Stop the table because of the controller."""
-        self._fault = f'The controller of {self._name} {what}'.rstrip('.') + '.'
-        if self._stops and self._handle is not None:
-            # Without a goal the controller holds the table.
-            self._handle.cancel_goal_async()
-        self._sequencer.fail(self._fault)
-        self._hold()
