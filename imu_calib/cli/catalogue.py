@@ -12,7 +12,7 @@ from rich.text import Text
 
 from ..common.errors import InputError
 from ..fleet.catalogue import Catalogue, rows_of, schema
-from .row_files import row_file, write_rows
+from .outcome import row_file, write_rows
 from .terminal import OUTPUT
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from ..live.web.sentences import headline, time_left
 from ..reports.convergence import READING, Converging
 from ..reports.plain_table import plain_table
 from .embedded import Nodes
-from .processes import START, SessionEnd
+from .processes import START, Nodes, SessionEnd
 from .terminal import ERRORS, OUTPUT, NodeReports
 
 _STYLES = {Severity.OK: 'bold', Severity.WARN: 'bold yellow', Severity.ERROR: 'bold red'}

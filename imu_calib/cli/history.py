@@ -19,8 +19,7 @@ from ..fleet.sentences import (
     unit_table,
 )
 from . import options
-from .outcome import OUTSIDE, CommandResult, add_json_option
-from .row_files import row_file, write_rows
+from .outcome import OUTSIDE, CommandResult, add_json_option, row_file, write_rows
 from .screen import sentence_list
 from .terminal import OUTPUT, print_whole
 

@@ -12,7 +12,7 @@ from ..live.middleware import messages
 from ..live.nodes import qos
 from ..live.nodes.intake import listen_to_each
 from ..live.web.board import Board, UnitsBoard
-from .embedded import Nodes
+from .processes import Nodes
 from .terminal import NodeReports
 
 _DEEP = 100

@@ -15,8 +15,7 @@ from ..common.units import HOUR
 from ..reports.noise import COLUMNS, noise_page, noise_rows, noise_tables
 from ..session.keywords import ImuTopic, Numbered, OfType
 from . import options
-from .outcome import CommandResult, add_json_option
-from .row_files import row_file, write_rows
+from .outcome import CommandResult, add_json_option, row_file, write_rows
 from .screen import print_findings
 from .terminal import OUTPUT, progress_bar
 

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 import json
 import math
 import os
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
-from ..common.errors import ImuCalibError, NotObservable
+from ..common.errors import ImuCalibError, InputError, NotObservable
+from ..common.files import write_by
 
 if TYPE_CHECKING:
     from ..api.compare import Conformity
@@ -170,3 +174,42 @@ def report_interruption(argv: Sequence[str]) -> int:
     if JSON in argv:
         write_document('', CommandResult(exit_code=INTERRUPTED), error_document(WORDS, KIND))
     return INTERRUPTED
+
+
+# Files of rows, .csv or .json by their ending.
+
+
+_ENDINGS = ('.csv', '.json')
+
+
+def row_file(stated: str | None) -> Path | None:
+    """Return the requested file, or None."""
+    if stated is None:
+        return None
+    from ..api.outputs import output_path
+
+    path = output_path(stated)
+    if path.suffix not in _ENDINGS:
+        raise InputError(f'{path}: found {path.suffix or "no ending"}, expected .csv or .json.')
+    return path
+
+
+def write_rows(
+    path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]], whole: Any
+) -> None:
+    """Write rows to a .csv file, or their source as plain values to a .json file."""
+
+    def write(file: IO[bytes]) -> None:
+        text = io.TextIOWrapper(file, encoding='utf-8', newline='')
+        if path.suffix == '.json':
+            json.dump(finite(whole), text, indent=1, allow_nan=False)
+        else:
+            writer = csv.DictWriter(text, columns)
+            writer.writeheader()
+            for row in rows:
+                writer.writerow(
+                    {k: json.dumps(v) if isinstance(v, list) else v for k, v in finite(row).items()}
+                )
+        text.detach()
+
+    write_by(path, write)

@@ -1,4 +1,4 @@
-"""Nodes in separate processes, which end with this one in every case."""
+"""The nodes of a stand: in processes of their own, which end with this one, or in this process."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Collection, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, Any
+from typing import IO, Any, TypeAlias
 
 import yaml
 
@@ -26,6 +28,7 @@ from ..live.network import (
     REACH,
     check_domain,
     check_interface,
+    forced,
     in_enclave,
     interface_variables,
     on_interface,
@@ -50,12 +53,18 @@ class SessionEnd:
     duration: float  #: Of the session, s of the stand's time.
 
 
-class NodeFiles:
-    """Parameter files and logs of the nodes of a stand, in its folder `nodes`."""
+class StartedNodes:
+    """The started nodes of a stand, whose folder `nodes` takes their parameters and logs."""
+
+    #: Variables by which other programs reach the nodes.
+    environment: Mapping[str, str] = MappingProxyType({})
+    _AFTERWARDS = ''
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder / 'nodes'
         self._folder.mkdir(exist_ok=True)
+        self._needless: set[str] = set()
+        self._missed: set[str] = set()
 
     def path(self, node: str, kind: str) -> Path:
         """Return the file of a node's parameters (yaml) or of its log (log)."""
@@ -76,27 +85,54 @@ class NodeFiles:
             *(word for rule in rules for word in ('-r', rule)),
         ]
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the nodes that were started."""
+        raise NotImplementedError
 
-class Processes:
-    """The started nodes; leaving the block ends them, the one that runs the plan first.
+    def check(self) -> None:
+        """Check that all needed nodes still run; report other ended nodes once."""
+        for node in self.names:
+            text = self._end_of(node)
+            if not text:
+                continue
+            if node not in self._needless:
+                raise InputError(text + self._AFTERWARDS)
+            if node not in self._missed:
+                self._missed.add(node)
+                ERRORS.print(
+                    f'{text} The session goes on without it.', style='yellow', markup=False
+                )
+
+    def runs(self, node: str) -> bool:
+        """Return whether a node was started and still runs."""
+        return node in self.names and not self._end_of(node)
+
+    def _end_of(self, node: str) -> str:
+        """Return how a node has ended, in a sentence; empty while it runs."""
+        raise NotImplementedError
+
+
+class Processes(StartedNodes):
+    """A process for each node; leaving the block ends them, the one that runs the plan first.
 
     Args:
-        folder: Its folder `nodes` takes parameter files and logs.
+        folder: Of the stand.
         environment: Variables in addition to those of this process.
         inherited: File descriptors that the nodes keep open while they run.
     """
 
+    _AFTERWARDS = ' The session ends, and its journal is kept.'
+
     def __init__(
         self, folder: Path, environment: dict[str, str], inherited: tuple[int, ...] = ()
     ) -> None:
-        self._files = NodeFiles(folder)
+        super().__init__(folder)
         self._inherited = inherited
         self.environment = environment
         own = {'PYTHONUNBUFFERED': '1', ENDS_WITH: str(os.getpid())}
         self._environment = {**os.environ, **own, **environment}
         self._running: dict[str, tuple[subprocess.Popen[bytes], IO[bytes]]] = {}
-        self._needless: set[str] = set()
-        self._missed: set[str] = set()
 
     def __enter__(self) -> Processes:
         """Return the processes; leaving the block ends them."""
@@ -134,8 +170,8 @@ class Processes:
         if not needed:
             self._needless.add(node)
         name = node.rpartition('/')[2]
-        arguments = self._files.arguments(node, parameters, remapped)
-        log = self._files.path(node, 'log').open('ab')
+        arguments = self.arguments(node, parameters, remapped)
+        log = self.path(node, 'log').open('ab')
         module = f'{__package__.rpartition(".")[0]}.live.nodes.{name}'
         process = subprocess.Popen(
             [sys.executable, '-m', module, *arguments],
@@ -188,30 +224,14 @@ class Processes:
         """Wait while the nodes work, s."""
         time.sleep(seconds)
 
-    def runs(self, node: str) -> bool:
-        """Return whether a node was started and still runs."""
-        return node in self._running and self._running[node][0].poll() is None
-
     def number(self, node: str) -> int:
         """Return the process number of a node."""
         return self._running[node][0].pid
 
-    def check(self) -> None:
-        """Check that all needed nodes still run; report other ended nodes once."""
-        for node, (process, _) in self._running.items():
-            if process.poll() is None:
-                continue
-            text = self._why(node, process.returncode)
-            if node not in self._needless:
-                raise InputError(f'{text} The session ends, and its journal is kept.')
-            if node not in self._missed:
-                self._missed.add(node)
-                ERRORS.print(
-                    f'{text} The session goes on without it.', style='yellow', markup=False
-                )
-
-    def _why(self, node: str, code: int) -> str:
-        """Return how a node has ended, in a sentence."""
+    def _end_of(self, node: str) -> str:
+        code = self._running[node][0].poll()
+        if code is None:
+            return ''
         if code < 0:
             # A killed node could not say why: its last line would be of something else.
             return f'{node} was killed (signal {-code}).'
@@ -219,7 +239,7 @@ class Processes:
 
     def last_line(self, node: str) -> str:
         """Return the last line that a node wrote."""
-        text = self._files.path(node, 'log').read_text(encoding='utf-8', errors='replace')
+        text = self.path(node, 'log').read_text(encoding='utf-8', errors='replace')
         lines = [line for line in text.splitlines() if line.strip()]
         return lines[-1] if lines else 'it wrote nothing'
 
@@ -274,3 +294,124 @@ def _end(process: subprocess.Popen[bytes]) -> None:
             process.kill()
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(timeout=0.5)
+
+
+_THE_THIRD = 3
+"""Ctrl-C that interrupts at once: the first ends the session in order, the second may be the
+impatience of a person while the table is being stopped."""
+
+
+class Embedded(StartedNodes):
+    """All nodes in this process, with the methods of `Processes`.
+
+    Args:
+        folder: Of the stand.
+        in_step: Whether simulated hardware, at any speed, makes the time of the nodes.
+    """
+
+    def __init__(self, folder: Path, *, in_step: bool) -> None:
+        super().__init__(folder)
+        self._until_the_end = ExitStack()
+        # Before the middleware is loaded: the nodes' modules take their names from it.
+        self._until_the_end.enter_context(forced('embedded'))
+        try:
+            from ..live.middleware.dds.executor import Container
+
+            self._container = Container(in_step=in_step)
+        except BaseException:
+            self._until_the_end.close()
+            raise
+        self._logs: dict[str, IO[str]] = {}
+        self._interruptions = 0
+        self._former: dict[int, Any] = {}
+
+    def __enter__(self) -> Embedded:
+        """Return the nodes; leaving the block ends them. Signals wait for the end of a callback."""
+        for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, 'SIGHUP', signal.SIGTERM)):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                self._former[number] = signal.signal(number, self._interrupt)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the nodes in reverse order of their start: the one that runs the plan stops it."""
+        try:
+            self._container.shutdown()
+        finally:
+            self._until_the_end.close()
+            for log in self._logs.values():
+                log.close()
+            for number, handler in self._former.items():
+                signal.signal(number, handler)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the nodes that were started."""
+        return tuple(self._logs)
+
+    def start(
+        self,
+        node: str,
+        parameters: dict[str, Any],
+        *,
+        needed: bool = True,
+        environment: Mapping[str, str] = MappingProxyType({}),
+        remapped: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
+        """Start a node; see `Processes.start`."""
+        if not needed:
+            self._needless.add(node)
+        os.environ.update(environment)
+        name = node.rpartition('/')[2]
+        arguments = self.arguments(node, parameters, remapped)
+        module = import_module(f'{__package__.rpartition(".")[0]}.live.nodes.{name}')
+        kind = getattr(module, name.title().replace('_', ''))
+        log = self._logs[node] = self.path(node, 'log').open('a', encoding='utf-8')
+        try:
+            self._container.load(node, kind, arguments, log)
+        except Exception as error:
+            self._logs.pop(node).close()
+            raise InputError(f'{node} does not start: {error}') from error
+
+    def join(self, name: str) -> Any:
+        """Return a node of this command among the others; see `Processes.join`."""
+        from ..live.middleware import Node
+
+        return self._container.load(name, lambda: Node(name), [], ERRORS.file)
+
+    def leave(self, node: Any) -> None:
+        """Remove the node of `join`."""
+        self._container.unload(node.get_name())
+
+    def spin(self, _: Any, seconds: float) -> None:
+        """Let all nodes work for a time, s.
+
+        Raises:
+            KeyboardInterrupt: A signal asks for the end.
+        """
+        self._container.spin(seconds)
+        if self._interruptions:
+            raise KeyboardInterrupt
+
+    def wait(self, seconds: float) -> None:
+        """Let the nodes work while this command waits, s; errors as of `spin`."""
+        self.spin(None, seconds)
+
+    def end_all_but(self, kept: Collection[str]) -> None:
+        """End all nodes but some, in reverse order of their start."""
+        for node in [name for name in reversed(self._logs) if name not in kept]:
+            self._container.unload(node)
+            self._logs.pop(node).close()
+
+    def _end_of(self, node: str) -> str:
+        failure = self._container.failure(node)
+        return f'{node} has ended: {failure}' if failure else ''
+
+    def _interrupt(self, *_: Any) -> None:
+        """Note a signal; a node is not interrupted while it writes, or stops the table."""
+        self._interruptions += 1
+        if self._interruptions >= _THE_THIRD:
+            raise KeyboardInterrupt
+
+
+Nodes: TypeAlias = Processes | Embedded
+"""The nodes of a stand, wherever they run."""

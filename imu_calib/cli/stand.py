@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import time
 from pathlib import Path
 
 from ..api.session import DEFAULT_TRUTH
@@ -11,14 +12,24 @@ from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.files import shipped, unwritable, user_path
 from ..live.devices.format import FrameFormat, load_format
-from ..live.devices.source import Baud, check_port, choose_baud, is_serial, too_slow
-from ..live.table_line import STATE_LINE, BadReply, Line, reading
+from ..live.devices.health import Reception
+from ..live.devices.source import (
+    Baud,
+    DeviceReader,
+    check_port,
+    choose_baud,
+    is_serial,
+    steady_time,
+    too_slow,
+)
+from ..live.rules import Severity
+from ..live.table_line import STATE_LINE, BadReply, Line, parse_state
 from ..model.earth import LUOYANG
 from ..session.imu import ImuSpec, check_live, load_imu
 from ..session.keywords import AtSite, Numbered, Solved, azimuth_of
 from ..session.plan import load_plan
 from ..session.table import load_table
-from . import listening, options, several, web_page
+from . import options, several, web_page
 from .processes import network_of_hardware
 from .terminal import OUTPUT, NodeReports
 
@@ -237,7 +248,7 @@ def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Cal
             baud = choose_baud(unit.baud or None, frames)
             if not arguments.imus and is_serial(unit.port):
                 _say_baud(arguments, frames, imu, baud)
-            listening.listen(unit.port, frames, imu, baud, reports, several.node_of(unit))
+            listen(unit.port, frames, imu, baud, reports, several.node_of(unit))
     # Loading what runs a session takes longer than the check of the IMU.
     from . import stand_session
 
@@ -305,7 +316,7 @@ def _check_table_port(arguments: argparse.Namespace) -> None:
     try:
         line = Line(arguments.table_port, arguments.table_baud, _REPLY)
         try:
-            reading(line.request(STATE_LINE), axes)
+            parse_state(line.request(STATE_LINE), axes)
         finally:
             line.close()
     except (OSError, BadReply) as error:
@@ -349,3 +360,58 @@ def _check_device(arguments: argparse.Namespace) -> None:
         raise InputError(f'--port needs {"; and ".join(missing)}.')
     load_format(arguments.device)
     check_port(arguments.port)
+
+
+# The first bytes of the IMU before anything starts: whether it is present and as described.
+# #
+# # The nodes would detect this too, but later: they load slowly and must discover each other.
+
+
+_ROUND = 0.02
+"""Between two checks, s: too short to be noticed."""
+_LONGEST_WAIT = 3.0
+"""Longest wait, s: longer than a host may take to answer (2 s). The nodes wait for slower ones."""
+
+
+def listen(
+    port: str,
+    frames: FrameFormat,
+    imu: ImuSpec,
+    baud: Baud,
+    reports: NodeReports,
+    node: str = 'imu_node',
+) -> None:
+    """Read a port until the device is confirmed, or its silence or another device is reported.
+
+    Raises:
+        InputError: The port is invalid.
+        NothingComes: It does not open, or its data does not match the files.
+    """
+    # imu_node continues with the present state of the device.
+    source = DeviceReader(port, time.time_ns, baud.rate, commands=frames.commands, restarts=False)
+    reception = Reception(frames, imu, live=source.live)
+    source.start()
+    deadline = time.monotonic() + _LONGEST_WAIT
+    try:
+        while time.monotonic() < deadline and not _decided(source, reception, reports, node):
+            time.sleep(_ROUND)
+    finally:
+        source.stop()
+
+
+def _decided(source: DeviceReader, reception: Reception, reports: NodeReports, node: str) -> bool:
+    """Take new bytes, and show messages; return whether the check is complete."""
+    state, now, steady = source.state, time.time_ns(), steady_time() * 1e-9
+    chunks = source.pop_chunks()
+    if chunks:
+        reception.decode_chunks(chunks, now, steady)
+    silent = came = False
+    for status in reception.statuses(state, now, steady):
+        came |= status.figures.get('bytes', '0') != '0'
+        silent |= status.part == 'stream' and status.severity is Severity.ERROR
+        reports.note(f'{node}: {status.part}', status.severity, status.text, came=came)
+    reports.show()
+    if state.ended:
+        # A short recording: no more data will come.
+        return reception.health.has_frames and not chunks
+    return reception.health.judged or (state.open and silent and not came)

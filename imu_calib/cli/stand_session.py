@@ -33,9 +33,10 @@ from ..session.plan import Plan, load_plan
 from ..session.table import Table, load_table
 from . import options, several, web_page
 from .displays import Start, follow, view_table
-from .embedded import Embedded, Nodes
 from .processes import (
     START,
+    Embedded,
+    Nodes,
     Processes,
     SessionEnd,
     free_ports,

@@ -15,8 +15,7 @@ from ..live.network import LOOPBACK_HOST
 from ..live.web.guard import TOKEN, address, exposure
 from ..session.keywords import node_parameters
 from ..session.plan import load_plan
-from .embedded import Nodes
-from .processes import free_port
+from .processes import Nodes, free_port
 from .terminal import ERRORS, OUTPUT
 
 NODE = 'web_node'

@@ -28,11 +28,11 @@ def steps_of_plan(plan: Plan, table: Table, start: Floats) -> tuple[tuple[Step, 
     if not steps:
         raise InputError(f'Plan {plan.name} has no positions.')
     for step in steps:
-        check(step, table)
+        check_step(step, table)
     return steps, Step(steps[-1].index, '', Mode.POSITION, start, still, 0, 0.0)
 
 
-def check(step: Step, table: Table) -> None:
+def check_step(step: Step, table: Table) -> None:
     """Refuse steps beyond the table's limits of angle, rate and acceleration."""
     where = f'Step {step.index + 1}, position {step.position or "of the start"}'
     table.check(step.angles, step.rates, where)
@@ -87,7 +87,9 @@ def setpoint_of(step: Step, plan: str, joints: tuple[str, ...]) -> Setpoint:
     )
 
 
-def held(current: Step | None, angles: Sequence[float] | None, plan: str, table: Table) -> Setpoint:
+def stopping_setpoint(
+    current: Step | None, angles: Sequence[float] | None, plan: str, table: Table
+) -> Setpoint:
     """Return the setpoint, not yet stamped, that stops a table where it is."""
     joints = table.joints
     known = (0.0,) * len(joints) if angles is None else angles
@@ -129,7 +131,7 @@ class Orders:
     def hold_setpoint(self, current: Step | None, at: Feedback | None) -> Setpoint:
         """Return the setpoint that stops the table where it is, not yet stamped."""
         angles = None if at is None else at.angles
-        return held(current, angles, self._plan, self._table)
+        return stopping_setpoint(current, angles, self._plan, self._table)
 
     def hold(self, current: Step | None, at: Feedback | None) -> None:
         """Command the table to hold; the present watch is kept."""
@@ -431,7 +433,7 @@ class Run:
     def _move(self, motion: Step, at: Feedback) -> str:
         self._enter(Leg.MOVING, at)
         try:
-            check(motion, self._table)
+            check_step(motion, self._table)
         except InputError as error:
             return str(error)
         self._place_is_known = True

@@ -75,7 +75,7 @@ def watchdog_line(seconds: float) -> str:
 STATE_LINE = 'STATE'
 
 
-def check(reply: str) -> None:
+def check_reply(reply: str) -> None:
     """Check the reply to an order.
 
     Raises:
@@ -89,7 +89,7 @@ def check(reply: str) -> None:
         raise BadReply(f'Found {reply[:40]!r}, expected OK or ERR.')
 
 
-def reading(reply: str, axes: int) -> Reading:
+def parse_state(reply: str, axes: int) -> Reading:
     """Parse the state of the axes: STATE, the angles, the rates.
 
     Raises:
@@ -98,7 +98,7 @@ def reading(reply: str, axes: int) -> Reading:
     """
     word, *values = reply.split() or ['']
     if word == 'ERR':
-        check(reply)
+        check_reply(reply)
     try:
         numbers = np.array([float(value) for value in values])
     except ValueError:
@@ -463,7 +463,7 @@ class Control:
             if self._guard is not None:
                 self._guard.hold(line.fileno())
             for text in (order_line(Stop()), watchdog_line(_WATCHDOG)):
-                check(line.request(text))
+                check_reply(line.request(text))
             self._setpoint.clear()
             bad = 0
             while not self._ending.is_set():
@@ -481,7 +481,7 @@ class Control:
                 self._ending.wait(max(0.0, self._period - (time.monotonic() - began)))
         finally:
             with contextlib.suppress(Exception):
-                check(line.request(order_line(Stop())))
+                check_reply(line.request(order_line(Stop())))
             if self._guard is not None:
                 # What it holds would stay open.
                 with contextlib.suppress(OSError):
@@ -489,7 +489,7 @@ class Control:
 
     def _read(self, line: Line) -> Reading:
         before = self._now()
-        at = reading(line.request(STATE_LINE), len(self._names))
+        at = parse_state(line.request(STATE_LINE), len(self._names))
         # The controller took the reading between question and answer.
         stamp = (before + self._now()) // 2
         if not self._readings or stamp > self._readings[-1][0]:
@@ -511,13 +511,13 @@ class Control:
                     break
         except Refusal as error:
             # One axis may be moving already.
-            check(line.request(order_line(Stop())))
+            check_reply(line.request(order_line(Stop())))
             self._follower.halt(str(error))
 
     def _give(self, line: Line, orders: tuple[Order, ...]) -> None:
         try:
             for order in orders:
-                check(line.request(order_line(order)))
+                check_reply(line.request(order_line(order)))
         except BadReply as error:
             # Whether the order was taken is unknown.
             raise OSError(f'the reply to an order cannot be read: {error}') from error

@@ -17,7 +17,7 @@ import yaml
 from device_frames import NS, frame
 from loopback import CHECKOUT, until
 
-from imu_calib.cli import dispatch, listening, main, stand_session
+from imu_calib.cli import dispatch, main, stand, stand_session
 from imu_calib.cli.terminal import OUTPUT, NodeReports, NothingComes
 from imu_calib.common.files import named_file
 from imu_calib.live.devices.format import load_format
@@ -220,7 +220,7 @@ def test_a_device_that_cannot_do_is_refused_before_anything_is_loaded(tmp_path, 
     words = ['stand', 'twelve_position', '-o', tmp_path / 'stand', '--latitude', '48']
     words += ['--port', strange(tmp_path, kind), '--device', 'simulated']
     modules = loaded(REFUSED, *words)
-    assert 'imu_calib.cli.listening' in modules
+    assert 'imu_calib.live.devices.health' in modules
     assert not among(
         modules,
         (*SLOW, *RUNTIME, 'imu_calib.calibration.calibrator', 'imu_calib.recordings.rosbag2'),
@@ -256,13 +256,13 @@ def test_silence_is_said_before_the_session_is_loaded(tmp_path, port, capsys, mo
 
 
 def listen(port, words):
-    listening.listen(port, SIMULATED, FOG, choose_baud(None, SIMULATED), words)
+    stand.listen(port, SIMULATED, FOG, choose_baud(None, SIMULATED), words)
 
 
 def test_a_device_is_started_and_left_running_for_the_nodes(port):
     commands = Commands((Command(b'go'),), None, (Command(b'halt'),))
     frames = replace(SIMULATED, commands=commands)
-    listening.listen(port[1], frames, FOG, choose_baud(None, frames), NodeReports(real=True))
+    stand.listen(port[1], frames, FOG, choose_baud(None, frames), NodeReports(real=True))
     got = b''
     while select.select([port[0]], [], [], 0)[0]:
         got += os.read(port[0], 100)

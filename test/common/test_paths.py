@@ -78,7 +78,7 @@ FULL_DISK = """
 import resource, sys
 from pathlib import Path
 import imu_calib
-from imu_calib.cli.row_files import write_rows
+from imu_calib.cli.outcome import write_rows
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 

@@ -11,7 +11,14 @@ import pytest
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Mode
 from imu_calib.common.units import DEG
-from imu_calib.live.plan_run import check, end_of, held, motion_time, setpoint_of, steps_of_plan
+from imu_calib.live.plan_run import (
+    check_step,
+    end_of,
+    motion_time,
+    setpoint_of,
+    steps_of_plan,
+    stopping_setpoint,
+)
 from imu_calib.live.sequencer import Obstacles
 from imu_calib.session.plan import Step, load_plan
 from imu_calib.session.table import TURN, Limits, load_table
@@ -36,9 +43,9 @@ def test_a_turn_needs_the_acceleration_to_run_up_and_down_within_a_turn(rate, se
     # Half a turn to run up in: v^2 = 2 a pi.
     needed = rate**2 / (2 * math.pi)
     turn = step(rates=(sense * rate, 0.0, 0.0), turns=2)
-    check(turn, with_acceleration(1.001 * needed))
+    check_step(turn, with_acceleration(1.001 * needed))
     with pytest.raises(InputError) as refused:
-        check(turn, with_acceleration(0.999 * needed))
+        check_step(turn, with_acceleration(0.999 * needed))
     message = str(refused.value)
     assert f'to reach {sense * rate / DEG:g} deg/s joint outer needs' in message
     assert f'needs {needed / DEG:.4g} deg/s^2' in message
@@ -73,13 +80,13 @@ def test_a_setpoint_says_what_its_step_is():
 def test_a_hold_is_told_where_the_table_is_within_its_limits():
     joints = (replace(TABLE.joints[0], limits=Limits(-1.0, 2.0)), *TABLE.joints[1:])
     table = replace(TABLE, joints=joints)
-    hold = held(step(), (2.5, 0.25, 0.125), 'small', table)
+    hold = stopping_setpoint(step(), (2.5, 0.25, 0.125), 'small', table)
     assert (hold.mode, hold.step, hold.position, hold.plan) == (Mode.HOLD, 3, '9', 'small')
     assert hold.angles == (2.0, 0.25, 0.125)
-    assert held(step(), (-2.5, 0.25, 0.125), 'small', table).angles[0] == -1.0
+    assert stopping_setpoint(step(), (-2.5, 0.25, 0.125), 'small', table).angles[0] == -1.0
     assert (hold.rates, hold.turns, hold.dwell, hold.stamp) == ((0.0, 0.0, 0.0), 0.0, 0.0, 0)
     # Of a table that has not been heard, before any step.
-    unknown = held(None, None, 'small', table)
+    unknown = stopping_setpoint(None, None, 'small', table)
     assert (unknown.step, unknown.position, unknown.angles) == (0, '', (0.0, 0.0, 0.0))
 
 
@@ -97,10 +104,10 @@ def test_a_turn_ends_within_the_limits_of_its_joint(turns, fits):
     joints = (replace(TABLE.joints[0], limits=Limits(-1.0, 2.5 * TURN)), *TABLE.joints[1:])
     turn, table = step(rates=(60 * DEG, 0.0, 0.0), turns=turns), replace(TABLE, joints=joints)
     if fits:
-        check(turn, table)
+        check_step(turn, table)
     else:
         with pytest.raises(InputError, match='joint outer at 1080 deg'):
-            check(turn, table)
+            check_step(turn, table)
 
 
 def test_what_forbids_is_new_once():

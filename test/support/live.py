@@ -15,8 +15,7 @@ from loopback import patience, until
 from imu_calib.api.calibrate import calibrate
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import dispatch, stand_session
-from imu_calib.cli.embedded import Embedded
-from imu_calib.cli.processes import Processes, private_network
+from imu_calib.cli.processes import Embedded, Processes, private_network
 from imu_calib.common.files import named_file
 from imu_calib.live import middleware as ros
 from imu_calib.live.middleware import messages
