@@ -13,10 +13,7 @@ from typing import Any
 
 import yaml
 
-from ..api.stand import (
-    end_of_journal,
-    is_finished,
-)
+from ..api.stand import end_of_journal, is_finished
 from ..common.errors import InputError
 from ..common.files import named_file, read_text, user_path, write_whole
 from . import several

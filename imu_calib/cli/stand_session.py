@@ -16,12 +16,7 @@ from rich.live import Live
 from rich.text import Text
 
 from ..api.session import DEFAULT_TRUTH, TRUE_TABLE
-from ..api.stand import (
-    check_stand,
-    has_simulated_hands,
-    setup_of_stand,
-    true_table_of,
-)
+from ..api.stand import check_stand, has_simulated_hands, setup_of_stand, true_table_of
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError, NotObservable
 from ..live.network import forced

@@ -11,7 +11,7 @@ from sessions import SITE, at_one_rate, paper_imu, quick_plan, stand, truth
 from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
 from imu_calib.estimation.setup import Setup
 from imu_calib.live.nodes.live_session import SessionPhase
-from imu_calib.live.nodes.parameters import StatedUnit
+from imu_calib.live.nodes.session_parameters import StatedUnit
 from imu_calib.live.nodes.sessions import Sessions
 from imu_calib.model.sensors import SensorModel
 from imu_calib.recordings.cdr_codec import Kind, encode_imu, encode_joints, encode_setpoints

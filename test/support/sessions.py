@@ -93,7 +93,7 @@ class Alone:
 
     def __init__(self, setup: Setup, folder: Path, said: dict[str, str], topics: Any) -> None:
         # Imported here: most tests need no live session.
-        from imu_calib.live.nodes.parameters import StatedUnit
+        from imu_calib.live.nodes.session_parameters import StatedUnit
         from imu_calib.live.nodes.sessions import Sessions
         from imu_calib.recordings.writer import Journal
 

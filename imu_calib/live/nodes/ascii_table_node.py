@@ -10,12 +10,7 @@ from ...session.table import load_table
 from ..middleware import Clock, ClockType, Node, messages, publish_all
 from ..rules import Severity
 from ..table_guard import Guard
-from ..table_line import (
-    Control,
-    Follower,
-    Line,
-    tcp_address,
-)
+from ..table_line import Control, Follower, Line, tcp_address
 from . import qos
 from .diagnostics import Diagnostics
 from .parameters import declare

@@ -20,9 +20,10 @@ from . import qos
 from .diagnostics import Diagnostics
 from .intake import Subscriptions, topics_of_table, topics_of_unit
 from .live_session import SessionPhase
-from .parameters import StatedUnit, declare, declare_path, declared_units
+from .parameters import declare, declare_path
 from .programs import entry_point
 from .qos import OnePublisher
+from .session_parameters import StatedUnit, declared_units
 from .session_reports import (
     IMU_TIMEOUT,
     UnitResults,

@@ -22,8 +22,8 @@ from ..middleware import messages
 from ..rules import Severity
 from . import qos
 from .diagnostics import Diagnostics
-from .parameters import declare_simulation
 from .programs import entry_point
+from .session_parameters import declare_simulation
 
 _STEP = 0.1
 """s of simulated time per step. A choice, as in stand_node."""

@@ -23,7 +23,7 @@ from .live_session import (
     SharedSolver,
     SolverPart,
 )
-from .parameters import StatedUnit
+from .session_parameters import StatedUnit
 
 _LEFT_OUT = 'The unit was left out of the session.'
 

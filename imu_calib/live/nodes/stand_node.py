@@ -36,8 +36,9 @@ from ..middleware import messages
 from ..rules import Severity
 from . import qos
 from .diagnostics import Diagnostics
-from .parameters import Simulation, declare, declare_simulation, declare_units_file
+from .parameters import declare
 from .programs import entry_point
+from .session_parameters import Simulation, declare_simulation, declare_units_file
 from .stop import Commands
 
 _STEP = 0.1

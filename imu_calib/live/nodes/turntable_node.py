@@ -28,10 +28,11 @@ from ..sequencer import Pacing, Sequencer
 from . import qos
 from .convert import state_message
 from .diagnostics import Diagnostics
-from .parameters import declare, declare_rules
+from .parameters import declare
 from .programs import entry_point
 from .qos import OwnTopics
 from .run_action import CalibratorProgress, Controller, RunAction, state_figures, state_sentence
+from .session_parameters import declare_rules
 from .stop import EmergencyStop, Heartbeat, state_folder
 
 _PERIOD = 0.01

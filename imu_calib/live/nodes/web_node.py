@@ -38,8 +38,9 @@ from ..web.shape import table_shape
 from . import qos
 from .diagnostics import Diagnostics
 from .intake import listen_to_each, topics_of_unit
-from .parameters import StatedUnit, declare, declare_path, declared_units
+from .parameters import declare, declare_path
 from .programs import entry_point
+from .session_parameters import StatedUnit, declared_units
 
 _DRAIN = 0.05
 """s between two checks for new messages. A choice: 200 samples at 4 kHz."""

@@ -12,11 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.serde.cdr import (
-    generate_deserialize_cdr,
-    generate_getsize_cdr,
-    generate_serialize_cdr,
-)
+from rosbags.serde.cdr import generate_deserialize_cdr, generate_getsize_cdr, generate_serialize_cdr
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
 
