@@ -1,4 +1,4 @@
-"""End of a command: its exit code, and the one JSON document of --json on stdout."""
+"""End of a command: its exit code, the one JSON document of --json, files of rows."""
 
 from __future__ import annotations
 

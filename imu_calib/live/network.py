@@ -1,4 +1,4 @@
-"""Reach of the nodes' communication: network interface and ROS domain (docs/access.md)."""
+"""Network of the nodes: runtime, interface, domain, and keys (docs/access.md)."""
 
 from __future__ import annotations
 

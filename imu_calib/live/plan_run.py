@@ -1,4 +1,4 @@
-"""Run the steps of a plan one after another."""
+"""The steps of a plan as setpoints, and their run one after another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A table behind lines of text: requests and replies, and the orders that follow setpoints."""
+"""A table behind lines of text: requests and replies, orders that follow setpoints, the thread."""
 
 from __future__ import annotations
 
@@ -340,11 +340,6 @@ class Follower:
         self._table.check(goal, rates, setpoint.where)
         pace = np.where(rates != 0, np.abs(rates), fastest)
         return tuple(Move(k, float(goal[k]), float(pace[k])) for k in range(len(goal)))
-
-
-# Select the setpoints that a table follows: one source at a time, and none while forbidden.
-#
-# It has no clock and no middleware: times and sources are arguments.
 
 
 # The thread that communicates with the controller; only the controller can block it.

@@ -1,4 +1,4 @@
-"""Compare the table with its command: one object per motion, fed with joint states."""
+"""Joint states of a table, compared with its command: one object per motion."""
 
 from __future__ import annotations
 

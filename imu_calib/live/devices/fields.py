@@ -1,4 +1,4 @@
-"""Fields of a frame: numbers, channels, counter, clock, reported conditions."""
+"""Fields of a frame: checksums, numbers, channels, counter, clock, reported conditions."""
 
 from __future__ import annotations
 

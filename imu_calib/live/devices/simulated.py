@@ -1,4 +1,4 @@
-"""The line of a simulated device in this process: its bytes need no socket and no thread."""
+"""The lines of simulated devices: in this process, or sockets that serve their frames."""
 
 from __future__ import annotations
 

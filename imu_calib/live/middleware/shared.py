@@ -1,4 +1,4 @@
-"""What the runtimes share: states of goals, interfaces, work beside callbacks, the DDS domain."""
+"""What the runtimes share: states of goals, interfaces, work beside callbacks."""
 
 from __future__ import annotations
 

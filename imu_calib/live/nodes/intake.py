@@ -1,4 +1,4 @@
-"""Subscriptions of a calibrator: one topic of each kind, with the offered quality of service.
+"""What sessions take in: topics with the offered quality of service, and their blocks.
 
 The table has its topics; each of several units has its own in its namespace.
 """

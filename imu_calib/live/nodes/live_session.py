@@ -1,4 +1,4 @@
-"""A session that is recorded and solved while it runs; independent of the middleware."""
+"""A session that is recorded and solved while it runs, with its part of journal and solver."""
 
 from __future__ import annotations
 

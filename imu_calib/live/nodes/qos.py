@@ -1,4 +1,4 @@
-"""The quality of service of the suite's topics; each call returns a new profile."""
+"""Quality of service of the suite's topics, and who publishes on them."""
 
 from __future__ import annotations
 

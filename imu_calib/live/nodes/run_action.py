@@ -1,4 +1,4 @@
-"""Actions of turntable_node: it serves ~/run_calibration, and sends goals to a controller."""
+"""A run of turntable_node: its words, the calibrator's progress, its two actions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Texts of a calibrator on its session: a sentence, progress, and /diagnostics."""
+"""Progress, results and /diagnostics of sessions, each and all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The emergency stop: received from every kind of publisher, kept across restarts."""
+"""What stops a table: the emergency stop, a lost heartbeat, setpoints of two sources."""
 
 from __future__ import annotations
 

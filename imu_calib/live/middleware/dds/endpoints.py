@@ -1,4 +1,4 @@
-"""Publishers, subscriptions and services."""
+"""Publishers, subscriptions, services and actions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Waits for messages and timers and runs callbacks, in the thread that spins."""
+"""Waits for messages and timers and runs callbacks: of one node, or of all in one process."""
 
 from __future__ import annotations
 
