@@ -70,7 +70,7 @@ class StartedNodes:
         """Return the file of a node's parameters (yaml) or of its log (log)."""
         return self._folder / f'{node.replace("/", ".")}.{kind}'
 
-    def arguments(
+    def _arguments(
         self, node: str, parameters: dict[str, Any], remapped: Mapping[str, str]
     ) -> list[str]:
         """Write a node's parameters to its file; return its arguments."""
@@ -90,6 +90,28 @@ class StartedNodes:
         """Names of the nodes that were started."""
         raise NotImplementedError
 
+    def start(
+        self,
+        node: str,
+        parameters: dict[str, Any],
+        *,
+        needed: bool = True,
+        environment: Mapping[str, str] = MappingProxyType({}),
+        remapped: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
+        """Start a node of the suite with its parameters.
+
+        Args:
+            node: Its name, with its namespace in front if it has one: unit_1/imu_node.
+            parameters: By name.
+            needed: Whether the session requires it.
+            environment: Further variables, only for this node.
+            remapped: Topics by the node's names for them.
+        """
+        if not needed:
+            self._needless.add(node)
+        self._launch(node, self._arguments(node, parameters, remapped), environment)
+
     def check(self) -> None:
         """Check that all needed nodes still run; report other ended nodes once."""
         for node in self.names:
@@ -107,6 +129,10 @@ class StartedNodes:
     def runs(self, node: str) -> bool:
         """Return whether a node was started and still runs."""
         return node in self.names and not self._end_of(node)
+
+    def _launch(self, node: str, arguments: list[str], environment: Mapping[str, str]) -> None:
+        """Start a node with its arguments."""
+        raise NotImplementedError
 
     def _end_of(self, node: str) -> str:
         """Return how a node has ended, in a sentence; empty while it runs."""
@@ -149,28 +175,8 @@ class Processes(StartedNodes):
             _end(process)
             log.close()
 
-    def start(
-        self,
-        node: str,
-        parameters: dict[str, Any],
-        *,
-        needed: bool = True,
-        environment: Mapping[str, str] = MappingProxyType({}),
-        remapped: Mapping[str, str] = MappingProxyType({}),
-    ) -> None:
-        """Start a node of the suite with its parameters.
-
-        Args:
-            node: Its name, with its namespace in front if it has one: unit_1/imu_node.
-            parameters: By name.
-            needed: Whether the session requires it.
-            environment: Further variables, only for this node.
-            remapped: Topics by the node's names for them.
-        """
-        if not needed:
-            self._needless.add(node)
+    def _launch(self, node: str, arguments: list[str], environment: Mapping[str, str]) -> None:
         name = node.rpartition('/')[2]
-        arguments = self.arguments(node, parameters, remapped)
         log = self.path(node, 'log').open('ab')
         module = f'{__package__.rpartition(".")[0]}.live.nodes.{name}'
         process = subprocess.Popen(
@@ -348,21 +354,9 @@ class Embedded(StartedNodes):
         """Names of the nodes that were started."""
         return tuple(self._logs)
 
-    def start(
-        self,
-        node: str,
-        parameters: dict[str, Any],
-        *,
-        needed: bool = True,
-        environment: Mapping[str, str] = MappingProxyType({}),
-        remapped: Mapping[str, str] = MappingProxyType({}),
-    ) -> None:
-        """Start a node; see `Processes.start`."""
-        if not needed:
-            self._needless.add(node)
+    def _launch(self, node: str, arguments: list[str], environment: Mapping[str, str]) -> None:
         os.environ.update(environment)
         name = node.rpartition('/')[2]
-        arguments = self.arguments(node, parameters, remapped)
         module = import_module(f'{__package__.rpartition(".")[0]}.live.nodes.{name}')
         kind = getattr(module, name.title().replace('_', ''))
         log = self._logs[node] = self.path(node, 'log').open('a', encoding='utf-8')
