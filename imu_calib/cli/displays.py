@@ -24,7 +24,6 @@ from ..live.web.board import Snapshot, UnitRow
 from ..live.web.sentences import headline, time_left
 from ..reports.convergence import READING, Converging
 from ..reports.plain_table import plain_table
-from .embedded import Nodes
 from .processes import START, Nodes, SessionEnd
 from .terminal import ERRORS, OUTPUT, NodeReports
 

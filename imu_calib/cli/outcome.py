@@ -186,7 +186,7 @@ def row_file(stated: str | None) -> Path | None:
     """Return the requested file, or None."""
     if stated is None:
         return None
-    from ..api.outputs import output_path
+    from ..api.files import output_path
 
     path = output_path(stated)
     if path.suffix not in _ENDINGS:

@@ -70,7 +70,7 @@ class StartedNodes:
         """Return the file of a node's parameters (yaml) or of its log (log)."""
         return self._folder / f'{node.replace("/", ".")}.{kind}'
 
-    def _arguments(
+    def arguments(
         self, node: str, parameters: dict[str, Any], remapped: Mapping[str, str]
     ) -> list[str]:
         """Write a node's parameters to its file; return its arguments."""
@@ -110,7 +110,7 @@ class StartedNodes:
         """
         if not needed:
             self._needless.add(node)
-        self._launch(node, self._arguments(node, parameters, remapped), environment)
+        self._launch(node, self.arguments(node, parameters, remapped), environment)
 
     def check(self) -> None:
         """Check that all needed nodes still run; report other ended nodes once."""

@@ -130,7 +130,7 @@ folder, imu, imus = map(Path, sys.argv[1:])
 given = dict.fromkeys(['plan', 'imu', 'table', 'device', 'truth', 'imperfections', 'imus'])
 (folder / 'two').mkdir()
 (folder / 'several').mkdir()
-files = processes.NodeFiles(folder)
+files = processes.StartedNodes(folder)
 files.arguments('imu_node', {'a': 'of yesterday'}, {})
 writers = [
     partial(resume.save_settings, argparse.Namespace(**{**given, 'imu': str(imu)}), folder),
