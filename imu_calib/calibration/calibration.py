@@ -358,7 +358,7 @@ class Calibration:
                 f'`gyro`, `accel`: found the shapes {raw[0].shape} and {raw[1].shape}, expected '
                 '(n, 3) of both.'
             )
-        if rate is not None and not (isinstance(rate, Real) and rate > 0):
+        if rate is not None and not _is_positive(rate):
             raise InputError(f'`rate`: found {rate!r}, expected samples per second, above 0.')
         per_second = 1.0
         if self.imu.units.per_interval:
@@ -614,6 +614,10 @@ def _check_std(section: Section, expected: Mapping[str, Any]) -> None:
                     f'{section.key(key)}: not the square roots of the variances in covariance.'
                 )
     section.refuse_unknown_keys()
+
+
+def _is_positive(value: object) -> bool:
+    return isinstance(value, Real) and float(value) > 0
 
 
 def _read_residual(row: Section) -> ResidualRow:

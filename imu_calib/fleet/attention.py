@@ -373,7 +373,10 @@ def _type(population: Population, units: Sequence[UnitHistory]) -> str:
     apart = Counter(outlier.parameter for outlier in population.outliers)
     headings = ['', 'median', 'robust std', 'turn-on std', 'trend per month', 'unit']
     headings += ['distribution', 'outside', 'apart']
-    rows = [_row(population, k, newest[:, k], limits[:, k], apart) for k in range(len(PARAMETERS))]
+    rows = [
+        _row(population, k, newest[:, k], limits[:, k], apart)
+        for k in np.flatnonzero(population.count).tolist()
+    ]
     words = (
         f'{count(population.units, "unit")} of {population.imu} in '
         f'{count(population.sessions, "session")}, each by its newest one. Robust std is between '

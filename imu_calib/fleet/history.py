@@ -182,7 +182,9 @@ def _numbers(table: pa.Table) -> tuple[Floats, Floats]:
     values, std = columns_of(table, ''), columns_of(table, 'std_')
     # A deviation of NaN means not estimated; a missing one means not stated.
     stated = np.column_stack([table[f'std_{n}'].is_valid().to_numpy() for n in PARAMETER_NAMES])
-    values = np.where(stated & np.isnan(std), np.nan, values)
+    # What the choice of the axes makes zero is not estimated, either.
+    fixed = (values == 0) & (std == 0)
+    values = np.where((stated & np.isnan(std)) | fixed, np.nan, values)
     covariance = np.zeros((len(values), _SIZE, _SIZE))
     covariance[:, np.arange(_SIZE), np.arange(_SIZE)] = std**2
     names, numbers = table['parameters'].to_pylist(), table['covariance'].combine_chunks()
@@ -197,6 +199,8 @@ def _numbers(table: pa.Table) -> tuple[Floats, Floats]:
         places = [mine.index(name) for name in PARAMETER_NAMES]
         whole = flat.reshape(len(rows), len(mine), len(mine))
         covariance[rows] = whole[:, places][:, :, places]
+    sessions, parameters = np.nonzero(fixed)
+    covariance[sessions, parameters] = covariance[sessions, :, parameters] = np.nan
     return values, covariance
 
 

@@ -270,6 +270,8 @@ def population_table(one: Population) -> Table:
     """Return one row for each parameter of a type."""
     table = plain_table(('', *_HEADS, 'unit'), f'l{"r" * len(_HEADS)}l', no_wrap=True)
     for k, parameter in enumerate(PARAMETERS):
+        if not one.count[k]:
+            continue
         shown = engineering(parameter, by_hand=one.by_hand)
         places = decimals(one.robust_std[k] / shown.scale / 10)
         finer = decimals(one.trend_std[k] / shown.scale)

@@ -238,3 +238,14 @@ def test_units_in_the_hand_are_shown_in_units_of_their_grade(tmp_path: Path, run
         assert {'%', 'deg', 'deg/s', 'mg'} <= set(out.split())
     page = imu_calib.fleet_report(tmp_path / 'held', tmp_path / 'held.html').read_text()
     assert '>deg/s</td>' in page and '>ppm</td>' not in page
+
+
+def test_parameters_that_the_axes_fix_have_no_row(tmp_path: Path, run: Run) -> None:
+    made = sessions(np.random.default_rng(3), 2, 3)
+    k = index('E_axy')
+    made.values[:, k] = made.covariance[:, k] = made.covariance[:, :, k] = 0.0
+    rows = [done(made, k) for k in range(len(made.key))]
+    Catalogue(tmp_path / 'c', create=True).add(rows)
+    for words in ([], ['--serial', 'F000']):
+        _, out, _ = run(tmp_path / 'c', *words)
+        assert 'E_axz' in out and 'E_axy' not in out
