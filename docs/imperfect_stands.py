@@ -53,6 +53,7 @@ CAUSES = {
     'temperature': 'temperature moved',
     'north': 'gyros see north',
     'course': 'The session (?:shows|hints at) .*(trend|warm_up|step)',
+    'attitude step': 'the misalignments are those before it',
     'clock set': 'its clock was set',
     'clocks apart': 'clock of the IMU is .* that of the table',
     'late': 'are stamped late',

@@ -23,6 +23,7 @@ from ..session.plan import Plan
 from ..session.table import Table
 from ..session.table_errors import LEVELLED, TableErrors
 from .arms import Arms, headings
+from .attitude_steps import AttitudeStep, step_errors
 from .known_noise import known_noise
 from .moves import Moves
 from .outputs import OutputLayout
@@ -88,6 +89,8 @@ class Evidence:
     coarse: bool = False
     #: As in `Segmented`: the unit may have been switched off and on there.
     interruptions: tuple[tuple[int, int], ...] = ()
+    #: Steps of the attitudes against the joints' readings, of which the outputs' covariance knows.
+    attitude_steps: tuple[AttitudeStep, ...] = ()
 
     @classmethod
     def from_session(
@@ -147,6 +150,11 @@ class Evidence:
             }
             self.cache[key] = self._replaced(kept, table=replace(self.table, errors=errors))
         return cast(Evidence, self.cache[key])
+
+    def with_attitude_steps(self, steps: tuple[AttitudeStep, ...]) -> Evidence:
+        """Return the session with these steps of the attitudes; the same is kept as above."""
+        kept = _OF_DWELLS | {'positioning_attitude_errors', 'used_moves', 'layout', 'state_cache'}
+        return self._replaced(kept, attitude_steps=steps)
 
     def _replaced(self, kept: set[str], **changed: Any) -> Evidence:
         """Return the session with other fields; the cached properties named in `kept` stay."""
@@ -234,22 +242,33 @@ class Evidence:
 
     @cached_property
     def table_attitude_errors(self) -> tuple[Floats, Floats]:
-        """Attitude errors by the uncertainty of the table's geometry, rad per standard deviation.
+        """Attitude errors by the table's geometry and by steps, rad per standard deviation.
 
         Rotations about the body axes, (s, 3, e) of the static dwells and (t, 3, e) of the turns;
         those of a turn are means over all angles of the joint that turns.
         """
         known = [part.angles for part in self.parts]
-        if self.table is None or self.table.errors.exact or any(a is None for a in known):
+        if self.table is None or any(a is None for a in known):
             return np.zeros((len(self.segments), 3, 0)), np.zeros((len(self.turns), 3, 0))
-        angles = np.array(known).reshape(-1, len(self.table.joints))
+        by_geometry = self._geometry_errors(self.table)
+        if not self.attitude_steps:
+            return by_geometry
+        by_steps = step_errors(self.attitude_steps, self.segments, self.turns, self.table)
+        both = zip(by_geometry, by_steps, strict=True)
+        at_rest, turning = (np.concatenate(pair, axis=2) for pair in both)
+        return at_rest, turning
+
+    def _geometry_errors(self, table: Table) -> tuple[Floats, Floats]:
+        if table.errors.exact:
+            return np.zeros((len(self.segments), 3, 0)), np.zeros((len(self.turns), 3, 0))
+        angles = np.array([part.angles for part in self.parts]).reshape(-1, len(table.joints))
         dwells = len(self.segments)
         turned = [
             held[None] if turn.joint is None else around(held, turn.joint)
             for turn, held in zip(self.turns, angles[dwells:], strict=True)
         ]
         # All at once: a call takes longer than the computation for one turn.
-        errors = self.table.attitude_errors(np.concatenate([angles[:dwells], *turned]))
+        errors = table.attitude_errors(np.concatenate([angles[:dwells], *turned]))
         ends = dwells + np.cumsum([len(one) for one in turned], dtype=int)
         turning = [
             errors[end - len(one) : end].mean(axis=0)

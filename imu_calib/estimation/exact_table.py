@@ -46,7 +46,7 @@ def contradicted(search: SearchResult) -> bool:
     evidence = search.estimate.equations.evidence
     if evidence.plan.by_hand or evidence.table is None or not evidence.table.understated_errors:
         return False
-    of_table = any(one.family.of_table for one in search.found)
+    of_table = any(one.family.of_table and not one.steps for one in search.found)
     return of_table or search.estimate.scatter.positioning_probability >= SHOWN
 
 

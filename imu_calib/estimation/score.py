@@ -26,6 +26,7 @@ from ..model.sensors import motion_parameters, parameters_of, terms_of
 from ..model.session_terms import LOOKED_FOR, Change, Course, session_term
 from ..model.terms import TERMS, Term
 from ..session.table_errors import TableErrors
+from .attitude_steps import AttitudeStep, possible_steps, step_errors
 from .changing import USEFUL_CHANGE, change_of
 from .components import whiten
 from .equations import Equations
@@ -48,6 +49,9 @@ _LARGEST_OVER_STATED = 20.0
 _FREE_TABLE_ERROR = 300 * ARCSEC
 """Standard deviation of a practically free error of a table: a thousand times what the best
 accelerometers and dwells resolve, and small enough for the covariance to be inverted."""
+
+_FREE_STEP = 1 * DEG
+"""The same of attitudes that step: far more than a unit in its mount moves unseen."""
 
 _SHARE = 0.5
 """Largest share of the degrees of freedom of its outputs that a family may take. A judgement: at
@@ -82,6 +86,11 @@ class Family:
         """Parameters of a term of the sensors; none for others."""
         return () if self.term is None else self.term.parameters
 
+    @property
+    def of_attitudes(self) -> bool:
+        """Whether it is a step of the attitudes against the joints' readings."""
+        return self.name == ATTITUDE_STEP
+
     def freed(self, equations: Equations, size: float, *, alone: bool = False) -> Equations:
         """Return equations whose table has this error with a standard deviation, rad.
 
@@ -95,7 +104,7 @@ class Family:
     def scatter(self, equations: Equations, state: Floats, shape: float) -> ExcessScatter:
         """Return the scatter beyond noise that remains with the family on, by a solution without.
 
-        `shape` is one of `modulation.shapes`.
+        `shape` is one of `shapes_of`.
 
         Scatter that is estimated without a missing term absorbs the term, and hides it.
         """
@@ -103,6 +112,10 @@ class Family:
             there = replace(equations, changes=self.changes, shape=shape)
             start = np.concatenate([state, np.zeros(len(self.changes))])
             return excess(there, stepped(there, start))
+        if self.of_attitudes:
+            step = replace(steps_of(equations)[round(shape)], size=_FREE_STEP)
+            evidence = equations.evidence.with_attitude_steps((step,))
+            return excess(replace(equations, evidence=evidence), state)
         if self.term is None:
             return excess(self.freed(equations, _FREE_TABLE_ERROR), state)
         return excess(*with_parameters(equations, state, self.parameters))
@@ -150,6 +163,8 @@ def columns_of(
             base = slopes[:, len(parameters) :]
             tried = shapes_of(family, equations).tolist()
             result[family] = tuple(_changing(ideal, family, base, shape) for shape in tried)
+        elif family.of_attitudes:
+            result[family] = _stepping(ideal, state)
         elif family.term is None:
             table = equations.evidence.table
             stated = 0.0 if table is None else getattr(table.errors, family.name)
@@ -169,8 +184,28 @@ def columns_of(
 
 
 def shapes_of(family: Family, equations: Equations) -> Floats:
-    """Return the shapes that a term of the session may have; 1 for others."""
+    """Return the shapes that a term of the session may have; the number of a step; 1 for others."""
+    if family.of_attitudes:
+        return np.arange(len(steps_of(equations)), dtype=float)
     return np.ones(1) if family.course is None else shapes(equations.evidence, family.course)
+
+
+def steps_of(equations: Equations) -> tuple[AttitudeStep, ...]:
+    """Return the steps of the attitudes that are tested."""
+    evidence = equations.evidence
+    joints = 0 if evidence.table is None else len(evidence.table.joints)
+    return possible_steps(len(evidence.parts), joints)
+
+
+def _stepping(ideal: Equations, state: Floats) -> tuple[Pattern, ...]:
+    """Return the pattern of each step of the attitudes."""
+    evidence, steps = ideal.evidence, steps_of(ideal)
+    assert evidence.table is not None
+    errors = step_errors(steps, evidence.segments, evidence.turns, evidence.table)
+    columns = ideal.attitude_error_effects(state, *errors) * _LARGEST_TABLE_ERROR
+    ends = np.cumsum([3 if step.joint is None else 1 for step in steps])[:-1]
+    parts = np.split(columns, ends, axis=1)
+    return tuple((part, np.full(part.shape[1], _LARGEST_TABLE_ERROR)) for part in parts)
 
 
 def _changing(ideal: Equations, family: Family, derivatives: Floats, shape: float) -> Pattern:
@@ -220,11 +255,15 @@ def families(equations: Equations) -> tuple[Family, ...]:
         found += [Family(course.value, course=course) for course in courses]
     if evidence.table is not None and all(part.angles is not None for part in evidence.parts):
         found += [Family(name) for name in TABLE_ERRORS]
+        if steps_of(equations) and not (evidence.attitude_steps or evidence.plan.by_hand):
+            found.append(Family(ATTITUDE_STEP))
     return tuple(found)
 
 
 TABLE_ERRORS = ('zeros', 'orthogonality', 'wobble', 'encoder')
 """Fields of `TableErrors`: errors that a table's file may state."""
+
+ATTITUDE_STEP = 'attitude_step'  #: Name of that family.
 
 
 def scores_of(

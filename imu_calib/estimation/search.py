@@ -23,6 +23,7 @@ from ..common.stream import Floats
 from ..model.parameters import PARAMETERS, Parameter, indices_of
 from ..model.sensors import parameters_of, terms_of
 from ..model.session_terms import Change, Course
+from .attitude_steps import AttitudeStep
 from .changing import with_changes, with_shape
 from .components import whiten
 from .equations import Equations
@@ -41,6 +42,7 @@ from .score import (
     most_significant,
     scores_of,
     shapes_of,
+    steps_of,
     tries_of,
     undecided,
     values_of,
@@ -89,6 +91,8 @@ class SignificantFamily:
     #: outliers.
     min_saved_outputs: int = 0
     alternatives: tuple[Family, ...] = ()  #: Families that explain the session equally well.
+    #: Of the attitudes: the likeliest step, and those that explain the session equally well.
+    steps: tuple[AttitudeStep, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -157,6 +161,9 @@ class _Model:
             table = model.evidence.table
             if one.family.course is not None:
                 model = replace(model, changes=one.family.changes)
+            elif one.steps:
+                evidence = model.evidence.with_attitude_steps(one.steps)
+                model = replace(model, evidence=evidence)
             elif one.family.of_table and table is not None:
                 errors = replace(table.errors, **{one.family.name: one.size})
                 evidence = replace(model.evidence, table=replace(table, errors=errors))
@@ -177,7 +184,8 @@ class _Model:
 
     def on(self, equations: Equations, state: Floats) -> tuple[Equations, Floats]:
         """Return equations of a session with the families on, and their state; new ones are 0."""
-        evidence = replace(equations.evidence, table=self.evidence.table)
+        steps = self.evidence.attitude_steps
+        evidence = replace(equations.evidence, table=self.evidence.table, attitude_steps=steps)
         sensors = values_of(self.parameters, equations, state)
         here = replace(
             equations, parameters=self.parameters, considered=self.considered, evidence=evidence
@@ -413,13 +421,18 @@ def _significant(
         if not shown:
             return tuple(found)
         family = _likeliest(shown, best)
-        score = min((one[family] for one in scores), key=lambda score: score.log_p)
+        k = min(range(len(views)), key=lambda k: scores[k][family].log_p)
+        score = scores[k][family]
         min_saved_outputs = 0 if scores[-1][family].log_p < limit else score.rank
         found.append(
             SignificantFamily(
                 family, score.log_p, *_assigned_sizes(model, family, score), min_saved_outputs
             )
         )
+        if family.of_attitudes:
+            seen = float(np.linalg.norm(score.estimate))
+            steps = _likely_steps(*views[k], found[-1], score)
+            found[-1] = replace(found[-1], seen=seen, steps=steps)
         model = start.with_found(found)
         try:
             views = [model.on(*view) for view in views]
@@ -489,6 +502,25 @@ def _under_own_scatter(
         scattering = family.with_scatter(equations, family.scatter(equations, state, shape))
         scores[family] = WhitenedResiduals.at(scattering, state).score(family, columns[family])
     return scores
+
+
+def _likely_steps(
+    equations: Equations, state: Floats, found: SignificantFamily, score: Score
+) -> tuple[AttitudeStep, ...]:
+    """Return the step of the attitudes by its test, then others that explain as much."""
+    family, steps = found.family, steps_of(equations)
+    scatter = family.scatter(equations, state, score.chosen)
+    residuals = WhitenedResiduals.at(family.with_scatter(equations, scatter), state)
+    scores = residuals.scores(family, columns_of([family], equations, state)[family])
+    best = scores[score.chosen]
+    rivals = [
+        step
+        for step, other in zip(steps, scores, strict=True)
+        if other.rank == best.rank and best.statistic - other.statistic < _APART * best.scale
+    ]
+    first = steps[score.chosen]
+    chosen = (first, *(step for step in rivals if step != first))
+    return tuple(replace(step, size=found.size) for step in chosen)
 
 
 def _confirmed(

@@ -367,7 +367,7 @@ class SessionModel:
             return np.zeros((len(self.layout), 0))
         assert self.evidence.table is not None
         # Trials with other errors of the table share the results of the session.
-        what = 'table', self.evidence.table.errors
+        what = 'table', self.evidence.table.errors, self.evidence.attitude_steps
         return self.remembered(
             what, state, lambda me, there: me.attitude_error_effects(there, at_rest, turning)
         )

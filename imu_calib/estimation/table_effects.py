@@ -180,6 +180,9 @@ def shares_a_table(equations: Equations) -> bool:
     evidence = equations.evidence
     if evidence.table is None or evidence.plan.by_hand or evidence.free:
         return False
+    if evidence.attitude_steps:
+        # Of this unit alone.
+        return False
     return all(part.angles is not None for part in evidence.parts)
 
 

@@ -17,10 +17,11 @@ from ..model.sensors import terms_of
 from ..model.session_terms import Change, Course, change, largest, names_of
 from ..model.terms import Term
 from ..session.table import Table
+from .attitude_steps import in_time
 from .components import whiten
 from .estimate import Estimate
 from .modulation import instant_of, temperatures, warms
-from .score import Family, Score
+from .score import ATTITUDE_STEP, Family, Score
 from .search import SearchResult, SignificantFamily, UnobservableFamily
 
 _AMOUNT = 10.0  #: Amount of a coefficient, in its unit, for which the effect is reported.
@@ -206,7 +207,9 @@ def findings(search: SearchResult) -> list[str]:
     broken_off = [_BROKEN_OFF] if search.broken_off else []
     table = search.before_search.equations.evidence.table
     found = [
-        Finding(_found_sentence(one, search, table), effect=float(np.sqrt(-2 * one.log_p)))
+        (warning if one.steps else Finding)(
+            _found_sentence(one, search, table), effect=float(np.sqrt(-2 * one.log_p))
+        )
         for one in search.found
     ]
     left_out = [
@@ -264,6 +267,8 @@ def _found_sentence(found: SignificantFamily, search: SearchResult, table: Table
     """Return a sentence on a family that is on though it was not requested."""
     family = found.family
     chance = _chance(found.log_p)
+    if found.steps:
+        return _step_sentence(found, chance, search)
     if family.of_table:
         return _table_error_sentence(found, chance, table)
     if family.course is not None:
@@ -312,6 +317,29 @@ def _table_error_sentence(found: SignificantFamily, chance: str, table: Table | 
     )
 
 
+def _step_sentence(found: SignificantFamily, chance: str, search: SearchResult) -> str:
+    """Return a sentence on attitudes that step against the joints' readings."""
+    evidence = search.estimate.equations.evidence
+    step, parts = found.steps[0], in_time(evidence.segments, evidence.turns)
+    before, after = parts[step.before - 1 : step.before + 1]
+    size = f'{significant(found.seen / ARCSEC, 3)} arcsec'
+    where = (
+        f'between {at(before.end)} and {at(after.start)} (position {before.position} to '
+        f'{after.position}), {chance}'
+    )
+    what, todo = f'The unit moved by {size} in its mount {where}', 'Fasten it'
+    if step.joint is not None and evidence.table is not None:
+        joint = evidence.table.joints[step.joint].name
+        cause, todo = 'its encoder slipped or was homed anew', 'Look at its encoder'
+        if step.joint == len(evidence.table.joints) - 1:
+            cause, todo = f'{cause}, or the unit turned in its mount', f'{todo} and at the mount'
+        what = f'The readings of joint {joint} step by {size} {where}, since {cause}'
+    return (
+        f'{what}: this is estimated, and the misalignments are those before it. {todo}, and record '
+        'again.'
+    )
+
+
 def _course_sentence(
     found: SignificantFamily, course: Course, chance: str, search: SearchResult
 ) -> str:
@@ -357,6 +385,7 @@ _TABLE_WORDS = {
     'orthogonality': 'joint axes that are not at right angles',
     'wobble': 'joint axes that wobble',
     'encoder': 'encoders that err within the turn',
+    ATTITUDE_STEP: 'a unit that moves against the joints',
 }
 
 

@@ -128,6 +128,7 @@ def test_what_is_off_is_every_term_course_and_error_that_the_session_can_tell_of
         'orthogonality',
         'wobble',
         'encoder',
+        'attitude_step',
     ]
     # A dwell whose angles nobody knows says nothing of the table.
     first, *others = on.evidence.segments
