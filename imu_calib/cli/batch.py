@@ -108,7 +108,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     OUTPUT.print(f'written to {done.catalogue}', markup=False)
     if done.known_superseded:
         OUTPUT.print(
-            f'{done.known_superseded} of these recordings were calibrated with other options '
+            f'{done.known_superseded} of them were calibrated with other options '
             'since, and those results count: --retry goes back to these options'
         )
     failed = done.failed + done.known_failed

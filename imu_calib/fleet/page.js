@@ -382,7 +382,7 @@ function parameterTable(u, s) {
             isFinite(limit) ? `\u00b1${+limit.toPrecision(3)}` : '', marked, scatter === 0 ? '0' : fixed(scatter, scatter),
             day(perUnit(s.leaves, p, u))];
     // What the choice of the axes makes zero has no deviation.
-  }).filter((_, p) => s.values[p][last] !== 0 || s.stdOf(p, last) !== 0);
+  }).filter((_, p) => s.values[p][last] !== 0 || s.stdOf(p, last) > 0);
   return grid(['', 'value', '\u00b1 2 std', 'unit', 'limit', 'trend per month', 'turn-on std', 'leaves limit'],
               rows, 'plain of-unit');
 }
