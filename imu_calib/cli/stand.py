@@ -23,7 +23,7 @@ from ..live.devices.source import (
     too_slow,
 )
 from ..live.rules import Severity
-from ..live.table_line import STATE_LINE, BadReply, Line, parse_state
+from ..live.table_line import STATE_LINE, BadReply, ControllerLine, parse_state
 from ..model.earth import LUOYANG
 from ..session.imu import ImuSpec, check_live, load_imu
 from ..session.keywords import AtSite, Numbered, Solved, azimuth_of
@@ -314,7 +314,7 @@ def _check_table_port(arguments: argparse.Namespace) -> None:
         raise InputError(f'--table-baud: found {found}, expected {_SLOWEST} bit/s or more.')
     axes = len(load_table(arguments.table).joints)
     try:
-        line = Line(arguments.table_port, arguments.table_baud, _REPLY)
+        line = ControllerLine(arguments.table_port, arguments.table_baud, _REPLY)
         try:
             parse_state(line.request(STATE_LINE), axes)
         finally:

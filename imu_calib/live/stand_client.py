@@ -25,7 +25,7 @@ others."""
 
 
 @dataclass(frozen=True)
-class Feedback:
+class RunFeedback:
     """How far a run is."""
 
     step: int  #: Index of the step, from 0.
@@ -59,7 +59,7 @@ class Stand:
     """
 
     def __init__(self, namespace: str = '', timeout: float = 10.0) -> None:
-        self.feedback: Feedback | None = None
+        self.feedback: RunFeedback | None = None
         """The newest of the present run; None before the first."""
         self._timeout = timeout
         self._asked: Any = None
@@ -225,7 +225,7 @@ class Stand:
 
     def _on_feedback(self, message: Any) -> None:
         one = message.feedback
-        self.feedback = Feedback(
+        self.feedback = RunFeedback(
             one.step,
             one.steps,
             one.position_id,

@@ -25,7 +25,7 @@ _PATIENCE = 2.0
 """s for the guard to end when it is told to; it waits for nothing else."""
 
 
-class Guard:
+class TableGuard:
     """The guard as its starter sees it: it is told which line it holds."""
 
     def __init__(self) -> None:

@@ -19,7 +19,7 @@ from ..common.stream import Floats, JointBlock, Mode, Setpoint
 from ..common.units import DEG
 from ..session.table import TURN, Table
 from .network import host_and_port
-from .table_guard import Guard
+from .table_guard import TableGuard
 
 # ASCII protocol of a table controller, see docs/tables.md; change this for another protocol.
 #
@@ -131,7 +131,7 @@ class Port(Protocol):
         """Close the port."""
 
 
-class Line:
+class ControllerLine:
     """Send lines to a serial port or socket://host:port, and wait for replies so many s at most."""
 
     def __init__(self, url: str, baud: int, timeout: float) -> None:
@@ -384,12 +384,12 @@ class Control:
 
     def __init__(
         self,
-        open_line: Callable[[], Line],
+        open_line: Callable[[], ControllerLine],
         follower: Follower,
         names: tuple[str, ...],
         now: Callable[[], int],
         period: float,
-        guard: Guard | None = None,
+        guard: TableGuard | None = None,
     ) -> None:
         self._open_line = open_line
         self._follower = follower
@@ -452,7 +452,7 @@ class Control:
             self._follower.halt()
             self._ending.wait(_RETRY)
 
-    def _serve(self, line: Line) -> None:
+    def _serve(self, line: ControllerLine) -> None:
         """Read and follow until the end; in every case the last line sent is a stop."""
         try:
             if self._guard is not None:
@@ -482,7 +482,7 @@ class Control:
                 with contextlib.suppress(OSError):
                     self._guard.hold()
 
-    def _read(self, line: Line) -> Reading:
+    def _read(self, line: ControllerLine) -> Reading:
         before = self._now()
         at = parse_state(line.request(STATE_LINE), len(self._names))
         # The controller took the reading between question and answer.
@@ -491,7 +491,7 @@ class Control:
             self._readings.append((stamp, at))
         return at
 
-    def _follow(self, line: Line, at: Reading) -> None:
+    def _follow(self, line: ControllerLine, at: Reading) -> None:
         try:
             setpoint = self._setpoint.pop()
         except IndexError:
@@ -509,7 +509,7 @@ class Control:
             check_reply(line.request(order_line(Stop())))
             self._follower.halt(str(error))
 
-    def _give(self, line: Line, orders: tuple[Order, ...]) -> None:
+    def _give(self, line: ControllerLine, orders: tuple[Order, ...]) -> None:
         try:
             for order in orders:
                 check_reply(line.request(order_line(order)))

@@ -25,7 +25,7 @@ from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.common.stream import Mode, Setpoint, SetpointBlock
 from imu_calib.live import table_line
 from imu_calib.live.nodes import qos
-from imu_calib.live.table_line import Follower, Line, Move, Reading, Stop
+from imu_calib.live.table_line import ControllerLine, Follower, Move, Reading, Stop
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import decode_joints, encode_setpoints
 from imu_calib.session.table import load_table
@@ -560,7 +560,7 @@ def test_a_reading_is_stamped_in_the_middle_between_question_and_answer(follower
 
 def test_an_answer_to_an_earlier_question_is_none_to_this_one():
     with socket.create_server(('127.0.0.1', 0)) as server:
-        line = Line(f'socket://127.0.0.1:{server.getsockname()[1]}', 0, 5.0)
+        line = ControllerLine(f'socket://127.0.0.1:{server.getsockname()[1]}', 0, 5.0)
         other, _ = server.accept()
         with contextlib.closing(line), other, other.makefile('rw') as controller:
             controller.write('LATE\r\n')

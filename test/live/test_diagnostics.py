@@ -49,7 +49,7 @@ def spoken():
         parts |= {('turntable_node', part) for part in told}
     for path in (CHECKOUT / 'imu_calib' / 'live' / 'nodes').glob('*_node.py'):
         parts |= {(path.stem, part) for part in reported(path)}
-        if 'Commands(' in path.read_text():
+        if 'FollowedSetpoints(' in path.read_text():
             taken = path.with_name('stop.py')
             parts |= {(path.stem, part) for part in reported(taken)}
     return parts | {('imu_node', part) for part in first_texts(HEALTH, 'PartStatus')}

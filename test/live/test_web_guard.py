@@ -11,7 +11,7 @@ from loopback import until
 
 from imu_calib.cli.main import main
 from imu_calib.cli.processes import Processes, private_network
-from imu_calib.live.web.guard import Guard, Token, address, exposure, is_loopback
+from imu_calib.live.web.guard import RequestGuard, Token, address, exposure, is_loopback
 
 OWN = b'127.0.0.1:8080'
 
@@ -37,7 +37,7 @@ def response_to(place, kind='http', method='GET', given=(), parts=(), **headers)
         'path': '/',
         'headers': [(k.encode(), v) for k, v in headers.items() if v is not None],
     }
-    asyncio.run(Guard(app, *place)(scope, None, send))
+    asyncio.run(RequestGuard(app, *place)(scope, None, send))
     return bool(came), sent
 
 

@@ -29,8 +29,8 @@ from .messages import (
     NOTHING,
     Commands,
     FrameCheck,
-    Message,
-    Messages,
+    OtherMessage,
+    OtherMessages,
     numbers,
     read_algorithm,
     read_commands,
@@ -78,7 +78,7 @@ class FrameFormat:
     time: DeviceTime | None  #: None without one.
     faults: tuple[Fault, ...]  #: Conditions in the status fields.
     check: FrameCheck | None  #: Checksum; None without one.
-    others: tuple[Message, ...] = ()  #: Other messages between the frames.
+    others: tuple[OtherMessage, ...] = ()  #: Other messages between the frames.
     #: Of the device's serial port, bit/s; None if the file does not state it.
     baud: int | None = None
     commands: Commands = NOTHING  #: Sent to it when the port opens and closes.
@@ -310,7 +310,7 @@ def _check(section: Section, frame: _Frame, constants: int) -> FrameCheck | None
     return FrameCheck(algorithm, number, covered[0], covered[1] + 1, padding)
 
 
-def _others(section: Section, order: str) -> tuple[Message, ...]:
+def _others(section: Section, order: str) -> tuple[OtherMessage, ...]:
     if not section.has('others'):
         return ()
     return tuple(read_message(entry, order) for entry in section.sections('others'))
@@ -396,7 +396,7 @@ class Decoder:
         self._bad_until = 0
         self._last_frame: Bytes | None = None
         self._last_counter = 0
-        self._others = Messages(frames.others)
+        self._others = OtherMessages(frames.others)
         self._counted_others = 0
         self.counts = Counts()
 

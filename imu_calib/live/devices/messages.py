@@ -158,7 +158,7 @@ class MessageCheck:
 
 
 @dataclass(frozen=True)
-class Message:
+class OtherMessage:
     """A kind of message that is not a sample."""
 
     sync: bytes  #: Its first bytes.
@@ -205,10 +205,10 @@ def _unsigned(data: bytes, order: str) -> int:
 
 
 @dataclass
-class Messages:
+class OtherMessages:
     """Find messages among the bytes between frames, independent of how those are cut."""
 
-    kinds: tuple[Message, ...]  #: Possible messages; if several match, the first.
+    kinds: tuple[OtherMessage, ...]  #: Possible messages; if several match, the first.
     found: int = 0  #: Number of messages.
     size: int = 0  #: Their bytes.
     counted: int = 0  #: Number of messages since `close` that the frame counter counts.
@@ -267,7 +267,7 @@ class Messages:
         return 0
 
 
-def read_message(section: Section, order: str) -> Message:
+def read_message(section: Section, order: str) -> OtherMessage:
     """Read one kind of message from its YAML mapping; numbers have the frames' byte order."""
     sync = bytes(whole_list(section, 'sync', 0, 255))
     length: int | Number
@@ -289,7 +289,7 @@ def read_message(section: Section, order: str) -> Message:
         )
     counted = section.flag('counted', default=False)
     section.refuse_unknown_keys()
-    return Message(sync, length, more, check, counted)
+    return OtherMessage(sync, length, more, check, counted)
 
 
 def _message_check(section: Section, order: str) -> MessageCheck | None:

@@ -35,7 +35,7 @@ _KEEPALIVE = {'TCP_KEEPIDLE': 5, 'TCP_KEEPINTVL': 2, 'TCP_KEEPCNT': 3}
 """s after which a device without a reply counts as gone: a loss of power closes no connection."""
 
 
-class Line(Protocol):
+class DeviceLine(Protocol):
     """An open source of bytes."""
 
     def read(self) -> bytes | None:
@@ -389,7 +389,7 @@ class DeviceReader:
                 return
             self._stopping.wait(_RETRY)
 
-    def _read(self, line: Line) -> None:
+    def _read(self, line: DeviceLine) -> None:
         try:
             self._send(line, self.commands.start)
             received_at = steady_time()
@@ -413,7 +413,7 @@ class DeviceReader:
         else:
             self.state = ReaderState(False, False, f'{self.url} was closed by the other end.')
 
-    def _send(self, line: Line, commands: tuple[Command, ...]) -> None:
+    def _send(self, line: DeviceLine, commands: tuple[Command, ...]) -> None:
         """Send commands and wait after each as long as the device requires."""
         stops = commands is self.commands.stop
         for command in commands:
@@ -498,7 +498,9 @@ def is_serial(url: str) -> bool:
     return bool(_SERIAL_NAME.match(url)) or _is_device(Path(url))
 
 
-def _parse(url: str, baud: int, restarts: bool) -> tuple[Callable[..., Line], tuple[Any, ...]]:
+def _parse(
+    url: str, baud: int, restarts: bool
+) -> tuple[Callable[..., DeviceLine], tuple[Any, ...]]:
     """Return the class that opens a URL, and its arguments."""
     if not url:
         raise InputError(

@@ -9,13 +9,13 @@ from ...recordings.cdr_codec import encode_joints
 from ...session.table import load_table
 from ..middleware import Clock, ClockType, Node, messages, publish_all
 from ..rules import Severity
-from ..table_guard import Guard
-from ..table_line import Control, Follower, Line, tcp_address
+from ..table_guard import TableGuard
+from ..table_line import Control, ControllerLine, Follower, tcp_address
 from . import qos
 from .diagnostics import Diagnostics
 from .parameters import declare
 from .programs import entry_point
-from .stop import Commands
+from .stop import FollowedSetpoints
 
 _PERIOD = 0.005
 """s: half the period of a table that answers at 100 Hz, so that no answer waits for the next
@@ -54,12 +54,12 @@ class AsciiTableNode(Node):
         )
         self._port = port
         self._control = Control(
-            lambda: Line(port, baud, reply),
+            lambda: ControllerLine(port, baud, reply),
             Follower(table, timeout, age),
             table.names,
             self._now,
             1 / rate,
-            Guard(),
+            TableGuard(),
         )
         self._diagnostics = Diagnostics(self, table.name)
         self._joints = self.create_publisher(
@@ -68,7 +68,7 @@ class AsciiTableNode(Node):
             qos.stream(),
             qos_overriding_options=qos.overridable(),
         )
-        self._commands = Commands(self, timeout)
+        self._commands = FollowedSetpoints(self, timeout)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_PERIOD, self._work, clock=steady)
         self.create_timer(_REPORT_PERIOD, self._report, clock=steady)

@@ -39,7 +39,7 @@ from .diagnostics import Diagnostics
 from .parameters import declare
 from .programs import entry_point
 from .session_parameters import Simulation, declare_simulation, declare_units_file
-from .stop import Commands
+from .stop import FollowedSetpoints
 
 _STEP = 0.1
 """s of simulated time per step. A choice: the period of setpoints."""
@@ -91,7 +91,7 @@ class StandNode(ros.Node):
             qos_overriding_options=qos.overridable(),
         )
         self._faults: deque[str] = deque()
-        self._commands = Commands(self, _SILENCE)
+        self._commands = FollowedSetpoints(self, _SILENCE)
         self.create_subscription(
             messages.String, '~/fault', lambda message: self._faults.append(message.data), 10
         )

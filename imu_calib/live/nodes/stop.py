@@ -372,7 +372,7 @@ class OneSource:
         return replace(setpoint, mode=Mode.HOLD)
 
 
-class Commands:
+class FollowedSetpoints:
     """Receives setpoints and passes on those that the table must follow.
 
     Args:

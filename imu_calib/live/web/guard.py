@@ -134,7 +134,7 @@ def exposure(host: str) -> str:
     )
 
 
-class Guard:
+class RequestGuard:
     """Passes only requests that are addressed to a page and come from it (ASGI)."""
 
     def __init__(self, app: App, host: str, port: int) -> None:

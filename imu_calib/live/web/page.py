@@ -25,7 +25,7 @@ from ..rules import Phase, Severity
 from . import drawing
 from .board import SessionOutcome, Snapshot, UnitRow
 from .drawing import STYLE, sign
-from .guard import Guard, Token
+from .guard import RequestGuard, Token
 from .sentences import in_plain_words
 from .shape import Link, Solid
 
@@ -385,7 +385,7 @@ class Server:
         ui.run_with(app, show_welcome_message=False, tailwind=False)
         host, port = listens.getsockname()[:2]
         config = uvicorn.Config(
-            Guard(app, host, port),
+            RequestGuard(app, host, port),
             log_level=logging.WARNING,
             access_log=False,
             server_header=False,

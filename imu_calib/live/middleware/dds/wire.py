@@ -97,7 +97,7 @@ def delete(entity: Any) -> None:
     entity.__del__()
 
 
-class Participant:
+class WireParticipant:
     """One process in a domain."""
 
     def __init__(self, number: int) -> None:
@@ -141,6 +141,31 @@ class Participant:
                 f'not {idl.__idl_typename__}.'
             )
         return self._topics[name]
+
+    def reader(
+        self, topic: str, type_name: str, qos: QoSProfile, user_data: str = '', prefix: str = ''
+    ) -> Reader:
+        """Create a reader of a DDS topic."""
+        return Reader(self, topic, type_name, qos, user_data, prefix)
+
+    def writer(
+        self, topic: str, type_name: str, qos: QoSProfile, user_data: str = '', prefix: str = ''
+    ) -> Writer:
+        """Create a writer of a DDS topic."""
+        return Writer(self, topic, type_name, qos, user_data, prefix)
+
+    def wait_set(self, readers: Sequence[Reader]) -> WaitSet:
+        """Create what waits for messages of readers.
+
+        Raises:
+            TransportError: A reader was deleted.
+        """
+        from cyclonedds.core import DDSException
+
+        try:
+            return WaitSet(self, readers)
+        except DDSException as error:
+            raise TransportError(str(error)) from error
 
     def leave(self) -> None:
         """Delete all entities."""
@@ -205,7 +230,7 @@ class Endpoint:
 
     def __init__(
         self,
-        participant: Participant,
+        participant: WireParticipant,
         topic: str,
         type_name: str,
         qos: QoSProfile,
@@ -360,7 +385,7 @@ class WaitSet:
     The wheel's own reports only that some have: asking each reader costs more than most messages.
     """
 
-    def __init__(self, participant: Participant, readers: Sequence[Reader]) -> None:
+    def __init__(self, participant: WireParticipant, readers: Sequence[Reader]) -> None:
         from cyclonedds import core
 
         attach, self._call = _waiting()
@@ -419,32 +444,3 @@ def _incompatible(status: Any) -> QoSIncompatibleInfo | None:
         return None
     kind = _POLICIES.get(status.last_policy_id, 0)
     return QoSIncompatibleInfo(status.total_count, status.total_count_change, kind)
-
-
-class WireParticipant(Participant):
-    """A participant that makes its endpoints."""
-
-    def reader(
-        self, topic: str, type_name: str, qos: QoSProfile, user_data: str = '', prefix: str = ''
-    ) -> Reader:
-        """Create a reader of a DDS topic."""
-        return Reader(self, topic, type_name, qos, user_data, prefix)
-
-    def writer(
-        self, topic: str, type_name: str, qos: QoSProfile, user_data: str = '', prefix: str = ''
-    ) -> Writer:
-        """Create a writer of a DDS topic."""
-        return Writer(self, topic, type_name, qos, user_data, prefix)
-
-    def wait_set(self, readers: Sequence[Reader]) -> WaitSet:
-        """Create what waits for messages of readers.
-
-        Raises:
-            TransportError: A reader was deleted.
-        """
-        from cyclonedds.core import DDSException
-
-        try:
-            return WaitSet(self, readers)
-        except DDSException as error:
-            raise TransportError(str(error)) from error
