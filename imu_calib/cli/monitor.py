@@ -76,11 +76,6 @@ class Monitor:
         return 0.0 if self._first is None else self._last - self._first
 
     @property
-    def remaining(self) -> float:
-        """Time that the plan still needs, s of the stand's time."""
-        return 0.0 if self._state is None else float(self._state.seconds_left)
-
-    @property
     def text(self) -> str:
         """One line on the present state."""
         if self._state is None:

@@ -28,7 +28,7 @@ read. A judgement."""
 
 
 @dataclass
-class Finding:
+class ClockFault:
     """A jump at an index; `by_arrival` if only the arrival shows the elapsed time."""
 
     index: int
@@ -42,7 +42,7 @@ class Steps:
     """(n,) ns from sample to sample, and the corrections."""
 
     nanoseconds: Floats
-    findings: list[Finding] = field(default_factory=list)
+    findings: list[ClockFault] = field(default_factory=list)
 
 
 class Stepper:
@@ -165,16 +165,16 @@ class Stepper:
 
     def _finding(
         self, ticks: Floats, counts: Floats, past: Floats, period: float, k: int
-    ) -> Finding:
+    ) -> ClockFault:
         by_counter = counts[k] * period
         if 0 < by_counter <= past[k] + _PLAUSIBLE or (by_counter > 0 and not self._live):
             seconds = float(ticks[k] - by_counter) / NS
             ticks[k] = by_counter
-            return Finding(k, seconds, "The device's clock jumped.")
+            return ClockFault(k, seconds, "The device's clock jumped.")
         if 0 < ticks[k] <= past[k] + _PLAUSIBLE:
-            return Finding(k, None, _RESTARTED)
+            return ClockFault(k, None, _RESTARTED)
         ticks[k] = period
-        return Finding(k, None, _RESTARTED, by_arrival=True)
+        return ClockFault(k, None, _RESTARTED, by_arrival=True)
 
 
 def _forward(steps: Floats, period: float | None, reason: str, begins: bool) -> Steps:
@@ -182,7 +182,7 @@ def _forward(steps: Floats, period: float | None, reason: str, begins: bool) -> 
     back = steps <= 0
     back[0] &= not begins
     steps[back] = 1.0 if period is None else period
-    return Steps(steps, [Finding(k, None, reason, True) for k in np.flatnonzero(back).tolist()])
+    return Steps(steps, [ClockFault(k, None, reason, True) for k in np.flatnonzero(back).tolist()])
 
 
 _WINDOW = 2_000_000_000

@@ -26,7 +26,7 @@ import math
 import signal
 import threading
 import time
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from ..network import require, runtime
 from .shared import GoalStatus
@@ -44,14 +44,7 @@ else:
     from . import ros as chosen
     from .ros import *  # noqa: F403
 
-__all__ = [*chosen.__all__, 'RUNTIME', 'GoalStatus', 'Stoppable', 'run']  # noqa: PLE0604
-
-
-class Stoppable(Protocol):
-    """A node with last messages."""
-
-    def stop(self) -> Sequence[Any]:
-        """Publish the last messages; return the publishers whose peers must receive them."""
+__all__ = [*chosen.__all__, 'RUNTIME', 'GoalStatus', 'run']  # noqa: PLE0604
 
 
 class _Flag:
