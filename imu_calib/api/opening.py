@@ -204,9 +204,9 @@ def _also_missing(stated: Stated, recording: Recording, streams: Streams) -> str
     try:
         site_of(stated, recording, by_hand=True)
     except NotStated:
-        missing.append('`latitude`, in degrees')
+        missing.append('`latitude` in degrees')
     if stated_plan(stated, recording) is None and streams.joints is None:
-        missing.append('`plan`, if one was run')
+        missing.append('`plan` if one was run')
     return f' Give also {" and ".join(missing)}.' if missing else ''
 
 
