@@ -5,17 +5,19 @@ from __future__ import annotations
 import math
 import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Union
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ..common.errors import InputError
 from ..common.files import user_path
 from ..common.stream import LAST_SECOND, NS, Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock
+from ..recordings.cdr import Messages
 from ..recordings.cdr_codec import RATES, Kind, encode_imu, encode_joints, encode_temperatures
 from ..recordings.definitions import definition
 from ..recordings.metadata_yaml import NAME, Metadata
@@ -34,12 +36,8 @@ from ..recordings.storage import (
 from ..session.keywords import Named
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     import pandas
-    from numpy.typing import ArrayLike, NDArray
 
-    from ..recordings.cdr import Messages
 
 Recorded: TypeAlias = Union['Named', 'pandas.DataFrame', 'NDArray[Any]', 'Sequence[NDArray[Any]]']
 """A recording: its path, a data frame, or arrays.

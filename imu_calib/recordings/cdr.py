@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError
-from ..common.stream import NS
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from ..common.stream import Floats, Stamps
+from ..common.stream import NS, Floats, Stamps
 
 Bytes: TypeAlias = NDArray[np.uint8]
 Indices: TypeAlias = NDArray[np.int64]

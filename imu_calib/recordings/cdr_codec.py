@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, replace
 from enum import Enum
 from functools import lru_cache
 from struct import Struct
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,26 +16,27 @@ from ..common.stream import (
     LAST_SECOND,
     NS,
     Block,
+    Floats,
     ImuBlock,
     JointBlock,
     Mode,
     Setpoint,
     SetpointBlock,
     SkewBlock,
+    Stamps,
     TemperatureBlock,
 )
-from .cdr import ENCAPSULATION, ORDERS, CdrError, Layout, LayoutReader, Malformed, Messages
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from ..common.stream import Block, Stamps
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from ..common.stream import Floats, Stamps
-    from .cdr import Bytes, Indices
+from .cdr import (
+    ENCAPSULATION,
+    ORDERS,
+    Bytes,
+    CdrError,
+    Indices,
+    Layout,
+    LayoutReader,
+    Malformed,
+    Messages,
+)
 
 Columns = TypeVar('Columns', ImuBlock, JointBlock, TemperatureBlock)
 AnyBlock = TypeVar('AnyBlock', bound=Block)

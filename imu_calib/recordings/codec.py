@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from ..common.errors import InputError
+from .mcap_records import ChunkGroup
+from .remote import AnyPath
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
     from concurrent.futures import Future, ThreadPoolExecutor
-    from pathlib import Path
-
-    from .mcap_records import ChunkGroup
-    from .remote import AnyPath
 
 
 _ZSTD_MODULES = ('compression.zstd', 'backports.zstd', 'zstandard')

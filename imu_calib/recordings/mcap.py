@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import itemgetter
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .cdr import Messages
+from .cdr import Bytes, Indices, Messages
 from .codec import CodecError, ReadAhead, unpack, unpacked_into
 from .mcap_records import (
     LONGEST_HEAD,
@@ -25,20 +25,14 @@ from .mcap_records import (
     grouped,
     walk,
 )
-from .mcap_scan import ChannelMessages, ChunkContent, located, log_at, scan, times_at
+from .mcap_scan import ByteFile, ChannelMessages, ChunkContent, located, log_at, scan, times_at
 from .metadata_yaml import custom_data_of
+from .order import LogOrder, time_order
+from .remote import AnyPath
 from .storage import Cache, Losses, Memory, MessageBatch, Topic, first_and_last
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from .cdr import Bytes, Indices
-    from .mcap_scan import ByteFile
-    from .remote import AnyPath
-
-    _Stored = tuple[ChunkGroup, memoryview, list[dict[int, Indices]]]
-    _Content = tuple[Bytes, list[ChunkContent]]
-from .order import LogOrder, time_order
+_Stored = tuple[ChunkGroup, memoryview, list[dict[int, Indices]]]
+_Content = tuple[Bytes, list[ChunkContent]]
 
 
 @dataclass(frozen=True, eq=False)

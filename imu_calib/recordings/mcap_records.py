@@ -6,18 +6,15 @@ Format: mcap.dev/spec, version 0. A record is an opcode byte, a length of 8 byte
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .cdr import Bytes, Indices
 from .storage import Described, seconds
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 MAGIC = b'\x89MCAP0\r\n'
 RECORD_HEAD = 9

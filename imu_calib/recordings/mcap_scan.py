@@ -5,12 +5,16 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from io import BufferedIOBase, FileIO
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
+from ..common.stream import Stamps
+from .cdr import Bytes, Indices
 from .mcap_records import (
     FOOTER_SIZE,
     INDEX_HEAD,
@@ -26,18 +30,10 @@ from .mcap_records import (
     chunks_of,
     walk,
 )
-from .remote import RemotePath
+from .remote import AnyPath, RemotePath
 from .storage import Losses, RecordingError, Times
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from io import BufferedIOBase, FileIO
-
-    from ..common.stream import Stamps
-    from .cdr import Bytes, Indices
-    from .remote import AnyPath
-
-    ByteFile: TypeAlias = FileIO | BufferedIOBase
+ByteFile: TypeAlias = FileIO | BufferedIOBase
 
 _WINDOW = 1 << 22
 """Bytes read at once of messages outside chunks."""

@@ -5,18 +5,14 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
+from .cdr import Indices, Messages
 from .mcap_records import MAGIC, MESSAGE_HEAD, RECORD_HEAD, Fields, Op, record, string, strings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from pathlib import Path
-
-    from .cdr import Indices, Messages
 
 _HEAD = RECORD_HEAD + MESSAGE_HEAD
 

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import yaml
 
 from ..common import config as yaml_text
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from .remote import AnyPath
-    from .storage import Topic
-
+from .remote import AnyPath
+from .storage import Topic
 
 NAME = 'metadata.yaml'
 VERSION = 9

@@ -7,24 +7,18 @@ the file is the right one: messages of both times would take turns.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..common.stream import NS, Block, Floats, ImuBlock, Stamps
-from .cdr import Messages
+from .cdr import Indices, Messages
 from .cdr_codec import part
 from .codec import ZSTD_MAGIC
 from .storage import MessageBatch, Times
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from .cdr import Indices
-
 
 _HELD = 64 << 20
 """Bytes of messages that wait for earlier ones: minutes of an IMU. A judgement."""

@@ -9,16 +9,13 @@ by the medians of Theil and Sen, which stamps or log times that step do not chan
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..common.gaussian import MAD_TO_STD
-
-if TYPE_CHECKING:
-    from ..common.stream import Floats, Stamps
-
+from ..common.stream import Floats, Stamps
 
 Numbers = TypeVar('Numbers', NDArray[np.int64], NDArray[np.float64])
 _HELD = 4096

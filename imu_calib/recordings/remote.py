@@ -21,6 +21,7 @@ from ..common.files import require, user_path
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
 
+
 Result = TypeVar('Result')
 
 TRIES = 3

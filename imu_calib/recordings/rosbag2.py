@@ -6,9 +6,9 @@ import re
 import shutil
 import tempfile
 import weakref
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,8 +20,9 @@ from ..common.files import (
     refuse_device,
     unreadable,
 )
-from ..common.stream import SetpointBlock
+from ..common.stream import Block, SetpointBlock, Stamps
 from .cdr import Malformed, Messages
+from .cdr_codec import Kind
 from .codec import ZSTD_MAGIC, CodecError, unpack, unpack_file
 from .mcap import McapStorage
 from .metadata_yaml import NAME, Metadata, read_metadata
@@ -39,12 +40,6 @@ from .storage import (
     first_and_last,
     merge,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from ..common.stream import Block, Stamps
-from .cdr_codec import Kind
 
 _STORAGE = ('.mcap', '.db3')
 _PACKED = ('.zstd', '.zst')

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import sqlite3
 import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 
-from .cdr import Messages
+from ..common.stream import Stamps
+from .cdr import Indices, Messages
 from .metadata_yaml import custom_data_of
 from .order import LogOrder, time_order
 from .storage import Cache, Described, Losses, MessageBatch, RecordingError, Times, Topic
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from ..common.stream import Stamps
-    from .cdr import Indices
 
 LAST_ROW = 2**63 - 1
 """The largest row id (SQLite file format, section 2.1)."""

@@ -5,23 +5,19 @@ from __future__ import annotations
 import threading
 import weakref
 from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from pathlib import Path
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError
-from ..common.stream import SetpointBlock
+from ..common.stream import Block, SetpointBlock, Stamps
+from .cdr import Bytes, Indices, Messages
 from .cdr_codec import part
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from ..common.stream import Block, Stamps
-    from .cdr import Bytes, Indices, Messages
-    from .remote import AnyPath
+from .remote import AnyPath
 
 
 class RecordingError(InputError):

@@ -3,34 +3,28 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 from weakref import finalize
 
 import numpy as np
 
 from ..common.errors import InputError
 from ..common.files import unreadable, unwritable, user_path
+from ..common.stream import Block, Stamps
 from . import metadata_yaml
+from .cdr import Messages
+from .cdr_codec import Kind
 from .codec import compressor
 from .definitions import definition
 from .mcap_records import MAGIC
 from .mcap_writer import McapWriter
 from .rosbag2 import Recording, Scratch, find_files, open_recording, open_storage
-from .storage import Cache, Losses, RecordingError, Storage, Topic, refuse_existing
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from typing import Any
-
-    from ..common.stream import Block, Stamps
-    from .cdr import Messages
-    from .cdr_codec import Kind
-    from .storage import Times
-
+from .storage import Cache, Losses, RecordingError, Storage, Times, Topic, refuse_existing
 
 CHUNK_BYTES = 1 << 20
 """Bytes in a chunk: enough for good compression, and the most that a crash may lose."""
