@@ -161,11 +161,8 @@ def budget_tables(calibration: Calibration) -> list[Table | str]:
     if calibration.budget is None:
         return [_NONE]
     shown = _Shown.select(calibration, calibration.budget)
-    expanded = plain_table(_EXPANDED, 'lrrrrl')
-    for row in shown.expanded_rows():
-        expanded.add_row(*row)
     parts: list[Table | str] = [
-        expanded,
+        plain_table(_EXPANDED, 'lrrrrl', shown.expanded_rows()),
         f"U {PROBABILITY:.0%}: std times k, Student's t for dof degrees of freedom",
         '\nShare of each source in the variance, percent',
         *_share_tables(shown),

@@ -11,7 +11,7 @@ import numpy as np
 from ..calibration.calibration import Calibration
 from ..calibration.results import Result
 from ..common.stream import Floats
-from ..common.units import DEG_H, MICRO_G, decimals, typeset
+from ..common.units import DEG_H, MICRO_G, typeset
 from ..session.imu import ImuSpec
 from . import course, provenance, repeatability
 from .assessment import LIMITS, angles_table, assess, limits_tables, outcome, summary, worst
@@ -19,7 +19,16 @@ from .budget import budget_section
 from .charts import Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, scrolling, section, table
 from .noise import noise_notes, noise_plots, noise_table
-from .tables import FREE_OF_FRAME, TERM_HEADINGS, TERM_NOTE, change_note, term_rows, three_digits
+from .tables import (
+    CHANGE_HEADINGS,
+    FREE_OF_FRAME,
+    TERM_HEADINGS,
+    TERM_NOTE,
+    change_note,
+    change_rows,
+    term_rows,
+    three_digits,
+)
 
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
 """px; layout."""
@@ -246,17 +255,12 @@ def _parameters(contents: Contents) -> str:
 
 
 def _changes(calibration: Calibration) -> str:
-    if calibration.changes is None:
+    rows = [[escape(typeset(cell)) for cell in row] for row in change_rows(calibration)]
+    if not rows:
         return ''
-    rows = []
-    for term, name, value, std, unit in calibration.changes.shown():
-        places = decimals(std)
-        cells = (term, name, f'{value:.{places}f}', f'{std:.{places}f}', unit)
-        rows.append([escape(typeset(cell)) for cell in cells])
-    headings = ['term', 'of', 'value', 'std', 'unit']
     return section(
         'Terms of the session',
-        table(headings, rows, 'parameters plain', 'llrrl'),
+        table(CHANGE_HEADINGS, rows, 'parameters plain', 'llrrl'),
         paragraph(change_note(calibration), 'note'),
     )
 

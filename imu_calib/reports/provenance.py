@@ -17,12 +17,13 @@ from .charts import tag
 from .html import named_rows, table
 from .plain_table import plain_table
 from .tables import (
+    CHANGE_HEADINGS,
     FREE_OF_FRAME,
     TERM_HEADINGS,
     TERM_NOTE,
     angle_table,
     change_note,
-    change_table,
+    change_rows,
     parameter_table,
     term_rows,
     three_digits,
@@ -430,10 +431,9 @@ def overview(calibration: Calibration, truth: Calibration | None = None) -> Iter
     yield parameter_table(calibration, truth)
     if calibration.by_hand:
         yield _LETTERS
-    changes = change_table(calibration)
-    if changes is not None:
+    if changes := change_rows(calibration):
         yield ''
-        yield changes
+        yield plain_table(CHANGE_HEADINGS, 'llrrl', changes)
         yield change_note(calibration)
     yield ''
     yield data_line(calibration)
@@ -472,18 +472,11 @@ def details(calibration: Calibration, truth: Calibration | None = None) -> Itera
     yield FREE_OF_FRAME
     if rows := term_rows(calibration):
         yield ''
-        yield _filled(TERM_HEADINGS, 'llllll', rows)
+        yield plain_table(TERM_HEADINGS, 'llllll', rows)
         yield TERM_NOTE
     yield ''
-    yield _filled(('origin', ''), 'll', origin_rows(calibration))
+    yield plain_table(('origin', ''), 'll', origin_rows(calibration))
     noise = noise_table(calibration)
     if noise is not None:
         yield ''
         yield noise
-
-
-def _filled(headings: Sequence[str], sides: str, rows: Sequence[Sequence[str]]) -> Table:
-    table = plain_table(headings, sides)
-    for row in rows:
-        table.add_row(*row)
-    return table

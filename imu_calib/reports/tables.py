@@ -67,15 +67,16 @@ def three_digits(value: float) -> str:
     return f'{value:.0f}' if abs(value) >= 1000 else f'{value:.3g}'
 
 
-def change_table(calibration: Calibration) -> Table | None:
-    """Return the estimated terms of the session; None without requested terms."""
-    if calibration.changes is None:
-        return None
-    table = plain_table(('term', 'of', 'value', 'std', 'unit'), 'llrrl')
-    for term, name, value, deviation, unit in calibration.changes.shown():
-        places = decimals(deviation)
-        table.add_row(term, name, f'{value:.{places}f}', f'{deviation:.{places}f}', unit)
-    return table
+CHANGE_HEADINGS = ('term', 'of', 'value', 'std', 'unit')
+
+
+def change_rows(calibration: Calibration) -> list[list[str]]:
+    """Return the estimated terms of the session as rows; none without requested terms."""
+    rows = []
+    for term, name, value, std, unit in calibration.changes.shown() if calibration.changes else ():
+        places = decimals(std)
+        rows.append([term, name, f'{value:.{places}f}', f'{std:.{places}f}', unit])
+    return rows
 
 
 def change_note(calibration: Calibration) -> str:
