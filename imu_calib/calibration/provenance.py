@@ -59,11 +59,6 @@ def texts(section: Section, name: str) -> list[str]:
     return list(section.texts(name))
 
 
-def _read_each(section: Section, read: Callable[[Section, str], Any]) -> dict[str, Any]:
-    """Return the values of a mapping whose keys are names, all read alike; none may be empty."""
-    return {name: read(section, name) for name in section.names()}
-
-
 def number_within(section: Section, name: str, least: float, most: float | None = None) -> float:
     """Return a number of a range."""
     value = section.number(name)
@@ -118,8 +113,9 @@ def entries(section: Section, name: str, known: Mapping[str, FieldKey]) -> dict[
 
 
 def each(section: Section, name: str, read: Reader) -> dict[str, Any]:
-    """Return a mapping behind a key whose own keys are names, all read alike."""
-    return _read_each(section.section(name), read)
+    """Return a mapping behind a key whose own keys are names, all read alike; none may be empty."""
+    mine = section.section(name)
+    return {one: read(mine, one) for one in mine.names()}
 
 
 def test_of_term(tests: Section, name: str) -> dict[str, Any]:

@@ -86,20 +86,17 @@ def noise_page(noise: NoiseAtRest) -> str:
     if noise.temperature is not None:
         low, high = noise.temperature
         pairs.append(('temperature', f'{low:.1f} to {high:.1f} \u00b0C'))
+    curves = [(u, _panel(noise.triad(u), u)) for u in TRIAD_NAMES if noise.triad(u)]
     body = ''.join(
         [
             tag('h1', escape(title)),
             facts(pairs),
             section('Findings', bullets(noise.findings)),
-            section('Allan deviation', _drawings(noise), paragraph(_WORDS, 'note')),
+            section('Allan deviation', _halves(curves), paragraph(_WORDS, 'note')),
             section('Coefficients', *(_table(noise, k) for k in range(len(TRIAD_NAMES)))),
         ]
     )
     return document(title, body, STYLE)
-
-
-def _drawings(noise: NoiseAtRest) -> str:
-    return _halves([(u, _panel(noise.triad(u), u)) for u in TRIAD_NAMES if noise.triad(u)])
 
 
 def _halves(panels: Sequence[tuple[TriadUnits, Panel]]) -> str:

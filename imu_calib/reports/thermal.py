@@ -58,6 +58,7 @@ def _head(combined: ThermalCalibration, name: str, each: Sequence[Sequence[Asses
         passed = sum(all(a.verdict is None or a.verdict.value == 'pass' for a in s) for s in each)
         text = f'Within the specification at {passed} of {len(each)} temperatures.'
     low, high = temperature_range(combined)
+    ends = [provenance.date(one.provenance) for one in (first, last)]
     between = 'straight lines'
     if combined.order is not None:
         between = f'polynomials of order {combined.order}'
@@ -67,15 +68,11 @@ def _head(combined: ThermalCalibration, name: str, each: Sequence[Sequence[Asses
         ('counts from', f'{low:.1f} to {high:.1f}\u00a0\u00b0C'),
         ('in between', between),
         ('IMU description', first.imu.id),
-        ('recorded at the ends', _ends(provenance.date(first.provenance), last.provenance)),
+        ('recorded at the ends', ' and '.join(dict.fromkeys(ends))),
     ]
     return (
         paragraph(f'Calibration, from {name}', 'subtitle') + outcome(verdict, text) + facts(pairs)
     )
-
-
-def _ends(first: str, last: provenance.Facts) -> str:
-    return ' and '.join(dict.fromkeys([first, provenance.date(last)]))
 
 
 def _celsius(combined: ThermalCalibration, k: int) -> str:
