@@ -32,8 +32,7 @@ from ..recordings.rosbag2 import Recording
 from ..reports.certificate import Certificate, certificate_of, certificate_page, pdf
 from ..reports.certificate_fields import Fields, read_fields
 from ..reports.dcc import dcc
-from ..reports.page import Contents, page
-from ..reports.thermal import thermal_page
+from ..reports.page import Contents, page, thermal_page
 from ..session.imu import ImuSpec
 from ..session.keywords import NO_PLAN, Named, Stated, as_imu
 from ..session.metadata import PLAN

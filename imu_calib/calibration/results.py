@@ -28,8 +28,8 @@ from ..segmentation.signal_means import Signals
 from ..session.plausibility import check_plausible
 from ..session.stamping import StampingClock
 from ..session.table_errors import clock_share
+from .agreement import with_gravity
 from .calibration import Calibration, ResidualRow
-from .gravity import with_gravity
 
 if TYPE_CHECKING:
     import pandas

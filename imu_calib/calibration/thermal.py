@@ -18,8 +18,8 @@ from ..common.stream import Floats
 from ..common.units import counted
 from ..session.imu import ImuSpec
 from ..session.stamping import StampingClock
+from .agreement import gravity_deviation, without_gravity
 from .calibration import Calibration, calibration_section
-from .gravity import gravity_deviation, without_gravity
 
 _FORMAT = 1  #: Version of the format of combined calibrations; others are refused.
 _APART = 0.5  #: K: closer ones count as one temperature: a slope between them would be noise.

@@ -25,9 +25,9 @@ from ..model.parameters import Parameter, ParameterKind, indices_of
 from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms, terms_of
 from ..model.session_terms import Course
 from ..segmentation.segmented import Move
+from .agreement import same_place, without_gravity
 from .calibration import Calibration
 from .diagnosis import Diagnosis, diagnose, with_true_noise
-from .gravity import same_place, without_gravity
 
 
 class Quantity(Enum):

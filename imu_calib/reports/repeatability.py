@@ -14,9 +14,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..calibration.agreement import FEWEST_FOR_A_STEP
+from ..calibration.agreement import FEWEST_FOR_A_STEP, same_place, without_gravity
 from ..calibration.calibration import Calibration
-from ..calibration.gravity import same_place, without_gravity
 from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import decimals

@@ -262,7 +262,7 @@ def test_several_sessions_of_one_place_share_the_error_of_gravity() -> None:
 @pytest.mark.parametrize(('gravity', 'said'), [(9.7, True), (9.78, False), (9.82, False)])
 def test_a_gravity_that_no_place_of_the_latitude_has_is_a_finding(gravity, said) -> None:
     # Normal gravity is 9.797 m/s^2 here: 9.7 is 1 % off, the others 0.2 %.
-    from imu_calib.calibration.gravity import _latitude_contradiction
+    from imu_calib.calibration.agreement import _latitude_contradiction
 
     found = _latitude_contradiction(Site.at(math.radians(34.65), gravity=gravity))
     assert [('Check `gravity` and `latitude`' in one) for one in found] == [True] * said

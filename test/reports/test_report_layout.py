@@ -29,9 +29,8 @@ from imu_calib.common.stream import at, iso
 from imu_calib.reports.budget import budget_section
 from imu_calib.reports.course import Stand, attitudes, cube, stands
 from imu_calib.reports.html import bullets, paragraph
-from imu_calib.reports.page import Contents, page
+from imu_calib.reports.page import Contents, page, thermal_page
 from imu_calib.reports.provenance import provenance
-from imu_calib.reports.thermal import thermal_page
 from imu_calib.segmentation.segmented import Rejected
 from imu_calib.session.imu import load_imu
 
