@@ -10,7 +10,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from datetime import date, datetime, timedelta
+from datetime import date, timedelta
 from html import escape
 from importlib.util import find_spec
 from pathlib import Path
@@ -153,12 +153,11 @@ def _completed(fields: Fields, calibration: Calibration) -> Fields:
 
 def recorded(calibration: Calibration) -> date | None:
     """Return the date on which the recording began, UTC; None if it is not stated."""
-    text = calibration.provenance.get('recorded')
     try:
-        found = datetime.fromisoformat(str(text).replace('Z', '+00:00'))
+        found = provenance.recorded(calibration.provenance)
     except ValueError:
         return None
-    return found.date()
+    return None if found is None else found.date()
 
 
 def _check(fields: Fields, calibration: Calibration) -> None:

@@ -193,17 +193,20 @@ class Panel:
         self.parts.append(marker(across, down, channel))
 
 
-def marker(x: float, y: float, channel: int, size: float = 3.5) -> str:
+_MARK = 3.5  #: px: half the width of a mark.
+
+
+def marker(x: float, y: float, channel: int) -> str:
     """Return the mark of a channel: disc, square and triangle for X, Y and Z."""
     k = channel % len(COLOURS)
     shape = {'fill': COLOURS[k], 'class_': CLASSES[k]}
     if k == 0:
-        return tag('circle', cx=x, cy=y, r=size, **shape)
+        return tag('circle', cx=x, cy=y, r=_MARK, **shape)
     if k == 1:
-        side = 1.8 * size
+        side = 1.8 * _MARK
         return tag('rect', x=x - side / 2, y=y - side / 2, width=side, height=side, **shape)
-    foot, half = y + 0.8 * size, 1.1 * size
-    corners = [(x, y - 1.2 * size), (x - half, foot), (x + half, foot)]
+    foot, half = y + 0.8 * _MARK, 1.1 * _MARK
+    corners = [(x, y - 1.2 * _MARK), (x - half, foot), (x + half, foot)]
     return tag('polygon', points=joined(corners), **shape)
 
 

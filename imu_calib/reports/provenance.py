@@ -62,16 +62,25 @@ def count(value: object) -> str:
     return f'{value:,}'.replace(',', '\u2009') if isinstance(value, int) else '-'
 
 
-def date(facts: Facts, key: str = 'recorded') -> str:
-    """Return a date as text; other entries unchanged."""
-    text = facts.get(key)
-    if text is None:
-        return 'no date: the stamps do not count from 1970'
+def date(facts: Facts) -> str:
+    """Return when the recording began, as text; other entries unchanged."""
     try:
-        found = datetime.fromisoformat(str(text).replace('Z', '+00:00'))
+        found = recorded(facts)
     except ValueError:
-        return str(text)
+        return str(facts['recorded'])
+    if found is None:
+        return 'no date: the stamps do not count from 1970'
     return f'{found:%Y-%m-%d %H:%M:%S} UTC'
+
+
+def recorded(facts: Facts) -> datetime | None:
+    """Return when the recording began; None if it is not stated.
+
+    Raises:
+        ValueError: The entry is no date.
+    """
+    text = facts.get('recorded')
+    return None if text is None else datetime.fromisoformat(str(text).replace('Z', '+00:00'))
 
 
 def site(facts: Facts) -> str:

@@ -22,6 +22,7 @@ from ..common.units import decimals
 from ..model.parameters import Parameter
 from .charts import panels, small, tag
 from .html import named_rows, paragraph, table
+from .provenance import recorded
 from .tables import Shown, engineering, fixed
 
 _SURPRISING = 0.001
@@ -145,14 +146,13 @@ class RepeatedParameter:
 
 def date_of(calibration: Calibration) -> datetime | None:
     """Return when the recording of a calibration began; None if it is not stated."""
-    text = calibration.provenance.get('recorded')
-    if text is None:
-        return None
+    facts = calibration.provenance
     try:
-        return datetime.fromisoformat(str(text).replace('Z', '+00:00'))
+        return recorded(facts)
     except ValueError:
         raise InputError(
-            f'provenance: recorded: found {text!r}, expected a date as 2026-01-31T12:00:00Z.'
+            f'provenance: recorded: found {facts["recorded"]!r}, expected a date as '
+            '2026-01-31T12:00:00Z.'
         ) from None
 
 
