@@ -67,7 +67,7 @@ def test_a_recording_arrays_and_a_frame_give_the_same(bag: Path) -> None:
     frame = imu_calib.read(bag, '/imu/data').to_dataframe()
     assert imu_calib.noise(frame).to_dict()['channels'] == first.to_dict()['channels']
     table = first.to_dataframe()
-    assert table.loc[('gx', 'random_walk'), 'unit'] == 'rad/sqrt(s)'
+    assert table.loc[('gx', 'random_walk'), 'unit'] == 'deg/sqrt(h)'
     assert table['value'].isna()['gx', 'rate_random_walk']
     assert list(first.curves()) == list(first.channels)
 
