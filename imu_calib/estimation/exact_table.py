@@ -24,9 +24,7 @@ from .information import Information
 from .search import SearchResult
 
 SHOWN = 0.99
-"""Probability, at even odds, from which on positioning errors are reported: at most one in a
-hundred of sessions without any reaches it, since the mean of their likelihood ratio is one
-(Markov)."""
+"""Probability from which on positioning errors are reported. A judgement."""
 _WIDER = 1.12
 """Ratio of standard deviations from which on it is reported: for 4.5 stated deviations the true
 number is then 4.0."""

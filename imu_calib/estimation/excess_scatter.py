@@ -1,20 +1,17 @@
 """Scatter beyond random walk and quantisation: bias drift and positioning errors.
 
-Both are estimated from the session itself by restricted maximum likelihood (Patterson and Thompson
-1971, Biometrika 58, 545): the likelihood of the residuals that the parameters cannot explain. A
-bias drifts as a first-order Gauss-Markov process, variance s^2 and correlation time tau, observed
-between the segments by their means and within them by their slopes; gyros and accelerometers see
-the same positioning errors. Correlation times reach to three lengths of the session: a slower drift
-cannot be distinguished from a bias. Each is used only where it raises the likelihood enough, so
-that a session of pure noise keeps its optimal weights. Motions may scatter more than dwells, where
-motors shake the unit: the ends of all motions have a variance of their own if that explains them
-better than any scatter that the dwells share. One session determines neither s nor tau
-well, nor the positioning errors of a dozen stops: the covariance used is therefore the mean of the
-posterior over a grid; the most likely one would understate the uncertainty.
+All are variances of the residuals that the parameters cannot explain, found together by their
+restricted likelihood (`variances`). A bias drifts as a first-order Gauss-Markov process, from dwell
+to dwell or over the session, observed between the segments by their means and within them by their
+slopes; gyros and accelerometers see the same positioning errors. Motions may scatter more than
+dwells, where motors shake the unit: the ends of all motions have a variance of their own. None is
+used unless one of them alone raises the likelihood enough, so that a session of pure noise keeps
+its optimal weights. Then all are, since a few positioning errors and a drift are hard to separate,
+each with its mean: the most likely one would understate the uncertainty.
 
 A drift that the data sheet states (bias instability) is a floor: a session of half an hour does not
-show a drift of the size of its own noise, but its mean still has that error. Smaller drifts are
-weighted by their likelihood, with odds of a thousand to one for the data sheet.
+show a drift of the size of its own noise, but its mean still has that error. A unit is
+calmer than its data sheet only by odds of a thousand to one.
 
 Source: docs/mathematics.md, 'Joint estimate' and 'Positioning errors'.
 """
@@ -38,45 +35,25 @@ from .bias_drift import STATED_TIME, BiasDrift
 from .components import Blocks, Component, Diagonal, whiten
 from .equations import Equations
 from .evidence import SMALLEST_VARIANCE, Evidence
-from .likelihood import (
-    gain_by_noise,
-    log_likelihood,
-    log_likelihoods_by_columns,
-    log_likelihoods_by_ratio,
-)
 from .positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
+from .variances import Variance, choose_variances, find_variances
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
-"""Correlation times of drift on the grid, in lengths of the session: half decades. A drift slower
-than the last cannot be distinguished from a bias; the first is about one dwell of a usual plan."""
-_RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)
-"""Variances of drift on the grid, over the usual variance of a dwell's mean: half decades, from
-invisible ones to standard deviations ten thousand times the noise."""
-_POSITIONING_RATIOS = 10.0 ** np.arange(-1, 6.1, 0.5)
-"""Variances of positioning errors on the grid, over those hidden by noise: half decades, from a
-tenth to standard deviations a thousand times the noise."""
+"""Correlation times of drift, in lengths of the session: half decades. A drift slower than the last
+cannot be distinguished from a bias; the first is about one dwell of a usual plan."""
 _STOP_SHARES = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
 """Shares of stops in the variance of positioning errors: none, all, and mixtures of both."""
-
-_MOTION_RATIOS = np.append(0.0, 10.0 ** np.arange(-0.5, 8.1, 0.25))
-"""Variances of the scatter of motions on the grid, over the usual variance by noise: quarter
-decades, since the likeliest is used. None, and from a third on."""
 
 _LEAST_GAIN = 4.5
 """Least gain in log likelihood for scatter beyond what is known: chi-square of one size by 9, three
 standard deviations."""
-_SHARES = np.array([0.0, 1 / 16, 1 / 4, 1.0])
-"""Shares of the data sheet's variance that a session may have instead: standard deviations of zero,
-a quarter, a half and all of it."""
 _ODDS = 1000.0
-"""Odds for the data sheet against all other shares, a third of them each. By chance a session seems
-so much calmer than its unit less than once in a thousand (Markov's inequality for a ratio of
-likelihoods); at ten to one two of 2000 sessions did, and were off by six deviations."""
+"""Odds for the data sheet against a calmer unit. By chance a session seems so much calmer less than
+once in a thousand (Markov's inequality for a ratio of likelihoods); at ten to one two of 2000
+sessions did, and were off by six deviations."""
 _ODDS_BESIDE_OUTLIERS = 10.0
 """The same where an outlier is tested against the scatter of the others: a stated drift that is
 absent would hide it. A judgement."""
-_UNLIKELY = 1e-3
-"""Weight below which a hypothesis is dropped: its effect on variances is far below their spread."""
 
 _DEPENDENT = 1e-10
 """Of the longest column, all scaled to one: residual of a column after projection that counts as
@@ -98,66 +75,16 @@ class _Triad:
     rows: NDArray[np.intp]  #: (k,) of the outputs.
     residuals: Floats  #: (r,) residuals.
     stated_covariance: Floats  #: (r, r) covariance by the drift that the data sheet states.
-    #: (r, r) covariances by drift of each time of `_TIMES`, at ratios of 1.
-    further_covariances: tuple[Floats, ...]
-    #: (r, e) effect of the errors of stopped joints and of stops, for one rad.
-    positioning: tuple[Floats, Floats]
-    #: Columns (r, k) of the random walk of each channel, and the degrees of freedom of its size.
+    #: (r, r) covariances by drift of each time of `_TIMES`, of the variance `unit_variance`.
+    drifts: tuple[Floats, ...]
+    #: (r, r) covariances by errors of stopped joints, of stops and of accelerometers in motions, of
+    #: their usual variances.
+    common: tuple[Floats, ...]
+    #: (r, r) covariances by the random walk of each channel, and degrees of freedom of its size.
     noise: tuple[tuple[Floats, float], ...]
     bias_drift: BiasDrift  #: Where the bias is evaluated.
-    unit_variance: float  #: Variance of a drift whose ratio (`_RATIOS`) is one, SI units squared.
+    unit_variance: float  #: Of a drift: the usual variance of a dwell's mean, SI units squared.
     stated_variance: float  #: Variance of the drift stated, SI units squared.
-    log_odds: Floats  #: (shares,) logarithms of the odds of its shares.
-    #: (r, e) effect of the errors of its outputs in motions, for their usual standard deviation.
-    in_motion: Floats
-    motion_variance: float  #: Square of that, (m/s)^2; 0 of gyros and without motions.
-
-    def positioning_covariance(self, joints: float, stops: float) -> Floats:
-        """Return the covariance by noise and positioning errors of these variances, rad^2."""
-        found = np.eye(len(self.residuals))
-        for variance, columns in zip((joints, stops), self.positioning, strict=True):
-            if variance:
-                found += variance * (columns @ columns.T)
-        return found
-
-    def drift_likelihoods(self, joints: float = 0.0, stops: float = 0.0) -> tuple[Floats, Floats]:
-        """Return log likelihoods for positioning errors of these variances, rad^2.
-
-        (shares,) for shares of the drift stated, and (taus, ratios) for drift in addition to it.
-        """
-        base = self.positioning_covariance(joints, stops)
-        stated = [
-            log_likelihood(base + share * self.stated_covariance, self.residuals)
-            for share in _SHARES.tolist()
-        ]
-        return np.array(stated), log_likelihoods_by_ratio(
-            base + self.stated_covariance, self.further_covariances, self.residuals, _RATIOS
-        )
-
-    def drift_covariance(self, share: float, time: int, ratio: float) -> Floats:
-        """Return the covariance by a share of the drift stated and a drift beyond it."""
-        found = share * self.stated_covariance
-        return found + ratio * self.further_covariances[time] if ratio else found
-
-    def gain_by_larger_noise(self, drift: Floats, joints: float = 0.0, stops: float = 0.0) -> float:
-        """Return the gain in log likelihood with a drift (r, r) and positioning errors, rad^2.
-
-        The variance of the noise is marginalised; its uncertainty follows from the number of
-        blocks.
-        """
-        return gain_by_noise(
-            self.positioning_covariance(joints, stops) + drift, self.residuals, self.noise
-        )
-
-    def positioning_likelihoods(self, drift: Floats, variances: Floats) -> Floats:
-        """Return the log likelihoods of positioning errors, (shares, v), with a drift (r, r).
-
-        The variances (v,), rad^2, are split into joints and stops by `_STOP_SHARES`.
-        """
-        base = np.eye(len(self.residuals)) + drift
-        shares = _STOP_SHARES.tolist()
-        mixed = [np.sqrt([1 - share, share]) for share in shares]
-        return log_likelihoods_by_columns(base, self.positioning, mixed, self.residuals, variances)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,13 +100,16 @@ class ExcessScatter:
     absent_drift: tuple[Component, ...] = ()
     #: Probability that positioning errors exceed what the table states.
     positioning_probability: float = 0.0
-    #: Of gyros and accelerometers, whether the excess over the data sheet varies within a thirtieth
+    #: Of gyros and accelerometers, the probability that biases drift more than stated.
+    drift_probability: tuple[float, float] = (0.0, 0.0)
+    #: Of both, whether the excess over the data sheet varies within a thirtieth
     #: of the session, and faster than biases drift by the data sheet.
     fast_drift: tuple[bool, bool] = (False, False)
     #: Standard deviation of velocities at the ends of motions beyond their noise, m/s. It is in
     #: `extra`. Of gyros the scatter between turns, channel by channel, stands for it: a variance
     #: common to all hid one gyro that leaves its range.
     in_motion: float = 0.0
+    motion_probability: float = 0.0  #: Probability that they do.
 
     @property
     def shown(self) -> bool:
@@ -199,8 +129,7 @@ def excess(
     """Estimate the excess scatter of a session about a solution.
 
     The scatter known beforehand is kept unless the likelihood rises by the factor
-    exp(`_LEAST_GAIN`) without it. Then the other cases share the weight: a few positioning errors
-    and a slow bias drift are hard to separate, but affect the parameters differently.
+    exp(`_LEAST_GAIN`) with any variance beyond it.
 
     Args:
         equations: The session; any earlier excess is ignored.
@@ -212,35 +141,115 @@ def excess(
     plain = replace(equations, extra=(), positioning=NO_POSITIONING_ERRORS)
     if not plain.evidence.segments or plain.own_variances.max() <= SMALLEST_VARIANCE:
         return ExcessScatter(NO_POSITIONING_ERRORS, np.zeros(6))
-    odds = _ODDS_BESIDE_OUTLIERS if suspecting else _ODDS
-    triads = _triads(plain, state, odds, doubted=doubted)
-    still = [_Drift.weighed(triad) for triad in triads]
-    share, joints, stops = _positioning(triads, still, _variances(plain))
-    moving: tuple[Component, ...] = ()
-    in_motion = 0.0
-    if share or any(drift.called_for for drift in still):
-        in_motion = _scatter_in_motion(triads[1], still[1], joints, stops)
-    if in_motion:
-        moving = scatter_of_motions(plain.evidence, in_motion)
-        triads = _triads(replace(plain, extra=moving), state, odds, doubted=doubted)
-        still = [_Drift.weighed(triad) for triad in triads]
-        share, joints, stops = _positioning(triads, still, _variances(plain))
-    found = [[(1 - share, drift)] for drift in still]
-    if share:
-        for mixture, triad in zip(found, triads, strict=True):
-            mixture.append((share, _Drift.weighed(triad, joints, stops)))
-    spread = [
-        _posterior_drift(triad, mixture) for triad, mixture in zip(triads, found, strict=True)
+    hidden, in_motion = _hidden_variance(plain), _motion_variance(plain)
+    triads = _triads(plain, state, hidden, in_motion)
+    noise = _noise(triads) if doubted else []
+    residuals = [
+        (
+            triad.residuals,
+            sum(
+                (-kernel for one in noise if (kernel := one.kernels[k]) is not None),
+                np.eye(len(triad.residuals)) + triad.stated_covariance,
+            ),
+        )
+        for k, triad in enumerate(triads)
     ]
+    chosen = choose_variances(residuals, noise, _beyond(triads), _LEAST_GAIN)
+    *drifting, positioning, (moving,) = chosen.means
+    drifts = [t.unit_variance * means for t, means in zip(triads, drifting, strict=True)]
+    joints, stops = hidden * (1 - _STOP_SHARES) @ positioning, hidden * _STOP_SHARES @ positioning
+    moving *= in_motion
+    kept = [1.0, 1.0]
+    if not chosen.probability(*range(len(chosen.means))):
+        odds = _ODDS_BESIDE_OUTLIERS if suspecting else _ODDS
+        kept = [_kept(triad, odds) for triad in triads]
+    parts = [_drift_parts(*of) for of in zip(triads, kept, drifts, strict=True)]
+    stated = [share * triad.stated_variance for share, triad in zip(kept, triads, strict=True)]
+    motions = scatter_of_motions(plain.evidence, math.sqrt(moving))
     return ExcessScatter(
-        PositioningErrors(math.sqrt(share * joints), math.sqrt(share * stops)),
-        np.repeat([deviation for deviation, *_ in spread], 3),
-        (*(part for _, parts, _, _ in spread for part in parts), *moving),
-        tuple(part for _, _, spared, _ in spread for part in spared),
-        share,
-        (spread[0][3], spread[1][3]),
-        in_motion,
+        PositioningErrors(math.sqrt(joints), math.sqrt(stops)),
+        np.repeat(np.sqrt(np.add(stated, [one.sum() for one in drifts])), 3),
+        (*(part for found, _ in parts for part in found), *motions),
+        tuple(part for _, spared in parts for part in spared),
+        chosen.probability(_POSITIONING),
+        (chosen.probability(0), chosen.probability(1)),
+        (_is_fast(triads[0], drifts[0]), _is_fast(triads[1], drifts[1])),
+        math.sqrt(moving),
+        chosen.probability(_MOTIONS),
     )
+
+
+_POSITIONING, _MOTIONS = 2, 3  #: Indices of kinds in `_beyond`.
+
+
+def _beyond(triads: Sequence[_Triad]) -> list[list[Variance]]:
+    """Return the variances beyond what is known, by kinds.
+
+    Drifts of gyros and of accelerometers, by their times; positioning errors, by the shares of
+    stops; motions.
+    """
+    gyros, accels = triads
+    joints, stops, motions = zip(gyros.common, accels.common, strict=True)
+    return [
+        [Variance((kernel, None)) for kernel in gyros.drifts],
+        [Variance((None, kernel)) for kernel in accels.drifts],
+        [
+            Variance(tuple((1 - s) * j + s * k for j, k in zip(joints, stops, strict=True)))
+            for s in _STOP_SHARES.tolist()
+        ],
+        [Variance(motions)],
+    ]
+
+
+def _noise(triads: Sequence[_Triad]) -> list[Variance]:
+    """Return the variances of the channels' random walks about what their blocks show."""
+    return [
+        Variance(tuple(kernel if one is triad else None for one in triads), freedom)
+        for triad in triads
+        for kernel, freedom in triad.noise
+        if np.isfinite(freedom)
+    ]
+
+
+def _kept(triad: _Triad, odds: float) -> float:
+    """Return the share of the stated drift's variance that a triad has."""
+    if not triad.stated_variance:
+        return 1.0
+    noise, stated = np.eye(len(triad.residuals)), triad.stated_covariance
+    known = find_variances([(triad.residuals, noise + stated)], [])
+    calmer = find_variances([(triad.residuals, noise)], [Variance((stated,))])
+    if calmer.log_likelihood < known.log_likelihood + math.log(odds):
+        return 1.0
+    return min(1.0, float(calmer.means[0]))
+
+
+def _drift_parts(
+    triad: _Triad, kept: float, variances: Floats
+) -> tuple[tuple[Component, ...], tuple[Component, ...]]:
+    """Return the covariance by drift, and the part of the drift stated that is lacking."""
+    drifting, means, rows = triad.bias_drift, len(triad.rows), triad.rows[None]
+    stated = triad.stated_variance * drifting.kernel(drifting.stated_time)[:means, :means]
+    parts = []
+    if kept * triad.stated_variance:
+        parts.append(Component(ErrorSource.BIAS_STATED, Blocks(rows, kept * stated[None])))
+    if variances.any():
+        found = sum(
+            (
+                variance * drifting.kernel(time)[:means, :means]
+                for time, variance in zip(_TIMES, variances, strict=True)
+            ),
+            np.zeros((means, means)),
+        )
+        parts.append(Component(ErrorSource.BIAS_FOUND, Blocks(rows, found[None])))
+    spared = Component(ErrorSource.BIAS_STATED, Blocks(rows, (1 - kept) * stated[None]))
+    return tuple(parts), (spared,) if triad.stated_variance else ()
+
+
+def _is_fast(triad: _Triad, variances: Floats) -> bool:
+    """Return whether most of a drift is from dwell to dwell, and faster than biases drift."""
+    swift = float(variances[0]) > float(variances[1:].sum())
+    # In a session of five hours the first of the times is nearest to that of the data sheet.
+    return swift and math.sqrt(_TIMES[0] / 10) * triad.bias_drift.span < STATED_TIME
 
 
 def scatter_of_motions(evidence: Evidence, in_motion: float) -> tuple[Component, ...]:
@@ -264,105 +273,15 @@ def _ends_of_motions(evidence: Evidence) -> Floats:
     return found
 
 
-def _scatter_in_motion(triad: _Triad, still: _Drift, joints: float, stops: float) -> float:
-    """Return the standard deviation of a triad in motions, m/s; 0 where none is needed.
-
-    It is needed where it raises the likelihood enough, beside any of the likeliest drifts, alone
-    or with the positioning errors of these variances, rad^2.
-    """
-    if not triad.motion_variance:
-        return 0.0
-    bases = [np.eye(len(triad.residuals)) + drift for _, drift in still.hypotheses(triad)]
-    if joints or stops:
-        base = triad.positioning_covariance(joints, stops)
-        drifts = _Drift.weighed(triad, joints, stops).hypotheses(triad)
-        bases += [base + drift for _, drift in drifts]
-    lines = [
-        log_likelihoods_by_columns(
-            base, (triad.in_motion,), [np.ones(1)], triad.residuals, _MOTION_RATIOS
-        )[0]
-        for base in bases
-    ]
-    best = np.max(lines, axis=0)
-    if best.max() < best[0] + _LEAST_GAIN:
-        return 0.0
-    return math.sqrt(float(_MOTION_RATIOS[int(best.argmax())]) * triad.motion_variance)
+def _motion_variance(equations: Equations) -> float:
+    """Return the usual variance of velocities at the ends of motions, (m/s)^2; 0 without any."""
+    ends = _ends_of_motions(equations.evidence)
+    noise = equations.own_variances[ends > 0] / ends[ends > 0] ** 2
+    return float(np.median(noise)) if len(noise) else 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class _Drift:
-    """Log likelihoods of the drifts of a triad."""
-
-    #: (shares,) log likelihoods of shares of the drift stated, with the odds of the data sheet.
-    stated: Floats
-    #: (taus, ratios) log likelihoods of a larger drift, a prior weight of one spread over all.
-    further: Floats
-
-    @classmethod
-    def weighed(cls, triad: _Triad, joints: float = 0.0, stops: float = 0.0) -> _Drift:
-        """Weight drifts together with positioning errors of these variances, rad^2.
-
-        Noise whose size is known from few blocks may be larger than it seems. Where a drift is
-        needed, the gain by larger noise is subtracted.
-        """
-        stated, further = triad.drift_likelihoods(joints, stops)
-        found = cls(stated + triad.log_odds, further - np.log(further.size))
-        if not found.called_for:
-            return found
-        known, more = (
-            triad.gain_by_larger_noise(drift, joints, stops) for _, drift in found.hypotheses(triad)
-        )
-        return replace(found, further=found.further - (known - more))
-
-    @property
-    def known(self) -> float:
-        """Log likelihood of the scatter known beforehand."""
-        return float(np.logaddexp.reduce(self.stated))
-
-    @property
-    def unknown(self) -> float:
-        """Log likelihood of the scatter beyond it."""
-        return float(np.logaddexp.reduce(self.further, axis=None))
-
-    @property
-    def highest(self) -> float:
-        """Log likelihood of the likeliest scatter beyond, without spreading the weight."""
-        return float(self.further.max()) + math.log(self.further.size)
-
-    @property
-    def called_for(self) -> bool:
-        """Whether the likelihood requires more scatter than known."""
-        return self.highest > self.known + _LEAST_GAIN
-
-    def weights(self) -> tuple[Floats, Floats]:
-        """Return the posterior weights of `stated` and `further`; their sum is one."""
-        if self.called_for:
-            return np.zeros_like(self.stated), np.exp(self.further - self.unknown)
-        return np.exp(self.stated - self.known), np.zeros_like(self.further)
-
-    def hypotheses(self, triad: _Triad) -> list[tuple[float, Floats]]:
-        """Return the likeliest stated and further drift.
-
-        Each as the logarithm of its weight and its covariance (r, r).
-        """
-        share, (time, ratio) = (
-            int(self.stated.argmax()),
-            divmod(int(self.further.argmax()), len(_RATIOS)),
-        )
-        return [
-            (
-                self.known - float(self.stated[share]) + float(triad.log_odds[share]),
-                triad.drift_covariance(_SHARES[share], 0, 0.0),
-            ),
-            (self.unknown - self.highest, triad.drift_covariance(1.0, time, float(_RATIOS[ratio]))),
-        ]
-
-
-def _variances(equations: Equations) -> Floats:
-    """Return the plausible variances of positioning errors, (v,) rad^2.
-
-    They start at a tenth of what the noise of the most accurate outputs hides.
-    """
+def _hidden_variance(equations: Equations) -> float:
+    """Return the variance of positioning errors that noise hides in the sharpest outputs, rad^2."""
     evidence = equations.evidence
     at_rest = equations.own_variances[equations.layout.dwell[:, 3:]]
     sharpest = float(np.median(at_rest)) / evidence.site.gravity**2
@@ -370,150 +289,20 @@ def _variances(equations: Equations) -> Floats:
         sharpest = min(
             sharpest, float(np.median(evidence.used_moves.variances(evidence.walk)[:, :3]))
         )
-    return np.asarray(_POSITIONING_RATIOS * sharpest)
+    return sharpest
 
 
-class _PositioningOfTriad:
-    """Log likelihoods of positioning errors by one triad, with each of its likely drifts.
+def _triads(plain: Equations, state: Floats, hidden: float, in_motion: float) -> list[_Triad]:
+    """Return gyros and accelerometers, each with turns and moves.
 
-    Args:
-        triad: Residuals of the triad.
-        still: Its drifts without positioning errors: of these the one known beforehand, and the
-            likeliest, are the first two.
-        variances: (v,) of positioning errors, rad^2.
+    `hidden` and `in_motion` are the usual variances of positioning errors and of motions.
     """
-
-    def __init__(self, triad: _Triad, still: _Drift, variances: Floats) -> None:
-        self._triad, self._variances = triad, variances
-        self._drifts: list[Floats] = []
-        self._lines: list[Floats] = []
-        """(shares, v) for each drift, with the weight of the drift."""
-        for weight, drift in still.hypotheses(triad):
-            self._add(weight, drift)
-
-    def _add(self, weight: float, drift: Floats) -> None:
-        self._drifts.append(drift)
-        self._lines.append(weight + self._triad.positioning_likelihoods(drift, self._variances))
-
-    def add_likeliest(self, joints: float, stops: float) -> None:
-        """Add the likeliest drift beside positioning errors of these variances, rad^2."""
-        self._add(*_Drift.weighed(self._triad, joints, stops).hypotheses(self._triad)[1])
-
-    def over_drifts(self) -> Floats:
-        """Return the log likelihoods with any of the drifts, (shares, v)."""
-        return np.asarray(np.logaddexp.reduce(self._lines))
-
-    def gain_by_larger_noise(self, element: int, joints: float, stops: float) -> float:
-        """Return the gain by larger noise with these variances, rad^2, less that without them.
-
-        With them the drift is the one that makes this element of (shares, v) likeliest; without,
-        the one known beforehand.
-        """
-        best = self._drifts[int(np.argmax([line.flat[element] for line in self._lines]))]
-        gain = self._triad.gain_by_larger_noise(best, joints, stops)
-        return gain - self._triad.gain_by_larger_noise(self._drifts[0])
-
-
-def _positioning(
-    triads: Sequence[_Triad], still: Sequence[_Drift], variances: Floats
-) -> tuple[float, float, float]:
-    """Return the probability of positioning errors, and their variances of joints and stops, rad^2.
-
-    All are zero where the session does not need them: neither they nor a drift alone (`still`, of
-    each triad) raise the likelihood enough.
-    """
-    each = [_PositioningOfTriad(*of, variances) for of in zip(triads, still, strict=True)]
-    joints, stops = _likeliest(_pooled(each), variances)
-    for triad in each:
-        triad.add_likeliest(joints, stops)
-    found = _pooled(each)
-    enough = sum(drift.known for drift in still) + _LEAST_GAIN
-    # Drifts of gyros and accelerometers are tested separately: half of the evidence is not enough.
-    wanted = any(drift.called_for for drift in still)
-    if wanted or float(found.max()) >= enough:
-        element, (joints, stops) = int(found.argmax()), _likeliest(found, variances)
-        found += sum(triad.gain_by_larger_noise(element, joints, stops) for triad in each)
-    if not wanted and float(found.max()) < enough:
-        return 0.0, 0.0, 0.0
-    return _posterior_positioning(found - math.log(found.size), still, variances)
-
-
-def _posterior_positioning(
-    found: Floats, still: Sequence[_Drift], variances: Floats
-) -> tuple[float, float, float]:
-    """Return `_positioning` by log likelihoods (shares, v) with a prior weight of one in all."""
-    known = sum(drift.known for drift in still)
-    either = sum(float(np.logaddexp(drift.known, drift.unknown)) for drift in still)
-    # For hypotheses that do not affect the positioning errors, all but the one known beforehand.
-    none = either + math.log(max(-math.expm1(known - either), np.finfo(float).tiny))
-    some = float(np.logaddexp.reduce(found, axis=None))
-    share = 1 / (1 + math.exp(min(none - some, 700.0)))
-    if not _UNLIKELY < share < 1 - _UNLIKELY:
-        share = round(share)
-    weights = np.exp(found - some)
-    joints = float((weights * np.outer(1 - _STOP_SHARES, variances)).sum())
-    stops = float((weights * np.outer(_STOP_SHARES, variances)).sum())
-    return share, joints, stops
-
-
-def _pooled(each: Sequence[_PositioningOfTriad]) -> Floats:
-    """Return the log likelihoods of positioning errors by all triads, (shares, v)."""
-    return np.asarray(np.sum([triad.over_drifts() for triad in each], axis=0))
-
-
-def _likeliest(found: Floats, variances: Floats) -> tuple[float, float]:
-    """Return the variances of joints and of stops where log likelihoods (shares, v) are largest."""
-    kind, size = divmod(int(found.argmax()), len(variances))
-    share = float(_STOP_SHARES[kind])
-    return (1 - share) * float(variances[size]), share * float(variances[size])
-
-
-def _posterior_drift(
-    triad: _Triad, mixture: list[tuple[float, _Drift]]
-) -> tuple[float, tuple[Component, ...], tuple[Component, ...], bool]:
-    """Return the drift's standard deviation, and the posterior mean of its covariance.
-
-    Also the part of the drift stated that it lacks, and whether the excess varies fast.
-    """
-    kept, by_ratio = 0.0, np.zeros((len(_TIMES), len(_RATIOS)))
-    for weight, drift in mixture:
-        of_stated, of_further = drift.weights()
-        kept += weight * float(of_stated @ _SHARES + of_further.sum())
-        by_ratio += weight * of_further
-    means = len(triad.rows)
-    drifting = triad.bias_drift
-    stated = triad.stated_variance * drifting.kernel(drifting.stated_time)[:means, :means]
-    found = np.zeros_like(stated)
-    for k, time in enumerate(_TIMES):
-        if by_ratio[k].any():
-            kernel = drifting.kernel(time)[:means, :means]
-            found += float(by_ratio[k] @ _RATIOS) * triad.unit_variance * kernel
-    total = kept * triad.stated_variance + float((by_ratio @ _RATIOS).sum()) * triad.unit_variance
-    parts, rows = [], triad.rows[None]
-    if kept * triad.stated_variance:
-        parts.append(Component(ErrorSource.BIAS_STATED, Blocks(rows, kept * stated[None])))
-    if by_ratio.any():
-        parts.append(Component(ErrorSource.BIAS_FOUND, Blocks(rows, found[None])))
-    spared = Component(ErrorSource.BIAS_STATED, Blocks(rows, (1 - kept) * stated[None]))
-    swift = bool(by_ratio.any()) and int(by_ratio.sum(axis=1).argmax()) == 0
-    # In a session of five hours the first of the times is nearest to that of the data sheet.
-    swift &= math.sqrt(_TIMES[0] * _TIMES[1]) * drifting.span < STATED_TIME
-    return math.sqrt(total), tuple(parts), (spared,) if triad.stated_variance else (), swift
-
-
-def _triads(plain: Equations, state: Floats, odds: float, *, doubted: bool = True) -> list[_Triad]:
-    """Return gyros and accelerometers, each with turns and moves, by odds for the data sheet."""
-    log_odds = np.log([*[1 / 3] * (len(_SHARES) - 1), odds]) - math.log(1 + odds)
     jacobian, residuals = plain.jacobian(state), plain.outputs - plain.predict(state)
-    rising = plain.slopes(state)
-    parts = (
-        jacobian,
-        residuals,
-        rising,
-        plain.covariance(state),
-        plain.positioning_error_effects(state),
-    )
-    return [_triad(plain, first, parts, state, log_odds, doubted=doubted) for first in (0, 3)]
+    positioning = [math.sqrt(hidden) * one for one in plain.positioning_error_effects(state)]
+    motions = np.diag(math.sqrt(in_motion) * _ends_of_motions(plain.evidence))
+    common = (*positioning, motions)
+    parts = (jacobian, residuals, plain.slopes(state), plain.covariance(state), common)
+    return [_triad(plain, first, parts, state) for first in (0, 3)]
 
 
 def _triad(
@@ -521,26 +310,16 @@ def _triad(
     first: int,
     parts: tuple[Floats, Floats, Floats, Floats, tuple[Floats, ...]],
     state: Floats,
-    log_odds: Floats,
-    *,
-    doubted: bool,
 ) -> _Triad:
     """Select gyros (first = 0) or accelerometers (first = 3)."""
     evidence = equations.evidence
     rows, segments, moves = _outputs_of_triad(equations, first)
-    jacobian, residuals, rising, covariance, positioning = parts
+    jacobian, residuals, rising, covariance, common = parts
     seen = np.flatnonzero(np.any(jacobian[rows] != 0, axis=0))
     prior = equations.prior_rows(state)
-    starts = np.array([x.start for x in (*segments, *moves)], dtype=np.int64)
-    durations = np.array([x.statistics.duration for x in segments] + [m.duration for m in moves])
-    biases = indices_of(BIASES[first : first + 3], equations.parameters)
     slopes = _Slopes.from_segments(segments, rising[rows].reshape(-1, 3), evidence.walk, first)
-    drift = BiasDrift.over(
-        np.asarray((starts - starts.min()) * 1e-9),
-        durations,
-        jacobian[np.ix_(rows, np.array(biases))].reshape(-1, 3, 3),
-        np.append(slopes.used, np.zeros(len(moves), dtype=bool)),
-    )
+    biases = np.array(indices_of(BIASES[first : first + 3], equations.parameters))
+    drift = _bias_drift([*segments, *moves], slopes.used, jacobian[np.ix_(rows, biases)])
     project, z = _restricted(
         jacobian[np.ix_(rows, seen)],
         residuals[rows],
@@ -557,29 +336,29 @@ def _triad(
     def projected_by(time: float, variance: float) -> Floats:
         return variance * drift.projected(time, entering, weights)
 
-    by_joints, by_stops = (
-        np.vstack([project.T @ p[rows], np.zeros((len(weights), p.shape[1]))]) for p in positioning
-    )
-    ends = _ends_of_motions(evidence)[rows]
-    moved = ends > 0
-    noise = equations.own_variances[rows][moved] / ends[moved] ** 2
-    motion_variance = float(np.median(noise)) if moved.any() else 0.0
-    in_motion = (project[moved] * ends[moved, None]).T * math.sqrt(motion_variance)
-    # The size of the noise is taken as uncertain at the end only.
-    own = equations.own[first : first + 3] if doubted else ()
+    def entered(columns: Floats) -> Floats:
+        found = project.T @ columns[rows]
+        return np.pad(found @ found.T, (0, len(weights)))
+
+    every, by_drift = rows, drift
+    if first == 0 and len(equations.layout.velocity):
+        # The effect of the gyros' biases on the axes of a move is in its velocity too.
+        used = [link.move for link in evidence.used_moves.linked]
+        carried = [used[k] for k in equations.layout.moves_with_accels]
+        every = np.concatenate([rows, equations.layout.velocity.ravel()])
+        by_drift = _bias_drift(
+            [*segments, *moves, *carried], slopes.used, jacobian[np.ix_(every, biases)]
+        )
     return _Triad(
-        rows,
+        every,
         np.concatenate([z, slopes.residuals * weights]),
         projected_by(drift.stated_time, stated),
         tuple(projected_by(time, unit_variance) for time in _TIMES),
-        (by_joints, by_stops),
-        _noise_of_channels(own, rows, project, slopes),
-        drift,
+        tuple(entered(columns) for columns in common),
+        _noise_of_channels(equations.own[first : first + 3], rows, project, slopes),
+        by_drift,
         unit_variance,
         stated,
-        log_odds,
-        np.vstack([in_motion, np.zeros((len(weights), in_motion.shape[1]))]),
-        motion_variance,
     )
 
 
@@ -592,13 +371,25 @@ def _outputs_of_triad(
     """
     evidence, layout = equations.evidence, equations.layout
     turns, moves = list(evidence.turns), [link.move for link in evidence.used_moves.linked]
-    with_velocity = [moves[k] for k in layout.moves_with_accels]
     if first == 3:
         turns = [turns[k] for k in layout.turns_with_accels]
-        return layout.accels, [*evidence.segments, *turns], with_velocity
-    # The effect of the gyros' biases on the axes of a move is in its velocity too.
-    rows = np.concatenate([layout.gyros, layout.velocity.ravel()])
-    return rows, [*evidence.segments, *turns], [*moves, *with_velocity]
+        carried = [moves[k] for k in layout.moves_with_accels]
+        return layout.accels, [*evidence.segments, *turns], carried
+    return layout.gyros, [*evidence.segments, *turns], moves
+
+
+def _bias_drift(
+    parts: Sequence[Segment | Turn | Move], sloped: NDArray[np.bool_], derivatives: Floats
+) -> BiasDrift:
+    """Return where biases drift: n dwells and turns, `sloped` some of them (n,), and moves.
+
+    `derivatives` (3 k, 3) are those of the outputs of all k parts by the biases.
+    """
+    starts = np.array([part.start for part in parts], dtype=np.int64)
+    durations = [p.duration if isinstance(p, Move) else p.statistics.duration for p in parts]
+    with_slope = np.append(sloped, np.zeros(len(parts) - len(sloped), dtype=bool))
+    since = np.asarray((starts - starts.min()) * 1e-9)
+    return BiasDrift.over(since, np.array(durations), derivatives.reshape(-1, 3, 3), with_slope)
 
 
 @dataclass(frozen=True, eq=False)
@@ -654,7 +445,8 @@ def _noise_of_channels(
         walk[:, channel] = slopes.variances[:, channel, 0]
         deviations = np.sqrt(np.concatenate([component.part.variances[rows], walk.ravel()]))
         noisy = deviations > 0
-        noise.append((projection.T[:, noisy] * deviations[noisy], component.freedom))
+        columns = projection.T[:, noisy] * deviations[noisy]
+        noise.append((columns @ columns.T, component.freedom))
     return tuple(noise)
 
 

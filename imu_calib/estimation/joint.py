@@ -50,6 +50,9 @@ from .term_tests import confounded_errors, findings, temperature_finding, tested
 _SIGNIFICANT = 0.1
 """Of the stated values: positioning errors below it change no deviation by more than half a
 percent, biases that drift by so much more by no more than a tenth."""
+_LIKELY = 0.5
+"""Probability from which on drifts and scatter of motions are reported: below, the deviations allow
+for something that more likely is not there."""
 _OF_ATTITUDE = {'gyros': 'g_sensitivity', 'accelerometers': 'accel_cross'}
 """The largest of the terms that change with the attitude, for each triad."""
 _NAMED = 3  #: Moves named in a sentence; users inspect the first ones.
@@ -233,7 +236,8 @@ def _drift_findings(found: Estimate) -> list[str]:
         ('accelerometers', 3, MICRO_G, 'ug'),
     ):
         drift, stated_of = scatter.bias_drift[first], evidence.instability[first]
-        if drift > (1 + _SIGNIFICANT) * stated_of:
+        likely = scatter.drift_probability[first // 3] > _LIKELY
+        if likely and drift > (1 + _SIGNIFICANT) * stated_of:
             stated = f'{significant(stated_of / unit, 3)} {symbol}' if stated_of else 'none'
             if scatter.fast_drift[first // 3]:
                 notes.append(
@@ -260,7 +264,7 @@ def _drift_findings(found: Estimate) -> list[str]:
 
 def _motion_findings(scatter: ExcessScatter) -> list[str]:
     """Report velocities that scatter at the ends of motions, and not at rest."""
-    if not scatter.in_motion:
+    if scatter.motion_probability < _LIKELY:
         return []
     return [
         'At the ends of motions the velocities of the accelerometers scatter by '

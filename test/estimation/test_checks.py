@@ -429,6 +429,7 @@ def scattering(
     confounded: tuple[str, ...] = (),
     by_hand: bool = False,
     moved: float = 0.0,
+    likely: float = 1.0,
 ) -> list[str]:
     """Return what is said of an estimate that found positioning errors and drifts."""
     none = np.zeros(6)
@@ -436,8 +437,10 @@ def scattering(
         positioning=SimpleNamespace(joints=joints, stops=stops),
         positioning_probability=probability,
         bias_drift=none if drift is None else drift,
+        drift_probability=(likely, likely),
         fast_drift=fast,
         in_motion=moved,
+        motion_probability=likely * bool(moved),
     )
     instability = none if instability is None else instability
     evidence = SimpleNamespace(
@@ -502,6 +505,10 @@ def test_drifts_are_told_beside_what_the_data_sheet_states() -> None:
 def test_scatter_of_motions_is_told_with_its_sizes() -> None:
     (sentence,) = scattering(moved=0.004)
     assert 'the velocities of the accelerometers scatter by 0.004 m/s more than' in sentence
+
+
+def test_what_more_likely_is_not_there_is_not_told() -> None:
+    assert scattering(moved=0.004, drift=np.full(6, 1e-4), likely=0.4) == []
 
 
 class Links(list[int]):
