@@ -56,7 +56,7 @@ def step_errors(
     Returns:
         (s, 3, e) of the static dwells and (t, 3, e) of the turns, rad.
     """
-    parts = [*segments, *turns]
+    parts: list[Segment | Turn] = [*segments, *turns]
     order = np.argsort([part.start for part in parts], kind='stable')
     rank = np.argsort(order, kind='stable')
     angles = np.array([part.angles for part in parts]).reshape(len(parts), -1)
