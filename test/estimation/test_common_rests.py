@@ -102,6 +102,7 @@ def test_a_table_is_shared_where_its_angles_are_known(
     held = {
         'table': object(),
         'plan': SimpleNamespace(by_hand=False),
+        'attitude_steps': (),
         'free': False,
         'parts': [known, known],
     }
