@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import io
 import os
 import platform
@@ -106,7 +105,7 @@ def _remedy() -> str:
 
 def _import(module: str, sentence: str) -> None:
     try:
-        importlib.import_module(module)
+        import_module(module)
     except Exception as error:
         reason = f'{type(error).__name__}: {error}'
         raise ImuCalibError(sentence.format(reason)) from error

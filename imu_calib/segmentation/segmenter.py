@@ -201,8 +201,8 @@ class Segmenter:
         self._reader = IntervalReader(self._sensor, table, self._intake)
         self._patterns_differ = False
         # Number of motions in which the device repeated one sample, and when the first was, ns.
-        self._frozen = 0, 0
-        self._froze = ''  # Sentence on a device that froze for good.
+        self._frozen_motions = 0, 0
+        self._frozen_for_good = ''  # Sentence on a device that froze for good.
         self._ended: Segmented | None = None
 
     @property
@@ -278,11 +278,11 @@ class Segmenter:
         if (froze := reader.froze_at()) is not None:
             reader.leave_out_after(froze)
             seconds = ((self._intake.last_stamp or froze) - froze) * 1e-9
-            self._froze = frozen_sentence(froze, seconds)
+            self._frozen_for_good = frozen_sentence(froze, seconds)
         reject_untimed(reader, self._intake)
         reject_uncounted(reader)
         slewed = reject_slewed(reader)
-        self._frozen = reject_hidden(reader)
+        self._frozen_motions = reject_hidden(reader)
         if self._clocks_unknown:
             # All was cut by clocks of unknown offset: its positions and rates are wrong.
             reason = (
@@ -315,7 +315,7 @@ class Segmenter:
             tuple(self._intake.interruptions.found),
             self._intake.facts,
             self._intake.false_samples,
-            self._froze,
+            self._frozen_for_good,
         )
 
     @property
@@ -466,7 +466,7 @@ class Segmenter:
     def _loss_sentences(self) -> tuple[str, ...]:
         """Return sentences on all data that was lost or corrected on input."""
         reader = self._reader
-        froze = [self._froze] if self._froze else []
+        froze = [self._frozen_for_good] if self._frozen_for_good else []
         ahead_ns = reader.large_offset_ns
         lost = self._intake.losses(ahead_ns)
         if ahead_ns:
@@ -490,10 +490,11 @@ class Segmenter:
                 f'{reader.bridged} IMU samples are missing ({100 * share:.2g} %), a few at a time: '
                 'their values are interpolated from those around them'
             )
-        if self._frozen[0]:
+        motions, first = self._frozen_motions
+        if motions:
             lost.append(
-                f'The samples are frozen (one is repeated) in {counted(self._frozen[0], "motion")} '
-                f'of the table, first at {at(self._frozen[1])}: left out'
+                f'The samples are frozen (one is repeated) in {counted(motions, "motion")} of the '
+                f'table, first at {at(first)}: left out'
             )
         if self._clocks_unknown:
             lost.append(
