@@ -36,19 +36,6 @@ def log_times(path):
     return {name: np.concatenate([log for n, log in found if n == name]) for name, _ in found}
 
 
-def test_no_message_is_logged_before_one_that_was_written_earlier(tmp_path):
-    other, names = '/imu/skew', {TOPIC: Kind.IMU, '/imu/skew': Kind.SKEW}
-    journal = Journal(tmp_path / 'journal', {}, names)
-    journal.write(TOPIC, Kind.IMU.type_name, samples(EPOCH), EPOCH * NS)
-    journal.write(other, Kind.SKEW.type_name, samples(0), 0)
-    journal.write(TOPIC, Kind.IMU.type_name, samples(1), 1 * NS)
-    journal.close(finished=True)
-    logged = log_times(tmp_path / 'journal')
-    assert logged[other].min() >= EPOCH * NS
-    assert (np.diff(logged[TOPIC]) > 0).all()
-    assert logged[TOPIC][-1] < (EPOCH + 1) * NS
-
-
 class Bench:
     """A calibrator_node and whoever keeps the time, in one thread."""
 

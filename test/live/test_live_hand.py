@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from live import Stand
+from live import EMBEDDED, Stand
 from rich.console import Console
 from sessions import SITE, Alone, ended
 
@@ -188,7 +188,8 @@ def test_a_person_sees_what_to_do_and_what_each_next_hold_gains():
 
 def test_a_session_of_nodes_ends_when_it_is_enough_in_what_its_journal_gives(tmp_path):
     # Slow enough that too few holds are done when a busy machine has asked for the end.
-    with Stand(tmp_path, '--speed', '10', plan='free_positions', nodes=NODES) as stand:
+    options = ('--speed', '10')
+    with Stand(tmp_path, *options, plan='free_positions', nodes=NODES, embedded=EMBEDDED) as stand:
         assert stand.wait(lambda: any(p.next_attitudes for p in stand.progress))
         agreed, why = stand.call('/calibrator_node/solve')
         assert not agreed

@@ -234,19 +234,6 @@ def test_steps_that_left_too_little_are_named(tmp_path, wire):
     session.close()
 
 
-def test_a_finished_journal_and_one_of_another_plan_are_not_gone_on_with(tmp_path, wire):
-    session = begin(tmp_path / 'done')
-    send(session, wire, np.random.default_rng(1))
-    finish(session)
-    with pytest.raises(InputError, match='finished'):
-        begin(tmp_path / 'done')
-    session = begin(tmp_path / 'other')
-    send(session, wire, np.random.default_rng(1), 0, 0.2)
-    session.close()
-    with pytest.raises(InputError, match='another plan'):
-        begin(tmp_path / 'other', {'imu_calib.plan': 'another'})
-
-
 def test_a_folder_of_something_else_is_refused(tmp_path):
     (tmp_path / 'letters').mkdir()
     (tmp_path / 'letters' / 'to_whom.txt').write_text('it may concern')

@@ -16,7 +16,7 @@ from imu_calib.session.imu import load_imu
 from imu_calib.session.table import load_table
 
 try:
-    from live import NODES, Stand, State, short_plan
+    from live import EMBEDDED, NODES, Stand, State, short_plan
 
     from imu_calib.live import middleware as ros
     from imu_calib.live.nodes import qos
@@ -80,7 +80,7 @@ def doubt(calibration, rate):
 def test_a_stand_ends_in_a_stream_that_shows_gravity_and_the_earths_rate(tmp_path):
     options = ['--imu', 'fog_navigation', '--truth', str(true_unit(tmp_path))]
     plan = short_plan(tmp_path, dwell=DWELL)
-    with Stand(tmp_path, *options, plan=plan, nodes=()) as stand:
+    with Stand(tmp_path, *options, plan=plan, nodes=(), embedded=EMBEDDED) as stand:
         stand.parameters['compensator_node'] = {
             'use_sim_time': True,
             f'{OVERRIDE}.reliability': 'reliable',

@@ -1,6 +1,6 @@
 """A live stand with three units: what one of them does, and what becomes of the others.
 
-One session, with all that goes wrong in it; every process is real.
+One session, with all that goes wrong in it.
 """
 
 from types import SimpleNamespace
@@ -13,7 +13,7 @@ from loopback import patience
 from imu_calib.common.errors import ImuCalibError
 
 try:
-    from live import LIMIT, Progress, Stand, State, short_plan
+    from live import EMBEDDED, LIMIT, Progress, Stand, State, short_plan
 
     from imu_calib.live.middleware import messages
     from imu_calib.live.nodes import qos
@@ -49,7 +49,7 @@ def finished_session(tmp_path_factory):
     # Slow enough that steps are left when a service answers on a busy machine.
     options = ('--imus', str(file), '--sample-rate', '50', '--speed', '10')
     nodes = ('stand_node', *DEVICES[:2], 'calibrator_node', 'turntable_node')
-    with Stand(folder, *options, plan=plan, nodes=nodes) as stand:
+    with Stand(folder, *options, plan=plan, nodes=nodes, embedded=EMBEDDED) as stand:
         own = {name: SimpleNamespace(progress=[], calibrations=[]) for name in SERIALS}
         for name, heard in own.items():
             listen = stand.node.create_subscription
@@ -68,7 +68,7 @@ def finished_session(tmp_path_factory):
         stand.fault(f'unit_A1 silence {LOSS}')
         stand.fault(f'unit_B_2 freeze {LOSS}')
         assert stand.reaches(State.DWELLING, step=5), stand.state
-        stand.kill(DEVICES[2])
+        stand.end(DEVICES[2])
         results.silent = stand.wait(lambda: waits_for(stand, 'C3'), patience(60))
         results.goes_on = stand.reaches(State.DWELLING, step=stand.state.step + 1)
         results.answer = stand.call('calibrator_node/leave_out/unit_C3')

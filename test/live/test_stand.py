@@ -1,6 +1,7 @@
 """The live stand: sessions from start to end, and everything that goes wrong on the way.
 
-Every process is real; table and IMU are simulated at the level of hardware. What a fault does to
+Every process is real, but where the table alone is at fault; table and IMU are simulated at the
+level of hardware. What a fault does to
 the table is asserted on the table's own joint states, and every number that was ever published is
 held against the truth.
 """
@@ -10,20 +11,33 @@ import pytest
 from imu_calib.common.errors import ImuCalibError
 
 try:
-    from live import LEASE, Progress, Stand, State, finishes, resumes, spoofed_done, stops, stranger
+    from live import (
+        EMBEDDED,
+        LEASE,
+        Progress,
+        Stand,
+        State,
+        finishes,
+        resumes,
+        spoofed_done,
+        stops,
+        stranger,
+    )
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
 
-def test_an_imu_whose_node_is_killed_that_falls_silent_and_sends_garbage(tmp_path):
-    """On the way the clock of the device jumps, too: forth and far back.
+def test_an_imu_that_falls_silent_sends_garbage_and_whose_clock_jumps(tmp_path):
+    """Forth and far back, and the plan is paused and gone on with on the way.
 
     Slow enough that steps are left when a word of a jump comes, a quarter of a second after it.
     """
-    with Stand(tmp_path, '--speed', '30') as stand:
-        assert stand.reaches(State.TURNING, step=1)
-        stand.kill('imu_node')
-        stand.start('imu_node')
+    with Stand(tmp_path, '--speed', '30', embedded=EMBEDDED) as stand:
+        assert stand.reaches(State.DWELLING, step=2)
+        assert stand.call('turntable_node/pause')[0]
+        assert stand.reaches(State.PAUSED)
+        assert stand.table_stands()
+        assert stand.call('turntable_node/start')[0]
         assert stand.reaches(State.DWELLING, step=4)
         stand.fault('silence 2.0')
         for step, jump in (8, 0.5), (12, -20.0):
@@ -42,7 +56,10 @@ def test_an_imu_whose_node_is_killed_that_falls_silent_and_sends_garbage(tmp_pat
 
 
 def test_calibrator_and_leader_are_killed_and_the_session_goes_on_from_its_journal(tmp_path):
-    """The calibrator twice: the second time its journal is one that had been gone on with."""
+    """The calibrator twice: the second time its journal is one that had been gone on with.
+
+    The node of the IMU is killed, too: the table goes on.
+    """
     # On a busy machine a calibrator that lives may be silent for seconds.
     waits = {'calibrator_timeout': 5.0, 'watchdog_timeout': LEASE + 10.0}
     with Stand(tmp_path, '--speed', '60', turntable_node=waits) as stand:
@@ -62,7 +79,12 @@ def test_calibrator_and_leader_are_killed_and_the_session_goes_on_from_its_journ
             stand.start('calibrator_node')
             assert stand.wait(lambda: stand.has_status('is resumed from'))
             resumes(stand)
+        assert stand.reaches(State.DWELLING, step=10)
+        paused = [s for s in stand.states if s.phase == State.PAUSED]
+        stand.kill('imu_node')
+        stand.start('imu_node')
         final = finishes(stand)
+        assert [s for s in stand.states if s.phase == State.PAUSED] == paused
         assert 'interrupted' in final.status_text
 
 
@@ -74,7 +96,7 @@ def done_without_its_leader_ends_no_session(stand):
     steps = stand.state.steps
     listed = stand.node.get_publishers_info_by_topic
     assert stand.wait(lambda: not listed('/turntable/state'))
-    with stranger('turntable/state') as output:
+    with stranger(stand, 'turntable/state') as output:
         assert stand.wait(lambda: output.get_subscription_count() >= 2)
         for _ in range(20):
             output.publish(spoofed_done(stand))
@@ -112,7 +134,7 @@ def test_a_full_disk_stops_the_table_and_loses_nothing_and_then_the_table_vanish
 
 def test_a_table_that_does_not_do_as_it_is_told(tmp_path):
     """It stands and says why, time after time; then the session ends as if nothing had been."""
-    with Stand(tmp_path, '--speed', '60') as stand:
+    with Stand(tmp_path, '--speed', '60', embedded=EMBEDDED) as stand:
         for fault, phase, step, word in (
             ('stall', State.TURNING, 1, 'Joint'),
             ('overshoot 5', State.MOVING, 3, 'Joint'),

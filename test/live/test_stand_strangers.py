@@ -1,6 +1,6 @@
 """The live stand: what a person, a stranger or a second publisher does to it.
 
-Every process is real; table and IMU are simulated at the level of hardware.
+Table and IMU are simulated at the level of hardware.
 """
 
 import numpy as np
@@ -11,6 +11,7 @@ from imu_calib.common.errors import ImuCalibError
 
 try:
     from live import (
+        EMBEDDED,
         KINDS,
         LEASE,
         MOVES,
@@ -51,7 +52,7 @@ def test_two_publishers_or_an_emergency_stop_the_table_and_spoofed_words_complet
     ) as stand:
         for topic in KINDS:
             assert stand.reaches(*MOVES, step=1)
-            with stranger(topic):
+            with stranger(stand, topic):
                 stops(stand, '2 publishers', f'/{topic}', OWNERS[topic], '/stranger')
                 success, message = stand.call('turntable_node/start')
                 assert not success
@@ -63,7 +64,7 @@ def test_two_publishers_or_an_emergency_stop_the_table_and_spoofed_words_complet
         ):
             assert stand.reaches(State.DWELLING, step=step)
             stand.words.clear()
-            with stranger(topic) as output:
+            with stranger(stand, topic) as output:
                 assert stand.wait(lambda output=output: output.get_subscription_count() >= 2)
                 for _ in range(20):
                     output.publish(spoof(stand))
@@ -124,7 +125,8 @@ def a_pressed_stop_outlives_a_killed_turntable_node(stand):
 def test_who_turns_a_table_nobody_leads_is_stopped_and_no_session_is_more_than_its_data(tmp_path):
     """One stand: strangers, a session that is ended early, and one with two IMUs."""
     # Slow enough that a session is not done while a busy machine takes a second for a call.
-    with Stand(tmp_path, '--speed', '5', turntable_node={'autostart': False}) as stand:
+    waits = {'autostart': False}
+    with Stand(tmp_path, '--speed', '5', turntable_node=waits, embedded=EMBEDDED) as stand:
         assert stand.reaches(State.IDLE)
         a_stranger_is_stopped(stand)
         assert stand.reaches(State.DWELLING, step=3)
@@ -144,7 +146,7 @@ def a_stranger_is_stopped(stand):
     assert stand.table_stands(seconds=30)
     before = stand.joints
     stand.words.clear()
-    with stranger('turntable/setpoint') as output:
+    with stranger(stand, 'turntable/setpoint') as output:
         assert stand.wait(lambda: output.get_subscription_count() >= 2)
         for _ in range(100):
             output.publish(ten_turns(stand.joints))

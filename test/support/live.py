@@ -24,6 +24,8 @@ from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.recordings.rosbag2 import open_recording
 
 NODES = ('stand_node', 'imu_node', 'calibrator_node', 'turntable_node')
+EMBEDDED = ros.RUNTIME != 'rclpy'
+"""Of a stand whose test is not about processes: a process that speaks through rclpy embeds none."""
 LIMIT = 4.5
 # What publishes with keep-all waits for a subscription that was killed until its lease ends: 10 s
 # with Cyclone DDS, 20 s with Fast DDS.
@@ -67,6 +69,7 @@ class Stand:
         for name, more in changed.items():
             self.parameters[name] |= more
         self.folder.mkdir()
+        self.embedded = embedded
         self._environ = dict(os.environ)
         if embedded:
             self.environment = {}
@@ -107,6 +110,9 @@ class Stand:
 
     def kill(self, name, number=signal.SIGKILL):
         self.processes.kill(name, number)
+
+    def end(self, name):
+        self.processes.end_all_but({one for one in self.processes.names if one != name})
 
     def fault(self, text):
         log = self.folder / 'nodes' / 'stand_node.log'
@@ -294,13 +300,16 @@ KINDS = {
 
 
 @contextmanager
-def stranger(topic):
+def stranger(stand, topic):
     """Let a node of another name publish on a topic of the stand."""
-    node = ros.Node('stranger')
+    node = stand.processes.join('stranger') if stand.embedded else ros.Node('stranger')
     try:
         yield node.create_publisher(getattr(messages, KINDS[topic]), topic, qos.latched())
     finally:
-        node.destroy_node()
+        if stand.embedded:
+            stand.processes.leave(node)
+        else:
+            node.destroy_node()
 
 
 def spoofed_done(stand):
