@@ -398,8 +398,3 @@ def test_nothing_is_left_to_run_but_the_calibrator_has_the_last_word():
     assert steps_run(stand) == []
     stand.sequencer.review(stand.sequencer.feedback.stamp, [2])
     assert steps_run(stand) == [2]
-
-
-def test_what_is_done_cannot_be_known_without_a_calibrator():
-    with pytest.raises(InputError, match='supervise'):
-        Simulated().sequencer.resume()
