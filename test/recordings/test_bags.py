@@ -51,7 +51,7 @@ from imu_calib.recordings import mcap_records as mcap_chunk
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import encode_imu, part
 from imu_calib.recordings.rosbag2 import open_recording
-from imu_calib.recordings.storage import SPAN_NS, Cache, RecordingError, Topic
+from imu_calib.recordings.storage import SPAN_NS, RecordingError, Topic
 from imu_calib.recordings.writer import RecordingWriter
 
 MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
@@ -374,26 +374,6 @@ def test_a_recording_tells_who_plays_it_which_topics_are_latched(tmp_path, latch
     expected = ('TRANSIENT_LOCAL', 'KEEP_LAST', 1) if latched else ('VOLATILE', 'KEEP_ALL', 0)
     assert durability == expected
     assert profile.reliability.name == 'RELIABLE'
-
-
-def test_chunks_are_held_until_all_have_read_them_and_within_a_limit():
-    loaded = []
-
-    def take(key, users):
-        def load():
-            loaded.append(key)
-            return np.zeros(100, np.uint8)
-
-        cache.get(key, load, users)
-
-    cache = Cache(250)
-    for key in ('a', 'a', 'b', 'b', 'c', 'c'):
-        take(key, 2)
-    assert loaded == ['a', 'b', 'c']
-    # A third one is beyond the limit: the oldest goes, and is loaded again.
-    for key in ('d', 'e', 'f', 'e', 'f', 'd'):
-        take(key, 2)
-    assert loaded == ['a', 'b', 'c', 'd', 'e', 'f', 'd']
 
 
 def test_the_next_compressed_chunks_are_unpacked_while_one_is_decoded(tmp_path, monkeypatch):

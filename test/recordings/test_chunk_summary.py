@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import struct
-
 import pytest
-from mcap_bytes import CHUNK, chunk, record, text
 
 from imu_calib.recordings.mcap_records import (
-    CHUNK_FIELDS,
-    LONGEST_HEAD,
     Catalogue,
     Channel,
-    Chunk,
     ChunkIndex,
-    chunk_at,
     chunks_of,
 )
 
@@ -41,25 +34,6 @@ def catalogue(*entries: ChunkIndex, counts: dict[int, int], **other: object) -> 
     for name, value in other.items():
         setattr(found, name, value)
     return found
-
-
-def test_a_chunk_is_described_by_its_entry_alone() -> None:
-    (found,) = chunks_of(catalogue(entry(), counts={1: 3, 2: 5}), SUMMARY) or ()
-    assert found == Chunk(
-        start=FIRST,
-        data=DATA,
-        stored=STORED,
-        size=900,
-        compression='',
-        crc=None,
-        start_ns=7,
-        end_ns=9,
-        index={1: (INDEX_1 + 15, 3), 2: (INDEX_2 + 15, 5)},
-        counts={1: 3, 2: 5},
-        cut=False,
-    )
-    assert found.end == DATA + STORED
-    assert str(found) == f'the chunk at byte {FIRST} (log time 0.000 s to 0.000 s)'
 
 
 def test_chunks_come_in_the_order_of_the_file() -> None:
@@ -116,30 +90,3 @@ def test_an_index_too_short_for_an_entry_has_none() -> None:
     assert found is not None
     assert found[0].counts == {1: 0, 2: 1}
     assert found[1].counts == {1: 3}
-
-
-@pytest.mark.parametrize('compression', ['', 'lz4', 'sixteen letters.'])
-def test_a_chunk_is_read_from_its_own_head(compression: str) -> None:
-    content = struct.pack('<QQQI', 2**40, 2**41, 900, 77) + text(compression)
-    content += struct.pack('<Q', STORED)
-    assert CHUNK_FIELDS + len(compression) == len(content)
-    assert (len(content) == LONGEST_HEAD) is (len(compression) == 16)
-    found, least = chunk_at(FIRST, content + b'what follows')
-    assert found == Chunk(
-        FIRST, FIRST + 9 + len(content), STORED, 900, compression, 77, 2**40, 2**41
-    )
-    assert least == len(content) + STORED
-    for short in range(len(content)):
-        with pytest.raises(struct.error):
-            chunk_at(FIRST, content[:short])
-
-
-def test_a_compression_that_is_no_text_is_no_chunk() -> None:
-    with pytest.raises(UnicodeDecodeError):
-        chunk_at(FIRST, bytes(28) + struct.pack('<I', 1) + b'\xff' + bytes(8))
-
-
-def test_a_chunk_says_when_it_was_recorded() -> None:
-    one, _ = chunk_at(8, chunk(b'', (1_500_000_000, 2_250_000_000))[9:])
-    assert str(one) == 'the chunk at byte 8 (log time 1.500 s to 2.250 s)'
-    assert record(CHUNK, bytes(40)) == chunk(b'', crc=0)

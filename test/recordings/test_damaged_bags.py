@@ -62,28 +62,6 @@ def write_chunks(path, compression='', count=5):
     return path
 
 
-@pytest.mark.parametrize('shuffled', ['reversed', 'at random'])
-def test_an_index_in_another_order_than_the_file_changes_nothing(tmp_path, shuffled):
-    # The mcap specification orders the entries of a message index in no way.
-    path = write_chunks(tmp_path / 'bag')
-    with open_recording(path) as recording:
-        expected = [(topic, len(block)) for topic, block in recording.read(KINDS)]
-    file = storage_file(path)
-    content, rng = bytearray(file.read_bytes()), np.random.default_rng(2)
-    for offset, _ in records(path, 0x07):
-        (size,) = struct.unpack_from('<I', content, offset + 11)
-        entries = np.frombuffer(bytes(content[offset + 15 : offset + 15 + size]), '<u8, <u8')
-        order = np.arange(len(entries))[::-1] if shuffled == 'reversed' else None
-        order = rng.permutation(len(entries)) if order is None else order
-        content[offset + 15 : offset + 15 + size] = entries[order].tobytes()
-    file.write_bytes(content)
-    blocks, losses = read(path)
-    assert_same(blocks, SESSION)
-    assert not losses
-    with open_recording(path) as recording:
-        assert [(topic, len(block)) for topic, block in recording.read(KINDS)] == expected
-
-
 def records(path, op):
     """(offset, length) of the top-level records of one opcode."""
     content = storage_file(path).read_bytes()
@@ -272,29 +250,6 @@ def test_a_file_without_footer_gives_its_whole_chunks(tmp_path, compression):
     assert 'up to log time 1700000005.995 s is complete' in losses[0]
 
 
-@pytest.mark.parametrize('length', [0, 2, 5])
-def test_a_message_index_too_short_to_be_one_is_a_stated_loss(tmp_path, length):
-    file = storage_file(write_chunks(tmp_path / 'bag'))
-    content = file.read_bytes()
-    # The recorder did not finish: the last record of the data is the short index.
-    ends = content.rindex(struct.pack('<BQI', 0x0F, 4, 0))
-    file.write_bytes(content[:ends] + struct.pack('<BQ', 0x07, length) + bytes(length))
-    found, losses = read(file)
-    assert_same(found, SESSION)
-    assert any('holds no valid record' in loss for loss in losses)
-
-
-def test_an_uncompressed_cut_chunk_gives_its_whole_records(tmp_path):
-    path = write_chunks(tmp_path / 'bag')
-    last, length = records(path, 6)[4]
-    cut(path, last + length // 2)
-    blocks, losses = read(path, [IMU])
-    assert len(samples_until(8)[IMU]) < sum(map(len, blocks[IMU])) < len(SESSION[IMU])
-    assert 'is cut off at byte' in losses[0]
-    assert 'the first' in losses[1]
-    assert 'log time 1700000008.000 s to 1700000009.995 s' in losses[1]
-
-
 def test_a_compressed_cut_chunk_is_a_stated_loss(tmp_path):
     path = write_chunks(tmp_path / 'bag', 'zstd')
     last, length = records(path, 6)[4]
@@ -348,25 +303,6 @@ def test_a_corrupt_chunk_is_left_out_and_stated_once(tmp_path, compression):
     assert f'400 of {IMU}' in losses[0]
 
 
-def test_a_broken_record_head_is_jumped_over_with_the_chunk_index(tmp_path):
-    path = write_chunks(tmp_path / 'bag')
-    second, _ = records(path, 6)[1]
-    overwrite(storage_file(path), second, b'\x06' + b'\xff' * 8)
-    blocks, losses = read(path, [IMU])
-    assert sum(map(len, blocks[IMU])) == len(SESSION[IMU]) - 400
-    assert 'holds no valid record at byte' in losses[0]
-
-
-def test_a_chunk_that_states_more_than_its_record_holds_is_left_out(tmp_path):
-    path = write_chunks(tmp_path / 'bag')
-    second, length = records(path, 6)[1]
-    # Behind the head: times, size and checksum, the name of no compression, the stored length.
-    overwrite(storage_file(path), second + 9 + 32, struct.pack('<Q', length))
-    blocks, losses = read(path, [IMU])
-    assert sum(map(len, blocks[IMU])) == len(SESSION[IMU]) - 400
-    assert f'holds no valid record at byte {second}:' in losses[0]
-
-
 @pytest.mark.parametrize('what', ['gone', 'wrong offsets', 'offsets beyond all', 'incomplete'])
 def test_messages_are_found_without_a_sound_message_index(tmp_path, what):
     path = write_chunks(tmp_path / 'bag')
@@ -386,29 +322,6 @@ def test_messages_are_found_without_a_sound_message_index(tmp_path, what):
     blocks, losses = read(path)
     assert_same(blocks, SESSION)
     assert losses == []
-
-
-def test_a_message_too_short_to_be_one_at_the_end_of_a_chunk_is_a_stated_loss(tmp_path):
-    path = write_chunks(tmp_path / 'bag', count=1)
-    file = storage_file(path)
-    (chunk, length), *_ = records(path, 6)
-    content = file.read_bytes()
-    # Records begin behind the chunk's fields and the name of its compression, here empty.
-    first, end = chunk + 9 + 40, chunk + 9 + length
-    starts, _ = walk(np.frombuffer(content[first:end], np.uint8))
-    last = first + int(starts[-1])
-    filler = struct.pack('<BQ', 0x80, end - last - 2 * 9 - 1)
-    overwrite(file, last, filler)
-    overwrite(file, end - 10, struct.pack('<BQ', 5, 1))
-    overwrite(file, chunk + 9 + 24, bytes(4))
-    for offset, _ in records(path, 7):
-        overwrite(file, offset, b'\x80')
-    blocks, losses = read(path)
-    assert (
-        sum(len(b) for some in blocks.values() for b in some)
-        == sum(map(len, samples_until(2).values())) - 1
-    )
-    assert any('holds 1 records that are too short for a message' in loss for loss in losses)
 
 
 def write_unchunked(path, rows, footer=True):
@@ -437,17 +350,6 @@ def test_a_file_without_chunks_is_read(tmp_path, footer):
     with open_recording(path) as recording:
         counts = {t.name: t.count for t in recording.topics}
         assert counts[JOINTS] in {len(SESSION[JOINTS]), None}
-
-
-@pytest.mark.parametrize('short', [1, 10, 22, 30, 31, 32, 300])
-def test_a_file_without_chunks_that_is_cut_gives_its_whole_messages(tmp_path, short):
-    rows = [row for row in ROWS if row[1] == IMU][:20]
-    path = write_unchunked(tmp_path / 'flat.mcap', rows, footer=False)
-    os.truncate(path, path.stat().st_size - len(rows[-1][2]) - 31 + short)
-    blocks, losses = read(path, [IMU])
-    stamp = np.concatenate([b.stamp for b in blocks[IMU]])
-    assert stamp.tolist() == [log for log, _, _ in rows[:-1]]
-    assert losses
 
 
 def test_a_cut_sqlite_file_gives_the_rows_that_are_there(tmp_path):
