@@ -18,6 +18,7 @@ from imu_calib.common.stream import (
     SetpointBlock,
     TemperatureBlock,
 )
+from imu_calib.recordings import cdr_codec as decode
 from imu_calib.recordings.cdr import CdrError, Malformed, Messages
 from imu_calib.recordings.cdr_codec import (
     PULSES,
@@ -340,6 +341,37 @@ def test_messages_beyond_their_buffer_are_refused(offset, size):
 def test_messages_may_fill_their_buffer(offset, size):
     messages = Messages(np.arange(10, dtype=np.uint8), np.array(offset), np.array(size))
     assert [len(payload) for payload in messages.payloads()] == size
+
+
+@pytest.fixture
+def parsed(monkeypatch):
+    """List the messages that are read field by field to learn what they look like."""
+    parse, found = decode._imu_layout, []
+
+    def counting(payload):
+        found.append(payload)
+        return parse(payload)
+
+    monkeypatch.setattr(decode, '_imu_layout', counting)
+    return found
+
+
+def test_a_stream_is_read_once_for_what_its_messages_look_like(parsed):
+    decoder, malformed = ImuDecoder(), Malformed()
+    first, other = encode_imu(imu_block(3)).payloads(), encode_imu(imu_block(3, 'other')).payloads()
+    decoder.decode(first[:1], malformed)
+    count = len(parsed)
+    (block,) = decoder.decode(first[1:2], malformed)
+    assert block.stamp.tolist() == imu_block(3).stamp[1:2].tolist()
+    assert len(parsed) == count
+    # Several at once are all decoded, and the last is what the next one is held against.
+    blocks = decoder.decode(first[:2], malformed)
+    assert [len(b) for b in blocks] == [2]
+    decoder.decode([first[0], other[0]], malformed)
+    count = len(parsed)
+    (block,) = decoder.decode(other[1:2], malformed)
+    assert block.frame_id == 'other'
+    assert len(parsed) == count
 
 
 def test_a_part_that_is_the_whole_is_the_block_itself():

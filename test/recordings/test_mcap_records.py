@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 
+import numpy as np
 import pytest
 from mcap_bytes import (
     CHANNEL,
@@ -20,6 +21,8 @@ from mcap_bytes import (
     texts,
 )
 
+from imu_calib.recordings import mcap_records
+from imu_calib.recordings.cdr import Bytes, Indices
 from imu_calib.recordings.mcap_records import (
     FOOTER_SIZE,
     MAGIC,
@@ -31,6 +34,7 @@ from imu_calib.recordings.mcap_records import (
     record,
     string,
     strings,
+    walk,
 )
 from imu_calib.recordings.storage import Described
 
@@ -141,3 +145,29 @@ def test_a_field_may_end_with_the_record() -> None:
     fields.skip(1)
     assert fields.strings() == {'a': 'b', 'c': ''}
     assert fields.position == len(fields._content)
+
+
+def runs(*lengths: int) -> list[int]:
+    """Number the records from which on those of one length are found at once."""
+    content = b''.join(record(Op.MESSAGE, bytes(n)) for n in lengths)
+    starts = [0, *np.cumsum([9 + n for n in lengths]).tolist()]
+    begun, run = [], mcap_records._run
+
+    def noted(buffer: Bytes, position: int, length: int) -> Indices:
+        begun.append(starts.index(position))
+        return run(buffer, position, length)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mcap_records, '_run', noted)
+        offsets, end = walk(np.frombuffer(content, np.uint8))
+    assert [*offsets.tolist(), end] == starts
+    return begun
+
+
+def test_a_run_begins_with_the_ninth_record_of_a_length() -> None:
+    assert runs(*(1, 2) * 10) == []
+    assert runs(*(7,) * 8) == []
+    assert runs(*(0,) * 9) == [8]
+    assert runs(*(7,) * 9) == [8]
+    # Another length counts anew.
+    assert runs(3, *(7,) * 12, *(5,) * 12) == [9, 21]
