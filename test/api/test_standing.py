@@ -7,19 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from live import LIMIT, short_plan
 
 import imu_calib
 from imu_calib.api.session import TRUE_TABLE
 from imu_calib.cli import resume, stand_session
 from imu_calib.cli.main import main
 from imu_calib.cli.terminal import as_options
-from imu_calib.common.errors import ImuCalibError, InputError, NotObservable
+from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.files import named_file
-
-try:
-    from live import LIMIT, short_plan
-except ImuCalibError as error:
-    pytest.skip(str(error), allow_module_level=True)
 
 
 @pytest.mark.repeats

@@ -12,6 +12,7 @@ import sys
 import numpy as np
 import pytest
 import yaml
+from live import LIMIT, short_plan
 from loopback import CHECKOUT, patience, until
 from sequenced_table import Stand as Simulated
 
@@ -19,7 +20,7 @@ from imu_calib.api.calibrate import calibrate
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import dispatch, main, resume
 from imu_calib.cli.processes import Processes
-from imu_calib.common.errors import ImuCalibError, InputError
+from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, Mode
 from imu_calib.live.rules import Phase, Rules
@@ -27,11 +28,6 @@ from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import Kind, encode_imu
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import Journal
-
-try:
-    from live import LIMIT, short_plan
-except ImuCalibError as error:
-    pytest.skip(str(error), allow_module_level=True)
 
 TURN = 7
 """At which step the session is interrupted, a turn: some positions are done, most are not."""

@@ -17,18 +17,14 @@ import pytest
 from device_frames import frame
 from loopback import CHECKOUT, environment, patience, until
 
+from imu_calib.cli import monitor, stand_session
 from imu_calib.cli.main import main
 from imu_calib.cli.processes import SessionEnd
 from imu_calib.cli.terminal import NodeReports
-from imu_calib.common.errors import ImuCalibError, InputError
+from imu_calib.common.errors import InputError
 from imu_calib.live.devices.source import DeviceReader, check_port
+from imu_calib.live.middleware import messages
 from imu_calib.live.web.board import Board, Expected
-
-try:
-    from imu_calib.cli import monitor, stand_session
-    from imu_calib.live.middleware import messages
-except ImuCalibError as error:
-    pytest.skip(str(error), allow_module_level=True)
 
 NS = 1_000_000_000
 RATE = 200

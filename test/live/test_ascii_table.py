@@ -21,24 +21,17 @@ from loopback import environment, patience, start, until
 from turntable_bench import PLAN
 from turntable_bench import TABLE as NIMBLE
 
-from imu_calib.common.errors import ImuCalibError, InputError
+from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Mode, Setpoint, SetpointBlock
+from imu_calib.live import middleware as ros
 from imu_calib.live import table_line
-from imu_calib.live.nodes import qos
+from imu_calib.live.nodes import qos, stop
+from imu_calib.live.nodes.ascii_table_node import AsciiTableNode
+from imu_calib.live.nodes.turntable_node import TurntableNode
 from imu_calib.live.table_line import ControllerLine, Follower, Move, Reading, Stop
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import decode_joints, encode_setpoints
 from imu_calib.session.table import load_table
-
-# ROS reads this when it loads its messages.
-os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
-try:
-    from imu_calib.live import middleware as ros
-    from imu_calib.live.nodes import stop
-    from imu_calib.live.nodes.ascii_table_node import AsciiTableNode
-    from imu_calib.live.nodes.turntable_node import TurntableNode
-except ImuCalibError as error:
-    pytest.skip(str(error), allow_module_level=True)
 
 NS = 1_000_000_000
 DEG = math.pi / 180

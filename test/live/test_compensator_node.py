@@ -17,26 +17,22 @@ from imu_calib.api.compensate import compensate
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.thermal import combine
 from imu_calib.cli.main import main
-from imu_calib.common.errors import ImuCalibError, InputError
+from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock, TemperatureBlock
 from imu_calib.common.units import DEG
+from imu_calib.live import middleware as ros
+from imu_calib.live.nodes import qos
+from imu_calib.live.nodes.convert import (
+    calibration_message,
+    calibration_of,
+    final_status,
+    refusal_message,
+)
 from imu_calib.model.sensors import SensorModel
 from imu_calib.recordings.cdr_codec import Kind, encode_imu, encode_temperatures
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.imu import load_imu
-
-try:
-    from imu_calib.live import middleware as ros
-    from imu_calib.live.nodes import qos
-    from imu_calib.live.nodes.convert import (
-        calibration_message,
-        calibration_of,
-        final_status,
-        refusal_message,
-    )
-except ImuCalibError as error:
-    pytest.skip(str(error), allow_module_level=True)
 
 file = compensator_bench.file
 

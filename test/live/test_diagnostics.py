@@ -1,28 +1,20 @@
 """What the nodes say on /diagnostics: its form, its documentation, and the groups of a monitor."""
 
 import ast
-import os
 
 import pytest
 import yaml
 from loopback import CHECKOUT, environment, until
 
-from imu_calib.common.errors import ImuCalibError
-
-# ROS reads this when it loads its messages.
-os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
-try:
-    from imu_calib.cli.processes import free_port
-    from imu_calib.live import middleware as ros
-    from imu_calib.live.nodes import stand_node
-    from imu_calib.live.nodes.calibrator_node import CalibratorNode
-    from imu_calib.live.nodes.diagnostics import Diagnostics
-    from imu_calib.live.nodes.stand_node import StandNode
-    from imu_calib.live.nodes.turntable_node import TurntableNode
-    from imu_calib.live.rules import Severity
-    from imu_calib.simulation.hardware import SimulatedHardware
-except ImuCalibError as error:
-    pytest.skip(str(error), allow_module_level=True)
+from imu_calib.cli.processes import free_port
+from imu_calib.live import middleware as ros
+from imu_calib.live.nodes import stand_node
+from imu_calib.live.nodes.calibrator_node import CalibratorNode
+from imu_calib.live.nodes.diagnostics import Diagnostics
+from imu_calib.live.nodes.stand_node import StandNode
+from imu_calib.live.nodes.turntable_node import TurntableNode
+from imu_calib.live.rules import Severity
+from imu_calib.simulation.hardware import SimulatedHardware
 
 HEALTH = CHECKOUT / 'imu_calib' / 'live' / 'devices' / 'health.py'
 

@@ -10,14 +10,8 @@ from functools import cache
 
 import pytest
 from extent import again
+from live import LEASE, MOVES, Stand, State, finishes, resumes, short_plan, stops
 from loopback import CHECKOUT
-
-from imu_calib.common.errors import ImuCalibError
-
-try:
-    from live import LEASE, MOVES, Stand, State, finishes, resumes, short_plan, stops
-except ImuCalibError as error:
-    pytest.skip(str(error), allow_module_level=True)
 
 DOCS = CHECKOUT / 'docs'
 TEST = re.compile(r'`(test_\w+)::(test_\w+)`')

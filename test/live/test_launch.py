@@ -11,17 +11,13 @@ import yaml
 from loopback import CHECKOUT, environment
 
 from imu_calib.cli import dispatch, stand_session
-from imu_calib.common.errors import ImuCalibError
 from imu_calib.common.files import version
 from imu_calib.common.rotations import rotation
 from imu_calib.session.keywords import node_parameters
 from imu_calib.session.table import load_table
 
 sys.path.insert(0, str(CHECKOUT / 'docs'))
-try:
-    import parameters
-except ImuCalibError as error:
-    pytest.skip(str(error), allow_module_level=True)
+import parameters
 
 # Where NiceGUI is not, the page's node says so and ends.
 NODES = [n for n in parameters.NODES if n != 'web_node' or find_spec('nicegui')]

@@ -3,25 +3,18 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from live import EMBEDDED, NODES, Stand, State, short_plan
 from sessions import SITE
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.common.errors import ImuCalibError
 from imu_calib.common.files import named_file
 from imu_calib.common.units import MICRO_G
+from imu_calib.live import middleware as ros
+from imu_calib.live.nodes import qos
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import decode_imu, decode_joints
 from imu_calib.session.imu import load_imu
 from imu_calib.session.table import load_table
-
-try:
-    from live import EMBEDDED, NODES, Stand, State, short_plan
-
-    from imu_calib.live import middleware as ros
-    from imu_calib.live.nodes import qos
-except ImuCalibError as error:
-    pytest.skip(str(error), allow_module_level=True)
 
 DWELL = 10.0
 SETTLED = 1.5

@@ -8,22 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
+from live import EMBEDDED, LIMIT, Progress, Stand, State, short_plan
 from loopback import patience
-
-from imu_calib.common.errors import ImuCalibError
-
-try:
-    from live import EMBEDDED, LIMIT, Progress, Stand, State, short_plan
-
-    from imu_calib.live.middleware import messages
-    from imu_calib.live.nodes import qos
-except ImuCalibError as error:
-    pytest.skip(str(error), allow_module_level=True)
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import main
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import Mode
+from imu_calib.live.middleware import messages
+from imu_calib.live.nodes import qos
 from imu_calib.recordings.cdr_codec import Kind
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.session.metadata import LEFT_OUT

@@ -7,24 +7,18 @@ held against the truth.
 """
 
 import pytest
-
-from imu_calib.common.errors import ImuCalibError
-
-try:
-    from live import (
-        EMBEDDED,
-        LEASE,
-        Progress,
-        Stand,
-        State,
-        finishes,
-        resumes,
-        spoofed_done,
-        stops,
-        stranger,
-    )
-except ImuCalibError as error:
-    pytest.skip(str(error), allow_module_level=True)
+from live import (
+    EMBEDDED,
+    LEASE,
+    Progress,
+    Stand,
+    State,
+    finishes,
+    resumes,
+    spoofed_done,
+    stops,
+    stranger,
+)
 
 
 def test_an_imu_that_falls_silent_sends_garbage_and_whose_clock_jumps(tmp_path):

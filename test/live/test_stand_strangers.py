@@ -4,31 +4,23 @@ Table and IMU are simulated at the level of hardware.
 """
 
 import numpy as np
-import pytest
+from live import (
+    EMBEDDED,
+    KINDS,
+    LEASE,
+    MOVES,
+    Progress,
+    Stand,
+    State,
+    finishes,
+    spoofed_done,
+    stops,
+    stranger,
+)
 from loopback import patience
 
-from imu_calib.common.errors import ImuCalibError
-
-try:
-    from live import (
-        EMBEDDED,
-        KINDS,
-        LEASE,
-        MOVES,
-        Progress,
-        Stand,
-        State,
-        finishes,
-        spoofed_done,
-        stops,
-        stranger,
-    )
-
-    from imu_calib.live import middleware as ros
-    from imu_calib.live.nodes import qos
-except ImuCalibError as error:
-    pytest.skip(str(error), allow_module_level=True)
-
+from imu_calib.live import middleware as ros
+from imu_calib.live.nodes import qos
 
 OWNERS = {
     'turntable/setpoint': '/turntable_node',

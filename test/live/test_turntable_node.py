@@ -12,21 +12,14 @@ import turntable_bench
 from loopback import patience, start
 from turntable_bench import MAIN, NAMES, PATIENT, STEADY
 
-from imu_calib.common.errors import ImuCalibError, InputError
+from imu_calib.common.errors import InputError
 from imu_calib.common.stream import JointBlock, Mode, Setpoint, SetpointBlock
 from imu_calib.common.units import DEG
-from imu_calib.live.nodes import qos
+from imu_calib.live import middleware as ros
+from imu_calib.live.nodes import qos, stop, turntable_node
+from imu_calib.live.nodes.run_action import CalibratorProgress
+from imu_calib.live.rules import Phase
 from imu_calib.recordings.cdr_codec import encode_joints, encode_setpoints
-
-# ROS reads this when it loads its messages.
-os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
-try:
-    from imu_calib.live import middleware as ros
-    from imu_calib.live.nodes import stop, turntable_node
-    from imu_calib.live.nodes.run_action import CalibratorProgress
-    from imu_calib.live.rules import Phase
-except ImuCalibError as error:
-    pytest.skip(str(error), allow_module_level=True)
 
 session = turntable_bench.session
 

@@ -5,12 +5,8 @@ import sys
 import pytest
 from loopback import environment, until
 
-from imu_calib.common.errors import ImuCalibError
+from imu_calib.live import middleware as ros
 
-try:
-    from imu_calib.live import middleware as ros
-except ImuCalibError as error:
-    pytest.skip(str(error), allow_module_level=True)
 if ros.RUNTIME != 'dds':
     pytest.skip('of the runtime without ROS', allow_module_level=True)
 

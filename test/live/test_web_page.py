@@ -12,17 +12,13 @@ import processes
 import pytest
 from browser import chromium, contrasts
 from installed import needs_modules
+from live import NODES, Stand, State, short_plan
 from loopback import CHECKOUT, environment, patience, until
 
 from imu_calib.cli import web_page
 from imu_calib.cli.processes import free_port
-from imu_calib.common.errors import ImuCalibError
 
 needs_modules('nicegui')
-try:
-    from live import NODES, Stand, State, short_plan
-except ImuCalibError as error:
-    pytest.skip(str(error), allow_module_level=True)
 
 MOVES = (State.MOVING, State.TURNING, State.DWELLING, State.SETTLING)
 PHASES = {'moving', 'turning', 'dwelling', 'settling'}
