@@ -378,23 +378,23 @@ def test_a_recording_calibrated_again_supersedes_its_older_rows(tmp_path: Path) 
 def test_a_recording_with_other_options_counts_once(
     recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = tmp_path / 'c'
-    batch = ['batch', str(recordings / 'a'), '-o', str(folder), '--workers', '1']
+    folder, recording = tmp_path / 'c', str(recordings / 'a')
+    kept = Catalogue(folder, create=True)
     # A mistake that fails, one that does not, and at last the right options.
-    assert main([*batch, '--method', 'skewed']) == 1
+    kept.add([run(Job(recording, Stated(method='skewed')))])
     (failure,) = rows(folder)
     assert (failure['serial'], failure['imu'], failure['topic']) == (
         'S1',
         'fog_medium',
         '/imu/pulses',
     )
-    assert main([*batch, '--height', '4000']) == 0
-    assert main(batch) == 0
+    for stated in (Stated(height=4000.0), Stated()):
+        kept.add([run(Job(recording, stated))])
     assert [row['status'] for row in rows(folder)] == ['superseded', 'superseded', 'calibrated']
     assert len(imu_calib.history(folder).units[0].key) == 1
     assert 'calibrated again the newest row counts' in ' '.join(imu_calib.history(folder).findings)
-    capsys.readouterr()
-    assert main([*batch, '--height', '4000']) == 0
+    batch = ['batch', recording, '-o', str(folder), '--workers', '1', '--height', '4000']
+    assert main(batch) == 0
     out = capsys.readouterr().out.replace('\n', ' ')
     assert '1 done before (1 superseded)' in out and '--retry goes back to these options' in out
 

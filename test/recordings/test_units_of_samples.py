@@ -51,6 +51,15 @@ def hand(tmp_path_factory: pytest.TempPathFactory) -> tuple[NDArray[np.int64], F
     return seen.stamp, gyro, accel
 
 
+@pytest.fixture(scope='module')
+def expected(hand, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+    """What the session gives in SI."""
+    bag = tmp_path_factory.mktemp('si') / 'bag'
+    with RecordingWriter(bag) as writer:
+        writer.write('/imu', 'sensor_msgs/msg/Imu', encode_imu(ImuBlock(*hand)), hand[0])
+    return imu_calib.calibrate(bag, latitude=LATITUDE).calibration
+
+
 def calibrated(hand: tuple[NDArray[np.int64], Floats, Floats], units: str, folder: Path):
     stamp, gyro, accel = hand
     per_rate, per_force = PER_NUMBER[units]
@@ -61,10 +70,9 @@ def calibrated(hand: tuple[NDArray[np.int64], Floats, Floats], units: str, folde
 
 
 @pytest.mark.parametrize('units', ['counts', 'pulses', 'rates', 'increments'])
-def test_numbers_that_are_not_whole_give_what_si_gives(hand, units: str, tmp_path: Path) -> None:
-    with RecordingWriter(tmp_path / 'si') as writer:
-        writer.write('/imu', 'sensor_msgs/msg/Imu', encode_imu(ImuBlock(*hand)), hand[0])
-    expected = imu_calib.calibrate(tmp_path / 'si', latitude=LATITUDE).calibration
+def test_numbers_that_are_not_whole_give_what_si_gives(
+    hand, expected: Calibration, units: str, tmp_path: Path
+) -> None:
     found = calibrated(hand, units, tmp_path)
     assert found.std == pytest.approx(expected.std, rel=0.02)
     free = expected.std > 0
