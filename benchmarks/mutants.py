@@ -90,7 +90,6 @@ TESTS = {
     'estimation': [
         'term_sentences',
         'whitened_residuals',
-        'likelihood',
         'drift_odds',
         'search_steps',
         'excess_scatter',

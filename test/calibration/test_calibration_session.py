@@ -33,10 +33,8 @@ from imu_calib.common.config import Section
 from imu_calib.common.stream import Block, Floats, JointBlock, Mode, SetpointBlock
 from imu_calib.common.units import ARCMIN, DEG, DEG_H, MICRO_G, PPM
 from imu_calib.estimation.closed_forms import positions as twelve_position
-from imu_calib.estimation.known_noise import known_noise
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
-from imu_calib.segmentation.segments import Segment, Statistics
 from imu_calib.session.plan import Plan, load_plan
 from imu_calib.session.table import load_table, read_table
 from imu_calib.simulation.repetition import economical
@@ -277,31 +275,6 @@ def of_short_session() -> str:
     return calibrate(short_session(), short_plan()).calibration.to_yaml()
 
 
-def test_memory_is_bounded_by_splitting_a_long_rest() -> None:
-    # A rest longer than the longest stretch becomes several of one position.
-    from imu_calib.segmentation import segmenter
-
-    # Long enough that it is split while it goes on: after the readings that give its angles.
-    plan = at_one_rate(quick_plan('twelve_position', 48.0))
-    blocks = list(session(plan, seed=3))
-    whole = calibrate(blocks, plan)
-    saved = segmenter._LONGEST_REST
-    segmenter._LONGEST_REST = 1000
-    try:
-        split = calibrate(blocks, plan)
-        again = calibrate(recut(blocks, 5), plan)
-    finally:
-        segmenter._LONGEST_REST = saved
-    assert len(split.labelled.segments) > 2 * len(whole.labelled.segments)
-    assert split.calibration.to_yaml() == again.calibration.to_yaml()
-    assert np.abs(normalised(split)).max() < 4.5
-
-
-def test_the_unit_of_the_paper_is_what_the_tests_use() -> None:
-    assert paper_imu().gyro.bias_instability == 0.0
-    assert paper_imu().gyro.random_walk == pytest.approx(0.05 * DEG / 60)
-
-
 @pytest.mark.parametrize('seed', [0, again(1), again(2)])
 def test_the_positioning_that_a_table_states_is_in_the_standard_deviations(seed: int) -> None:
     # No sensor sees it: two arcsec, uniform, tilt the axis of a rate test by 1e-5 rad as a whole.
@@ -350,32 +323,3 @@ def test_holding_the_table_where_it_stands_leaves_the_position_its_name() -> Non
 
     result = calibrate(held(session(plan, stand(block_length=1e4), 1)), plan)
     assert [s.position for s in result.labelled.segments] == [p.id for p in plan.positions]
-
-
-def test_a_few_blocks_of_little_scatter_do_not_pass_for_little_noise() -> None:
-    """Four quantised blocks that lie close by chance: the data sheet counts beside them."""
-    scattered = np.array([[9.8, 0.1, 1e-10, t] for t in (5.0, 15.0, 25.0, 35.0)])
-    statistics = replace(_any_segment().statistics, blocks=tuple(scattered for _ in range(6)))
-    spec = paper_imu()
-    walk = known_noise((replace(_any_segment(), statistics=statistics),), spec)[0]
-    assert np.all(walk > 0.9 * np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3))
-
-
-def test_many_blocks_tell_the_noise_whatever_the_data_sheet_says() -> None:
-    rng = np.random.default_rng(1)
-    true = 3e-4
-    blocks = np.column_stack(
-        [9.8 + true * np.sqrt(0.1) * rng.standard_normal(400), np.full(400, 0.1), np.zeros(400)]
-    )
-    blocks = np.column_stack([blocks, np.arange(400.0)])
-    statistics = replace(_any_segment().statistics, blocks=tuple(blocks for _ in range(6)))
-    spec = paper_imu()
-    sheet = replace(spec, accel=replace(spec.accel, random_walk=true / 3))
-    walk = known_noise((replace(_any_segment(), statistics=statistics),), sheet)[0]
-    # 399 degrees of freedom know a standard deviation to 3.5 %.
-    assert abs(walk[3] / true - 1) < 3 * 0.035
-
-
-def _any_segment() -> Segment:
-    empty = Statistics(1, 0, 1.0, *[np.zeros(6)] * 4, (), np.zeros(6), np.zeros(6))
-    return Segment(0, 1, empty)

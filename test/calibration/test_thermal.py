@@ -6,14 +6,13 @@ from functools import cache
 import numpy as np
 import pytest
 from calibrations import point
-from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand, truth
+from sessions import at_one_rate, calibrate, quick_plan, session, stand, truth
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.thermal import (
     ThermalCalibration,
     combine,
     load_calibration,
-    temperature_range,
 )
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
@@ -99,37 +98,6 @@ def test_a_temperature_is_the_same_however_it_came_in():
     assert whole.temperature.mean == pytest.approx(celsius[:1000].mean(), abs=1e-6)
 
 
-def test_a_mean_over_a_stretch_follows_the_course():
-    seconds = np.arange(600)
-    thermometer = Thermometer()
-    thermometer.add_temperatures(TemperatureBlock(10**9 * seconds, 20.0 + 0.01 * seconds))
-    temperature = thermometer.temperature
-    # Of a straight line it is the middle, wherever the stretch begins and however short it is.
-    starts, ends = np.array([33, 120, 301]) * 10**9, np.array([153, 121, 555]) * 10**9
-    wanted = 20.0 + 0.01 * (starts + ends) / 2e9
-    assert temperature.over(starts, ends) == pytest.approx(wanted, abs=1e-6)
-    # Beyond what was seen the last mean of ten seconds holds: that of 590 to 599 s.
-    assert temperature.over(np.array([700 * 10**9]), np.array([800 * 10**9])) == pytest.approx(
-        25.945
-    )
-
-
-def test_beyond_the_ends_the_nearest_calibration_holds():
-    thermal = combined()
-    assert np.array_equal(thermal.at(80.0).values, at(55.0).values)
-    assert np.allclose(thermal.at(80.0).covariance, at(55.0).covariance, rtol=1e-12)
-    assert temperature_range(thermal) == pytest.approx((-20.0, 55.0))
-    assert temperature_range(at(20.0)) == pytest.approx((15.0, 25.0))
-
-
-def test_weights_and_variances_by_hand():
-    thermal = combine([point(0.0, 1.0, 0.3), point(10.0, 2.0, 0.4)], ['a', 'b'])
-    found = thermal.at(2.5)
-    # 3/4 of one and 1/4 of the other: (0.75 * 0.3)^2 + (0.25 * 0.4)^2.
-    assert found.model.gyro.bias[0] == pytest.approx(1.25)
-    assert found.covariance[9, 9] == pytest.approx(0.225**2 + 0.1**2)
-
-
 def test_temperatures_may_be_half_a_kelvin_apart_and_no_closer():
     assert combine([point(0.5, 1.0), point(0.0, 2.0)], ['a', 'b']).temperatures.tolist() == [0, 0.5]
     with pytest.raises(InputError, match=r'Two calibrations at 0\.00 and 0\.49 degC'):
@@ -153,17 +121,6 @@ def test_the_clock_is_weighed_as_the_parameters_are():
     assert (found.name, found.against) == ('imu', 'table')
 
 
-def test_a_bend_that_the_points_show_counts_as_doubt():
-    # b = T^2 / 100: between 10 and 20 the chord is off by (T - 10) (20 - T) / 100 at most.
-    points = [point(t, t * t / 100) for t in (0.0, 10.0, 20.0)]
-    straight = combine(points, list('abc')).at(15.0)
-    assert straight.model.gyro.bias[0] - 2.25 == pytest.approx(0.25)
-    assert straight.std[9] == pytest.approx(0.25)
-    curved = combine(points, list('abc'), order=2).at(15.0)
-    assert curved.model.gyro.bias[0] == pytest.approx(2.25)
-    assert curved.std[9] == 0
-
-
 def test_the_command_combines_files_in_any_order(tmp_path):
     names = []
     for celsius in (20.0, 55.0, -20.0):
@@ -178,21 +135,3 @@ def test_the_command_combines_files_in_any_order(tmp_path):
     assert np.array_equal(read.at(3.0).covariance, combined().at(3.0).covariance)
     single = load_calibration(tmp_path / '20.yaml')
     assert isinstance(single, Calibration)
-
-
-@pytest.mark.parametrize(
-    ('second', 'order', 'words'),
-    [
-        (replace(point(5.0, 0), provenance={}), None, 'b: provenance: temperature: found None'),
-        (point(0.1, 0), None, 'at least 0.5 K'),
-        (
-            replace(point(5.0, 0), imu=replace(paper_imu(), id='another')),
-            None,
-            'b: imu: found another, expected fog_medium as in a',
-        ),
-        (point(5.0, 0), 2, 'expected an order from 1 to 1'),
-    ],
-)
-def test_what_does_not_go_together_is_refused_in_words(second, order, words):
-    with pytest.raises(InputError, match=words):
-        combine([point(0.0, 0), second], ['a', 'b'], order)

@@ -15,24 +15,18 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.hand import HandCalibrator, Stage, guide
 from imu_calib.cli.main import main
 from imu_calib.common.errors import NotObservable
-from imu_calib.common.rotations import rotation, rotations_last
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCMIN, DEG, PPM
 from imu_calib.estimation import hand as free_positions
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.forecast import forecast
 from imu_calib.estimation.free_dwells import FreeEquations, at_headings_by_moves
-from imu_calib.estimation.gyro_paths import propagated
 from imu_calib.estimation.hand import ESTIMATES, FREE, in_frame_of_accelerometers, is_clear, solve
 from imu_calib.estimation.methods import check_plan
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.parameters import PARAMETERS, ParameterKind
 from imu_calib.recordings.cdr_codec import RATES, encode_imu
 from imu_calib.recordings.writer import RecordingWriter
-from imu_calib.segmentation.moves import joined
-from imu_calib.segmentation.statistics import Samples
-from imu_calib.segmentation.stillness import StillnessTracker
-from imu_calib.segmentation.table_motion import Motion, Rest
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
 from imu_calib.simulation.options import ImuOptions
@@ -264,41 +258,6 @@ def test_the_frame_keeps_what_the_sensors_read() -> None:
         assert np.linalg.norm(after, axis=1) == pytest.approx(np.linalg.norm(before, axis=1))
 
 
-def test_angles_lead_a_vector_as_the_motion_does() -> None:
-    session = by_hand(np.array([[0.0, 0.2, -0.4], [2.5, -1.1, 2.0]]), np.array([0.5, 0.5]))
-    edges = np.linspace(0, session.duration, round(session.duration * 200) + 1)
-    still = replace(SITE, latitude=np.pi / 2)
-    angle, _ = session.motion.increments(edges, still, np.zeros(3))
-    start, end = session.attitudes()[[0, -1]]
-    samples = Samples(
-        np.arange(1, len(edges)) * 5_000_000,
-        np.hstack([angle, 0 * angle]),
-        np.zeros(6),
-        5e-3,
-        np.zeros(6),
-    )
-    turned = joined(samples).turned
-    (whole,), after = propagated(rotations_last(-turned), [len(turned)])
-    # What remains of coning at 200 Hz, and the Earth's turning meanwhile.
-    assert whole @ start[2] == pytest.approx(end[2], abs=1e-5)
-    assert after[..., -1] == pytest.approx(np.eye(3))
-
-
-def test_a_turn_about_one_axis_is_exact() -> None:
-    axis = np.array([0.6, 0.0, 0.8])
-    (whole,), after = propagated(rotations_last(np.tile(axis * -0.01, (157, 1))), [157])
-    assert whole == pytest.approx(rotation(axis, -1.57), abs=1e-12)
-    assert after[..., 56] == pytest.approx(rotation(axis, -1.0), abs=1e-12)
-
-
-def test_holds_that_are_too_few_or_alike_are_refused_by_name() -> None:
-    with pytest.raises(NotObservable, match='5 holds were found'):
-        calibrator(spread_holds(5), unit(0), 0).finish()
-    flat = np.column_stack([np.arange(12) * 1.3, np.zeros(12), np.zeros(12)])
-    with pytest.raises(NotObservable, match='K_ax'):
-        calibrator(by_hand(flat, np.full(12, 2.0)), unit(0), 0).finish()
-
-
 @pytest.mark.parametrize(
     ('plan', 'reason'),
     [('twelve_position', 'which segments of a table session do not have'),
@@ -409,27 +368,6 @@ def test_a_gyro_bias_of_degrees_a_second_hides_no_hold() -> None:
     wrong = found.calibration.values - in_frame_of_accelerometers(large).vector()
     assert np.abs(wrong[SCALES]).max() < 300 * PPM
     assert np.abs(wrong[ANGLES]).max() < 1 * ARCMIN
-
-
-def test_a_steady_turn_is_no_rest_however_the_stream_begins() -> None:
-    # A second at rest, then whole turns about the vertical at an even pace.
-    tracker = StillnessTracker(0.01)
-    rates = np.zeros((1100, 6))
-    rates[:, 5] = SITE.gravity
-    rates[100:, 2] = 30 * DEG
-    stamp = np.arange(1, len(rates) + 1) * 10_000_000
-    done = [*tracker.track(stamp, rates), *tracker.finish()]
-    rests = [part for part in done if isinstance(part, Rest)]
-    assert len(rests) == 1
-    assert rests[0].end == pytest.approx(1e9, abs=2e8)
-    assert isinstance(done[-1], Motion)
-    assert done[-1].end == stamp[-1]
-    # Cut as it may be, the answer is the same.
-    again = StillnessTracker(0.01)
-    parts = [again.track(stamp[k : k + 7], rates[k : k + 7]) for k in range(0, len(stamp), 7)]
-    assert [(p.start, p.end) for part in [*parts, again.finish()] for p in part] == [
-        (p.start, p.end) for p in done
-    ]
 
 
 def test_recording_on_the_command_line(tmp_path: Path) -> None:

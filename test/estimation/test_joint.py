@@ -40,7 +40,6 @@ from imu_calib.estimation.forecast import forecast
 from imu_calib.estimation.session_model import Nuisance
 from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.solution import Solution
-from imu_calib.estimation.solve import fit, start
 from imu_calib.model.earth import Site
 from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.model.sensors import SensorModel, parameters_of
@@ -81,54 +80,11 @@ def test_the_jacobian_is_the_slope_of_the_prediction(terms: tuple[Term, ...]) ->
         assert analytic[:, k] == pytest.approx(slope, abs=1e-8 * scale)
 
 
-def test_the_prediction_is_what_a_turned_and_tilted_table_shows() -> None:
-    # Rotations written out, multiplied in the order in which the table is built up.
-    equations = Equations(evidence_of())
-    azimuth, x, y = 1.2, 0.01, -0.02
-    cz, sz, cx, sx, cy, sy = (f(a) for a in (azimuth, x, y) for f in (np.cos, np.sin))
-    turned = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    tilted = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    tilted = tilted @ np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    state = equations.nominal()
-    state[:27] = [*truth().model.vector(), azimuth, x, y]
-    read = equations.predict(state)
-    for k, segment in enumerate(equations.evidence.segments):
-        body = (turned @ tilted @ segment.attitude).T
-        expected = truth().model.predict(body @ SITE.earth_rate, body @ SITE.specific_force)
-        assert read[6 * k : 6 * k + 6] == pytest.approx(np.hstack(expected), rel=1e-12, abs=1e-15)
-
-
 @pytest.mark.parametrize('azimuth', [0.0, 1.0, 3.0, -2.0])
 def test_without_noise_the_truth_comes_out_at_any_azimuth(azimuth: float) -> None:
     found = estimate(evidence_of(model=truth().model, azimuth=azimuth))
     assert found.state[:24] == pytest.approx(truth().model.vector(), rel=1e-8, abs=1e-12)
     assert found.nuisance(Nuisance.AZIMUTH)[0] == pytest.approx(azimuth, abs=1e-7)
-
-
-@pytest.mark.parametrize('azimuth', [0.3, 1.9, -2.5])
-def test_the_start_is_near_at_any_azimuth(azimuth: float) -> None:
-    """Of eight headings all around the nearest is the best: no other is within 22.5 degrees."""
-    true = replace(truth().model, terms={})
-    equations = Equations(evidence_of(model=true, azimuth=azimuth))
-    found = start(equations)
-    off = (found[equations.sensors + Nuisance.AZIMUTH] - azimuth + np.pi) % (2 * np.pi) - np.pi
-    assert abs(off) < np.pi / 8 + 1e-9
-    # Accelerometers and scale factors know no heading.
-    assert found[:3] == pytest.approx(true.vector()[:3], abs=1e-4)
-    assert found[12:15] == pytest.approx(true.vector()[12:15], abs=1e-9)
-    assert found[21:24] == pytest.approx(true.vector()[21:24], abs=1e-8)
-
-
-@pytest.mark.parametrize(('azimuth', 'begun'), [(-3.0, 0.2), (3.0, -0.2)])
-def test_an_azimuth_found_beyond_half_a_turn_is_told_within(azimuth: float, begun: float) -> None:
-    equations = Equations(evidence_of(model=truth().model, azimuth=azimuth))
-    state = equations.nominal()
-    # The same heading, a turn further.
-    turn = 2 * np.pi if azimuth < 0 else -2 * np.pi
-    state[equations.sensors + Nuisance.AZIMUTH] = azimuth + turn + begun
-    found = fit(equations, state)
-    assert found[equations.sensors + Nuisance.AZIMUTH] == pytest.approx(azimuth, abs=1e-7)
-    assert found[:24] == pytest.approx(truth().model.vector(), rel=1e-6, abs=1e-10)
 
 
 def test_without_noise_all_33_come_out() -> None:
@@ -348,19 +304,6 @@ def test_an_encoder_that_errs_in_its_rates_leaves_scale_factors_as_sure_as_state
     assert chi2.ppf(1e-3, 3 * seeds) < square < chi2.isf(1e-3, 3 * seeds)
 
 
-def test_an_encoders_error_is_its_share_of_the_rate_in_the_channel_that_turns() -> None:
-    # The estimate widens what scatters too much: the weight itself shows only here.
-    size, whole = 20e-6, evidence_of()
-    turns = tuple(replace(turn, rate_error=size) for turn in whole.turns)
-    equations = Equations(replace(whole, turns=turns))
-    added = equations.covariance(equations.nominal()) - np.diag(equations.own_variances)
-    errors = [size * TURN / turn.seconds * np.outer(turn.up, turn.up) for turn in turns]
-    first = 6 * len(whole.segments)
-    for k, error in enumerate(errors):
-        rows = slice(first + 3 * k, first + 3 * k + 3)
-        assert added[rows, rows] == pytest.approx(error @ error, rel=1e-6, abs=1e-18)
-
-
 INSTABILITY = np.repeat([0.1 * DEG_H, 20 * MICRO_G], 3)
 CORRELATION = 1000.0
 
@@ -458,14 +401,6 @@ def test_what_no_position_turns_is_named() -> None:
         joint.solve(lost)
 
 
-def test_a_wrong_latitude_is_refused() -> None:
-    rng = np.random.default_rng(0)
-    evidence = evidence_of(model=truth().model, noise=rng)
-    elsewhere = replace(evidence, site=type(SITE).at(20 * DEG))
-    with pytest.raises(NotObservable, match='contradict'):
-        joint.solve(elsewhere)
-
-
 def test_errors_of_all_33_are_those_that_the_covariance_states() -> None:
     rng = np.random.default_rng(0)
     found = joint.solve(evidence_of(model=unit_with_g(), azimuth=1.0, noise=rng), (G_TERM,))
@@ -500,17 +435,6 @@ def test_attitudes_with_no_axis_vertical_serve_as_well() -> None:
     elsewhere = replace(evidence, site=type(SITE).at(20 * DEG))
     with pytest.raises(NotObservable, match='contradict'):
         joint.solve(elsewhere)
-
-
-def test_the_earth_rate_seen_is_that_of_the_site() -> None:
-    rng = np.random.default_rng(5)
-    seen, covariance = joint.observed_earth_rate(
-        estimate(evidence_of(model=truth().model, azimuth=0.4, noise=rng))
-    )
-    expected = [np.sin(0.4) * SITE.north_rate, np.cos(0.4) * SITE.north_rate, SITE.up_rate]
-    assert np.abs((seen - expected) / np.sqrt(np.diag(covariance))).max() < 4.0
-    # Twelve dwells of 120 s and 0.05 deg/sqrt(h): about 0.1 deg/h, 0.4 deg of latitude.
-    assert np.sqrt(covariance[2, 2]) == pytest.approx(0.1 * DEG_H, rel=0.3)
 
 
 def test_without_a_rate_test_the_earth_rate_is_input_enough() -> None:

@@ -80,13 +80,6 @@ def test_off_axis_four_is_the_formula_of_the_document() -> None:
         assert result.bias[i] == pytest.approx((n1 + n2 + n3 + n4) / 4, abs=1e-18)
 
 
-@pytest.mark.parametrize('name', METHODS)
-def test_without_errors_the_twelve_numbers_are_exact(name: str) -> None:
-    result = solved(name, outputs(load_plan(name)))
-    assert result.model.gyro.error_matrix == pytest.approx(TRUTH.gyro.error_matrix, abs=1e-11)
-    assert result.model.gyro.bias == pytest.approx(D, abs=1e-16)
-
-
 def test_static_six_is_as_well_conditioned_as_the_arrangement_allows() -> None:
     name = 'static_six'
     # docs/mathematics.md, 'Gyros from the Earth rate'.

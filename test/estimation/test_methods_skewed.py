@@ -88,22 +88,6 @@ def sixteen(model: SensorModel) -> Floats:
     return np.vstack([plain, np.append(model.skewed.response[0], model.skewed.bias[0])])
 
 
-def test_without_noise_the_sixteen_numbers_are_exact() -> None:
-    found = sixteen(skewed.solve_skewed(session(None)).model)
-    assert found[:, :3] == pytest.approx(couplings()[:, :3], abs=1e-13)
-    assert found[:, 3] == pytest.approx(couplings()[:, 3], abs=1e-14)
-
-
-def test_the_plain_solution_is_least_squares_over_all_rate_points() -> None:
-    points = RatePoints.from_turns(session(np.random.default_rng(2)))
-    weights, _ = points.weights()
-    design = np.column_stack([np.ones(len(points.inputs)), points.inputs])
-    expected = np.linalg.lstsq(design, points.outputs, rcond=None)[0]
-    found = np.einsum('cut,tc->uc', weights, points.outputs)
-    assert found[:3] == pytest.approx(expected[1:], abs=1e-12)
-    assert found[3] == pytest.approx(expected[0], abs=1e-13)
-
-
 def test_weights_by_the_spread_beat_plain_ones_and_come_near_true_ones() -> None:
     square = np.zeros((3, 4, 4))
     true = np.tile([noise_of(r) ** 2 / TURNS for r in RATES], 3)[:, None] * np.ones(4)

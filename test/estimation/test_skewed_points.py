@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.linalg import null_space
 
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats
@@ -250,14 +249,6 @@ def test_the_bound_is_that_of_gauss_and_markov() -> None:
     extra = np.diag(np.linspace(1e-12, 9e-12, 8))
     wanted = normal(them.inputs, them.own[:, 3] + np.diag(extra))[1]
     np.testing.assert_allclose(gauss_markov_bound(them, extra), wanted, rtol=1e-9)
-
-
-def test_the_parity_is_what_no_rate_moves() -> None:
-    vector = null_space(COUPLINGS[:, :3].T)[:, 0]
-    outputs = np.random.default_rng(2).standard_normal((5, 4))
-    residuals, found = parity(outputs, COUPLINGS)
-    assert abs(found @ vector) == pytest.approx(1.0)
-    np.testing.assert_allclose(residuals, (outputs - COUPLINGS[:, 3]) @ found, rtol=1e-12)
 
 
 def test_parity_is_told_in_degrees_an_hour_and_contradictions_in_rates() -> None:

@@ -9,13 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from imu_calib.common.stream import Floats, Stamps
-from imu_calib.common.units import ARCSEC, DEG
-from imu_calib.segmentation.gaps import bridged, filled_at_steady_rate
+from imu_calib.segmentation.gaps import bridged
 from imu_calib.segmentation.pace import Pace
 from imu_calib.segmentation.repeated_samples import repeating_samples
 from imu_calib.segmentation.stamps import clock_steps, read_grid, sampling_times
 from imu_calib.segmentation.statistics import Sensor, gap_free, statistics_at_rest
-from imu_calib.segmentation.table_motion import JointTracker, Motion, Rest
 from imu_calib.session.imu import load_imu
 
 EPOCH = 1_700_000_000_000_000_000
@@ -346,46 +344,11 @@ def test_a_rest_with_lost_samples_is_as_good_as_one_without() -> None:
     assert (std < 1.5 * np.sqrt(full.variance(SENSOR.walk)))[3:].all()
 
 
-def test_rates_that_change_are_read_from_right_beside() -> None:
-    # A ramp of a whole second: 20 pulses per sample more each.
-    ramp = np.concatenate([np.zeros(100), 20.0 * np.arange(100), np.full(100, 2000.0)])
-    index = np.delete(np.arange(300), [50, 150, 250])
-    values = np.repeat(ramp[:, None], 6, axis=1)
-    came = SENSOR.samples(stamps(index * PERIOD), values[index])
-    near = bridged(came, SENSOR.walk, 1)
-    assert near.samples.increments[:, 0] == pytest.approx(ramp * FOG.gyro.scale_factor)
-    assert (near.rows < 0).nonzero()[0].tolist() == [50, 150, 250]
-    assert np.isnan(near.values(values[index])[[50, 150, 250]]).all()
-    steady = filled_at_steady_rate(near.samples.part(201, 300), SENSOR.walk)
-    assert steady.increments[:, 0] == pytest.approx(2000 * FOG.gyro.scale_factor)
-
-
-def test_a_stop_of_the_stream_is_no_lost_sample() -> None:
-    index = np.delete(np.arange(1000), slice(300, 400))
-    came = SENSOR.samples(stamps(index * PERIOD), np.ones((900, 6)))
-    assert bridged(came, SENSOR.walk).lost == 0
-    rng = np.random.default_rng(2)
-    often = kept(1000, 0.3, rng)
-    came = SENSOR.samples(stamps(often * PERIOD), np.ones((len(often), 6)))
-    assert bridged(came, SENSOR.walk).lost == 0
-
-
 # Frozen samples.
 
 
 def codes(count: int, noise: float, seed: int = 0) -> Floats:
     return np.rint(0.4 + noise * np.random.default_rng(seed).standard_normal((count, 6)))
-
-
-def test_a_device_that_repeats_one_sample_is_found() -> None:
-    values = codes(4000, 1.0)
-    values[1000:1300] = values[999]
-    values[3000:3100] = values[2999]
-    found = repeating_samples(values, counted=False)
-    assert found[1000:1300].all()
-    assert found[3000:3100].all()
-    # Beside them a sample may be the same by chance.
-    assert found.sum() <= 403
 
 
 def test_a_counter_that_stands_still_is_found() -> None:
@@ -407,34 +370,6 @@ def test_codes_of_little_noise_are_not_frozen(noise: float) -> None:
 
 
 # Encoders that are noisy.
-
-
-def tracked(position: Floats, cut: int) -> list[Rest | Motion]:
-    """What a tracker makes of joint states at 100 Hz that come in pieces."""
-    tracker, found = JointTracker(), []
-    stamp = stamps(np.arange(len(position)) * PERIOD)
-    for first in range(0, len(stamp), cut):
-        found += tracker.track(stamp[first : first + cut], position[first : first + cut])
-    return [*found, *tracker.finish()]
-
-
-def test_noise_of_encoders_is_no_motion() -> None:
-    rng = np.random.default_rng(11)
-    # Rest, a degree per second, rest; the second joint stands.
-    angle = np.concatenate([np.zeros(3000), 0.01 * DEG * np.arange(3000), np.full(3000, 30 * DEG)])
-    position = np.column_stack([angle, np.zeros(9000)])
-    position += 15 * ARCSEC * rng.standard_normal(position.shape)
-    found = tracked(position, 1000)
-    assert [type(thing) for thing in found] == [Rest, Motion, Rest]
-    for rest, truth in ((found[0], 0.0), (found[2], 30 * DEG)):
-        assert isinstance(rest, Rest)
-        assert rest.angles is not None
-        # All readings of a rest are averaged: 15 arcsec of some 3000.
-        assert rest.angle_error == pytest.approx(15 * ARCSEC / 3000**0.5, rel=0.1)
-        assert np.abs(rest.angles - [truth, 0.0]).max() < 5 * rest.angle_error
-    pieces = tracked(position, 7)
-    assert [(thing.start, thing.end) for thing in pieces] == [(t.start, t.end) for t in found]
-    assert (pieces[2].angles == found[2].angles).all()  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize('count', [0, 1, 2])

@@ -13,11 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sessions import SITE, fed, gathered, paper_imu, quick_plan, session
 
-from imu_calib.common.rotations import rotation
 from imu_calib.common.stream import Floats, ImuBlock, Stamps
 from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup
-from imu_calib.segmentation.clock import ClockSample, fit_clock, measured_share
+from imu_calib.segmentation.clock import ClockSample, fit_clock
 from imu_calib.segmentation.dwells import find_step, read_dwell, sound_samples
 from imu_calib.segmentation.intake import StampOrder
 from imu_calib.segmentation.plateaus import find_turns
@@ -30,7 +29,6 @@ from imu_calib.segmentation.statistics import (
     pooled_walk,
     sample_period,
     statistics_at_rest,
-    statistics_between,
 )
 from imu_calib.segmentation.table_motion import JointTracker, Motion, Rest
 from imu_calib.session.imu import load_imu
@@ -55,13 +53,6 @@ def samples(increments: Floats, period: float, quantum: float = 0.0, grid: float
 # Stamps.
 
 
-def test_runs_are_cut_where_a_sample_is_missing() -> None:
-    # 4 is missing, and so are 8 and 9; half a period of jitter at 12 is no gap.
-    stamp = seconds([1.0, 2, 3, 5, 6, 7, 10, 11, 12.4, 13])
-    assert gap_free(stamp, 1.0) == [(0, 3), (3, 6), (6, 10)]
-    assert gap_free(stamp[:1], 1.0) == [(0, 1)]
-
-
 def test_the_period_is_that_of_the_line_through_the_longest_run() -> None:
     # The end points of the long run err by +-0.2 s; a line by a fraction: 0.4 * 6 / 100 / 100.
     stamp = np.arange(100.0)
@@ -69,26 +60,6 @@ def test_the_period_is_that_of_the_line_through_the_longest_run() -> None:
     stamp = np.concatenate([stamp, 200 + 1.5 * np.arange(20)])
     assert sample_period(seconds(stamp)) == pytest.approx(1.0, abs=0.4 * 6 / 100**2)
     assert sample_period(seconds([5.0, 7.0])) == 2.0
-
-
-@pytest.mark.parametrize(
-    ('stamps', 'kept'),
-    [
-        ([1, 2, 3, 4], [1, 2, 3, 4]),
-        ([1, 2, 900, 3, 4], [1, 2, 3, 4]),  # one wild stamp ahead
-        ([1, 2, -900, 3, 4], [1, 2, 3, 4]),  # one wild stamp behind
-        ([10, 11, 12, 4, 5, 6, 13], [10, 11, 12, 13]),  # a jump back for a while
-        ([1, 2, 2, 3], [1, 2, 3]),  # a repeated stamp
-        ([1, 2, 3, 900], [1, 2, 3, 900]),  # nothing contradicts the last one
-    ],
-)
-def test_stamps_that_jump_are_dropped(stamps: list[int], kept: list[int]) -> None:
-    order = StampOrder(1)
-    taken = order.drop_disordered(np.array(stamps), np.array(stamps, dtype=float)[:, None])
-    last = order.finish()
-    assert [*taken.stamp.tolist(), *last.stamp.tolist()] == kept
-    assert [*taken.values[:, 0].tolist(), *last.values[:, 0].tolist()] == kept
-    assert len(taken.lost) + len(last.lost) == len(stamps) - len(kept)
 
 
 @given(st.lists(st.integers(0, 30), max_size=20), st.lists(st.integers(0, 20), max_size=3))
@@ -117,40 +88,6 @@ def ramp(rate: float, before: float, turning: float, after: float, step: float) 
     return Motion(0, int(time[-1] * NS), seconds(time), angle[:, None])
 
 
-def test_the_tracker_tells_rests_from_motions() -> None:
-    # Still from 0 to 3 s, 10 deg/s from 3 to 5 s, still to 8 s, sampled at 20 Hz.
-    motion = ramp(10 * DEG, 3.0, 2.0, 3.0, 0.05)
-    tracker = JointTracker()
-    found = [*tracker.track(motion.stamp, motion.position), *tracker.finish()]
-    assert [type(f) for f in found] == [Rest, Motion, Rest]
-    first, between, last = found
-    assert first.start == 0
-    # What counts as rest is rest through and through: within a window of 0.25 s and a sample.
-    assert 2.7 * NS <= first.end <= 3.0 * NS
-    assert first.end == between.start
-    assert between.end == last.start
-    assert 5.0 * NS < last.start <= 5.3 * NS
-    assert isinstance(first, Rest)
-    assert isinstance(last, Rest)
-    assert first.angles == pytest.approx([0.0])
-    assert last.angles == pytest.approx([20 * DEG])
-    assert isinstance(between, Motion)
-    assert np.ptp(between.position) == pytest.approx(20 * DEG)
-
-
-@given(st.lists(st.integers(0, 160), max_size=6))
-def test_the_tracker_does_not_depend_on_block_boundaries(cuts: list[int]) -> None:
-    motion = ramp(10 * DEG, 3.0, 2.0, 3.0, 0.05)
-    tracker, found = JointTracker(), []
-    for a, b in pairwise([0, *sorted(cuts), len(motion.stamp)]):
-        if b > a:
-            found += tracker.track(motion.stamp[a:b], motion.position[a:b])
-    found += tracker.finish()
-    whole = JointTracker()
-    expected = [*whole.track(motion.stamp, motion.position), *whole.finish()]
-    assert [(f.start, f.end) for f in found] == [(f.start, f.end) for f in expected]
-
-
 @pytest.mark.parametrize(('silence', 'turned'), [(10.0, 90.0), (10_000.0, 180.0), (100.0, 0.1)])
 def test_a_table_that_stands_elsewhere_after_a_silence_has_moved(
     silence: float, turned: float
@@ -169,18 +106,6 @@ def test_a_table_that_stands_elsewhere_after_a_silence_has_moved(
     assert last.angles == pytest.approx([turned * DEG])
 
 
-def test_wrapped_angles_are_unwrapped_across_blocks() -> None:
-    motion = ramp(100 * DEG, 1.0, 7.0, 1.0, 0.05)
-    wrapped = np.mod(motion.position + np.pi, 2 * np.pi) - np.pi
-    tracker, found = JointTracker(), []
-    for k in range(0, len(motion.stamp), 7):
-        found += tracker.track(motion.stamp[k : k + 7], wrapped[k : k + 7])
-    found += tracker.finish()
-    turned = [f for f in found if isinstance(f, Motion)]
-    assert len(turned) == 1
-    assert np.ptp(turned[0].position) == pytest.approx(700 * DEG)
-
-
 def test_whole_turns_lie_in_the_middle_of_the_constant_rate() -> None:
     # 40 deg/s from 2 s to 22 s is 800 deg: two turns of 9 s each, 1 s to spare at either end.
     (turns,) = find_turns(ramp(40 * DEG, 2.0, 20.0, 2.0, 0.01))
@@ -191,10 +116,6 @@ def test_whole_turns_lie_in_the_middle_of_the_constant_rate() -> None:
     assert turns.start * 1e-9 + turns.seconds < 22.0
     (back,) = find_turns(ramp(-40 * DEG, 2.0, 20.0, 2.0, 0.01))
     assert back.angle == pytest.approx(-4 * np.pi)
-
-
-def test_less_than_a_turn_is_none() -> None:
-    assert find_turns(ramp(40 * DEG, 2.0, 8.9, 2.0, 0.01)) == []
 
 
 @pytest.mark.parametrize('jitter', [0.0005, 0.002, 0.004])
@@ -260,14 +181,6 @@ def stated_walk(setup: Setup) -> Floats:
     return np.repeat([setup.imu.gyro.random_walk, setup.imu.accel.random_walk], 3)
 
 
-def test_straddling_samples_are_shared_in_proportion() -> None:
-    # Increments 1, 2, 3, 4 over a second each; from 0.5 s to 2.25 s: 1/2 of 1, 2, 1/4 of 3.
-    found = statistics_between(samples(np.array([1.0, 2, 3, 4]), 1.0), 0.5, 2.25, NO_WALK)
-    assert found.mean == pytest.approx(np.full(6, (0.5 + 2 + 0.75) / 1.75))
-    assert found.duration == 1.75
-    assert found.samples == 3
-
-
 # What of a rest is sound.
 
 
@@ -288,28 +201,6 @@ def test_settling_is_cut_as_long_as_the_data_shows_it() -> None:
         assert sound.mask[first:].all()
         assert sound.mount_shift is None
         assert sound.notes == ()
-
-
-def test_a_quiet_stretch_is_sound_throughout() -> None:
-    rows = still(2000, np.random.default_rng(0))
-    rows[:, 3] += np.linspace(0, 0.5, 2000) * PULSE  # a drift is no disturbance
-    sound = sound_samples(samples(rows, 0.01), NO_WALK)
-    assert sound.mask.all()
-    assert sound.notes == ()
-
-
-def test_a_bump_is_cut_and_a_shock_is_told_from_it() -> None:
-    rows = still(2000, np.random.default_rng(0))
-    rows[1000:1010, 0] += 20 * PULSE
-    shocked = sound_samples(samples(rows, 0.01), NO_WALK)
-    assert shocked.mount_shift is not None
-    assert (shocked.mount_shift.start, shocked.mount_shift.stop) == (1000, 1050)
-    assert shocked.mount_shift.angle == pytest.approx(200 * PULSE, rel=0.05)
-    rows[1020:1030, 0] -= 20 * PULSE
-    bumped = sound_samples(samples(rows, 0.01), NO_WALK)
-    assert bumped.mount_shift is None
-    assert np.flatnonzero(~bumped.mask).tolist() == list(range(1000, 1050))
-    assert bumped.notes == ('disturbed 10.0 s after it came to rest; 0.5 s left out',)
 
 
 @pytest.mark.parametrize('rate', [1.0, 3.0])
@@ -347,20 +238,6 @@ def test_a_mount_shift_among_footfalls_is_found() -> None:
     assert found.angle == pytest.approx(angle, abs=4 * np.sqrt(3 * 80) * rate * period)
 
 
-def test_saturated_samples_are_cut_with_their_half_second() -> None:
-    rows = still(2000, np.random.default_rng(0))
-    spoilt = np.zeros(2000, dtype=bool)
-    spoilt[1010:1030] = True
-    sound = sound_samples(samples(rows, 0.01), NO_WALK, spoilt)
-    assert np.flatnonzero(~sound.mask).tolist() == list(range(1000, 1050))
-
-
-def test_an_adc_that_wavers_between_two_codes_is_no_disturbance() -> None:
-    rows = np.zeros((2000, 6))
-    rows[800::37] = PULSE
-    assert sound_samples(samples(rows, 0.01, grid=PULSE), NO_WALK).mask.all()
-
-
 def blocks(means: list[float], middles: list[float], gain: float = 0.1) -> Statistics:
     """Statistics whose blocks of all channels have these means."""
     row = np.array([[m, gain, 0.0, t] for m, t in zip(means, middles, strict=True)])
@@ -378,29 +255,6 @@ def test_the_walk_of_short_rests_is_no_smaller_than_it_is(count: int) -> None:
     relative = np.sqrt(2 / (rests * (count - 1)))
     assert found.deviation / found.square == pytest.approx(np.full(6, relative))
     assert found.square / walk**2 == pytest.approx(np.ones(6), abs=3 * relative)
-
-
-MIDDLES = [5.0, 15, 25, 35, 45, 55, 65, 75]
-
-
-def test_a_step_lies_in_the_two_blocks_beside_the_cut() -> None:
-    found = find_step(blocks([0, 1, 0, 1, 0, 100, 101, 100], MIDDLES), np.ones(6))
-    assert found is not None
-    between, words = found
-    assert between == (40.0, 60.0)
-    assert words.startswith('the mean of gx steps by')
-
-
-@pytest.mark.parametrize(
-    'means',
-    [
-        [0, 1, 0, 1, 0, 1, 0, 1],  # scatter
-        [0, 10, 20, 30, 40, 50, 60, 70],  # drift
-        [0, 1, 0, 100, 0, 1, 0, 1],  # one that stands out is no step
-    ],
-)
-def test_scatter_and_drift_are_no_step(means: list[float]) -> None:
-    assert find_step(blocks(means, MIDDLES), np.ones(6)) is None
 
 
 def test_short_blocks_after_a_gap_are_no_step() -> None:
@@ -421,41 +275,11 @@ def test_short_blocks_after_a_gap_are_no_step() -> None:
     assert statistics.mean / PULSE == pytest.approx(np.full(6, 970.0), abs=0.1)
 
 
-def test_what_an_adc_rounds_away_stays_in_the_variance() -> None:
-    rng = np.random.default_rng(2)
-    true = 0.3
-    for noise in (0.02, 1.0):
-        codes = np.rint(rng.normal(true, noise, 20000))
-        found = statistics_at_rest(samples(codes, 0.01, grid=1.0), NO_WALK)
-        error = abs(float(found.mean[0]) * 0.01 - true)
-        floor = float(np.sqrt(found.quantisation_variance[0])) * 0.01
-        if noise < 0.1:
-            assert error == pytest.approx(0.3, abs=0.001)
-            assert floor == pytest.approx(np.sqrt(1 / 12), rel=1e-3)
-        else:
-            assert error < 4.5 * noise / np.sqrt(20000)
-            assert floor < 1e-6
-
-
 # Clocks.
 
 
 def offsets(values: list[float]) -> list[ClockSample]:
     return [ClockSample(k * 50e9, v) for k, v in enumerate(values)]
-
-
-def test_the_clocks_are_a_line() -> None:
-    fit = fit_clock(offsets([0.01 + 50e-6 * 50 * k for k in range(8)]))
-    assert fit.rate == pytest.approx(50e-6)
-    assert fit.offset == pytest.approx(0.01 + 50e-6 * 175)
-    assert fit.jumps == ()
-
-
-def test_clocks_that_jump_are_parallel_lines() -> None:
-    line = [0.01 + 50e-6 * 50 * k for k in range(8)]
-    fit = fit_clock(offsets([*line[:4], *(v + 0.2 for v in line[4:])]))
-    assert fit.rate == pytest.approx(50e-6)
-    assert fit.jumps == pytest.approx((0.2,))
 
 
 def test_an_interruption_parts_the_line_however_little_it_jumps() -> None:
@@ -465,37 +289,6 @@ def test_an_interruption_parts_the_line_however_little_it_jumps() -> None:
     assert fit_clock(jumped, [175_000_000_000]).jumps == pytest.approx((0.001,))
     # Unknown it would pass for a rate, and for scale factors that are off by as much.
     assert abs(fit_clock(jumped).rate - 50e-6) > 1e-6
-
-
-def test_a_motion_that_stands_alone_is_an_outlier() -> None:
-    line = [0.01 + 50e-6 * 50 * k for k in range(8)]
-    line[3] += 0.2
-    fit = fit_clock(offsets(line))
-    assert fit.motions == 7
-    assert fit.rate == pytest.approx(50e-6)
-
-
-@pytest.mark.parametrize(
-    ('delay', 'share'), [(0.0, 1.0), (0.8, 1.0), (-0.8, 1.0), (5.0, 0.0), (2.0, 0.5)]
-)
-def test_how_much_of_a_motion_the_gyros_saw(delay: float, share: float) -> None:
-    # 90 deg about Y in 2 s; the IMU sees it `delay` later, a second before to a second after.
-    time = np.arange(0.0, 2.001, 0.01)
-    angle = 45 * DEG * time
-    attitudes = rotation(np.array([0.0, 1.0, 0.0]), angle)
-    stamps = np.arange(-100, 301) * 0.01
-    rows = np.zeros((401, 6))
-    rows[:, 1] = np.diff(45 * DEG * np.clip(stamps - delay, 0, 2), prepend=0.0)
-    imu = Samples(seconds(10 + stamps), rows, np.zeros(6), 0.01, np.zeros(6))
-    found = measured_share(imu, seconds(10 + time), attitudes)
-    assert found is not None
-    assert found.angle == pytest.approx(share, abs=0.06)
-    assert found.time == pytest.approx(share, abs=0.06)
-    # A unit whose range ends at a third of the rate sees the motion for all of its time.
-    clipped = measured_share(replace(imu, increments=rows / 3), seconds(10 + time), attitudes)
-    assert clipped is not None
-    assert clipped.angle == pytest.approx(share / 3, abs=0.02)
-    assert clipped.time == pytest.approx(share, abs=0.06)
 
 
 def test_a_gap_beside_few_samples_is_one() -> None:

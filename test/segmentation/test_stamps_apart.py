@@ -100,12 +100,6 @@ def test_what_comes_late_is_no_interruption(jitter: float) -> None:
     assert silences(missing=200, held=150, jitter=jitter) == [near]
 
 
-def test_stamps_that_come_one_by_one_stay() -> None:
-    alone, _ = queue(1, 0.01, 0.02)
-    assert sampling_times(alone)[0] is alone
-    assert len(sampling_times(alone[:1])[0]) == 1
-
-
 @pytest.mark.parametrize('jitter', [1.5e-3, 2e-3, 3e-3, 5e-3])
 @pytest.mark.parametrize('late', [0.0, 0.05])
 def test_jittering_stamps_stay(late: float, jitter: float) -> None:
