@@ -7,7 +7,7 @@ import pytest
 from calibrations import known, with_skew
 from sessions import truth
 
-from imu_calib.calibration.compensate import Mark, concatenated
+from imu_calib.calibration.compensate import concatenated
 from imu_calib.calibration.compensator import Compensator
 from imu_calib.calibration.thermal import combine
 from imu_calib.common.stream import ImuBlock, SkewBlock, TemperatureBlock
@@ -103,31 +103,3 @@ def test_what_is_no_number_is_told_from_what_is_marked_otherwise():
     )
     found = np.concatenate([reading.numbers for reading in readings])
     assert found.tolist() == [True, False, True, True]
-
-
-def test_without_any_temperature_a_combined_calibration_gives_nothing():
-    calibration = combine([at(-20.0), at(20.0)], ['cold', 'warm'])
-    compensator, stamps, _ = run(calibration, [block()])
-    assert len(stamps) == 0
-    assert compensator.waits_for_temperature
-    assert compensator.dropped == COUNT
-
-
-def test_a_temperature_outside_is_marked_and_the_end_is_held():
-    calibration = combine([at(-20.0), at(20.0, 0.1)], ['cold', 'warm'])
-    hot = TemperatureBlock(STAMP[:1], np.array([60.0]))
-    compensator, _, values = run(calibration, [hot, block()])
-    assert compensator.counts[Mark.TEMPERATURE] == COUNT
-    warm = TemperatureBlock(STAMP[:1], np.array([20.0]))
-    assert np.array_equal(values.force, run(calibration, [warm, block()])[2].force)
-
-
-def test_a_new_calibration_takes_over_from_the_next_sample():
-    compensator = Compensator(at(20.0))
-    first = compensator.compensate_block(cut(block(), 0, 1000))
-    compensator.replace(at(20.0, 0.1))
-    then = compensator.compensate_block(cut(block(), 1000, COUNT))
-    for readings, scale, rows in ((first, 0.0, slice(0, 1000)), (then, 0.1, slice(1000, COUNT))):
-        _, _, whole = run(at(20.0, scale), [block()])
-        values = concatenated([r.values for r in readings])
-        assert np.array_equal(values.force, whole.force[rows])

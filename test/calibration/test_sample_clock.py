@@ -63,27 +63,6 @@ def test_a_new_rate_is_learnt():
     assert intervals[2040:] == pytest.approx(0.001, rel=1e-12)
 
 
-def test_stamps_that_stand_still_time_nothing():
-    intervals, clock = timed(np.full(100, START))
-    assert len(intervals) == 0
-    assert clock.lost == 100
-
-
-def test_a_recording_of_a_few_samples_is_timed_at_its_end():
-    intervals, _ = timed(regular(5, 0.01 * NS))
-    assert intervals == pytest.approx([0.01] * 5)
-    assert timed(regular(1, 1.0))[1].lost == 1
-
-
-def test_samples_wait_until_the_interval_is_known():
-    clock, stamps = SampleClock(), regular(100, 0.01 * NS)
-    waiting = []
-    for part in np.split(stamps, [20, 60]):
-        clock.time_samples(part)
-        waiting.append(clock.waiting)
-    assert waiting == [20, 0, 0]
-
-
 @settings(max_examples=60)
 @given(st.data())
 def test_how_the_stream_is_cut_carries_no_meaning(data):

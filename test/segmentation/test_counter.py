@@ -11,7 +11,6 @@ from imu_calib.common.stream import Floats
 from imu_calib.segmentation.counters import (
     end_points,
     mean_rate,
-    passages,
     rate_between,
     smoothed_ends,
 )
@@ -74,16 +73,6 @@ def test_the_accelerometer_of_table_1_reaches_the_walk() -> None:
     assert np.sqrt(best.variance(0.02)) * micro_g == pytest.approx(1.9, abs=0.05)
 
 
-def test_passages_by_hand() -> None:
-    # New values after samples 2, 4, ..., 16: from the first to the last 7 pulses in 14 samples.
-    pulses = np.array([0, 1] * 8, dtype=float)
-    passed = passages(pulses, 0.5, 0.0)
-    assert passed is not None
-    found = passed.rate(0.5)
-    assert found.rate == pytest.approx(7 / (14 * 0.5))
-    assert found.walk_gain == pytest.approx(1 / 7)
-
-
 @pytest.mark.parametrize('levels', [4.5, 5.85, 6.5])
 def test_what_is_chosen_does_not_follow_the_phase(levels: float) -> None:
     # Six levels are passed or five, by the phase: to do otherwise with five errs by 0.3.
@@ -97,12 +86,6 @@ def test_what_is_chosen_does_not_follow_the_phase(levels: float) -> None:
         found = mean_rate(pulses, period, walk)
         errors.append((found.rate - rate) / np.sqrt(found.variance(walk)))
     assert abs(np.mean(errors)) < 4 / np.sqrt(runs)
-
-
-def test_passages_need_a_drift_that_leads_the_walk() -> None:
-    rng = np.random.default_rng(1)
-    assert passages(counter(rng, 0.1, 2.0), PERIOD, 2.0) is None
-    assert passages(np.zeros(100), PERIOD, 0.1) is None
 
 
 def test_white_weights_are_those_of_generalised_least_squares() -> None:

@@ -258,46 +258,6 @@ def test_what_is_no_sample_is_counted() -> None:
 # Turns that do not count
 
 
-@pytest.mark.parametrize(
-    ('reason', 'imu', 'spec', 'axis'),
-    [
-        (
-            'the sensor is saturated during it',
-            unit(),
-            replace(IDEAL, gyro=TriadSpec(range=50 * DEG)),
-            'z',
-        ),
-        (
-            'by the file of the table its axis is 90 deg off the vertical; turns about the '
-            'vertical are used',
-            unit(),
-            IDEAL,
-            'x',
-        ),
-        ('the IMU stream does not span it', only(unit(), when(unit()) > 9), IDEAL, 'z'),
-    ],
-)
-def test_a_turn_that_cannot_be_read_says_why(
-    reason: str, imu: ImuBlock, spec: ImuSpec, axis: str
-) -> None:
-    turned = replace(BENCH, joints=(Joint('j', {'x': (1.0, 0, 0), 'z': (0, 0, 1.0)}[axis]),))
-    session = found(imu, joint(), spec=spec, table=turned)
-    assert session.turns == ()
-    (gone,) = session.rejected
-    assert gone.reason == reason
-    assert gone.turn
-    assert (since(gone.start), since(gone.end)) == pytest.approx((6.5, 18.5), abs=1e-3)
-
-
-def test_gyros_that_do_not_turn_with_the_table_read_no_turn() -> None:
-    def stopped(rates: Floats, time: Floats) -> None:
-        rates[time < 8] = 0.0
-
-    session = found(gyros(stopped), joint())
-    (gone,) = session.rejected
-    assert gone.reason == 'the gyros show no steady rate while the joint states do'
-
-
 def test_ramps_alone_are_no_turn() -> None:
     motions = ((5.0, 60.0, 5.0, 4.0),)
     session = found(unit(motions), joint(motions))
@@ -351,54 +311,6 @@ def test_a_shock_that_leaves_the_unit_turned_parts_a_rest() -> None:
     assert session.segments[1].end < shift.instant <= session.segments[2].start
 
 
-# Streams of something else
-
-
-def test_joint_states_of_another_table_are_named() -> None:
-    session = found(unit(), replace(joint(), names=('q',)))
-    assert session.losses == (
-        '2001 joint states left out: they name q, not all joints of table bench (j)',
-        'There are no joint states of table bench',
-    )
-    assert session.foreign_joints == 'The joint states name q; table bench has j.'
-    states = joint()
-    both = np.hstack([states.position + 1.0, states.position])
-    more = found(unit(), JointBlock(states.stamp, ('q', 'j'), both, both))
-    assert rests(more) == RESTS
-    assert more.foreign_joints == ''
-    assert more.losses == (
-        'The joint states name further joints (q), which are not of table bench: they are ignored',
-    )
-    assert found(unit()).losses == ('There are no joint states of table bench',)
-
-
-def test_clocks_that_do_not_meet_are_said_to_be_two() -> None:
-    imu = unit()
-    hour = 3600 * 10**9
-    for shift, times in ((hour, '23:13:20.010 UTC to 2023-11-14 23:14:00.000'),
-                         (-hour, '21:13:20.010 UTC to 2023-11-14 21:14:00.000')):  # fmt: skip
-        session = found(replace(imu, stamp=imu.stamp + shift), joint())
-        assert session.losses == (
-            f'The IMU is stamped from 2023-11-14 {times} UTC, the table from 2023-11-14 '
-            '22:13:20.000 UTC to 2023-11-14 22:14:00.000 UTC: they are of two clocks, and no '
-            'sample can be given an attitude. Synchronise the clocks, or stamp the samples as they '
-            'arrive',
-        )
-
-
-@pytest.mark.parametrize(('end', 'said'), [(27.0, True), (29.99, True), (30.01, False)])
-def test_a_unit_that_falls_silent_is_missed_after_ten_seconds(end: float, said: bool) -> None:
-    imu = unit()
-    session = found(only(imu, when(imu) < end + 0.005), joint())
-    assert bool(session.losses) is said
-    if end == 27.0:
-        assert session.losses == (
-            'The joint states go on for 13.0 s after the last IMU sample, 2023-11-14 22:13:47.000 '
-            'UTC: the IMU stopped sending, or its clock no longer agrees with that of the table',
-        )
-        assert rests(session) == RESTS[:2]
-
-
 # The unit alone
 
 
@@ -422,23 +334,6 @@ def test_without_a_table_gyros_tell_rests_from_motions() -> None:
         (25.0, 28.12),
         (33.0, 36.12),
     ]
-
-
-@pytest.mark.parametrize(('degrees', 'counts'), [(4.9, 0), (5.1, 1)])
-def test_five_degrees_are_the_least_motion(degrees: float, counts: int) -> None:
-    motions = ((5.0, degrees, 0.5, 0.5),)
-    assert len(found(unit(motions), table=None).motions) == counts
-
-
-def test_motions_that_cannot_be_read_say_why() -> None:
-    imu = unit()
-    time = when(imu)
-    (gone,) = found(only(imu, (time < 10) | (time > 10.2)), table=None).rejected
-    assert gone.reason == 'IMU samples are missing within it'
-    assert (since(gone.start), gone.turn) == (5.0, True)
-    narrow = replace(IDEAL, gyro=TriadSpec(range=50 * DEG))
-    (gone,) = found(imu, table=None, spec=narrow).rejected
-    assert gone.reason == 'the sensor is saturated during it'
 
 
 def test_how_still_it_stands_is_known_as_it_comes_in() -> None:

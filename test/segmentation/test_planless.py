@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import MISSING, fields, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from ideal import mean_of
 from sessions import (
     SITE,
     Named,
@@ -36,10 +34,7 @@ from imu_calib.common.stream import Floats, ImuBlock, SetpointBlock
 from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup
 from imu_calib.recordings.writer import RecordingWriter
-from imu_calib.segmentation.clock import fit_clock
-from imu_calib.segmentation.labelling import attitude_words, heading, label, unique, up_words
-from imu_calib.segmentation.segmented import Segmented
-from imu_calib.segmentation.segments import Segment, Turn
+from imu_calib.segmentation.labelling import attitude_words, heading
 from imu_calib.session.plan import UNPLANNED, Plan, Position, RateTest, load_plan
 from imu_calib.session.table import TURN, load_table
 
@@ -285,59 +280,6 @@ def test_a_rest_off_its_setpoint_counts_where_the_encoders_have_it() -> None:
     assert np.abs(errors(result)).max() < 4.5
 
 
-def found_to_be(**found: tuple[object, ...]) -> Segmented:
-    """A session of which nothing else is known."""
-    empty: dict[str, Any] = {f.name: () for f in fields(Segmented) if f.default is MISSING}
-    known = {'clock': fit_clock([]), 'samples': 1, 'duration': 1.0}
-    return Segmented(**{**empty, **known, **found})
-
-
-def test_turns_that_come_again_are_numbered() -> None:
-    """At one rate about one axis; those at another rate, or in the other sense, are told by it."""
-    angles = (TURN, -TURN, TURN, 2 * TURN)
-    turns = tuple(
-        Turn(k * 10**12, k * 10**12 + 1, mean_of(np.zeros(6)), angle, 36.0, np.array([0.0, 0, 1]))
-        for k, angle in enumerate(angles)
-    )
-    found = found_to_be(turns=turns)
-    names = [t.position for t in label(found, UNPLANNED, TABLE).turns]
-    assert names == ['Z up', 'Z up', 'Z up (2)', 'Z up']
-
-
-@pytest.mark.parametrize(
-    ('durations', 'passing'),
-    [
-        ([30.0] * 12 + [1.2] * 19, 19),
-        # Beside a long warm-up short rests are the usual ones.
-        ([600.0] + [5.0] * 20, 0),
-        # A block of ten seconds tells its own noise: no stop on the way, beside however long rests.
-        ([120.0] * 6 + [11.0, 9.0], 1),
-        ([2.0] * 6, 0),
-    ],
-)
-def test_what_a_stop_on_the_way_is(durations: list[float], passing: int) -> None:
-    output = np.array([0.0, 0, 0, 0, 0, SITE.gravity])
-    rests = tuple(
-        Segment(k * 10**12, k * 10**12 + 1, mean_of(output, seconds), np.eye(3))
-        for k, seconds in enumerate(durations)
-    )
-    found = found_to_be(segments=rests)
-    assert len(label(found, UNPLANNED, TABLE).passing) == passing
-
-
-def test_stops_on_the_way_are_no_rests() -> None:
-    plan = program(random_angles(), (0, 1, 2))
-    stops = tuple(
-        replace(p, id=f'{p.id}s', dwell=3.0, rate_test=None, attitude=at(o, 90, 0))
-        for p, o in zip(plan.positions, range(0, 200, 10), strict=True)
-    )
-    pairs = zip(plan.positions, stops, strict=True)
-    plan = replace(plan, positions=tuple(p for pair in pairs for p in pair))
-    result = calibrate(recorded(plan, seed=2), UNPLANNED)
-    assert len(result.labelled.segments) == 20
-    assert len(result.labelled.passing) == 20
-
-
 @pytest.mark.parametrize(
     ('angles', 'words'),
     [
@@ -354,11 +296,6 @@ def test_attitudes_in_words(angles: tuple[float, float, float], words: str) -> N
     # On the shipped table the heading is the angle of the outer joint, by its kinematics.
     assert attitude_words(at(*angles)) == words
     assert heading(at(*angles)) == pytest.approx(angles[0] * DEG % TURN)
-
-
-def test_names_that_come_again_are_numbered() -> None:
-    assert unique(['a', 'b', 'a'], ['b']) == ['a', 'b (2)', 'a (2)']
-    assert up_words(np.array([0.0, -1.0, 0.0])) == 'Y down'
 
 
 @pytest.fixture(scope='module')
