@@ -80,15 +80,6 @@ def test_the_same_seed_gives_the_same_bits_of_journal_and_calibration(finished):
     assert first.covariance.tolist() == second.covariance.tolist()
 
 
-def test_its_journal_gives_the_same_bits_again(finished):
-    again = finished / 'again.yaml'
-    words = ['calibrate', finished / 'first/journal', '-o', again]
-    subprocess.run([*MAIN, *map(str, words)], check=True, capture_output=True)
-    live, offline = Calibration.load(finished / 'first/calibration.yaml'), Calibration.load(again)
-    assert live.model.vector().tolist() == offline.model.vector().tolist()
-    assert live.covariance.tolist() == offline.covariance.tolist()
-
-
 def test_processes_of_their_own_measure_the_same_unit(finished):
     pytest.importorskip('cyclonedds')
     ended = stand(finished / 'short.yaml', '-o', finished / 'apart', '--seed', 3, '--processes')

@@ -29,7 +29,6 @@ from bag_files import (
     storage_file,
     timeline,
     write_own,
-    write_sqlite,
     write_with_rosbags,
 )
 from rosbags.highlevel import AnyReader
@@ -277,6 +276,34 @@ def test_memory_does_not_grow_with_the_length(tmp_path, monkeypatch):
     # Twelve seconds are one stretch of what is loaded as one, fifty are four.
     monkeypatch.setattr(mcap_chunk, 'TOGETHER', 2 << 20)
     assert peak(50) < 1.5 * peak(12)
+
+
+def write_sqlite(path, version):
+    """A file as the rosbag2 of an older distribution wrote it."""
+    extra = ', offered_qos_profiles TEXT NOT NULL' if version >= 2 else ''
+    database = sqlite3.connect(path)
+    database.execute(
+        'CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, '
+        f'serialization_format TEXT NOT NULL{extra})'
+    )
+    database.execute(
+        'CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, '
+        'timestamp INTEGER NOT NULL, data BLOB NOT NULL)'
+    )
+    if version >= 3:
+        database.execute('CREATE TABLE schema(schema_version INTEGER, ros_distro TEXT)')
+        database.execute('CREATE TABLE metadata(id INTEGER, metadata_version INTEGER, metadata)')
+    ids = {topic: i for i, topic in enumerate(KINDS, 1)}
+    for topic, i in ids.items():
+        values = (i, topic, KINDS[topic].type_name, 'cdr', *[''] * (version >= 2))
+        database.execute(f'INSERT INTO topics VALUES ({", ".join("?" * len(values))})', values)
+    database.executemany(
+        'INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)',
+        [(ids[topic], stamp, data) for stamp, topic, data in ROWS],
+    )
+    database.commit()
+    database.close()
+    return path
 
 
 @pytest.mark.parametrize('version', [1, 2, 3])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from itertools import chain
 from pathlib import Path
 
@@ -126,11 +125,6 @@ def assert_same(blocks, expected):
                 np.testing.assert_array_equal(joined, getattr(wanted, name))
 
 
-def first_messages(blocks, topic, count):
-    """The session's own first messages of one topic."""
-    return {topic: part(blocks[topic], 0, count)}
-
-
 def storage_file(path):
     return next(p for p in sorted(Path(path).iterdir()) if p.name != 'metadata.yaml')
 
@@ -184,32 +178,4 @@ def write_own(path, blocks=SESSION, step=2 * NS, **options):
                     some = part(block, int(a), int(b))
                     messages = ENCODERS[topic](some)
                     writer.write(topic, KINDS[topic].type_name, messages, stamps(some))
-    return path
-
-
-def write_sqlite(path, version, rows=ROWS):
-    """A file as the rosbag2 of an older distribution wrote it."""
-    extra = ', offered_qos_profiles TEXT NOT NULL' if version >= 2 else ''
-    database = sqlite3.connect(path)
-    database.execute(
-        'CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, '
-        f'serialization_format TEXT NOT NULL{extra})'
-    )
-    database.execute(
-        'CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, '
-        'timestamp INTEGER NOT NULL, data BLOB NOT NULL)'
-    )
-    if version >= 3:
-        database.execute('CREATE TABLE schema(schema_version INTEGER, ros_distro TEXT)')
-        database.execute('CREATE TABLE metadata(id INTEGER, metadata_version INTEGER, metadata)')
-    ids = {topic: i for i, topic in enumerate(KINDS, 1)}
-    for topic, i in ids.items():
-        values = (i, topic, KINDS[topic].type_name, 'cdr', *[''] * (version >= 2))
-        database.execute(f'INSERT INTO topics VALUES ({", ".join("?" * len(values))})', values)
-    database.executemany(
-        'INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)',
-        [(ids[topic], stamp, data) for stamp, topic, data in rows],
-    )
-    database.commit()
-    database.close()
     return path
