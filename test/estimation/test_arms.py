@@ -93,17 +93,6 @@ def test_no_parameter_is_further_off_than_stated() -> None:
     assert np.abs(off).max() < 4.5, np.round(off, 1)
 
 
-def test_derivatives_are_those_of_the_prediction() -> None:
-    equations, state, _ = found()
-    jacobian = equations.jacobian(state)
-    for k in range(equations.size):
-        step = np.zeros(equations.size)
-        step[k] = 1e-4
-        slope = (equations.predict(state + step) - equations.predict(state - step)) / 2e-4
-        rows = equations.layout.turn_accels.ravel()
-        assert jacobian[rows, k] == pytest.approx(slope[rows], rel=1e-6, abs=1e-8)
-
-
 def test_turns_that_no_table_times_have_no_accelerometers() -> None:
     turns = tuple(replace(turn, seconds=None) for turn in evidence().turns)
     assert len(Arms.from_turns(turns, SITE.up_rate)) == 0

@@ -12,10 +12,8 @@ from units_sessions import PULSE, TABLE, TURNED, WALK, solved, tilt, truth
 
 from imu_calib.calibration.calibrator import estimate_together
 from imu_calib.common.budget import ErrorSource, total
-from imu_calib.estimation.common_unknowns import join, own_covariance
 from imu_calib.estimation.positioning_errors import PositioningErrors
 from imu_calib.estimation.session_model import Nuisance
-from imu_calib.estimation.table_effects import CommonSizes, CommonTable
 
 NAMES = ['one', 'two', 'three', 'four']
 UNITS = len(NAMES)
@@ -121,52 +119,6 @@ def test_what_other_units_say_has_the_degrees_of_freedom_of_their_noise(sessions
         freedom = result.solution.shares[ErrorSource.ENCODER_RATE].freedom
         assert (freedom[:3] >= 14).all()
         assert (freedom[:3] <= 14 * turns * (1 + 1e-9)).all()
-
-
-def test_the_arrowhead_gives_what_one_dense_system_of_all_units_gives(sessions):
-    """The same unknowns and outputs, their whole covariance inverted at once."""
-    alone = [result.solution.search.estimate for result in sessions[0].alone[:3]]
-    joined = join(alone)
-    states = [joined.estimates[k].state for k in range(3)]
-    units = [found.equations for found in alone]
-    common = CommonTable(units, CommonSizes.of_one_unit(units[0])).errors_at(states)
-    errors = len(common.sources)
-    blocks, rows, width = [], [], sum(unit.size - 3 for unit in units) + 3
-    first = 3
-    for unit, state, columns in zip(units, states, common.columns, strict=True):
-        jacobian = unit.jacobian(state)
-        table = unit.sensors + np.arange(3)
-        own = np.delete(np.arange(unit.size), table)
-        whole = np.zeros((len(jacobian), width))
-        whole[:, :3], whole[:, first : first + len(own)] = jacobian[:, table], jacobian[:, own]
-        blocks.append((own_covariance(unit, state), columns))
-        rows.append(whole)
-        prior = np.zeros((unit.nuisances - 3, width))
-        deviations = unit.prior[1][3:]
-        place = first + unit.sensors + np.arange(len(deviations))
-        prior[np.arange(len(deviations)), place] = 1 / deviations
-        rows.append(prior)
-        blocks.append((np.eye(len(prior)), np.zeros((len(prior), errors))))
-        first += len(own)
-    tilts = np.zeros((3, width))
-    tilts[:, :3] = np.diag(1 / units[0].prior[1][:3])
-    rows.append(tilts)
-    blocks.append((np.eye(3), np.zeros((3, errors))))
-    shared = np.vstack([columns for _, columns in blocks])
-    covariance = scipy.linalg.block_diag(*(own for own, _ in blocks)) + shared @ shared.T
-    root = np.linalg.cholesky(covariance)
-    white = scipy.linalg.solve_triangular(root, np.vstack(rows), lower=True)
-    scale = np.linalg.norm(white, axis=0)
-    dense = np.linalg.inv((white / scale).T @ (white / scale)) / np.outer(scale, scale)
-    first = 3
-    for k, unit in enumerate(units):
-        n = unit.sensors
-        found = joined.estimates[k].covariance[:n, :n]
-        expected = dense[first : first + n, first : first + n]
-        deviations = np.sqrt(np.diag(expected))
-        assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
-        assert np.sqrt(np.diag(found)) == pytest.approx(deviations, rel=1e-6)
-        first += unit.size - 3
 
 
 def test_a_unit_that_is_loose_on_the_fixture_is_left_out_and_named(sessions):

@@ -21,7 +21,7 @@ from imu_calib.segmentation.statistics import (
     statistics_between,
     to_samples,
 )
-from imu_calib.segmentation.turns import _level_share, _line_origin, _mean_phase, _steady
+from imu_calib.segmentation.turns import _level_share, _line_origin, _steady
 from imu_calib.session.imu import ImuSpec, TriadSpec
 
 START = 1_700_000_000_000_000_000
@@ -292,18 +292,6 @@ def test_cuts_within_samples_leave_a_level_rate(first: float, length: float) -> 
     fractions = np.array([first, first + length]) % 1.0
     wanted = np.diff(fractions * (1 - fractions))[0] / 2 * 2 * np.pi / length**2
     assert _level_share(held, start, turns) == pytest.approx(abs(wanted), rel=1e-4, abs=1e-8)
-
-
-def test_the_mean_phase_of_a_turn_is_that_of_its_angle() -> None:
-    axis = np.array([0.0, 0.6, 0.8])
-    increments = np.zeros((300, 6))
-    increments[:, :3] = axis * 2 * np.pi / 300
-    whole = _mean_phase(samples(increments), increments[:, :3].sum(axis=0))
-    assert abs(whole) < 1e-12
-    quarter = samples(increments[:75])
-    # The mean of exp(i a) from 0 to pi / 2 is (1 + i) 2 / pi.
-    found = _mean_phase(quarter, quarter.increments[:, :3].sum(axis=0))
-    assert found == pytest.approx((1 + 1j) * 2 / np.pi, rel=1e-4)
 
 
 # Names
