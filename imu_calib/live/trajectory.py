@@ -28,6 +28,9 @@ _RENEWAL = 1.0
 """s between two trajectories: two may be lost before the last one ends."""
 _SOONEST_STOP = 0.1
 """s added to the shortest stop, since the joint state at its start is old by then."""
+_FIRST_WAY = 0.9 * math.pi
+"""Longest way to the first point of a stop, rad: the controller takes a joint of URDF's type
+continuous there by the shortest way, without whole turns. Half a turn, less a tenth as a margin."""
 _OLD = 0.2
 """Age of a joint state, s, above which the table's position is unknown. A judgement: ten states at
 50 Hz."""
@@ -98,7 +101,20 @@ class Lead:
         lower = np.minimum([joint.lower for joint in self._table.joints], angles)
         upper = np.maximum([joint.upper for joint in self._table.joints], angles)
         goal = np.clip(angles + rates * time / 2, lower, upper)
-        return Piece(0, Course(np.array([time]), goal[None], np.zeros((1, len(goal)))))
+        share, farthest = np.ones((1, 1)), float(np.abs(rates).max()) * time / 2
+        if farthest > _FIRST_WAY:
+            share = np.array([[1 - math.sqrt(1 - _FIRST_WAY / farthest)], [1.0]])
+        # Points of the controller's own cubic (Hermite's form): one more changes no course.
+        begun, ended = share * (1 - share) ** 2 * time, share**2 * (3 - 2 * share)
+        slowed, gone = (1 - share) * (1 - 3 * share), 6 * share * (1 - share) / time
+        return Piece(
+            0,
+            Course(
+                share[:, 0] * time,
+                angles + rates * begun + (goal - angles) * ended,
+                rates * slowed + (goal - angles) * gone,
+            ),
+        )
 
     def _credible(self, at: Feedback) -> Floats:
         """Return the (k,) reported rates, or lower ones if the angles show less, rad/s.

@@ -8,12 +8,15 @@ import turntable_bench
 from installed import has_package
 from turntable_bench import NAMES, PATIENT, FakeTable
 
-from imu_calib.common.stream import JointBlock, Mode
+from imu_calib.common.stream import JointBlock, Mode, Setpoint
 from imu_calib.common.units import DEG
 from imu_calib.live import middleware as ros
+from imu_calib.live.nodes.run_action import trajectory_message
 from imu_calib.live.rules import Phase
-from imu_calib.live.trajectory import Overtaken
+from imu_calib.live.table_watch import Feedback
+from imu_calib.live.trajectory import Lead, Overtaken
 from imu_calib.recordings.cdr_codec import encode_joints
+from imu_calib.session.table import load_table
 
 session = turntable_bench.session
 pytestmark = pytest.mark.skipif(
@@ -23,29 +26,32 @@ pytestmark = pytest.mark.skipif(
 
 
 ACTION = 'joint_trajectory_controller/follow_joint_trajectory'
+REPLACED = 'Current goal preempted by new incoming action.'
 
 
 class JointTrajectoryServer(ros.Node):
     """ros2_control's joint_trajectory_controller: its action, and joints that follow exactly.
 
-    By the rules of its documentation: a goal replaces the one before, which is then aborted; a zero
-    stamp starts it now from where the joints are; points are joined by cubic polynomials; the last
-    point is held; without a goal the joints stand where they are; a goal that violates a tolerance
-    is aborted, and the joints stand.
+    It does as version 4.42.1 was seen to do (docs/tables.md). A goal replaces the one before, which
+    is then aborted; a zero stamp starts it now from where the joints are. They are continuous: the
+    first point is reached by the shortest way, without whole turns. Points are joined by cubic
+    polynomials; the last one is held; without a goal the joints stand where they are. A goal that
+    violates a tolerance is aborted, and the joints stand. A goal for other joints, one that ends in
+    the past and one that does not end at rest are rejected.
 
     Args:
         now: Returns the time of the joints, ns.
-        joints: How many.
+        names: The joints.
     """
 
-    def __init__(self, now, joints=3):
+    def __init__(self, now, names):
         super().__init__('joint_trajectory_controller')
         self.kind = ros.actions.FollowJointTrajectory
-        self.now = now
+        self.now, self.names = now, names
         self.rejects = False
         self.goals, self.ends, self.cancelled = [], [], []
         self.active = None
-        self.hold(np.zeros(joints))
+        self.hold(np.zeros(len(names)))
 
     def serve(self):
         """Begin to take goals."""
@@ -53,7 +59,7 @@ class JointTrajectoryServer(ros.Node):
             self,
             self.kind,
             ACTION,
-            accept=lambda _: not self.rejects,
+            accept=self.follows,
             begin=self.begin,
             cancel=self.on_cancel,
         )
@@ -64,9 +70,19 @@ class JointTrajectoryServer(ros.Node):
         self.times, self.knots = np.array([0.0]), np.array([angles])
         self.slopes = np.zeros((1, len(angles)))
 
+    def follows(self, request):
+        """Whether a goal is one that the controller takes."""
+        trajectory = request.trajectory
+        last = trajectory.points[-1]
+        stamp, length = trajectory.header.stamp, last.time_from_start
+        start = stamp.sec * 1_000_000_000 + stamp.nanosec
+        end = start + length.sec * 1_000_000_000 + length.nanosec
+        fits = sorted(trajectory.joint_names) == sorted(self.names) and not any(last.velocities)
+        return fits and not self.rejects and (not start or end >= self.now())
+
     def begin(self, goal):
         self.goals.append(goal.request.trajectory)
-        self.end(ros.GoalStatus.ABORTED, self.kind.Result.INVALID_GOAL, 'replaced')
+        self.end(ros.GoalStatus.ABORTED, self.kind.Result.INVALID_GOAL, REPLACED)
         points = goal.request.trajectory.points
         stamp = goal.request.trajectory.header.stamp
         begin = self.now()
@@ -76,7 +92,9 @@ class JointTrajectoryServer(ros.Node):
         if times[0] > 0:
             angles, rates = self.state(begin)
             times = [(begin - start) * 1e-9, *times]
-            knots, slopes = [angles, *knots], [rates, *slopes]
+            way = np.subtract(knots[0], angles)
+            knots = [knots[0] - ((way + np.pi) % (2 * np.pi) - np.pi), *knots]
+            slopes = [rates, *slopes]
         self.start, self.times = start, np.array(times)
         self.knots, self.slopes = np.array(knots), np.array(slopes)
         self.active = goal
@@ -130,7 +148,7 @@ class FollowingTable(FakeTable):
     def __init__(self, table):
         super().__init__(table)
         self.deaf = True
-        self.controller = JointTrajectoryServer(self.stamp)
+        self.controller = JointTrajectoryServer(self.stamp, NAMES)
         if self.serves:
             self.controller.serve()
 
@@ -256,6 +274,35 @@ def test_a_stop_without_joint_states_is_on_the_way_where_the_tables_clock_is_ahe
     assert known or pieces[-1].stamp == lead._start
 
 
+def test_a_stop_of_more_than_half_a_turn_is_no_jump(session):
+    """To a continuous joint the controller goes by the shortest way, whole turns left out."""
+    session.open(with_node=False)
+    table, stamp = load_table('three_axis'), 1_700_000_000_000_000_000
+    server = JointTrajectoryServer(lambda: stamp, NAMES)
+    lead, rate = Lead(table), table.joints[0].max_rate
+
+    def led(mode, at):
+        rates = (rate, 0.0, 0.0)
+        setpoint = Setpoint(stamp, '', 0, '', mode, NAMES, at.angles, rates, 5.0, 0.0)
+        message = trajectory_message(lead.piece(setpoint, at), NAMES)
+        goal = server.kind.Goal(trajectory=message)
+        assert server.follows(goal)
+        server.begin(SimpleNamespace(request=goal, end=lambda *_: None))
+
+    led(Mode.RATE, Feedback(stamp, 0.01, (0.0,) * 3, (0.0,) * 3, still=True))
+    stamp += 2_900_000_000
+    angles, rates = server.state(stamp)
+    assert rates[0] == pytest.approx(rate)
+    led(Mode.HOLD, Feedback(stamp, 0.01, tuple(angles), tuple(rates), still=False))
+    times = np.linspace(0.0, 3.0, 601)
+    course = np.array([server.state(stamp + round(t * 1e9))[0][0] for t in times])
+    assert course[0] == pytest.approx(angles[0])
+    assert np.abs(np.diff(course)).max() <= rate * times[1] * (1 + 1e-6)
+    way = rate**2 / table.joints[0].max_acceleration / 2
+    assert way > np.pi
+    assert way < course[-1] - angles[0] < way + 0.1 * rate
+
+
 def test_a_piece_that_comes_too_late_ends_the_run(led, monkeypatch):
     session = turning(led())
     lead = session.node._controller._lead
@@ -304,7 +351,7 @@ def test_another_client_of_the_controller_stops_the_table(led):
         return session.node._sequencer.state().phase is Phase.PAUSED
 
     assert session.until(stopped)
-    assert stops(session, 'aborts a goal: replaced')
+    assert stops(session, f'aborts a goal: {REPLACED}')
 
 
 def test_a_goal_that_somebody_else_cancels_stops_the_table(led):

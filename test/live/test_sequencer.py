@@ -1001,7 +1001,7 @@ def test_a_stop_from_a_jump_of_an_encoder_that_reports_no_rate_is_no_motion():
 
 def test_a_stop_from_the_first_joint_state_is_from_a_rate_that_the_table_has():
     last = reported(0.0, (0.0, 0.0, 0.0), 1e9, count=1)
-    (stop,) = Lead(TABLE).piece(setpoint(Mode.HOLD), last).course.angles
+    *_, stop = Lead(TABLE).piece(setpoint(Mode.HOLD), last).course.angles
     fastest = TABLE.joints[0].max_rate
     assert stop[0] == pytest.approx(
         fastest * (fastest / TABLE.joints[0].max_acceleration + 0.1) / 2
