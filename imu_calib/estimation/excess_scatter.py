@@ -32,11 +32,11 @@ from ..model.parameters import BIASES, indices_of
 from ..segmentation.segmented import Move
 from ..segmentation.segments import Segment, Turn
 from .bias_drift import STATED_TIME, BiasDrift
-from .components import Blocks, Component, Diagonal, whiten
+from .components import Blocks, Component, Diagonal
 from .equations import Equations
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
-from .variances import Variance, choose_variances, find_variances
+from .variances import Variance, choose_variances, find_variances, restricted
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 """Correlation times of drift, in lengths of the session: half decades. A drift slower than the last
@@ -54,10 +54,6 @@ sessions did, and were off by six deviations."""
 _ODDS_BESIDE_OUTLIERS = 10.0
 """The same where an outlier is tested against the scatter of the others: a stated drift that is
 absent would hide it. A judgement."""
-
-_DEPENDENT = 1e-10
-"""Of the longest column, all scaled to one: residual of a column after projection that counts as
-zero, as in `information`."""
 
 _BLOCKS_FOR_A_SLOPE = 4
 """Fewest blocks of 10 s for a slope: a line has two unknowns, and two degrees of freedom remain for
@@ -320,7 +316,7 @@ def _triad(
     slopes = _Slopes.from_segments(segments, rising[rows].reshape(-1, 3), evidence.walk, first)
     biases = np.array(indices_of(BIASES[first : first + 3], equations.parameters))
     drift = _bias_drift([*segments, *moves], slopes.used, jacobian[np.ix_(rows, biases)])
-    project, z = _restricted(
+    project, z = restricted(
         jacobian[np.ix_(rows, seen)],
         residuals[rows],
         covariance[np.ix_(rows, rows)],
@@ -435,7 +431,7 @@ def _noise_of_channels(
     """Return `_Triad.noise`: the effect of the random walk of each channel, and its freedom.
 
     `own` are the variances of all outputs by it, `project` is the projection (k, r) of the outputs
-    `rows` by `_restricted`.
+    `rows` by `restricted`.
     """
     projection = scipy.linalg.block_diag(project, np.diag(slopes.weights))
     noise = []
@@ -448,28 +444,6 @@ def _noise_of_channels(
         columns = projection.T[:, noisy] * deviations[noisy]
         noise.append((columns @ columns.T, component.freedom))
     return tuple(noise)
-
-
-def _restricted(
-    jacobian: Floats, residuals: Floats, covariance: Floats, prior: Floats
-) -> tuple[Floats, Floats]:
-    """Project k outputs onto the complement of p parameters, in units of their noise.
-
-    The prior (q, p + 1) adds equations in standard deviations, residuals last. Returns (k, r) by
-    which the outputs' scatter enters, and (r,) residuals.
-    """
-    factor = np.linalg.cholesky(covariance)
-    columns = np.vstack([whiten(factor, np.column_stack([jacobian, residuals])), prior])
-    # A few velocities hold the same information on some accelerometer parameters: the remainder of
-    # a column is then rounding, and does not use up a direction.
-    norms = np.linalg.norm(columns[:, :-1], axis=0)
-    full, triangle, _ = scipy.linalg.qr(columns[:, :-1] / norms, pivoting=True)
-    sizes = np.abs(np.diag(triangle))
-    free = full[:, np.count_nonzero(sizes > _DEPENDENT * sizes.max(initial=0.0)) :]
-    project = scipy.linalg.solve_triangular(
-        factor, free[: len(residuals)], lower=True, trans='T', check_finite=False
-    )
-    return np.asarray(project), np.asarray(free.T @ columns[:, -1])
 
 
 def _slope_variance(blocks: Floats, walk: float) -> tuple[float, float]:

@@ -14,8 +14,8 @@ gyros one after the other; Skog and Haendel 2006, XVII IMEKO, for the norm of gr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,9 +27,9 @@ from ..common.finding import Finding
 from ..common.stream import Floats
 from ..common.units import DEG, STANDARD_GRAVITY, counted, significant
 from ..model.parameters import PARAMETERS, Parameter, ParameterKind, indices_of
-from ..model.sensors import SensorModel, Triad, terms_of
-from ..model.session_terms import Change, Changes, Course
-from ..model.terms import ACCEL_ASYMMETRY, ACCEL_CUBIC, ACCEL_QUADRATIC, G_SENSITIVITY, Term
+from ..model.sensors import SensorModel, Triad
+from ..model.session_terms import Changes, Course
+from ..model.terms import ACCEL_ASYMMETRY, ACCEL_CUBIC, ACCEL_QUADRATIC, G_SENSITIVITY
 from ..session.plan import Plan
 from .checks import check_axes
 from .components import Component, Factor
@@ -51,10 +51,12 @@ from .hand_findings import (
 from .information import Information
 from .modulation import spans
 from .outputs import Indices
-from .score import Family, Score, log_f, scores_of
+from .score import Family, Pattern, Score, WhitenedResiduals, scores_of
+from .search import SignificantFamily
 from .solution import Solution
 from .solve import least_squares
 from .term_tests import TermState, TermTest, test_of
+from .variances import Variance, choose_variances, restricted
 
 NAME = 'free_positions'
 _NEEDS = (
@@ -78,17 +80,13 @@ FEWEST = 9  #: Holds below which gravity does not determine nine parameters of t
 
 _ITERATIONS = 100  #: Most steps of a fit; one that has not converged by then raises.
 _ROUNDS = 10
-"""Rounds in which contradicting turns are left out and noise is estimated again; a cap."""
-_SIGNIFICANT = 1e-3
-"""Probability of chance below which the scatter of a group is reported. A choice: in one sound
-session of a thousand."""
-_WIDENED = 0.01
-"""Probability of chance below which a group's noise is enlarged: three sound sessions in a hundred
-are widened. Held-out lengths of the Xsens of docs/real_recordings.md were off by up to 3.5 times
-the stated deviation with 1e-3, and by up to 2.4 with this."""
-_DETERMINED = 0.5
-"""Degrees of freedom from which on a group shows its scatter: below, its residuals are rounding of
-the fit. A judgement."""
+"""Rounds in which scatter is estimated again, after each turn that is left out; a cap."""
+_LEAST_GAIN = 3.3
+"""Least gain in log likelihood for scatter beyond the noise, half of chi-square: in three sound
+sessions of a hundred one of three groups and two drifts gains as much by chance."""
+_SAID = 0.9
+"""Probability from which on scatter is reported: beside the least gain another 2.2, a chance of
+five in ten thousand."""
 _FLAT = 1e-10
 """Of the largest singular value of an ellipsoid's equations: with a smaller one they determine
 none. A judgement: rounding leaves 1e-15, and noise far more."""
@@ -111,24 +109,28 @@ positions')."""
 
 _LOG_SHOWN = float(np.log(_SHOWN))
 
-_LEAST_CHANCE = 1e-99
-"""Least probability that is reported: smaller ones are beyond the approximations."""
+_LEAST_LOG = float(np.log(1e-99))
+"""Least probability that is reported, as a logarithm: smaller ones are beyond the
+approximations."""
 
 _NONLINEAR = (ACCEL_QUADRATIC, ACCEL_ASYMMETRY, ACCEL_CUBIC)
 """Terms of the accelerometers that are tested, each axis for itself. The cross terms are nine more,
 for which holds of a few minutes are too few."""
+_FAMILIES = (
+    *(Family(term.name, term) for term in (G_SENSITIVITY, *_NONLINEAR)),
+    *(Family(name, course=Course.TREND) for name in TRENDS),
+)
+"""Families that are tested."""
 _LARGEST = 0.02
 """Largest of their effects at 1 g, of it: chips are stated to be linear to 0.1 to 2 % of range."""
+_LARGEST_G = 1 * DEG / STANDARD_GRAVITY
+"""Largest useful g-sensitivity, 1 deg/s per g: ten times that of usual chips."""
 _AMOUNT = 1000.0
 """Amount of a coefficient for which its effect is reported, ug/g^2, ppm or ug/g^3: a tenth of a
 percent at 1 g, as of a usual chip."""
 _APART = 9.0
 """Difference of chi-square below which two terms explain a session equally well: a factor of 90 in
 the likelihood (as in `search`)."""
-
-_WANDERS = 2.0 ** np.arange(1, 11)
-"""Grid of the size of a wander, of the noise of a hold: the likelihood is flat within a factor of
-two."""
 _DEGREES = 3
 """Highest degree of the polynomials of time by which an uneven drift is looked for. A judgement: a
 unit that warms up or wanders shows most of its drift in them, and they leave the holds a test."""
@@ -148,6 +150,24 @@ _GROUPS = ('the accelerometers at rest', 'the gyros at rest', 'the turns')
 
 
 @dataclass(frozen=True, eq=False)
+class Scatter:
+    """Scatter of holds and turns beyond their noise."""
+
+    #: (3,) variances of accelerometers at rest, gyros at rest and turns over those of their noise.
+    groups: Floats
+    wanders: Floats  #: (2,) variances of the biases' change, by `TRENDS`, (rad/s)^2 and (m/s^2)^2.
+    probability: Floats  #: (5,) of each.
+
+    def is_as(self, other: Scatter) -> bool:
+        """Return whether another is the same to a few percent."""
+        pairs = ((1 + self.groups, 1 + other.groups), (self.wanders, other.wanders))
+        return all(np.allclose(one, two, rtol=2 * _SETTLED) for one, two in pairs)
+
+
+_NO_SCATTER = Scatter(np.zeros(3), np.zeros(2), np.zeros(5))
+
+
+@dataclass(frozen=True, eq=False)
 class FreeFit:
     """Estimate from holds and turns."""
 
@@ -157,27 +177,13 @@ class FreeFit:
     covariance: Floats  #: (n, n); zero for the three that the frame sets to zero.
     residuals: Floats  #: (k, 6) outputs at rest less those predicted by the model.
     condition: float  #: Condition number of the system, columns scaled to unit length.
-    #: (3,) factor on the noise of accelerometers at rest, gyros at rest and turns by their scatter,
-    #: as standard deviations.
-    scatter: Floats
-    scatter_chances: Floats  #: (3,) probabilities of such scatter by chance.
+    scatter: Scatter  #: Beyond the noise.
     rejected_moves: tuple[int, ...]  #: Indices of the holds before turns that were left out.
     shares: Shares  #: The covariance by source.
-    chance: float = 1.0  #: Probability of so significant a g-sensitivity by chance; 1 without it.
     drifts: tuple[Drift, ...] = ()  #: Drifts of biases that the session shows.
     changes: Changes | None = None  #: Their coefficients; None without an even one.
-    #: Terms of the accelerometers that are on, in the order in which they were found.
-    nonlinear: tuple[Nonlinearity, ...] = ()
-    tests: tuple[TermTest, ...] = ()  #: Of the terms of the accelerometers.
-
-
-@dataclass(frozen=True)
-class Nonlinearity:
-    """A term of the accelerometers that a session shows."""
-
-    term: Term  #: The term.
-    log_p: float  #: Natural logarithm of the probability by chance.
-    alternatives: tuple[Term, ...] = ()  #: Terms that explain the session as well.
+    found: tuple[SignificantFamily, ...] = ()  #: Terms that are on, in the order of their finding.
+    tests: tuple[TermTest, ...] = ()  #: Of all terms.
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,15 +192,12 @@ class _State:
 
     equations: FreeEquations  #: Linearised at the present attitudes.
     values: Floats  #: (n,) the state.
-    scatter: Floats  #: (3,) factors on the noise, as in `FreeFit`.
-    rejected_moves: tuple[int, ...] = ()  #: Likewise.
-    scatter_chances: Floats = field(default_factory=lambda: np.ones(3))  #: Likewise.
-    #: Biases that wander, by the name of their drift, and by how much: in the covariance.
-    wanders: tuple[tuple[str, float], ...] = ()
+    scatter: Scatter = _NO_SCATTER  #: In the covariance.
+    rejected_moves: tuple[int, ...] = ()  #: As in `FreeFit`.
 
     @property
     def groups(self) -> tuple[Indices, ...]:
-        """Groups of outputs with common scatter: see `FreeFit.scatter`."""
+        """Groups of outputs with common scatter: see `Scatter`."""
         rows = self.equations.layout
         return rows.dwell[:, 3:].ravel(), rows.dwell[:, :3].ravel(), rows.move.ravel()
 
@@ -207,16 +210,16 @@ class _State:
         """The information of the equations."""
         return Information.from_jacobian(self.whitened()[0])
 
-    @cached_property
-    def basis(self) -> Floats:
-        """Orthonormal columns (m, n) that span the derivatives in standard deviations."""
-        return np.asarray(np.linalg.qr(self.whitened()[0])[0])
+    @property
+    def wild(self) -> int | None:
+        """The turn that the others contradict most, if any."""
+        jacobian, residuals = self.whitened()
+        return _outlying_turn(self, np.asarray(np.linalg.qr(jacobian)[0]), residuals)
 
     @property
     def chi_square(self) -> float:
         """Sum of squares of the residuals in standard deviations."""
-        residuals = self.whitened()[1]
-        return float(residuals @ residuals)
+        return self.equations.chi_square(self.values)
 
     def moved(self, step: Floats) -> _State:
         """Return the state after a step (n,), in attitudes turned by it."""
@@ -227,44 +230,104 @@ class _State:
         """Return the least squares."""
         return least_squares(self, _State.whitened, _State.moved, _ITERATIONS)
 
-    def scattering(self, scatter: Floats) -> _State:
-        """Return the state with the noise of each group (3,) times as large."""
+    def weighted(self, *, outliers: bool = True) -> _State:
+        """Return the least squares with scatter estimated, and without outlying turns if wanted."""
+        state, rounds = self, 0
+        while rounds < _ROUNDS:
+            state, rounds = state.settled(), rounds + 1
+            scatter = state.likely_scatter()
+            if not scatter.is_as(state.scatter):
+                state = state.scattering(scatter)
+            elif outliers and (wild := state.wild) is not None:
+                # Beside biases that wander: these make outliers of turns.
+                state, rounds = state.without_turn(wild), 0
+            else:
+                break
+        return state
+
+    def likely_scatter(self, columns: Floats | None = None) -> Scatter:
+        """Estimate the scatter; some columns (m, k) of further unknowns explain residuals, too."""
+        equations = replace(self.equations, inflation=None, extra=())
+        slopes = equations.jacobian(self.values)
+        prior = equations.prior_rows(self.values)
+        if columns is not None:
+            slopes = np.hstack([slopes, columns])
+            prior = np.insert(prior, [-1] * columns.shape[1], 0.0, axis=1)
+        seen = slopes.any(axis=0)
+        project, left = restricted(
+            slopes[:, seen],
+            equations.outputs - equations.predict(self.values),
+            equations.covariance(self.values),
+            prior[:, np.append(seen, True)],
+        )
+        own = equations.own_variances
+        entering = [np.sqrt(own[rows]) * project[rows].T for rows in self.groups]
+        units = [float(np.median(own[self.groups[k]])) for k in (1, 0)]
+        for name, unit in zip(TRENDS, units, strict=True):
+            entering.append(project.T @ self.wandering(name) * np.sqrt(unit))
+        chosen = choose_variances(
+            [(left, np.eye(len(left)))], (), [[Variance((e @ e.T,))] for e in entering], _LEAST_GAIN
+        )
+        sizes = np.concatenate(chosen.means)
+        probability = np.array([chosen.probability(k) for k in range(len(sizes))])
+        return Scatter(sizes[:3], sizes[3:] * units, probability)
+
+    def scattering(self, scatter: Scatter) -> _State:
+        """Return the state with this scatter in its covariance."""
         inflation = np.ones(len(self.equations.layout))
-        for rows, factor in zip(self.groups, scatter, strict=True):
-            inflation[rows] = factor**2
-        return replace(
-            self, equations=replace(self.equations, inflation=inflation), scatter=scatter
+        for rows, variance in zip(self.groups, scatter.groups, strict=True):
+            inflation[rows] += variance
+        extra = tuple(
+            Component(ErrorSource.BIAS_FOUND, Factor(self.wandering(name) * size))
+            for name, size in zip(TRENDS, np.sqrt(scatter.wanders), strict=True)
+            if size
         )
+        equations = replace(self.equations, inflation=inflation, extra=extra)
+        return replace(self, equations=equations, scatter=scatter)
 
-    def with_terms(self, terms: tuple[Term, ...]) -> _State:
-        """Return the state with the parameters of terms, initially zero."""
-        more = tuple(p for term in terms for p in term.parameters)
-        equations = replace(self.equations, parameters=(*self.equations.parameters, *more))
-        values = np.insert(self.values, len(self.equations.parameters), np.zeros(len(more)))
+    def with_families(self, families: Sequence[Family]) -> _State:
+        """Return the state with terms on, initially zero."""
+        equations, values = self.equations, self.values
+        for family in families:
+            start, more = equations.sensors, family.parameters
+            if family.term is None:
+                start = equations.change_slice.stop
+            values = np.insert(values, start, np.zeros(len(more) + len(family.changes)))
+            equations = replace(
+                equations,
+                parameters=(*equations.parameters, *more),
+                changes=(*equations.changes, *family.changes),
+            )
         return replace(self, equations=equations, values=values)
 
-    def with_changes(self, changes: tuple[Change, ...]) -> _State:
-        """Return the state with coefficients of a session's terms, initially zero."""
-        equations = replace(self.equations, changes=(*self.equations.changes, *changes))
-        values = np.insert(self.values, self.equations.change_slice.stop, np.zeros(len(changes)))
-        return replace(self, equations=equations, values=values)
-
-    def wandering(self, name: str, size: float) -> _State:
-        """Return the state with biases of a triad that wander, by so much during the session.
-
-        The covariance is that of a random walk about its mean, by its Karhunen-Loeve expansion.
-        """
+    def without(self, family: Family) -> _State:
+        """Return the state with a term off, all else as it is."""
         equations = self.equations
-        starts, ends = spans(equations.evidence)
+        places = self.places(family)
+        parameters = tuple(p for p in equations.parameters if p not in family.parameters)
+        changes = tuple(c for c in equations.changes if c not in family.changes)
+        equations = replace(equations, parameters=parameters, changes=changes)
+        return replace(self, equations=equations, values=np.delete(self.values, places))
+
+    def places(self, family: Family) -> Indices:
+        """Return where the coefficients of a term that is on are in the state."""
+        equations = self.equations
+        if family.term is not None:
+            return np.array(indices_of(family.parameters, equations.parameters))
+        start = equations.change_slice.start
+        return np.array([start + equations.changes.index(c) for c in family.changes])
+
+    def wandering(self, name: str) -> Floats:
+        """Return the effect on the outputs of biases of a triad that wander, (m, k).
+
+        For a random walk about its mean with a variance of one over the session, by its
+        Karhunen-Loeve expansion.
+        """
+        evidence = self.equations.evidence
+        starts, ends = spans(evidence)
         time = (starts + ends) / (2 * ends.max())
-        order = np.pi * np.arange(1, len(equations.evidence.segments))
-        columns = self.drifting(name, np.sqrt(2) * np.cos(order * time[:, None]) / order) * size
-        extra = (*equations.extra, Component(ErrorSource.BIAS_FOUND, Factor(columns)))
-        return replace(
-            self,
-            equations=replace(equations, extra=extra),
-            wanders=(*self.wanders, (name, size)),
-        )
+        order = np.pi * np.arange(1, len(evidence.segments))
+        return self.drifting(name, np.sqrt(2) * np.cos(order * time[:, None]) / order)
 
     def drifting(self, name: str, courses: Floats) -> Floats:
         """Return the effect on the outputs of biases that drift by courses (s + t, k), (m, 3 k)."""
@@ -274,20 +337,18 @@ class _State:
         own = courses[equations.layout.segment]
         return np.asarray((slopes[:, :, None] * own[:, None]).reshape(len(own), -1))
 
-    def without(self, wild: int) -> _State:
-        """Return the state without a move: it splits a run in two, and north is estimated anew."""
+    def without_turn(self, wild: int) -> _State:
+        """Return the state without a turn: it splits a run in two, and north is estimated anew."""
         evidence = self.equations.evidence
         link = evidence.used_moves.linked[wild]
         moves = tuple(move for move in evidence.moves if move is not link.move)
         evidence = replace(evidence, moves=moves)
         equations = replace(self.equations, evidence=evidence, inflation=None, extra=())
         values = equations.nominal()
-        values[: equations.sensors] = self.values[: equations.sensors]
+        known = equations.change_slice.stop
+        values[:known] = self.values[:known]
         dropped = tuple(sorted((*self.rejected_moves, link.first)))
-        state = _State(equations, values, np.ones(3), dropped)
-        for name, size in self.wanders:
-            state = state.wandering(name, size)
-        return state
+        return _State(equations, values, rejected_moves=dropped)
 
 
 def solve(evidence: Evidence) -> FreeFit:
@@ -304,20 +365,15 @@ def solve(evidence: Evidence) -> FreeFit:
             f'{FEWEST} or more in different attitudes to determine the accelerometers, 20 or more '
             'for a good result.'
         )
-    start = _State(*initial_equations(evidence), np.ones(3))
+    start = _State(*initial_equations(evidence))
     model = start.equations.model(start.values)
     check_axes(model.accel.response, *_ACCELS)
     check_turns(start.equations.evidence, model)
     _check_observable(start)
-    choice = _chosen(start)
-    if choice.chance < _SHOWN:
-        _check_latitude(_with_estimated_noise(start.with_changes(choice.state.equations.changes)))
-    state, nonlinear = _with_nonlinearity(choice.state)
-    if nonlinear:
-        # Without it the directions of gravity were off, and the turns contradicted them.
-        choice = _chosen(start.with_terms(tuple(one.term for one in nonlinear)))
-        state = choice.state
-    chance = choice.chance
+    state, found = _with_terms(start)
+    if any(one.family.term is G_SENSITIVITY for one in found):
+        others = [one.family for one in found if one.family.term is not G_SENSITIVITY]
+        _check_latitude(start.with_families(others).weighted())
     _check_observable(state)
     equations, values = state.equations, state.values
     check_axes(equations.model(values).gyro.response, 'gyros', 'the turns between holds')
@@ -331,7 +387,7 @@ def solve(evidence: Evidence) -> FreeFit:
         return result
 
     sensors = slice(0, equations.sensors)
-    found = shares(equations, values, information.gain)
+    by_source = shares(equations, values, information.gain)
     return FreeFit(
         equations.model(values),
         parameters,
@@ -339,140 +395,155 @@ def solve(evidence: Evidence) -> FreeFit:
         (equations.outputs - equations.predict(values))[equations.layout.dwell],
         information.condition,
         state.scatter,
-        state.scatter_chances,
         state.rejected_moves,
         {
             source: Share(of_all(share.covariance, 0.0), of_all(share.freedom, np.inf))
-            for source, share in found.items()
+            for source, share in by_source.items()
         },
-        chance if chance < _SHOWN else 1.0,
-        (*choice.drifts, *_uneven(state)),
+        (*_even(state, found), *_wanders(state), *_uneven(state)),
         _changes(state, information, len(parameters), own),
-        nonlinear,
-        _tests(state, choice, nonlinear, information),
+        found,
+        _tests(state, found, information),
     )
 
 
-@dataclass(frozen=True)
-class _Choice:
-    """A fit with g-sensitivity and even drifts on or off."""
+def _with_terms(start: _State) -> tuple[_State, tuple[SignificantFamily, ...]]:
+    """Add the most significant term until none is; all must remain significant together.
 
-    state: _State  #: The least squares.
-    #: Probability of so significant a g-sensitivity by chance, where that was tested.
-    chance: float
-    drifts: tuple[Drift, ...] = ()  #: The drifts that are on: even ones, and wanders.
-
-
-def _chosen(start: _State) -> _Choice:
-    """Add g-sensitivity of the gyros and drifts of biases, where the session shows them.
-
-    In a few holds either may explain the other: the likelier one is taken.
+    With all turns first: a term that is missing makes turns outliers, without which it may hide.
     """
-    plain = _with_estimated_noise(start)
-    chance = _chance(plain, G_SENSITIVITY)
-    sensitive = start.with_terms((G_SENSITIVITY,))
-    found = [_Choice(plain if chance >= _SHOWN else _with_estimated_noise(sensitive), chance)]
-    if chance < _SHOWN or _may_drift(plain):
-        drifting = _with_trends(start)
-        if drifting.drifts:
-            found.append(drifting)
-        if chance < _SHOWN or _chance(drifting.state, G_SENSITIVITY) < _SHOWN:
-            both = _with_trends(sensitive)
-            if both.drifts and both.chance < _SHOWN:
-                found.append(both)
-    return _with_wander(min(found, key=lambda choice: _misfit(choice.state)))
-
-
-def _may_drift(state: _State) -> bool:
-    """Return whether outputs scatter, or one step from a fit shows drifts."""
-    if (state.scatter_chances < _WIDENED).any():
-        return True
-    trial = state.with_changes(tuple(c for changes in TRENDS.values() for c in changes))
-    information = trial.information
-    with np.errstate(invalid='ignore'):
-        trial = replace(trial, values=trial.values + information.gain @ trial.whitened()[1])
-    return min(_log_chances(trial, information).values()) < _LOG_SHOWN
-
-
-def _with_trends(start: _State) -> _Choice:
-    """Let biases drift evenly; drifts that are not significant are taken out again, worst first."""
-    names = list(TRENDS)
-    while names:
+    found: tuple[SignificantFamily, ...] = ()
+    rejected = set[Family]()
+    state = start.weighted()
+    while True:
+        on = {one.family for one in found}
+        views = [state]
+        if state.rejected_moves:
+            views.insert(0, start.with_families([*on]).weighted(outliers=False))
+        best = None
+        for view in views:
+            scores = _scores(view, [f for f in _FAMILIES if f not in on | rejected])
+            best = best or _most_significant(scores, on)
+        if best is None:
+            return state, found
+        wanted = [one.family for one in (*found, best)]
         try:
-            state = _with_estimated_noise(
-                start.with_changes(tuple(c for n in names for c in TRENDS[n]))
-            )
-            _check_observable(state)
+            trial = start.with_families(wanted).weighted()
+            _check_observable(trial)
         except NotObservable:
-            # A few holds may determine no drift of the accelerometers.
-            names.pop()
+            rejected.add(best.family)
             continue
-        information = state.information
-        logs = _log_chances(state, information)
-        # Where the gyros drift the accelerometers are likely to.
-        likely = logs.get('trend:D_g', 0.0) < _LOG_SHOWN
-        beyond = {n: logs[n] - np.log(_SHOWN if likely else DRIFT_SHOWN[n]) for n in names}
-        worst = max(names, key=lambda name: beyond[name])
-        if beyond[worst] < 0:
-            known = state.equations.parameters
-            chance = 1.0
-            if G_SENSITIVITY in terms_of(known):
-                places = np.array(indices_of(G_SENSITIVITY.parameters, known))
-                chance = float(np.exp(_log_chance(state, information, places, 'g')))
-            drifts = tuple(Drift(n, logs[n], _drifted(state, TRENDS[n])) for n in names)
-            return _Choice(state, chance, drifts)
-        names.remove(worst)
-    return _Choice(_with_estimated_noise(start), 1.0)
+        kept = tuple(
+            replace(one, log_p=log_p)
+            for one in (*found, best)
+            if (log_p := _score(trial.without(one.family), one.family).log_p)
+            < _log_limit(one.family, wanted)
+        )
+        lost = set(wanted) - {one.family for one in kept}
+        rejected |= lost
+        if best.family not in lost:
+            found = kept
+            state = start.with_families([one.family for one in kept]).weighted() if lost else trial
 
 
-def _log_chances(state: _State, information: Information) -> dict[str, float]:
-    """Return the logarithms of the probabilities by chance of the drifts that are on."""
-    start, changes = state.equations.change_slice.start, state.equations.changes
-    found = {}
-    for name, mine in TRENDS.items():
-        if mine[0] in changes:
-            places = np.array([start + changes.index(c) for c in mine])
-            triad = mine[0].parameters[0].triad
-            found[name] = _log_chance(state, information, places, triad)
-    return found
+def _most_significant(
+    scores: Mapping[Family, Score], on: Collection[Family]
+) -> SignificantFamily | None:
+    """Return the most significant of terms that are off, if any is."""
+    beyond = {f: score.log_p - _log_limit(f, on) for f, score in scores.items()}
+    family = min(beyond, key=lambda f: beyond[f], default=None)
+    if family is None or beyond[family] >= 0:
+        return None
+    alike = [
+        f
+        for f in scores
+        if f.term in _NONLINEAR and scores[f].log_p < scores[family].log_p + _APART / 2
+    ]
+    if family.term not in _NONLINEAR:
+        return SignificantFamily(family, scores[family].log_p)
+    # Of terms that explain the session equally well the first is that of IEEE Std 1293.
+    return SignificantFamily(alike[0], scores[alike[0]].log_p, alternatives=tuple(alike[1:]))
 
 
-def _log_chance(state: _State, information: Information, places: Indices, triad: str) -> float:
-    """Return the logarithm of the probability by chance of unknowns of a triad that are on.
+def _log_limit(family: Family, on: Collection[Family]) -> float:
+    """Return the logarithm of the chance below which a term is significant beside others."""
+    if family.term in _NONLINEAR:
+        return _LOG_SHOWN - float(np.log(len(_NONLINEAR)))
+    # Where one triad drifts the other is likely to.
+    drifting = any(f.course is not None for f in on if f != family)
+    alone = DRIFT_SHOWN.get(family.name, _SHOWN)
+    return _LOG_SHOWN if drifting else float(np.log(alone))
 
-    The F test under the scatter with them (`places` in the state), which is known by the degrees of
-    freedom of the groups that show them: at rest, and the turns.
+
+def _pattern(state: _State, family: Family) -> Pattern:
+    """Return the effects on the outputs of a term's coefficients of the largest useful size."""
+    equations, values = state.equations, state.values
+    if family.term is None:
+        whole = float(spans(equations.evidence)[1].max())
+        columns = equations.columns(family.changes, equations.jacobian(values))
+        sizes = np.full(len(family.changes), LARGEST_DRIFT[family.name] / whole)
+        return columns * sizes, sizes
+    # The largest size in SI units: of f, of f^2 or of f^3.
+    degrees = [len(one.factors) + len(one.absolute) for _, one in family.term.products]
+    sizes = _LARGEST * STANDARD_GRAVITY ** (1.0 - np.array(degrees))
+    if family.term is G_SENSITIVITY:
+        sizes = np.full(len(family.parameters), _LARGEST_G)
+    return equations.parameter_derivatives(values, family.parameters) * sizes, sizes
+
+
+def _scores(state: _State, families: Sequence[Family]) -> dict[Family, Score]:
+    """Test terms that are off, each under the scatter that remains with it on.
+
+    Under the noise alone the tests have most power: what is not significant there is so with
+    scatter.
     """
-    covariance = information.covariance[np.ix_(places, places)]
-    groups = (0, 2) if triad == 'a' else (1, 2)
-    freedom = sum(_square_and_freedom(state, k)[1] for k in groups)
-    if not np.isfinite(covariance).all() or freedom < _DETERMINED:
-        return 0.0
-    values = state.values[places]
-    square = float(values @ np.linalg.solve(covariance, values))
-    return min(0.0, log_f(square / len(places), len(places), freedom))
+    patterns = {family: (_pattern(state, family),) for family in families}
+    scores = scores_of(patterns, state.scattering(_NO_SCATTER).equations, state.values)
+    return {
+        family: _score(state, family)
+        if score.tested and scipy.special.chdtrc(score.rank, score.statistic) < _SHOWN
+        else replace(score, statistic=0.0)
+        for family, score in scores.items()
+    }
 
 
-def _misfit(state: _State) -> float:
-    """Return minus twice the log of the likelihood, with the penalty of Schwarz for unknowns.
+def _score(state: _State, family: Family) -> Score:
+    """Test a term that is off, under the scatter that remains with it on."""
+    pattern = _pattern(state, family)
+    there = state.scattering(state.likely_scatter(pattern[0]))
+    residuals = WhitenedResiduals.at(there.equations, state.values)
+    score = residuals.score(family, [pattern])
+    if family.term is not None:
+        return score
+    # Gyros at rest know nothing of how much accelerometers scatter, nor these of gyros.
+    at_rest = 0 if family.name == 'trend:D_a' else 1
+    rows = np.concatenate([state.groups[at_rest], state.groups[2]])
+    taken = (residuals.basis[rows] ** 2).sum() + score.rank
+    return replace(score, freedom=max(0.0, float(len(rows) - taken)))
 
-    A turn that is left out counts as one of the least size for that.
 
-    Source: Schwarz 1978, Annals of Statistics 6, 461.
-    """
-    equations, out = state.equations, len(state.rejected_moves)
-    spread = 0.0 if equations.inflation is None else float(np.log(equations.inflation).sum())
-    unknowns = equations.sensors + len(equations.changes)
-    penalty = unknowns * float(np.log(len(equations.layout)))
-    return state.chi_square + spread + penalty + out * _OUTLYING**2
+def _even(state: _State, found: Sequence[SignificantFamily]) -> tuple[Drift, ...]:
+    """Return the even drifts that are on: by how much biases change during the session at most."""
+    whole = float(spans(state.equations.evidence)[1].max())
+    return tuple(
+        Drift(
+            one.family.name,
+            one.log_p,
+            float(np.abs(state.values[state.places(one.family)]).max()) * whole,
+        )
+        for one in found
+        if one.family.term is None
+    )
 
 
-def _drifted(state: _State, changes: Sequence[Change]) -> float:
-    """Return the largest change of a bias during the session, rad/s or m/s^2."""
-    equations = state.equations
-    start = equations.change_slice.start
-    rates = [state.values[start + equations.changes.index(c)] for c in changes]
-    return float(np.abs(rates).max() * spans(equations.evidence)[1].max())
+def _wanders(state: _State) -> tuple[Drift, ...]:
+    """Return the wanders that are likely; the covariance allows for those less likely, too."""
+    likely, sizes = state.scatter.probability[3:], np.sqrt(state.scatter.wanders)
+    return tuple(
+        Drift(name, 0.0, float(size), DriftKind.WANDER)
+        for name, size, probability in zip(TRENDS, sizes, likely, strict=True)
+        if probability > _SAID
+    )
 
 
 def _changes(
@@ -496,42 +567,6 @@ def _changes(
     )
 
 
-def _with_wander(choice: _Choice) -> _Choice:
-    """Let biases wander where that explains scatter better than holds and turns of their own."""
-    state, drifts = choice.state, choice.drifts
-    # Turns compare directions of gravity by the accelerometers.
-    for name, at_rest, groups in (('trend:D_g', 1, [1]), ('trend:D_a', 0, [0, 2])):
-        if (state.scatter[groups] == 1).all():
-            continue
-        quiet = state.scattering(np.where(np.isin(np.arange(3), groups), 1.0, state.scatter))
-        variances = np.diag(quiet.equations.covariance(state.values))[state.groups[at_rest]]
-        sizes = np.sqrt(np.median(variances)) * _WANDERS
-        tried = [quiet.wandering(name, size) for size in sizes.tolist()]
-        least = [_restricted(one) for one in tried]
-        best = int(np.argmin(least))
-        gained = _restricted(state) - least[best]
-        # A drift is seldom even, and where one triad drifts the other is likely to.
-        if gained > (0.0 if drifts else _LIKELIER):
-            state = _with_estimated_noise(tried[best])
-            drifts = (*drifts, Drift(name, -gained / 2, float(sizes[best]), DriftKind.WANDER))
-    return replace(choice, state=state, drifts=drifts)
-
-
-def _restricted(state: _State) -> float:
-    """Return minus twice the logarithm of the restricted likelihood of a covariance.
-
-    Source: Patterson and Thompson 1971, Biometrika 58, 545.
-    """
-    jacobian, residuals = state.whitened()
-    norms = np.linalg.norm(jacobian, axis=0)
-    jacobian, norms = jacobian[:, norms > 0], norms[norms > 0]
-    basis, upper = np.linalg.qr(jacobian / norms)
-    left = residuals - basis @ (basis.T @ residuals)
-    roots = np.diag(state.equations.factor(state.values))
-    logs = np.log(norms).sum() + np.log(np.abs(np.diag(upper))).sum() + np.log(roots).sum()
-    return float(left @ left + 2 * logs)
-
-
 def _uneven(state: _State) -> tuple[Drift, ...]:
     """Return uneven drifts of biases: polynomials of time found in the remaining residuals.
 
@@ -544,8 +579,8 @@ def _uneven(state: _State) -> tuple[Drift, ...]:
     time = (starts + ends) / ends.max() - 1
     courses = np.asarray(np.polynomial.legendre.legvander(time, _DEGREES)[:, 1:], dtype=float)
     patterns = {}
-    for name in (name for name in TRENDS if name not in dict(state.wanders)):
-        size = LARGEST_DRIFT[name] * max(1.0, state.scatter.max())
+    for name in (n for n, v in zip(TRENDS, state.scatter.wanders, strict=True) if not v):
+        size = LARGEST_DRIFT[name] * np.sqrt(1 + state.scatter.groups.max())
         columns = state.drifting(name, courses) * size
         family = Family(name, course=Course.TREND)
         patterns[family] = ((columns, np.full(columns.shape[1], size)),)
@@ -558,85 +593,31 @@ def _uneven(state: _State) -> tuple[Drift, ...]:
     return tuple(found)
 
 
-def _with_nonlinearity(state: _State) -> tuple[_State, tuple[Nonlinearity, ...]]:
-    """Add terms of the accelerometers until none is significant; return them, in their order."""
-    found: tuple[Nonlinearity, ...] = ()
-    while len(found) < len(_NONLINEAR):
-        scores = _scores(state)
-        shown = [f for f in scores if scores[f].log_p < np.log(_SHOWN / len(_NONLINEAR))]
-        if not shown:
-            break
-        most = max(shown, key=lambda family: scores[family].statistic / scores[family].scale)
-        least = scores[most].statistic - _APART * scores[most].scale
-        # Of terms that explain the session equally well the first is that of IEEE Std 1293.
-        best, *others = [f for f in scores if f is most or scores[f].statistic > least]
-        assert best.term is not None
-        try:
-            trial = _with_estimated_noise(state.with_terms((best.term,)))
-            _check_observable(trial)
-        except NotObservable:
-            break
-        alternatives = tuple(other.term for other in others if other.term is not None)
-        found = (*found, Nonlinearity(best.term, scores[best].log_p, alternatives))
-        state = trial
-    return state, found
-
-
-def _scores(state: _State) -> dict[Family, Score]:
-    """Test the terms of the accelerometers that are off.
-
-    Under the noise that is known beforehand: scatter that is estimated without a term hides it. The
-    test allows for the scatter that remains with it.
-    """
-    equations = state.scattering(np.array([1.0, *state.scatter[1:]])).equations
-    on = terms_of(equations.parameters)
-    patterns = {}
-    for term in (term for term in _NONLINEAR if term not in on):
-        # The largest size in SI units: of f, of f^2 or of f^3.
-        degrees = [len(one.factors) + len(one.absolute) for _, one in term.products]
-        sizes = _LARGEST * STANDARD_GRAVITY ** (1.0 - np.array(degrees))
-        columns = equations.parameter_derivatives(state.values, term.parameters) * sizes
-        patterns[Family(term.name, term)] = ((columns, sizes),)
-    return scores_of(patterns, equations, state.values)
-
-
 def _tests(
-    state: _State, choice: _Choice, found: Sequence[Nonlinearity], information: Information
+    state: _State, found: Sequence[SignificantFamily], information: Information
 ) -> tuple[TermTest, ...]:
-    """Return the terms that are on, and what the session shows of those of the accelerometers."""
+    """Return the terms that are on, and what the session shows of the others."""
     equations, values = state.equations, state.values
     sensors, outputs = slice(0, equations.sensors), slice(0, len(equations.outputs))
     std = information.std[sensors]
     root = np.linalg.cholesky(equations.covariance(values))
-    tests = [TermTest.found(one.term, one.log_p) for one in found]
-    for one in (drift for drift in choice.drifts if drift.kind is DriftKind.EVEN):
-        log10_p = one.log_p / float(np.log(10))
-        tests.append(TermTest(one.name, TermState.FOUND, log10_p, changes=TRENDS[one.name]))
-    if choice.chance < _SHOWN:
-        log_p = float(np.log(max(choice.chance, _LEAST_CHANCE)))
-        tests.insert(0, TermTest.found(G_SENSITIVITY, log_p))
-    for family, score in {**_scores(state), **_trend_scores(state)}.items():
-        if family.term is None:
-            columns = equations.columns(family.changes, equations.jacobian(values))
+    on = {one.family for one in found}
+    tests = []
+    for one in found:
+        if one.family.term is not None:
+            tests.append(TermTest.found(one.family.term, max(one.log_p, _LEAST_LOG)))
         else:
-            columns = equations.parameter_derivatives(values, family.parameters)
-        slopes = information.gain[sensors, outputs] @ np.linalg.solve(root, columns)
-        limit = DRIFT_SHOWN[family.name] if family.term is None else _SHOWN / len(_NONLINEAR)
+            log10_p = one.log_p / float(np.log(10))
+            changes = one.family.changes
+            tests.append(TermTest(one.family.name, TermState.FOUND, log10_p, changes=changes))
+    off = [f for f in _FAMILIES if f not in on and f.term is not G_SENSITIVITY]
+    patterns = {family: (_pattern(state, family),) for family in off}
+    for family, score in scores_of(patterns, equations, values).items():
+        ((columns, sizes),) = patterns[family]
+        slopes = information.gain[sensors, outputs] @ np.linalg.solve(root, columns / sizes)
+        limit = float(np.exp(_log_limit(family, ())))
         tests.append(test_of(family, score, slopes, limit, equations.parameters, std, _AMOUNT))
     return tuple(tests)
-
-
-def _trend_scores(state: _State) -> dict[Family, Score]:
-    """Test the even drifts that are off, under the scatter."""
-    equations, values = state.equations, state.values
-    whole = float(spans(equations.evidence)[1].max())
-    patterns = {}
-    for name, changes in TRENDS.items():
-        if changes[0] not in equations.changes:
-            sizes = np.full(len(changes), LARGEST_DRIFT[name] / whole)
-            columns = equations.columns(changes, equations.jacobian(values)) * sizes
-            patterns[Family(name, course=Course.TREND)] = ((columns, sizes),)
-    return scores_of(patterns, equations, values)
 
 
 def _check_latitude(state: _State) -> None:
@@ -649,7 +630,7 @@ def _check_latitude(state: _State) -> None:
         elsewhere = replace(state, equations=equations).settled()
         if (
             misfit - elsewhere.chi_square > _LIKELIER
-            and _chance(elsewhere, G_SENSITIVITY) >= _SHOWN
+            and _score(elsewhere, _FAMILIES[0]).log_p >= _LOG_SHOWN
         ):
             raise wrong_latitude(evidence, latitude)
 
@@ -666,7 +647,7 @@ def is_clear(evidence: Evidence) -> bool:
     if len(evidence.segments) < FEWEST:
         return False
     try:
-        state = _State(*initial_equations(evidence), np.ones(3))
+        state = _State(*initial_equations(evidence))
         equations, values = state.equations, state.values
         check_axes(equations.model(values).accel.response, *_ACCELS)
     except (InputError, NotObservable):
@@ -715,44 +696,6 @@ def initial_equations(evidence: Evidence) -> tuple[FreeEquations, Floats]:
     return equations, values
 
 
-def _with_estimated_noise(state: _State) -> _State:
-    """Return the least squares with noise enlarged by its scatter, and without outlying turns."""
-    for _ in range(_ROUNDS):
-        state = state.settled()
-        wild = _outlying_turn(state, state.basis, state.whitened()[1])
-        if wild is not None:
-            state = state.without(wild)
-            continue
-        scatter, freedom, chances = _scatter(state)
-        state = replace(state, scatter_chances=chances)
-        if np.allclose(scatter, state.scatter, rtol=_SETTLED):
-            if (doubt := _scatter_limit(freedom)).max() > 1:
-                state = state.scattering(scatter * doubt).settled()
-            break
-        state = state.scattering(scatter)
-    return state
-
-
-def _chance(state: _State, term: Term) -> float:
-    """Return the probability that a term explains as much of the residuals by chance.
-
-    The F test of nested least squares, under the scatter without the term: residuals of a trembling
-    hand are not evidence of it (docs/mathematics.md, 'Free positions').
-    """
-    try:
-        found = state.with_terms((term,)).settled()
-        _check_observable(found)
-    except NotObservable:
-        return 1.0
-    jacobian, residuals = found.whitened()
-    before, after = state.chi_square, float(residuals @ residuals)
-    count, freedom = len(term.parameters), len(residuals) - jacobian.shape[1]
-    if freedom < 1 or after >= before:
-        return 1.0
-    ratio = (before - after) / count / (after / freedom)
-    return float(scipy.special.fdtrc(count, freedom, ratio))
-
-
 def _check_observable(state: _State) -> None:
     """Raise if attitudes and turns do not determine all parameters."""
     parameters, evidence = state.equations.parameters, state.equations.evidence
@@ -791,37 +734,36 @@ def refuse(_: Evidence) -> Solution:
 
 def scatter_words(fit: FreeFit) -> list[str]:
     """Report groups that scatter significantly more than their noise."""
+    factors = np.sqrt(1 + fit.scatter.groups)
     return [
         Finding(
             f'The residuals of {name} are {factor:.1f} times their noise: the standard deviations '
             'are widened. Possible causes: a hand that trembled, and bias drift.',
             effect=factor - 1,
         )
-        for name, factor, chance in zip(_GROUPS, fit.scatter, fit.scatter_chances, strict=True)
-        if chance < _SIGNIFICANT
+        for name, factor, likely in zip(_GROUPS, factors, fit.scatter.probability, strict=False)
+        if likely > _SAID
     ]
 
 
 def term_words(fit: FreeFit) -> list[str]:
     """Report the terms that the session showed, and their significance."""
-    words = [_nonlinear_words(one, fit) for one in fit.nonlinear]
-    words += drift_words(fit.drifts)
-    if not set(G_SENSITIVITY.parameters) & set(fit.parameters):
-        return words
-    largest = np.abs(fit.model.g_sensitivity).max() * STANDARD_GRAVITY / DEG
-    chance = max(fit.chance, _LEAST_CHANCE)
-    return [
-        Finding(
+    terms = [one for one in fit.found if one.family.term is not None]
+    return [*(_one_term(one, fit) for one in terms), *drift_words(fit.drifts)]
+
+
+def _one_term(found: SignificantFamily, fit: FreeFit) -> str:
+    term = found.family.term
+    assert term is not None
+    log_p = max(found.log_p, _LEAST_LOG)
+    effect = float(np.sqrt(-2 * log_p))
+    if term is G_SENSITIVITY:
+        largest = np.abs(fit.model.g_sensitivity).max() * STANDARD_GRAVITY / DEG
+        return Finding(
             f'The gyros respond to specific force, by up to {largest:.2g} deg/s per g '
-            f'(probability of chance {chance:.0e}): {G_SENSITIVITY.name} is estimated, too.',
-            effect=float(np.sqrt(-2 * np.log(chance))),
-        ),
-        *words,
-    ]
-
-
-def _nonlinear_words(found: Nonlinearity, fit: FreeFit) -> str:
-    term = found.term
+            f'(probability of chance {np.exp(log_p):.0e}): {term.name} is estimated, too.',
+            effect=effect,
+        )
     places = indices_of(term.parameters, fit.parameters)
     unit = term.parameters[0].unit
     largest = np.abs(fit.model.values(fit.parameters)[places]).max() / unit.scale
@@ -833,7 +775,7 @@ def _nonlinear_words(found: Nonlinearity, fit: FreeFit) -> str:
     if found.alternatives:
         names = ' or '.join(other.name for other in found.alternatives)
         text += f' {names} would explain it as well. To tell them apart takes {term.needs}.'
-    return Finding(text, effect=float(np.sqrt(-2 * found.log_p)))
+    return Finding(text, effect=effect)
 
 
 def in_frame_of_accelerometers(model: SensorModel) -> SensorModel:
@@ -875,48 +817,6 @@ def ellipsoid(outputs: Floats, gravity: float) -> Triad:
     )
 
 
-def _scatter(state: _State) -> tuple[Floats, Floats, Floats]:
-    """Return the scatter of each group over its noise, 1 where not significant.
-
-    The square of a factor is that of the state times the group's chi-square per degree of freedom
-    in its standard deviations (Foerstner 1979, for components of variance). The significance is
-    tested with the group's noise as known beforehand: wrong weights of another group must not
-    affect it. Returns the factors (3,), as standard deviations, their degrees of freedom, and the
-    probabilities by chance.
-    """
-    factors, freedom, chances = np.ones(3), np.full(3, np.inf), np.ones(3)
-    for k in range(3):
-        as_known = np.where(np.arange(3) == k, 1.0, state.scatter)
-        alike = np.array_equal(as_known, state.scatter)
-        known = state if alike else state.scattering(as_known)
-        square, free = _square_and_freedom(known, k)
-        if free > _DETERMINED:
-            chances[k] = scipy.special.chdtrc(free, square)
-        if chances[k] < _WIDENED:
-            square, freedom[k] = _square_and_freedom(state, k)
-            factors[k] = max(1.0, float(state.scatter[k] * np.sqrt(square / freedom[k])))
-    return factors, freedom, chances
-
-
-def _square_and_freedom(state: _State, group: int) -> tuple[float, float]:
-    """Return the sum of squared residuals of a group, and its degrees of freedom."""
-    basis, residuals, rows = state.basis, state.whitened()[1], state.groups[group]
-    own = residuals[rows] - basis[rows] @ (basis.T @ residuals)
-    return float(own @ own), float(len(rows) - (basis[rows] ** 2).sum())
-
-
-def _scatter_limit(freedom: Floats) -> Floats:
-    """Return the factor by which scatter (n,) may exceed its estimate, by degrees of freedom.
-
-    The posterior mean of a variance estimated as X / v with v degrees of freedom is X / (v - 2),
-    for v of at least three (Gelman et al., Bayesian Data Analysis, 3rd ed., section 3.2: the prior
-    is 1 / variance).
-    """
-    known = np.isfinite(freedom)
-    few = np.where(known, freedom, 3.0)
-    return np.where(known, np.sqrt(np.maximum(1.0, few / np.maximum(1.0, few - 2))), 1.0)
-
-
 def _outlying_turn(state: _State, basis: Floats, residuals: Floats) -> int | None:
     """Find the turn that the others contradict most, if by `_OUTLYING` times the usual.
 
@@ -941,7 +841,8 @@ def _outlying_turn(state: _State, basis: Floats, residuals: Floats) -> int | Non
     if freedom[worst] == 0 or np.einsum('kii->', kept) - freedom[worst] < _JUDGING:
         return None
     usual = float(np.median(others[usable] / _MEDIANS[free[usable]]))
-    return worst if sizes[worst] > _OUTLYING * max(1 / float(state.scatter[2]), usual) else None
+    least = max(1 / float(np.sqrt(1 + state.scatter.groups[2])), usual)
+    return worst if sizes[worst] > _OUTLYING * least else None
 
 
 def _studentised(kept: Floats, residuals: Floats) -> tuple[Floats, Indices]:

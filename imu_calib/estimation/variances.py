@@ -18,6 +18,7 @@ import numpy as np
 import scipy
 
 from ..common.stream import Floats
+from .components import whiten
 
 _LEAST = 1e-6  #: Least variance: its deviation is a thousandth of that of one.
 _LONGEST = 3.0  #: Longest step of a logarithm, a factor of twenty.
@@ -32,6 +33,9 @@ _TRIED = 2.0
 standard deviations. A judgement."""
 _RIVAL = float(np.log(1000.0))
 """Difference of log likelihoods from which on an alternative, and those beyond it, do not count."""
+_DEPENDENT = 1e-10
+"""Of the longest column, all scaled to one: residual of a column after projection that counts as
+zero, as in `information`."""
 _FEWEST = 4.0
 """Degrees of freedom below which a variance's mean is not taken by them: it is then twice the most
 likely one. The mean of fewer than three is infinite."""
@@ -77,6 +81,28 @@ class FoundVariances:
                 slope += 0.5 * float(pulled @ kernel @ pulled - np.trace(through))
                 information += 0.5 * float((through * through.T).sum())
         return (slope / information, slope**2 / information / 2) if slope > 0 else (0.0, 0.0)
+
+
+def restricted(
+    jacobian: Floats, residuals: Floats, covariance: Floats, prior: Floats
+) -> tuple[Floats, Floats]:
+    """Project k outputs onto the complement of p parameters, in units of their noise.
+
+    The prior (q, p + 1) adds equations in standard deviations, residuals last. Returns (k, r) by
+    which the outputs' scatter enters, and (r,) residuals.
+    """
+    factor = np.linalg.cholesky(covariance)
+    columns = np.vstack([whiten(factor, np.column_stack([jacobian, residuals])), prior])
+    # A few velocities hold the same information on some accelerometer parameters: the remainder of
+    # a column is then rounding, and does not use up a direction.
+    norms = np.linalg.norm(columns[:, :-1], axis=0)
+    full, triangle, _ = scipy.linalg.qr(columns[:, :-1] / norms, pivoting=True)
+    sizes = np.abs(np.diag(triangle))
+    free = full[:, np.count_nonzero(sizes > _DEPENDENT * sizes.max(initial=0.0)) :]
+    project = scipy.linalg.solve_triangular(
+        factor, free[: len(residuals)], lower=True, trans='T', check_finite=False
+    )
+    return np.asarray(project), np.asarray(free.T @ columns[:, -1])
 
 
 Residuals = Sequence[tuple[Floats, Floats]]

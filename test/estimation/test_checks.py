@@ -36,7 +36,12 @@ from imu_calib.estimation.conclusion import (
     _scatter,
 )
 from imu_calib.estimation.equations import Equations
-from imu_calib.estimation.hand import ellipsoid, in_frame_of_accelerometers, scatter_words
+from imu_calib.estimation.hand import (
+    Scatter,
+    ellipsoid,
+    in_frame_of_accelerometers,
+    scatter_words,
+)
 from imu_calib.estimation.joint import Comparison
 from imu_calib.estimation.solution import Residual
 from imu_calib.model.parameters import PARAMETERS
@@ -401,8 +406,9 @@ def test_the_frame_of_the_accelerometers_changes_no_output() -> None:
 
 def test_groups_that_scatter_are_named_with_their_factor() -> None:
     def words(*scatter: float) -> list[str]:
-        chances = np.where(np.array(scatter) > 1, 1e-6, 0.3)
-        fit: Any = SimpleNamespace(scatter=np.array(scatter), scatter_chances=chances)
+        groups = np.array(scatter) ** 2 - 1
+        likely = np.append(np.where(groups > 0, 0.99, 0.0), [0.0, 0.0])
+        fit: Any = SimpleNamespace(scatter=Scatter(groups, np.zeros(2), likely))
         return scatter_words(fit)
 
     assert words(1.0, 1.0, 1.0) == []

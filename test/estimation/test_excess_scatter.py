@@ -23,13 +23,13 @@ from imu_calib.estimation.excess_scatter import (
     _is_fast,
     _kept,
     _motion_variance,
-    _restricted,
     _slope_variance,
     _Triad,
     _triads,
     excess,
 )
 from imu_calib.estimation.positioning_errors import NO_POSITIONING_ERRORS
+from imu_calib.estimation.variances import restricted
 from imu_calib.model.session_terms import session_term
 
 
@@ -96,10 +96,10 @@ def test_what_is_left_has_the_restricted_likelihood_of_the_outputs() -> None:
     jacobian, residuals = rng.standard_normal((9, 3)), rng.standard_normal(9)
     root = rng.standard_normal((9, 9))
     noise, prior = root @ root.T + np.eye(9), rng.standard_normal((2, 4))
-    project, z = _restricted(jacobian, residuals, noise, prior)
+    project, z = restricted(jacobian, residuals, noise, prior)
     assert project.shape == (9, 9 + 2 - 3)
 
-    def restricted(covariance: Any) -> float:
+    def log_likelihood(covariance: Any) -> float:
         """Patterson and Thompson: outputs and priors, less what the parameters take up."""
         inverse = np.linalg.inv(block_diag(covariance, np.eye(2)))
         design, y = np.vstack([jacobian, prior[:, :3]]), np.append(residuals, prior[:, 3])
@@ -111,7 +111,7 @@ def test_what_is_left_has_the_restricted_likelihood_of_the_outputs() -> None:
     scatter = rng.standard_normal((9, 4))
     more = scatter @ scatter.T
     gained = normal(z, np.eye(8) + project.T @ more @ project) - normal(z, np.eye(8))
-    assert gained == pytest.approx(restricted(noise + more) - restricted(noise))
+    assert gained == pytest.approx(log_likelihood(noise + more) - log_likelihood(noise))
 
 
 @pytest.mark.parametrize('rounding', [0.0, 1e-16, -3e-16])
@@ -119,9 +119,9 @@ def test_columns_that_say_the_same_take_up_one_direction(rounding: float) -> Non
     rng = np.random.default_rng(1)
     jacobian, residuals = rng.standard_normal((9, 3)), rng.standard_normal(9)
     prior = np.zeros((2, 4))
-    project, z = _restricted(jacobian, residuals, np.eye(9), prior)
+    project, z = restricted(jacobian, residuals, np.eye(9), prior)
     twice = np.column_stack([jacobian, 1e-6 * (jacobian[:, 0] + rounding)])
-    same, rest = _restricted(twice, residuals, np.eye(9), np.zeros((2, 5)))
+    same, rest = restricted(twice, residuals, np.eye(9), np.zeros((2, 5)))
     assert same.shape == project.shape
     assert same @ same.T == pytest.approx(project @ project.T, abs=1e-9)
     assert rest @ rest == pytest.approx(z @ z)

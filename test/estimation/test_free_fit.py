@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mems_by_hand import held, unit
-from scipy.stats import chi2, f
+from scipy.stats import chi2
 
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats
@@ -19,14 +19,11 @@ from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.hand import (
     ESTIMATES,
     FREE,
-    _chance,
+    Scatter,
     _check_observable,
     _largest,
     _outlying_turn,
-    _scatter,
-    _scatter_limit,
     _State,
-    _with_estimated_noise,
     ellipsoid,
     in_frame_of_accelerometers,
     initial_equations,
@@ -38,6 +35,8 @@ from imu_calib.estimation.hand import (
 )
 from imu_calib.estimation.hand_findings import Drift, DriftKind
 from imu_calib.estimation.outputs import OutputLayout
+from imu_calib.estimation.score import Family
+from imu_calib.estimation.search import SignificantFamily
 from imu_calib.model.parameters import PARAMETERS, Parameter
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.terms import G_SENSITIVITY
@@ -90,7 +89,7 @@ LAYOUT = OutputLayout(dwells=2, moves=3)
 def state(left: Floats, columns: Floats | None = None, layout: OutputLayout = LAYOUT) -> _State:
     columns = np.zeros((len(left), 0)) if columns is None else columns
     equations: Any = Linear(columns, left, layout)
-    return _State(equations, np.zeros(columns.shape[1]), np.ones(3))
+    return _State(equations, np.zeros(columns.shape[1]))
 
 
 def test_groups_are_accelerometers_gyros_and_turns() -> None:
@@ -100,92 +99,12 @@ def test_groups_are_accelerometers_gyros_and_turns() -> None:
     assert turns.tolist() == list(range(12, 21))
 
 
-def test_a_group_scatters_by_its_chi_square_over_what_no_unknown_took() -> None:
-    # One unknown of accelerometers, two of a turn: 5, 6 and 7 degrees of freedom.
-    columns = np.zeros((21, 3))
-    columns[3, 0] = columns[12, 1] = columns[13, 2] = 7.0
-    residuals = np.zeros(21)
-    residuals[[4, 5, 9]] = 4.0
-    residuals[[0, 1]] = 0.5
-    residuals[[18, 19, 20]] = 10.0
-    found, freedom, chances = _scatter(state(residuals, columns))
-    assert found == pytest.approx([np.sqrt(48 / 5), 1.0, np.sqrt(300 / 7)])
-    assert freedom == pytest.approx([5, np.inf, 7])
-    assert chances == pytest.approx(chi2.sf([48, 0.5, 300], [5, 6, 7]))
-    # As it is without the factors that were found before.
-    again = state(residuals, columns).scattering(np.array([9.0, 3.0, 2.0]))
-    assert _scatter(again)[0] == pytest.approx(found)
-
-
-def test_scatter_that_few_degrees_of_freedom_tell_may_be_larger() -> None:
-    # Variances that may have left X (inverse chi-square, of the prior 1 / variance).
-    rng = np.random.default_rng(0)
-    likely = 6 / rng.chisquare(6, 400_000)
-    found = _scatter_limit(np.array([6.0, np.inf, 1e6, 0.6]))
-    assert found[0] ** 2 == pytest.approx(likely.mean(), rel=0.02)
-    assert found[1:] == pytest.approx([1.0, 1.0, 1.0], abs=1e-5)
-
-
-def test_what_another_group_lends_by_wrong_weights_is_no_scatter() -> None:
-    """The mean of six gyros of noise 50 and of nine turns of noise 1, all said to have noise 1."""
-    residuals = np.zeros(21)
-    residuals[[0, 1, 2, 6, 7, 8]] = [70, -20, 50, 80, 30, -10]
-    residuals[12:] = [1, -1, 0.5, -0.5, 1, -1, 0.5, -0.5, 0]
-    columns = np.zeros((21, 1))
-    columns[[0, 1, 2, 6, 7, 8]] = columns[12:] = 1.0
-    first = state(residuals, columns).settled()
-    assert _scatter(first)[0][2] > 5
-    found = _with_estimated_noise(first)
-    assert found.scatter[[0, 2]].tolist() == [1.0, 1.0]
-    # 15100 / 6 about nearly nothing, and 6 / 4 of it: six degrees of freedom.
-    assert found.scatter[1] ** 2 == pytest.approx(15200 / 6 * 6 / 4, rel=0.01)
-
-
-@pytest.mark.parametrize(('chance', 'scatters'), [(0.011, False), (0.009, True)])
-def test_it_widens_where_chance_leaves_as_much_once_in_a_hundred(
-    chance: float, scatters: bool
-) -> None:
-    residuals = np.zeros(21)
-    residuals[0] = np.sqrt(chi2.isf(chance, 6))
-    assert (_scatter(state(residuals))[0] > 1).tolist() == [False, scatters, False]
-
-
-@pytest.mark.parametrize(('chance', 'named'), [(1.1e-3, []), (0.9e-3, ['the gyros at rest'])])
-def test_it_is_named_where_chance_does_so_once_in_a_thousand(
-    chance: float, named: list[str]
-) -> None:
-    fit: Any = SimpleNamespace(
-        scatter=np.array([1.0, 2.0, 1.0]), scatter_chances=np.array([0.5, chance, 2e-3])
-    )
-    words = scatter_words(fit)
+@pytest.mark.parametrize(('likely', 'named'), [(0.89, []), (0.91, ['the gyros at rest'])])
+def test_it_is_named_where_it_is_likely(likely: float, named: list[str]) -> None:
+    scatter = Scatter(np.array([1.0, 3.0, 1.0]), np.zeros(2), np.array([0.5, likely, 0.8, 0, 0]))
+    words = scatter_words(SimpleNamespace(scatter=scatter))  # type: ignore[arg-type]
     assert len(words) == len(named)
-    assert all(name in word for name, word in zip(named, words, strict=True))
-
-
-def test_one_degree_of_freedom_widens_by_all_that_is_left() -> None:
-    columns = np.zeros((21, 5))
-    columns[[0, 1, 2, 6, 7], range(5)] = 1.0
-    residuals = np.zeros(21)
-    residuals[8] = 50.0
-    found, freedom, _ = _scatter(state(residuals, columns))
-    assert found * _scatter_limit(freedom) == pytest.approx([1.0, 50.0, 1.0])
-
-
-def test_a_group_without_freedom_does_not_scatter() -> None:
-    columns = np.zeros((21, 5))
-    columns[[0, 1, 2, 6, 7], range(5)] = 1.0
-    residuals = np.zeros(21)
-    residuals[8] = 50.0
-    columns = np.column_stack([columns, np.eye(21)[8]])
-    assert _scatter(state(residuals, columns))[0].tolist() == [1.0, 1.0, 1.0]
-
-
-def test_scatter_inflates_the_variances_of_its_group() -> None:
-    found = state(np.zeros(21)).scattering(np.array([2.0, 3.0, 5.0]))
-    inflation = found.equations.inflation
-    assert inflation is not None
-    assert inflation[[0, 3, 8, 11, 12, 20]].tolist() == [9.0, 4.0, 9.0, 4.0, 25.0, 25.0]
-    assert found.scatter.tolist() == [2.0, 3.0, 5.0]
+    assert all(f'{name} are 2.0 times' in w for name, w in zip(named, words, strict=True))
 
 
 def sized(*sizes: float) -> Floats:
@@ -276,58 +195,29 @@ def test_what_is_left_open_is_named_with_what_would_determine_it() -> None:
 # Terms
 
 
-def explained(extra: float) -> tuple[_State, Floats, Floats]:
-    """Forty outputs of 21 unknowns, and nine of a term that explain so much more."""
-    rng = np.random.default_rng(7)
-    columns, residuals = 1e3 * rng.standard_normal((40, 30)), rng.standard_normal(40)
-    outputs = residuals + columns[:, 21:] @ rng.standard_normal(9) * extra
-    equations: Any = Linear(columns, outputs, OutputLayout(5, 0, 10 // 3))
-    start = _State(equations, np.zeros(21), np.ones(3)).settled()
-    return start, columns, outputs
-
-
-@pytest.mark.parametrize('extra', [0.0, 1e-3])
-def test_the_chance_of_a_term_is_that_of_an_f_test(extra: float) -> None:
-    start, columns, outputs = explained(extra)
-    before, after = (
-        float(np.linalg.lstsq(columns[:, :count], outputs, rcond=None)[1][0]) for count in (21, 30)
-    )
-    wanted = f.sf((before - after) / 9 / (after / 10), 9, 10)
-    assert _chance(start, G_SENSITIVITY) == pytest.approx(wanted, rel=1e-6)
-
-
-def test_a_term_that_nothing_can_show_is_as_good_as_chance() -> None:
-    start, columns, _ = explained(1e-3)
-    blind: Any = replace(start.equations, jac=np.hstack([columns[:, :29], np.zeros((40, 1))]))
-    assert _chance(replace(start, equations=blind), G_SENSITIVITY) == 1.0
-    # As many outputs as unknowns leave no freedom.
-    rows: Any = Linear(columns[:30], start.equations.outputs[:30], OutputLayout(5))
-    assert _chance(_State(rows, np.zeros(21), np.ones(3)).settled(), G_SENSITIVITY) == 1.0
-
-
 def test_terms_are_told_by_their_largest_coefficient_and_their_chance() -> None:
     g = np.zeros((3, 3))
     g[1, 2], g[0, 0] = -0.02 * DEG / STANDARD_GRAVITY, 0.01 * DEG / STANDARD_GRAVITY
+    term = Family(G_SENSITIVITY.name, G_SENSITIVITY)
     fit: Any = SimpleNamespace(
         parameters=(*PARAMETERS, *G_SENSITIVITY.parameters),
         model=SensorModel(g_sensitivity=g),
-        chance=3e-7,
-        nonlinear=(),
+        found=(SignificantFamily(term, float(np.log(3e-7))),),
         drifts=(),
     )
     (sentence,) = term_words(fit)
     assert 'by up to 0.02 deg/s per g' in sentence
     assert sentence.endswith('(probability of chance 3e-07): g_sensitivity is estimated, too.')
-    fit.chance = 0.0
+    fit.found = (SignificantFamily(term, -1e6),)
     assert 'chance 1e-99)' in term_words(fit)[0]
-    fit.parameters = PARAMETERS
+    fit.found = ()
     assert term_words(fit) == []
 
 
 def test_drifts_are_told_by_their_size_and_their_chance() -> None:
     gyros = Drift('trend:D_g', -30.0, 0.25 * DEG)
     accels = Drift('trend:D_a', -20.0, 0.03 * STANDARD_GRAVITY)
-    fit: Any = SimpleNamespace(nonlinear=(), parameters=PARAMETERS, drifts=(gyros, accels))
+    fit: Any = SimpleNamespace(found=(), parameters=PARAMETERS, drifts=(gyros, accels))
     (sentence,) = term_words(fit)
     assert sentence.startswith(
         'Biases drift evenly during the session, of the gyros by up to 0.25 deg/s (trend:D_g, by '
@@ -501,8 +391,8 @@ def test_a_fit_says_what_it_found_of_all_24() -> None:
     evidence = held(TRUE, ups(14), np.random.default_rng(3))
     found = solve(evidence)
     assert found.parameters == PARAMETERS
-    assert found.chance == 1.0
-    assert found.scatter.tolist() == [1.0, 1.0, 1.0]
+    assert found.found == ()
+    assert not found.scatter.groups.any()
     assert found.rejected_moves == ()
     kept = [PARAMETERS.index(p) for p in PARAMETERS if p not in ESTIMATES]
     assert [PARAMETERS[k].name for k in kept] == ['E_axy', 'E_axz', 'E_ayz']
@@ -541,7 +431,8 @@ def test_gyros_that_feel_gravity_get_a_term() -> None:
     g = np.array([[3e-4, 1e-4, 0.0], [0.0, -2e-4, 1e-4], [-1e-4, 0.0, 1e-4]])
     found = solve(g_sensitive_evidence(g, 4))
     assert found.parameters == (*PARAMETERS, *G_SENSITIVITY.parameters)
-    assert found.chance < 1e-3
+    (term,) = found.found
+    assert term.log_p < np.log(1e-3)
     std = np.sqrt(np.diag(found.covariance)[24:]).reshape(3, 3)
     assert (np.abs(found.model.g_sensitivity - g) < 4.5 * std).all()
     assert std.max() < 2e-5
@@ -554,13 +445,13 @@ def test_a_wild_turn_parts_a_run_in_two(monkeypatch: pytest.MonkeyPatch) -> None
         free_positions, '_outlying_turn', lambda state, *_: None if state.rejected_moves else 6
     )
     assert solve(evidence).rejected_moves == (6,)
-    start = _State(*initial_equations(evidence), np.full(3, 2.0), (9,))
+    start = _State(*initial_equations(evidence), rejected_moves=(9,))
     start.values[:21] = np.arange(21.0)
-    less = start.without(4)
+    less = start.without_turn(4)
     assert less.rejected_moves == (4, 9)
     assert len(less.equations.evidence.moves) == 14
     assert less.values[:21].tolist() == list(range(21))
-    assert less.scatter.tolist() == [1.0, 1.0, 1.0]
+    assert not less.scatter.groups.any()
     # Two components of north of a second run, and its heading is free to choose.
     assert len(less.values) == len(start.values) + 2 - 1
 
@@ -574,11 +465,32 @@ def test_a_hand_that_trembles_widens_by_what_its_holds_scatter() -> None:
         segments.append(replace(segment, statistics=replace(segment.statistics, mean=mean)))
     found = solve(replace(evidence, segments=tuple(segments)))
     # 1e-3 rad/s where 2e-5 are stated, of 42 outputs.
-    assert found.scatter[1] == pytest.approx(50, rel=0.3)
-    assert found.scatter[[0, 2]].tolist() == [1.0, 1.0]
+    assert np.sqrt(found.scatter.groups[1]) == pytest.approx(50, rel=0.3)
+    assert found.scatter.probability[1] > 0.99
+    assert (found.scatter.probability[[0, 2, 3]] < 0.5).all()
     # It is new at every hold, which no bias is that drifts.
     assert found.drifts == ()
     assert found.changes is None
+
+
+def test_turns_that_scatter_are_no_drift() -> None:
+    """Of ten such sessions of twelve holds seven had errors of more than 4.5 deviations."""
+    square = []
+    for seed in range(6):
+        rng = np.random.default_rng([seed, 8])
+        them = rng.standard_normal((12, 3))
+        evidence = held(TRUE, them / np.linalg.norm(them, axis=1)[:, None], rng)
+        moves = []
+        for move in evidence.moves:
+            shaken = 5e-4 / np.sqrt(20) * rng.standard_normal((20, 3))
+            moves.append(replace(move, turned=move.turned + shaken))
+        found = solve(replace(evidence, moves=tuple(moves)))
+        assert found.drifts == ()
+        assert found.scatter.groups[2] > 0
+        std = np.sqrt(np.diag(found.covariance))[FREE]
+        square.append(((found.model.vector() - TRUE.vector())[FREE] / std) ** 2)
+    assert np.max(square) < 4.5**2
+    assert np.mean(square) == pytest.approx(1.0, abs=0.3)
 
 
 def test_it_needs_what_table_sessions_lack() -> None:
