@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from evidence import evidence_of
+from scipy.integrate import quad
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
@@ -75,20 +76,24 @@ def test_drift_is_swift_within_a_thirtieth_of_a_session_and_sooner_than_stated(
     assert _is_fast(there, np.array([3.0, 1, 1, 0, 0] if fast else [1.0, 3, 0, 0, 0])) is swift
 
 
-@pytest.mark.parametrize(('odds', 'calmer'), [(1000.0, False), (10.0, True)])
-def test_a_unit_is_calmer_than_its_data_sheet_by_odds(odds: float, calmer: bool) -> None:
-    # Thirty numbers of noise, of which the data sheet states the variance 1.6 more: by densities
-    # the likelihood without that is 15 log 2.6 - 15 (1 - 1 / 2.6) = 5.1 higher, a factor of 160.
-    residuals = np.random.default_rng(0).standard_normal(30)
-    residuals /= np.sqrt(np.mean(residuals**2))
-    there: Any = SimpleNamespace(
-        residuals=residuals, stated_covariance=1.6 * np.eye(30), stated_variance=1.0
-    )
-    gained = normal(residuals, np.eye(30)) - normal(residuals, 2.6 * np.eye(30))
-    assert np.log(10) < gained < np.log(1000)
-    kept = _kept(there, odds)
-    assert (kept < 0.1) is calmer
-    assert calmer or kept == 1.0
+@pytest.mark.parametrize('odds', [1000.0, 10.0])
+@pytest.mark.parametrize('size', [1.0, 0.1])
+def test_a_unit_keeps_the_mean_share_of_the_drift_that_its_data_sheet_states(
+    size: float, odds: float
+) -> None:
+    # Of a share the standard deviation is equally probable from none to all, or it is all by odds.
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((12, 12))
+    stated, residuals = size * root @ root.T, rng.standard_normal(12)
+    there: Any = SimpleNamespace(residuals=residuals, stated_covariance=stated, stated_variance=1.0)
+
+    def likelihood(share: float) -> float:
+        return float(np.exp(normal(residuals, np.eye(12) + share * stated)))
+
+    weight = quad(lambda s: likelihood(s * s), 0, 1)[0] + odds * likelihood(1.0)
+    mean = quad(lambda s: s * s * likelihood(s * s), 0, 1)[0] + odds * likelihood(1.0)
+    assert _kept(there, odds) == pytest.approx(mean / weight, rel=0.01)
+    assert 0.02 < mean / weight < 0.98 or odds == 1000.0
 
 
 def test_what_is_left_has_the_restricted_likelihood_of_the_outputs() -> None:

@@ -62,12 +62,35 @@ def test_the_period_is_that_of_the_line_through_the_longest_run() -> None:
     assert sample_period(seconds([5.0, 7.0])) == 2.0
 
 
+@given(st.lists(st.floats(0, 3), min_size=12, max_size=40))
+def test_samples_that_are_a_few_places_late_are_sorted(late: list[float]) -> None:
+    # One sample is dropped before it is known that they come out of order.
+    places = np.argsort(np.arange(len(late)) + late, kind='stable')
+    order = StampOrder(1, 8)
+    parts = [order.drop_disordered(places, places[:, None].astype(float)), order.finish()]
+    kept = [stamp for part in parts for stamp in part.stamp.tolist()]
+    assert kept == [value for part in parts for value in part.values[:, 0].tolist()]
+    assert kept == sorted(kept)
+    lost = [stamp for part in parts for stamp in part.lost.tolist()]
+    assert sorted([*kept, *lost]) == list(range(len(late)))
+    assert len([k for k in lost if k < len(late) - 8]) <= 1
+
+
+def test_wild_stamps_among_samples_out_of_order_are_dropped() -> None:
+    order = StampOrder(1, 8)
+    stamps = np.array([0, 2, 1, *range(3, 20), 900, 901, -900, *range(20, 40)])
+    parts = [order.drop_disordered(stamps, stamps[:, None].astype(float)), order.finish()]
+    assert [part.lost.tolist() for part in parts] == [[2, 900, 901, -900], []]
+    assert [k for part in parts for k in part.stamp.tolist()] == [0, 1, *range(3, 40)]
+
+
+@pytest.mark.parametrize('places', [1, 8])
 @given(st.lists(st.integers(0, 30), max_size=20), st.lists(st.integers(0, 20), max_size=3))
 def test_the_order_of_stamps_does_not_depend_on_block_boundaries(
-    stamps: list[int], cuts: list[int]
+    places: int, stamps: list[int], cuts: list[int]
 ) -> None:
     def kept(edges: list[int]) -> list[int]:
-        order, result = StampOrder(1), []
+        order, result = StampOrder(1, places), []
         for a, b in pairwise(edges):
             part = np.array(stamps[a:b], dtype=np.int64)
             result += order.drop_disordered(part, part[:, None].astype(float)).stamp.tolist()
