@@ -14,16 +14,16 @@ from ..calibration.results import Result
 from ..common.arguments import checked
 from ..common.errors import ImuCalibError, InputError, NotObservable, NotStated
 from ..common.files import printable, unwritable
+from ..common.processes import by_one_thread
 from ..common.progress import Progress, silent
 from ..common.stream import Block, Floats, ImuBlock
-from ..common.threads import by_one_thread
 from ..common.units import counted
 from ..estimation.common_unknowns import TableEstimate
 from ..recordings.order import StampSorter
 from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording
+from ..segmentation.course import SignalMeans
 from ..segmentation.segmented import Segmented
-from ..segmentation.signal_means import SignalMeans
 from ..session.imu import HOTTEST
 from ..session.keywords import Calibrated, Named, OfSeveral, Stated, with_keywords
 from ..session.metadata import compensated_already, interpolated_from, serial_key

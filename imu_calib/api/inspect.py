@@ -11,7 +11,7 @@ from ..common.errors import InputError, NotStated
 from ..common.progress import Progress, silent
 from ..common.units import counted
 from ..recordings.cdr_codec import Kind
-from ..recordings.recorded_clock import Extent
+from ..recordings.order import Extent
 from ..recordings.rosbag2 import Recording, open_recording
 from ..session.keywords import Named, Session, Stated, with_keywords
 from ..session.metadata import COMPENSATED

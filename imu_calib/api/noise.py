@@ -12,8 +12,8 @@ from ..common.arguments import checked
 from ..common.errors import InputError, NotObservable
 from ..common.files import printable
 from ..common.finding import warning
+from ..common.processes import by_one_thread
 from ..common.progress import Progress, silent
-from ..common.threads import by_one_thread
 from ..recordings.cdr_codec import Kind
 from ..recordings.order import StampSorter
 from ..recordings.remote import located

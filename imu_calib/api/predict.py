@@ -16,8 +16,8 @@ from ..calibration.views import predicted_frame
 from ..common.errors import InputError
 from ..common.files import write_whole
 from ..common.parallel import run_all
+from ..common.processes import by_one_thread
 from ..common.progress import Progress, silent
-from ..common.threads import by_one_thread
 from ..common.units import DEG, counted, parse
 from ..estimation import hand as free_positions
 from ..estimation.forecast import (

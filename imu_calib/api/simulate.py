@@ -14,6 +14,7 @@ import numpy as np
 from ..calibration.calibration import Calibration
 from ..calibration.views import compared_frame, draw_normalised
 from ..common.errors import InputError, NotObservable
+from ..common.processes import by_one_thread
 from ..common.progress import Progress, silent
 from ..common.stream import (
     YEAR_2200,
@@ -25,7 +26,6 @@ from ..common.stream import (
     Stamps,
     TemperatureBlock,
 )
-from ..common.threads import by_one_thread
 from ..common.units import counted
 from ..estimation.methods import check_plan
 from ..estimation.methods import method as solver

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from ..calibration.calibration import Calibration
 from ..common.errors import ImuCalibError, InputError, NotObservable
 from ..common.files import user_path
-from ..common.lifetime import ENDS_WITH
+from ..common.processes import ENDS_WITH
 from ..common.stream import NS
 from ..estimation import hand as free_positions
 from ..estimation.forecast import check_session
@@ -123,7 +123,15 @@ def stand(
 def _run(words: list[str], keywords: Collection[str]) -> None:
     """Run a command line in a process that ends with this one; its errors name keywords."""
     process = subprocess.Popen(
-        [sys.executable, '-m', 'imu_calib.common.lifetime', sys.executable, '-m', _COMMAND, *words],
+        [
+            sys.executable,
+            '-m',
+            'imu_calib.common.processes',
+            sys.executable,
+            '-m',
+            _COMMAND,
+            *words,
+        ],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,

@@ -26,7 +26,7 @@ from ..session.units_file import namespace
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from ..recordings.recorded_clock import RecordedClock
+    from ..recordings.order import RecordedClock
     from ..recordings.storage import Topic
 
 _SKEW = 'imu/skew'

@@ -12,14 +12,14 @@ from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_iden
 from ..calibration.verify import Verification
 from ..calibration.verify import verify as judge
 from ..common.errors import InputError, NotObservable, NotStated
+from ..common.processes import by_one_thread
 from ..common.progress import Progress, silent
-from ..common.threads import by_one_thread
 from ..estimation.hand import NAME as FREE_POSITIONS
 from ..estimation.system import observe
 from ..recordings.order import StampSorter
 from ..recordings.rosbag2 import Recording
+from ..segmentation.course import Temperature
 from ..segmentation.segmenter import Segmenter
-from ..segmentation.thermometer import Temperature
 from ..session.imu import ImuSpec
 from ..session.keywords import Named, Stated, Verified, with_keywords
 from ..session.metadata import compensated_already

@@ -33,10 +33,17 @@ from ..model.sensors import SensorModel, Skewed, Triad, parameters_of, terms_of
 from ..model.session_terms import KEY as CHANGES
 from ..model.session_terms import Changes, read_changes
 from ..model.terms import TERMS, Term
-from ..session.imu import GENERIC, ChannelNoise, ImuSpec, TriadSpec, read_noise
+from ..session.imu import (
+    GENERIC,
+    ChannelNoise,
+    ImuSpec,
+    StampingClock,
+    TriadSpec,
+    read_clock,
+    read_noise,
+)
+from ..session.imu import KEY as CLOCK
 from ..session.plausibility import check_plausible
-from ..session.stamping import KEY as CLOCK
-from ..session.stamping import StampingClock, read_clock
 from .provenance import budget_document, read_budget, read_origin
 
 if TYPE_CHECKING:

@@ -18,8 +18,14 @@ from ..common.rotations import cross
 from ..common.stream import Floats, Stamps, Units
 from ..common.units import STANDARD_GRAVITY
 from ..model.parameters import Parameter, Product
-from ..model.sensors import PRODUCTS, SensorModel, has_motion_terms, inverted, terms_of
-from ..model.wrong_scale import wrong_turns_sentences
+from ..model.sensors import (
+    PRODUCTS,
+    SensorModel,
+    has_motion_terms,
+    inverted,
+    terms_of,
+    wrong_turns_sentences,
+)
 from ..session.imu import FULL_SCALES, GRAVITY_FACTOR, NEARLY, SCALE_LIMIT, ImuSpec, TriadSpec
 from .calibration import Calibration
 

@@ -21,12 +21,12 @@ from ..estimation.term_tests import summary
 from ..model.parameters import Parameter
 from ..model.sensors import terms_of
 from ..model.session_terms import terms_in_words
+from ..segmentation.course import Signals
 from ..segmentation.labelling import Labelled
 from ..segmentation.noise import session_noise
 from ..segmentation.segmented import Segmented
-from ..segmentation.signal_means import Signals
+from ..session.imu import StampingClock
 from ..session.plausibility import check_plausible
-from ..session.stamping import StampingClock
 from ..session.table_errors import clock_share
 from .agreement import with_gravity
 from .calibration import Calibration, ResidualRow

@@ -16,8 +16,7 @@ from ..common.errors import InputError
 from ..common.files import user_path, write_whole
 from ..common.stream import Floats
 from ..common.units import counted
-from ..session.imu import ImuSpec
-from ..session.stamping import StampingClock
+from ..session.imu import ImuSpec, StampingClock
 from .agreement import gravity_deviation, without_gravity
 from .calibration import Calibration, calibration_section
 

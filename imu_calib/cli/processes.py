@@ -21,7 +21,7 @@ import yaml
 
 from ..common.errors import InputError
 from ..common.files import write_whole
-from ..common.lifetime import ENDS_WITH
+from ..common.processes import ENDS_WITH
 from ..live.network import (
     LOOPBACK,
     LOOPBACK_HOST,

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
 
     from distributed import Client, Future
-from .threads import single_threaded
+from .processes import single_threaded
 
 Task = TypeVar('Task')
 Result = TypeVar('Result')

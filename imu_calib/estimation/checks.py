@@ -13,8 +13,7 @@ from ..common.stream import Floats
 from ..common.units import DEG, DEG_H, PPM
 from ..model.earth import EARTH_RATE
 from ..model.parameters import AXES
-from ..model.sensors import SensorModel
-from ..model.wrong_scale import TIMES, wrong_scale_sentences
+from ..model.sensors import TIMES, SensorModel, wrong_scale_sentences
 from ..session.imu import SCALE_LIMIT
 from .evidence import Evidence
 

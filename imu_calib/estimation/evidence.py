@@ -14,10 +14,10 @@ from ..common.errors import NotObservable
 from ..common.stream import Floats, Units
 from ..model.earth import Site
 from ..segmentation.clock import ClockFit
+from ..segmentation.course import Temperature
 from ..segmentation.labelling import Labelled
 from ..segmentation.segmented import Move, Segmented
 from ..segmentation.segments import Segment, Statistics, Turn
-from ..segmentation.thermometer import Temperature
 from ..session.imu import ImuSpec
 from ..session.plan import Plan
 from ..session.table import Table

@@ -21,9 +21,8 @@ from ..common.finding import warning
 from ..common.stream import Floats
 from ..common.units import DEG, STANDARD_GRAVITY, significant
 from ..model.parameters import AXES
-from ..model.sensors import SensorModel, Triad
+from ..model.sensors import SensorModel, Triad, wrong_turns_sentences
 from ..model.session_terms import session_term
-from ..model.wrong_scale import wrong_turns_sentences
 from ..session.imu import SCALE_LIMIT
 from .evidence import Evidence
 from .latitude import measured_latitude, vertical_earth_rate

@@ -22,10 +22,10 @@ from ..model.parameters import BIASES
 from ..model.sensors import SensorModel, Skewed, has_motion_terms
 from ..segmentation.clock import ClockFit
 from ..segmentation.counters import mean_rate, rate_between
+from ..segmentation.course import Temperature
 from ..segmentation.moves import COARSEST
 from ..segmentation.segmented import Move, VelocitySteps
 from ..segmentation.segments import Segment, Statistics, Turn
-from ..segmentation.thermometer import Temperature
 from ..session.imu import NEARLY, ImuSpec, TriadSpec
 from ..session.plan import Step
 from ..session.table import TURN, Course, Table, moving, travel_time

@@ -26,9 +26,8 @@ from ..model.parameters import Parameter
 from ..model.sensors import Triad
 from ..segmentation.labelling import label
 from ..segmentation.segmented import Segmented
-from ..session.imu import ImuSpec, TriadSpec
+from ..session.imu import ImuSpec, StampingClock, TriadSpec
 from ..session.plan import Plan
-from ..session.stamping import StampingClock
 from ..session.table import Table
 from .components import Component, Diagonal, whiten
 from .equations import Equations
@@ -235,7 +234,7 @@ class TriadSystem:
         known, key = self.observed.evidence.cache, ('read', tuple(factors.tolist()))
         if key not in known:
             known[key] = self.observed.evidence.scaled(factors)
-        return cast(Evidence, known[key])
+        return cast('Evidence', known[key])
 
     @cached_property
     def outputs(self) -> Floats:
@@ -365,7 +364,7 @@ class TriadSystem:
         known, key = self.observed.evidence.cache, 'without moves'
         if key not in known:
             known[key] = replace(self.observed, evidence=self.observed.evidence.with_moves(()))
-        return replace(self, observed=cast(Observed, known[key]))
+        return replace(self, observed=cast('Observed', known[key]))
 
     def fit(self, values: Floats, factor: Floats) -> Fit:
         """Fit errors of parameters (p,) with a covariance factor (p, k) to the session."""

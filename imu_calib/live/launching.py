@@ -15,10 +15,10 @@ from typing import Any
 
 import yaml
 
-from ..common import lifetime
+from ..common import processes
 from ..common.errors import ImuCalibError, InputError
 from ..common.files import named_file, user_path
-from ..common.lifetime import ENDS_WITH
+from ..common.processes import ENDS_WITH
 from ..common.units import point_for_comma
 from ..estimation.methods import METHODS
 from ..model.terms import named_terms
@@ -44,7 +44,7 @@ _MODULES = {
 _PACKAGE = 'imu_calib'
 """By which ROS finds the launch files."""
 
-BECOMING = (sys.executable, '-m', lifetime.__name__)
+BECOMING = (sys.executable, '-m', processes.__name__)
 """Command prefix for programs outside this package, so that they end with their launcher."""
 
 
@@ -90,7 +90,7 @@ def node(*, foreign: bool = False, **options: Any) -> Any:
 
     Args:
         foreign: Whether it is outside this package: it is then started through this package's
-            `lifetime`, which requests the signal from the kernel.
+            `common.processes`, which requests the signal from the kernel.
         **options: Of the Node.
     """
     from launch_ros.actions import Node

@@ -26,7 +26,7 @@ from .cdr_codec import Kind
 from .codec import ZSTD_MAGIC, CodecError, unpack, unpack_file
 from .mcap import McapStorage
 from .metadata_yaml import NAME, Metadata, read_metadata
-from .recorded_clock import RecordedClock
+from .order import RecordedClock
 from .remote import AnyPath, RemotePath, local, located
 from .storage import (
     Cache,

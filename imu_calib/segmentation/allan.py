@@ -35,7 +35,7 @@ _FIRST_PARTS = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24, 28)
 """The same at the rate of the samples: the shortest times are known best, and cost most."""
 _AT_ONCE = 16384
 """Samples of a channel that are differenced at once: the arrays stay in a processor's cache.
-Callers limit BLAS to one thread (`common.threads`), since several would wait for each other."""
+Callers limit BLAS to one thread (`common.processes`), since several would wait for each other."""
 _MOST_LENGTHS = 64  #: Of runs: with more, those are taken as equal that nearly are.
 _ALIKE = 0.05
 """Relative: the covariance of a stream that often breaks is known to that, deviations to half."""

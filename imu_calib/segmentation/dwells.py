@@ -12,10 +12,10 @@ from ..common.gaussian import FIVE_SIGMA, MAD_TO_STD
 from ..common.rotations import cross
 from ..common.stream import Floats, Stamps
 from ..common.units import DEG, MICRO_G, counted, significant
-from .repeated_samples import repeating_a_turn, repeating_samples
 from .segmented import MountShift, Rejected
 from .segments import CHANNELS, Segment, Statistics
 from .statistics import Samples, Sensor, gap_free, statistics_at_rest
+from .stream_facts import repeating_a_turn, repeating_samples
 
 _WINDOW_SECONDS = 0.5  #: s: long enough to average noise, short compared with a dwell.
 _OUTLIER = 7.0  #: Times the scatter of the windows' means: exceeded by 3e-12 of Gaussian ones.

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..common.stream import Floats, Stamps, Units, at
 from ..common.units import DEG, STANDARD_GRAVITY, counted
 from .counters import all_in_row, any_in_row
-from .interruptions import INTERRUPTION
+from .stamp_faults import INTERRUPTION
 
 _SPIKE = 20.0
 """Times the roughness of the samples around by which a single sensor has to be beyond both
@@ -47,7 +47,7 @@ at most five times in 10^6 (simulated; noise on one axis alone: 0 on the others 
 
 _LONGEST = 8
 """Most samples in a row that read one number on all axes each; longer runs are a device that is
-frozen (`repeated_samples`), or a sensor that reads nothing at rest."""
+frozen (`repeating_samples`), or a sensor that reads nothing at rest."""
 
 _SUCCESSION = 3
 """Most samples in which spikes come in succession: a knock that halves from one sample to the next

@@ -20,13 +20,11 @@ from ..common.stream import (
 )
 from ..common.units import LARGEST, counted
 from ..session.table import Table
-from .counts_after_gaps import CountsAfterGaps
 from .false_samples import SCALE_OF_SI, FalseSampleFilter, FalseSamples, Rows
-from .interruptions import Interruptions
-from .repeated_samples import LastRun
-from .stamp_faults import SetBackClock, SharedStamps, set_back_sentences
+from .gaps import CountsAfterGaps
+from .stamp_faults import Interruptions, SetBackClock, SharedStamps, set_back_sentences
 from .stamps import RowBuffer
-from .stream_facts import StreamFacts
+from .stream_facts import LastRun, StreamFacts
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,13 +18,13 @@ from ..common.stream import Block, Floats, ImuBlock, Stamps, TemperatureBlock, a
 from ..common.units import DEG, STANDARD_GRAVITY, counted
 from ..session.imu import ImuSpec
 from .allan import AllanAccumulator, AllanSums, fully_overlapping_sums
+from .course import Temperature, Thermometer
 from .gaps import bridged
 from .intake import StreamBuffer
-from .interruptions import interruptions
+from .stamp_faults import interruptions
 from .stamps import MISSES_ONE, read_grid
 from .statistics import Samples, gap_free, to_samples
 from .stream_facts import StreamFacts
-from .thermometer import Temperature, Thermometer
 
 _PIECE_SECONDS = 120.0
 """s: two minutes show what is usual, and are a few MB."""

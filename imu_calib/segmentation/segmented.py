@@ -8,10 +8,10 @@ import numpy as np
 
 from ..common.stream import Floats, Setpoint
 from .clock import ClockFit
+from .course import Temperature
 from .false_samples import NONE_FALSE, FalseSamples
 from .segments import Segment, Statistics, Turn
 from .stream_facts import StreamFacts
-from .thermometer import Temperature
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,20 +22,18 @@ from ..common.units import counted
 from ..session.imu import ImuSpec
 from ..session.segments_file import ListedSegments
 from ..session.table import Table
-from .choice import SegmentChoice
-from .clock import ClockFit, fit_clock
-from .clock_offset_search import FARTHEST, offset_by_pattern
+from .clock import FARTHEST, ClockFit, fit_clock, offset_by_pattern
+from .course import Thermometer
 from .intake import Ordered, StreamBuffer
-from .interruptions import interruptions
 from .moves import MoveReader
-from .reading import NEAR, IntervalReader
-from .repeated_samples import frozen_sentence
+from .reading import NEAR, IntervalReader, SegmentChoice
 from .segmented import Move, Segmented
 from .segments import Segment, Turn
+from .stamp_faults import interruptions
 from .statistics import Sensor, sample_period, to_samples
 from .stillness import WINDOW_SECONDS, Quietest, StillnessTracker
+from .stream_facts import frozen_sentence
 from .table_motion import JointTracker, Motion, Rest
-from .thermometer import Thermometer
 from .turns import MARGIN_NS
 
 SEEN = 0.75  #: Of a motion: less seen means that some was lost or beyond the range.

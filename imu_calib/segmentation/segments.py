@@ -1,4 +1,10 @@
-"""Segments, the parts of a session in use: static dwells, `Segment`, and whole turns, `Turn`."""
+"""Segments, the parts of a session in use, and their sample intervals.
+
+Static dwells are a `Segment`, whole turns a `Turn`. The device has one clock. Where stamps jitter,
+segments a minute apart determine its interval a hundred times better than one of them. Where the
+stamping clock drifts, the segments do not lie on a line, and each is timed by its own stamps. The
+two estimates are averaged by their variances (docs/mathematics.md, 'Stamps and lost samples').
+"""
 
 from __future__ import annotations
 
@@ -7,9 +13,190 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..common.stream import Floats
+from ..common.stream import Floats, Stamps
 from .allan import AllanSums
-from .pace import Pace, Timing
+from .stamps import SampleGrid, read_grid
+
+_NEAR_WHOLE = 0.25
+"""Of an interval: tolerance of the distance of segments about a whole number of intervals; beyond
+it they lie on two lines."""
+_SURE_PACE = 0.1
+"""Of an interval: largest standard deviation for which the number between is certain."""
+_FEWEST_FREE = 2
+"""Degrees of freedom from which on the scatter of segments about their line is used."""
+_SUDDEN = 3e-6
+"""Relative change of the interval within a minute that no quartz makes: three times what one does
+that warms by a degree. Clocks are slewed by tens of ppm and more."""
+_LARGEST_SLEW = 1e-3
+"""Relative: twice what kernels slew a clock by. Intervals further apart are of segments in which
+jitter hides how many samples are missing."""
+_SAME_PACE = 1e-6  #: Relative: intervals this close are of one pace. Of a quartz within minutes.
+_SURELY = 6.0  #: Standard deviations beyond which intervals differ: once in 10^9 by chance.
+_LEAST_STD = 1e-10  #: Of the level of a segment, s: stamps in ns, averaged.
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How a segment was timed."""
+
+    used: float  #: Sample interval used for reading it, s.
+    own: float  #: That by its own stamps, s.
+    own_std: float  #: Its standard deviation, s.
+
+
+@dataclass(frozen=True)
+class _Knot:
+    """The middle of a segment: which sample since the first segment, when, s, and its std, s."""
+
+    number: float
+    time: float
+    std: float
+
+
+class Pace:
+    """Times segments of samples in order; the result depends on these alone."""
+
+    def __init__(self) -> None:
+        self._start = 0
+        self._reference = 0.0
+        """First interval found, s: lines are relative to it, against rounding."""
+        self._pieces = np.zeros(4)
+        """Sums of a line (`_line`) through the pieces between jumps, each with its own level."""
+        self._knots: list[_Knot] = []
+        self._known: tuple[float, float] | None = None  #: Cache of `_long`.
+        self.tick = 0.0  #: Of stamps in ticks, the longest of a segment, s; 0 for others.
+        self._is_in_ticks = False  #: Whether stamps in ticks lie on a line somewhere.
+        self._uncounted: list[tuple[int, int]] = []
+        self._without_ticks: list[tuple[int, int]] = []
+        self._read: list[tuple[int, int, float, float]] = []
+        """First and last stamp, ns, interval and its standard deviation, s, of all segments."""
+
+    def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
+        """Return the grid of a segment, (n,) stamps in ns, and its timing by all so far."""
+        grid = read_grid(stamp, self._long()[0] or None)
+        self.tick = max(self.tick, grid.tick)
+        self._is_in_ticks |= grid.tick > 0 and grid.is_counted
+        if not grid.tick or not grid.is_counted:
+            uncounted = self._uncounted if grid.tick else self._without_ticks
+            uncounted.append((int(stamp[0]), int(stamp[-1])))
+        if not self._reference:
+            self._start, self._reference = int(stamp[0]), grid.period
+        if grid.is_counted and np.isfinite(grid.period_std):
+            self._note(float(stamp[0] - self._start) * 1e-9, grid)
+            error = max(grid.period_std, _LEAST_STD / (len(stamp) - 1))
+            self._read.append((int(stamp[0]), int(stamp[-1]), grid.period, error))
+        timing = Timing(grid.period, grid.period, grid.period_std)
+        return grid, replace(timing, used=self.combined(timing)[0])
+
+    def begin_line(self) -> None:
+        """Begin another line: the clock was set."""
+        self._pieces += _line(self._knots, self._reference)
+        self._knots, self._known = [], None
+
+    @property
+    def uncounted(self) -> list[tuple[int, int]]:
+        """First and last stamps, ns, of segments with unknown numbers of missing samples.
+
+        Where stamps come in ticks, those off a line of ticks are among them.
+        """
+        return self._uncounted + (self._without_ticks if self._is_in_ticks else [])
+
+    def leave_out_slewed(self) -> tuple[list[tuple[int, int]], float]:
+        """Take the interval from where stamps run at one pace; return where they do not.
+
+        A quartz, that of the samples, keeps its rate within minutes. A clock that is brought up to
+        time, or another sample rate, changes it at once: then the pace of the longest time counts.
+
+        Returns:
+            First and last stamps of these parts, ns, and the largest relative difference there;
+            none where no change is sudden and significant.
+        """
+        if len(self._read) < 2:
+            return [], 0.0
+        first, last, period, std = np.array(self._read).T
+        apart = np.abs(np.diff(period)) / period[1:]
+        error = np.hypot(std[1:], std[:-1]) / period[1:]
+        minutes = np.diff(first + last) / 2 * 1e-9 / 60
+        sudden = apart > np.maximum(_SUDDEN * np.maximum(1.0, minutes), _SURELY * error)
+        if not np.any(sudden & (apart < _LARGEST_SLEW)):
+            return [], 0.0
+        off = np.abs(period[:, None] / period - 1)
+        alike = off <= np.maximum(_SAME_PACE, _SURELY * np.hypot(std[:, None], std) / period)
+        usual = int(np.argmax(alike @ (last - first)))
+        kept = alike[:, usual]
+        rows = np.flatnonzero(~kept & (off[:, usual] < _LARGEST_SLEW))
+        weight = std[kept] ** -2
+        self._known = float(weight @ period[kept] / weight.sum()), float(weight.sum() ** -0.5)
+        spans = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+        where = [(self._read[k[0]][0], self._read[k[-1]][1]) for k in spans if len(k)]
+        return where, float(off[rows, usual].max(initial=0.0))
+
+    @property
+    def interval(self) -> float:
+        """Interval by all segments so far, s; by the first one where no line fits them."""
+        return self._long()[0] or self._reference
+
+    def combined(self, timing: Timing) -> tuple[float, float]:
+        """Return the interval of a segment by its own stamps and all others, and its std, s."""
+        long, long_std = self._long()
+        if not long:
+            return timing.own, timing.own_std
+        weights = np.array([long_std, timing.own_std]) ** -2.0
+        return float(weights @ [long, timing.own] / weights.sum()), float(weights.sum() ** -0.5)
+
+    def _long(self) -> tuple[float, float]:
+        """Return the interval by the line through all segments, and its std, s; 0 without one."""
+        if self._known is not None:
+            return self._known
+        points, xx, xy, yy = (self._pieces + _line(self._knots, self._reference)).tolist()
+        freedom, self._known = points - 1, (0.0, float('inf'))
+        if freedom >= _FEWEST_FREE and xx > 0:
+            change = xy / xx
+            squares = max(0.0, yy - change * xy) / freedom
+            std = float(np.sqrt(max(1.0, squares) / xx))
+            self._known = self._reference + change, std
+        return self._known
+
+    def _note(self, start: float, grid: SampleGrid) -> None:
+        """Add a segment to the line, or begin another if it does not lie on it."""
+        middle = float(grid.index[grid.kept].mean())
+        # The level of a line has the uncertainty of its slope times the spread of its samples.
+        std = grid.period_std * float(np.std(grid.index[grid.kept]))
+        time = start + grid.origin + middle * grid.period
+        first = self._number_of_first(time, middle, grid)
+        if first is None:
+            self.begin_line()
+            first = 0
+        self._knots.append(_Knot(first + middle, time, max(std, _LEAST_STD)))
+        self._known = None
+
+    def _number_of_first(self, time: float, middle: float, grid: SampleGrid) -> int | None:
+        """Return the index of this segment's first sample in the session; None if uncertain."""
+        if not self._knots:
+            return None
+        last = self._knots[-1]
+        period, error = self.combined(Timing(grid.period, grid.period, grid.period_std))
+        passed = (time - last.time) / period
+        first = last.number + passed - middle
+        if abs(passed) * error / period > _SURE_PACE or abs(first - round(first)) > _NEAR_WHOLE:
+            return None
+        return round(first)
+
+
+def _line(knots: list[_Knot], period: float) -> Floats:
+    """Return sums of the residuals of knots from a line of a given interval.
+
+    (4,): the number of knots less one, and the weighted sums of x^2, x y and y^2 about the mean.
+    """
+    if len(knots) < 2:
+        return np.zeros(4)
+    number, time, std = np.array([(k.number, k.time, k.std) for k in knots]).T
+    weight = std**-2
+    residuals = time - number * period
+    x = number - weight @ number / weight.sum()
+    y = residuals - weight @ residuals / weight.sum()
+    return np.array([len(knots) - 1, weight @ x**2, weight @ (x * y), weight @ y**2])
+
 
 CHANNELS = ('gx', 'gy', 'gz', 'ax', 'ay', 'az')
 """Order of every array over channels: three gyros, then three accelerometers."""

@@ -24,8 +24,7 @@ from .counters import (
     mean_rate,
     rate_between,
 )
-from .pace import Pace, Timing
-from .segments import Statistics
+from .segments import Pace, Statistics, Timing
 from .stamps import MISSES_ONE, read_grid
 
 BLOCK_SECONDS = 10.0

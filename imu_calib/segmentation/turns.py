@@ -15,10 +15,10 @@ from ..session.table import TURN, Table
 from .counters import END_POINT_VARIANCE
 from .gaps import bridged, filled_at_steady_rate
 from .plateaus import WholeTurns, find_turns, no_turn_reason
-from .repeated_samples import repeating_samples
 from .segmented import FreeMotion, Rejected
 from .segments import RestToRest, Statistics, Turn
 from .statistics import Samples, Sensor, gap_free, statistics_between
+from .stream_facts import repeating_samples
 from .table_motion import Motion, averaged
 
 MARGIN_NS = NS  #: Time read before and after a motion, ns.

@@ -24,8 +24,7 @@ from imu_calib.calibration.thermal import (
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Units
 from imu_calib.model.session_terms import Changes, Course, change
-from imu_calib.session.imu import ImuSpec, TriadSpec
-from imu_calib.session.stamping import StampingClock
+from imu_calib.session.imu import ImuSpec, StampingClock, TriadSpec
 
 
 def points(*celsius: float, order: int | None = None) -> ThermalCalibration:

@@ -19,8 +19,8 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.stream import TemperatureBlock
 from imu_calib.common.units import DEG_H, MICRO_G
 from imu_calib.model.sensors import SensorModel, Triad
-from imu_calib.segmentation.thermometer import Thermometer
-from imu_calib.session.stamping import StampingClock
+from imu_calib.segmentation.course import Thermometer
+from imu_calib.session.imu import StampingClock
 from imu_calib.simulation.options import ThermalDrift, Warming
 
 TEMPERATURES = (-20.0, 20.0, 55.0)

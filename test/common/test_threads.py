@@ -12,7 +12,7 @@ from imu_calib.api.calibrate import calibrate_units, calibrated
 from imu_calib.api.predict import optimise, predicted, shortest
 from imu_calib.api.simulate import montecarlo
 from imu_calib.api.verify import verify
-from imu_calib.common import threads
+from imu_calib.common import processes
 
 _COUNT = """
 import os, {module}, numpy
@@ -36,7 +36,7 @@ def test_a_product_of_matrices_takes_one_thread(module):
 _DEEP = """
 import sys
 from threadpoolctl import threadpool_info, threadpool_limits
-from imu_calib.common.threads import by_one_thread
+from imu_calib.common.processes import by_one_thread
 
 def threads():
     return sorted({pool['num_threads'] for pool in threadpool_info() if pool['user_api'] == 'blas'})
@@ -70,4 +70,4 @@ def layers(function):
     'function', [calibrated, calibrate_units, verify, predicted, shortest, optimise, montecarlo]
 )
 def test_what_solves_from_python_is_limited(function):
-    assert any(layer.__code__.co_filename == threads.__file__ for layer in layers(function))
+    assert any(layer.__code__.co_filename == processes.__file__ for layer in layers(function))

@@ -29,7 +29,7 @@ from imu_calib.estimation.modulation import (
 )
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.session_terms import Change, Course
-from imu_calib.segmentation.thermometer import Temperature
+from imu_calib.segmentation.course import Temperature
 
 NS = 10**9
 EPOCH = 1_700_000_000 * NS

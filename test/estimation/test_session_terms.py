@@ -39,7 +39,7 @@ from imu_calib.model.session_terms import Course, split_terms
 from imu_calib.model.terms import named_terms
 from imu_calib.recordings.cdr_codec import Kind
 from imu_calib.recordings.rosbag2 import open_recording
-from imu_calib.segmentation.thermometer import Temperature
+from imu_calib.segmentation.course import Temperature
 from imu_calib.session.imu import load_imu
 from imu_calib.session.table import ASSUMED, load_table, read_table
 from imu_calib.simulation.options import BiasStep, StandOptions, WarmUp

@@ -113,7 +113,7 @@ def _declared(text):
 
 
 CHILD = (
-    'from imu_calib.common.lifetime import end_with_parent as e; import time; e(); '
+    'from imu_calib.common.processes import end_with_parent as e; import time; e(); '
     'print(1, flush=True);'
 )
 LAUNCHER = """

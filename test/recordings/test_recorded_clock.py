@@ -17,7 +17,7 @@ from imu_calib.common.stream import ImuBlock, Stamps
 from imu_calib.common.units import PPM
 from imu_calib.model.sensors import SensorModel
 from imu_calib.recordings.cdr_codec import Kind, encode_imu
-from imu_calib.recordings.recorded_clock import RecordedClock
+from imu_calib.recordings.order import RecordedClock
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.imu import load_imu

@@ -17,7 +17,7 @@ from browser import contrasts, look_at, needs_chromium, opened, overfull, overla
 import imu_calib
 from imu_calib.common.stream import Floats, ImuBlock, Stamps
 from imu_calib.common.units import DEG
-from imu_calib.segmentation.signal_means import SignalMeans, Signals
+from imu_calib.segmentation.course import SignalMeans, Signals
 
 
 @pytest.fixture(scope='module')

@@ -10,13 +10,13 @@ from imu_calib.common.stream import Floats, Units
 from imu_calib.segmentation.clock import NO_CLOCK, ClockFit, MeasuredShare
 from imu_calib.segmentation.gaps import Bridged
 from imu_calib.segmentation.intake import StreamBuffer
-from imu_calib.segmentation.interruptions import interruption
 from imu_calib.segmentation.reading import IntervalReader, SeenMotion
-from imu_calib.segmentation.repeated_samples import Repetition
 from imu_calib.segmentation.segmented import MountShift
 from imu_calib.segmentation.segmenter import Segmenter, clock_jumps, reject_hidden
 from imu_calib.segmentation.segments import Segment
+from imu_calib.segmentation.stamp_faults import interruption
 from imu_calib.segmentation.statistics import Samples, Sensor
+from imu_calib.segmentation.stream_facts import Repetition
 from imu_calib.segmentation.table_motion import Motion
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.table import Joint, Table

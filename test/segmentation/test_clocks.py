@@ -26,7 +26,7 @@ from imu_calib.estimation.system import observe
 from imu_calib.segmentation.clock import ClockFit, ClockSample, fit_clock
 from imu_calib.segmentation.segmenter import clock_jumps
 from imu_calib.segmentation.segments import Segment, Turn
-from imu_calib.session.stamping import StampingClock
+from imu_calib.session.imu import StampingClock
 
 PPM = 1e-6
 

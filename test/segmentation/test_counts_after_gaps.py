@@ -10,8 +10,7 @@ from other_sessions import MEDIUM, NAVIGATION, errors, fed, recorded
 from other_world import DEG, Damage, Unit, World
 
 from imu_calib.common.stream import Floats, Stamps, Units
-from imu_calib.segmentation.counts_after_gaps import CountsAfterGaps
-from imu_calib.segmentation.gaps import LONGEST
+from imu_calib.segmentation.gaps import LONGEST, CountsAfterGaps
 
 TACTICAL = replace(MEDIUM, gyro_pulse=4.8e-7 * DEG, accel_pulse=2.4e-7)
 GRADES = {'tactical': TACTICAL, 'coarse': MEDIUM, 'navigation': NAVIGATION}

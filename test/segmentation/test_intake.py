@@ -20,11 +20,11 @@ from imu_calib.common.stream import (
     Units,
 )
 from imu_calib.common.units import DEG
+from imu_calib.segmentation.course import Temperature, Thermometer
 from imu_calib.segmentation.intake import StampOrder, StreamBuffer
-from imu_calib.segmentation.repeated_samples import repeating_a_turn, repeating_samples
 from imu_calib.segmentation.stamps import RowBuffer
 from imu_calib.segmentation.statistics import Samples, Sensor
-from imu_calib.segmentation.thermometer import Temperature, Thermometer
+from imu_calib.segmentation.stream_facts import repeating_a_turn, repeating_samples
 from imu_calib.session.imu import ImuSpec, TriadSpec, load_imu
 from imu_calib.session.table import Joint, Table
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from imu_calib.common.stream import Floats, Stamps
 from imu_calib.segmentation.gaps import bridged
-from imu_calib.segmentation.pace import Pace
-from imu_calib.segmentation.repeated_samples import repeating_samples
+from imu_calib.segmentation.segments import Pace
 from imu_calib.segmentation.stamps import clock_steps, read_grid, sampling_times
 from imu_calib.segmentation.statistics import Sensor, gap_free, statistics_at_rest
+from imu_calib.segmentation.stream_facts import repeating_samples
 from imu_calib.session.imu import load_imu
 
 EPOCH = 1_700_000_000_000_000_000

@@ -12,9 +12,8 @@ from ideal import mean_of
 
 from imu_calib.common.rotations import rotation
 from imu_calib.common.stream import Floats
-from imu_calib.segmentation.pace import Timing
 from imu_calib.segmentation.segmented import Move, VelocitySteps
-from imu_calib.segmentation.segments import Segment, Statistics, Turn
+from imu_calib.segmentation.segments import Segment, Statistics, Timing, Turn
 
 WALK = np.arange(1.0, 7.0)
 MEAN = np.array([0.1, -0.2, 0.3, 1.0, -2.0, 9.0])

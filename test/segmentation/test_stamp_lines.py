@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imu_calib.common.stream import Floats, Stamps
-from imu_calib.segmentation.pace import Pace, Timing
+from imu_calib.segmentation.segments import Pace, Timing
 from imu_calib.segmentation.stamps import (
     SampleGrid,
     _first_period,

@@ -13,10 +13,9 @@ from sessions import Named, at_one_rate, calibrate, paper_imu, quick_plan, recut
 
 from imu_calib.common.stream import Floats, ImuBlock, JointBlock, Stamps
 from imu_calib.common.units import DEG
-from imu_calib.segmentation.clock_offset_search import offset_by_pattern
-from imu_calib.segmentation.interruptions import Interruptions
+from imu_calib.segmentation.clock import offset_by_pattern
 from imu_calib.segmentation.segmenter import Segmenter
-from imu_calib.segmentation.stamp_faults import Lateness
+from imu_calib.segmentation.stamp_faults import Interruptions, Lateness
 from imu_calib.segmentation.stamps import clock_steps, sampling_times
 from imu_calib.segmentation.table_motion import Motion
 from imu_calib.session.plan import Plan

@@ -20,8 +20,8 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.calibration.results import Result
 from imu_calib.common.files import named_file
+from imu_calib.common.processes import single_threaded
 from imu_calib.common.stream import Block, JointBlock, SetpointBlock
-from imu_calib.common.threads import single_threaded
 from imu_calib.common.units import DEG
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.setup import Setup

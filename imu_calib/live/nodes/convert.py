@@ -14,9 +14,8 @@ from ...model.parameters import PARAMETER_NAMES, Parameter
 from ...model.sensors import SensorModel, Skewed, Triad, by_name, parameters_of, terms_of
 from ...model.session_terms import Changes, Course, change
 from ...model.terms import G_SENSITIVITIES, G_SENSITIVITY
-from ...session.imu import ImuSpec, TriadSpec
+from ...session.imu import ImuSpec, StampingClock, TriadSpec, check_clock
 from ...session.plausibility import check_plausible
-from ...session.stamping import StampingClock, check_clock
 from ..middleware import Time, messages
 from ..rules import SequencerState
 

@@ -19,7 +19,7 @@ from ...estimation.setup import Setup
 from ...model.parameters import skewed_parameters
 from ...recordings.cdr import Malformed
 from ...recordings.cdr_codec import Kind
-from ...segmentation.interruptions import INTERRUPTION, interruption
+from ...segmentation.stamp_faults import INTERRUPTION, interruption
 from .. import middleware as ros
 from ..middleware import messages
 from ..web.board import Board, UnitsBoard

@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Any
 
 from ...common.errors import ImuCalibError, InputError
-from ...common.lifetime import end_with_parent
+from ...common.processes import end_with_parent
 
 
 def start(node: str) -> int:
