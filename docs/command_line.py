@@ -36,7 +36,7 @@ def page() -> str:
     (commands,) = (
         a.choices for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction)
     )
-    rows = ''.join(f'| [{name}](#{name}) | {words} |\n' for name, words in COMMANDS.items())
+    rows = ''.join(f'| [{name}](#{name}) | {words} |\n' for name, (_, words) in COMMANDS.items())
     return HEAD + rows + ''.join(_section(name, commands[name]) for name in COMMANDS)
 
 

@@ -1,4 +1,4 @@
-"""The command `imu-calib`: one module per subcommand, each with a parser and a thin function."""
+"""The command `imu-calib`: a module per subject holds the options and a thin function of each."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""imu-calib calibrate: calibrate from a recording; write calibration.yaml, print 24 parameters."""
+"""What a recording tells of a unit: imu-calib calibrate, noise, verify."""
 
 from __future__ import annotations
 
@@ -9,14 +9,23 @@ from typing import TYPE_CHECKING, Any
 
 from ..api.calibrate import UnitResult, UnitResults, calibrate_units, calibrated, holds_several
 from ..api.compare import Conformity, conformity
-from ..api.files import output_or_default, output_path
+from ..api.documents import export
+from ..api.files import output_or_default, output_path, page_path
+from ..api.noise import noise
 from ..api.opening import recording_path
-from ..calibration.calibration import Calibration
+from ..api.verify import verify
+from ..calibration.noise_at_rest import NOISE_EXPORTS, NoiseAtRest
+from ..calibration.verify import Verdict, Verification
+from ..common.errors import InputError
+from ..common.files import require, write_by, write_whole
+from ..common.units import HOUR
 from ..reports.assessment import summary
 from ..reports.budget import budget_tables
+from ..reports.noise import COLUMNS, noise_page, noise_rows, noise_tables
 from ..reports.provenance import verdict_line
 from ..reports.side_by_side import comparison_tables, table_estimate
-from ..session.keywords import Calibrated
+from ..reports.verification import limits_line, moved_table, worst_of
+from ..session.keywords import Calibrated, ImuTopic, Numbered, OfType, Read
 from ..session.plan import METHOD_NAMES
 from . import options
 from .outcome import (
@@ -31,13 +40,22 @@ from .outcome import (
     error_document,
     judged_result,
     kind_of,
+    row_file,
+    write_rows,
 )
-from .screen import print_findings, print_parts, print_text, show_calibration
-from .terminal import OUTPUT, print_whole, progress_bar
+from .terminal import (
+    OUTPUT,
+    print_findings,
+    print_parts,
+    print_text,
+    print_whole,
+    progress_bar,
+    sentence_list,
+    show_calibration,
+)
 
 if TYPE_CHECKING:
     from ..calibration.results import Result
-
 
 FOLDER = 'calibrations'
 
@@ -65,7 +83,7 @@ def run_several(arguments: argparse.Namespace) -> CommandResult:
     found = calibrate_units(arguments.bag, arguments.imus, **stated, progress=progress_bar)
     files = found.save(folder)
     judged = _judged(found) if arguments.specification else {}
-    _show(found, judged, verbose=arguments.verbose)
+    _show_units(found, judged, verbose=arguments.verbose)
     if arguments.budget:
         _show_budgets(found)
     OUTPUT.print(f'\n{len(files)} of {len(found.units)} units written to {folder}')
@@ -77,7 +95,7 @@ def _judged(found: UnitResults) -> dict[str, Conformity]:
     return {u.serial_number: conformity(u.result) for u in found.units if u.result is not None}
 
 
-def _show(found: UnitResults, judged: Mapping[str, Conformity], *, verbose: bool) -> None:
+def _show_units(found: UnitResults, judged: Mapping[str, Conformity], *, verbose: bool) -> None:
     """Print the units side by side, then the findings of each, common ones once."""
     solved = [unit for unit in found.units if unit.result is not None]
     for part in comparison_tables(
@@ -135,11 +153,7 @@ def _show_budgets(found: UnitResults) -> None:
     for unit in found.units:
         if unit.result is not None:
             OUTPUT.print(f'\nUncertainty budget of {unit.serial_number}', style='bold')
-            _show_budget(unit.result.calibration)
-
-
-def _show_budget(calibration: Calibration) -> None:
-    print_parts(budget_tables(calibration))
+            print_parts(budget_tables(unit.result.calibration))
 
 
 def _outcome(
@@ -191,8 +205,8 @@ def _document(result: Result, judged: Conformity | None, file: Path) -> dict[str
 _FILE = 'calibration.yaml'
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the subcommand."""
+def add_calibrate_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     options.add_bag(parser)
     options.add_statements(parser, Calibrated)
     options.add_imus_option(parser)
@@ -226,11 +240,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_json_option(parser)
     add_verbose_option(parser)
     parser.epilog = f'{EXIT_CODES} Methods: {", ".join(sorted(METHOD_NAMES))}.'
-    parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> CommandResult:
-    """Calibrate and print."""
+def run_calibrate(arguments: argparse.Namespace) -> CommandResult:
+    """Calibrate from a recording; write calibration.yaml, print 24 parameters."""
     # Examined before it is read: a remote recording is fetched once for both.
     arguments.bag = recording_path(arguments.bag)
     if has_several_units(arguments):
@@ -242,10 +255,177 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     show_calibration(result.calibration, verbose=arguments.verbose)
     if arguments.budget:
         OUTPUT.print('\nUncertainty budget', style='bold')
-        _show_budget(result.calibration)
+        print_parts(budget_tables(result.calibration))
     found = conformity(result) if judged else None
     if found is not None:
         print_text(summary(found.assessed))
     print_findings(result.calibration.findings, verbose=arguments.verbose)
     OUTPUT.print(f'\nwritten to {path}', markup=False)
     return judged_result(_document(result, found, path), found)
+
+
+_COLUMNS = 'NAME,NAME,NAME:UNIT'
+_PICTURES = ('.png', '.svg', '.pdf')
+_FILTERS = {
+    'kalibr': 'imu.yaml of Kalibr',
+    'openvins': 'kalibr_imu_chain.yaml of OpenVINS',
+    'vins': 'noise of the configuration of VINS-Fusion',
+    'robot_localization': 'covariances of the messages that robot_localization takes',
+}
+
+
+def add_noise_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.add_argument(
+        'bag', help='recording of a unit that lies still for hours, a URL of one, or a text file'
+    )
+    for group in (OfType, ImuTopic, Numbered):
+        options.add_statements(parser, group)
+    parser.add_argument(
+        '--full-overlap',
+        action='store_true',
+        help='average over every second difference; this holds all samples in memory',
+    )
+    files = parser.add_argument_group('files to write')
+    files.add_argument('--html', metavar='FILE', help='page with the curves and the numbers')
+    files.add_argument('--plot', metavar='FILE', help='picture of the curves, .png, .svg or .pdf')
+    files.add_argument('--csv', metavar='FILE', help='the curves, .csv or .json, in SI units')
+    for name, words in _FILTERS.items():
+        files.add_argument(f'--{name.replace("_", "-")}', metavar='FILE', help=words)
+    files.add_argument(
+        '--topic',
+        default='/imu/data',
+        help='topic of the stream that these files name (default: %(default)s)',
+    )
+    text = parser.add_argument_group('text files', 'As of imu-calib convert.')
+    text.add_argument('--stamp', metavar='NAME:UNIT', help='time of each row, in s, ms, us or ns')
+    text.add_argument(
+        '--rate', type=float, metavar='HZ', help='of the rows, if no column has their time'
+    )
+    text.add_argument('--gyro', metavar=_COLUMNS, help='for instance wx,wy,wz:deg/s')
+    text.add_argument('--accel', metavar=_COLUMNS, help='for instance ax,ay,az:g')
+    add_json_option(parser)
+
+
+def run_noise(arguments: argparse.Namespace) -> CommandResult:
+    """Estimate the noise of a unit that lies still, on the screen and for filters."""
+    targets = _targets(arguments)
+    found = noise(arguments.bag, **options.keywords(noise, arguments), progress=progress_bar)
+    _show_noise(found)
+    notes: list[str] = []
+    for name in filter(targets.__contains__, NOISE_EXPORTS):
+        notes += export(found, name, targets[name], topic=arguments.topic).findings
+    if 'html' in targets:
+        write_whole(targets['html'], noise_page(found))
+    if 'csv' in targets:
+        write_rows(targets['csv'], COLUMNS, noise_rows(found), found.to_dict())
+    if 'plot' in targets:
+        figure, kind = found.plot(), targets['plot'].suffix[1:].lower()
+        write_by(targets['plot'], lambda file: figure.savefig(file, format=kind))
+    print_findings([*found.findings, *dict.fromkeys(notes)], verbose=True)
+    if targets:
+        OUTPUT.print(f'\nwritten to {", ".join(map(str, targets.values()))}', markup=False)
+    return CommandResult({**found.to_dict(), 'files': [str(path) for path in targets.values()]})
+
+
+def _targets(arguments: argparse.Namespace) -> dict[str, Path]:
+    """Return the files to write by option, checked before hours are read.
+
+    Raises:
+        InputError: One cannot be written, is the input, or is named twice.
+    """
+    check = {'html': page_path, 'csv': row_file, 'plot': _picture_path}
+    found: dict[str, Path] = {}
+    for name in ('html', 'plot', 'csv', *NOISE_EXPORTS):
+        stated = getattr(arguments, name)
+        path = None if stated is None else check.get(name, output_path)(stated)
+        if path is None:
+            continue
+        bag = Path(arguments.bag)
+        if path in found.values() or (bag.exists() and path.exists() and path.samefile(bag)):
+            raise InputError(f'--{name}: {path} is named twice: name another file.')
+        found[name] = path
+    return found
+
+
+def _picture_path(stated: str) -> Path:
+    path = output_path(stated)
+    require('matplotlib', 'A picture', 'plot')
+    if path.suffix.lower() not in _PICTURES:
+        raise InputError(
+            f'--plot: {path}: found {path.suffix or "no ending"}, expected {", ".join(_PICTURES)}.'
+        )
+    return path
+
+
+def _show_noise(found: NoiseAtRest) -> None:
+    OUTPUT.print(
+        f'{found.imu}: {found.seconds / HOUR:.3g} h at rest, {found.samples} samples at '
+        f'{found.rate:.6g} Hz',
+        markup=False,
+    )
+    for part in noise_tables(found):
+        OUTPUT.print()
+        OUTPUT.print(part)
+    OUTPUT.print('\n"<": 95 % limit of what this record does not determine', markup=False)
+
+
+_WORST = 4
+"""Static dwells and turns that are shown without --verbose. A choice."""
+
+
+def add_verify_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.epilog = (
+        'Exit codes: 0 accepted, 1 rejected or no verdict possible, 2 wrong usage or unreadable '
+        'input, 130 interrupted.'
+    )
+    options.add_bag(parser)
+    parser.add_argument(
+        '--calibration', required=True, metavar='FILE', help='calibration.yaml to be verified'
+    )
+    options.add_statements(parser, Read)
+    options.add_statements(parser, Numbered)
+    parser.add_argument(
+        '--another-unit',
+        action='store_true',
+        help='compare even if calibration and recording name different units',
+    )
+    add_json_option(parser)
+    add_verbose_option(parser)
+
+
+def run_verify(arguments: argparse.Namespace) -> CommandResult:
+    """Test a calibration with another recording."""
+    stated = options.keywords(verify, arguments)
+    verification = verify(arguments.bag, arguments.calibration, **stated, progress=progress_bar)
+    _show_verification(verification, verbose=arguments.verbose)
+    if verification.verdict is Verdict.FAIL:
+        message = f'{arguments.calibration} is rejected by {arguments.bag}.'
+        return CommandResult(verification.to_dict(), NO_ANSWER, message)
+    if not verification.accepted:
+        message = (
+            f'{arguments.calibration} was made from {arguments.bag}: verify with another recording.'
+        )
+        return CommandResult(verification.to_dict(), NO_ANSWER, message)
+    return CommandResult(verification.to_dict())
+
+
+def _show_verification(verification: Verification, *, verbose: bool) -> None:
+    for worst in worst_of(verification, None if verbose else _WORST):
+        OUTPUT.print(worst.table)
+        if worst.left_out:
+            OUTPUT.print(f'{worst.left_out} more {worst.of}, each nearer: --verbose')
+        OUTPUT.print()
+    for triad in verification.triads:
+        OUTPUT.print(str(triad))
+    print_text(limits_line(verification))
+    diagnoses = [t.diagnosis for t in verification.triads if t.diagnosis is not None]
+    sentence_list('Symptoms', [d.symptom for d in diagnoses])
+    for diagnosis in diagnoses:
+        if diagnosis.moved:
+            OUTPUT.print()
+            OUTPUT.print(moved_table(diagnosis.moved, by_hand=verification.by_hand))
+    print_findings(verification.findings, verbose=verbose)
+    OUTPUT.print()
+    print_text(verification.outcome)

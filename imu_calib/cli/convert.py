@@ -1,21 +1,22 @@
-"""imu-calib convert: convert text files, bags of ROS 1 and IMUs on two topics to a recording."""
+"""Recordings of other kinds, and compensated ones: imu-calib convert, compensate."""
 
 from __future__ import annotations
 
 import argparse
 
+from ..api.compensate import compensate
 from ..api.convert import convert
 from ..api.inspect import Topic, topics
 from ..common.units import counted
+from ..session.keywords import Numbered
 from . import options
-from .screen import print_findings
-from .terminal import OUTPUT, progress_bar
+from .terminal import OUTPUT, print_findings, progress_bar
 
 _COLUMNS = 'NAME,NAME,NAME:UNIT'
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the subcommand."""
+def add_convert_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         'file',
         help='text file (CSV, tabs, blanks), bag of ROS 1, recording of rosbag2, or a URL of one',
@@ -60,11 +61,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='TOPIC',
         help='that of the accelerometers; the same where each message holds one of the two',
     )
-    parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Convert, and print what was written."""
+def run_convert(arguments: argparse.Namespace) -> None:
+    """Convert text files, bags of ROS 1 and IMUs on two topics to a recording."""
     done = convert(
         arguments.file,
         arguments.output,
@@ -81,3 +81,48 @@ def _line(topic: Topic, seconds: float) -> str:
     intervals = topic.messages - 1
     rate = f' in {seconds:.1f} s, {intervals / seconds:.4g} Hz' if intervals > 0 < seconds else ''
     return f'{counted(topic.messages, "message")} on {topic.name}{rate}'
+
+
+def add_compensate_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    options.add_bag(parser)
+    parser.add_argument(
+        '--calibration', required=True, metavar='FILE', help='calibration, single or combined'
+    )
+    parser.add_argument(
+        '-o', '--output', required=True, metavar='DIR', help='recording to write (mcap)'
+    )
+    parser.add_argument(
+        '--imu', metavar='NAME|FILE', help='name or file of the IMU: what its numbers mean'
+    )
+    options.add_statements(parser, Numbered)
+    parser.add_argument('--imu-topic', metavar='TOPIC', help='raw sensor_msgs/Imu topic')
+    parser.add_argument(
+        '--output-topic',
+        metavar='TOPIC',
+        help='default: imu/data_raw for imu/pulses, '
+        'imu/data_calibrated for imu/data_raw and imu/data',
+    )
+    parser.add_argument('--frame-id', default='', metavar='FRAME', help="default: the input's own")
+    parser.add_argument('--keep', action='store_true', help='write the raw stream as well')
+    parser.add_argument(
+        '--compression', choices=('lz4', 'zstd'), default='', help='compression of the output'
+    )
+
+
+def run_compensate(arguments: argparse.Namespace) -> None:
+    """Convert a recording's raw IMU stream to rates and forces; copy the rest."""
+    done = compensate(
+        arguments.bag,
+        arguments.calibration,
+        arguments.output,
+        **options.keywords(compensate, arguments),
+        progress=progress_bar,
+    )
+    used = f', with {", ".join(done.further_topics)}' if done.further_topics else ''
+    OUTPUT.print(
+        f'{done.samples_out} of {done.samples_in} samples of {done.topic}{used} written to '
+        f'{arguments.output}',
+        markup=False,
+    )
+    print_findings(done.findings, verbose=True)

@@ -35,33 +35,43 @@ from .outcome import (
 )
 from .terminal import ERRORS, OUTPUT, as_options
 
-# End of a command after Ctrl-C.
-
-
 COMMANDS = {
-    'stand': 'run a stand live',
-    'simulate': 'write a simulated recording',
-    'calibrate': 'estimate 24 parameters from a recording',
-    'noise': 'Allan deviation and noise of a unit that lies still, also for filters',
-    'batch': 'calibrate many recordings into a catalogue',
-    'catalogue': 'query a catalogue: list, filter, SQL, CSV, JSON',
-    'history': 'evaluate a catalogue by unit, type and stand: due, drifts, steps, charts',
-    'fleet': 'write a page on all units of a catalogue: due, failed, drifting, outliers, each unit',
-    'report': 'write the HTML report of a calibration',
-    'certificate': 'write the certificate of a calibration by ISO/IEC 17025, also as DCC',
-    'verify': 'test a calibration against another recording',
-    'compensate': 'apply a calibration to a recording',
-    'export': 'write a calibration for other software',
-    'combine': 'combine calibrations at several temperatures into one',
-    'compare': 'show calibrations side by side, with significant differences',
-    'plans': 'list plans, lay one out, predict its results',
-    'montecarlo': 'repeat a simulated session with seeds',
-    'info': 'show the contents of a recording',
-    'convert': 'convert text files and bags of ROS 1 to a recording',
-    'security': 'make the keys with which the nodes of a stand prove their identity (SROS 2)',
-    'schema': 'print the JSON Schema of a file that you write',
+    'stand': ('stand', 'run a stand live'),
+    'simulate': ('simulate', 'write a simulated recording'),
+    'calibrate': ('calibrate', 'estimate 24 parameters from a recording'),
+    'noise': ('calibrate', 'Allan deviation and noise of a unit that lies still, also for filters'),
+    'batch': ('fleet', 'calibrate many recordings into a catalogue'),
+    'catalogue': ('fleet', 'query a catalogue: list, filter, SQL, CSV, JSON'),
+    'history': (
+        'fleet',
+        'evaluate a catalogue by unit, type and stand: due, drifts, steps, charts',
+    ),
+    'fleet': (
+        'fleet',
+        'write a page on all units of a catalogue: due, failed, drifting, outliers, each unit',
+    ),
+    'report': ('documents', 'write the HTML report of a calibration'),
+    'certificate': (
+        'documents',
+        'write the certificate of a calibration by ISO/IEC 17025, also as DCC',
+    ),
+    'verify': ('calibrate', 'test a calibration against another recording'),
+    'compensate': ('convert', 'apply a calibration to a recording'),
+    'export': ('documents', 'write a calibration for other software'),
+    'combine': ('documents', 'combine calibrations at several temperatures into one'),
+    'compare': ('documents', 'show calibrations side by side, with significant differences'),
+    'plans': ('plans', 'list plans, lay one out, predict its results'),
+    'montecarlo': ('simulate', 'repeat a simulated session with seeds'),
+    'info': ('info', 'show the contents of a recording'),
+    'convert': ('convert', 'convert text files and bags of ROS 1 to a recording'),
+    'security': (
+        'stand',
+        'make the keys with which the nodes of a stand prove their identity (SROS 2)',
+    ),
+    'schema': ('info', 'print the JSON Schema of a file that you write'),
 }
-"""Help of each command; the module of the same name implements it."""
+"""Module and help of each command: its `add_NAME_options` and `run_NAME`, whose words are the
+description."""
 
 _NO_VALUE = re.compile(r'(--[\w-]+(?==)|-\w)=?--')
 """An option whose value is two dashes."""
@@ -220,11 +230,15 @@ def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
     # Without this, each of the others would search files for translations of its headings.
     named = [argv[0]] if argv and argv[0] in COMMANDS else COMMANDS
     for name in named:
-        command = commands.add_parser(name, help=COMMANDS[name])
+        subject, words = COMMANDS[name]
+        command = commands.add_parser(name, help=words)
         if argv is None or name in argv:
-            module = import_module(f'.{name}', __package__)
-            command.description = module.__doc__
-            module.add_options(command)
+            module = import_module(f'.{subject}', __package__)
+            run_command = getattr(module, f'run_{name}')
+            what = run_command.__doc__
+            command.description = f'imu-calib {name}: {what[0].lower()}{what[1:]}'
+            command.set_defaults(run=run_command)
+            getattr(module, f'add_{name}_options')(command)
     return parser
 
 

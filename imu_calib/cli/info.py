@@ -1,4 +1,4 @@
-"""imu-calib info: the contents of a recording, what it can calibrate, and contradictions."""
+"""Contents of recordings, and of files that you write: imu-calib info, schema."""
 
 from __future__ import annotations
 
@@ -8,22 +8,21 @@ from typing import TYPE_CHECKING
 from rich.table import Table as Rows
 
 from ..api.inspect import Inspection, inspect_streams, topics
+from ..common.files import share_folder
 from ..common.units import DEG, DEG_H, PPM, STANDARD_GRAVITY, counted
 from ..reports.plain_table import plain_table
 from ..session.keywords import Session
 from ..session.segments_file import write_segments
 from . import options
-from .outcome import WRONG_INPUT, CommandResult, add_json_option
-from .screen import sentence_list
-from .terminal import OUTPUT, progress_bar
+from .outcome import WRONG_INPUT, CommandResult, add_json_option, write_text
+from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
-    # Loaded only if it is stated how the streams are to be read.
     from ..api.stream_contents import StreamContents
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the subcommand."""
+def add_info_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.epilog = (
         'Exit code 2, after the topics: it is not stated how the streams are to be read (latitude, '
         'units, which topic); --topics asks for no more than the topics.'
@@ -42,11 +41,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='write the holds and turns that were found, to be edited for calibrate --segments',
     )
     add_json_option(parser)
-    parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> CommandResult:
-    """Print topics, then segments if plan, IMU and site are known."""
+def run_info(arguments: argparse.Namespace) -> CommandResult:
+    """Show the contents of a recording, what it can calibrate, and contradictions."""
     outside = topics(arguments.bag, progress_bar)
     _show_topics(outside)
     if arguments.topics:
@@ -176,3 +174,15 @@ def _turns(contents: StreamContents) -> Rows:
             turn.position or '-',
         )
     return rows
+
+
+def add_schema_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    schemas = sorted(p.stem for p in (share_folder() / 'config' / 'schemas').glob('*.json'))
+    parser.add_argument('kind', choices=schemas, help='kind of file')
+
+
+def run_schema(arguments: argparse.Namespace) -> None:
+    """Print the JSON Schema of a file that you write, for your editor (docs/files)."""
+    file = share_folder() / 'config' / 'schemas' / f'{arguments.kind}.json'
+    write_text(file.read_text(encoding='utf-8'))

@@ -1,4 +1,4 @@
-"""imu-calib plans: list the supplied plans; print one; predict its results and its duration."""
+"""Plans, listed, laid out, predicted or found: imu-calib plans."""
 
 from __future__ import annotations
 
@@ -32,8 +32,7 @@ from ..session.plan import METHOD_NAMES, Plan, Position, Step, load_plan
 from ..session.table import Table, load_table
 from . import options
 from .outcome import add_verbose_option
-from .screen import print_findings, print_text
-from .terminal import OUTPUT, progress_bar
+from .terminal import OUTPUT, print_findings, print_text, progress_bar
 
 if TYPE_CHECKING:
     from ..estimation.forecast import ChangeForecast, Forecast, TermForecast
@@ -205,8 +204,8 @@ _OF_A_PREDICTION = (
 )
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the subcommand."""
+def add_plans_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         'plan', nargs='?', metavar='NAME|FILE', help='lay this plan out, step by step'
     )
@@ -266,11 +265,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     options.add_statements(parser, AtSite)
     add_verbose_option(parser)
     parser.epilog = f'Methods: {", ".join(sorted(METHOD_NAMES))}.'
-    parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Print the list, the steps of one plan, or its prediction."""
+def run_plans(arguments: argparse.Namespace) -> None:
+    """List the supplied plans; print one; predict its results and its duration."""
     table = load_table(arguments.table)
     if arguments.reach and (arguments.imu is None or arguments.plan is None):
         raise InputError('--reach needs a plan and --imu, whose noise determines the dwells.')

@@ -27,8 +27,7 @@ from ..session.imu import load_imu
 from ..session.plan import load_plan
 from ..session.units_file import PULSES, TRUTHS, MountedUnit, load_units, remaining
 from .options import refuse_with_imus
-from .screen import print_findings
-from .terminal import print_whole
+from .terminal import print_findings, print_whole
 
 USUAL_IMU, HELD_UNIT = 'fog_medium', 'mems_counts'
 CALIBRATIONS = 'calibrations'

@@ -1,20 +1,37 @@
-"""imu-calib simulate: write the recording of a simulated stand, or of a unit in the hand."""
+"""Simulated sessions, one or many: imu-calib simulate, montecarlo."""
 
 from __future__ import annotations
 
 import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from ..api.simulate import TRUTH, Simulated, SimulatedUnits, simulate, simulate_units
-from ..session.keywords import AtSite, Numbered
+import numpy as np
+from rich.table import Table as Rows
+
+from ..api.files import output_path
+from ..api.simulate import TRUTH, Simulated, SimulatedUnits, montecarlo, simulate, simulate_units
+from ..calibration.views import empty_figure
+from ..common.errors import InputError
+from ..common.files import write_by
+from ..common.units import decimals
+from ..reports.plain_table import plain_table
+from ..reports.tables import engineering
+from ..session.keywords import AtSite, Numbered, Solved
+from ..session.plan import METHOD_NAMES
 from ..session.units_file import TRUTHS
 from . import options
-from .terminal import OUTPUT, progress_bar
+from .terminal import OUTPUT, print_findings, progress_bar
+
+if TYPE_CHECKING:
+    from ..simulation.repetition import RunStatistics
 
 _IMU = 'fog_medium'
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the subcommand."""
+def add_simulate_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument('plan', metavar='PLAN', help='name of a plan, or a file')
     parser.add_argument('-o', '--output', required=True, metavar='DIR', help='folder to create')
     parser.add_argument('--imu', metavar='NAME|FILE', help=f'default: {_IMU}')
@@ -64,11 +81,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     options.add_statements(parser, Numbered)
     options.add_statements(parser, AtSite)
-    parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Simulate, write, and print what was written."""
+def run_simulate(arguments: argparse.Namespace) -> None:
+    """Write the recording of a simulated stand, or of a unit in the hand."""
     if arguments.imus is not None:
         _run_several(arguments)
         return
@@ -101,3 +117,122 @@ def _say(done: Simulated | SimulatedUnits, written: str) -> None:
     OUTPUT.print(
         f'{done.duration:.0f} s of plan {done.plan.name} written to {done.path}, {written}'
     )
+
+
+_HEADINGS = (
+    'parameter',
+    'bias',
+    'spread',
+    'stated',
+    'spread/stated',
+    'worst',
+    'normalised',
+    'unit',
+)
+
+
+def add_montecarlo_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.add_argument('plan', metavar='PLAN', help='name of a plan, or a file')
+    parser.add_argument('--runs', type=int, default=100, help='default: %(default)s')
+    parser.add_argument('--seed', type=int, default=0, help='seed of the first run (default: 0)')
+    parser.add_argument(
+        '--jobs',
+        type=int,
+        default=os.cpu_count() or 1,
+        metavar='N',
+        help='processes (default: all cores)',
+    )
+    options.add_scheduler_option(parser)
+    parser.add_argument(
+        '--imu', default='fog_medium', metavar='NAME|FILE', help='default: %(default)s'
+    )
+    parser.add_argument(
+        '--table',
+        metavar='NAME|FILE',
+        help='default: three_axis; none where the plan is run by hand',
+    )
+    parser.add_argument(
+        '--truth', default='cao2022_table1', metavar='NAME|FILE', help='default: %(default)s'
+    )
+    parser.add_argument(
+        '--azimuth',
+        type=float,
+        metavar='DEG',
+        help="heading of the table's zero, known to the calibrator; without it each run has "
+        'another heading, which the calibrator does not know',
+    )
+    options.add_statements(parser, Solved)
+    options.add_bias_instability_option(parser)
+    parser.add_argument(
+        '-o',
+        '--output',
+        metavar='FILE.png',
+        help='plot of the normalised errors (needs matplotlib, the extra plot)',
+    )
+    options.add_statements(parser, AtSite)
+    parser.epilog = f'Methods: {", ".join(sorted(METHOD_NAMES))}.'
+
+
+def run_montecarlo(arguments: argparse.Namespace) -> None:
+    """Repeat a simulated session, and print the errors of its method."""
+    target = _plot_path(arguments.output) if arguments.output else None
+    repeated = montecarlo(
+        arguments.plan,
+        arguments.imu,
+        **options.keywords(montecarlo, arguments),
+        progress=progress_bar,
+    )
+    outcome, setup = repeated.outcome, repeated.setup
+    OUTPUT.print(_table(outcome, by_hand=setup.plan.by_hand))
+    OUTPUT.print(
+        f'\n{len(outcome.errors)} runs of plan {setup.plan.name}, method {setup.method_name}. '
+        'Worst: the largest error. Normalised: root mean square of errors over the standard '
+        'deviations stated with them.'
+    )
+    print_findings(repeated.findings, verbose=True)
+    if target is not None:
+        figure, ending = repeated.plot(), target.suffix.removeprefix('.')
+        write_by(target, lambda file: figure.savefig(file, format=ending.lower()))
+        OUTPUT.print(f'\ndrawn to {target}', markup=False)
+
+
+def _table(outcome: RunStatistics, *, by_hand: bool) -> Rows:
+    rows = plain_table(_HEADINGS, 'lrrrrrrl')
+    normalised, worst = outcome.rms, outcome.worst
+    last = outcome.parameters[0]
+    for k, parameter in enumerate(outcome.parameters):
+        stated = float(outcome.mean_stated[k])
+        # Not estimated, or a zero by the choice of axes.
+        if not stated > 0:
+            continue
+        if parameter.triad != last.triad:
+            rows.add_section()
+        last = parameter
+        shown = engineering(parameter, by_hand=by_hand)
+        places = decimals(stated / shown.scale)
+        values = [outcome.bias[k], outcome.spread[k], stated]
+        cells = ['-' if np.isnan(v) else f'{v / shown.scale:.{places}f}' for v in values]
+        ratio = outcome.spread[k] / stated if stated > 0 else np.nan
+        rows.add_row(
+            parameter.name,
+            *cells,
+            '-' if np.isnan(ratio) else f'{ratio:.3f}',
+            f'{worst[k] / shown.scale:.{places}f}',
+            f'{normalised[k]:.3f}',
+            shown.unit,
+        )
+    return rows
+
+
+def _plot_path(text: str) -> Path:
+    """Return the path of a plot that can be drawn and written; checked before the computation."""
+    target = output_path(text)
+    figure = empty_figure(1.0, 1.0, f'--output {text}: a plot')
+    known = sorted(figure.canvas.get_supported_filetypes())
+    if target.suffix.removeprefix('.').lower() not in known:
+        raise InputError(
+            f'--output {text}: found the ending {target.suffix!r}, expected one of '
+            f'{", ".join(known)}.'
+        )
+    return target

@@ -1,4 +1,4 @@
-"""imu-calib stand: run a plan live, with the suite's nodes in this process or in their own."""
+"""A live stand, and the keys of its nodes: imu-calib stand, security."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from ..live.devices.source import (
     steady_time,
     too_slow,
 )
+from ..live.network import enclave, make_keystore
 from ..live.rules import Severity
 from ..live.table_line import STATE_LINE, BadReply, ControllerLine, parse_state
 from ..model.earth import LUOYANG
@@ -41,8 +42,8 @@ _HIGHEST_RATE, _LARGEST_SEED = 1e5, 1 << 62
 """Hz, and a seed: the largest parameters that nodes take (`imu_node`, `parameters.declare`)."""
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the subcommand."""
+def add_stand_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument('plan', metavar='PLAN', nargs='?', help='name of a plan, or a file')
     parser.add_argument(
         '--resume',
@@ -144,16 +145,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='X',
         help='highest speed in multiples of real time (default: as fast as the nodes follow)',
     )
-    parser.set_defaults(run=run, start=0.0, default_of=parser.get_default)
+    parser.set_defaults(start=0.0, default_of=parser.get_default)
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Run the stand to its end and print the result.
-
-    Raises:
-        InputError: Wrong usage, or a node does not start.
-        NotObservable: The session gives no calibration; the text states why.
-    """
+def run_stand(arguments: argparse.Namespace) -> None:
+    """Run a plan live, with the suite's nodes in this process or in their own."""
     if arguments.resume:
         _resume_session(arguments)
     elif arguments.plan:
@@ -415,3 +411,33 @@ def _decided(source: DeviceReader, reception: Reception, reports: NodeReports, n
         # A short recording: no more data will come.
         return reception.health.has_frames and not chunks
     return reception.health.judged or (state.open and silent and not came)
+
+
+def add_security_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.add_argument('keystore', metavar='KEYSTORE', help='folder to create or update')
+    parser.add_argument(
+        '--namespace', default='', metavar='NAME', help='ROS domain of the nodes of the stand'
+    )
+    parser.add_argument(
+        '--policy', metavar='FILE', help='policy of your own (default: config/security/policy.xml)'
+    )
+
+
+def run_security(arguments: argparse.Namespace) -> None:
+    """Make the keystore with which a stand's nodes prove their identity."""
+    keystore = user_path(arguments.keystore).absolute()
+    policy = None if arguments.policy is None else user_path(arguments.policy)
+    enclaves = make_keystore(keystore, arguments.namespace, policy)
+    OUTPUT.print(f'{keystore} holds the keys of:', markup=False)
+    for name in enclaves:
+        OUTPUT.print(f'  {name}', markup=False)
+    OUTPUT.print(
+        f'Where nodes of the stand run:\n  export ROS_SECURITY_KEYSTORE={keystore} '
+        'ROS_SECURITY_ENABLE=true ROS_SECURITY_STRATEGY=Enforce\nand in the terminal of the person '
+        'who leads the stand:\n  export '
+        f'ROS_SECURITY_ENCLAVE_OVERRIDE={enclave("operator")}\n{keystore / "private"} signs the '
+        'keys that the stand trusts: keep it on a machine where no node runs.',
+        markup=False,
+        soft_wrap=True,
+    )

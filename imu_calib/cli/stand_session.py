@@ -39,8 +39,15 @@ from .processes import (
     private_network,
 )
 from .resume import JOURNAL, RESULT, command, unfinished
-from .screen import print_findings, print_text, show_calibration
-from .terminal import ERRORS, OUTPUT, NodeReports, NothingComes
+from .terminal import (
+    ERRORS,
+    OUTPUT,
+    NodeReports,
+    NothingComes,
+    print_findings,
+    print_text,
+    show_calibration,
+)
 
 _ORDER = (
     'stand_node',

@@ -21,6 +21,7 @@ from imu_calib.api import simulate as repeating
 from imu_calib.api.session import as_applied
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.verify import Verdict
+from imu_calib.cli.dispatch import COMMANDS
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.units import DEG_H, MICRO_G, PPM
@@ -428,7 +429,8 @@ def test_each_option_of_a_command_is_a_keyword_of_its_function() -> None:
     of_commands = {'help', 'output', 'format', 'calibration', 'imu'}
     for name, function in functions.items():
         parser = argparse.ArgumentParser()
-        import_module(f'imu_calib.cli.{name}').add_options(parser)
+        subject, _ = COMMANDS[name]
+        getattr(import_module(f'imu_calib.cli.{subject}'), f'add_{name}_options')(parser)
         given = {action.dest for action in parser._actions if action.option_strings}
         known = set(inspect.signature(function).parameters)
         assert given - of_commands - others.get(name, set()) <= known, name

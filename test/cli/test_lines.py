@@ -88,7 +88,7 @@ def test_warnings_come_first_and_none_is_cut(
     Path('told.yaml').write_text(text)
     told = Calibration.load('told.yaml')
     assert [is_warning(f) for f in told.findings[:8]] == [True] * 7 + [False]
-    from imu_calib.cli.screen import print_findings
+    from imu_calib.cli.terminal import print_findings
 
     print_findings(told.findings, verbose=False)
     out = capsys.readouterr().out

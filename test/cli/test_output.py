@@ -351,7 +351,7 @@ def test_too_little_memory_is_said(
     def run(_: object) -> None:
         raise MemoryError('Unable to allocate 75 GiB')
 
-    monkeypatch.setattr('imu_calib.cli.info.run', run)
+    monkeypatch.setattr('imu_calib.cli.info.run_info', run)
     assert main(['info', 'x']) == 2
     said = 'imu-calib info: There is not enough memory. Unable to allocate 75 GiB.'
     assert said in capsys.readouterr().err

@@ -28,7 +28,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.calibration.results import Result, assumption_findings
 from imu_calib.cli.main import main
-from imu_calib.cli.screen import print_findings, show_calibration
+from imu_calib.cli.terminal import print_findings, show_calibration
 from imu_calib.common.budget import ErrorSource
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError

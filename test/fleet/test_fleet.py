@@ -63,7 +63,7 @@ def done(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp('done') / 'catalogue'
     with pytest.MonkeyPatch.context() as patched:
         messages: list[str] = []
-        patched.setattr('imu_calib.cli.batch.ERRORS.print', lambda text, **_: messages.append(text))
+        patched.setattr('imu_calib.cli.fleet.ERRORS.print', lambda text, **_: messages.append(text))
         assert main(['batch', str(recordings), '-o', str(folder), '--workers', '2']) == 1
     # Where to look on, on the screen, whether it is a terminal or not.
     assert messages[0].startswith('dashboard: http://127.0.0.1:')
