@@ -106,12 +106,7 @@ def calibrated(
 
 
 def solve(opened: Opened, progress: Progress = silent) -> Result:
-    """Process an opened recording with the calibrator.
-
-    Raises:
-        InputError: Unreadable, or different from what is stated.
-        NotObservable: The data does not determine all parameters.
-    """
+    """Process an opened recording with the calibrator."""
     unit = _Unit(opened.setup.serial_number, opened.streams.imu)
     one = _UnitSession(unit, opened, calibrator_of(opened.setup))
     with refused_by_stamps(opened.recording, opened.streams):
@@ -121,12 +116,7 @@ def solve(opened: Opened, progress: Progress = silent) -> Result:
 
 
 def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
-    """End a session whose recording was fed to a calibrator.
-
-    Raises:
-        InputError: It differs from what is stated.
-        NotObservable: The data does not determine all parameters.
-    """
+    """End a session whose recording was fed to a calibrator."""
     lost = opened.losses
     by_hand = ASSUMED_BY_HAND in opened.assumed
     # To look at what it holds, if it has no answer.
@@ -425,11 +415,7 @@ class _UnitSession:
             self.error, self.calibrator = error, None
 
     def finish(self) -> Result:
-        """End the unit's session.
-
-        Raises:
-            ImuCalibError: Why it fails, or has failed.
-        """
+        """End the unit's session."""
         if self.error is not None:
             raise self.error
         assert self.opened is not None and self.calibrator is not None

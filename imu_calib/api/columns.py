@@ -65,11 +65,7 @@ class Columns:
         return len(self.stamp)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """Return a column by its name.
-
-        Raises:
-            InputError: There is none of that name; the available ones are listed.
-        """
+        """Return a column by its name."""
         if name not in self.columns:
             raise InputError(
                 f'{self.topic} has no column {name!r}; it has: {", ".join(self.columns)}.'

@@ -295,11 +295,7 @@ def _beyond(one: Assessed) -> float:
 
 
 def of_its_type(imu: ImuSpec | Named, calibration: Calibration) -> ImuSpec:
-    """Return the description whose limits apply to a calibrated unit.
-
-    Raises:
-        InputError: It is of another type.
-    """
+    """Return the description whose limits apply to a calibrated unit."""
     spec = as_imu(imu)
     if calibration.imu.id not in {spec.id, GENERIC}:
         raise InputError(

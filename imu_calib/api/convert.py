@@ -90,9 +90,6 @@ def from_text(
     """Convert the columns of a text file to a recording; arguments as of `convert`.
 
     Accelerometers in a separate file, `accel_text`, are interpolated at the stamps of the gyros.
-
-    Raises:
-        InputError: A column or a unit is missing, or the values are not of an IMU.
     """
     sentences: list[str] = []
     text, stamps = _in_time(text, stamp, rate, sentences)
@@ -169,9 +166,6 @@ def _in_time(
     """Return a table with its rows in the order of their times, and these, ns.
 
     What was found on the way is added to `sentences`.
-
-    Raises:
-        InputError: They are no times of an IMU's samples.
     """
     stamps = _stamps(text, stamp, rate, sentences)
     if rate is None:
@@ -202,11 +196,7 @@ def _sensor_rows(
 
 
 def _units_of(gyro_unit: str, accel_unit: str) -> Units:
-    """Return the kind of numbers in columns of these units.
-
-    Raises:
-        InputError: The two are of different kinds.
-    """
+    """Return the kind of numbers in columns of these units."""
     kinds = [
         {'pulse': Units.PULSES, 'count': Units.COUNTS}.get(
             unit, Units.INCREMENTS if unit in increments else Units.SI

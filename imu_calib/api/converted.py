@@ -65,11 +65,7 @@ class Converted:
 
 
 def described(imu: Named | None, numbers: Units) -> tuple[dict[str, str], ImuSpec]:
-    """Return the description of the IMU for the recording, as text and as a value.
-
-    Raises:
-        InputError: The meaning of pulses or counts is not stated, or other units are stated.
-    """
+    """Return the description of the IMU for the recording, as text and as a value."""
     if imu is None and numbers not in _EXAMPLES:
         raise InputError(
             f'`gyro` and `accel` are in {numbers.value}: give `imu`, a file that says what one is '
@@ -114,11 +110,7 @@ def joined(
     imu: Named | None,
     progress: Progress,
 ) -> Converted:
-    """Join two topics, or the halves of one, to one topic; copy the other topics unchanged.
-
-    Raises:
-        InputError: The topics hold too few samples, or pulses; or the joined topic exists.
-    """
+    """Join two topics, or the halves of one, to one topic; copy the other topics unchanged."""
     statements, spec = described(imu, Units.SI)
     with open_recording(path) as recording:
         rates, forces = (columns_of(recording, topic) for topic in (gyro_topic, accel_topic))

@@ -67,9 +67,6 @@ def recording_at(
         bag: As `Recorded`.
         rate: Samples per second of arrays, or of a frame whose index is no time.
         sha256: Of the storage files, if known already.
-
-    Raises:
-        InputError: There is none, or its columns, its index, its shape or the rate are wrong.
     """
     if rate is not None and not (math.isfinite(rate) and rate > 0):
         raise InputError(f'`rate`: found {rate:g}, expected samples per second, above 0.')
@@ -87,11 +84,7 @@ def recording_at(
 def _samples_of_arrays(
     given: NDArray[Any] | Sequence[ArrayLike], rate: float | None
 ) -> dict[str, Samples]:
-    """Return arrays as samples that follow each other at a rate.
-
-    Raises:
-        InputError: There is no rate, or they are no samples of six channels.
-    """
+    """Return arrays as samples that follow each other at a rate."""
     if rate is None:
         raise InputError('`rate` is missing: give the samples per second of the arrays.')
     parts = [given] if isinstance(given, np.ndarray) else list(given)
@@ -122,9 +115,6 @@ def _samples_of_frame(frame: Any, rate: float | None) -> dict[str, Samples]:
 
     Where it has several of these, a row whose values of one are all missing has no sample of it, as
     in a frame that was joined of several.
-
-    Raises:
-        InputError: A column is missing or holds no numbers, or the index is no time.
     """
     names = [str(name) for name in frame.columns]
     missing = [name for name in _IMU if name not in names]
@@ -167,11 +157,7 @@ def _column(frame: Any, name: str, names: list[str]) -> Floats:
 
 
 def _stamps_of(frame: Any, rate: float | None) -> Stamps:
-    """Return the stamps (n,) of a data frame, ns: its index, or by the rate.
-
-    Raises:
-        InputError: The index is no time, and there is no rate; or there are both.
-    """
+    """Return the stamps (n,) of a data frame, ns: its index, or by the rate."""
     index = frame.index
     kind = index.dtype.kind
     # A frame without an index of its own, or a part of one, counts its rows.
@@ -329,22 +315,14 @@ def _is_of_a_recording(path: Path) -> bool:
 
 
 def new_folder(output: Named) -> Path:
-    """Return the path of a folder to create.
-
-    Raises:
-        InputError: Its parent folder does not exist, or it exists already.
-    """
+    """Return the path of a folder to create."""
     path = _below_a_folder(output)
     refuse_existing(path)
     return path
 
 
 def page_path(output: Named) -> Path:
-    """Return the path of an HTML file to be written.
-
-    Raises:
-        InputError: As for `output_path`, or its name is that of a PDF.
-    """
+    """Return the path of an HTML file to be written."""
     path = output_path(output)
     if path.suffix.lower() == '.pdf':
         raise InputError(

@@ -176,11 +176,7 @@ def optimise(
 
 
 def plan_file(output: Named) -> Path:
-    """Return the path of a plan's file.
-
-    Raises:
-        InputError: Its ending is not that of a plan, or its folder does not exist.
-    """
+    """Return the path of a plan's file."""
     path = output_path(output)
     if path.suffix != '.yaml':
         raise InputError(f'-o {output}: expected a file that ends in .yaml.')
@@ -220,12 +216,7 @@ def reach(
 
 
 def setup_of(stated: Stated) -> Setup:
-    """Return the set-up of a prediction from the statements.
-
-    Raises:
-        InputError: A file is missing or broken, or terms are requested that a plan cannot estimate.
-        NotObservable: The plan cannot determine the parameters with its method.
-    """
+    """Return the set-up of a prediction from the statements."""
     assert stated.plan is not None, 'a prediction is of a plan'
     assert stated.imu is not None, 'a prediction is of an IMU'
     table, site = stated.simulated_table(), stated.site(LUOYANG)
@@ -245,11 +236,7 @@ def setup_of(stated: Stated) -> Setup:
 def predicted(
     setup: Setup, truth: SensorModel, *, drifting: bool, rise: float | None = None
 ) -> Prediction:
-    """Predict from a set-up; as `predict`.
-
-    Raises:
-        InputError: The temperature changes too little to determine its effects.
-    """
+    """Predict from a set-up; as `predict`."""
     if rise is not None and not LEAST_RISE <= abs(rise) < math.inf:
         raise InputError(
             f'`temperature_rise`: found {rise:g} K, expected {LEAST_RISE:g} K or more, either way.'
@@ -283,11 +270,7 @@ def is_widened_by_leaning_holds(found: Forecast) -> bool:
 
 
 def times_on(plan: Plan, table: Table) -> tuple[float, float]:
-    """Return the duration of a plan on a table, and of its dwells alone, s.
-
-    Raises:
-        InputError: The table cannot run it.
-    """
+    """Return the duration of a plan on a table, and of its dwells alone, s."""
     steps = plan.steps(table)
     return duration(steps, table), sum(step.dwell for step in steps)
 
@@ -299,11 +282,7 @@ def shortest(
     wanted: Mapping[str, str | float],
     scheduler: str | None = None,
 ) -> Reached:
-    """Find the shortest dwells that reach standard deviations.
-
-    Raises:
-        InputError: No such parameter, no valid standard deviation, or one that no dwell can reach.
-    """
+    """Find the shortest dwells that reach standard deviations."""
     if not wanted:
         raise InputError('`reach`: found no parameter, expected NAME=STD of one at least.')
     parameters = {p.name: p for p in listed(setup)}

@@ -90,11 +90,7 @@ def as_applied(calibration: Result | AnyCalibration | Named) -> tuple[AnyCalibra
 
 
 def single_of(loaded: AnyCalibration, name: str, advice: str) -> Calibration:
-    """Return the calibration of one temperature.
-
-    Raises:
-        InputError: It is of several; the text ends with the advice.
-    """
+    """Return the calibration of one temperature."""
     if isinstance(loaded, ThermalCalibration) and len(loaded.calibrations) > 1:
         raise InputError(f'{name} combines calibrations at several temperatures: {advice}.')
     return first_of(loaded)
@@ -126,9 +122,6 @@ def load_truth(truth: Calibration | Named | None, imu: ImuSpec, serial: str = ''
             departs by a tenth of each parameter.
         imu: Its type.
         serial: Its serial number; the same one gives the same unit.
-
-    Raises:
-        InputError: They do not describe the unit's skewed gyro.
     """
     known = as_truth(truth or DEFAULT_TRUTH)
     if imu.skewed is not None and known.model.skewed is None:
@@ -165,11 +158,7 @@ def stated_plan(stated: Stated, recording: Recording) -> Plan | None:
 
 
 def stated_imu(stated: Stated, recording: Recording, topic: str) -> tuple[ImuSpec, str] | None:
-    """Return the description of the IMU of a topic, and its origin; None without one.
-
-    Raises:
-        InputError: The file is broken, or states other units than those of a computed stream.
-    """
+    """Return the description of the IMU of a topic, and its origin; None without one."""
     data = recording.custom_data
     text, says = described_imu(data, topic), f'{recording.path}: its IMU'
     described = None if text is None else read_imu(Section.parse(text, says))
@@ -186,11 +175,7 @@ def stated_imu(stated: Stated, recording: Recording, topic: str) -> tuple[ImuSpe
 
 
 def serial_of(stated: Stated, recording: Recording, topic: str) -> str:
-    """Return the stated serial number, or that of the recording; empty without one.
-
-    Raises:
-        InputError: The two differ.
-    """
+    """Return the stated serial number, or that of the recording; empty without one."""
     data = recording.custom_data
     recorded, given = data.get(serial_key(topic), data.get(SERIAL_NUMBER, '')), stated.serial
     if given is not None and recorded and given != recorded:
@@ -260,9 +245,6 @@ def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> S
         stated: Known facts.
         recording: The recording.
         by_hand: A measured gravity is sufficient: the Earth rate is below the resolution in a hand.
-
-    Raises:
-        InputError: The site is not stated, or is not on Earth.
     """
     if stated.latitude is not None:
         return stated.site(stated.latitude)

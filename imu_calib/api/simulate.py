@@ -176,12 +176,7 @@ def simulate(
 def _prepared(
     plan: Plan | Named, output: Named, seed: int, site: AtSite
 ) -> tuple[Path, Site, Plan]:
-    """Return the folder to create, the site and the plan of a session.
-
-    Raises:
-        InputError: One of them is invalid, or the seed.
-        NotObservable: The plan cannot determine the parameters with its method.
-    """
+    """Return the folder to create, the site and the plan of a session."""
     if seed < 0:
         raise InputError(f'`seed`: found {seed}, expected 0 or more.')
     target, place, steps = new_folder(output), Stated(**site).site(LUOYANG), as_plan(plan)

@@ -169,12 +169,7 @@ def setup_of_stand(
 
 
 def check_stand(setup: Setup) -> None:
-    """Refuse what the method could not solve; if north is unknown, name what would determine it.
-
-    Raises:
-        InputError: The table cannot run the plan, or there is no such method.
-        NotObservable: The text states what cannot be determined, and why.
-    """
+    """Refuse what the method could not solve; if north is unknown, name what would determine it."""
     try:
         check_session(setup)
     except NotObservable as error:

@@ -56,11 +56,7 @@ class Streams:
 
 
 def streams_of(stated: Stated, recording: Recording) -> Streams:
-    """Choose the topics: the stated ones, or the only candidate of each type.
-
-    Raises:
-        InputError: No IMU topic, or several candidates; they are listed.
-    """
+    """Choose the topics: the stated ones, or the only candidate of each type."""
     imu = imu_topic(stated.imu_topic, recording, stated.serial)
     skew = skew_topic(recording, imu)
     temperature = temperature_topic(recording)
@@ -72,11 +68,7 @@ def streams_of(stated: Stated, recording: Recording) -> Streams:
 
 
 def imu_topic(wanted: str | None, recording: Recording, serial: str | None = None) -> str:
-    """Return the topic of the IMU: the stated one, or the only candidate.
-
-    Raises:
-        InputError: There is none, or several; they are listed.
-    """
+    """Return the topic of the IMU: the stated one, or the only candidate."""
     wanted = wanted or _topic_of_unit(serial, recording)
     imu = _choose(recording, Kind.IMU, wanted, '`imu_topic`')
     if imu is None:
@@ -242,9 +234,6 @@ def refused_by_stamps(recording: Recording, streams: Streams) -> Iterator[None]:
     """Refuse stamps without a unit or a value where the session is refused for anything else.
 
     Only there: time that is simulated may pass a thousand times as fast as the recorder's.
-
-    Raises:
-        InputError: The stamps of a topic that was read are all equal, or in another unit.
     """
     try:
         yield

@@ -204,9 +204,6 @@ class Calibration:
         SI.
 
         A triad that was not estimated has no numbers: zeros could be taken for a result.
-
-        Raises:
-            InputError: An estimated parameter is not a finite number.
         """
         known = np.isfinite(self.std)
         # Of the accelerometers all are estimated, or none.
@@ -433,11 +430,7 @@ class Calibration:
 
     @classmethod
     def read(cls, section: Section) -> Calibration:
-        """Read a calibration from its YAML mapping.
-
-        Raises:
-            InputError: Not a calibration, or not plausible for a strapdown IMU.
-        """
+        """Read a calibration from its YAML mapping."""
         version = section.number('format')
         if version != _FORMAT:
             raise InputError(f'{section.key("format")}: found {version:g}, expected {_FORMAT}.')

@@ -125,12 +125,7 @@ class Calibrator:
         self._segmenter.add_block(block)
 
     def finish(self) -> Result:
-        """End the session and solve.
-
-        Raises:
-            InputError: The data does not agree with the set-up.
-            NotObservable: The data does not determine all parameters; names them and the reason.
-        """
+        """End the session and solve."""
         session = self._segmenter.finish()
         refuse_separate_messages(session)
         with with_facts(session):
@@ -152,18 +147,11 @@ class Calibrator:
 
         Terms that were not asked for are searched for only at the end: the search takes several
         times as long as the estimate, and later data may change what it finds.
-
-        Raises:
-            InputError: The data does not agree with the set-up.
         """
         return self._reviewed(final=False)
 
     def conclude(self) -> Review:
-        """End the session: return the result of `finish`, or how far the session has come.
-
-        Raises:
-            InputError: The data does not agree with the set-up.
-        """
+        """End the session: return the result of `finish`, or how far the session has come."""
         return explained(self._reviewed(final=True))
 
     def _reviewed(self, *, final: bool) -> Review:
@@ -256,11 +244,7 @@ class Calibrator:
         return label(session, self._setup.plan, self._setup.table)
 
     def _solve(self, session: Segmented, labelled: Labelled, *, final: bool) -> Result:
-        """Solve a labelled session; search for terms only if it is `final`.
-
-        Raises:
-            NotObservable: The data does not determine all parameters; with what was lost.
-        """
+        """Solve a labelled session; search for terms only if it is `final`."""
         try:
             return self._solve_as_stated(session, labelled, final=final)
         except NotObservable as error:
@@ -406,12 +390,7 @@ def _noted(
 
 
 def calibrator_of(setup: Setup) -> Calibrator | HandCalibrator:
-    """Return the calibrator for a set-up: with a table, or in free positions.
-
-    Raises:
-        InputError: The method does not exist.
-        NotObservable: No session of the plan can determine the method's parameters.
-    """
+    """Return the calibrator for a set-up: with a table, or in free positions."""
     if setup.method_name != 'free_positions':
         return Calibrator(setup)
     # On first use: a session on a table does not need it.

@@ -233,9 +233,6 @@ class Compensator:
         calibration: Single or combined.
         instants: Sampling times of the coming samples, (n,) ns without repeats, if known beforehand
             (`sample_clock.WholeStream`); None: inferred from their stamps as they come.
-
-    Raises:
-        NotObservable: It cannot be inverted.
     """
 
     def __init__(self, calibration: AnyCalibration, instants: Stamps | None = None) -> None:

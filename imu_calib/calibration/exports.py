@@ -56,11 +56,7 @@ class Exported:
 
 
 def left_out(calibration: Calibration, export: str) -> list[str]:
-    """Return sentences on omitted parameters; refuse if the others would be wrong without them.
-
-    Raises:
-        InputError: The text names the parameters and the remedy.
-    """
+    """Return sentences on omitted parameters; refuse if the others would be wrong without them."""
     kinds = dict.fromkeys(p.kind for p in calibration.parameters)
     refused = [kind for kind in kinds if kind.value.exports[export] is Carried.REFUSED]
     if refused:
@@ -78,11 +74,7 @@ def left_out(calibration: Calibration, export: str) -> list[str]:
 
 
 def common_omissions(calibration: Calibration, export: str) -> list[str]:
-    """Return sentences on the content that most formats omit.
-
-    Raises:
-        InputError: The format cannot represent parameters without which the others are wrong.
-    """
+    """Return sentences on the content that most formats omit."""
     sentences = ['The covariance of the parameters is left out.', *left_out(calibration, export)]
     temperature = calibration.provenance.get('temperature')
     if isinstance(temperature, dict) and np.isfinite(float(temperature.get('mean', np.nan))):
@@ -191,11 +183,7 @@ _HEAD = """\
 
 
 def export_kalibr(source: ExportSource) -> Exported:
-    """Return imu.yaml.
-
-    Raises:
-        InputError: No sample rate, no noise, mirrored axes, or a name that no topic has.
-    """
+    """Return imu.yaml."""
     if not _TOPIC.fullmatch(source.topic):
         raise InputError(f'`topic`: {source.topic!r} is not a valid name of a topic.')
     calibration = source.calibration

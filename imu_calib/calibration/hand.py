@@ -290,12 +290,7 @@ class HandCalibrator:
             self._segmenter.add_block(block)
 
     def finish(self) -> Result:
-        """End the session and solve.
-
-        Raises:
-            InputError: The outputs are not in the units that the IMU's description states.
-            NotObservable: The data does not determine all parameters; names them and the reason.
-        """
+        """End the session and solve."""
         session = self._segmenter.finish()
         refuse_separate_messages(session)
         with with_facts(session):

@@ -53,12 +53,7 @@ def refuse_separate_messages(session: Segmented) -> None:
 
 @contextmanager
 def with_facts(session: Segmented) -> Iterator[None]:
-    """Add the facts of the stream to a refusal of its session, and name a cause that they show.
-
-    Raises:
-        InputError: As raised within, with the facts.
-        NotObservable: Likewise.
-    """
+    """Add the facts of the stream to a refusal of its session, and name a cause that they show."""
     try:
         yield
     except (InputError, NotObservable) as error:

@@ -384,11 +384,7 @@ def export_noise(
     format: str,  # noqa: A002
     topic: str = '/imu/data',
 ) -> Exported:
-    """Return the noise as a file of other software.
-
-    Raises:
-        InputError: There is no such format, or the record does not determine what it needs.
-    """
+    """Return the noise as a file of other software."""
     write = NOISE_EXPORTS.get(format)
     if write is None:
         raise InputError(f'`format`: found {format!r}, expected one of {", ".join(NOISE_EXPORTS)}.')

@@ -317,10 +317,6 @@ def read_budget(section: Section, parameters: Sequence[Parameter], variances: Fl
         section: The mapping.
         parameters: Those of the calibration, n.
         variances: (n,) theirs, NaN for those that were not estimated.
-
-    Raises:
-        InputError: Other parameters, an unknown source, no standard deviations, or sources that do
-            not add up to the variances.
     """
     known = np.isfinite(variances)
     names = [p.name for p, k in zip(parameters, known, strict=True) if k]

@@ -106,11 +106,7 @@ class Result:
         return self.calibration.findings
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return the parameters as a pandas.DataFrame, as `Calibration.to_dataframe` does.
-
-        Raises:
-            InputError: pandas is not installed.
-        """
+        """Return the parameters as a pandas.DataFrame, as `Calibration.to_dataframe` does."""
         return self.calibration.to_dataframe()
 
     @property

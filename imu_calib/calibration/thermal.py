@@ -167,10 +167,6 @@ def combine(
         names: Their files, for messages.
         order: Of a polynomial; None for straight lines between neighbours.
         where: Prefix of messages about all of them, if one file holds them.
-
-    Raises:
-        InputError: They are not of one unit, a temperature is missing or repeated, or there are
-            too few for the order.
     """
     if len(calibrations) < 2:
         raise InputError(
@@ -245,11 +241,7 @@ def read_calibration(section: Section) -> AnyCalibration:
 
 
 def by_temperature(calibration: Calibration, name: str) -> AnyCalibration:
-    """Return a calibration as it is to be applied: by temperature, if it has such coefficients.
-
-    Raises:
-        InputError: It has such coefficients and does not state the temperature of its session.
-    """
+    """Return a calibration as it is to be applied: by temperature, if it has such coefficients."""
     if calibration.changes is None or not calibration.changes.follows_temperature:
         return calibration
     _check_temperature(calibration, name)

@@ -188,11 +188,7 @@ def draw_residuals(unit_name: str, positions: Sequence[str], residuals: list[Flo
 
 
 def draw_noise(unit_name: str, seen: Mapping[str, ChannelNoise]) -> Figure:
-    """Draw the Allan deviation of the session, with the estimated random walk.
-
-    Raises:
-        InputError: The calibration contains no noise.
-    """
+    """Draw the Allan deviation of the session, with the estimated random walk."""
     if not any(len(noise.tau) for noise in seen.values()):
         raise InputError(
             f'The calibration of {unit_name} carries no Allan deviation: its static '
@@ -288,11 +284,7 @@ def draw_normalised(title: str, names: Sequence[str], normalised: Floats) -> Fig
 
 
 def empty_figure(width: float, height: float, what: str = 'A plot') -> Figure:
-    """Return a figure of a size in inches, without a window.
-
-    Raises:
-        InputError: matplotlib is not installed; begins with the feature that needs it.
-    """
+    """Return a figure of a size in inches, without a window."""
     require('matplotlib', what, 'plot')
     return _picture()(figsize=(width, height), layout='constrained')
 

@@ -64,11 +64,7 @@ _WORST_FIRST = (WRONG_INPUT, NO_ANSWER, OUTSIDE, DONE)
 
 
 def has_several_units(arguments: argparse.Namespace) -> bool:
-    """Return whether the command line or the recording has several units.
-
-    Raises:
-        InputError: There is no recording.
-    """
+    """Return whether the command line or the recording has several units."""
     if arguments.imus is not None:
         options.refuse_with_imus(arguments, 'imu', 'serial', 'imu_topic')
         return True
@@ -329,11 +325,7 @@ def run_noise(arguments: argparse.Namespace) -> CommandResult:
 
 
 def _targets(arguments: argparse.Namespace) -> dict[str, Path]:
-    """Return the files to write by option, checked before hours are read.
-
-    Raises:
-        InputError: One cannot be written, is the input, or is named twice.
-    """
+    """Return the files to write by option, checked before hours are read."""
     check = {'html': page_path, 'csv': row_file, 'plot': _picture_path}
     found: dict[str, Path] = {}
     for name in ('html', 'plot', 'csv', *NOISE_EXPORTS):

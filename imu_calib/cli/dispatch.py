@@ -146,11 +146,7 @@ class _Parser(argparse.ArgumentParser):
         return super().format_help()
 
     def error(self, message: str) -> NoReturn:
-        """Print the usage, unless one option's value is wrong, and raise the error.
-
-        Raises:
-            _WrongUsage: Always.
-        """
+        """Print the usage, unless one option's value is wrong, and raise the error."""
         of_one = message.removeprefix('argument ')
         if of_one == message:
             # Of Python 3.10: later ones do not miss it on a full disk.
@@ -352,11 +348,7 @@ def _loaded(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _keep_inputs(arguments: argparse.Namespace) -> None:
-    """Refuse to write over a file that the command reads, under whatever name.
-
-    Raises:
-        InputError: An output is one of the inputs.
-    """
+    """Refuse to write over a file that the command reads, under whatever name."""
     given = {name: _words_of(value) for name, value in vars(arguments).items()}
     outputs = [path for path in map(user_path, given.pop('output', [])) if path.is_file()]
     if not outputs:

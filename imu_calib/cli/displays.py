@@ -174,11 +174,7 @@ _EVERYTHING = 'Enter ends the session with what is here, Ctrl-C without a result
 
 
 def follow(processes: Nodes, reports: NodeReports) -> SessionEnd:
-    """Guide a person until the session ends.
-
-    Raises:
-        InputError: A node has ended, or the IMU sends nothing.
-    """
+    """Guide a person until the session ends."""
     from .monitor import watching
 
     with (

@@ -67,11 +67,7 @@ def add_imus_option(parser: argparse._ActionsContainer) -> None:
 
 
 def refuse_with_imus(arguments: argparse.Namespace, *names: str) -> None:
-    """Refuse options for one unit that the file of --imus states for each.
-
-    Raises:
-        InputError: The text names the option.
-    """
+    """Refuse options for one unit that the file of --imus states for each."""
     for name in names:
         if (found := getattr(arguments, name)) is not None:
             option = name.replace('_', '-')

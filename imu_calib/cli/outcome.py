@@ -65,11 +65,7 @@ def add_verbose_option(parser: argparse._ActionsContainer) -> None:
 def write_document(
     command: str, outcome: CommandResult, error: Mapping[str, str] | None = None
 ) -> None:
-    """Write the document of --json to stdout.
-
-    Raises:
-        OSError: It takes no more.
-    """
+    """Write the document of --json to stdout."""
     document = {
         'format': FORMAT,
         'command': command,
@@ -87,11 +83,7 @@ def write_document(
 
 
 def write_text(text: str) -> None:
-    """Write text to stdout if that is open: not by rich, which would break long lines.
-
-    Raises:
-        OSError: It takes no more.
-    """
+    """Write text to stdout if that is open: not by rich, which would break long lines."""
     if sys.stdout:
         sys.stdout.write(text)
         sys.stdout.flush()

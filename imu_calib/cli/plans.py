@@ -57,12 +57,7 @@ _TURNS_AND_DWELLS = 'the same dwells and turns early and late'
 
 
 def show_prediction(arguments: argparse.Namespace) -> None:
-    """Print the prediction of a plan, by the options.
-
-    Raises:
-        InputError: As of `predict` and `reach`.
-        NotObservable: A parameter is not determined, or no dwell reaches the requested value.
-    """
+    """Print the prediction of a plan, by the options."""
     setup = setup_of(options.stated(arguments))
     truth = as_truth(arguments.truth).model
     plan, imu, held, site = setup.plan, setup.imu, setup.table, setup.site

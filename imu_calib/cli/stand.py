@@ -377,12 +377,7 @@ def listen(
     reports: NodeReports,
     node: str = 'imu_node',
 ) -> None:
-    """Read a port until the device is confirmed, or its silence or another device is reported.
-
-    Raises:
-        InputError: The port is invalid.
-        NothingComes: It does not open, or its data does not match the files.
-    """
+    """Read a port until the device is confirmed, or its silence or another device is reported."""
     # imu_node continues with the present state of the device.
     source = DeviceReader(port, time.time_ns, baud.rate, commands=frames.commands, restarts=False)
     reception = Reception(frames, imu, live=source.live)

@@ -64,13 +64,7 @@ _START_OF_EACH = 5.0
 def check(
     arguments: argparse.Namespace, imu: ImuSpec, plan: Plan, table: Table | None, site: Site
 ) -> None:
-    """Refuse a session that could give no result, or that cannot run here.
-
-    Raises:
-        ImuCalibError: There is no middleware for the nodes.
-        InputError: The table cannot run the plan, there is no such method, or no table for it.
-        NotObservable: The text states what cannot be determined, and why.
-    """
+    """Refuse a session that could give no result, or that cannot run here."""
     # The runtime is checked only here: the other commands need none.
     with forced('embedded') if several.is_embedded(arguments) else nullcontext():
         from . import monitor  # noqa: F401
@@ -114,10 +108,6 @@ def run(
         truth: Of simulated units by serial number; of a single unit by an empty name.
         claim: File descriptor that the nodes inherit.
         reports: Shows the reports of the nodes.
-
-    Raises:
-        InputError: A node does not start, or the IMU sends nothing.
-        NotObservable: The session gives no calibration; the text states why.
     """
     given = parameters(arguments, folder)
     began = time.monotonic()

@@ -42,11 +42,7 @@ class _Output(_Console):
     """Lets `dispatch` end a command whose output is no longer read."""
 
     def on_broken_pipe(self) -> None:
-        """Raise the error again: rich would end the process with exit code 1.
-
-        Raises:
-            BrokenPipeError: Always.
-        """
+        """Raise the error again: rich would end the process with exit code 1."""
         raise  # noqa: PLE0704 - called where it is handled
 
     def print(self, *objects: Any, **options: Any) -> None:

@@ -211,9 +211,6 @@ def outcomes(
         function: Of a task and the shared arguments.
         tasks: Any number.
         shared: Further arguments, the same for each task: sent to each worker once.
-
-    Raises:
-        InputError: The scheduler does not return, or a worker cannot run the function.
     """
     from distributed import as_completed
 

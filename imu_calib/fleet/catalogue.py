@@ -218,12 +218,7 @@ class Catalogue:
 
     @checked
     def selected(self, where: str | None) -> pa.Table:
-        """Return the rows that meet a condition in SQL; all without one.
-
-        Raises:
-            InputError: As `query`.
-            NotObservable: No row meets it.
-        """
+        """Return the rows that meet a condition in SQL; all without one."""
         if where is None:
             return self.table()
         found = self.query(f'select * from rows where {where}')

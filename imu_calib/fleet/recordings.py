@@ -74,9 +74,6 @@ def find_jobs(sources: Iterable[str | Path], stated: Stated, imus: str = '') -> 
             manifests (.csv, .yaml), local or as URLs (s3://...).
         stated: Applies to each, unless its manifest states otherwise.
         imus: File of the units of each, likewise.
-
-    Raises:
-        InputError: A source does not exist, is unreachable or empty, or a manifest is broken.
     """
     jobs: dict[Job, None] = {}
     for source in sources:
@@ -213,9 +210,6 @@ def read_manifest(path: AnyPath, stated: Stated, imus: str = '') -> Iterator[Job
         path: CSV with a line of names, or YAML with a list of mappings.
         stated: Applies if a row states nothing.
         imus: File of several units: applies if a row states neither one nor several.
-
-    Raises:
-        InputError: No table, an unknown column, or an invalid value; names row and column.
     """
     for where, row in _rows(path):
         recording = str(row.pop(_RECORDING, '') or '')
@@ -252,11 +246,7 @@ def _rows(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _rows_of_csv(path: AnyPath, lines: list[str]) -> list[Any]:
-    """Return the rows of a table by its column names; of a row without an entry, nothing.
-
-    Raises:
-        InputError: No table of recordings, a column twice, or a row longer than the names.
-    """
+    """Return the rows of a table by its column names; of a row without an entry, nothing."""
     # If the comma is the decimal sign, spreadsheets use another delimiter.
     parts = max(',;\t', key=lines[0].count) if lines else ','
     try:

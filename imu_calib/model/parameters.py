@@ -379,10 +379,6 @@ def linear_product(parameter: Parameter) -> Product:
 
 
 def indices_of(wanted: Sequence[Parameter], among: Sequence[Parameter]) -> list[int]:
-    """Return the indices of parameters in a longer list.
-
-    Raises:
-        KeyError: One is not in it.
-    """
+    """Return the indices of parameters in a longer list."""
     places = {parameter: k for k, parameter in enumerate(among)}
     return [places[parameter] for parameter in wanted]

@@ -133,11 +133,7 @@ def terms_of(parameters: Sequence[Parameter]) -> tuple[Term, ...]:
 
 
 def by_name(names: Sequence[str]) -> tuple[Parameter, ...]:
-    """Return the parameters of these names.
-
-    Raises:
-        KeyError: No parameter has such a name.
-    """
+    """Return the parameters of these names."""
     return tuple(_NAMES[name] for name in names)
 
 

@@ -41,9 +41,6 @@ def unpack(data: bytes | memoryview, compression: str, most: int) -> bytes:
     """Unpack a block compressed by '', 'lz4' or 'zstd', as named in mcap chunks.
 
     What holds more than `most` bytes is refused without unpacking the rest.
-
-    Raises:
-        CodecError: The data are corrupt, or unpack to more.
     """
     if compression == '':
         return bytes(data)

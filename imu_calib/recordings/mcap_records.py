@@ -102,11 +102,7 @@ class Catalogue:
         return merged
 
     def add_record(self, op: int, content: bytes) -> None:
-        """Store a record, if it is of a relevant kind.
-
-        Raises:
-            RecordError: It contradicts the format.
-        """
+        """Store a record, if it is of a relevant kind."""
         try:
             self._add_content(op, Fields(content))
         except (struct.error, ValueError) as error:

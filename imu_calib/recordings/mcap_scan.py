@@ -51,12 +51,7 @@ class Scan:
 
 
 def scan(path: AnyPath, losses: Losses) -> Scan:
-    """Find the chunks, channels and metadata of a file; `losses` receives what is damaged.
-
-    Raises:
-        RecordingError: This is not an mcap file.
-        OSError: The file cannot be read.
-    """
+    """Find the chunks, channels and metadata of a file; `losses` receives what is damaged."""
     # Records are far apart: a buffer would be filled for each.
     with path.open('rb', buffering=0) as file:
         return _Scanner(path, file, losses).scan()

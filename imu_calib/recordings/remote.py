@@ -229,12 +229,7 @@ def is_url(name: object) -> bool:
 
 
 def located(name: str | AnyPath) -> AnyPath:
-    """Return the local or remote path for a name.
-
-    Raises:
-        InputError: It is a URL whose protocol is unknown, needs a library that is not installed,
-            or cannot be reached.
-    """
+    """Return the local or remote path for a name."""
     if isinstance(name, RemotePath):
         return name
     return RemotePath.at(str(name)) if is_url(name) else user_path(name)
@@ -361,12 +356,7 @@ class RemotePath:
             return file.read().decode(encoding)
 
     def fetched(self) -> Path:
-        """Fetch the whole file; return its local path, valid for the lifetime of this path.
-
-        Raises:
-            OSError: There is no such file.
-            InputError: It cannot be fetched.
-        """
+        """Fetch the whole file; return its local path, valid for the lifetime of this path."""
         held = self._opened()
         held.fill(0, held.size)
         return held.path

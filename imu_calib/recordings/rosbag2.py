@@ -73,12 +73,7 @@ class Scratch:
 
 
 def find_files(path: AnyPath, losses: Losses) -> StorageFiles:
-    """Find the storage files of a folder of rosbag2, or one; `losses` receives missing ones.
-
-    Raises:
-        RecordingError: There is nothing to read.
-        OSError: The folder cannot be read.
-    """
+    """Find the storage files of a folder of rosbag2, or one; `losses` receives missing ones."""
     if path.is_file():
         if (sentence := other_format(path)) is not None:
             raise RecordingError(sentence)
@@ -439,12 +434,7 @@ class Recording:
 
 
 def content_hash(files: Sequence[AnyPath]) -> str:
-    """Return the SHA-256 of storage files' contents, in the order of their names.
-
-    Raises:
-        OSError: A file cannot be read.
-        InputError: Its connection was lost.
-    """
+    """Return the SHA-256 of storage files' contents, in the order of their names."""
     # Imported here: it loads OpenSSL, which reading does not need.
     import hashlib
 

@@ -462,11 +462,7 @@ class Journal:
 
 
 def _locked(folder: Path) -> int:
-    """Return a descriptor that keeps other journals off a folder until it is closed.
-
-    Raises:
-        InputError: Another process, or another node of this one, writes its journal there.
-    """
+    """Return a descriptor that keeps other journals off a folder until it is closed."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         import fcntl

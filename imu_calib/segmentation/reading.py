@@ -96,9 +96,6 @@ class SegmentChoice:
             found: The turns of the session.
             last: Last stamp of the IMU, ns.
             alone: Whether there is no table whose joint states show motions.
-
-        Raises:
-            InputError: A hold or a turn is not in the session; names file, line and key.
         """
         for index, (start, end) in enumerate(self._times):
             if end > last + _NEAR:

@@ -69,11 +69,7 @@ class Specification:
 
 
 def read_specification(parent: Section, name: str) -> Specification:
-    """Read the limits of an IMU's parameters.
-
-    Raises:
-        InputError: File, key, what was found and what was expected.
-    """
+    """Read the limits of an IMU's parameters."""
     section = parent.section(name)
     limits: dict[tuple[ParameterKind, str], float] = {}
     for triad, sensors in TRIADS.items():
@@ -281,11 +277,7 @@ class ImuSpec:
 
 @checked
 def load_imu(name: str | Path) -> ImuSpec:
-    """Read an IMU's YAML file, shipped (by name) or the user's (by path).
-
-    Raises:
-        InputError: File, key, what was found and what was expected.
-    """
+    """Read an IMU's YAML file, shipped (by name) or the user's (by path)."""
     return read_imu(Section.named('imus', name))
 
 
@@ -353,11 +345,7 @@ def imu_text(spec: ImuSpec) -> str:
 
 
 def read_imu(section: Section) -> ImuSpec:
-    """Read an IMU from its YAML mapping.
-
-    Raises:
-        InputError: File, key, what was found and what was expected.
-    """
+    """Read an IMU from its YAML mapping."""
     if section.choice('units', _UNITS) is not Units.SI:
         section.raw('gyro')
         section.raw('accelerometer')
@@ -365,11 +353,7 @@ def read_imu(section: Section) -> ImuSpec:
 
 
 def check_live(spec: ImuSpec) -> None:
-    """Refuse a unit that cannot be simulated live: the simulated device sends whole numbers.
-
-    Raises:
-        InputError: Its samples are no whole numbers.
-    """
+    """Refuse a unit that cannot be simulated live: the simulated device sends whole numbers."""
     if not spec.units.whole:
         raise InputError(
             f'IMU {spec.id}: units: found {spec.units.value}, expected pulses or counts: a '
@@ -521,11 +505,7 @@ class StampingClock:
 
 
 def read_clock(section: Section) -> StampingClock:
-    """Read a file's section.
-
-    Raises:
-        InputError: A number impossible for a clock; names the key.
-    """
+    """Read a file's section."""
     clock = StampingClock(
         section.text('name'),
         section.text('against'),
@@ -538,11 +518,7 @@ def read_clock(section: Section) -> StampingClock:
 
 
 def check_clock(clock: StampingClock, where: str) -> None:
-    """Refuse numbers that are impossible for a clock.
-
-    Raises:
-        InputError: Names what was found and what was expected.
-    """
+    """Refuse numbers that are impossible for a clock."""
     if not abs(clock.faster) < _LARGEST:
         raise InputError(
             f'{where}: faster: found {clock.faster:g}, expected a ratio below {_LARGEST:g}.'

@@ -341,11 +341,7 @@ def node_parameters() -> dict[str, NodeParameter]:
 
 
 def stated_by_node(given: Mapping[str, Any]) -> Stated:
-    """Return the statements that the parameters of a node make.
-
-    Raises:
-        InputError: One that is required is not given.
-    """
+    """Return the statements that the parameters of a node make."""
     values: dict[str, Any] = {}
     for name, one in statements(Session).items():
         if one.node is None:
@@ -400,20 +396,12 @@ class Stated:
 
     @property
     def sensor_terms(self) -> tuple[Term, ...]:
-        """Terms of the sensors that are requested by name.
-
-        Raises:
-            InputError: No such term.
-        """
+        """Terms of the sensors that are requested by name."""
         return named_terms(split_terms(self._terms)[0])
 
     @property
     def changes(self) -> tuple[Change, ...]:
-        """Coefficients of the session's terms that are requested by name.
-
-        Raises:
-            InputError: No such term, or two that exclude each other.
-        """
+        """Coefficients of the session's terms that are requested by name."""
         return split_terms(self._terms)[1]
 
     @property
@@ -422,11 +410,7 @@ class Stated:
         return asks_for_search(self._terms)
 
     def site(self, otherwise: float) -> Site:
-        """Return the stated site; its latitude is `otherwise`, deg, if it is not stated.
-
-        Raises:
-            InputError: There is no such place on Earth.
-        """
+        """Return the stated site; its latitude is `otherwise`, deg, if it is not stated."""
         latitude = otherwise if self.latitude is None else self.latitude
         return Site.at(
             latitude * DEG,
@@ -442,22 +426,14 @@ class Stated:
         return self.at_azimuth(as_table(self.table or _TABLE))
 
     def at_azimuth(self, table: Table) -> Table:
-        """Return a table at the stated azimuth, if any.
-
-        Raises:
-            InputError: It is not an angle.
-        """
+        """Return a table at the stated azimuth, if any."""
         if self.azimuth is None:
             return table
         return replace(table, azimuth=azimuth_of(self.azimuth))
 
 
 def azimuth_of(degrees: float) -> float:
-    """Return an azimuth in rad.
-
-    Raises:
-        InputError: It is no angle, or beyond a turn.
-    """
+    """Return an azimuth in rad."""
     if not abs(degrees) <= 360:
         raise InputError(f'`azimuth`: found {degrees:g} deg, expected -360 to 360.')
     return degrees * DEG

@@ -57,9 +57,6 @@ def describe(
         table: Likewise; None if the unit is held by hand.
         site: Site of the recording.
         serial_number: Of the unit; empty if not stated.
-
-    Raises:
-        InputError: One of the files does not exist.
     """
     texts = {
         key: read_text(named_file(f'{key.removeprefix(PREFIX)}s', name))
@@ -90,11 +87,7 @@ def shared_description(description: Mapping[str, str]) -> dict[str, str]:
 
 
 def unit_description(topic: str, imu: str, serial_number: str) -> dict[str, str]:
-    """Return a recording's own entries on one of several units.
-
-    Raises:
-        InputError: There is no such file.
-    """
+    """Return a recording's own entries on one of several units."""
     text = read_text(named_file('imus', imu))
     return {imu_key(topic): text, serial_key(topic): serial_number}
 
@@ -147,11 +140,7 @@ def mount_description(topic: str, mount: Floats) -> dict[str, str]:
 
 
 def described_mount(data: Mapping[str, str], topic: str, where: str) -> Floats:
-    """Return the rotation of a topic's unit, (3, 3); that of the table if not stated.
-
-    Raises:
-        InputError: The entry is invalid.
-    """
+    """Return the rotation of a topic's unit, (3, 3); that of the table if not stated."""
     if (text := data.get(_mount_key(topic))) is None:
         return np.eye(3)
     try:
@@ -213,9 +202,6 @@ def described_site(data: Mapping[str, str], where: str) -> Site:
     Args:
         data: The recording's entries, as `describe` makes them.
         where: The recording, for messages.
-
-    Raises:
-        InputError: There is none, or it is invalid.
     """
     if not states_site(data):
         raise NotStated(

@@ -126,11 +126,7 @@ class Plan:
         return bool(self.positions)
 
     def position(self, name: str) -> Position:
-        """Return a position by its id.
-
-        Raises:
-            KeyError: The plan has no such position.
-        """
+        """Return a position by its id."""
         for position in self.positions:
             if position.id == name:
                 return position
@@ -144,9 +140,6 @@ class Plan:
         Args:
             table: The table that runs it.
             start: (k,) present joint angles, rad; zeros if not given.
-
-        Raises:
-            InputError: Names position, joint, value and limit.
         """
         steps: list[Step] = []
         angles = np.zeros(len(table.joints)) if start is None else start
@@ -221,11 +214,7 @@ _LONGEST = 30 * _DAY
 
 @checked
 def load_plan(name: str | Path) -> Plan:
-    """Read a plan's YAML file, shipped (by name) or the user's (by path).
-
-    Raises:
-        InputError: File, key, what was found and what was expected.
-    """
+    """Read a plan's YAML file, shipped (by name) or the user's (by path)."""
     return read_plan(Section.named('plans', name))
 
 
@@ -297,11 +286,7 @@ class StatedPlan:
 
 
 def read_plan(section: Section) -> Plan:
-    """Read a plan from its YAML mapping.
-
-    Raises:
-        InputError: File, key, what was found and what was expected.
-    """
+    """Read a plan from its YAML mapping."""
     stated = read_record(section, StatedPlan)
     positions = tuple(
         _position(stated, *each)

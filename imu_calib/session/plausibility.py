@@ -52,9 +52,6 @@ def check_plausible(calibration: Estimated, name: str) -> None:
     """Refuse implausible parameters before they are applied.
 
     Biases of ADC codes are not limited: an ADC may count from any offset.
-
-    Raises:
-        InputError: Names the parameter, what was found and what was expected.
     """
     _check_scale_factors(calibration, name)
     for parameter, value in zip(calibration.parameters, calibration.values.tolist(), strict=True):

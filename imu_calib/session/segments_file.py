@@ -80,11 +80,7 @@ def write_segments(path: str | Path, segments: Sequence[ListedSegment]) -> None:
 
 
 def read_segments(path: str | Path) -> ListedSegments:
-    """Read holds and turns from a file.
-
-    Raises:
-        InputError: Unreadable, or a line is not a hold or a turn; names file, line and key.
-    """
+    """Read holds and turns from a file."""
     file = user_path(path)
     try:
         rows = list(csv.reader(io.StringIO(read_text(file)), skipinitialspace=True, strict=True))

@@ -262,11 +262,7 @@ class Table:
         return tuple(joint.name for joint in self.joints)
 
     def check_limited(self, needs: str) -> None:
-        """Refuse joints without limits of rate and acceleration; `needs` says what needs them.
-
-        Raises:
-            InputError: Names table, joint and limits.
-        """
+        """Refuse joints without limits of rate and acceleration; `needs` says what needs them."""
         for joint in self.joints:
             if not (math.isfinite(joint.max_rate) and math.isfinite(joint.max_acceleration)):
                 raise InputError(
@@ -435,9 +431,6 @@ class Table:
             angles: (k,) encoder angles, rad.
             rates: (k,) joint rates, rad/s.
             where: Name of the position, for the message.
-
-        Raises:
-            InputError: Names joint, value and limit.
         """
         for joint, angle, rate in zip(self.joints, angles, rates, strict=True):
             lower, upper = max(joint.lower, -FARTHEST), min(joint.upper, FARTHEST)
@@ -518,20 +511,12 @@ _ROUNDING = 1e-9
 
 @checked
 def load_table(name: str | Path) -> Table:
-    """Read a table's YAML file, shipped (by name) or the user's (by path).
-
-    Raises:
-        InputError: File, key, what was found and what was expected.
-    """
+    """Read a table's YAML file, shipped (by name) or the user's (by path)."""
     return read_table(Section.named('tables', name))
 
 
 def read_table(section: Section) -> Table:
-    """Read a table from its YAML mapping.
-
-    Raises:
-        InputError: File, key, what was found and what was expected.
-    """
+    """Read a table from its YAML mapping."""
     table = read_record(section, Table)
     if len(set(table.names)) != len(table.joints):
         raise InputError(f'{section.key("joints")}: two joints have the same name.')

@@ -142,11 +142,7 @@ class MountedUnit:
 
 @checked
 def load_units(path: str | Path) -> tuple[MountedUnit, ...]:
-    """Read the file of several units; files named in it are searched for beside it first.
-
-    Raises:
-        InputError: File, key, what was found and what was expected.
-    """
+    """Read the file of several units; files named in it are searched for beside it first."""
     path = user_path(path)
     return read_units(Section.load(path, 'the file of several units'), path.parent)
 
@@ -157,9 +153,6 @@ def read_units(section: Section, folder: Path | None = None) -> tuple[MountedUni
     Args:
         section: The mapping.
         folder: Folder of the file, searched for the files named in it.
-
-    Raises:
-        InputError: File, key, what was found and what was expected.
     """
     parts = section.sections('units')
     if len(parts) > MOST_UNITS:
@@ -194,9 +187,6 @@ def remaining(units: Sequence[MountedUnit], without: str) -> tuple[MountedUnit, 
     Args:
         units: All.
         without: Serial numbers, separated by commas; empty: none is left out.
-
-    Raises:
-        InputError: There is no such unit, or all are left out.
     """
     names = [name.strip() for name in without.split(',') if name.strip()]
     known = [unit.serial_number for unit in units]

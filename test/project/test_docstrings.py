@@ -9,7 +9,7 @@ from importlib import import_module
 import pytest
 from loopback import CHECKOUT
 
-ELSEWHERE = ('live/middleware', 'live/nodes', 'live/web/page.py', 'cli/displays.py')
+ELSEWHERE = ('live/middleware', 'live/nodes', 'live/web/page.py', 'cli/monitor.py')
 """These load only where one of the two runtimes is, or NiceGUI; they have no examples."""
 
 PATHS = sorted(
