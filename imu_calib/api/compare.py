@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_FEWEST = 2
-"""Smallest number of calibrations to compare."""
+_FEWEST = 2  #: Smallest number of calibrations to compare.
 
 
 @dataclass(frozen=True, eq=False)

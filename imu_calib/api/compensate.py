@@ -36,8 +36,7 @@ from .streams import imu_topic, sample_findings, skew_topic, temperature_topic
 if TYPE_CHECKING:
     from ..calibration.results import Result
 
-_MOST = 0.5
-"""Share of the samples: with fewer written, most are lost."""
+_MOST = 0.5  #: Share of the samples: with fewer written, most are lost.
 _RAW, _RATES, _CALIBRATED = '/pulses', '/data_raw', '/data_calibrated'
 
 

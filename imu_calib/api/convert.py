@@ -55,10 +55,8 @@ from .opening import against_si, units_in_doubt
 _GYRO = {**Dimension.RATE.value, **Dimension.ANGLE.value, **RAW_UNITS}
 _ACCEL = {**Dimension.ACCELERATION.value, **Dimension.VELOCITY.value, **RAW_UNITS}
 _ANGLE: Mapping[str, float] = Dimension.ANGLE.value
-_STAMP = {'s': 1e9, 'ms': 1e6, 'us': 1e3, 'ns': 1.0}
-"""ns per unit of a time."""
-_CELSIUS = {'degC': 1.0, 'mdegC': 1e-3}
-"""Degrees Celsius per unit of a temperature."""
+_STAMP = {'s': 1e9, 'ms': 1e6, 'us': 1e3, 'ns': 1.0}  #: ns per unit of a time.
+_CELSIUS = {'degC': 1.0, 'mdegC': 1e-3}  #: Degrees Celsius per unit of a temperature.
 _COUNTERS = {2**32 * 1e3: 'microseconds', 2**32 * 1e6: 'milliseconds'}
 """ns until a counter of 32 bits begins anew, and what it counts: micros() and millis()."""
 _LONGEST_LOSS = 10e9

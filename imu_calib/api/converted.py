@@ -47,8 +47,7 @@ _NUMBERS = {
     Units.PULSES: 'pulses',
     Units.COUNTS: 'counts',
 }
-_BLOCK = 1 << 16
-"""Samples written per call; a choice between memory and calls."""
+_BLOCK = 1 << 16  #: Samples written per call; a choice between memory and calls.
 
 
 @dataclass(frozen=True)

@@ -251,8 +251,7 @@ def _far_apart(again: Calibration, calibration: Calibration) -> bool:
 
 # Certificates of a calibration: HTML and PDF for people, DCC for machines.
 
-FORMATS = ('.html', '.pdf', '.xml')
-"""Formats by file ending."""
+FORMATS = ('.html', '.pdf', '.xml')  #: Formats by file ending.
 
 
 @checked

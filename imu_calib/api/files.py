@@ -192,8 +192,7 @@ def _stamps_of(frame: Any, rate: float | None) -> Stamps:
 
 # Samples in memory as a storage file: what reads recordings reads them too.
 
-_AT_ONCE = 1 << 14
-"""Samples encoded at once: 5 MB as messages, and no copy of all."""
+_AT_ONCE = 1 << 14  #: Samples encoded at once: 5 MB as messages, and no copy of all.
 
 
 @dataclass(frozen=True, eq=False)

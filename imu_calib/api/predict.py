@@ -51,11 +51,9 @@ if TYPE_CHECKING:
     import pandas
     from typing_extensions import Unpack
 
-_ANY_PLAN = 'twelve_position'
-"""Start of a search for a plan; its content has no effect."""
+_ANY_PLAN = 'twelve_position'  #: Start of a search for a plan; its content has no effect.
 
-_USUAL_RATE = 60.0
-"""deg/s; a choice: every supplied table turns as fast, in 6 s a turn."""
+_USUAL_RATE = 60.0  #: deg/s; a choice: every supplied table turns as fast, in 6 s a turn.
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,8 +74,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from typing_extensions import Unpack
 
-TRUTH = 'truth.yaml'
-"""File in a simulated recording: the true parameters of the unit."""
+TRUTH = 'truth.yaml'  #: File in a simulated recording: the true parameters of the unit.
 
 _TABLE = 'three_axis'
 

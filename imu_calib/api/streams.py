@@ -219,8 +219,7 @@ def _named(recording: Recording, candidates: list[Topic], wanted: str, kind: Kin
 _DIFFERENT = 1000 * PPM
 """From which two clocks differ by more than clocks do: quartz is off by 20 to 100 ppm, and a daemon
 of NTP slews a clock by 500 ppm at most (RFC 5905, appendix A.5.5.6)."""
-_SURELY = 3.0
-"""Standard deviations beyond that."""
+_SURELY = 3.0  #: Standard deviations beyond that.
 _ANOTHER_PACE = 0.1
 """From which two clocks are not of one kind: simulated time, or a recording that was played at
 another rate. IMUs with oscillators of their own are off by some per cent."""

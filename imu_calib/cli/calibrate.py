@@ -362,8 +362,7 @@ def _show_noise(found: NoiseAtRest) -> None:
     OUTPUT.print('\n"<": 95 % limit of what this record does not determine', markup=False)
 
 
-_WORST = 4
-"""Static dwells and turns that are shown without --verbose. A choice."""
+_WORST = 4  #: Static dwells and turns that are shown without --verbose. A choice.
 
 
 def add_verify_options(parser: argparse.ArgumentParser) -> None:

@@ -73,12 +73,9 @@ COMMANDS = {
 """Module and help of each command: its `add_NAME_options` and `run_NAME`, whose words are the
 description."""
 
-_NO_VALUE = re.compile(r'(--[\w-]+(?==)|-\w)=?--')
-"""An option whose value is two dashes."""
-_OPTION = re.compile(r'--[a-z][\w-]*|-[a-z]')
-"""The name of an option."""
-_NEGATIVE = re.compile(r'-\.?\d')
-"""Start of a negative value; no option begins like this."""
+_NO_VALUE = re.compile(r'(--[\w-]+(?==)|-\w)=?--')  #: An option whose value is two dashes.
+_OPTION = re.compile(r'--[a-z][\w-]*|-[a-z]')  #: The name of an option.
+_NEGATIVE = re.compile(r'-\.?\d')  #: Start of a negative value; no option begins like this.
 
 
 class _WrongUsage(Exception):
@@ -168,8 +165,7 @@ def _in_a_line(action: argparse.Action, formatter: argparse.HelpFormatter) -> ar
     return shown
 
 
-_PART = re.compile(r'(?:default: )?.*?(?=[:;] | \(|$)')
-"""First part of a help text."""
+_PART = re.compile(r'(?:default: )?.*?(?=[:;] | \(|$)')  #: First part of a help text.
 
 
 class _HelpAll(argparse.Action):

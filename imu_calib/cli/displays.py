@@ -28,8 +28,7 @@ from .processes import START, Nodes, SessionEnd
 from .terminal import ERRORS, OUTPUT, NodeReports
 
 _STYLES = {Severity.OK: 'bold', Severity.WARN: 'bold yellow', Severity.ERROR: 'bold red'}
-_BAR = 30
-"""Characters of the bar. A choice; layout."""
+_BAR = 30  #: Characters of the bar. A choice; layout.
 _COLUMNS = ('', 'std now', 'plan', 'limit', 'unit')
 _UNIT_COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ('unit', 'left'),
@@ -39,8 +38,7 @@ _UNIT_COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ('known', 'right'),
     ('furthest from the plan', 'left'),
 )
-_WIDE = 78
-"""Characters for two triads side by side; 12 rows then fit a small terminal."""
+_WIDE = 78  #: Characters for two triads side by side; 12 rows then fit a small terminal.
 
 
 def view_table(shown: Snapshot, now: datetime, width: int, units: Sequence[UnitRow] = ()) -> Group:
@@ -166,10 +164,8 @@ class Start:
 
 # The display of a session in the hand: the next action, and the gain of each next attitude.
 
-_SHOWN = 6
-"""Attitudes shown at once: as many as fit above the bars of a small terminal."""
-_HAND_BAR = 24
-"""Characters of the longest bar. A choice; layout."""
+_SHOWN = 6  #: Attitudes shown at once: as many as fit above the bars of a small terminal.
+_HAND_BAR = 24  #: Characters of the longest bar. A choice; layout.
 _EVERYTHING = 'Enter ends the session with what is here, Ctrl-C without a result.'
 
 

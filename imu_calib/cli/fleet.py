@@ -293,8 +293,7 @@ def _plain(value: Any) -> Any:
     return value.isoformat() if isinstance(value, datetime) else value
 
 
-_MOST_UNITS = 25
-"""Units of a table on the terminal, the most urgent; a file has all."""
+_MOST_UNITS = 25  #: Units of a table on the terminal, the most urgent; a file has all.
 
 
 def add_history_options(parser: argparse.ArgumentParser) -> None:

@@ -15,8 +15,7 @@ from ..live.web.board import Board, UnitsBoard
 from .processes import Nodes
 from .terminal import NodeReports
 
-_DEEP = 100
-"""Queue depth: several nodes publish at once, and no message may be lost."""
+_DEEP = 100  #: Queue depth: several nodes publish at once, and no message may be lost.
 
 
 class Monitor:

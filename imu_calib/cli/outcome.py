@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from ..api.compare import Conformity
 
 
-FORMAT = 1
-"""Version of the documents: it increases when a key changes its meaning or is removed."""
+FORMAT = 1  #: Version of the documents: it increases when a key changes its meaning or is removed.
 DONE, NO_ANSWER, WRONG_INPUT, OUTSIDE = 0, 1, 2, 3
 """Exit codes. OUTSIDE: a parameter is proven to be outside the unit's specification."""
 EXIT_CODES = (
@@ -32,8 +31,7 @@ EXIT_CODES = (
     'the reason), or contradicts the calibration to be verified; 2 wrong usage or unreadable '
     'input; 3 the unit is outside its specification; 130 interrupted (Ctrl-C).'
 )
-JSON = '--json'
-"""The option that requests a document."""
+JSON = '--json'  #: The option that requests a document.
 
 
 @dataclass(frozen=True)
@@ -125,10 +123,8 @@ def finite(value: Any) -> Any:
     return value
 
 
-INTERRUPTED = 130
-"""Exit code of a shell for SIGINT: 128 + 2."""
-WORDS = KIND = 'interrupted'
-"""Message, and kind of the error in a document."""
+INTERRUPTED = 130  #: Exit code of a shell for SIGINT: 128 + 2.
+WORDS = KIND = 'interrupted'  #: Message, and kind of the error in a document.
 
 
 def clear_interrupt() -> None:

@@ -407,5 +407,4 @@ class Embedded(StartedNodes):
             raise KeyboardInterrupt
 
 
-Nodes: TypeAlias = Processes | Embedded
-"""The nodes of a stand, wherever they run."""
+Nodes: TypeAlias = Processes | Embedded  #: The nodes of a stand, wherever they run.

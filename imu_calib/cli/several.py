@@ -30,8 +30,7 @@ from .options import refuse_with_imus
 from .terminal import print_findings, print_whole
 
 USUAL_IMU, HELD_UNIT = 'fog_medium', 'mems_counts'
-CALIBRATIONS = 'calibrations'
-"""Folder of the results, SERIAL.yaml each."""
+CALIBRATIONS = 'calibrations'  #: Folder of the results, SERIAL.yaml each.
 _FILES = {'imu': 'imus', 'device': 'devices', 'truth': 'truths'}
 """Keys of a unit that name a file, with its kind."""
 

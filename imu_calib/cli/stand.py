@@ -34,10 +34,8 @@ from . import options, several, web_page
 from .processes import network_of_hardware
 from .terminal import OUTPUT, NodeReports
 
-_SLOWEST = 50
-"""The slowest rate of a serial port that POSIX names, bit/s."""
-_REPLY = 2.0
-"""s for a controller's first reply: milliseconds; one that wakes may take a second."""
+_SLOWEST = 50  #: The slowest rate of a serial port that POSIX names, bit/s.
+_REPLY = 2.0  #: s for a controller's first reply: milliseconds; one that wakes may take a second.
 _HIGHEST_RATE, _LARGEST_SEED = 1e5, 1 << 62
 """Hz, and a seed: the largest parameters that nodes take (`imu_node`, `parameters.declare`)."""
 
@@ -363,8 +361,7 @@ def _check_device(arguments: argparse.Namespace) -> None:
 # # The nodes would detect this too, but later: they load slowly and must discover each other.
 
 
-_ROUND = 0.02
-"""Between two checks, s: too short to be noticed."""
+_ROUND = 0.02  #: Between two checks, s: too short to be noticed.
 _LONGEST_WAIT = 3.0
 """Longest wait, s: longer than a host may take to answer (2 s). The nodes wait for slower ones."""
 

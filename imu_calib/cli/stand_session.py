@@ -57,8 +57,7 @@ _ORDER = (
     'calibrator_node',
     'turntable_node',
 )
-_START_OF_EACH = 5.0
-"""s more for each of several units: a node takes some 2 s of a core to load."""
+_START_OF_EACH = 5.0  #: s more for each of several units: a node takes some 2 s of a core to load.
 
 
 def check(

@@ -76,8 +76,7 @@ class _Errors(_Console):
 OUTPUT = _Output(soft_wrap=True, highlight=False, emoji=False)
 if not OUTPUT.is_terminal:
     OUTPUT.width = WIDEST_LINE
-_WIDEST = 10_000
-"""Characters of a line, more than any table has."""
+_WIDEST = 10_000  #: Characters of a line, more than any table has.
 ERRORS = _Errors(stderr=True, soft_wrap=True, highlight=False, emoji=False)
 
 

@@ -19,14 +19,11 @@ from .processes import Nodes, free_port
 from .terminal import ERRORS, OUTPUT
 
 NODE = 'web_node'
-_PORT = 8080
-"""TCP port that IANA lists for web servers in addition to 80 (http-alt)."""
-_FIRST_FREE = 1024
-"""The first port that any user may serve (ip_unprivileged_port_start, ip(7))."""
+_PORT = 8080  #: TCP port that IANA lists for web servers in addition to 80 (http-alt).
+_FIRST_FREE = 1024  #: The first port that any user may serve (ip_unprivileged_port_start, ip(7)).
 _OF_THE_SESSION = (*node_parameters(), 'units', 'without', 'journal', 'output')
 """Parameters common to the page and calibrator_node."""
-_TICK = 0.2
-"""s."""
+_TICK = 0.2  #: s.
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

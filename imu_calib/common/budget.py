@@ -16,8 +16,7 @@ import numpy as np
 
 from .stream import Floats
 
-PROBABILITY = 0.95
-"""Level of confidence of the expanded uncertainties."""
+PROBABILITY = 0.95  #: Level of confidence of the expanded uncertainties.
 
 LEAST_FREEDOM = 1.0
 """Fewest degrees of freedom for a coverage factor: Student's t is not tabulated for fewer, and
@@ -123,8 +122,7 @@ class Share:
         return cls(np.asarray(added), effective_freedom(variances, freedom))
 
 
-Shares = Mapping[ErrorSource, Share]
-"""A covariance by source."""
+Shares = Mapping[ErrorSource, Share]  #: A covariance by source.
 
 
 def total(shares: Shares) -> Floats:

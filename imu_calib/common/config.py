@@ -25,18 +25,15 @@ try:
 except ImportError:  # PyYAML without libyaml reads and writes the same texts, more slowly.
     from yaml import SafeDumper, SafeLoader  # type: ignore[assignment]
 
-__all__ = ['SafeDumper']
-"""Handed on to those that dump in a form of their own."""
+__all__ = ['SafeDumper']  #: Handed on to those that dump in a form of their own.
 
 
 _INT = 'tag:yaml.org,2002:int'
 _DATE = 'tag:yaml.org,2002:timestamp'
 _MOST_BITS = 10_000
 """Of a whole number, some 3000 digits; Python converts no more than 4300 to text."""
-_MOST_VALUES = 10_000_000
-"""Values of a document; a calibration of 40 parameters has 4000."""
-_SHOWN = 40
-"""Characters of a value that are shown."""
+_MOST_VALUES = 10_000_000  #: Values of a document; a calibration of 40 parameters has 4000.
+_SHOWN = 40  #: Characters of a value that are shown.
 _WHOLE_NUMBER = re.compile(r'[-+]?(?:0|[1-9][0-9_]*|0b[01_]+|0x[0-9a-fA-F_]+)$')
 
 

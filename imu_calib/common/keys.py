@@ -17,8 +17,7 @@ from .units import Dimension
 
 Record = TypeVar('Record')
 
-REQUIRED = object()
-"""The default of a key that must be given."""
+REQUIRED = object()  #: The default of a key that must be given.
 
 
 @dataclass(frozen=True)

@@ -32,23 +32,19 @@ from .processes import single_threaded
 Task = TypeVar('Task')
 Result = TypeVar('Result')
 
-MEMORY = '2GiB'
-"""Most memory of a worker of this machine; recordings of any length stay below."""
+MEMORY = '2GiB'  #: Most memory of a worker of this machine; recordings of any length stay below.
 _LEAST_MEMORY = 256 << 20
 """Bytes: a worker that has loaded the suite holds 111 MiB, and with less it ends at once."""
 _WAITING = 3
 """Tasks submitted for each worker: one runs, two wait, and the scheduler's memory stays flat."""
-_COUNT = 1.0
-"""s between counts of the workers."""
-_RECONNECT = 60.0
-"""s in which a lost scheduler may return: a restart takes a few."""
+_COUNT = 1.0  #: s between counts of the workers.
+_RECONNECT = 60.0  #: s in which a lost scheduler may return: a restart takes a few.
 _CONNECT = '10s'
 """Time limit for a connection to a process of this machine, however busy. A dead one that holds a
 result is waited for this long, without retries: Dask's 30 s and retries are for networks."""
 _RESTART = '1h'
 """Time limit for the start of a worker in place of one that has ended: above any machine's."""
-_ANSWER = '10s'
-"""Time limit for a client's connection to a scheduler."""
+_ANSWER = '10s'  #: Time limit for a client's connection to a scheduler.
 _TICK = '500ms'
 """Between a process's checks of its own event loop: as often as those of its memory."""
 _KEEPS = 4 << 20
@@ -358,8 +354,7 @@ def _quiet() -> Iterator[None]:
             logger.setLevel(level)
 
 
-_CHUNK = 4
-"""Tasks handed to a process of a pool at once."""
+_CHUNK = 4  #: Tasks handed to a process of a pool at once.
 
 
 def run_all(

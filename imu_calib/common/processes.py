@@ -64,11 +64,9 @@ def single_threaded() -> Iterator[None]:
             os.environ[THREADS] = before
 
 
-ENDS_WITH = 'IMU_CALIB_ENDS_WITH'
-"""Environment variable: id of the process to end with."""
+ENDS_WITH = 'IMU_CALIB_ENDS_WITH'  #: Environment variable: id of the process to end with.
 
-_SET_DEATH_SIGNAL = 1
-"""PR_SET_PDEATHSIG of linux/prctl.h."""
+_SET_DEATH_SIGNAL = 1  #: PR_SET_PDEATHSIG of linux/prctl.h.
 
 _POLL = 0.2
 """s between checks if the kernel does not notify. A judgement: little work, and a table is stopped

@@ -24,8 +24,7 @@ GENERATORS = np.array(
 )
 """Derivatives of rotations about x, y and z at zero."""
 _IDENTITY = np.eye(3)
-_NONE = 1e-20
-"""rad: replaces a zero angle in divisions; its sine is equal to it."""
+_NONE = 1e-20  #: rad: replaces a zero angle in divisions; its sine is equal to it.
 
 
 def cross_matrix(vector: Floats) -> Floats:

@@ -10,14 +10,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-NS = 1_000_000_000
-"""ns per second."""
+NS = 1_000_000_000  #: ns per second.
 
-LAST_SECOND = 2**31 - 1
-"""The last of builtin_interfaces/Time, signed 32 bits, s."""
+LAST_SECOND = 2**31 - 1  #: The last of builtin_interfaces/Time, signed 32 bits, s.
 
-YEAR_2200 = 7_258_118_400
-"""s since 1970. Stamps of 64 bits end in 2262."""
+YEAR_2200 = 7_258_118_400  #: s since 1970. Stamps of 64 bits end in 2262.
 
 _YEAR_2000, _YEAR_2200 = 946_684_800 * NS, YEAR_2200 * NS
 """Stamps outside have another epoch, usually the time when a device was switched on."""

@@ -11,22 +11,14 @@ from .errors import InputError
 
 LARGEST = 1e100
 """Largest amount of a value: none in SI units, counts or pulses is near; its square is finite."""
-DEG = math.pi / 180
-"""rad."""
-ARCMIN = DEG / 60
-"""rad."""
-ARCSEC = DEG / 3600
-"""rad."""
-DEG_H = DEG / 3600
-"""rad/s."""
-HOUR = 3600.0
-"""s."""
-STANDARD_GRAVITY = 9.80665
-"""m/s^2 (third CGPM, 1901); the unit 'g' in files."""
-MICRO_G = STANDARD_GRAVITY * 1e-6
-"""m/s^2."""
-PPM = 1e-6
-"""A ratio."""
+DEG = math.pi / 180  #: rad.
+ARCMIN = DEG / 60  #: rad.
+ARCSEC = DEG / 3600  #: rad.
+DEG_H = DEG / 3600  #: rad/s.
+HOUR = 3600.0  #: s.
+STANDARD_GRAVITY = 9.80665  #: m/s^2 (third CGPM, 1901); the unit 'g' in files.
+MICRO_G = STANDARD_GRAVITY * 1e-6  #: m/s^2.
+PPM = 1e-6  #: A ratio.
 
 _ANGLES: dict[str, float] = {'rad': 1.0, 'deg': DEG, 'arcmin': ARCMIN, 'arcsec': ARCSEC}
 """rad per unit."""
@@ -42,8 +34,7 @@ _RATES: dict[str, float] = {
     for angle, value in _ANGLES.items()
     for time, seconds in {'s': 1.0, 'min': 60.0, 'h': HOUR}.items()
 }
-_VELOCITIES = {'m/s': 1.0, 'mm/s': 1e-3}
-"""m/s per unit of a velocity."""
+_VELOCITIES = {'m/s': 1.0, 'mm/s': 1e-3}  #: m/s per unit of a velocity.
 _ROOT_HOUR = math.sqrt(HOUR)
 
 
@@ -190,8 +181,7 @@ def decimals(deviation: float) -> int:
     return min(max(1 - math.floor(math.log10(deviation)), 0), 9)
 
 
-_LISTED = 8
-"""Units that a message lists at most. A choice: more are not read."""
+_LISTED = 8  #: Units that a message lists at most. A choice: more are not read.
 
 
 def _listed(units: Mapping[str, float]) -> str:

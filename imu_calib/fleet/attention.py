@@ -346,10 +346,8 @@ def remarks(fleet: Fleet) -> str:
     return tag('h3', 'On the catalogue') + rest if rest else ''
 
 
-_BINS = 24
-"""Bins of a small distribution: 5 px each."""
-_WIDTH, _HEIGHT = 120.0, 18.0
-"""px."""
+_BINS = 24  #: Bins of a small distribution: 5 px each.
+_WIDTH, _HEIGHT = 120.0, 18.0  #: px.
 _REACH = 4.0
 """Range of a distribution to either side of the median, in robust standard deviations."""
 

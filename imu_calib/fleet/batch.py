@@ -31,8 +31,7 @@ Each addition is a file: ten hours give about six hundred. A killed client loses
 """
 _LOADS = ('imu_calib.fleet.task', 'scipy.linalg', 'scipy.optimize', 'scipy.special')
 """Modules that a calibration needs; those of scipy are loaded when something is first solved."""
-_MOST = 100
-"""Most rows that wait to be added: 70 kB each with the text of the calibration."""
+_MOST = 100  #: Most rows that wait to be added: 70 kB each with the text of the calibration.
 
 
 @dataclass(frozen=True)

@@ -43,8 +43,7 @@ _UNIT_KEY = b'unit'
 _LONGEST_NAME = 200
 """Characters of a file name: file systems take 255 bytes, endings and random parts among them."""
 _UNNAMED = 'unnamed'
-_USUAL = ('imu', 'serial', 'stand', 'status')
-"""Columns by which rows are selected most often."""
+_USUAL = ('imu', 'serial', 'stand', 'status')  #: Columns by which rows are selected most often.
 _NO_COLUMN = re.compile(r'Referenced column "([^"]+)" not found')
 """Error text of DuckDB for an unknown column."""
 _NO_DATE = datetime(1970, 1, 1, tzinfo=timezone.utc)

@@ -28,12 +28,9 @@ from .scatter import Fit, Prior, fit, line_design, sampled
 # Source: the integral equation of Crowder 1987; Lucas & Saccucci 1990 tabulate its solutions;
 # docs/history.md, 'Control charts'.
 
-_NODES = 64
-"""Nodes of the quadrature: run lengths to five digits for smoothings from 0.05 on."""
-_WIDEST = 8.0
-"""Largest limit in standard deviations: a false alarm in 1e15 sessions."""
-_HALVINGS = 50
-"""Bisections of the bracket from zero to _WIDEST: down to rounding (8 / 2^50)."""
+_NODES = 64  #: Nodes of the quadrature: run lengths to five digits for smoothings from 0.05 on.
+_WIDEST = 8.0  #: Largest limit in standard deviations: a false alarm in 1e15 sessions.
+_HALVINGS = 50  #: Bisections of the bracket from zero to _WIDEST: down to rounding (8 / 2^50).
 
 
 def ewma_std(smoothing: float) -> float:
@@ -78,8 +75,7 @@ def ewma_limit(smoothing: float, run: float) -> float:
 
 
 SIZE = len(PARAMETERS)
-_CELLS = 20_000
-"""Sessions processed together: their arrays take some 100 MB."""
+_CELLS = 20_000  #: Sessions processed together: their arrays take some 100 MB.
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,8 +326,7 @@ def signals_of(
 # Source: partial t test of a step in addition to line and steps, at every place and in every
 # parameter, the probability multiplied by their number (Bonferroni); docs/history.md, 'Steps'.
 
-_MOST = 5
-"""Most steps of one parameter: more are not steps but another course."""
+_MOST = 5  #: Most steps of one parameter: more are not steps but another course.
 _DISTINCT = 1e-6
 """Share of a step that is independent of line and steps, below which it is one of them."""
 

@@ -197,8 +197,7 @@ def _slope_variance(lines: Lines) -> Floats:
     return np.where(lines.freedom > _NO_VARIANCE, lines.covariance[..., 1, 1], np.nan)
 
 
-_NO_VARIANCE = 2
-"""Degrees of freedom up to which Student's t has no variance."""
+_NO_VARIANCE = 2  #: Degrees of freedom up to which Student's t has no variance.
 
 
 def _units(

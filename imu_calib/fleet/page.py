@@ -202,8 +202,7 @@ _UNITS = (
     + tag('nav', ' ', id='pages', class_='controls', aria_label='Pages of the table')
 )
 
-_STEPS = 3
-"""Steps of the progress: read, evaluate, write."""
+_STEPS = 3  #: Steps of the progress: read, evaluate, write.
 
 
 @checked

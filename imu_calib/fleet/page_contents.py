@@ -245,14 +245,12 @@ def count(number: int, noun: str, nouns: str = '') -> str:
 # only the precision that is shown: a page on 5000 units is read over network drives and on phones.
 
 
-NO_DAY = -(2**31)
-"""Code of a missing date."""
+NO_DAY = -(2**31)  #: Code of a missing date.
 STEP = 0.05
 """Resolution in stated deviations: of values, and of normal scores. A judgement: a pixel."""
 _CODES = 254
 """Codes of a standard deviation, in equal ratios: 2 % each for a range of a factor of 100."""
-_MANTISSA = 12
-"""Bits kept of other numbers: relative precision 1e-4."""
+_MANTISSA = 12  #: Bits kept of other numbers: relative precision 1e-4.
 _KINDS = {'u1': 'Uint8Array', 'i1': 'Int8Array', 'i4': 'Int32Array', 'f4': 'Float32Array'}
 
 

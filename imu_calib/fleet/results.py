@@ -27,8 +27,7 @@ Flags = NDArray[np.bool_]
 LEAST_SMOOTHING = 0.05
 """Smallest smoothing of an EWMA; below it run lengths are less accurate than stated."""
 
-MONTH_DAYS = 30.4375
-"""A month, one twelfth of the Julian year."""
+MONTH_DAYS = 30.4375  #: A month, one twelfth of the Julian year.
 
 
 @dataclass(frozen=True)
@@ -64,8 +63,7 @@ class Rules:
             )
 
 
-USUAL = Rules()
-"""The default rules."""
+USUAL = Rules()  #: The default rules.
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,8 +252,7 @@ class LotShift:
     chance: float  #: Probability of at least this shift between lots that do not differ.
 
 
-QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-"""Quantiles of a population that are stated."""
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)  #: Quantiles of a population that are stated.
 
 
 @dataclass(frozen=True, eq=False)

@@ -89,8 +89,7 @@ _STEPS = 50
 """Largest number of steps of Fisher scoring or of Newton, which usually converge in ten."""
 _SETTLED = 1e-9
 """Change of a variance, relative to the largest that the data allow, at which they end."""
-_LEAST = 1e-9
-"""Variance of a session that states none, relative to the variance of all."""
+_LEAST = 1e-9  #: Variance of a session that states none, relative to the variance of all.
 
 
 def between(design: Floats, stated: Floats, values: Floats) -> Floats:
@@ -214,12 +213,10 @@ def _trace(matrix: Floats) -> Floats:
 FEWEST_UNITS = 10
 """Smallest number of units with their own scatter for a distribution over the units of a type:
 fewer determine it no better than the scatter of one."""
-_SAMPLE = 400
-"""Most units used for it: more change it by less than a tenth of its width."""
+_SAMPLE = 400  #: Most units used for it: more change it by less than a tenth of its width.
 _HALVINGS = 50
 """Bisections of a bracket of twelve decades on a logarithmic scale: down to rounding."""
-_MIDDLE, _QUARTER = 0.5, 0.25
-"""Median of a uniform number, and its mean distance from it."""
+_MIDDLE, _QUARTER = 0.5, 0.25  #: Median of a uniform number, and its mean distance from it.
 _QUARTER_STD = 0.144
 """Standard deviation of the distance of a uniform number from a half: the square root of 1 / 48."""
 _ERRORS = 2.0
@@ -351,10 +348,8 @@ def _scale(each: Floats, freedom: Floats, d0: float) -> float:
 FEWEST = 15
 """Smallest number of units for the outlier test: with fewer the levels of Rosner's test do not hold
 (Rosner 1983, simulations)."""
-_SHARE, _MOST = 10, 100
-"""At most one unit in ten, and at most a hundred, may be outliers."""
-_OF_A_LOT = 2
-"""Smallest number of units in a lot, and of all others, for a test of the lot."""
+_SHARE, _MOST = 10, 100  #: At most one unit in ten, and at most a hundred, may be outliers.
+_OF_A_LOT = 2  #: Smallest number of units in a lot, and of all others, for a test of the lot.
 
 
 def robust(values: Floats) -> tuple[Floats, Floats]:

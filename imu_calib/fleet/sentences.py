@@ -14,8 +14,7 @@ from ..reports.tables import engineering
 from .results import Cause, Chart, Population, Rules, Signal, StandShift, Step, UnitHistory, day
 
 _BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
-_NAMED = 6
-"""Number of parameters that a sentence names; of further ones it states the number."""
+_NAMED = 6  #: Number of parameters that a sentence names; of further ones it states the number.
 
 
 def listed(names: Sequence[str], most: int = _NAMED) -> str:

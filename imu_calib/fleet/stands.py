@@ -40,10 +40,8 @@ _NORMAL = (
 """Mean square of normal residuals limited at that (Huber 1964, proposal 2). The scale comes
 from it and uses all degrees of freedom: the median deviation of a dozen sessions is so uncertain
 that t exceeded the limit of Student's t ten times too often."""
-_ROUNDS = 100
-"""Largest number of reweighting iterations; they end when no weight changes."""
-_SETTLED = 1e-4
-"""Change of a weight below which iterations end."""
+_ROUNDS = 100  #: Largest number of reweighting iterations; they end when no weight changes.
+_SETTLED = 1e-4  #: Change of a weight below which iterations end.
 _CROSSED_RANK = 1e-9
 """Singular values, of columns scaled to one, that count as zero: far above rounding (1e-14 with
 some hundred sessions), far below any design that separates stands (1 / sessions)."""
@@ -230,10 +228,8 @@ def patterns() -> tuple[Pattern, ...]:
 PATTERNS = patterns()
 
 
-_MOST = 20
-"""Largest number of named shifts: with more, all stands differ from each other."""
-_RANK = 1e-9
-"""Ratio of an eigenvalue of a covariance to the largest, below which it is rounding."""
+_MOST = 20  #: Largest number of named shifts: with more, all stands differ from each other.
+_RANK = 1e-9  #: Ratio of an eigenvalue of a covariance to the largest, below which it is rounding.
 _DISTINCT = 1e-6
 """Independent share of a stand's column below which the other columns determine it."""
 

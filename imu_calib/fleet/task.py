@@ -38,10 +38,8 @@ FAILED = 'failed'
 SUPERSEDED = 'superseded'
 """Status of a row whose recording was calibrated again, by other statements or another version."""
 
-DEFECT = 70
-"""Exit code of an unforeseen error (EX_SOFTWARE of sysexits.h)."""
-LOST = 137
-"""Exit code of a recording that killed its workers: 128 + SIGKILL, as in a shell."""
+DEFECT = 70  #: Exit code of an unforeseen error (EX_SOFTWARE of sysexits.h).
+LOST = 137  #: Exit code of a recording that killed its workers: 128 + SIGKILL, as in a shell.
 _FOLDERS = {'imu': 'imus', 'plan': 'plans', 'table': 'tables'}
 
 

@@ -148,8 +148,7 @@ def quantile(freedom: Floats, confidence: float) -> Floats:
 
 _GRID = np.array([0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0])
 """Shares of the horizon that bound the search for the first date."""
-_FORECAST_HALVINGS = 14
-"""Bisections of such a part: less than a day of ten years."""
+_FORECAST_HALVINGS = 14  #: Bisections of such a part: less than a day of ten years.
 
 
 @dataclass(frozen=True, eq=False)

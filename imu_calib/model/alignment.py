@@ -19,13 +19,10 @@ from ..common.units import ARCMIN
 from .parameters import RESPONSES, Parameter, indices_of
 from .sensors import SensorModel, Triad
 
-SHOWN, SCALE = 'arcmin', ARCMIN
-"""Unit in which engineers state these angles, as misalignments."""
+SHOWN, SCALE = 'arcmin', ARCMIN  #: Unit in which engineers state these angles, as misalignments.
 
-_OF_A_TRIAD = len(RESPONSES) // 2
-"""Number of responses of gyros, and of accelerometers."""
-_PAIRS = ((0, 1), (0, 2), (1, 2))
-"""Pairs of axes."""
+_OF_A_TRIAD = len(RESPONSES) // 2  #: Number of responses of gyros, and of accelerometers.
+_PAIRS = ((0, 1), (0, 2), (1, 2))  #: Pairs of axes.
 _STEP = 1e-5
 """Step of a response: truncation (third order) and rounding of the central difference are 1e-11."""
 

@@ -11,15 +11,12 @@ from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import DEG
 
-EARTH_RATE = 7.292115e-5
-"""Rotation of the Earth, rad/s (WGS 84)."""
+EARTH_RATE = 7.292115e-5  #: Rotation of the Earth, rad/s (WGS 84).
 
-LUOYANG = 34.65
-"""Latitude of the site of Cao 2022, deg: the default of simulated stands."""
+LUOYANG = 34.65  #: Latitude of the site of Cao 2022, deg: the default of simulated stands.
 
 NORMAL_GRAVITY = 'normal gravity (WGS 84)'
-MEASURED = 'measured'
-"""Source of the gravity of a site."""
+MEASURED = 'measured'  #: Source of the gravity of a site.
 
 NORMAL_GRAVITY_STD = 30e-5
 """Standard deviation of gravity from normal gravity at the same height, m/s^2: free-air anomalies
@@ -54,16 +51,11 @@ SITE_BOUNDS = {
 
 _SEMI_MAJOR_AXIS = 6378137.0
 """m. This and the next of WGS 84 (NIMA TR8350.2, third edition, chapter 3)."""
-_FLATTENING = 1 / 298.257223563
-"""Flattening, a ratio."""
-_GRAVITY_EQUATOR = 9.7803253359
-"""m/s^2, normal gravity (TR8350.2, chapter 4; the next, too)."""
-_SOMIGLIANA = 0.00193185265241
-"""k of Somigliana's formula."""
-_ECCENTRICITY_SQUARED = 0.00669437999014
-"""First eccentricity squared."""
-_CENTRIFUGAL_RATIO = 0.00344978650684
-"""Centrifugal force at the equator over gravity, m."""
+_FLATTENING = 1 / 298.257223563  #: Flattening, a ratio.
+_GRAVITY_EQUATOR = 9.7803253359  #: m/s^2, normal gravity (TR8350.2, chapter 4; the next, too).
+_SOMIGLIANA = 0.00193185265241  #: k of Somigliana's formula.
+_ECCENTRICITY_SQUARED = 0.00669437999014  #: First eccentricity squared.
+_CENTRIFUGAL_RATIO = 0.00344978650684  #: Centrifugal force at the equator over gravity, m.
 
 VAGUE = 10 * DEG
 """rad: standard deviation of a latitude that is not stated. It does not constrain gravity, which

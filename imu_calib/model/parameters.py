@@ -67,16 +67,13 @@ _NONLINEAR = 0.05
 """Ten times the nonlinearity that data sheets of cheap units state (MPU-9150: 0.5 % of full scale
 of the accelerometers, 0.2 % of the gyros)."""
 
-_BY_FORCE = 10 * DEG / STANDARD_GRAVITY
-"""s/m: 10 deg/s per g, far beyond any data sheet."""
-_GYRO_BIAS = 100 * DEG
-"""rad/s: far beyond any data sheet."""
+_BY_FORCE = 10 * DEG / STANDARD_GRAVITY  #: s/m: 10 deg/s per g, far beyond any data sheet.
+_GYRO_BIAS = 100 * DEG  #: rad/s: far beyond any data sheet.
 _ACCEL_BIAS = STANDARD_GRAVITY
 """At least five times the data sheets of the cheapest units (MPU-9150: zero-rate output 20 deg/s,
 zero-g output 0.15 g; gyros respond to acceleration by some 0.1 deg/s per g)."""
 
-_LARGE = 0.3
-"""m: ten times the usual distance between the accelerometers of a unit."""
+_LARGE = 0.3  #: m: ten times the usual distance between the accelerometers of a unit.
 
 _LATE = 0.1
 """Five times the longest delay of the low-pass filters of MEMS units, s (MPU-6050, register map,
@@ -225,8 +222,7 @@ TRIADS = {'g': 'gyro', 'a': 'accelerometer'}
 
 AXES = 'xyz'
 _SKEWED = 'stuv'
-MOST_SKEWED = len(_SKEWED)
-"""Most skewed gyros: there are no names for more."""
+MOST_SKEWED = len(_SKEWED)  #: Most skewed gyros: there are no names for more.
 
 
 @dataclass(frozen=True)

@@ -452,8 +452,7 @@ OF_MOTION = frozenset({ParameterKind.PLACE, ParameterKind.DELAY})
 """Kinds of parameters that neither static dwells nor whole turns determine."""
 
 
-MOTION = (*SIZE_EFFECT.parameters, *DELAY.parameters)
-"""The seven parameters."""
+MOTION = (*SIZE_EFFECT.parameters, *DELAY.parameters)  #: The seven parameters.
 
 
 def motion_parameters(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
@@ -528,8 +527,7 @@ _MISTAKES = {
     },
 }
 """Factor by which outputs are then too large."""
-_NEAR = 0.1
-"""Relative: scale factors of the cheapest units are 3 % off."""
+_NEAR = 0.1  #: Relative: scale factors of the cheapest units are 3 % off.
 
 
 def wrong_scale_sentences(scale: float, name: str) -> str:

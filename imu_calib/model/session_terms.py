@@ -27,8 +27,7 @@ from ..common.units import significant
 from .parameters import PARAMETERS, Parameter, ParameterKind, Unit
 
 _ALL = ('D_g', 'D_a', 'K_g', 'K_a')
-_SECONDS_PER_HOUR = 3600.0
-"""Engineers write drifts per hour."""
+_SECONDS_PER_HOUR = 3600.0  #: Engineers write drifts per hour.
 
 
 class Course(Enum):
@@ -115,8 +114,7 @@ LOOKED_FOR = (Course.TREND, Course.WARM_UP, Course.STEP)
 The temperature is also searched for if a session records one that changes.
 """
 
-SESSION_TERMS = tuple(course.value for course in Course)
-"""Names of all terms of a session."""
+SESSION_TERMS = tuple(course.value for course in Course)  #: Names of all terms of a session.
 
 
 @cache
@@ -214,8 +212,7 @@ def _changes(course: Course, name: str, *, by_name: bool) -> tuple[Change, ...]:
     return (Change(course, name, (found[0],), by_name),)
 
 
-KEY = 'session_terms'
-"""Section in calibration.yaml."""
+KEY = 'session_terms'  #: Section in calibration.yaml.
 _ROUNDED = 1e-6
 """Ratio by which a stated standard deviation may differ from that of the covariance."""
 

@@ -19,14 +19,12 @@ from ..common.units import DEG
 from .parameters import AXES, NOTHING, Parameter, ParameterKind, Product
 from .session_terms import SESSION_TERMS, Change, session_term
 
-NO_TERMS = 'none'
-"""Input that stands for the 24 parameters alone."""
+NO_TERMS = 'none'  #: Input that stands for the 24 parameters alone.
 
 AUTO_TERMS = 'auto'
 """Input that stands for the terms that the session shows, alone or among names."""
 
-REFERENCE_RATE = 60 * DEG
-"""Rate at which the coefficients of gyros' terms are stated, rad/s."""
+REFERENCE_RATE = 60 * DEG  #: Rate at which the coefficients of gyros' terms are stated, rad/s.
 
 
 @dataclass(frozen=True)

@@ -120,8 +120,7 @@ class Malformed:
 # have every field at the same offset, and a run of them is a matrix of bytes.
 
 
-ENCAPSULATION = 4
-"""Bytes of the header that states the byte order (RTPS 2.5, section 10.2)."""
+ENCAPSULATION = 4  #: Bytes of the header that states the byte order (RTPS 2.5, section 10.2).
 ORDERS = {b'\x00\x00': '>', b'\x00\x01': '<'}
 #: Headers of XCDR2: RTPS 2.5, table 10.3, and the numbers of DDS-XTypes 1.2, section 7.4.3.4.
 _XCDR2 = {bytes([0, k]) for k in (*range(0x06, 0x0C), *range(0x10, 0x16))}

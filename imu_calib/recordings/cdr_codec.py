@@ -44,8 +44,7 @@ AnyBlock = TypeVar('AnyBlock', bound=Block)
 _AFTER_STAMP = ENCAPSULATION + 8
 """Start of the frame in a header: after seconds and nanoseconds, four bytes each."""
 _STAMPS = {header: Struct(f'{order}iI') for header, order in ORDERS.items()}
-_CONTENTS = 16
-"""Setpoints cached: each is repeated until the next, on a live topic one at a time."""
+_CONTENTS = 16  #: Setpoints cached: each is repeated until the next, on a live topic one at a time.
 _LAST: dict[Callable[[bytes], Layout], Layout] = {}
 """Layout of the last messages of each parser: those of a recording are alike, chunk after chunk.
 All that a parser depends on is in the layout's fixed bytes and its size."""
@@ -322,8 +321,7 @@ def _mode(value: int) -> Mode:
 #
 # A stamp that does not fit a header raises CdrError.
 
-_FIRST_SECOND = -LAST_SECOND - 1
-"""The first of builtin_interfaces/Time, signed 32 bits, s."""
+_FIRST_SECOND = -LAST_SECOND - 1  #: The first of builtin_interfaces/Time, signed 32 bits, s.
 
 PULSES = (-1.0, -1.0, -1.0)
 """First elements of the three covariances of a message of pulse counts: filters reject them."""

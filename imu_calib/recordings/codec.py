@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
 _ZSTD_MODULES = ('compression.zstd', 'backports.zstd', 'zstandard')
 """Python's own from 3.14 on, the same for earlier ones, and what Ubuntu 24.04 has."""
-_BLOCK = 1 << 20
-"""Bytes of a file read at once."""
+_BLOCK = 1 << 20  #: Bytes of a file read at once.
 _FED = 1 << 11
 """Bytes of a file unpacked at once, to 64 MiB at most: a block of zstd has 4 bytes or more and
 unpacks to 128 KiB or less (RFC 8878, 3.1.1.2)."""

@@ -10,8 +10,7 @@ from ..common.errors import InputError
 from ..common.files import message_folder
 
 _OWN = 'imu_calib_msgs'
-_RULE = '=' * 80
-"""Line between two definitions (MCAP, well-known schema encoding 'ros2msg')."""
+_RULE = '=' * 80  #: Line between two definitions (MCAP, well-known schema encoding 'ros2msg').
 _PRIMITIVES = frozenset(
     {'bool', 'byte', 'char', 'string', 'wstring', 'float32', 'float64'}
     | {f'{sign}int{bits}' for sign in ('', 'u') for bits in (8, 16, 32, 64)}

@@ -17,10 +17,8 @@ from .cdr import Bytes, Indices
 from .storage import Described, seconds
 
 MAGIC = b'\x89MCAP0\r\n'
-RECORD_HEAD = 9
-"""Bytes of opcode and length before each record (MCAP specification)."""
-MESSAGE_HEAD = 22
-"""Bytes before the data of a Message: channel, sequence, log time, publish time."""
+RECORD_HEAD = 9  #: Bytes of opcode and length before each record (MCAP specification).
+MESSAGE_HEAD = 22  #: Bytes before the data of a Message: channel, sequence, log time, publish time.
 FOOTER_SIZE = RECORD_HEAD + 20 + len(MAGIC)
 """Bytes from the Footer to the end of a file: two offsets and a checksum, then the magic."""
 

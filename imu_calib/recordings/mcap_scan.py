@@ -35,8 +35,7 @@ from .storage import Losses, RecordingError, Times
 
 ByteFile: TypeAlias = FileIO | BufferedIOBase
 
-_WINDOW = 1 << 22
-"""Bytes read at once of messages outside chunks."""
+_WINDOW = 1 << 22  #: Bytes read at once of messages outside chunks.
 _FEWEST_ZEROS = 32
 """Bytes: fewer at the end of a chunk may be its own, of compressed data or of the last message."""
 _SMALL = frozenset({Op.SCHEMA, Op.CHANNEL, Op.METADATA})

@@ -15,11 +15,9 @@ from .remote import AnyPath
 from .storage import Topic
 
 NAME = 'metadata.yaml'
-VERSION = 9
-"""Version of metadata.yaml as written by rosbag2 of Jazzy."""
+VERSION = 9  #: Version of metadata.yaml as written by rosbag2 of Jazzy.
 _KEY = 'rosbag2_bagfile_information'
-_TEXTS = 4
-"""Texts cached: a recording has two, and may be compared with another."""
+_TEXTS = 4  #: Texts cached: a recording has two, and may be compared with another.
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,11 @@ from .cdr_codec import part
 from .codec import ZSTD_MAGIC
 from .storage import MessageBatch, Times
 
-_HELD = 64 << 20
-"""Bytes of messages that wait for earlier ones: minutes of an IMU. A judgement."""
+_HELD = 64 << 20  #: Bytes of messages that wait for earlier ones: minutes of an IMU. A judgement.
 _TURNS = 3
 """Pieces per ascending run up to which a sequence was shuffled: of messages that were exchanged by
 pairs there are three per run. More are two runs that take turns."""
-_FEW = 8
-"""Pieces more than that: messages that come milliseconds late. A judgement."""
+_FEW = 8  #: Pieces more than that: messages that come milliseconds late. A judgement.
 _LEAST_PIECE = 4
 """Messages per piece of two runs that were shuffled: of a clock that was set back single ones take
 turns. A judgement."""
@@ -37,10 +35,8 @@ itself, not set back. Of a clock that was set back by all of its time it is two.
 _TWICE = 2.0
 """Median parts that are there twice from which on the clock was set back: the parts at its ends
 hold both times. A judgement."""
-_SLIGHT = 0.25
-"""Of a median part: topics are logged later than others by less. A judgement."""
-_STAMP = 12
-"""Bytes of a message up to the end of the stamp in its header: encapsulation, s, ns."""
+_SLIGHT = 0.25  #: Of a median part: topics are logged later than others by less. A judgement.
+_STAMP = 12  #: Bytes of a message up to the end of the stamp in its header: encapsulation, s, ns.
 
 
 def time_order(starts: Stamps, ends: Stamps) -> Indices | None:
@@ -194,8 +190,7 @@ def _select_times(several: list[Times], rows: slice | Indices) -> Times:
 
 # Samples that come in another order than their stamps, as over UDP or from two threads: sorted.
 
-HELD = 4096
-"""Samples among which is sorted: 0.2 MB."""
+HELD = 4096  #: Samples among which is sorted: 0.2 MB.
 _AT_ONCE = 16 * HELD  #: Samples that are looked at for whether they need sorting.
 _FARTHEST = 0.1
 """Of these, the places by which a sample may be out of order: a tenth of a second at 4 kHz, 4 s at
@@ -289,18 +284,12 @@ class StampSorter:
 
 
 Numbers = TypeVar('Numbers', NDArray[np.int64], NDArray[np.float64])
-_PAIRS_HELD = 4096
-"""Pairs held: a choice between memory and the time that bursts may last."""
-_PARTS = 4
-"""Of a recording, each with a rate of its own: a clock that is set spoils one of them."""
-_PAIRS = 48
-"""Pairs of a part that are compared, each with each: more would not resolve more."""
-_FEWEST = 8
-"""Pairs of a part: fewer do not show its scatter. A judgement."""
-_PLACES = 256
-"""Pairs between which log times may step: their distance is the resolution."""
-_BESIDE = 5
-"""Pairs on either side of a step, of which the medians count. A judgement."""
+_PAIRS_HELD = 4096  #: Pairs held: a choice between memory and the time that bursts may last.
+_PARTS = 4  #: Of a recording, each with a rate of its own: a clock that is set spoils one of them.
+_PAIRS = 48  #: Pairs of a part that are compared, each with each: more would not resolve more.
+_FEWEST = 8  #: Pairs of a part: fewer do not show its scatter. A judgement.
+_PLACES = 256  #: Pairs between which log times may step: their distance is the resolution.
+_BESIDE = 5  #: Pairs on either side of a step, of which the medians count. A judgement.
 _STEP = 0.5
 """s: smaller steps of log times are also those of messages that come late. A judgement."""
 _SHORTEST = 10.0

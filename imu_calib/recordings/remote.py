@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 Result = TypeVar('Result')
 
-TRIES = 3
-"""Tries of a request: a connection may be lost once, but three times is an error."""
+TRIES = 3  #: Tries of a request: a connection may be lost once, but three times is an error.
 PAUSE = 0.5
 """s before the second try; doubled before the third: about the restart time of a server."""
 

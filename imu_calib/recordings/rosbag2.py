@@ -185,10 +185,8 @@ def _unpack(path: AnyPath, scratch: Scratch, losses: Losses) -> Path:
     return target
 
 
-CACHE_BYTES = 48 << 20
-"""Bytes of chunks kept decompressed while topics are read side by side."""
-_HASH_BLOCK = 1 << 20
-"""Bytes hashed at once."""
+CACHE_BYTES = 48 << 20  #: Bytes of chunks kept decompressed while topics are read side by side.
+_HASH_BLOCK = 1 << 20  #: Bytes hashed at once.
 _LARGEST_MESSAGE = 1 << 28
 """Bytes of a message that is compressed by itself. A judgement: an image of 8K has 100 million."""
 

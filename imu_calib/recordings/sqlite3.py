@@ -19,15 +19,12 @@ from .metadata_yaml import custom_data_of
 from .order import LogOrder, time_order
 from .storage import Cache, Described, Losses, MessageBatch, RecordingError, Times, Topic
 
-LAST_ROW = 2**63 - 1
-"""The largest row id (SQLite file format, section 2.1)."""
+LAST_ROW = 2**63 - 1  #: The largest row id (SQLite file format, section 2.1).
 # Python decodes SQLite's own messages as text, which fails for damaged names; a damaged length can
 # request more memory than there is.
 DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError, MemoryError)
-_MIN_ROWS, _MAX_ROWS = 2048, 65536
-"""Rows of a query; a choice between memory and calls."""
-_Row = tuple[Any, ...]
-"""Log time and data, as stored in the file."""
+_MIN_ROWS, _MAX_ROWS = 2048, 65536  #: Rows of a query; a choice between memory and calls.
+_Row = tuple[Any, ...]  #: Log time and data, as stored in the file.
 
 
 class RowQueries:
@@ -181,8 +178,7 @@ def _messages(rows: list[_Row]) -> Messages:
     return Messages.join([row[1] if isinstance(row[1], bytes) else b'' for row in rows])
 
 
-_HEADER = 100
-"""Bytes of the header of a database (SQLite file format, section 1.3)."""
+_HEADER = 100  #: Bytes of the header of a database (SQLite file format, section 1.3).
 _MAGIC = b'SQLite format 3\x00'
 # All versions of the schema have these; later ones add columns and tables.
 _EXPECTED = {
@@ -191,16 +187,14 @@ _EXPECTED = {
 }
 _STEP = 10_000
 """Operations of SQLite's machine between looks at its work: some tenths of a millisecond."""
-_LEAST_STEPS = 1000
-"""Steps for any file: some tenths of a second."""
+_LEAST_STEPS = 1000  #: Steps for any file: some tenths of a second.
 _PER_BYTE = 10
 """Operations for each byte of a file: a row of 25 bytes, the shortest of a message, takes 30."""
 _APART = 1 << 18
 """Bytes between the rows that show whether a file is in order: less than are read at once."""
 _FEWEST_PLACES, _MOST_PLACES = 8, 4096
 """Numbers of such rows: a choice between what is noticed and time."""
-_AS_IT_LIES = np.arange(1)
-"""Order of a file that is one piece."""
+_AS_IT_LIES = np.arange(1)  #: Order of a file that is one piece.
 
 
 class SqliteStorage:

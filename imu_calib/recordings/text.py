@@ -25,8 +25,7 @@ _CONTROLS = re.compile(rb'[\x00-\x08\x0e-\x1f]')
 """Bytes that no text has, in any code page of one byte per character."""
 _LABEL = re.compile(r'(?:(?<=[\s,;])|^)([^\W\d][\w.]*)\s*[:=]\s*(?=[-+.\d])')
 """Name before a number in its field, as 'ax: 0.1' and 'ax=0.1' for a plotter of serial lines."""
-_LABELLED = 0.9
-"""Least share of lines with the same labels: others are broken lines. A judgement."""
+_LABELLED = 0.9  #: Least share of lines with the same labels: others are broken lines. A judgement.
 _SENSOR = re.compile(r'(?:^|[,;\s])"?((?:gyr|acc)[a-z]*)"?(?=[,;\s]+"?[-+.\d])', re.IGNORECASE)
 """Name of a sensor as a field of a row, before a number."""
 _OF_SENSOR = 0.05

@@ -301,8 +301,7 @@ def _disk_errors_in_words(path: Path) -> Iterator[None]:
         raise RecordingError(unwritable(path, error)) from None
 
 
-FINISHED = 'imu_calib.finished'
-"""Entry of a journal whose session is complete."""
+FINISHED = 'imu_calib.finished'  #: Entry of a journal whose session is complete.
 
 _HELD = 512 << 20
 """Most bytes held while the disk is full: 25 minutes of 1 kHz; more could crash the machine."""

@@ -26,10 +26,8 @@ from .stamps import MISSES_ONE, read_grid
 from .statistics import Samples, gap_free, to_samples
 from .stream_facts import StreamFacts
 
-_PIECE_SECONDS = 120.0
-"""s: two minutes show what is usual, and are a few MB."""
-_LEAST_PIECE, _LARGEST_PIECE = 1 << 13, 1 << 18
-"""Samples of a piece, whatever the rate."""
+_PIECE_SECONDS = 120.0  #: s: two minutes show what is usual, and are a few MB.
+_LEAST_PIECE, _LARGEST_PIECE = 1 << 13, 1 << 18  #: Samples of a piece, whatever the rate.
 _FIRST_SAMPLES = 4096  #: Samples that show the interval before the first piece.
 _ALONGSIDE = 64  #: Samples before a piece that show whether one is missing at its start.
 _WINDOW_SECONDS = 1.0  #: s: means of a second show a knock, and average noise out.

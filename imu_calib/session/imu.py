@@ -22,8 +22,7 @@ from ..model.parameters import TRIADS, Parameter, ParameterKind
 # Limits of a unit's parameters by its specification, and the verdict on a value.
 
 
-GENERIC = 'si'
-"""Id of the supplied description of any unit that publishes SI units."""
+GENERIC = 'si'  #: Id of the supplied description of any unit that publishes SI units.
 COVERAGE = 2.0
 """Standard deviations on both sides of a value within which the truth is assumed to lie (95 %)."""
 
@@ -364,10 +363,8 @@ def check_live(spec: ImuSpec) -> None:
 
 # The noise of a channel as a value and in files, and its units in data sheets.
 
-_SIGNIFICANT = 2.0
-"""Standard deviations above which a coefficient is stated; below, a limit is."""
-_NINETY_FIVE = 1.645
-"""One-sided standard deviations of 95 percent."""
+_SIGNIFICANT = 2.0  #: Standard deviations above which a coefficient is stated; below, a limit is.
+_NINETY_FIVE = 1.645  #: One-sided standard deviations of 95 percent.
 
 
 @dataclass(frozen=True)
@@ -459,18 +456,15 @@ class TriadUnits:
     rate_scale: float  #: Its SI value.
 
 
-_ROOT_HOUR = HOUR**0.5
-"""sqrt(s)."""
+_ROOT_HOUR = HOUR**0.5  #: sqrt(s).
 TRIAD_NAMES = (
     TriadUnits('gyro', ('gx', 'gy', 'gz'), 'deg/sqrt(h)', DEG / _ROOT_HOUR, 'deg/h', DEG_H),
     TriadUnits('accelerometer', ('ax', 'ay', 'az'), '(m/s)/sqrt(h)', 1 / _ROOT_HOUR, 'ug', MICRO_G),
 )
 
 
-KEY = 'clock'
-"""Section in calibration.yaml."""
-_LARGEST = 0.1
-"""Largest plausible rate error of a clock; the simulator has the same limit."""
+KEY = 'clock'  #: Section in calibration.yaml.
+_LARGEST = 0.1  #: Largest plausible rate error of a clock; the simulator has the same limit.
 _NOTICED = 0.05 * PPM
 """Smallest rate error that an interval is corrected for by hand: it rounds to 0.1 ppm, a tenth of
 what the scale factors of the best gyros are known to."""

@@ -41,14 +41,11 @@ Kind = TypeVar('Kind')
 Arguments = ParamSpec('Arguments')
 Returned = TypeVar('Returned')
 
-Named: TypeAlias = str | Path
-"""The name of a supplied file, or the path of one."""
+Named: TypeAlias = str | Path  #: The name of a supplied file, or the path of one.
 
-NO_PLAN = 'none'
-"""Value for a plan if none was run, or if the recording's own must not be used."""
+NO_PLAN = 'none'  #: Value for a plan if none was run, or if the recording's own must not be used.
 
-DEFAULT_TERMS = AUTO_TERMS
-"""Of `terms`: those that the session shows."""
+DEFAULT_TERMS = AUTO_TERMS  #: Of `terms`: those that the session shows.
 
 _TERM_CHOICES = (
     f'{AUTO_TERMS}, those that the session shows; {NO_TERMS}; or of '

@@ -21,18 +21,13 @@ from .table import Table
 if TYPE_CHECKING:
     from .plan import Plan
 
-PREFIX = 'imu_calib.'
-"""Of the keys of a recording's own entries."""
-SERIAL_NUMBER = f'{PREFIX}serial_number'
-"""The unit's serial number."""
+PREFIX = 'imu_calib.'  #: Of the keys of a recording's own entries.
+SERIAL_NUMBER = f'{PREFIX}serial_number'  #: The unit's serial number.
 LEFT_OUT = f'{PREFIX}left_out'
 """The units that were left out of a session of several: their names, with commas."""
-COMPENSATED = f'{PREFIX}compensated'
-"""The calibration file by which a recording was compensated."""
-PLAN, IMU = f'{PREFIX}plan', f'{PREFIX}imu'
-"""The texts of the files of plan and IMU."""
-TABLE = f'{PREFIX}table'
-"""The text of the table's file; empty if there is none."""
+COMPENSATED = f'{PREFIX}compensated'  #: The calibration file by which a recording was compensated.
+PLAN, IMU = f'{PREFIX}plan', f'{PREFIX}imu'  #: The texts of the files of plan and IMU.
+TABLE = f'{PREFIX}table'  #: The text of the table's file; empty if there is none.
 _INTERPOLATED = f'{PREFIX}accel_interpolated_from_hz'
 _LATITUDE, _LATITUDE_STD = f'{PREFIX}latitude_deg', f'{PREFIX}latitude_std_deg'
 _HEIGHT = f'{PREFIX}height'

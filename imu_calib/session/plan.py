@@ -42,8 +42,7 @@ METHOD_NAMES = (
 BODY_AXES = {'X': np.array([1.0, 0, 0]), 'Y': np.array([0, 1.0, 0]), 'Z': np.array([0, 0, 1.0])}
 
 
-BY_HAND = 'by hand'
-"""Variant of the keys of a rate test."""
+BY_HAND = 'by hand'  #: Variant of the keys of a rate test.
 
 
 def read_rates(section: Section, name: str) -> tuple[float, ...]:
@@ -206,8 +205,7 @@ UNPLANNED = Plan('', 'whatever the table did', '', 'joint', ())
 states, and dwells and turns are named by them."""
 
 
-_DAY = 86400.0
-"""s."""
+_DAY = 86400.0  #: s.
 _LONGEST = 30 * _DAY
 """s of all dwells: longer than any session; that of hours in place of seconds is beyond it."""
 

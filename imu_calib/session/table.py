@@ -27,20 +27,16 @@ from .table_errors import (
     read_deviation,
 )
 
-TURN = 2 * math.pi
-"""rad."""
-_UP = np.array([0.0, 0.0, 1.0])
-"""Up, in east, north, up."""
-_REACH_TOLERANCE = 1e-6
-"""rad: rounding of rotation matrices in plans."""
+TURN = 2 * math.pi  #: rad.
+_UP = np.array([0.0, 0.0, 1.0])  #: Up, in east, north, up.
+_REACH_TOLERANCE = 1e-6  #: rad: rounding of rotation matrices in plans.
 FARTHEST = 1e6 * TURN
 """rad: larger encoder angles are refused, of continuous joints too. Beyond, two neighbouring
 doubles are further apart than 1e-9 rad, the rounding of `Table.check`."""
 _PARALLEL = 1e-7
 """rad between two axes that count as one: the other joint's angle then has the rounding of
 matrices, 1e-16, over this."""
-_NO_AMPLITUDE = 1e-12
-"""Of an equation a cos x + b sin x = c: below, x has no effect but rounding."""
+_NO_AMPLITUDE = 1e-12  #: Of an equation a cos x + b sin x = c: below, x has no effect but rounding.
 _WORST_CLOCK = 1e-3
 """Ten times the largest error of plain quartz: a larger number is in another unit."""
 _LETTERS = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
@@ -505,8 +501,7 @@ ASSUMED = {
     if declared.read is read_deviation
 }
 """Standard deviations assumed where a table's file states none, by key, rad: its defaults."""
-_ROUNDING = 1e-9
-"""Relative tolerance for a number read with its unit."""
+_ROUNDING = 1e-9  #: Relative tolerance for a number read with its unit.
 
 
 @checked
@@ -529,8 +524,7 @@ def read_table(section: Section) -> Table:
 
 # Motion of a table at its limits: travel times, and courses of piecewise constant acceleration.
 
-_SAME_INSTANT = 1e-9
-"""s: one nanosecond, the resolution of stamps."""
+_SAME_INSTANT = 1e-9  #: s: one nanosecond, the resolution of stamps.
 
 
 def travel_time(distance: float, rate: float, acceleration: float) -> float:

@@ -26,14 +26,10 @@ TOPIC = rf'/?{_NAME}(/{_NAME})*'
 """Names of topics (ROS 2 design, "Topic and Service name mapping") allowed in a file."""
 SERIAL = r'[^/\\\x00-\x1f.][^/\\\x00-\x1f]*'
 """Serial numbers that can be file names: bringup finds a calibration by it."""
-TRUTHS = 'truths'
-"""Folder of the true parameters of simulated units, SERIAL.yaml each."""
-PULSES = 'imu/pulses'
-"""Topic of a unit's samples, in its namespace."""
-_NO_NAME = re.compile(r'[^A-Za-z0-9_]')
-"""Characters not allowed in a ROS name."""
-_FASTEST_LINE = 10_000_000
-"""bit/s: more than any serial port has."""
+TRUTHS = 'truths'  #: Folder of the true parameters of simulated units, SERIAL.yaml each.
+PULSES = 'imu/pulses'  #: Topic of a unit's samples, in its namespace.
+_NO_NAME = re.compile(r'[^A-Za-z0-9_]')  #: Characters not allowed in a ROS name.
+_FASTEST_LINE = 10_000_000  #: bit/s: more than any serial port has.
 MOST_UNITS = 256
 """Most units of a session: each topic needs a reader, and no table has room for more."""
 
