@@ -60,17 +60,7 @@ rates of a supplied plan differ by a quarter or more."""
 def unsupported_steps(
     session: Segmented, labelled: Labelled, plan: Plan, steps: tuple[Step, ...]
 ) -> tuple[int, ...]:
-    """Return the steps whose setpoints were seen without sufficient data.
-
-    Args:
-        session: Contents of the streams.
-        labelled: Its segments by name.
-        plan: The plan that is run.
-        steps: Its steps on the table; none without one, since nothing can be repeated.
-
-    Returns:
-        Indices of steps, ascending; the current step is among them until it is done.
-    """
+    """Return the indices of steps seen without sufficient data, ascending, with the current one."""
     seen = [s.step for s in session.setpoints if s.plan == plan.name and s.mode is not Mode.HOLD]
     # Steps are run in order: one whose setpoints were lost with all else was run as well.
     last = max(seen, default=-1)

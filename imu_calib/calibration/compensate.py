@@ -514,11 +514,7 @@ class GravitySeen:
         return math.sqrt(max(self.squares, 0.0) / self.count)
 
     def contradiction(self, imu: ImuSpec) -> str:
-        """Return a sentence that the samples, at least one, do not match the calibration.
-
-        Args:
-            imu: As the calibration describes it.
-        """
+        """Return a sentence that the samples, at least one, do not match the calibration."""
         return (
             f'The accelerations are {self._force:.3g} m/s^2 on average, expected gravity, '
             f'{STANDARD_GRAVITY:.2f} m/s^2: the samples are not in the units of the calibration '
@@ -579,11 +575,7 @@ class TurnsSeen:
         return scale is not None and not 1 / SCALE_LIMIT < scale < SCALE_LIMIT
 
     def contradiction(self, imu: ImuSpec) -> str:
-        """Return a sentence that the samples do not match the calibration.
-
-        Args:
-            imu: As the calibration describes it.
-        """
+        """Return a sentence that the samples do not match the calibration."""
         return wrong_turns_sentences(
             self.scale or math.nan,
             f'the samples are not in the units of the calibration ({imu.units.value})',

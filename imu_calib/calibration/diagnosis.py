@@ -54,12 +54,7 @@ class Hypothesis:
 
 
 def mistakes(sensors: Sensors, values: Floats) -> Iterator[Hypothesis]:
-    """Yield common mistakes in a calibration file, the likely first.
-
-    Args:
-        sensors: Gyros or accelerometers.
-        values: (p,) of their parameters in the file.
-    """
+    """Yield common mistakes in the parameters (p,) of one kind of sensors, the likely first."""
     for found in (_matrices, _terms, _biases, _units, _axes):
         yield from found(sensors, values)
 

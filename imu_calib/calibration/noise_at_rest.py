@@ -222,12 +222,7 @@ class NoiseAtRest:
 
 
 def noise_at_rest(rest: LongRest, imu: str) -> NoiseAtRest:
-    """Estimate the noise of every channel.
-
-    Args:
-        rest: What the record contains.
-        imu: What the unit is called.
-    """
+    """Estimate the noise of every channel."""
     channels = {
         name: found for c, name in enumerate(CHANNELS) if (found := _channel(rest, c)) is not None
     }

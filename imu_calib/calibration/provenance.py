@@ -277,13 +277,7 @@ _FOLLOWS = (
 def budget_document(
     budget: Budget, parameters: Sequence[Parameter], known: NDArray[np.bool_]
 ) -> dict[str, Any]:
-    """Return the mapping of a budget in a file.
-
-    Args:
-        budget: Of n parameters.
-        parameters: Their names.
-        known: (n,) mask of the estimated ones; the others are left out.
-    """
+    """Return the mapping of a budget in a file: of the `known` (n,) parameters alone."""
 
     def row(values: Floats) -> list[float]:
         return [float(v) for v in values[known]]

@@ -379,11 +379,7 @@ class _Bunch:
 
 
 class WholeStream:
-    """Collect the stamps of a recording's samples without repeats; 8 bytes each.
-
-    Args:
-        rate: Samples per second as stated; None if not stated.
-    """
+    """Collect the stamps of a recording's samples without repeats; 8 bytes each."""
 
     def __init__(self, rate: float | None) -> None:
         self._shared = SharedStamps(rate)

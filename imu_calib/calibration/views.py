@@ -48,13 +48,7 @@ _HEIGHT = 4.2  #: Height of a row of panels, and width of a panel, inches.
 def compared_frame(
     parameters: Sequence[Parameter], shown: dict[str, Floats], plain: dict[str, Floats]
 ) -> pandas.DataFrame:
-    """Return columns by parameter: some in the unit of each, some without one.
-
-    Args:
-        parameters: n of them.
-        shown: (n,) by the heading of the column, SI units.
-        plain: (n,) without a unit.
-    """
+    """Return columns (n,) by parameter: `shown`, SI, in the unit of each, `plain` without one."""
     require('pandas', 'A data frame', 'dataframe')
     import pandas as pd
 
@@ -113,14 +107,7 @@ def labelled(
 
 
 def parameter_page(title: str, parameters: Sequence[Parameter], values: Floats, std: Floats) -> str:
-    """Return parameters as a table of HTML, gyros beside accelerometers, in a notebook's colours.
-
-    Args:
-        title: Above the table.
-        parameters: n of them.
-        values: (n,) SI units.
-        std: (n,) likewise; one that was not estimated is left out.
-    """
+    """Return (n,) parameters, SI units, as a table of HTML in a notebook's colours, gyros first."""
     columns: dict[str, list[str]] = {letter: [] for letter in _TRIADS}
     for parameter, value, deviation in zip(parameters, values, std, strict=True):
         # A zero that is exact is a choice of axes.
@@ -216,13 +203,7 @@ def draw_noise(unit_name: str, seen: Mapping[str, ChannelNoise]) -> Figure:
 
 
 def draw_differences(title: str, parameters: Sequence[Parameter], normalised: Floats) -> Figure:
-    """Draw differences over their standard deviations, by parameter.
-
-    Args:
-        title: Above the axes.
-        parameters: n of them.
-        normalised: (n,); NaN is not drawn.
-    """
+    """Draw differences (n,) over their standard deviations, by parameter, but NaN."""
     names = [p.name for p in parameters]
     figure = empty_figure(0.3 * len(names) + 2, _HEIGHT)
     axes = figure.subplots()
@@ -237,14 +218,7 @@ def draw_differences(title: str, parameters: Sequence[Parameter], normalised: Fl
 def draw_columns(
     title: str, stamp: Stamps, columns: Mapping[str, Floats], units: Mapping[str, str]
 ) -> Figure:
-    """Draw columns over time, with a panel for each quantity: their names up to the point.
-
-    Args:
-        title: Above the panels.
-        stamp: (n,) ns.
-        columns: (n,) each, by name.
-        units: By name, if there is one.
-    """
+    """Draw columns (n,) over stamps, ns, with a panel for each quantity: names up to the point."""
     quantities: dict[str, list[str]] = {}
     for name in columns:
         quantities.setdefault(name.partition('.')[0], []).append(name)

@@ -209,12 +209,9 @@ class _Version(argparse.Action):
 
 
 def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
-    """Return the parser of all subcommands, with the options of the needed ones.
+    """Return the parser of all commands, with the options of those in a line, or of all.
 
     Loading a subcommand takes longer than most of them run.
-
-    Args:
-        argv: The command line; None adds the options of every subcommand.
     """
     parser = _Parser(prog='imu-calib', description='Calibrate strapdown IMUs on a turntable.')
     parser.add_argument('--version', action=_Version, nargs=0, help='print the version, and end')
@@ -235,23 +232,14 @@ def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
 
 
 def complete(line: str) -> None:
-    """Answer a shell that asks how to go on with a line; ends the process.
-
-    Args:
-        line: As typed so far.
-    """
+    """Answer a shell that asks how to go on with a line as typed so far; ends the process."""
     import argcomplete
 
     argcomplete.autocomplete(build_parser(line.split()[1:]), always_complete_options='long')
 
 
 def run(argv: Sequence[str], *, alone: bool) -> int:
-    """Run a command line; return its exit code (`EXIT_CODES`).
-
-    Args:
-        argv: Its words.
-        alone: Whether this process has no other task.
-    """
+    """Run a command line, `alone` in its process; return its exit code (`EXIT_CODES`)."""
     # A wrong option is found before it is known which options there are.
     as_json = JSON in argv
     OUTPUT.stderr = as_json

@@ -137,12 +137,7 @@ def node_parameters(
 
 
 def simulated_port(first: int, place: int = 0) -> str:
-    """Return the URL of a simulated device's line.
-
-    Args:
-        first: TCP port of the first device; 0 if the lines are within this process.
-        place: Of the device among several.
-    """
+    """Return the URL of a simulated device's line: a TCP port from `first` on, or this process."""
     return f'socket://127.0.0.1:{first + place}' if first else f'{SCHEME}{place}'
 
 

@@ -12,10 +12,6 @@ class ImuCalibError(Exception):
     """Root of all errors that this package raises deliberately; the text is for the user.
 
     It names a keyword, or a parameter of a node, as `imu_topic`: the command line has --imu-topic.
-
-    Args:
-        cause: What is wrong, and what to do.
-        details: What else was seen, in sentences.
     """
 
     exit_code = 2

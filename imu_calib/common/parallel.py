@@ -201,12 +201,6 @@ def outcomes(
 
     Tasks are submitted as there is room. If a scheduler is lost and returns within a minute, its
     tasks are submitted again.
-
-    Args:
-        client: Of a scheduler.
-        function: Of a task and the shared arguments.
-        tasks: Any number.
-        shared: Further arguments, the same for each task: sent to each worker once.
     """
     from distributed import as_completed
 

@@ -99,13 +99,9 @@ class _Part:
 
 
 class Catalogue:
-    """A catalogue on disk.
+    """A catalogue on disk in a folder, made if it may be created.
 
     Several clients may add to it at the same time: a lock serialises them, and a row is added once.
-
-    Args:
-        folder: Its folder.
-        create: Create it if it does not exist.
 
     Raises:
         InputError: There is none, it is of a newer version, or pyarrow is not installed.

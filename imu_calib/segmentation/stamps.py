@@ -92,12 +92,9 @@ def pattern(stamp: Stamps) -> Pattern | None:
 
 
 def usual_interval(stamp: Stamps) -> tuple[float, float]:
-    """Return the sample interval within a percent or so, ns, and the share of short steps.
+    """Return the interval of stamps (n,), ns, to a percent or so, and the share of short steps.
 
     The interval is the median of the steps that are not short; a queue has few of these.
-
-    Args:
-        stamp: (n,) ns, at least 2.
     """
     steps = np.diff(stamp)
     lag = min(LAG, -(-len(steps) // 2))
@@ -378,12 +375,7 @@ class SampleGrid:
 
 
 def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
-    """Fit equal intervals to stamps.
-
-    Args:
-        stamp: (n,) ns, increasing, at least 2.
-        hint: Sample interval as far as it is known, s.
-    """
+    """Fit equal intervals, about `hint`, s, where known, to increasing stamps (n,), ns."""
     if (ticks := _grid_of_ticks(stamp)) is not None:
         return ticks
     time = (sampling_times(stamp)[0] - stamp[0]) * 1e-9
@@ -513,12 +505,7 @@ def _grid_of_ticks(stamp: Stamps) -> SampleGrid | None:
 
 
 def _shares_ticks(advances: NDArray[np.intp], counts: Floats) -> bool:
-    """Return whether samples share a stamp a tick after the one before: no queue does that.
-
-    Args:
-        advances: (m,) steps that are not short.
-        counts: (n,) ticks of each step.
-    """
+    """Return whether samples share a stamp a tick after the one before: no queue does that."""
     after_one = np.diff(advances)[counts[advances[:-1]] == 1]
     shared = np.count_nonzero(after_one > 1)
     return bool(shared >= max(_UNEVEN, _SHARED * len(after_one)))

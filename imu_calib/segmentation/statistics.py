@@ -99,14 +99,7 @@ class Samples:
 
 
 def to_samples(stamp: Stamps, values: Floats, spec: ImuSpec, period: float) -> Samples:
-    """Scale what a sensor delivers to increments in SI.
-
-    Args:
-        stamp: (n,) ns.
-        values: (n, 6) gyro and accelerometer columns as delivered.
-        spec: Meaning of their numbers.
-        period: Sample interval, s.
-    """
+    """Scale (n, 6) values as a sensor delivers them to increments in SI, by its interval, s."""
     scale = spec.scale
     if not spec.units.per_interval:
         increments = values * (scale * period)
@@ -143,15 +136,7 @@ def sample_period(stamp: Stamps) -> float:
 
 
 def gap_free(stamp: Stamps, period: float) -> list[tuple[int, int]]:
-    """Split stamps into runs without a missing sample.
-
-    Args:
-        stamp: (n,) ns, increasing.
-        period: Sample interval, s.
-
-    Returns:
-        Half-open index ranges.
-    """
+    """Split stamps, ns, into half-open ranges without a missing sample, by the interval, s."""
     steps = np.diff(stamp) * 1e-9
     if float(steps.max(initial=0.0)) <= MISSES_ONE * period:
         return [(0, len(stamp))]
@@ -468,12 +453,7 @@ class Sensor:
         return replace(samples, timing=timing) if self.counted else samples
 
     def saturated(self, values: Floats, samples: Samples) -> NDArray[np.bool_]:
-        """Return for every sample, (n,), whether a channel is at the end of its range.
-
-        Args:
-            values: (n, 6) as the sensor gives them.
-            samples: The same in SI units.
-        """
+        """Return for each sample (n,) whether a channel is at the end of its range."""
         limits = np.repeat([self.spec.gyro.range, self.spec.accel.range], 3) * samples.period
         ends = np.repeat(self.spec.least_ends, 3) * samples.period
         clipped = np.zeros(len(values), dtype=bool)
@@ -532,9 +512,6 @@ class Rounding:
 
     The resolution of pulses and counts is part of their noise: those are only tested for values
     that are no whole numbers.
-
-    Args:
-        spec: The IMU.
     """
 
     def __init__(self, spec: ImuSpec) -> None:
@@ -547,11 +524,7 @@ class Rounding:
         self._has_fractions = False
 
     def check_dwell(self, values: Floats) -> None:
-        """Add the samples of a static dwell.
-
-        Args:
-            values: (n, 6) as delivered; NaN where samples were lost.
-        """
+        """Add the samples (n, 6) of a static dwell as delivered; NaN where some were lost."""
         looked_at = values[:_SAMPLES]
         looked_at = looked_at[~np.isnan(looked_at).any(axis=1)]
         if self._units.whole:

@@ -343,12 +343,7 @@ class StillnessTracker:
         return None if self._reference is None else self._start
 
     def track(self, stamp: Stamps, rates: Floats) -> list[Rest | Motion]:
-        """Add samples; return the rests and motions that have ended.
-
-        Args:
-            stamp: (n,) ns.
-            rates: (n, 6) rad/s and m/s^2.
-        """
+        """Add samples (n,), ns, and (n, 6), SI; return the rests and motions that have ended."""
         stamp = np.concatenate([self._stamp, stamp])
         rates = np.vstack([self._rates, rates])
         whole = len(stamp) - len(stamp) % self._length

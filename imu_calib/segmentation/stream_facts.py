@@ -26,13 +26,9 @@ Halves = tuple[NDArray[np.bool_], NDArray[np.bool_]]
 
 
 def rows_of_one_sensor(gyro: Floats, accel: Floats) -> Halves:
-    """Return which rows are of gyros alone, and which of accelerometers alone, (n,) each.
+    """Return which rows (n,) are of gyros alone, and which of accelerometers alone.
 
     All channels of the other are 0 or NaN.
-
-    Args:
-        gyro: (n, 3) in any unit.
-        accel: (n, 3) likewise.
     """
     has_gyro, has_accel = (any_in_row((v != 0) & np.isfinite(v)) for v in (gyro, accel))
     return has_gyro & ~has_accel, has_accel & ~has_gyro
@@ -44,12 +40,7 @@ def are_separate(gyro: int, accel: int, rows: int) -> bool:
 
 
 def separate_messages_sentence(topic: str, units: Units) -> str:
-    """Return the sentence on a topic whose messages hold one sensor each, with what to do.
-
-    Args:
-        topic: Its name.
-        units: Of the samples: those in SI can be joined.
-    """
+    """Return the sentence on a topic whose messages hold one sensor each, with what to do."""
     way = (
         f'Join them: imu-calib convert --gyro-topic {topic} --accel-topic {topic}'
         if units is Units.SI
@@ -76,11 +67,7 @@ _CHANNELS = tuple(f'{triad} {axis}' for triad in ('gyro', 'accelerometer') for a
 
 
 class StreamFacts:
-    """Counts what is unusual about samples, before anything is left out.
-
-    Args:
-        units: Of the samples.
-    """
+    """Counts what is unusual about samples, before anything is left out."""
 
     def __init__(self, units: Units = Units.SI) -> None:
         self.units = units
@@ -195,13 +182,10 @@ _QUIET = 0.2
 
 
 def gravity_removed(means: Floats) -> str:
-    """Return a sentence that accelerations at rest lack gravity; empty if they do not.
+    """Return a sentence that means (n, 3) of forces at rest lack gravity; empty if they do not.
 
     Gravity in other units may be as small, but it turns with the unit and keeps its length. A
     reading of exactly 0 means that the sensor does not measure.
-
-    Args:
-        means: (n, 3) in different attitudes, m/s^2.
     """
     lengths = np.linalg.norm(means, axis=1)
     if not len(means) or not 0 < (length := float(np.median(lengths))) < _NEAR_ZERO:
@@ -217,11 +201,7 @@ def gravity_removed(means: Floats) -> str:
 
 
 def quiet_means(force: Floats) -> Floats:
-    """Return the means of accelerations over the quietest windows, (k, 3).
-
-    Args:
-        force: (n, 3) in any unit.
-    """
+    """Return the means of accelerations (n, 3) over the quietest windows, (k, 3)."""
     force = force[(np.abs(force) <= LARGEST).all(axis=1)]
     if len(force) < _WINDOW:
         return np.empty((0, 3))
@@ -298,12 +278,7 @@ class LastRun:
 
 
 def frozen_sentence(since: int, seconds: float) -> str:
-    """Return that a device repeats one sample from an instant, ns, to the end, without a full stop.
-
-    Args:
-        since: Its first stamp.
-        seconds: From there to the end of the stream.
-    """
+    """Return that a device repeats one sample since a stamp, ns, without a full stop."""
     return (
         f'The IMU repeats one sample from {at(since)} to the end of its stream ({seconds:.0f} s), '
         'while the table turns and stops: it froze, and all from there on counts as missing. '
@@ -323,12 +298,7 @@ class Repetition:
 
     @classmethod
     def count_in(cls, values: Floats, rates: Floats) -> Repetition:
-        """Count the repetitions in (n, 6) values as delivered; at least 2.
-
-        Args:
-            values: As delivered.
-            rates: (n, 6) the same, rad/s and m/s^2.
-        """
+        """Count the repetitions in (n, 6) values as delivered, at least 2, of such rates in SI."""
         same = all_in_row(values[1:] == values[:-1])
         runs = runs_of(same)
         if not len(runs):

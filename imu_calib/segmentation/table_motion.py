@@ -99,12 +99,7 @@ class JointTracker:
         return None if self._moving else self._start
 
     def track(self, stamp: Stamps, position: Floats) -> list[Rest | Motion]:
-        """Add joint states; return the rests and motions that have ended.
-
-        Args:
-            stamp: (n,) ns, increasing.
-            position: (n, k) rad.
-        """
+        """Add joint states (n,), ns, (n, k), rad; return the rests and motions that have ended."""
         if self.silent:
             self._delivered, self._turns = position[0], np.zeros(position.shape[1])
             self._rows = RowBuffer(position.shape[1])

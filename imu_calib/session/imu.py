@@ -39,13 +39,7 @@ class Verdict(Enum):
 
 
 def judge(value: float, std: float, limit: float) -> Verdict:
-    """Return the verdict on a value for a limit on both sides of zero.
-
-    Args:
-        value: The estimate.
-        std: Its standard deviation.
-        limit: Largest amount allowed.
-    """
+    """Return the verdict on an estimate for a limit on both sides of zero."""
     uncertainty = COVERAGE * std
     if abs(value) + uncertainty <= limit:
         return Verdict.PASS
@@ -281,14 +275,9 @@ def load_imu(name: str | Path) -> ImuSpec:
 
 
 def compensated_imu(spec: ImuSpec, gyro_gain: float, accel_gain: float) -> ImuSpec:
-    """Return the description of an IMU after compensation: SI, with its noise.
+    """Return the description of an IMU after compensation: SI, its noise amplified by two gains.
 
     A skewed gyro is merged into the three others; limits of the specification are of the raw unit.
-
-    Args:
-        spec: Description of the raw numbers.
-        gyro_gain: Amplification of a gyro's noise by compensation.
-        accel_gain: The same of an accelerometer.
     """
     return replace(
         spec,

@@ -106,12 +106,7 @@ def serial_key(topic: str) -> str:
 
 
 def interpolation_description(topic: str, rate: float) -> dict[str, str]:
-    """Return the own entry for accelerometers interpolated between their samples.
-
-    Args:
-        topic: The samples.
-        rate: Original rate of the accelerometers, Hz.
-    """
+    """Return the own entry for accelerometers of a topic interpolated from another rate, Hz."""
     return {f'{_INTERPOLATED}:{topic}': f'{rate:.6g}'}
 
 
@@ -125,12 +120,7 @@ def interpolated_from(data: Mapping[str, str], topic: str) -> float | None:
 
 
 def mount_description(topic: str, mount: Floats) -> dict[str, str]:
-    """Return the own entry for the rotation of a topic's unit on the fixture.
-
-    Args:
-        topic: Its samples.
-        mount: (3, 3) columns are its body axes in those that the table's description mounts.
-    """
+    """Return the own entry for a mount (3, 3): the body axes in those that the table mounts."""
     return {_mount_key(topic): json.dumps(mount.tolist())}
 
 
@@ -154,14 +144,7 @@ def _mount_key(topic: str) -> str:
 def stream_description(
     data: Mapping[str, str], topic: str, imu: ImuSpec, *, raw_is_kept: bool
 ) -> dict[str, str]:
-    """Return own entries with those of a computed Imu stream.
-
-    Args:
-        data: Entries of the recording that it was computed from.
-        topic: The new stream.
-        imu: Its description.
-        raw_is_kept: Whether the recording also contains the stream described in `data`.
-    """
+    """Return own entries with those of a computed Imu stream; the raw one may be kept."""
     kept = {key: text for key, text in data.items() if raw_is_kept or not key.startswith(IMU)}
     return {**kept, imu_key(topic): imu_text(imu)}
 
@@ -172,12 +155,7 @@ def compensated_key(topic: str) -> str:
 
 
 def compensated_already(data: Mapping[str, str], topic: str) -> list[str]:
-    """Return a sentence on samples that are no raw ones; none on others.
-
-    Args:
-        data: The recording's entries.
-        topic: The samples.
-    """
+    """Return a sentence on a topic's samples that are no raw ones; none on others."""
     if (by := data.get(compensated_key(topic))) is None:
         return []
     return [
@@ -192,12 +170,7 @@ def states_site(data: Mapping[str, str]) -> bool:
 
 
 def described_site(data: Mapping[str, str], where: str) -> Site:
-    """Return the site stated in a recording.
-
-    Args:
-        data: The recording's entries, as `describe` makes them.
-        where: The recording, for messages.
-    """
+    """Return the site stated in a recording's entries; `where` names it in messages."""
     if not states_site(data):
         raise NotStated(
             f'{where} does not say where it was taken: give `latitude` in degrees, negative in the '

@@ -132,13 +132,9 @@ class Plan:
         raise KeyError(name)
 
     def steps(self, table: Table, start: Floats | None = None) -> tuple[Step, ...]:
-        """Return the setpoints of the plan on a table in order, each checked against the limits.
+        """Return the setpoints of the plan on a table in order, checked, from (k,) angles, rad.
 
         A rate test ends where it began: the joint returns to the same azimuth, modulo a turn.
-
-        Args:
-            table: The table that runs it.
-            start: (k,) present joint angles, rad; zeros if not given.
         """
         steps: list[Step] = []
         angles = np.zeros(len(table.joints)) if start is None else start

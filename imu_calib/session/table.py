@@ -300,15 +300,7 @@ class Table:
         return attitude_errors(poses[::-1], self.errors)
 
     def joint_axis(self, index: int, angles: Floats) -> Floats:
-        """Return the axis about which a joint turns, in the body frame.
-
-        Args:
-            index: The joint.
-            angles: (..., k) encoder angles of all joints, rad.
-
-        Returns:
-            (..., 3) unit vectors.
-        """
+        """Return the axis (..., 3) of a joint at (..., k) angles of all, rad, in the body frame."""
         axis = np.broadcast_to(np.array(self.joints[index].axis), (*angles.shape[:-1], 3))
         for k in range(index + 1, len(self.joints)):
             turned = rotation(np.array(self.joints[k].axis), angles[..., k] + self.joints[k].zero)
@@ -421,13 +413,7 @@ class Table:
         return goal, rates
 
     def check(self, angles: Floats, rates: Floats, where: str) -> None:
-        """Refuse angles or rates beyond the table's limits.
-
-        Args:
-            angles: (k,) encoder angles, rad.
-            rates: (k,) joint rates, rad/s.
-            where: Name of the position, for the message.
-        """
+        """Refuse angles (k,), rad, or rates, rad/s, beyond the limits; `where` names a position."""
         for joint, angle, rate in zip(self.joints, angles, rates, strict=True):
             lower, upper = max(joint.lower, -FARTHEST), min(joint.upper, FARTHEST)
             if not (lower - 1e-9 <= angle <= upper + 1e-9):
@@ -528,13 +514,7 @@ _SAME_INSTANT = 1e-9  #: s: one nanosecond, the resolution of stamps.
 
 
 def travel_time(distance: float, rate: float, acceleration: float) -> float:
-    """Return the duration of the fastest motion from rest to rest, s.
-
-    Args:
-        distance: rad, of either sign.
-        rate: Highest rate, rad/s, above zero.
-        acceleration: Highest acceleration, rad/s^2, above zero.
-    """
+    """Return the duration, s, of the fastest motion over a distance, rad, from rest to rest."""
     way = abs(distance)
     peak = min(rate, math.sqrt(way * acceleration))
     return way / peak + peak / acceleration if peak else 0.0
@@ -594,14 +574,7 @@ def moving(
     rates: Sequence[float],
     accelerations: Sequence[float],
 ) -> Course:
-    """Return the course from rest to rest, each joint by itself.
-
-    Args:
-        origin: (k,) start angles, rad.
-        goal: (k,) end angles, rad.
-        rates: (k,) highest rates, rad/s.
-        accelerations: (k,) highest accelerations, rad/s^2.
-    """
+    """Return the course between (k,) angles, rad, from rest to rest, each joint by itself."""
     courses = []
     for start, end, rate, acceleration in zip(origin, goal, rates, accelerations, strict=True):
         way, sign = abs(end - start), math.copysign(1.0, end - start)

@@ -167,13 +167,6 @@ def clock_slope(model: SensorModel, parameters: Sequence[Parameter], units: Unit
 def clock_share(
     model: SensorModel, parameters: Sequence[Parameter], units: Units, deviation: float
 ) -> Share:
-    """Return the contribution of the table clock's uncertainty to a covariance.
-
-    Args:
-        model: The values of the parameters.
-        parameters: The parameters of the rows.
-        units: Of the IMU's numbers.
-        deviation: Standard deviation of the clock's rate, relative.
-    """
+    """Return the contribution of the table clock's relative uncertainty to a covariance."""
     slope = clock_slope(model, parameters, units) * deviation
     return Share.known(np.outer(slope, slope))

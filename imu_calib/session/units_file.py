@@ -144,12 +144,7 @@ def load_units(path: str | Path) -> tuple[MountedUnit, ...]:
 
 
 def read_units(section: Section, folder: Path | None = None) -> tuple[MountedUnit, ...]:
-    """Read several units from their YAML mapping.
-
-    Args:
-        section: The mapping.
-        folder: Folder of the file, searched for the files named in it.
-    """
+    """Read several units from their YAML mapping; `folder` has the files that it names."""
     parts = section.sections('units')
     if len(parts) > MOST_UNITS:
         raise InputError(f'{section.key("units")}: found {len(parts)} units, at most {MOST_UNITS}.')
@@ -178,12 +173,7 @@ def namespace(serial_number: str) -> str:
 
 
 def remaining(units: Sequence[MountedUnit], without: str) -> tuple[MountedUnit, ...]:
-    """Return the units except those left out by the user.
-
-    Args:
-        units: All.
-        without: Serial numbers, separated by commas; empty: none is left out.
-    """
+    """Return the units without those whose serial numbers are listed, separated by commas."""
     names = [name.strip() for name in without.split(',') if name.strip()]
     known = [unit.serial_number for unit in units]
     for name in names:
