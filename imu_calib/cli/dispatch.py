@@ -224,8 +224,8 @@ def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
         if argv is None or name in argv:
             module = import_module(f'.{subject}', __package__)
             run_command = getattr(module, f'run_{name}')
-            what = run_command.__doc__
-            command.description = f'imu-calib {name}: {what[0].lower()}{what[1:]}'
+            what = run_command.__doc__ or ''
+            command.description = f'imu-calib {name}: {what[:1].lower()}{what[1:]}'
             command.set_defaults(run=run_command)
             getattr(module, f'add_{name}_options')(command)
     return parser

@@ -14,7 +14,6 @@ from rich.console import Console
 from rich.table import Table
 
 from ..common.errors import InputError
-from ..common.finding import is_warning, without_label
 from ..common.progress import Show, silent
 from ..live.rules import Severity
 
@@ -281,6 +280,9 @@ def print_findings(findings: Sequence[str], *, verbose: bool) -> None:
 
     Warnings are never left out.
     """
+    # Loaded here, with numpy: help and wrong usage need none.
+    from ..common.finding import is_warning, without_label
+
     sentence_list('Warnings', [without_label(text) for text in findings if is_warning(text)])
     notes = [text for text in findings if not is_warning(text)]
     shown = notes if verbose else notes[:_NOTES]
