@@ -25,7 +25,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from imu_calib.live.middleware import deserialize_message, messages, serialize_message
 from imu_calib.live.middleware.dds.wire import idl_type
-from imu_calib.recordings.definitions import definition
+from imu_calib.recordings.cdr import definition
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -17,9 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..common.errors import InputError
 from ..common.files import user_path
 from ..common.stream import LAST_SECOND, NS, Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock
-from ..recordings.cdr import Messages
+from ..recordings.cdr import Messages, definition
 from ..recordings.cdr_codec import RATES, Kind, encode_imu, encode_joints, encode_temperatures
-from ..recordings.definitions import definition
 from ..recordings.metadata_yaml import NAME, Metadata
 from ..recordings.remote import AnyPath, RemotePath
 from ..recordings.rosbag2 import Recording, Scratch, StorageFiles, is_storage, open_recording

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -98,7 +99,7 @@ def noise(
             *recording.losses,
             *order.sentences,
         )
-        return found.with_findings(tuple(map(printable, findings)))
+        return replace(found, findings=tuple(map(printable, findings)))
 
 
 def _units_in_doubt(found: NoiseAtRest) -> list[str]:

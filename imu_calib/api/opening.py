@@ -18,11 +18,11 @@ from ..common.units import LARGEST, STANDARD_GRAVITY
 from ..estimation.setup import Setup
 from ..recordings.cdr_codec import Kind
 from ..recordings.order import StampSorter
-from ..recordings.remote import AnyPath, located
+from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording
 from ..session.imu import GENERIC, ImuSpec, load_imu
 from ..session.keywords import Stated
-from ..session.plan import UNPLANNED, Plan, load_plan
+from ..session.plan import UNPLANNED, load_plan
 from ..session.segments_file import read_segments
 from .files import Recorded, SamplesInMemory, recording_at
 from .session import (
@@ -119,11 +119,6 @@ def units_in_doubt(seen: str) -> str:
     return f'The stated units may be wrong: {seen}.'
 
 
-def plan_by_hand() -> Plan:
-    """Return the plan without table and order."""
-    return load_plan('free_positions')
-
-
 def is_hand_held(session: Segmented) -> bool:
     """Return whether the static dwells of a session are as short as in a hand."""
     seconds = [s.statistics.duration for s in session.segments]
@@ -188,11 +183,6 @@ class Opened:
         return (*self.recording.losses, *self.order.sentences)
 
 
-def recording_path(bag: str | AnyPath) -> AnyPath:
-    """Return the path of a recording: a remote one is fetched once for all that take it."""
-    return located(bag)
-
-
 def open_session(bag: Recorded | AnyPath, stated: Stated, rate: float | None = None) -> Opened:
     """Open a recording, and find its set-up."""
     return session_of(recording_at(bag, rate), stated)
@@ -229,7 +219,7 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
         plan = UNPLANNED
     if plan is None and stated.segments is None:
         refuse_rest(recording, streams.imu, imu)
-    steps = plan_by_hand() if plan is None else plan
+    steps = load_plan('free_positions') if plan is None else plan
     statements = (*([] if known else [ASSUMED_SI]), *([] if plan else [ASSUMED_BY_HAND]))
     statements += contradicted_latitude(stated, recording)
     statements += gravity_as_exact(stated)

@@ -43,8 +43,7 @@ from ..session.imu import (
     read_noise,
 )
 from ..session.imu import KEY as CLOCK
-from ..session.plausibility import check_plausible
-from .provenance import budget_document, read_budget, read_origin
+from .provenance import budget_document, check_plausible, read_budget, read_origin
 
 if TYPE_CHECKING:
     import pandas

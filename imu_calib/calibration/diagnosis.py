@@ -19,7 +19,7 @@ from ..estimation.system import Fit, TriadSystem
 from ..model.parameters import AXES, Parameter, ParameterKind, indices_of
 from ..model.sensors import Triad, terms_of
 from ..model.terms import G_SENSITIVITY, TERMS, Term
-from ..session.plausibility import is_of_strapdown
+from .provenance import is_of_strapdown
 
 _BIAS_UNITS = {
     True: {'deg/s': DEG, 'deg/h': DEG_H, 'rad/h': 1 / 3600},

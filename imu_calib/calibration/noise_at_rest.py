@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from textwrap import indent
 from typing import TYPE_CHECKING, Any
 
@@ -148,10 +148,6 @@ class NoiseAtRest:
 
     def __repr__(self) -> str:
         return f'<NoiseAtRest of {self.imu}: {self.seconds / HOUR:.3g} h at {self.rate:.4g} Hz>'
-
-    def with_findings(self, findings: tuple[str, ...]) -> NoiseAtRest:
-        """Return it with other findings."""
-        return replace(self, findings=findings)
 
     def triad(self, units: TriadUnits) -> dict[str, ChannelAllan]:
         """Return the channels of a triad by name."""

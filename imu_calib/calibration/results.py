@@ -26,10 +26,10 @@ from ..segmentation.labelling import Labelled
 from ..segmentation.noise import session_noise
 from ..segmentation.segmented import Segmented
 from ..session.imu import StampingClock
-from ..session.plausibility import check_plausible
 from ..session.table_errors import clock_share
 from .agreement import with_gravity
 from .calibration import Calibration, ResidualRow
+from .provenance import check_plausible
 
 if TYPE_CHECKING:
     import pandas

@@ -12,13 +12,13 @@ from ..api.compare import Conformity, conformity
 from ..api.documents import export
 from ..api.files import output_or_default, output_path, page_path
 from ..api.noise import noise
-from ..api.opening import recording_path
 from ..api.verify import verify
 from ..calibration.noise_at_rest import NOISE_EXPORTS, NoiseAtRest
 from ..calibration.verify import Verdict, Verification
 from ..common.errors import InputError
 from ..common.files import require, write_by, write_whole
 from ..common.units import HOUR
+from ..recordings.remote import located
 from ..reports.assessment import summary
 from ..reports.budget import budget_tables
 from ..reports.noise import COLUMNS, noise_page, noise_rows, noise_tables
@@ -241,7 +241,7 @@ def add_calibrate_options(parser: argparse.ArgumentParser) -> None:
 def run_calibrate(arguments: argparse.Namespace) -> CommandResult:
     """Calibrate from a recording; write calibration.yaml, print 24 parameters."""
     # Examined before it is read: a remote recording is fetched once for both.
-    arguments.bag = recording_path(arguments.bag)
+    arguments.bag = located(arguments.bag)
     if has_several_units(arguments):
         return run_several(arguments)
     path = output_path(output_or_default(arguments.output, _FILE))

@@ -83,10 +83,6 @@ def add_batch_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _say_where(dashboard: str) -> None:
-    ERRORS.print(f'dashboard: {dashboard}', markup=False)
-
-
 def run_batch(arguments: argparse.Namespace) -> CommandResult:
     """Calibrate many recordings into a catalogue."""
 
@@ -106,7 +102,11 @@ def run_batch(arguments: argparse.Namespace) -> CommandResult:
         options.refuse_with_imus(arguments, 'imu', 'serial', 'imu_topic')
     keywords = options.keywords(batch, arguments)
     done = batch(
-        arguments.sources, arguments.catalogue, **keywords, progress=begun, connected=_say_where
+        arguments.sources,
+        arguments.catalogue,
+        **keywords,
+        progress=begun,
+        connected=lambda dashboard: ERRORS.print(f'dashboard: {dashboard}', markup=False),
     )
     units = done.calibrated + done.failed + done.known + done.repeated
     several = '' if units == done.recordings else f' of {units} units'

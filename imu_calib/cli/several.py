@@ -129,16 +129,12 @@ def node_parameters(
             'imu': unit.imu,
             'device': device_of(unit, arguments) if unit.port else simulated,
             'sample_rate': arguments.sample_rate,
-            'port': unit.port or simulated_port(port, place),
+            'port': unit.port
+            or (f'socket://127.0.0.1:{port + place}' if port else f'{SCHEME}{place}'),
             'baud': unit.baud,
             **({'frame_id': f'{unit.name}_imu_link'} if unit.serial_number else {}),
         }
     return nodes
-
-
-def simulated_port(first: int, place: int = 0) -> str:
-    """Return the URL of a simulated device's line: a TCP port from `first` on, or this process."""
-    return f'socket://127.0.0.1:{first + place}' if first else f'{SCHEME}{place}'
 
 
 def remappings(arguments: argparse.Namespace) -> dict[str, dict[str, str]]:

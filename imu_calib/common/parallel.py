@@ -418,7 +418,7 @@ def _in_processes(
     collect: Callable[[Result], None],
 ) -> None:
     others = set(active_children())
-    spawn, share = get_context('spawn'), _share(len(tasks), jobs)
+    spawn, share = get_context('spawn'), max(1, min(_CHUNK, len(tasks) // jobs))
     chunks = [tasks[k : k + share] for k in range(0, len(tasks), share)]
     with single_threaded(), ProcessPoolExecutor(jobs, spawn) as pool:
         try:
@@ -438,7 +438,3 @@ def _in_processes(
 
 def _one_by_one(function: Callable[[Task], Result], tasks: list[Task]) -> list[Result]:
     return [function(task) for task in tasks]
-
-
-def _share(tasks: int, jobs: int) -> int:
-    return max(1, min(_CHUNK, tasks // jobs))

@@ -71,7 +71,9 @@ def key_of(job: Job, sha256: str) -> str:
             stated[name] = read_text(named_file(folder, stated[name]))
     whole = [sha256, stated, asdict(job.labels), version()]
     if job.imus:
-        whole.append(_texts_of(job.imus))
+        # An unreadable type concerns only its units.
+        texts = (_text_of_type(unit) for unit in load_units(job.imus))
+        whole.append([read_text(user_path(job.imus)), *texts])
     return _hashed(whole)
 
 
@@ -86,16 +88,6 @@ def _hashed(whole: list[Any]) -> str:
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
-
-
-def _texts_of(imus: str) -> list[str]:
-    """Return the contents of the file of several units, and of those of their types.
-
-    Raises:
-        InputError: The first is broken. An unreadable type concerns only its units.
-    """
-    units = load_units(imus)
-    return [read_text(user_path(imus)), *(_text_of_type(unit) for unit in units)]
 
 
 def _text_of_type(unit: MountedUnit) -> str:

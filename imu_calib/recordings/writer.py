@@ -17,12 +17,11 @@ from ..common.errors import InputError
 from ..common.files import unreadable, unwritable, user_path
 from ..common.stream import Block, Stamps
 from . import metadata_yaml
-from .cdr import Messages
+from .cdr import Messages, definition
 from .cdr_codec import Kind
 from .codec import compressor
-from .definitions import definition
+from .mcap import McapWriter
 from .mcap_records import MAGIC
-from .mcap_writer import McapWriter
 from .rosbag2 import Recording, Scratch, find_files, open_recording, open_storage
 from .storage import Cache, Losses, RecordingError, Storage, Times, Topic, refuse_existing
 

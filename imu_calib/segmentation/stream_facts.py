@@ -25,15 +25,6 @@ SEPARATE_ROWS = (
 Halves = tuple[NDArray[np.bool_], NDArray[np.bool_]]
 
 
-def rows_of_one_sensor(gyro: Floats, accel: Floats) -> Halves:
-    """Return which rows (n,) are of gyros alone, and which of accelerometers alone.
-
-    All channels of the other are 0 or NaN.
-    """
-    has_gyro, has_accel = (any_in_row((v != 0) & np.isfinite(v)) for v in (gyro, accel))
-    return has_gyro & ~has_accel, has_accel & ~has_gyro
-
-
 def are_separate(gyro: int, accel: int, rows: int) -> bool:
     """Return whether each sensor has rows of its own, by the numbers of such rows and of all."""
     return min(gyro, accel) > _LEAST * rows and gyro + accel > _MOST * rows
@@ -54,8 +45,12 @@ def separate_messages_sentence(topic: str, units: Units) -> str:
 
 
 def halves(gyro: Floats, accel: Floats) -> Halves | None:
-    """Return `rows_of_one_sensor` if each sensor has rows of its own; None if rows hold both."""
-    found = rows_of_one_sensor(gyro, accel)
+    """Return which rows (n,) are of gyros alone, and which of accelerometers alone.
+
+    All channels of the other are 0 or NaN. None if not each sensor has rows of its own.
+    """
+    has_gyro, has_accel = (any_in_row((v != 0) & np.isfinite(v)) for v in (gyro, accel))
+    found = has_gyro & ~has_accel, has_accel & ~has_gyro
     alone = [int(rows.sum()) for rows in found]
     return found if are_separate(alone[0], alone[1], len(gyro)) else None
 

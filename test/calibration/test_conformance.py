@@ -23,6 +23,7 @@ from sessions import SITE, truth
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.compensate import Compensation, Mark, concatenated
 from imu_calib.calibration.exports import EXPORTS, ExportSource
+from imu_calib.calibration.provenance import check_plausible
 from imu_calib.calibration.thermal import (
     ThermalCalibration,
     by_temperature,
@@ -51,7 +52,6 @@ from imu_calib.reports.tables import parameter_table
 from imu_calib.segmentation.segments import Segment, Turn
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
-from imu_calib.session.plausibility import check_plausible
 from imu_calib.simulation.imu import SimulatedImu
 from imu_calib.simulation.options import ImuOptions
 

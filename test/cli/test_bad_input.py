@@ -843,7 +843,7 @@ def test_a_result_that_every_reader_would_refuse(
     cli: CommandLine, recorded: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Accelerometers that saturate below their stated range gave a file that `report` refused.
-    monkeypatch.setattr('imu_calib.session.plausibility._SCALE', (0.99, 1.01))
+    monkeypatch.setattr('imu_calib.calibration.provenance._SCALE', (0.99, 1.01))
     sentence = 'The result is not that of a strapdown IMU: accelerometer X answers 0.909.* times'
     cli.refuses(1, sentence, recorded)
 

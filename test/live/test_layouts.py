@@ -10,7 +10,7 @@ import pytest
 from loopback import CHECKOUT
 
 from imu_calib.common.errors import InputError
-from imu_calib.recordings.definitions import definition
+from imu_calib.recordings.cdr import definition
 from imu_calib.session.table import load_table
 
 CONFIG = CHECKOUT / 'config'

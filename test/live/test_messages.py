@@ -11,7 +11,7 @@ from loopback import CHECKOUT
 from rosbags.typesys import Stores, get_typestore
 
 from imu_calib.common.errors import ImuCalibError, InputError
-from imu_calib.recordings.definitions import message_text
+from imu_calib.recordings.cdr import message_text
 
 try:
     from interop_peer import filled, ros

@@ -7,12 +7,12 @@ import pytest
 from sessions import truth
 
 from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.provenance import check_plausible
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import Units
 from imu_calib.model.sensors import SensorModel, Skewed
 from imu_calib.session.imu import load_imu
-from imu_calib.session.plausibility import check_plausible
 
 NAMES = [p.name for p in truth().parameters]
 

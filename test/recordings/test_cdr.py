@@ -19,7 +19,7 @@ from imu_calib.common.stream import (
     TemperatureBlock,
 )
 from imu_calib.recordings import cdr_codec as decode
-from imu_calib.recordings.cdr import CdrError, Malformed, Messages
+from imu_calib.recordings.cdr import CdrError, Malformed, Messages, definition
 from imu_calib.recordings.cdr_codec import (
     PULSES,
     RATES,
@@ -37,7 +37,6 @@ from imu_calib.recordings.cdr_codec import (
     part,
     rates_payloads,
 )
-from imu_calib.recordings.definitions import definition
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STORE.register(get_types_from_msg(definition(Kind.SETPOINTS.type_name), Kind.SETPOINTS.type_name))

@@ -25,8 +25,8 @@ from shaky import shaky
 from imu_calib.api.compensate import compensate
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.model.sensors import SensorModel
+from imu_calib.recordings.cdr import definition
 from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.definitions import definition
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.session.imu import load_imu
 

@@ -15,7 +15,7 @@ from imu_calib.common.files import named_file, read_text
 from imu_calib.common.stream import ImuBlock
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import encode_imu, encode_rates
-from imu_calib.recordings.mcap_writer import McapWriter
+from imu_calib.recordings.mcap import McapWriter
 from imu_calib.recordings.writer import RecordingWriter
 
 T0 = 1_700_000_000_000_000_000

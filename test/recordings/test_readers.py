@@ -23,9 +23,8 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
 from imu_calib.model.sensors import SensorModel
-from imu_calib.recordings.cdr import Messages
+from imu_calib.recordings.cdr import Messages, definition
 from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.definitions import definition
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import Journal
 from imu_calib.session.imu import load_imu

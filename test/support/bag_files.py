@@ -20,6 +20,7 @@ from imu_calib.common.stream import (
     Stamps,
     TemperatureBlock,
 )
+from imu_calib.recordings.cdr import definition
 from imu_calib.recordings.cdr_codec import (
     Kind,
     encode_imu,
@@ -29,7 +30,6 @@ from imu_calib.recordings.cdr_codec import (
     encode_temperatures,
     part,
 )
-from imu_calib.recordings.definitions import definition
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import RecordingWriter
 

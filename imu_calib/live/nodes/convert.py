@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...calibration.calibration import Calibration
+from ...calibration.provenance import check_plausible
 from ...common.errors import InputError
 from ...common.stream import Units
 from ...model.parameters import PARAMETER_NAMES, Parameter
@@ -15,7 +16,6 @@ from ...model.sensors import SensorModel, Skewed, Triad, by_name, parameters_of,
 from ...model.session_terms import Changes, Course, change
 from ...model.terms import G_SENSITIVITIES, G_SENSITIVITY
 from ...session.imu import ImuSpec, StampingClock, TriadSpec, check_clock
-from ...session.plausibility import check_plausible
 from ..middleware import Time, messages
 from ..rules import SequencerState
 

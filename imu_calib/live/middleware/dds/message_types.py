@@ -17,7 +17,7 @@ from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
 
 from ....common.errors import InputError
-from ....recordings.definitions import message_text
+from ....recordings.cdr import message_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable
