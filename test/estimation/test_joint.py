@@ -376,10 +376,11 @@ def test_biases_are_as_sure_as_the_drift_that_the_data_sheet_states_lets_them(
 
 
 def test_a_drift_that_the_data_clearly_does_not_show_hardly_counts() -> None:
-    # 20 micro-g beside a noise of 2 in every dwell: the data would show it, and does not.
+    # 20 micro-g beside a noise of 2 in every dwell: the data would show it, and does not. The mean
+    # of what is left stays below the noise of a dwell.
     found = joint.solve(wandering(0, 0.0))
     assert found.bias_drift is not None
-    assert found.bias_drift[3] < 1 * MICRO_G
+    assert found.bias_drift[3] < 2 * MICRO_G
     assert found.bias_drift[0] > 0.05 * DEG_H
 
 
