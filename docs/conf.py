@@ -76,7 +76,7 @@ nitpick_ignore_regex = [
         'py:class',
         r'imu_calib\.(common\.(parallel\.Show|files\.AnyFile)|session\.imu\.Verdict|recordings\.remote\..*'
         r'|estimation\.(search|common_unknowns|checks)\..*|calibration\.(agreement|results|noise_at_rest)\..*'
-        r'|live\.stand_client\.RunFeedback|segmentation\.signal_means\..*|simulation\.repetition\.RunStatistics|reports\..*|session\.keywords\..*|api\.(inspect|session)\..*|fleet\.batch\..*)',
+        r'|live\.stand_client\.RunFeedback|segmentation\.course\..*|simulation\.repetition\.RunStatistics|reports\..*|session\.keywords\..*|api\.(inspect|session)\..*|fleet\.batch\..*)',
     ),
     (
         'py:class',
