@@ -19,6 +19,7 @@ from loopback import environment, patience, until
 from processes import start
 from turntable_bench import TABLE as NIMBLE
 
+import imu_calib
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
@@ -78,6 +79,15 @@ def test_the_same_seed_gives_the_same_bits_of_journal_and_calibration(finished):
     )
     assert first.model.vector().tolist() == second.model.vector().tolist()
     assert first.covariance.tolist() == second.covariance.tolist()
+
+
+def test_a_calibration_is_not_verified_by_the_journal_that_made_it(finished):
+    other = stand(finished / 'short.yaml', '-o', finished / 'other', '--seed', 4)
+    assert other.returncode == 0, other.stderr
+    live = finished / 'first' / 'calibration.yaml'
+    own = imu_calib.verify(finished / 'first' / 'journal', live)
+    assert own.own_recording and not own.accepted
+    assert imu_calib.verify(finished / 'other' / 'journal', live).accepted
 
 
 def test_processes_of_their_own_measure_the_same_unit(finished):
