@@ -118,7 +118,8 @@ def whole(least: int, most: int | None = None, words: str = '') -> Value:
     schema: Schema = {'type': 'integer', 'minimum': least}
     if most is not None:
         schema['maximum'] = most
-        words = words or f'whole number, {least} to {most}'
+        upper = f', {least} to {most}' if most < 2**32 else f', from {least}'
+        words = words or f'whole number{upper}'
     return Value(schema, words or f'whole number, {least} or more')
 
 

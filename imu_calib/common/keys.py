@@ -159,6 +159,25 @@ def _values(section: Section, kind: type, variant: object) -> dict[str, Any]:
     }
 
 
+def read_key(
+    section: Section, kind: type, name: str, *, required: bool = False, **bounds: Any
+) -> Any:
+    """Read one key of a record; None if it is left out and has no default.
+
+    Args:
+        section: The mapping, whose other keys the caller reads.
+        kind: The record.
+        name: The key's name, which is the field's.
+        required: Whether it must be given here, though not everywhere.
+        **bounds: Take the place of those of the field, where other keys narrow them.
+    """
+    declared = field_keys(kind)[name]
+    if declared.default is None and not required and not section.has(name):
+        return None
+    default = REQUIRED if required else declared.default
+    return replace(declared, default=default, bounds={**declared.bounds, **bounds}).value(section)
+
+
 def record(section: Section, name: str, kind: type[Record], variant: object = 'key') -> Record:
     """Read the mapping behind a key."""
     return read_record(section.section(name), kind, variant)

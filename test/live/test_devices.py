@@ -375,7 +375,7 @@ def test_a_frame_of_registers_with_a_skewed_channel_in_some_bits():
         ({'sync': [300]}, 'device.yaml: sync: found 300'),
         ({'byte_order': 'middle'}, "found 'middle', expected one of little, big"),
         ({'fields__gyro__type': 'i12'}, "fields: gyro: type: found 'i12', expected one of u8"),
-        ({'fields__gyro__offset': [14, 18]}, 'found 2 offsets'),
+        ({'fields__gyro__offset': [14, 18]}, 'offset: found 2 values, expected 3'),
         ({'fields__gyro__scale': 0}, 'gyro: scale: found 0, expected a number other than 0'),
         ({'fields__gyro__offset': [14, 18, 42]}, 'reach beyond'),
         ({'fields__gyro__offset': [14, 18, 40]}, 'byte 42 of the frame is part of the checksum'),

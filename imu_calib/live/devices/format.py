@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from ...common.config import Section
 from ...common.errors import InputError
+from ...common.keys import field_keys, key, part, read_key
 from ...common.stream import Floats
 from ...common.units import Dimension
 from .fields import (
+    HIGH_WORD_FIRST,
+    LOW_WORD_FIRST,
     Bytes,
     Channel,
     Checksums,
@@ -26,17 +29,20 @@ from .fields import (
     fits,
 )
 from .messages import (
+    FRAME_ORDER,
+    LONGEST,
     NOTHING,
+    ONE_ORDER,
+    ORDERS,
+    CheckKeys,
     Commands,
     FrameCheck,
     OtherMessage,
     OtherMessages,
-    numbers,
+    byte_list,
     read_algorithm,
-    read_commands,
     read_message,
-    read_number_order,
-    read_order,
+    scales,
     whole_list,
 )
 
@@ -49,8 +55,6 @@ TYPES = {
 """Kind and bytes of the numbers of a frame, by their names in its file."""
 TICKS_NS = {'ns': 1.0, 'us': 1e3, 'ms': 1e6, 's': 1e9}
 """ns per unit of a device's time."""
-LONGEST = 4096
-"""Bytes of a frame: more is taken for a typing error."""
 _BITS_OF_A_BYTE = 10
 """On a serial line as pyserial opens it, 8N1: a start bit, eight of data, no parity, a stop bit."""
 BAUD = (50, 100_000_000)
@@ -100,141 +104,168 @@ def load_format(name: str | Path) -> FrameFormat:
     return read_format(Section.named('devices', name))
 
 
-def read_format(section: Section) -> FrameFormat:
-    """Read a format from its YAML mapping."""
-    length = section.whole('length', 2, LONGEST)
-    order = read_order(section, None)
-    frame = _Frame(length, order)
-    constant = _constant(section, length)
-    fields = section.section('fields')
-    result = FrameFormat(
-        name=section.text('name'),
-        length=length,
-        constant=constant,
-        gyro=frame.triad(fields, 'gyro'),
-        accel=frame.triad(fields, 'accelerometer'),
-        skew=frame.channel(fields, 'skew'),
-        temperature=frame.channel(fields, 'temperature'),
-        counter=frame.counter(fields),
-        time=frame.time(fields),
-        faults=frame.faults(fields),
-        check=_check(section, frame, len(constant)),
-        others=_others(section, order),
-        baud=section.whole('baud', *BAUD) if section.has('baud') else None,
-        commands=read_commands(section),
+@dataclass(frozen=True)
+class NumberKeys:
+    """Keys of a number in a frame."""
+
+    type: tuple[str, int] = key(
+        '`u` unsigned, `i` signed, `f` floating point, `fp` fixed point, and its bits',
+        Section.choice,
+        TYPES,
     )
-    fields.refuse_unknown_keys()
-    section.refuse_unknown_keys()
-    frame.refuse_overlap(result)
-    return result
+    offset: int | list[int] = key('of its first byte', Section.whole, least=0, most=LONGEST - 1)
+    byte_order: str = key('of this number', Section.choice, ORDERS, otherwise=FRAME_ORDER)
+    bits: list[int] = key(
+        'first and last bit used, bit 0 the lowest; only for an unsigned number',
+        whole_list,
+        count=2,
+        lower=0,
+        upper=63,
+        otherwise='all',
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TriadKeys(NumberKeys):
+    """Keys of three channels of one type."""
+
+    offset: list[int] = key(
+        'of the first bytes of x, y, z', whole_list, count=3, lower=0, upper=LONGEST - 1
+    )
+    scale: tuple[float, ...] = key(
+        'value = scale x number; three with signs turn axes around. Not for pulses: their scale '
+        "factor is the IMU's",
+        scales,
+        3,
+        default=1,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelKeys(NumberKeys):
+    """Keys of one channel."""
+
+    scale: tuple[float, ...] = key('value = scale x number + `zero`', scales, 1, default=1)
+    zero: float = key('value at the number 0', Section.number, default=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CounterKeys(NumberKeys):
+    """Keys of the frame counter."""
+
+    modulus: int = key(
+        'it restarts at 0 instead of reaching this',
+        Section.whole,
+        least=2,
+        most=COUNTLESS,
+        otherwise='by its type',
+    )
+    step: int = key(
+        'by which it grows from frame to frame; below `modulus`',
+        Section.whole,
+        least=1,
+        default=1,
+    )
+
+
+def read_moduli(section: Section, name: str, most: int = 2**64) -> list[int]:
+    """Read a modulus, or a list of them."""
+    if isinstance(section.raw(name), list):
+        return whole_list(section, name, 2, most)
+    return [section.whole(name, 2, most)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeKeys(NumberKeys):
+    """Keys of the device's clock."""
+
+    unit: float = key(
+        'of the number; this or `ticks`', Section.choice, TICKS_NS, otherwise='one of the two'
+    )
+    ticks: float = key(
+        'frequency of its ticks; this or `unit`',
+        Dimension.FREQUENCY,
+        above=0,
+        otherwise='one of the two',
+    )
+    modulus: list[int] = key(
+        'ticks after which it restarts, as `864000000` after a day; a list where models differ',
+        read_moduli,
+        otherwise='by its type',
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaultKeys:
+    """Keys of a condition that the device reports."""
+
+    bit: int = key(
+        'the bit of the fault, 0 the lowest; this or `mask`',
+        Section.whole,
+        least=0,
+        most=63,
+        otherwise='one of the two',
+    )
+    mask: int = key(
+        'the bits of the fault, any of them; this or `bit`',
+        Section.whole,
+        least=1,
+        most=2**64 - 1,
+        otherwise='one of the two',
+    )
+    when: bool = key(
+        'which state of the bit is the fault',
+        Section.choice,
+        {'set': True, 'clear': False},
+        default='set',
+    )
+    says: str = key('the fault in words, for the screen and /diagnostics', Section.text)
+    level: bool = key(
+        'on /diagnostics', Section.choice, {'warn': False, 'error': True}, default='error'
+    )
+
+
+def read_faults(section: Section, name: str, number: Number) -> list[Fault]:
+    """Read the conditions in a status field."""
+    return [_fault(entry, number) for entry in section.sections(name)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatusKeys(NumberKeys):
+    """Keys of a status field."""
+
+    faults: list[Fault] = key('its faults', read_faults)
 
 
 class _Frame:
-    """Read the fields of a frame of a known length."""
+    """Read the numbers of a frame of a known length."""
 
     def __init__(self, length: int, order: str) -> None:
         self.length = length
         self.order = order
         self.placed: list[tuple[str, Number]] = []
 
-    def number(self, section: Section, offset: int | None = None) -> Number:
+    def number(
+        self, section: Section, keys: type[NumberKeys] = NumberKeys, offset: int | None = None
+    ) -> Number:
         """Read type, offset, byte_order and bits of a field."""
-        kind, size = section.choice('type', TYPES)
+        kind, size = read_key(section, keys, 'type')
         if offset is None:
-            offset = section.whole('offset', 0, self.length - 1)
+            offset = int(read_key(section, keys, 'offset', most=self.length - 1))
         if offset + size > self.length:
             raise InputError(
                 f'{section.key("offset")}: found {offset}, but {size} bytes from there reach '
                 f"beyond the frame's length of {self.length}."
             )
-        order = read_number_order(section, self.order, size)
+        order = read_key(section, keys, 'byte_order') or self.order
+        if order in {LOW_WORD_FIRST, HIGH_WORD_FIRST} and size not in {2, 4, 8}:
+            raise InputError(
+                f'{section.key("byte_order")}: found {section.raw("byte_order")}, but words of 16 '
+                f'bits make numbers of 16, 32 or 64 bits; these are {8 * size}.'
+            )
         number = Number(kind, size, offset, order, _bits(section, kind, size))
         self.placed.append((section.where, number))
         return number
-
-    def triad(self, fields: Section, name: str) -> tuple[Channel, ...]:
-        """Read three channels of one type."""
-        section = fields.section(name)
-        offsets = whole_list(section, 'offset', 0, self.length - 1)
-        scales = numbers(section, 'scale')
-        if len(offsets) != 3 or len(scales) not in {1, 3}:
-            raise InputError(
-                f'{section.where}: found {len(offsets)} offsets and {len(scales)} scales, '
-                'expected offset: [x, y, z], and one scale or three.'
-            )
-        scales = scales * 3 if len(scales) == 1 else scales
-        channels = tuple(
-            Channel(self.number(section, offset), scale)
-            for offset, scale in zip(offsets, scales, strict=True)
-        )
-        section.refuse_unknown_keys()
-        return channels
-
-    def channel(self, fields: Section, name: str) -> Channel | None:
-        """Read one channel, if present."""
-        if not fields.has(name):
-            return None
-        section = fields.section(name)
-        (scale,) = numbers(section, 'scale', 1)
-        channel = Channel(self.number(section), scale, section.number('zero', 0.0))
-        section.refuse_unknown_keys()
-        return channel
-
-    def counter(self, fields: Section) -> FrameCounter | None:
-        """Read the frame counter, if present."""
-        if not fields.has('counter'):
-            return None
-        section = fields.section('counter')
-        number = self.number(section)
-        if number.modulus is None:
-            raise InputError(f'{section.key("type")}: a counter is a whole number, u8 to i64.')
-        highest = min(number.modulus, COUNTLESS)
-        modulus = section.whole('modulus', 2, highest, highest)
-        step = section.whole('step', 1, modulus - 1, 1)
-        section.refuse_unknown_keys()
-        return FrameCounter(number, modulus, step)
-
-    def time(self, fields: Section) -> DeviceTime | None:
-        """Read the device's clock, if present."""
-        if not fields.has('time'):
-            return None
-        section = fields.section('time')
-        number = self.number(section)
-        section.has('modulus')
-        if section.either('unit', 'ticks') == 'unit':
-            tick = section.choice('unit', TICKS_NS)
-        else:
-            tick = 1e9 / section.quantity('ticks', Dimension.FREQUENCY, above=0)
-        modulus, shorter = number.modulus, []
-        if section.has('modulus'):
-            highest = modulus or 2**62
-            listed = isinstance(section.raw('modulus'), list)
-            found = (
-                whole_list(section, 'modulus', 2, highest)
-                if listed
-                else [section.whole('modulus', 2, highest)]
-            )
-            *shorter, modulus = sorted(found)
-        return DeviceTime(number, tick, modulus, tuple(shorter))
-
-    def faults(self, fields: Section) -> tuple[Fault, ...]:
-        """Read the status fields: a mapping, or a list of them."""
-        if not fields.has('status'):
-            return ()
-        listed = isinstance(fields.raw('status'), list)
-        sections = fields.sections('status') if listed else [fields.section('status')]
-        faults: list[Fault] = []
-        for section in sections:
-            number = self.number(section)
-            if number.kind != 'u':
-                raise InputError(f'{section.key("type")}: a status is unsigned, u8 to u64.')
-            faults += [_fault(entry, number) for entry in section.sections('faults')]
-            section.refuse_unknown_keys()
-        if len(faults) > _MOST_FAULTS:
-            raise InputError(
-                f'{fields.key("status")}: found {len(faults)} faults, at most {_MOST_FAULTS}.'
-            )
-        return tuple(faults)
 
     def refuse_overlap(self, result: FrameFormat) -> None:
         """Refuse fields that overlap sync bytes or the checksum."""
@@ -250,52 +281,150 @@ class _Frame:
                     )
 
 
+def read_triad(fields: Section, name: str, frame: _Frame) -> tuple[Channel, ...]:
+    """Read three channels of one type."""
+    section = fields.section(name)
+    offsets = read_key(section, TriadKeys, 'offset', upper=frame.length - 1)
+    factors = read_key(section, TriadKeys, 'scale')
+    if len(factors) not in {1, 3}:
+        raise InputError(f'{section.key("scale")}: found 2 numbers, expected one or three.')
+    factors = factors * 3 if len(factors) == 1 else factors
+    channels = tuple(
+        Channel(frame.number(section, TriadKeys, offset), scale)
+        for offset, scale in zip(offsets, factors, strict=True)
+    )
+    section.refuse_unknown_keys()
+    return channels
+
+
+def read_channel(fields: Section, name: str, frame: _Frame) -> Channel:
+    """Read one channel."""
+    section = fields.section(name)
+    (scale,) = read_key(section, ChannelKeys, 'scale')
+    channel = Channel(frame.number(section), scale, read_key(section, ChannelKeys, 'zero'))
+    section.refuse_unknown_keys()
+    return channel
+
+
+def read_counter(fields: Section, name: str, frame: _Frame) -> FrameCounter:
+    """Read the frame counter."""
+    section = fields.section(name)
+    number = frame.number(section)
+    if number.modulus is None:
+        raise InputError(f'{section.key("type")}: a counter is a whole number, u8 to i64.')
+    highest = min(number.modulus, COUNTLESS)
+    modulus = read_key(section, CounterKeys, 'modulus', most=highest) or highest
+    step = read_key(section, CounterKeys, 'step', most=modulus - 1)
+    section.refuse_unknown_keys()
+    return FrameCounter(number, modulus, step)
+
+
+def read_time(fields: Section, name: str, frame: _Frame) -> DeviceTime:
+    """Read the device's clock."""
+    section = fields.section(name)
+    number = frame.number(section)
+    section.has('modulus')
+    stated = section.either('unit', 'ticks')
+    tick = read_key(section, TimeKeys, stated)
+    tick = tick if stated == 'unit' else 1e9 / tick
+    moduli = read_key(section, TimeKeys, 'modulus', most=number.modulus or 2**62)
+    *shorter, modulus = sorted(moduli or []) or [number.modulus]
+    return DeviceTime(number, tick, modulus, tuple(shorter))
+
+
+def read_status(fields: Section, name: str, frame: _Frame) -> tuple[Fault, ...]:
+    """Read the status fields: a mapping, or a list of them."""
+    listed = isinstance(fields.raw(name), list)
+    faults: list[Fault] = []
+    for section in fields.sections(name) if listed else [fields.section(name)]:
+        number = frame.number(section)
+        if number.kind != 'u':
+            raise InputError(f'{section.key("type")}: a status is unsigned, u8 to u64.')
+        faults += read_key(section, StatusKeys, 'faults', number=number)
+        section.refuse_unknown_keys()
+    if len(faults) > _MOST_FAULTS:
+        raise InputError(f'{fields.key(name)}: found {len(faults)} faults, at most {_MOST_FAULTS}.')
+    return tuple(faults)
+
+
 def _fault(section: Section, number: Number) -> Fault:
-    when_set = section.choice('when', {'set': True, 'clear': False}, 'set')
-    is_error = section.choice('level', {'warn': False, 'error': True}, 'error')
-    words = section.text('says')
-    key = section.either('bit', 'mask')
+    when_set, is_error, words = (read_key(section, FaultKeys, n) for n in ('when', 'level', 'says'))
     highest = (number.modulus or 1).bit_length() - 2
-    if key == 'bit':
-        mask = 1 << section.whole('bit', 0, highest)
+    if section.either('bit', 'mask') == 'bit':
+        mask = 1 << read_key(section, FaultKeys, 'bit', most=highest)
     else:
-        mask = section.whole('mask', 1, (1 << (highest + 1)) - 1)
+        mask = read_key(section, FaultKeys, 'mask', most=(1 << (highest + 1)) - 1)
     return Fault(number, mask, when_set, words, is_error)
 
 
-def _constant(section: Section, length: int) -> tuple[tuple[int, int], ...]:
-    sync = whole_list(section, 'sync', 0, 255)
-    constant = dict(enumerate(sync))
-    if section.has('constant'):
-        for entry in section.sections('constant'):
-            first = entry.whole('offset', len(sync), length - 1)
-            constant |= {first + k: b for k, b in enumerate(whole_list(entry, 'bytes', 0, 255))}
-            entry.refuse_unknown_keys()
-    if max(constant) >= length:
-        raise InputError(f'{section.where}: constant bytes reach beyond the length of {length}.')
-    return tuple(sorted(constant.items()))
+def _bits(section: Section, kind: str, size: int) -> tuple[int, int] | None:
+    bits = read_key(section, NumberKeys, 'bits', upper=8 * size - 1)
+    if bits is None:
+        return None
+    if bits[0] > bits[1] or kind != 'u':
+        raise InputError(
+            f'{section.key("bits")}: found {bits}, expected the first and the last bit of an '
+            'unsigned field; bit 0 is the lowest.'
+        )
+    count = bits[1] - bits[0] + 1
+    return None if count == 8 * size else (bits[0], count)
 
 
-def _check(section: Section, frame: _Frame, constants: int) -> FrameCheck | None:
-    if section.raw('checksum') == 'none':
+@dataclass(frozen=True, kw_only=True)
+class FieldKeys:
+    """Keys of what stands in a frame."""
+
+    gyro: tuple[Channel, ...] = key('the three gyros', read_triad)
+    accelerometer: tuple[Channel, ...] = key('as `gyro`', read_triad)
+    skew: Channel | None = key('a skewed gyro', read_channel, default=None)
+    temperature: Channel | None = key('degrees Celsius; as `skew`', read_channel, default=None)
+    counter: FrameCounter | None = key('number of the frame', read_counter, default=None)
+    time: DeviceTime | None = key("the device's clock", read_time, default=None)
+    status: tuple[Fault, ...] = key('status reported by the device', read_status, default=None)
+
+
+@dataclass(frozen=True)
+class ConstantKeys:
+    """Keys of further constant bytes."""
+
+    offset: int = key(
+        'of the first of them, behind `sync`', Section.whole, least=0, most=LONGEST - 1
+    )
+    bytes: Any = key('their values', byte_list)
+
+
+def read_constant(
+    section: Section, name: str, sync: bytes = b'', length: int = LONGEST
+) -> dict[int, int]:
+    """Read further constant bytes, by their offsets."""
+    constant: dict[int, int] = {}
+    for entry in section.sections(name):
+        first = read_key(entry, ConstantKeys, 'offset', least=len(sync), most=length - 1)
+        constant |= {first + k: b for k, b in enumerate(read_key(entry, ConstantKeys, 'bytes'))}
+        entry.refuse_unknown_keys()
+    return constant
+
+
+def read_check(section: Section, name: str, frame: _Frame, constants: int) -> FrameCheck | None:
+    """Read the checksum of a frame with so many constant bytes; None without one."""
+    if section.raw(name) == 'none':
         if constants < 2:
             raise InputError(
                 f'{section.key("checksum")}: without a checksum a frame needs two constant bytes '
                 'at least, else anything is taken for a frame.'
             )
         return None
-    check = section.section('checksum')
-    algorithm = read_algorithm(check, frame.order)
-    offset = check.whole('offset', 0, frame.length - algorithm.width // 8)
-    order = read_order(check, frame.order)
-    number = Number('u', algorithm.width // 8, offset, order)
-    covered = [0, offset - 1]
-    padding = check.whole('padding', 0, 64, 0)
-    given = check.has('covers')
+    check = section.section(name)
+    algorithm = read_algorithm(check, CheckKeys, frame.order)
+    size = algorithm.width // 8
+    offset = read_key(check, CheckKeys, 'offset', most=frame.length - size)
+    order = read_key(check, CheckKeys, 'byte_order') or frame.order
+    number = Number('u', size, offset, order)
+    padding = read_key(check, CheckKeys, 'padding')
+    check.has('covers')
     check.refuse_unknown_keys()
-    if given:
-        covered = whole_list(check, 'covers', 0, frame.length - 1)
-    if len(covered) != 2 or covered[0] > covered[1]:
+    covered = read_key(check, CheckKeys, 'covers', upper=frame.length - 1) or [0, offset - 1]
+    if covered[0] > covered[1]:
         raise InputError(
             f'{check.key("covers")}: found {covered}, expected the offsets of the first and the '
             'last byte that are covered.'
@@ -310,23 +439,73 @@ def _check(section: Section, frame: _Frame, constants: int) -> FrameCheck | None
     return FrameCheck(algorithm, number, covered[0], covered[1] + 1, padding)
 
 
-def _others(section: Section, order: str) -> tuple[OtherMessage, ...]:
-    if not section.has('others'):
-        return ()
-    return tuple(read_message(entry, order) for entry in section.sections('others'))
+def read_others(section: Section, name: str, order: str) -> tuple[OtherMessage, ...]:
+    """Read the kinds of messages between the frames."""
+    return tuple(read_message(entry, order) for entry in section.sections(name))
 
 
-def _bits(section: Section, kind: str, size: int) -> tuple[int, int] | None:
-    if not section.has('bits'):
-        return None
-    bits = whole_list(section, 'bits', 0, 8 * size - 1)
-    if len(bits) != 2 or bits[0] > bits[1] or kind != 'u':
-        raise InputError(
-            f'{section.key("bits")}: found {bits}, expected the first and the last bit of an '
-            'unsigned field; bit 0 is the lowest.'
-        )
-    count = bits[1] - bits[0] + 1
-    return None if count == 8 * size else (bits[0], count)
+@dataclass(frozen=True, kw_only=True)
+class DeviceKeys:
+    """Keys of the file of a device, besides those of `Commands`."""
+
+    name: str = key('of the device, or of its output format', Section.text)
+    baud: int | None = key(
+        'rate of its serial port, bit/s',
+        Section.whole,
+        least=BAUD[0],
+        most=BAUD[1],
+        otherwise='`--baud`, else 115200',
+    )
+    commands: Commands = part(Commands)
+    sync: bytes = key('constant bytes at the start of each frame', byte_list)
+    constant: dict[int, int] = key(
+        'further constant bytes: a frame where they differ is none', read_constant, default=None
+    )
+    length: int = key('bytes of a frame, checksum included', Section.whole, least=2, most=LONGEST)
+    byte_order: str = key('of numbers that do not state their own', Section.choice, ONE_ORDER)
+    fields: Section = key('what stands in a frame', Section.section)
+    checksum: FrameCheck | None = key(
+        'what protects a frame; with `none` it has two constant bytes at least', read_check
+    )
+    others: tuple[OtherMessage, ...] = key(
+        'messages between the frames that are no samples', read_others, default=None
+    )
+
+
+def read_format(section: Section) -> FrameFormat:
+    """Read a format from its YAML mapping."""
+
+    def read(name: str, **context: Any) -> Any:
+        return read_key(section, DeviceKeys, name, **context)
+
+    length = read('length')
+    frame = _Frame(length, read('byte_order'))
+    sync = read('sync')
+    constant = dict(enumerate(sync)) | (read('constant', sync=sync, length=length) or {})
+    if max(constant) >= length:
+        raise InputError(f'{section.where}: constant bytes reach beyond the length of {length}.')
+    fields = read('fields')
+    found = {each: read_key(fields, FieldKeys, each, frame=frame) for each in field_keys(FieldKeys)}
+    result = FrameFormat(
+        name=read('name'),
+        length=length,
+        constant=tuple(sorted(constant.items())),
+        gyro=found['gyro'],
+        accel=found['accelerometer'],
+        skew=found['skew'],
+        temperature=found['temperature'],
+        counter=found['counter'],
+        time=found['time'],
+        faults=found['status'] or (),
+        check=read('checksum', frame=frame, constants=len(constant)),
+        others=read('others', order=frame.order) or (),
+        baud=read('baud'),
+        commands=Commands.read(section),
+    )
+    fields.refuse_unknown_keys()
+    section.refuse_unknown_keys()
+    frame.refuse_overlap(result)
+    return result
 
 
 Indices = NDArray[np.int64]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from ...common.config import Section, as_number, as_whole
 from ...common.errors import InputError
+from ...common.keys import key, read_key
 from ...common.units import Dimension
 from .fields import (
     CATALOGUE,
@@ -24,15 +27,15 @@ from .fields import (
     fits,
 )
 
-_ORDERS = {'little': '<', 'big': '>'}
-ORDERS = {**_ORDERS, 'low_word_first': LOW_WORD_FIRST, 'high_word_first': HIGH_WORD_FIRST}
+ONE_ORDER = {'little': '<', 'big': '>'}  #: Byte orders of a frame.
+ORDERS = {**ONE_ORDER, 'low_word_first': LOW_WORD_FIRST, 'high_word_first': HIGH_WORD_FIRST}
 """Byte orders of a number."""
+FRAME_ORDER = '`byte_order` of the frame'  #: Order of a number that does not state its own.
+LONGEST = 4096
+"""Bytes of a frame or message, more than any IMU sends at once: more is taken for a typing error,
+and a damaged length does not make the decoder wait longer. A judgement."""
 OWN_KINDS = ('sum', 'xor', 'crc', 'fletcher')
 """Checksums outside the catalogue."""
-WORDS = (8, 16, 32)
-"""Bits of the words of a sum."""
-FLETCHER = (255, 256)
-"""Moduli of Fletcher's checksum."""
 
 
 @dataclass(frozen=True)
@@ -46,101 +49,157 @@ class FrameCheck:
     padding: int = 0
 
 
-def read_algorithm(check: Section, order: str) -> Algorithm:
-    """Read `kind` of a checksum and its parameters; `order` is its default byte order."""
-    kind = check.text('kind')
-    if kind in CATALOGUE:
-        return CATALOGUE[kind]
-    if kind == 'xor':
-        return Xor(check.whole('init', 0, 255, 0))
-    if kind == 'sum':
-        word = _one_of(check, 'word', WORDS, 8)
-        negated = check.flag('negated', default=False)
-        return Sum(_width(check, word), negated, word, read_order(check, order))
-    if kind == 'fletcher':
-        return Fletcher(_one_of(check, 'modulus', FLETCHER, None))
-    if kind == 'crc':
-        width = _width(check, None)
-        highest = (1 << width) - 1
-        return Crc(
-            width,
-            check.whole('poly', 1, highest),
-            check.whole('init', 0, highest, 0),
-            check.flag('refin', default=False),
-            check.flag('refout', default=False),
-            check.whole('xorout', 0, highest, 0),
-        )
-    known = ', '.join([*OWN_KINDS, *CATALOGUE])
-    raise InputError(f'{check.key("kind")}: found {kind!r}, expected one of {known}.')
-
-
-def _width(check: Section, default: int | None) -> int:
-    width = check.whole('width', 8, 32, default)
-    if width % 8:
-        raise InputError(f'{check.key("width")}: found {width}, expected 8, 16, 24 or 32 bits.')
-    return width
-
-
-def _one_of(check: Section, name: str, values: tuple[int, ...], default: int | None) -> int:
-    value = check.whole(name, values[0], values[-1], default)
-    if value not in values:
-        *first, last = values
-        expected = f'{", ".join(map(str, first))} or {last}'
-        raise InputError(f'{check.key(name)}: found {value}, expected {expected}.')
-    return value
-
-
-def read_order(section: Section, default: str | None) -> str:
-    """Read the order of a number's bytes: '<' lowest first, '>' highest."""
-    if default is not None and not section.has('byte_order'):
-        return default
-    return section.choice('byte_order', _ORDERS)
-
-
-def read_number_order(section: Section, default: str, size: int) -> str:
-    """Read the byte order of a number of `size` bytes: its words may be swapped, too."""
-    if not section.has('byte_order'):
-        return default
-    order = section.choice('byte_order', ORDERS)
-    if order in {LOW_WORD_FIRST, HIGH_WORD_FIRST} and size not in {2, 4, 8}:
+def whole_list(
+    section: Section, name: str, lower: int, upper: int, count: int | None = None
+) -> list[int]:
+    """Read a list of integers from `lower` to `upper`: so many, or any number."""
+    found = [as_whole(value, lower, upper) for value in section.items(name)]
+    if count not in {None, len(found)}:
         raise InputError(
-            f'{section.key("byte_order")}: found {section.raw("byte_order")}, but words of 16 bits '
-            f'make numbers of 16, 32 or 64 bits; these are {8 * size}.'
+            f'{section.key(name)}: found {len(found)} values, expected {count} whole numbers.'
         )
-    return order
-
-
-def whole_list(section: Section, name: str, lower: int, upper: int) -> list[int]:
-    """Read a list of integers from `lower` to `upper`."""
-    found = []
-    for value in section.items(name):
-        number = as_whole(value, lower, upper)
+    for value, number in zip(section.items(name), found, strict=True):
         if number is None:
             raise InputError(
                 f'{section.key(name)}: found {value!r}, expected whole numbers from {lower} to '
                 f'{upper}.'
             )
-        found.append(number)
-    return found
+    return [number for number in found if number is not None]
 
 
-def numbers(section: Section, name: str, most: int = 3) -> list[float]:
-    """Read one number or a list of them; 1 if absent."""
-    if not section.has(name):
-        return [1.0]
+def byte_list(section: Section, name: str) -> bytes:
+    """Read a list of bytes."""
+    return bytes(whole_list(section, name, 0, 255))
+
+
+def one_of(section: Section, name: str, values: Sequence[int]) -> int:
+    """Read one of some whole numbers."""
+    value = section.whole(name, values[0], values[-1])
+    if value not in values:
+        *first, last = values
+        expected = f'{", ".join(map(str, first))} or {last}'
+        raise InputError(f'{section.key(name)}: found {value}, expected {expected}.')
+    return value
+
+
+def scales(section: Section, name: str, most: int) -> tuple[float, ...]:
+    """Read one number or a list of them, none of them 0."""
     raw = section.raw(name)
     values = raw if isinstance(raw, list) else [raw]
     found = [v for v in map(as_number, values) if v and math.isfinite(v)]
     if len(found) < len(values) or not 1 <= len(values) <= most:
         raise InputError(f'{section.key(name)}: found {raw!r}, expected a number other than 0.')
-    return found
+    return tuple(found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlgorithmKeys:
+    """Keys of the algorithm of a checksum."""
+
+    kind: str = key(
+        'the algorithm; a CRC by its name in the catalogue, or `crc`',
+        Section.choice,
+        {name: name for name in (*OWN_KINDS, *CATALOGUE)},
+    )
+    width: int = key(
+        'bits, of `sum` and `crc`',
+        one_of,
+        (8, 16, 24, 32),
+        otherwise='`word` for `sum`, must be given for `crc`',
+    )
+    word: int = key('bits of what `sum` adds', one_of, (8, 16, 32), default=8)
+    modulus: int = key(
+        "of `fletcher`: 255 as in Fletcher's paper, 256 as MIP and UBX have it",
+        one_of,
+        (255, 256),
+        otherwise='must be given for `fletcher`',
+    )
+    negated: bool = key('of `sum`: the sent value makes the sum zero', Section.flag, default=False)
+    poly: int = key(
+        'of `crc`: generator polynomial',
+        Section.whole,
+        least=1,
+        otherwise='must be given for `crc`',
+    )
+    init: int = key('of `crc` and `xor`: initial value', Section.whole, least=0, default=0)
+    refin: bool = key(
+        'of `crc`: bytes go in with their lowest bit first', Section.flag, default=False
+    )
+    refout: bool = key('of `crc`: the result is reflected', Section.flag, default=False)
+    xorout: int = key('of `crc`: final XOR value', Section.whole, least=0, default=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckKeys(AlgorithmKeys):
+    """Keys of the checksum of a frame."""
+
+    offset: int = key('of its first byte', Section.whole, least=0, most=LONGEST - 1)
+    byte_order: str = key('of the checksum', Section.choice, ONE_ORDER, otherwise=FRAME_ORDER)
+    covers: list[int] = key(
+        'first and last byte covered',
+        whole_list,
+        count=2,
+        lower=0,
+        upper=LONGEST - 1,
+        otherwise='all before it',
+    )
+    padding: int = key(
+        'zero bytes included after them but not sent', Section.whole, least=0, most=64, default=0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MessageCheckKeys(AlgorithmKeys):
+    """Keys of the checksum of another message."""
+
+    offset: int = key(
+        'of its first byte, counted back from the end of the message',
+        Section.whole,
+        least=-LONGEST,
+        most=-1,
+        otherwise='its own length: it comes last',
+    )
+    byte_order: str = key('of the checksum', Section.choice, ONE_ORDER, otherwise=FRAME_ORDER)
+    covers: list[int] = key(
+        'first byte, and the last counted back from the end',
+        whole_list,
+        count=2,
+        lower=-LONGEST,
+        upper=LONGEST,
+        otherwise='all before it',
+    )
+
+
+def read_algorithm(check: Section, kind: type[AlgorithmKeys], order: str) -> Algorithm:
+    """Read the algorithm of a checksum; `order` is its default byte order."""
+
+    def read(name: str, *, required: bool = False, **bounds: Any) -> Any:
+        return read_key(check, kind, name, required=required, **bounds)
+
+    named = read('kind')
+    if named in CATALOGUE:
+        return CATALOGUE[named]
+    if named == 'xor':
+        return Xor(read('init', most=255))
+    if named == 'sum':
+        word = read('word')
+        negated = read('negated')
+        return Sum(read('width') or word, negated, word, read('byte_order') or order)
+    if named == 'fletcher':
+        return Fletcher(read('modulus', required=True))
+    width = read('width', required=True)
+    most = (1 << width) - 1
+    return Crc(
+        width,
+        read('poly', required=True, most=most),
+        read('init', most=most),
+        read('refin'),
+        read('refout'),
+        read('xorout', most=most),
+    )
 
 
 # Known messages on a device's line that are not samples, so that they do not count as damage.
-
-_LONGEST = 4096
-"""Bytes: more than any IMU sends at once; a damaged length does not make the decoder wait longer. A
-judgement."""
 
 LENGTH_TYPES = {'u8': 1, 'u16': 2}
 """Bytes of the numbers that state a message's length."""
@@ -253,7 +312,7 @@ class OtherMessages:
             if not data.startswith(kind.sync, at):
                 continue
             length = kind.length_at(data, at)
-            if length is not None and not kind.least <= length <= _LONGEST:
+            if length is not None and not kind.least <= length <= LONGEST:
                 continue
             if length is None or at + length > len(data):
                 if ended:
@@ -267,54 +326,86 @@ class OtherMessages:
         return 0
 
 
-def read_message(section: Section, order: str) -> OtherMessage:
-    """Read one kind of message from its YAML mapping; numbers have the frames' byte order."""
-    sync = bytes(whole_list(section, 'sync', 0, 255))
-    length: int | Number
-    more = 0
-    if isinstance(section.raw('length'), dict):
-        entry = section.section('length')
-        size = entry.choice('type', LENGTH_TYPES)
-        offset = entry.whole('offset', len(sync), _LONGEST)
-        length = Number('u', size, offset, read_order(entry, order))
-        more = entry.whole('zero', -_LONGEST, _LONGEST, 0)
-        entry.refuse_unknown_keys()
-    else:
-        length = section.whole('length', len(sync), _LONGEST)
-    check = _message_check(section, order)
-    if check is None and len(sync) < 2:
-        raise InputError(
-            f'{section.key("checksum")}: without a checksum a message needs two sync bytes at '
-            'least, else anything is taken for one.'
-        )
-    counted = section.flag('counted', default=False)
-    section.refuse_unknown_keys()
-    return OtherMessage(sync, length, more, check, counted)
+@dataclass(frozen=True)
+class LengthKeys:
+    """Keys of the number in a message that states its length."""
+
+    type: int = key('of the number', Section.choice, LENGTH_TYPES)
+    offset: int = key('of the number, behind `sync`', Section.whole, least=1, most=LONGEST)
+    byte_order: str = key('of the number', Section.choice, ONE_ORDER, otherwise=FRAME_ORDER)
+    zero: int = key('added to the number', Section.whole, least=-LONGEST, most=LONGEST, default=0)
 
 
-def _message_check(section: Section, order: str) -> MessageCheck | None:
-    if section.raw('checksum') == 'none':
+def read_length(
+    section: Section, name: str, least: int = 1, order: str = '<'
+) -> tuple[int | Number, int]:
+    """Read the length of a message, and what is added to a field that states it."""
+    if not isinstance(section.raw(name), dict):
+        return section.whole(name, least, LONGEST), 0
+    entry = section.section(name)
+    size = read_key(entry, LengthKeys, 'type')
+    offset = read_key(entry, LengthKeys, 'offset', least=least)
+    number = Number('u', size, offset, read_key(entry, LengthKeys, 'byte_order') or order)
+    more = read_key(entry, LengthKeys, 'zero')
+    entry.refuse_unknown_keys()
+    return number, more
+
+
+def read_message_check(section: Section, name: str, order: str = '<') -> MessageCheck | None:
+    """Read the checksum of a message; None without one."""
+    if section.raw(name) == 'none':
         return None
-    check = section.section('checksum')
-    algorithm = read_algorithm(check, order)
+    check = section.section(name)
+    algorithm = read_algorithm(check, MessageCheckKeys, order)
     size = algorithm.width // 8
-    offset = check.whole('offset', -_LONGEST, -size, -size)
+    offset = read_key(check, MessageCheckKeys, 'offset', most=-size) or -size
     first, last = 0, offset - 1
     check.has('byte_order')
     given = check.has('covers')
     check.refuse_unknown_keys()
     if given:
-        covered = whole_list(check, 'covers', -_LONGEST, _LONGEST)
-        if len(covered) != 2 or covered[0] < 0 or not covered[1] < offset:
+        first, last = read_key(check, MessageCheckKeys, 'covers')
+        if first < 0 or not last < offset:
             raise InputError(
-                f'{check.key("covers")}: found {covered}, expected the first byte from the '
+                f'{check.key("covers")}: found {[first, last]}, expected the first byte from the '
                 f'beginning, and the last from the end, {offset - 1} at most.'
             )
-        first, last = covered
-    return MessageCheck(algorithm, offset, read_order(check, order), first, last)
+    order = read_key(check, MessageCheckKeys, 'byte_order') or order
+    return MessageCheck(algorithm, offset, order, first, last)
 
 
-LONGEST = 1024
+@dataclass(frozen=True)
+class MessageKeys:
+    """Keys of a kind of message that is not a sample."""
+
+    sync: bytes = key('its first bytes; if several entries fit, the first is used', byte_list)
+    length: tuple[int | Number, int] = key(
+        'its bytes, checksum included, or the number in it that states them', read_length
+    )
+    checksum: MessageCheck | None = key(
+        'its checksum; with `none` `sync` needs two bytes at least', read_message_check
+    )
+    counted: bool = key(
+        'whether the frame counter counts these messages, too', Section.flag, default=False
+    )
+
+
+def read_message(section: Section, order: str) -> OtherMessage:
+    """Read one kind of message from its YAML mapping; numbers have the frames' byte order."""
+    sync = read_key(section, MessageKeys, 'sync')
+    length, more = read_key(section, MessageKeys, 'length', least=len(sync), order=order)
+    check = read_key(section, MessageKeys, 'checksum', order=order)
+    if check is None and len(sync) < 2:
+        raise InputError(
+            f'{section.key("checksum")}: without a checksum a message needs two sync bytes at '
+            'least, else anything is taken for one.'
+        )
+    counted = read_key(section, MessageKeys, 'counted')
+    section.refuse_unknown_keys()
+    return OtherMessage(sync, length, more, check, counted)
+
+
+LONGEST_COMMAND = 1024
 """Bytes of a command: more is taken for a typing error."""
 LONGEST_WAIT = 10.0
 """s after a command: a device that restarts takes about a second. A judgement."""
@@ -332,62 +423,92 @@ class Command:
     wait: float = 0.0
 
 
+def read_ascii(section: Section, name: str) -> bytes:
+    """Read a text of ASCII."""
+    text = section.text(name)
+    if not text or not text.isascii():
+        raise InputError(f'{section.key(name)}: found {text!r}, expected characters of ASCII.')
+    return text.encode('ascii')
+
+
 @dataclass(frozen=True)
-class Commands:
-    """Commands to a device."""
+class CommandKeys:
+    """Keys of a command."""
 
-    start: tuple[Command, ...] = ()  #: Sent when its port opens.
-    #: Time without a byte after which `start` is sent again, s; None: never.
-    again: float | None = None
-    stop: tuple[Command, ...] = ()  #: Sent before its port is closed.
-
-    def __bool__(self) -> bool:
-        return bool(self.start or self.stop)
-
-
-NOTHING = Commands()
-"""For a device that sends without commands."""
+    bytes: Any = key('the bytes sent; this or `text`', byte_list, otherwise='one of the two')
+    text: bytes = key(
+        r'the same as characters; in double quotes `\r` and `\n` end a line; this or `bytes`',
+        read_ascii,
+        otherwise='one of the two',
+    )
+    wait: float = key(
+        'before anything else is sent, 10 s at most', Dimension.TIME, default='0 s', least=0.0
+    )
 
 
-def read_commands(section: Section) -> Commands:
-    """Read `start`, `start_again` and `stop` of a device's file."""
-    start, stop = _sequence(section, 'start'), _sequence(section, 'stop')
-    again = None
-    if section.has('start_again'):
-        again = section.quantity('start_again', Dimension.TIME, least=LEAST_SILENCE)
-        if not start:
-            raise InputError(
-                f"{section.key('start_again')}: there is no 'start' to send again"
-                f'{section.instead("start")}'
-            )
-    waits = sum(command.wait for command in stop)
-    if waits > LONGEST_STOP:
-        raise InputError(
-            f'{section.key("stop")}: the waits add up to {waits:g} s, expected at most '
-            f'{LONGEST_STOP:g} s: closing the port waits for them.'
-        )
-    return Commands(start, again, stop)
-
-
-def _sequence(section: Section, name: str) -> tuple[Command, ...]:
-    if not section.has(name):
-        return ()
+def read_commands(section: Section, name: str) -> tuple[Command, ...]:
+    """Read a list of commands."""
     return tuple(_command(entry) for entry in section.sections(name))
 
 
 def _command(entry: Section) -> Command:
-    wait = entry.quantity('wait', Dimension.TIME, 0.0, least=0.0)
-    if entry.either('bytes', 'text') == 'bytes':
-        data = bytes(whole_list(entry, 'bytes', 0, 255))
-    else:
-        text = entry.text('text')
-        if not text or not text.isascii():
-            raise InputError(f'{entry.key("text")}: found {text!r}, expected characters of ASCII.')
-        data = text.encode('ascii')
-    if len(data) > LONGEST:
-        raise InputError(f'{entry.where}: found {len(data)} bytes, expected at most {LONGEST}.')
+    wait = read_key(entry, CommandKeys, 'wait')
+    data = read_key(entry, CommandKeys, entry.either('bytes', 'text'))
+    if len(data) > LONGEST_COMMAND:
+        raise InputError(
+            f'{entry.where}: found {len(data)} bytes, expected at most {LONGEST_COMMAND}.'
+        )
     if wait > LONGEST_WAIT:
         raise InputError(
             f'{entry.key("wait")}: found {entry.raw("wait")}, expected at most {LONGEST_WAIT:g} s.'
         )
     return Command(data, wait)
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Commands to a device."""
+
+    #: Sent when its port opens.
+    start: tuple[Command, ...] = key(
+        'sent when the port opens', read_commands, value=(), otherwise='nothing is sent'
+    )
+    #: Time without a byte after which `start` is sent again, s; None: never.
+    start_again: float | None = key(
+        'after so long without a byte, 0.5 s or more, `start` is sent again',
+        Dimension.TIME,
+        above=0.0,
+        otherwise='it is not',
+    )
+    #: Sent before its port is closed.
+    stop: tuple[Command, ...] = key(
+        'sent before the port is closed; its waits are 2 s at most',
+        read_commands,
+        value=(),
+        otherwise='nothing',
+    )
+
+    def __bool__(self) -> bool:
+        return bool(self.start or self.stop)
+
+    @classmethod
+    def read(cls, section: Section) -> Commands:
+        """Read the commands of a device's file."""
+        start, stop = (read_key(section, cls, name) or () for name in ('start', 'stop'))
+        again = read_key(section, cls, 'start_again', least=LEAST_SILENCE)
+        if again is not None and not start:
+            raise InputError(
+                f"{section.key('start_again')}: there is no 'start' to send again"
+                f'{section.instead("start")}'
+            )
+        waits = sum(command.wait for command in stop)
+        if waits > LONGEST_STOP:
+            raise InputError(
+                f'{section.key("stop")}: the waits add up to {waits:g} s, expected at most '
+                f'{LONGEST_STOP:g} s: closing the port waits for them.'
+            )
+        return cls(start, again, stop)
+
+
+NOTHING = Commands()
+"""For a device that sends without commands."""

@@ -426,7 +426,7 @@ class DeviceReader:
                 self._stopping.wait(command.wait)
 
     def _is_overdue(self, received_at: int) -> bool:
-        again = self.commands.again
+        again = self.commands.start_again
         return again is not None and steady_time() - received_at > again * NS
 
     def _moment(self) -> tuple[int, int]:
