@@ -17,7 +17,7 @@ from ..common.arguments import checked
 from ..common.config import Section
 from ..common.errors import InputError
 from ..common.files import user_path
-from ..common.keys import key, read_record
+from ..common.keys import key, read_record, records
 from ..common.stream import Floats
 from .table import Table, read_mount
 
@@ -136,6 +136,15 @@ class MountedUnit:
         return replace(table, mount=table.mount @ self.mount) if self.turned else table
 
 
+@dataclass(frozen=True)
+class Units:
+    """The keys of the file."""
+
+    units: tuple[MountedUnit, ...] = key(
+        'on the table, in any order', records, MountedUnit, most=MOST_UNITS
+    )
+
+
 @checked
 def load_units(path: str | Path) -> tuple[MountedUnit, ...]:
     """Read the file of several units; files named in it are searched for beside it first."""
@@ -145,11 +154,7 @@ def load_units(path: str | Path) -> tuple[MountedUnit, ...]:
 
 def read_units(section: Section, folder: Path | None = None) -> tuple[MountedUnit, ...]:
     """Read several units from their YAML mapping; `folder` has the files that it names."""
-    parts = section.sections('units')
-    if len(parts) > MOST_UNITS:
-        raise InputError(f'{section.key("units")}: found {len(parts)} units, at most {MOST_UNITS}.')
-    units = tuple(_read_unit(part, folder) for part in parts)
-    section.refuse_unknown_keys()
+    units = tuple(_completed(unit, folder) for unit in read_record(section, Units).units)
     for what, found in (
         ('serial_number', [unit.name for unit in units]),
         ('topic', [unit.topic for unit in units]),
@@ -196,8 +201,8 @@ def spread_seeds(units: Sequence[MountedUnit], seed: int) -> tuple[int, ...]:
     )
 
 
-def _read_unit(section: Section, folder: Path | None) -> MountedUnit:
-    unit = read_record(section, MountedUnit)
+def _completed(unit: MountedUnit, folder: Path | None) -> MountedUnit:
+    """Return a unit with its topic, and the paths of files in the folder."""
     topic = unit.topic or f'{unit.name}/{PULSES}'
     return replace(
         unit,
