@@ -21,7 +21,8 @@ import numpy as np
 
 from imu_calib.common.stream import ImuBlock
 from imu_calib.live.devices.clock import DeviceClock
-from imu_calib.live.devices.format import Decoder, load_format
+from imu_calib.live.devices.decoder import Decoder
+from imu_calib.live.devices.format import load_format
 from imu_calib.simulation.frames import pack
 
 if TYPE_CHECKING:

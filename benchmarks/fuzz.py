@@ -48,7 +48,8 @@ from imu_calib.common.stream import (
     TemperatureBlock,
 )
 from imu_calib.fleet.recordings import read_manifest
-from imu_calib.live.devices.format import Decoder, FrameFormat, load_format, read_format
+from imu_calib.live.devices.decoder import Decoder
+from imu_calib.live.devices.format import FrameFormat, load_format, read_format
 from imu_calib.recordings import cdr_codec as cdr
 from imu_calib.recordings.cdr import Malformed, Messages
 from imu_calib.recordings.cdr_codec import (

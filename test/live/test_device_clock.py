@@ -8,8 +8,9 @@ import pytest
 from device_frames import NANOSECONDS, frame, kvh, stim
 
 from imu_calib.live.devices.clock import DeviceClock
+from imu_calib.live.devices.decoder import Decoder
 from imu_calib.live.devices.fields import FrameCounter, Number
-from imu_calib.live.devices.format import Decoder, load_format
+from imu_calib.live.devices.format import load_format
 from imu_calib.live.devices.health import Health
 from imu_calib.live.devices.source import DeviceReader
 from imu_calib.live.rules import Severity

@@ -14,8 +14,9 @@ from loopback import until
 
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
+from imu_calib.live.devices.decoder import Decoder
 from imu_calib.live.devices.fields import Checksums, Fletcher, Sum
-from imu_calib.live.devices.format import Decoder, read_format
+from imu_calib.live.devices.format import read_format
 from imu_calib.live.devices.messages import Command, Commands
 from imu_calib.live.devices.source import DeviceReader
 

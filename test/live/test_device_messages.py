@@ -8,7 +8,8 @@ from device_frames import crc32, cut, described, kvh, mti
 
 from imu_calib.common.errors import InputError
 from imu_calib.live.devices.clock import DeviceClock
-from imu_calib.live.devices.format import Decoder, load_format, read_format
+from imu_calib.live.devices.decoder import Decoder
+from imu_calib.live.devices.format import load_format, read_format
 from imu_calib.live.devices.health import Health
 from imu_calib.live.devices.source import DeviceReader
 from imu_calib.live.rules import Severity

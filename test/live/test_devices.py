@@ -17,6 +17,7 @@ from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
 from imu_calib.live.devices.clock import DeviceClock
+from imu_calib.live.devices.decoder import Decoder
 from imu_calib.live.devices.fields import (
     CATALOGUE,
     Checksums,
@@ -26,7 +27,7 @@ from imu_calib.live.devices.fields import (
     Sum,
     Xor,
 )
-from imu_calib.live.devices.format import Decoder, load_format, read_format
+from imu_calib.live.devices.format import load_format, read_format
 from imu_calib.live.devices.health import Reception
 from imu_calib.live.devices.source import Chunk, DeviceReader
 from imu_calib.live.rules import Severity

@@ -21,7 +21,8 @@ from imu_calib.common.stream import ImuBlock
 from imu_calib.common.units import ARCMIN, DEG, PPM
 from imu_calib.estimation.hand import FREE
 from imu_calib.estimation.setup import Setup
-from imu_calib.live.devices.format import Decoder, load_format
+from imu_calib.live.devices.decoder import Decoder
+from imu_calib.live.devices.format import load_format
 from imu_calib.live.nodes import hand_node
 from imu_calib.live.nodes.live_session import SessionPhase
 from imu_calib.model.earth import Site, normal_gravity

@@ -11,7 +11,8 @@ from loopback import CHECKOUT
 from imu_calib.common.config import Section
 from imu_calib.common.stream import Units
 from imu_calib.live.devices.clock import DeviceClock
-from imu_calib.live.devices.format import Decoder, load_format, read_format
+from imu_calib.live.devices.decoder import Decoder
+from imu_calib.live.devices.format import load_format, read_format
 from imu_calib.live.devices.health import Health
 from imu_calib.live.devices.source import DeviceReader
 from imu_calib.live.rules import Severity

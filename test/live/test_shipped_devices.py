@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from imu_calib.live.devices.clock import DeviceClock
-from imu_calib.live.devices.format import Decoder, load_format
+from imu_calib.live.devices.decoder import Decoder
+from imu_calib.live.devices.format import load_format
 from imu_calib.session.imu import load_imu
 
 NS = 1_000_000_000

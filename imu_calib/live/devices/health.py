@@ -13,7 +13,8 @@ from ...common.units import STANDARD_GRAVITY
 from ...session.imu import GRAVITY_FACTOR, ImuSpec
 from ..rules import Severity
 from .clock import DeviceClock
-from .format import Counts, Decoder, FrameFormat, Samples
+from .decoder import Counts, Decoder, Samples
+from .format import FrameFormat
 from .source import Baud, Chunk, ReaderState, too_slow
 
 _SPAN_NS = 500_000_000

@@ -10,7 +10,8 @@ import numpy as np
 from ...common.stream import NS, ImuBlock, Stamps, TemperatureBlock, Units
 from ...recordings.cdr_codec import PULSES, RATES, encode_imu, encode_temperatures
 from ...session.imu import load_imu
-from ..devices.format import Samples, load_format
+from ..devices.decoder import Samples
+from ..devices.format import load_format
 from ..devices.health import GAP_TIMEOUT, Reception
 from ..devices.simulated import SCHEME, InMemorySource
 from ..devices.source import Chunk, DeviceReader, choose_baud, is_serial
