@@ -23,7 +23,6 @@ from .fields import (
     fits,
 )
 from .messages import (
-    FRAME_ORDER,
     LONGEST,
     NOTHING,
     ONE_ORDER,
@@ -107,7 +106,9 @@ class NumberKeys:
         TYPES,
     )
     offset: int | list[int] = key('of its first byte', Section.whole, least=0, most=LONGEST - 1)
-    byte_order: str = key('of this number', Section.choice, ORDERS, otherwise=FRAME_ORDER)
+    byte_order: str = key(
+        'of this number', Section.choice, ORDERS, otherwise='`byte_order` of the frame'
+    )
     bits: list[int] = key(
         'first and last bit used, bit 0 the lowest; only for an unsigned number',
         whole_list,

@@ -30,7 +30,6 @@ from .fields import (
 ONE_ORDER = {'little': '<', 'big': '>'}  #: Byte orders of a frame.
 ORDERS = {**ONE_ORDER, 'low_word_first': LOW_WORD_FIRST, 'high_word_first': HIGH_WORD_FIRST}
 """Byte orders of a number."""
-FRAME_ORDER = '`byte_order` of the frame'  #: Order of a number that does not state its own.
 LONGEST = 4096
 """Bytes of a frame or message, more than any IMU sends at once: more is taken for a typing error,
 and a damaged length does not make the decoder wait longer. A judgement."""
@@ -134,7 +133,9 @@ class CheckKeys(AlgorithmKeys):
     """Keys of the checksum of a frame."""
 
     offset: int = key('of its first byte', Section.whole, least=0, most=LONGEST - 1)
-    byte_order: str = key('of the checksum', Section.choice, ONE_ORDER, otherwise=FRAME_ORDER)
+    byte_order: str = key(
+        'of the checksum', Section.choice, ONE_ORDER, otherwise='`byte_order` of the frame'
+    )
     covers: list[int] = key(
         'first and last byte covered',
         whole_list,
@@ -159,7 +160,9 @@ class MessageCheckKeys(AlgorithmKeys):
         most=-1,
         otherwise='its own length: it comes last',
     )
-    byte_order: str = key('of the checksum', Section.choice, ONE_ORDER, otherwise=FRAME_ORDER)
+    byte_order: str = key(
+        'of the checksum', Section.choice, ONE_ORDER, otherwise='`byte_order` of the frame'
+    )
     covers: list[int] = key(
         'first byte, and the last counted back from the end',
         whole_list,
@@ -332,7 +335,9 @@ class LengthKeys:
 
     type: int = key('of the number', Section.choice, LENGTH_TYPES)
     offset: int = key('of the number, behind `sync`', Section.whole, least=1, most=LONGEST)
-    byte_order: str = key('of the number', Section.choice, ONE_ORDER, otherwise=FRAME_ORDER)
+    byte_order: str = key(
+        'of the number', Section.choice, ONE_ORDER, otherwise='`byte_order` of the frame'
+    )
     zero: int = key('added to the number', Section.whole, least=-LONGEST, most=LONGEST, default=0)
 
 
