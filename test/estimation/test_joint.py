@@ -361,12 +361,13 @@ def wandering(seed: int, share: float = 1.0) -> Evidence:
     )
 
 
-@pytest.mark.parametrize(('share', 'least'), [(1.0, 0.8), (0.0, 0.6)])
+@pytest.mark.parametrize(('share', 'least'), [(1.0, 0.8), (0.08, 0.6), (0.0, 0.6)])
 def test_biases_are_as_sure_as_the_drift_that_the_data_sheet_states_lets_them(
     share: float, least: float
 ) -> None:
     # Half an hour shows no 0.1 deg/h of drift beside the noise, and D_g errs by it all the same.
-    # Without any drift the deviations are wider than they need be: nobody can know.
+    # Without any drift the deviations are wider than they need be: nobody can know. A twelfth of it
+    # hides in the noise of the dwells, and the likeliest drift is then too often none.
     seeds = 12
     found = np.array([normalised(joint.solve(wandering(k, share))) for k in range(seeds)])
     for biases in (GYRO_BIAS, ACCEL_BIAS):
