@@ -12,7 +12,7 @@ from ..calibration.calibrator import Calibrator, SharedResults, calibrator_of, e
 from ..calibration.hand import HandCalibrator
 from ..calibration.results import Result
 from ..common.arguments import checked
-from ..common.errors import ImuCalibError, InputError, NotObservable, NotStated
+from ..common.errors import Contradiction, ImuCalibError, InputError, NotObservable, NotStated
 from ..common.files import printable, unwritable
 from ..common.processes import by_one_thread
 from ..common.progress import Progress, silent
@@ -134,7 +134,11 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
                         'down, and a turn about each), not free positions: give `plan` '
                         f'{_HOLDS_AND_TURNS}.'
                     ) from None
-            raise error.among(after=(*lost, *opened.assumed)) from None
+            # A contradiction is in what there is.
+            cut = '' if isinstance(error, Contradiction) else opened.recording.unfinished
+            refusal = error.among(after=(*(s for s in lost if s != cut), *opened.assumed))
+            refusal.args = (f'{cut} {refusal.args[0]}'.lstrip(), *refusal.args[1:])
+            raise refusal from None
         if by_hand:
             _check_that_it_was(opened, result.session)
     return result

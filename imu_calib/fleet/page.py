@@ -255,8 +255,8 @@ def written(
 ) -> tuple[Path, Fleet]:
     """Write the page; return the file and its contents."""
     path = page_path(output)
-    require('bokeh', 'A page on a catalogue', 'fleet')
     found = catalogue if isinstance(catalogue, Catalogue) else Catalogue(catalogue)
+    require('bokeh', 'A page on a catalogue', 'fleet')
     with progress('looking back') as show:
         table = found.selected(where)
         recordings = recordings_of(table, found.folder, path.parent)

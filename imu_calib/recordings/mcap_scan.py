@@ -188,7 +188,8 @@ class _Scanner:
             f'is cut off at byte {self.cut_at} of {position}' if self.cut_at else 'has no footer'
         )
         where += ' (zeros follow)' if self.zeros else ''
-        self.losses.add_loss(f'{self.name} {where}: its recorder did not finish{known}.')
+        self.losses.unfinished = f'{self.name} {where}: its recorder did not finish{known}.'
+        self.losses.add_loss(self.losses.unfinished)
 
     def _small(self, op: int, position: int, length: int, following: int) -> int | None:
         try:

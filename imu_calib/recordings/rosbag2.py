@@ -294,6 +294,11 @@ class Recording:
         return list(self._losses.sentences)
 
     @property
+    def unfinished(self) -> str:
+        """The sentence of `losses` that a recorder did not finish; empty if all did."""
+        return self._losses.unfinished
+
+    @property
     def metadata(self) -> list[tuple[str, Mapping[str, str]]]:
         """The metadata records of its mcap files: name and content."""
         return [one for storage in self._storages for one in storage.metadata]

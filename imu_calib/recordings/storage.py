@@ -107,6 +107,7 @@ class Losses:
 
     def __init__(self) -> None:
         self.sentences: list[str] = []
+        self.unfinished = ''  #: That a recorder did not finish; empty if all did.
 
     def add_loss(self, sentence: str) -> None:
         """State a loss; one that two topics encounter counts once."""

@@ -76,36 +76,43 @@ class StampOrder:
 
     def _decided(self, *, ended: bool) -> Ordered:
         """Decide on the rows that have their successors, or on all."""
-        stamp, values, passed = self._stamp, self._values, self._passed
+        stamp, values = self._stamp, self._values
         count = len(stamp) if ended else max(len(stamp) - self._waiting, 0)
-        steps = np.diff(stamp, prepend=self._last)
-        if not count or (not passed.any() and np.all(steps > 0)):
+        if count and (self._passed.any() or np.any(np.diff(stamp, prepend=self._last) <= 0)):
+            rows, lost, moved, count = self._sorted(ended=ended)
+            result = Ordered(stamp[rows], values[rows], stamp[lost], stamp[moved])
+        else:
             result = Ordered(stamp[:count], values[:count], stamp[:0], stamp[:0])
             self._last = int(stamp[count - 1]) if count else self._last
-        else:
-            rows, lost, moved = list[int](), list[int](), list[int]()
-            times, count = stamp.tolist(), 0
-            while count < len(times) - (0 if ended else self._waiting):
-                k, count = count, count + 1
-                if passed[k]:
-                    continue
-                after = range(k + 1, min(k + 1 + self._waiting, len(times)))
-                early = [m for m in after if self._last < times[m] <= times[k]]
-                if times[k] <= self._last or 2 * len(early) > len(after):
-                    lost.append(k)
-                    self._waiting = self._places
-                    continue
-                early = sorted((m for m in early if not passed[m]), key=lambda m: (times[m], m))
-                for m in [*early, k]:
-                    if times[m] > self._last:
-                        rows.append(m)
-                        passed[m] = True
-                        self._last = times[m]
-                moved += early
-            result = Ordered(stamp[rows], values[rows], stamp[lost], stamp[moved])
-        self._stamp, self._values = stamp[count:], values[count:]
-        self._passed = passed[count:]
+        self._stamp, self._values, self._passed = (
+            stamp[count:],
+            values[count:],
+            self._passed[count:],
+        )
         return result
+
+    def _sorted(self, *, ended: bool) -> tuple[list[int], list[int], list[int], int]:
+        """Return the rows in order, those dropped, those brought forward; how many are done."""
+        rows, lost, moved = list[int](), list[int](), list[int]()
+        times, passed, count = self._stamp.tolist(), self._passed, 0
+        while count < len(times) - (0 if ended else self._waiting):
+            k, count = count, count + 1
+            if passed[k]:
+                continue
+            after = range(k + 1, min(k + 1 + self._waiting, len(times)))
+            early = [m for m in after if self._last < times[m] <= times[k]]
+            if times[k] <= self._last or 2 * len(early) > len(after):
+                lost.append(k)
+                self._waiting = self._places
+                continue
+            early = sorted((m for m in early if not passed[m]), key=lambda m: (times[m], m))
+            for m in [*early, k]:
+                if times[m] > self._last:
+                    rows.append(m)
+                    passed[m] = True
+                    self._last = times[m]
+            moved += early
+        return rows, lost, moved, count
 
 
 _APART = 10_000_000_000
