@@ -63,6 +63,7 @@ def circles() -> Iterator[str]:
 # A sentence names a keyword to who calls a function, and the option to who runs a command.
 
 OTHERS = {
+    'api/simulate.py': 'the options themselves',
     'api/stand.py': 'runs a command',
     'api/streams.py': 'a whole command',
     'calibration/exports.py': 'a command of ROS',

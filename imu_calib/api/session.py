@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import numpy as np
 
@@ -20,12 +20,12 @@ from ..calibration.thermal import (
 )
 from ..common.config import Section
 from ..common.errors import InputError, NotStated
-from ..common.files import named_file
+from ..common.files import named_file, shipped
 from ..common.finding import Finding, warning
 from ..common.units import DEG
 from ..model.earth import MEASURED, VAGUE, Site
 from ..session.imu import ImuSpec, read_imu
-from ..session.keywords import NO_PLAN, Named, Stated, as_imu, as_plan
+from ..session.keywords import NO_PLAN, Named, Option, Stated, as_imu, as_plan
 from ..session.metadata import (
     PLAN,
     SERIAL_NUMBER,
@@ -109,6 +109,8 @@ def as_truth(truth: Calibration | Named) -> Calibration:
 
 
 DEFAULT_TRUTH = 'cao2022_table1'
+USUAL_IMU, HELD_UNIT = 'fog_medium', 'mems_counts'
+"""Simulated units: on a table, and in a hand; in the hand with true parameters of the same name."""
 _APART = 0.1
 """Standard deviation between units, as a share of each true parameter. A choice: many times what
 a session of a fibre-optic unit determines, and far within any specification."""
@@ -139,6 +141,73 @@ def load_truth(truth: Calibration | Named | None, imu: ImuSpec, serial: str = ''
 
 TRUE_TABLE = 'true_table.yaml'
 """File in a simulated recording: the true table, if it differs from its description."""
+
+
+class Drifting(TypedDict, total=False):
+    """A simulated or predicted unit."""
+
+    bias_instability: Annotated[
+        bool,
+        "Let the biases drift by the IMU's figure.",
+        Option("let the biases drift as the IMU's file states"),
+    ]
+
+
+class Imperfect(TypedDict, total=False):
+    """A simulated stand."""
+
+    imperfections: Annotated[
+        Named | None,
+        'Faults of the stand: name or file.',
+        Option(
+            'imperfections of the stand: axes, wobble, zeros and encoders of the table in arcsec, '
+            'positioning errors, ramps in deg/s^2, stamps in ms, samples lost or sent twice in %%, '
+            'frozen counts in s, ringing, a floor that shakes, temperature, warm-up of the biases '
+            f'(shipped: {shipped("imperfections")}; docs/files/imperfections.md; default: '
+            f'nothing). The true table is written to {TRUE_TABLE}',
+            'NAME|FILE',
+        ),
+    ]
+
+
+class _Unit(TypedDict, total=False):
+    truth: Annotated[
+        Named | None,
+        "The unit's true parameters: name or file; None for those of the default IMU.",
+        Option(
+            f"the unit's true parameters (default: {DEFAULT_TRUTH}, from which each of several "
+            f'units departs by a tenth; {HELD_UNIT} where it is held by hand)',
+            'NAME|FILE',
+        ),
+    ]
+    azimuth: Annotated[
+        float,
+        "True heading of the table's zero, deg.",
+        Option("true heading of the table's zero", 'DEG', 0.0),
+    ]
+    sample_rate: Annotated[
+        float | None,
+        "Hz; 0 or None for the IMU's own.",
+        Option("default: the IMU's own", 'HZ', 0.0),
+    ]
+
+
+class _Pace(TypedDict, total=False):
+    seed: Annotated[int, 'Same seed, same errors.', Option('same seed, same errors', default=0)]
+    speed: Annotated[
+        float | None,
+        'Times real time at most; 0 or None for as fast as the nodes can follow.',
+        Option(
+            'highest speed in multiples of real time (default: as fast as the nodes follow)',
+            'X',
+            0.0,
+        ),
+    ]
+
+
+class SimulatedHardware(_Unit, Imperfect, _Pace, total=False):
+    """Hardware of a stand that is simulated live."""
+
 
 _ANYWHERE = 0.0
 """deg: assumed latitude, with the standard deviation `VAGUE`, if only gravity is stated for a unit

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import numpy as np
 
@@ -44,12 +44,14 @@ from ..session.imu import COLDEST, HOTTEST, ImuSpec
 from ..session.keywords import (
     AtSite,
     Named,
+    Option,
     Planned,
     Stated,
     as_imu,
     as_plan,
     as_table,
     azimuth_of,
+    with_defaults,
     with_keywords,
 )
 from ..session.metadata import describe, mount_description, shared_description, unit_description
@@ -67,7 +69,7 @@ from ..simulation.stand import (
     SimulatedUnit,
 )
 from .files import new_folder, removed_on_failure
-from .session import TRUE_TABLE, as_units, load_truth
+from .session import TRUE_TABLE, Drifting, Imperfect, as_units, load_truth
 
 if TYPE_CHECKING:
     import pandas
@@ -77,6 +79,80 @@ if TYPE_CHECKING:
 TRUTH = 'truth.yaml'  #: File in a simulated recording: the true parameters of the unit.
 
 _TABLE = 'three_axis'
+_OF_SITE = AtSite.__annotations__
+
+
+class SimulatedTable(TypedDict, total=False):
+    """The simulated table."""
+
+    table: Annotated[
+        Table | Named | None,
+        'Name, file or value; None for the three-axis table, and for none if the plan is by hand.',
+        Option('default: three_axis; none where the plan is run by hand', 'NAME|FILE'),
+    ]
+
+
+class TrueUnit(TypedDict, total=False):
+    """What only the simulation knows."""
+
+    truth: Annotated[
+        Calibration | Named | None,
+        "The unit's true parameters; None for `cao2022_table1`, which a unit with a serial number "
+        'has with departures of its own, a tenth of each parameter.',
+        Option(
+            "the unit's true parameters, as a calibration file (default: cao2022_table1; units "
+            'with serial numbers differ from it, and from each other, by a tenth)',
+            'NAME|FILE',
+        ),
+    ]
+    azimuth: Annotated[
+        float | None,
+        "True heading of the table's zero against north, about up, deg.",
+        Option("true heading of the table's zero against north, about up (default: 0)", 'DEG'),
+    ]
+
+
+class InRecording(TypedDict, total=False):
+    """The simulated recording."""
+
+    seed: Annotated[
+        int,
+        'The same seed gives the same bits.',
+        Option('same seed, same bits (default: 0)', default=0),
+    ]
+    compression: Annotated[
+        str,
+        "'', 'lz4' or 'zstd', of the recording.",
+        Option('compression of the recording', default='', choices=('lz4', 'zstd')),
+    ]
+    start: Annotated[
+        str | datetime | None,
+        'Date of the first sample, ISO 8601, UTC if it states no zone; None for '
+        '2023-11-14T22:13:20Z.',
+        Option(
+            'when the recording begins, for instance 2026-01-31T12:00:00Z (default: '
+            '2023-11-14T22:13:20Z)',
+            'DATE',
+        ),
+    ]
+    temperature: Annotated[
+        float | None,
+        'Of the unit at the start, degC; None for 25, at which the true parameters hold. '
+        '`imperfections` state its effect on them; a plan by hand gets its topic by it.',
+        Option(
+            'temperature of the unit at the start, degC (default: 25, at which the true parameters '
+            'hold); --imperfections state its effect',
+            'T',
+        ),
+    ]
+
+
+class Simulation(SimulatedTable, TrueUnit, Drifting, Imperfect, InRecording, total=False):
+    """A simulated session, without its site."""
+
+
+class SimulationAt(Simulation, AtSite, total=False):
+    """A simulated session at a site, which the recording states."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,24 +169,15 @@ class Simulated:
         return f'<Simulated: {self.duration:.0f} s of plan {self.plan.name} in {self.path}>'
 
 
-@with_keywords(AtSite)
+@with_keywords(SimulationAt)
 def simulate(
     plan: Plan | Named,
     output: Named,
     *,
     imu: ImuSpec | Named = 'fog_medium',
-    table: Table | Named | None = None,
-    truth: Calibration | Named | None = None,
-    azimuth: float | None = None,
-    bias_instability: bool = False,
-    imperfections: Named | None = None,
-    seed: int = 0,
     serial: str | None = None,
-    start: str | datetime | None = None,
-    temperature: float | None = None,
-    compression: str = '',
     progress: Progress = silent,
-    **site: Unpack[AtSite],
+    **stated: Unpack[SimulationAt],
 ) -> Simulated:
     """Simulate a session and write its recording.
 
@@ -119,66 +186,48 @@ def simulate(
             given it.
         output: Folder to create.
         imu: Likewise: units and noise of the IMU's samples.
-        table: Likewise; None for the three-axis table, and for none if the plan is by hand.
-        truth: The unit's true parameters; None for `cao2022_table1`, which a unit with a serial
-            number has with departures of its own, a tenth of each parameter.
-        azimuth: True heading of the table's zero against north, about up, deg.
-        bias_instability: Let the biases drift by the IMU's figure.
-        imperfections: Faults of the stand: name or file.
-        seed: The same seed gives the same bits.
         serial: Serial number of the unit.
-        start: Date of the first sample, ISO 8601, UTC if it states no zone; None for
-            2023-11-14T22:13:20Z.
-        temperature: Of the unit at the start, degC; None for 25, at which the true parameters hold.
-            `imperfections` state its effect on them; a plan by hand gets its topic by it.
-        compression: '', 'lz4' or 'zstd', of the recording.
         progress: Shows the progress; nothing by default.
-        **site: `latitude` to `gravity_std` as of `calibrate`, to be stated in the recording; None
-            for Luoyang's latitude.
+        KEYWORDS
+        **stated: The keywords from `table` on, all optional; the recording states the site,
+            Luoyang's latitude by default.
 
     Raises:
         InputError: A file is missing or broken, they do not match each other, the folder exists, or
             its parent folder does not.
         NotObservable: The plan cannot determine the parameters with its method.
     """
-    target, place, steps = _prepared(plan, output, seed, site)
-    spec, true = _true_unit(imu, truth, serial or '')
-    named = None if steps.by_hand else table or _TABLE
+    given = with_defaults(SimulationAt, stated)
+    target, place, steps = _prepared(plan, output, given)
+    spec, true = _true_unit(imu, given['truth'], serial or '')
+    named = None if steps.by_hand else given['table'] or _TABLE
     blocks: Iterator[tuple[str, Block]]
     stands = None if named is None else as_table(named)
-    stated = _options(
-        stands,
-        azimuth,
-        imperfections,
-        seed,
-        bias_instability=bias_instability,
-        start=start,
-        temperature=temperature,
-    )
+    options, seed = _options(stands, given), given['seed']
     if stands is None:
-        _refuse_table(steps, table, azimuth)
+        _refuse_table(steps, given['table'], given['azimuth'])
         held = as_planned(steps, np.random.default_rng([seed, 1]))
-        read = held.blocks(spec, true.model, place, stated, seed, epoch=stated.start_time)
-        duration, blocks = held.duration, _in_the_hand(read, stated, thermometer=temperature)
+        read = held.blocks(spec, true.model, place, options, seed, epoch=options.start_time)
+        duration = held.duration
+        blocks = _in_the_hand(read, options, thermometer=given['temperature'])
     else:
-        stand = SimulatedStand(steps, stands, spec, true.model, place, stated, seed)
+        stand = SimulatedStand(steps, stands, spec, true.model, place, options, seed)
         duration, blocks = stand.duration, stand.blocks()
     data = describe(plan, imu, named, place, serial or '')
     with removed_on_failure(target):
-        with RecordingWriter(target, data, compression) as writer:
+        with RecordingWriter(target, data, given['compression']) as writer:
             _write_blocks(writer, blocks, duration, progress)
         true.save(target / TRUTH)
-        true_table = _save_true_table(target, stated, stands)
+        true_table = _save_true_table(target, options, stands)
     return Simulated(target, steps, true, duration, true_table)
 
 
-def _prepared(
-    plan: Plan | Named, output: Named, seed: int, site: AtSite
-) -> tuple[Path, Site, Plan]:
+def _prepared(plan: Plan | Named, output: Named, given: SimulationAt) -> tuple[Path, Site, Plan]:
     """Return the folder to create, the site and the plan of a session."""
-    if seed < 0:
-        raise InputError(f'`seed`: found {seed}, expected 0 or more.')
-    target, place, steps = new_folder(output), Stated(**site).site(LUOYANG), as_plan(plan)
+    if given['seed'] < 0:
+        raise InputError(f'`seed`: found {given["seed"]}, expected 0 or more.')
+    of_site: dict[str, Any] = {n: value for n, value in given.items() if n in _OF_SITE}
+    target, place, steps = new_folder(output), Stated(**of_site).site(LUOYANG), as_plan(plan)
     check_plan(steps.method, steps, place)
     return target, place, steps
 
@@ -191,26 +240,27 @@ def _true_unit(
     return spec, replace(load_truth(truth, spec, serial), imu=spec)
 
 
-def _options(
-    table: Table | None,
-    azimuth: float | None,
-    imperfections: Named | None,
-    seed: int,
-    *,
-    bias_instability: bool,
-    start: str | datetime | None,
-    temperature: float | None,
-) -> StandOptions:
-    """Return how a simulated stand differs from its descriptions; arguments as for `simulate`."""
+def _options(table: Table | None, given: Simulation) -> StandOptions:
+    """Return how a simulated stand differs from its descriptions."""
     options = StandOptions(
-        azimuth=azimuth_of(azimuth or 0.0),
+        azimuth=azimuth_of(given['azimuth'] or 0.0),
         # A uniform error of this half width has the table's stated standard deviation.
         positioning_error=0.0 if table is None else math.sqrt(3) * table.positioning,
-        bias_instability=bias_instability,
+        bias_instability=given['bias_instability'],
     )
-    if imperfections is not None:
-        options = load_imperfections(imperfections, options, table, seed)
-    return _with_date_and_temperature(options, start, temperature)
+    if given['imperfections'] is not None:
+        options = load_imperfections(given['imperfections'], options, table, given['seed'])
+    if given['start'] is not None:
+        options = replace(options, start_time=_stamp_of(given['start']))
+    temperature = given['temperature']
+    if temperature is not None:
+        if not COLDEST <= temperature <= HOTTEST:
+            raise InputError(
+                f'`temperature`: found {temperature:g} degC, expected {COLDEST:g} to {HOTTEST:g}.'
+            )
+        above = temperature - options.warming.reference
+        options = replace(options, warming=replace(options.warming, offset=above))
+    return options
 
 
 def _write_blocks(
@@ -236,22 +286,6 @@ def _save_true_table(folder: Path, options: StandOptions, table: Table | None) -
     path = folder / TRUE_TABLE
     options.true.save(path, table)
     return path
-
-
-def _with_date_and_temperature(
-    options: StandOptions, start: str | datetime | None, temperature: float | None
-) -> StandOptions:
-    """Return options with the stated date and temperature."""
-    if start is not None:
-        options = replace(options, start_time=_stamp_of(start))
-    if temperature is not None:
-        if not COLDEST <= temperature <= HOTTEST:
-            raise InputError(
-                f'`temperature`: found {temperature:g} degC, expected {COLDEST:g} to {HOTTEST:g}.'
-            )
-        above = temperature - options.warming.reference
-        options = replace(options, warming=replace(options.warming, offset=above))
-    return options
 
 
 def _stamp_of(start: str | datetime) -> int:
@@ -330,23 +364,14 @@ class SimulatedUnits:
         return f'<SimulatedUnits: {self.duration:.0f} s of {units} in {self.path}>'
 
 
-@with_keywords(AtSite)
+@with_keywords(SimulationAt)
 def simulate_units(
     plan: Plan | Named,
     output: Named,
     imus: Named | Sequence[MountedUnit],
     *,
-    table: Table | Named | None = None,
-    truth: Calibration | Named | None = None,
-    azimuth: float | None = None,
-    bias_instability: bool = False,
-    imperfections: Named | None = None,
-    seed: int = 0,
-    start: str | datetime | None = None,
-    temperature: float | None = None,
-    compression: str = '',
     progress: Progress = silent,
-    **site: Unpack[AtSite],
+    **stated: Unpack[SimulationAt],
 ) -> SimulatedUnits:
     """Simulate a session of several units on one table and write its recording.
 
@@ -354,54 +379,39 @@ def simulate_units(
         plan: Name, file or value; one of a table.
         output: Folder to create.
         imus: File of the units (docs/files/units.md), or the units.
-        table: Name, file or value; None for the three-axis table.
-        truth: True parameters of the units that state none; None as for `simulate`.
-        azimuth: As for `simulate`, as are all that follow.
-        bias_instability: Of every unit, by its own figure.
-        imperfections: Those of the table are the same for all units.
-        seed: Of the table, and of the units that state none.
-        start: Date of the first sample.
-        temperature: degC.
-        compression: '', 'lz4' or 'zstd'.
         progress: Shows the progress.
-        **site: `latitude` to `gravity_std` as of `calibrate`, to be stated in the recording; None
-            for Luoyang's latitude.
+        **stated: As for `simulate`: `truth` and `seed` of the units that state none, imperfections
+            of the table the same for all units.
 
     Raises:
         InputError: A file is missing or broken, they do not match each other, the folder exists, or
             its parent folder does not.
         NotObservable: The plan cannot determine the parameters with its method.
     """
-    target, place, steps = _prepared(plan, output, seed, site)
+    given = with_defaults(SimulationAt, stated)
+    target, place, steps = _prepared(plan, output, given)
     listed = as_units(imus)
     if steps.by_hand:
         raise InputError(
             f'`imus`: plan {steps.name} is run by hand, without a table: expected one unit (`imu`).'
         )
-    stands = as_table(table or _TABLE)
-    options = _options(
-        stands,
-        azimuth,
-        imperfections,
-        seed,
-        bias_instability=bias_instability,
-        start=start,
-        temperature=temperature,
-    )
+    table, seed = given['table'] or _TABLE, given['seed']
+    stands = as_table(table)
+    options = _options(stands, given)
     units, truths = [], {}
     for one, own_seed in zip(listed, spread_seeds(listed, seed), strict=True):
-        spec, true = _true_unit(one.imu, one.truth or truth, one.serial_number)
+        spec, true = _true_unit(one.imu, one.truth or given['truth'], one.serial_number)
         truths[one.serial_number] = replace(true, serial_number=one.serial_number)
         unit = SimulatedUnit(one.topic, spec, true.model, one.mount, one.lever, own_seed)
         units.append(unit)
     stand = SeveralOnTable(steps, stands, units, place, options, seed)
-    data = shared_description(describe(plan, listed[0].imu, table or _TABLE, place))
+    data = shared_description(describe(plan, listed[0].imu, table, place))
     for one in listed:
         data |= unit_description(one.topic, one.imu, one.serial_number)
         if one.turned:
             data |= mount_description(one.topic, one.mount)
     with removed_on_failure(target):
-        with RecordingWriter(target, data, compression) as writer:
+        with RecordingWriter(target, data, given['compression']) as writer:
             _write_blocks(writer, stand.blocks(), stand.duration, progress)
         (target / TRUTHS).mkdir()
         for number, true in truths.items():

@@ -7,8 +7,8 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Collection
 from dataclasses import dataclass, replace
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,13 +30,17 @@ from ..session.plan import Plan
 from ..session.table import Table
 from ..simulation.options import StandOptions, load_imperfections
 from ..simulation.true_table import TrueTable
-from .session import TRUE_TABLE
+from .session import TRUE_TABLE, SimulatedHardware
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 _COMMAND = 'imu_calib.cli.main'
 _ERRORS = {error.exit_code: error for error in (InputError, NotObservable)}
+
+
+class _OnSimulatedStand(SimulatedHardware, OnStand, total=False):
+    """A session that is run live on simulated hardware."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,21 +57,15 @@ class StandRun:
         return f'<StandRun: {self.calibration} in {self.path}>'
 
 
-@with_keywords(OnStand)
+@with_keywords(_OnSimulatedStand)
 def stand(
     plan: Named,
     output: Named = 'stand',
     *,
     imu: Named | None = None,
     table: Named = 'three_axis',
-    truth: Named | None = None,
-    azimuth: float = 0.0,
     serial: str | None = None,
-    sample_rate: float | None = None,
-    imperfections: Named | None = None,
-    seed: int = 0,
-    speed: float | None = None,
-    **stated: Unpack[OnStand],
+    **stated: Unpack[_OnSimulatedStand],
 ) -> StandRun:
     """Run a plan live on a simulated stand: all nodes in one process of its own.
 
@@ -75,18 +73,13 @@ def stand(
     stand, which only the command can run (`imu-calib stand --port`).
 
     Args:
-        plan: Name or file; so are `imu`, `table`, `truth` and `imperfections`.
+        plan: Name or file.
         output: Folder to create.
-        imu: None for fog_medium, or mems_counts if the plan is run by hand.
-        table: The turntable.
-        truth: The unit's true parameters; None for those of the default IMU.
-        azimuth: True heading of the table's zero, deg.
+        imu: Name or file; None for fog_medium, or mems_counts if the plan is run by hand.
+        table: The turntable: name or file.
         serial: Serial number of the unit.
-        sample_rate: Hz; None for the IMU's own.
-        imperfections: Faults of the stand; None for none.
-        seed: Same seed, same errors.
-        speed: Times real time at most; None for as fast as the nodes can follow.
-        **stated: `method`, `terms` and the site, as of `calibrate`; Luoyang's latitude by default.
+        KEYWORDS
+        **stated: The keywords from `truth` on, all optional; Luoyang's latitude by default.
 
     Raises:
         InputError: A file is missing or broken, the folder exists already, they do not match each
@@ -94,22 +87,11 @@ def stand(
         NotObservable: The session gives no calibration; the text states why.
         ImuCalibError: There is no middleware for the nodes.
     """
-    options = {
-        'imu': imu,
-        'table': table,
-        'truth': truth,
-        'azimuth': azimuth,
-        'serial': serial,
-        'sample_rate': sample_rate,
-        'imperfections': imperfections,
-        'seed': seed,
-        'speed': speed,
-        **stated,
-    }
+    options = {'imu': imu, 'table': table, 'serial': serial, **stated}
     folder = user_path(output)
     given = {name.replace('_', '-'): value for name, value in options.items()}
     words = [f'--{name}={value}' for name, value in given.items() if value is not None]
-    _run(['stand', f'--output={folder}', *words, '--', str(plan)], options)
+    _run(['stand', f'--output={folder}', *words, '--', str(plan)])
     drawn = folder / TRUE_TABLE
     return StandRun(
         folder,
@@ -120,7 +102,7 @@ def stand(
     )
 
 
-def _run(words: list[str], keywords: Collection[str]) -> None:
+def _run(words: list[str]) -> None:
     """Run a command line in a process that ends with this one; its errors name keywords."""
     process = subprocess.Popen(
         [
@@ -150,7 +132,7 @@ def _run(words: list[str], keywords: Collection[str]) -> None:
     if process.returncode == 128 + signal.SIGINT:
         raise KeyboardInterrupt
     text = errors.rpartition('imu-calib stand: ')[2].strip()
-    for name in keywords:
+    for name in signature(stand).parameters:
         text = re.sub(rf'--{name.replace("_", "-")}\b(?!-)', f'`{name}`', text)
     raise _ERRORS.get(process.returncode, ImuCalibError)(text)
 

@@ -6,12 +6,10 @@ import argparse
 from collections.abc import Callable
 from dataclasses import fields
 from inspect import Parameter, signature
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
-from ..api.session import TRUE_TABLE
 from ..common.errors import InputError
-from ..common.files import shipped
-from ..session.keywords import Stated, numeric, statements, types_of
+from ..session.keywords import Stated, statements
 
 
 def stated(arguments: argparse.Namespace) -> Stated:
@@ -29,31 +27,19 @@ def keywords(function: Callable[..., object], arguments: argparse.Namespace) -> 
     return {name: given[name] for name in names if name in given}
 
 
-def add_imperfections_option(parser: argparse._ActionsContainer) -> None:
-    """Add --imperfections: the faults of a simulated stand."""
-    parser.add_argument(
-        '--imperfections',
-        metavar='NAME|FILE',
-        help=(
-            'imperfections of the stand: axes, wobble, zeros and encoders of the table in arcsec, '
-            'positioning errors, ramps in deg/s^2, stamps in ms, samples lost or sent twice in %%, '
-            'frozen counts in s, ringing, a floor that shakes, temperature, warm-up of the biases '
-            f'(shipped: {shipped("imperfections")}; docs/files/imperfections.md; default: '
-            f'nothing). The true table is written to {TRUE_TABLE}'
-        ),
-    )
-
-
 def add_statements(parser: argparse._ActionsContainer, group: type) -> None:
     """Add the options of statements on a session, as they are declared."""
-    types, numbers = types_of(group), numeric(group)
+    hints = get_type_hints(group)
     for name, one in statements(group).items():
-        option = f'--{name.replace("_", "-")}'
-        if types[name] == 'bool':
-            parser.add_argument(option, action='store_true', help=one.option.help)
-        else:
-            kind = float if name in numbers else str
-            parser.add_argument(option, type=kind, metavar=one.option.metavar, help=one.option.help)
+        (text, metavar, default, choices), option = one.option, f'--{name.replace("_", "-")}'
+        kinds = {hints[name], *get_args(hints[name])}
+        if bool in kinds:
+            parser.add_argument(option, action='store_true', help=text)
+            continue
+        kind = next((kind for kind in (int, float) if kind in kinds), str)
+        parser.add_argument(
+            option, type=kind, default=default, choices=choices, metavar=metavar, help=text
+        )
 
 
 def add_imus_option(parser: argparse._ActionsContainer) -> None:
@@ -75,15 +61,6 @@ def refuse_with_imus(arguments: argparse.Namespace, *names: str) -> None:
                 f'--{option}: found {found}, but {arguments.imus} (--imus) states it for each '
                 'unit: leave it out.'
             )
-
-
-def add_bias_instability_option(parser: argparse._ActionsContainer) -> None:
-    """Add --bias-instability, for simulations and predictions."""
-    parser.add_argument(
-        '--bias-instability',
-        action='store_true',
-        help="let the biases drift as the IMU's file states",
-    )
 
 
 def add_history_options(parser: argparse.ArgumentParser) -> None:

@@ -19,7 +19,7 @@ from ..api.predict import (
     times_on,
     with_best_deviations,
 )
-from ..api.session import as_truth
+from ..api.session import Drifting, as_truth
 from ..common.errors import InputError, NotObservable
 from ..common.files import share_folder
 from ..common.finding import by_effect
@@ -250,7 +250,7 @@ def add_plans_options(parser: argparse.ArgumentParser) -> None:
         '--azimuth', type=float, metavar='DEG', help="heading of the table's zero, where known"
     )
     options.add_statements(parser, Solved)
-    options.add_bias_instability_option(parser)
+    options.add_statements(parser, Drifting)
     parser.add_argument(
         '--temperature-rise',
         type=float,

@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from ..api.session import DEFAULT_TRUTH, load_truth
+from ..api.session import DEFAULT_TRUTH, HELD_UNIT, USUAL_IMU, load_truth
 from ..calibration.calibration import Calibration
 from ..common.config import load
 from ..common.errors import InputError
@@ -29,7 +29,6 @@ from ..session.units_file import PULSES, TRUTHS, MountedUnit, load_units, remain
 from .options import refuse_with_imus
 from .terminal import print_findings, print_whole
 
-USUAL_IMU, HELD_UNIT = 'fog_medium', 'mems_counts'
 CALIBRATIONS = 'calibrations'  #: Folder of the results, SERIAL.yaml each.
 _FILES = {'imu': 'imus', 'device': 'devices', 'truth': 'truths'}
 """Keys of a unit that name a file, with its kind."""

@@ -11,7 +11,17 @@ import numpy as np
 from rich.table import Table as Rows
 
 from ..api.files import output_path
-from ..api.simulate import TRUTH, Simulated, SimulatedUnits, montecarlo, simulate, simulate_units
+from ..api.session import Drifting
+from ..api.simulate import (
+    TRUTH,
+    Simulated,
+    SimulatedTable,
+    SimulatedUnits,
+    Simulation,
+    montecarlo,
+    simulate,
+    simulate_units,
+)
 from ..calibration.views import empty_figure
 from ..common.errors import InputError
 from ..common.files import write_by
@@ -36,49 +46,7 @@ def add_simulate_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('-o', '--output', required=True, metavar='DIR', help='folder to create')
     parser.add_argument('--imu', metavar='NAME|FILE', help=f'default: {_IMU}')
     options.add_imus_option(parser)
-    parser.add_argument(
-        '--table',
-        metavar='NAME|FILE',
-        help='default: three_axis; none where the plan is run by hand',
-    )
-    parser.add_argument(
-        '--truth',
-        metavar='NAME|FILE',
-        help=(
-            "the unit's true parameters, as a calibration file (default: cao2022_table1; units "
-            'with serial numbers differ from it, and from each other, by a tenth)'
-        ),
-    )
-    parser.add_argument(
-        '--azimuth',
-        type=float,
-        metavar='DEG',
-        help="true heading of the table's zero against north, about up (default: 0)",
-    )
-    options.add_bias_instability_option(parser)
-    options.add_imperfections_option(parser)
-    parser.add_argument('--seed', type=int, default=0, help='same seed, same bits (default: 0)')
-    parser.add_argument(
-        '--compression',
-        choices=('lz4', 'zstd'),
-        default='',
-        help='compression of the recording',
-    )
-    parser.add_argument(
-        '--start',
-        metavar='DATE',
-        help='when the recording begins, for instance 2026-01-31T12:00:00Z (default: '
-        '2023-11-14T22:13:20Z)',
-    )
-    parser.add_argument(
-        '--temperature',
-        type=float,
-        metavar='T',
-        help=(
-            'temperature of the unit at the start, degC (default: 25, at which the true parameters '
-            'hold); --imperfections state its effect'
-        ),
-    )
+    options.add_statements(parser, Simulation)
     options.add_statements(parser, Numbered)
     options.add_statements(parser, AtSite)
 
@@ -147,11 +115,7 @@ def add_montecarlo_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--imu', default='fog_medium', metavar='NAME|FILE', help='default: %(default)s'
     )
-    parser.add_argument(
-        '--table',
-        metavar='NAME|FILE',
-        help='default: three_axis; none where the plan is run by hand',
-    )
+    options.add_statements(parser, SimulatedTable)
     parser.add_argument(
         '--truth', default='cao2022_table1', metavar='NAME|FILE', help='default: %(default)s'
     )
@@ -163,7 +127,7 @@ def add_montecarlo_options(parser: argparse.ArgumentParser) -> None:
         'another heading, which the calibrator does not know',
     )
     options.add_statements(parser, Solved)
-    options.add_bias_instability_option(parser)
+    options.add_statements(parser, Drifting)
     parser.add_argument(
         '-o',
         '--output',

@@ -7,7 +7,7 @@ import math
 import time
 from pathlib import Path
 
-from ..api.session import DEFAULT_TRUTH
+from ..api.session import HELD_UNIT, USUAL_IMU, SimulatedHardware
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.files import shipped, unwritable, user_path
@@ -54,7 +54,7 @@ def add_stand_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--imu',
         metavar='NAME|FILE',
-        help=f'default: {several.USUAL_IMU}; {several.HELD_UNIT} where the unit is held by hand',
+        help=f'default: {USUAL_IMU}; {HELD_UNIT} where the unit is held by hand',
     )
     options.add_imus_option(parser)
     several.add_options(parser)
@@ -122,27 +122,7 @@ def add_stand_options(parser: argparse.ArgumentParser) -> None:
         help='nothing moves without a heartbeat on the topic heartbeat',
     )
     simulated = parser.add_argument_group('simulated hardware')
-    simulated.add_argument(
-        '--truth',
-        metavar='NAME|FILE',
-        help=f"the unit's true parameters (default: {DEFAULT_TRUTH}, from which each of several "
-        f'units departs by a tenth; {several.HELD_UNIT} where it is held by hand)',
-    )
-    simulated.add_argument(
-        '--azimuth', type=float, default=0.0, metavar='DEG', help="true heading of the table's zero"
-    )
-    simulated.add_argument(
-        '--sample-rate', type=float, default=0.0, metavar='HZ', help="default: the IMU's own"
-    )
-    options.add_imperfections_option(simulated)
-    simulated.add_argument('--seed', type=int, default=0, help='same seed, same errors')
-    simulated.add_argument(
-        '--speed',
-        type=float,
-        default=0.0,
-        metavar='X',
-        help='highest speed in multiples of real time (default: as fast as the nodes follow)',
-    )
+    options.add_statements(simulated, SimulatedHardware)
     parser.set_defaults(start=0.0, default_of=parser.get_default)
 
 

@@ -70,7 +70,9 @@ class Option(NamedTuple):
     """A statement as an option of commands."""
 
     help: str
-    metavar: str | None = None  #: None for a flag.
+    metavar: str | None = None  #: None for a flag, or where the choices say it.
+    default: Any = None  #: Of the keyword too; a flag is False.
+    choices: tuple[str, ...] | None = None
 
 
 class Statement(NamedTuple):
@@ -326,6 +328,13 @@ def types_of(group: type) -> dict[str, str]:
     return {name: text[len('Annotated[') : text.index(',')] for name, text in written.items()}
 
 
+def with_defaults(group: type[Kind], given: Mapping[str, Any]) -> Kind:
+    """Return the keywords of a group: as given, else by their defaults."""
+    flags = [name for name, text in types_of(group).items() if text == 'bool']
+    defaults = {name: one.option.default for name, one in statements(group).items()}
+    return {**defaults, **dict.fromkeys(flags, False), **given}  # type: ignore[return-value]
+
+
 def numeric(group: type) -> tuple[str, ...]:
     """Return the names of the statements that are numbers."""
     return tuple(n for n, hint in get_type_hints(group).items() if float in get_args(hint))
@@ -456,8 +465,9 @@ def with_keywords(
     def decorate(function: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
         own = signature(function)
         *named, kept = own.parameters.values()
+        defaults: Any = with_defaults(kind, {})
         more = [
-            Parameter(name, Parameter.KEYWORD_ONLY, default=getattr(Stated, name), annotation=text)
+            Parameter(name, Parameter.KEYWORD_ONLY, default=defaults[name], annotation=text)
             for name, text in types_of(kind).items()
         ]
 
