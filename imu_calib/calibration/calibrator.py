@@ -235,17 +235,23 @@ class Calibrator:
 
     def _solve(self, session: Segmented, labelled: Labelled, *, final: bool) -> Result:
         """Solve a labelled session; search for terms only if it is `final`."""
+        if final and (mistake := self._mistake(session)):
+            # The search for terms would take long, and all that it says follows from that.
+            raise bad_samples_first(Contradiction(mistake), session)
         try:
             return self._solve_as_stated(session, labelled, final=final)
         except NotObservable as error:
-            # All else that it says follows from that.
-            mistake = joints_in_degrees(session)
-            if not mistake and self._setup.table is not None:
-                mistake = wrong_joint_signs(session, self._setup.table)
+            mistake = '' if final else self._mistake(session)
             refusal = Contradiction(mistake) if mistake else error
             raise bad_samples_first(refusal, session) from None
         except InputError as error:
             raise bad_samples_first(error, session) from None
+
+    def _mistake(self, session: Segmented) -> str:
+        """Return that joint states are in degrees or of the wrong sign; empty if neither."""
+        if self._setup.table is None:
+            return joints_in_degrees(session)
+        return joints_in_degrees(session) or wrong_joint_signs(session, self._setup.table)
 
     def _solve_as_stated(self, session: Segmented, labelled: Labelled, *, final: bool) -> Result:
         setup = self._setup

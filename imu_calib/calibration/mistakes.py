@@ -1,6 +1,6 @@
 """Mistakes in a recording that explain why its session is refused.
 
-They are looked for in refused sessions alone: what is seen in a sound one may have another cause.
+What a sound session may show too is looked for in refused ones alone.
 """
 
 from __future__ import annotations
@@ -155,10 +155,12 @@ def wrong_joint_signs(session: Segmented, table: Table) -> str:
     angles = np.array([segment.angles for segment in segments])
     pulls = np.array([segment.statistics.mean[3:] for segment in segments])
     pulls /= np.linalg.norm(pulls, axis=1)[:, None]
+    # Beside it the rate of the Earth is nothing.
+    bias = np.mean([segment.statistics.mean[:3] for segment in segments], axis=0)
     before = {segment.end: k for k, segment in enumerate(segments)}
     after = {segment.start: k for k, segment in enumerate(segments)}
     linked = [
-        (before[move.start], after[move.end], _turned(move))
+        (before[move.start], after[move.end], _turned(move, bias))
         for move in session.moves
         if move.start in before and move.end in after
     ]
@@ -203,9 +205,9 @@ def _with_reversed(table: Table, joints: Sequence[int]) -> Table:
     return replace(table, joints=tuple(changed))
 
 
-def _turned(move: Move) -> Floats:
-    """Return the rotation of a move by the gyros: its end seen from its start, (3, 3)."""
-    return np.asarray(reduce(np.matmul, rotations(move.turned)))
+def _turned(move: Move, bias: Floats) -> Floats:
+    """Return the rotation of a move by gyros with (3,) biases: its end from its start, (3, 3)."""
+    return np.asarray(reduce(np.matmul, rotations(move.turned - move.seconds[:, None] * bias)))
 
 
 def _joints_over_rotation(move: Move, first: Segment, last: Segment) -> tuple[float, float]:

@@ -445,29 +445,35 @@ def in_table_time(evidence: Evidence) -> Evidence:
 
     Standard deviations are unchanged: they would change by parts in a million.
     """
-    rate = evidence.clock_rate()[0]
-    if not rate:
+    rate, clock = evidence.clock_rate()[0], evidence.clock
+    if not rate and clock.bend is None:
         return evidence
-    faster = 1 + rate
-    # Pulses are sums, divided by seconds to give rates; counts and SI values are rates.
-    on_rates, on_increments = (faster, 1.0) if evidence.units.per_interval else (1.0, 1 / faster)
+
+    def factors(part: Segment | Turn | Move) -> tuple[float, float, float]:
+        """Return by how much the clock is faster, and factors on rates and on increments."""
+        faster = 1 + rate + clock.rate_over(part.start, part.end)
+        # Pulses are sums, divided by seconds to give rates; counts and SI values are rates.
+        of_increments = evidence.units.per_interval
+        return (faster, faster, 1.0) if of_increments else (faster, 1.0, 1 / faster)
+
+    def retimed_turn(turn: Turn) -> Turn:
+        faster, on_rates, _ = factors(turn)
+        return replace(
+            turn,
+            statistics=_retimed_statistics(turn.statistics, faster, on_rates),
+            skewed=turn.skewed and _retimed_statistics(turn.skewed, faster, on_rates),
+            each=None if turn.each is None else turn.each * on_rates,
+        )
+
     return replace(
         evidence,
         segments=tuple(
-            replace(s, statistics=_retimed_statistics(s.statistics, faster, on_rates))
+            replace(s, statistics=_retimed_statistics(s.statistics, *factors(s)[:2]))
             for s in evidence.segments
         ),
-        turns=tuple(
-            replace(
-                t,
-                statistics=_retimed_statistics(t.statistics, faster, on_rates),
-                skewed=t.skewed and _retimed_statistics(t.skewed, faster, on_rates),
-                each=None if t.each is None else t.each * on_rates,
-            )
-            for t in evidence.turns
-        ),
-        moves=tuple(_retimed_move(m, faster, on_increments) for m in evidence.moves),
-        clock=replace(evidence.clock, rate=0.0),
+        turns=tuple(map(retimed_turn, evidence.turns)),
+        moves=tuple(_retimed_move(m, *factors(m)[::2]) for m in evidence.moves),
+        clock=replace(clock, rate=0.0, bend=None),
     )
 
 

@@ -38,6 +38,15 @@ _OUTLIER = 12.0  #: Standard deviations of the usual step, by its median: a jump
 _LEAST_JUMP = 5e-3  #: s: half a sample of 100 Hz; smaller ones are not jumps of a clock.
 _NO_JUMP = 1e-3  #: Chance of a false jump by scatter, at which a jump is still reported.
 
+_MOTIONS_FOR_CURVE = 8  #: A line, and three for each degree of freedom of its bend.
+_CURVED = 20.0
+"""Twice the logarithm of the likelihood ratio from which on clocks bend against each other: by
+chance in one session of 10^5 (half a chi-square of one degree of freedom)."""
+_SMOOTH = 1 / 3
+"""Largest share of the motions' degrees of freedom that the bend takes: a crystal is slow. A
+judgement; rougher courses are errors of the motions."""
+_SMOOTHNESS = np.logspace(-4, 12, 161)  #: Variances of the bend over those of the motions, tried.
+
 _CELL_SECONDS = 0.1
 """s in which the angle of a joint is compared with the gyros'. A judgement, as `_CELL` of
 `_CELL`."""
@@ -51,6 +60,22 @@ class ClockSample:
 
     time: float
     offset: float
+
+
+@dataclass(frozen=True, eq=False)
+class ClockBend:
+    """How the offset of two clocks departs from its line: a natural cubic spline."""
+
+    time: Floats  #: (n,) table time of its knots, ns.
+    offset: Floats  #: (n,) beyond the line, s.
+    rate_std: float  #: Of the rate between knots, relative, root mean square.
+
+    def at(self, time: Floats) -> Floats:
+        """Return the departure from the line, s, at (k,) table times, ns."""
+        seconds, wanted = (self.time - self.time[0]) * 1e-9, (time - self.time[0]) * 1e-9
+        spline = scipy.interpolate.CubicSpline(seconds, self.offset, bc_type='natural')
+        inside = np.clip(wanted, seconds[0], seconds[-1])
+        return np.asarray(spline(inside) + spline(inside, 1) * (wanted - inside))
 
 
 @dataclass(frozen=True)
@@ -67,6 +92,14 @@ class ClockFit:
     #: (jumps,) lower bounds of their sizes by the scatter; 0 where there may be none, and where
     #: stamps are known to go back.
     least_jumps: tuple[float, ...] = ()
+    bend: ClockBend | None = None  #: Where they do not run evenly against each other.
+
+    def rate_over(self, start: float, end: float) -> float:
+        """Return by how much the mean rate between two stamps, ns, differs from `rate`."""
+        if self.bend is None:
+            return 0.0
+        first, last = self.bend.at(np.array([start, end]) - self.offset * 1e9)
+        return float(last - first) / max((end - start) * 1e-9, 1e-9)
 
 
 NO_CLOCK = ClockFit(0.0, 0.0, float('nan'), 0.0, float('nan'), 0)
@@ -235,6 +268,7 @@ def fit_clock(
     at_epoch = means[1] - rate * means[0]
     residuals = offset - rate * seconds - at_epoch[pieces]
     scatter = float(np.sqrt(residuals @ residuals / (n - 1 - k)))
+    bend = _bend(time, offset - rate * seconds - at_epoch[pieces]) if k == 1 else None
     jumps = np.diff(at_epoch)
     counts = np.bincount(pieces)
     lever = 1 / counts[1:] + 1 / counts[:-1] + np.diff(means[0]) ** 2 / spread
@@ -245,11 +279,50 @@ def fit_clock(
         float(offset.mean()),
         scatter / float(np.sqrt(n)),
         rate,
-        scatter / float(np.sqrt(spread)),
+        scatter / float(np.sqrt(spread)) if bend is None else bend.rate_std,
         n,
         tuple(jumps.tolist()),
         tuple(np.where(np.diff(known), 0.0, np.maximum(np.abs(jumps) - within, 0.0)).tolist()),
+        bend,
     )
+
+
+def _bend(time: Floats, residuals: Floats) -> ClockBend | None:
+    """Return how offsets (n,), s, beyond a line over (n,) times, ns, bend; None where they do not.
+
+    The integral of a random walk of the rate, whose size has the largest restricted likelihood: its
+    mean is the smoothing spline.
+
+    Source: Wahba 1978, J. Roy. Statist. Soc. B 40, 364.
+    """
+    n = len(time)
+    if n < _MOTIONS_FOR_CURVE or not residuals.any():
+        return None
+    span = float(np.ptp(time)) * 1e-9
+    at = (time - time[0]) * 1e-9 / span
+    least, most = np.minimum(at[:, None], at), np.maximum(at[:, None], at)
+    course = least**2 * (3 * most - least) / 6
+    line = np.linalg.qr(np.column_stack([np.ones(n), at]), mode='complete')[0]
+    line, across = line[:, :2], line[:, 2:]
+    sizes, axes = np.linalg.eigh(across.T @ course @ across)
+    along = axes.T @ across.T @ residuals
+    spread = 1 + _SMOOTHNESS[:, None] * np.maximum(sizes, 0.0)
+    variances = (along**2 / spread).mean(axis=1)
+    likelihood = -(n - 2) * np.log(variances) - np.log(spread).sum(axis=1)
+    likelihood[(1 - 1 / spread).sum(axis=1) > _SMOOTH * (n - 2)] = -np.inf
+    best = int(np.argmax(likelihood))
+    if likelihood[best] - likelihood[0] < _CURVED:
+        return None
+    variance = float(variances[best])
+    # The mean of the course and its covariance, line included: its coefficients are free.
+    inverse = (across @ axes) / spread[best] @ (across @ axes).T
+    smoother = np.eye(n) - inverse
+    covariance = variance * smoother
+    steps = np.diff(np.eye(n), axis=0)
+    rates = np.sqrt(np.einsum('ij,jk,ik->i', steps, covariance, steps)) / (np.diff(at) * span)
+    weights = np.diff(at)
+    rate_std = float(np.sqrt(weights @ rates**2 / weights.sum()))
+    return ClockBend(time, smoother @ residuals, rate_std)
 
 
 def _pieces(time: Floats, offset: Floats) -> NDArray[np.intp]:

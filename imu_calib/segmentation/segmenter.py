@@ -27,6 +27,7 @@ from .course import Thermometer
 from .intake import Ordered, StreamBuffer
 from .moves import MoveReader
 from .reading import NEAR, IntervalReader, SegmentChoice
+from .reading_jumps import ReadingJumps
 from .segmented import Move, Segmented
 from .segments import Segment, Turn
 from .stamp_faults import interruptions
@@ -186,6 +187,7 @@ class Segmenter:
             skew_scale=(skewed or self._sensor).spec.scale,
         )
         self._joints = JointTracker() if table is not None else None
+        self._jumps = ReadingJumps(table) if table is not None else None
         self._stillness: StillnessTracker | None = None
         self._thermometer = Thermometer()
         self._period = 0.0
@@ -323,8 +325,9 @@ class Segmenter:
 
     def _follow_joints(self, joints: Ordered) -> None:
         """Detect dwells and motions from joint states."""
-        if self._joints is not None and len(joints.stamp):
-            self._pending.extend(self._joints.track(joints.stamp, joints.values))
+        if self._joints is not None and self._jumps is not None and len(joints.stamp):
+            position = self._jumps.take_out(joints.stamp, joints.values)
+            self._pending.extend(self._joints.track(joints.stamp, position))
 
     def _process(self, *, last: bool = False) -> None:
         """Process every interval whose samples have all come in."""
@@ -467,6 +470,7 @@ class Segmenter:
         froze = [self._frozen_for_good] if self._frozen_for_good else []
         ahead_ns = reader.large_offset_ns
         lost = self._intake.losses(ahead_ns)
+        lost += self._jumps.sentences if self._jumps is not None else []
         if ahead_ns:
             ahead = 'ahead of' if ahead_ns > 0 else 'behind'
             seconds = abs(ahead_ns) * 1e-9
@@ -522,8 +526,15 @@ _SHOWN = 1e-4  #: Resolution of a reported jump, s: smaller ones do not matter t
 
 
 def clock_jumps(clock: ClockFit) -> list[str]:
-    """Return sentences on the jumps of clocks, where the stamps resolve them."""
-    return [
+    """Return sentences on the bend and the jumps of clocks, where the stamps resolve them."""
+    bent = []
+    if clock.bend is not None:
+        most = float(np.abs(clock.bend.offset).max())
+        bent.append(
+            f'The clocks of IMU and table bend by {most * 1e3:.2g} ms against each other, as that '
+            'of a crystal that warms: seconds follow the curve through the motions'
+        )
+    return bent + [
         f'The clocks of IMU and table jump by {jump:+.4f} s against each other'
         for jump, surely in zip(clock.jumps, clock.least_jumps, strict=True)
         if surely >= _SHOWN

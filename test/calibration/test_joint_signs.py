@@ -8,13 +8,23 @@ import numpy as np
 import pytest
 from extent import again
 from other_sessions import MEDIUM, NAVIGATION, fed, recorded
-from other_world import World
+from other_world import DEG, Unit, World
 
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.common.errors import Contradiction
 from imu_calib.common.stream import ImuBlock, JointBlock
 
 JOINTS = ('outer', 'middle', 'inner')
+CONSUMER = Unit(
+    gyro_m=((0.013, 6e-3, -4e-3), (8e-3, -0.008, 2e-3), (-5e-3, 4e-3, 0.005)),
+    gyro_d=(0.8 * DEG, -0.5 * DEG, 0.3 * DEG),
+    gyro_walk=0.3 * DEG / 60,
+    accel_walk=3e-3,
+    gyro_pulse=DEG / 131,
+    accel_pulse=9.80665 / 4096,
+    counts=True,
+)
+"""Whose biases turn a move by more degrees than its scale factors do."""
 
 
 def fed_with(joint_signs: tuple[int, ...], gyro_signs: tuple[int, ...], unit: object) -> Calibrator:
@@ -27,7 +37,9 @@ def fed_with(joint_signs: tuple[int, ...], gyro_signs: tuple[int, ...], unit: ob
     return calibrator
 
 
-@pytest.mark.parametrize('unit', [MEDIUM, again(NAVIGATION), again(replace(MEDIUM, counts=True))])
+@pytest.mark.parametrize(
+    'unit', [MEDIUM, CONSUMER, again(NAVIGATION), again(replace(MEDIUM, counts=True))]
+)
 @pytest.mark.parametrize('reversed_ones', [(0,), (1,), (2,), (0, 2)])
 def test_the_sentence_names_the_joint(reversed_ones: tuple[int, ...], unit: object) -> None:
     signs = tuple(-1 if k in reversed_ones else 1 for k in range(3))

@@ -1,0 +1,93 @@
+"""Readings of a joint that jump: its encoder is homed anew, or slips by degrees."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import other_sessions
+import pytest
+from extent import again
+from other_sessions import EPOCH, MEDIUM, NAVIGATION, errors, fed, recorded
+from other_world import DEG, Unit, World, schedule
+
+from imu_calib.common.stream import Floats, ImuBlock, JointBlock, Stamps
+from imu_calib.segmentation.reading_jumps import ReadingJumps
+from imu_calib.session.table import load_table
+
+WORLD = World(dwell=12.0)
+MOTIONS = [motion for motion in schedule(WORLD) if motion.way]
+INSTANT = MOTIONS[14].start + 0.5  #: In a move between two dwells.
+TABLE = load_table('three_axis')
+
+
+@pytest.mark.parametrize('joint', [0, 1, again(2)])
+@pytest.mark.parametrize(
+    'unit', [replace(MEDIUM, counts=True), again(MEDIUM), NAVIGATION], ids=['rates', 'm', 'n']
+)
+def test_an_encoder_that_is_homed_anew_is_named_and_puts_nothing_off(
+    joint: int, unit: Unit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Parameters were off by hundreds of deviations, or the least squares did not converge."""
+
+    def blocks(world: World, unit: Unit, seed: int) -> tuple[JointBlock, ImuBlock]:
+        of_table, of_imu = recorded(world, unit, seed)
+        position = of_table.position.copy()
+        position[(of_table.stamp - EPOCH * 10**9) * 1e-9 > INSTANT, joint] += 5 * DEG
+        return replace(of_table, position=position), of_imu
+
+    monkeypatch.setattr(other_sessions, 'recorded', blocks)
+    found = fed(WORLD, unit, find_terms=True).finish().calibration
+    off = errors(found, unit)
+    assert np.abs(off).max() < 4.5, np.round(off, 1)
+    assert not found.parameters[24:]
+    words = f'Warning: The readings of joint {TABLE.names[joint]} jump by 5 deg at .* homed anew'
+    assert any(re.match(words, one) for one in found.findings)
+
+
+def taken_out(stamp: Stamps, position: Floats, cut: int = 10**6) -> tuple[Floats, list[str]]:
+    jumps = ReadingJumps(TABLE)
+    parts = [
+        jumps.take_out(stamp[a:b], position[a:b])
+        for a, b in pairwise([*range(0, len(stamp), cut), len(stamp)])
+    ]
+    return np.concatenate(parts), jumps.sentences
+
+
+def course(rate: float) -> tuple[Stamps, Floats]:
+    """A rest, turns at 400 deg/s from and to rest, and a rest, in readings within one turn."""
+    time = np.arange(round(20 * rate)) / rate
+    speed = np.clip(np.minimum(200 * (time - 5), 200 * (15 - time)), 0, 400)
+    outer = np.cumsum(speed) / rate * DEG
+    position = np.stack([outer, np.zeros_like(outer), 0.1 * outer], axis=1)
+    return np.rint(time * 1e9).astype(np.int64), (position + np.pi) % (2 * np.pi) - np.pi
+
+
+@pytest.mark.parametrize('rate', [10.0, 50.0, 100.0, 1000.0])
+def test_fast_turns_and_readings_within_one_turn_have_no_jumps(rate: float) -> None:
+    stamp, position = course(rate)
+    rng = np.random.default_rng(1)
+    kept = np.sort(rng.choice(len(stamp), len(stamp) * 9 // 10, replace=False))
+    bunched = np.maximum(stamp, stamp // 200_000_000 * 200_000_000 + np.arange(len(stamp)) % 7)
+    for some, when in ((np.arange(len(stamp)), stamp), (kept, stamp)):
+        found, sentences = taken_out(when[some], position[some])
+        assert not sentences
+        assert (found == position[some]).all()
+    assert not taken_out(np.maximum.accumulate(bunched), position)[1]
+
+
+def test_a_jump_is_taken_out_however_the_stream_is_cut() -> None:
+    stamp, true = course(100.0)
+    for at in (300, 700, 1000):
+        position = true.copy()
+        position[at:, 0] += 7 * DEG
+        position[at + 50 : at + 51, 1] -= 90 * DEG
+        for cut in (10**6, 1, 13):
+            found, sentences = taken_out(stamp, position, cut)
+            off = np.angle(np.exp(1j * (found - true)))
+            # By the change of the rate within one step: 200 deg/s^2 over a hundredth of a second.
+            assert np.abs(off).max() <= 0.04 * DEG
+            assert len(sentences) == 2
+            assert 'joint outer jump by 7' in sentences[0]
