@@ -133,6 +133,50 @@ def test_what_ros_recorded_is_what_the_journal_holds_and_ends_in_the_true_parame
     check_truth(offline)
 
 
+@needs(verbs=['bag'])
+def test_ros_reads_the_journal_and_what_it_makes_of_it_reads_the_same(session):
+    net, journal = session.net, session.net.folder / 'journal'
+    forms = [
+        {'uri': f'{storage}_{mode or "plain"}', 'storage_id': storage, 'all_topics': True}
+        | ({'compression_mode': mode, 'compression_format': 'zstd'} if mode else {})
+        # By default it drops what waits to be compressed.
+        | {'max_bagfile_size': 3_000_000, 'compression_queue_size': 0}
+        for storage in ('mcap', 'sqlite3')
+        for mode in ('', 'message', 'file')
+    ]
+    (net.folder / 'forms.yaml').write_text(yaml.safe_dump({'output_bags': forms}))
+    told = net.ask('bag', 'info', str(journal))
+    net.ask('bag', 'convert', '-i', str(journal), '-o', 'forms.yaml', seconds=120)
+    for topic in ('/imu/pulses', '/turntable/joint_states'):
+        expected = read(journal, topic)
+        assert re.search(rf'Topic: {topic} .* Count: {len(expected.stamp)} ', told)
+        for form in forms:
+            folder = net.folder / form['uri']
+            assert len(list(folder.iterdir())) > 2  # split
+            found = read(folder, topic)
+            assert np.array_equal(found.stamp, expected.stamp), folder
+            for name, column in expected.columns.items():
+                assert np.array_equal(found.columns[name], column), (folder, name)
+
+
+@needs(verbs=['bag'])
+def test_a_played_bag_ends_in_the_true_parameters(session, tmp_path):
+    net = Network(tmp_path)
+    arguments = {'plan': session.net.folder / 'short.yaml', 'latitude': LATITUDE}
+    arguments |= {'imu': 'fog_medium', 'setpoint_topic': '/replayed/setpoint'}
+    words = [f'{name}:={value}' for name, value in arguments.items()]
+    bag = str(session.net.folder / 'bag')
+    with nothing_left(net):
+        net.start('it', net.ros('ros2', 'launch', 'imu_calib', 'calibrator.launch.py', *words))
+        net.wait_for_text('it', 'Waiting for /imu/pulses.')
+        remapped = ('--remap', '/turntable/setpoint:=/replayed/setpoint')
+        net.start('play', net.ros('ros2', 'bag', 'play', bag, *remapped))
+        net.wait_for_text('it', 'calibration.yaml is written', seconds=120)
+        assert net.ended('play') == 0, net.log('play')
+        net.stop('it')
+    check_truth(Calibration.load(tmp_path / 'calibration.yaml'))
+
+
 @pytest.mark.skipif(not has_wheel(), reason='the wheel cyclonedds is not in this Python')
 def test_the_tool_of_ros_cancels_a_goal_of_a_node_without_ros(tmp_path):
     folder = tmp_path / 'stand'
