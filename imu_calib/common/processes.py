@@ -51,17 +51,22 @@ def _one_thread() -> AbstractContextManager[object]:
 
 
 @contextmanager
-def single_threaded() -> Iterator[None]:
-    """Limit spawned processes to one thread each: small matrices gain nothing from more."""
-    before = os.environ.get(THREADS)
-    os.environ[THREADS] = '1'
+def with_variable(name: str, value: str) -> Iterator[None]:
+    """Set a variable of the environment in this block."""
+    before = os.environ.get(name)
+    os.environ[name] = value
     try:
         yield
     finally:
         if before is None:
-            del os.environ[THREADS]
+            del os.environ[name]
         else:
-            os.environ[THREADS] = before
+            os.environ[name] = before
+
+
+def single_threaded() -> AbstractContextManager[None]:
+    """Limit spawned processes to one thread each: small matrices gain nothing from more."""
+    return with_variable(THREADS, '1')
 
 
 ENDS_WITH = 'IMU_CALIB_ENDS_WITH'  #: Environment variable: id of the process to end with.

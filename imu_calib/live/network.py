@@ -12,8 +12,7 @@ import sys
 import tempfile
 import xml.etree.ElementTree as ET
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,6 +21,7 @@ from urllib.parse import urlsplit
 
 from ..common.errors import ImuCalibError, InputError
 from ..common.files import share_folder
+from ..common.processes import with_variable
 
 # The runtime: rclpy if available, else Cyclone DDS, or one process alone.
 
@@ -50,18 +50,9 @@ def runtime() -> str:
     return 'rclpy' if find_spec('rclpy') is not None else 'dds'
 
 
-@contextmanager
-def forced(chosen: str) -> Iterator[None]:
+def forced(chosen: str) -> AbstractContextManager[None]:
     """Force a runtime in this block, also for the modules of nodes that it loads."""
-    former = os.environ.get(VARIABLE)
-    os.environ[VARIABLE] = chosen
-    try:
-        yield
-    finally:
-        if former is None:
-            del os.environ[VARIABLE]
-        else:
-            os.environ[VARIABLE] = former
+    return with_variable(VARIABLE, chosen)
 
 
 def require(chosen: str) -> None:

@@ -71,22 +71,6 @@ def motion_time(step: Step, before: Floats, table: Table) -> float:
     )
 
 
-def setpoint_of(step: Step, plan: str, joints: tuple[str, ...]) -> Setpoint:
-    """Return the setpoint of a step, not yet stamped."""
-    return Setpoint(
-        stamp=0,
-        plan=plan,
-        step=step.index,
-        position=step.position,
-        mode=step.mode,
-        joints=joints,
-        angles=tuple(step.angles.tolist()),
-        rates=tuple(step.rates.tolist()),
-        turns=float(step.turns),
-        dwell=float(step.dwell),
-    )
-
-
 def stopping_setpoint(
     current: Step | None, angles: Sequence[float] | None, plan: str, table: Table
 ) -> Setpoint:
@@ -147,7 +131,7 @@ class Orders:
     def move(self, motion: Step) -> None:
         """Command a motion; it is watched once the setpoint was sent."""
         self.turns_done = 0.0
-        self._order(setpoint_of(motion, self._plan, self._table.names), motion)
+        self._order(motion.setpoint(self._plan, self._table.names), motion)
 
     def watch_goal(self, goal: tuple[float, ...], at: Feedback | None) -> None:
         """Watch that the table stays at its goal, (k,) angles, rad."""

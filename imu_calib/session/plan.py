@@ -13,7 +13,7 @@ from ..common.config import Section
 from ..common.errors import InputError
 from ..common.keys import key, read_record, record, records
 from ..common.rotations import rotation
-from ..common.stream import Floats, Mode
+from ..common.stream import Floats, Mode, Setpoint
 from ..common.units import DEG, Dimension, counted, parse
 from .table import TURN, Table
 
@@ -103,6 +103,21 @@ class Step:
     rates: Floats  #: (k,) joint rates, rad/s.
     turns: int  #: Whole turns of a RATE step.
     dwell: float  #: Duration of the dwell afterwards, s.
+
+    def setpoint(self, plan: str, joints: tuple[str, ...], stamp: int = 0) -> Setpoint:
+        """Return the setpoint of the step: of a plan and joints by their names, at a stamp, ns."""
+        return Setpoint(
+            stamp=stamp,
+            plan=plan,
+            step=self.index,
+            position=self.position,
+            mode=self.mode,
+            joints=joints,
+            angles=tuple(self.angles.tolist()),
+            rates=tuple(self.rates.tolist()),
+            turns=float(self.turns),
+            dwell=float(self.dwell),
+        )
 
 
 @dataclass(frozen=True, eq=False)

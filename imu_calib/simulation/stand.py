@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import count
 
 import numpy as np
@@ -136,7 +135,7 @@ class SimulatedStand:
         visits: list[Visit] = []
         begin = self.options.lead
         for step in steps:
-            self._table.command(self._sender(step)(self._stamp(begin)), begin)
+            self._table.command(self._setpoint(step, self._stamp(begin)), begin)
             ticks = (begin + tick / self.options.setpoint_rate for tick in count())
             now = next(time for time in ticks if self._table.rest_time <= time)
             self._table.sent_until(now)
@@ -162,20 +161,8 @@ class SimulatedStand:
             motion = replace(motion, shaking=_shaking(shake, rng.spawn(1)[0]))
         return motion if self.options.shock is None else _shocked(motion, self.options.shock)
 
-    def _sender(self, step: Step) -> Callable[[int], Setpoint]:
-        """Return a function that makes the setpoint of a step from its stamp."""
-        return partial(
-            Setpoint,
-            plan=self.plan.name,
-            step=step.index,
-            position=step.position,
-            mode=step.mode,
-            joints=self._table.table.names,
-            angles=tuple(step.angles.tolist()),
-            rates=tuple(step.rates.tolist()),
-            turns=float(step.turns),
-            dwell=step.dwell,
-        )
+    def _setpoint(self, step: Step, stamp: int) -> Setpoint:
+        return step.setpoint(self.plan.name, self._table.table.names, stamp)
 
     def _setpoints(self, begin: float, end: float) -> SetpointBlock:
         setpoints: list[Setpoint] = []
@@ -187,7 +174,9 @@ class SimulatedStand:
                 math.ceil((visit.end - visit.begin) / period), dtype=np.float64
             )
             times = times[(times >= begin) & (times < min(end, visit.end))]
-            setpoints += map(self._sender(visit.step), self._stamps(times).tolist())
+            setpoints += [
+                self._setpoint(visit.step, stamp) for stamp in self._stamps(times).tolist()
+            ]
         return SetpointBlock(tuple(setpoints))
 
     def _joint_states(self, begin: float, end: float) -> JointBlock:

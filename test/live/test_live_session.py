@@ -11,17 +11,18 @@ from hypothesis import strategies as st
 from loopback import patience, until
 from sessions import SITE, Alone, at_one_rate, ended, paper_imu, quick_plan, stand
 
+from imu_calib.api.simulate import serialised
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.common.budget import ErrorSource
 from imu_calib.common.errors import InputError
-from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
+from imu_calib.common.stream import JointBlock, SetpointBlock
 from imu_calib.estimation.setup import Setup
 from imu_calib.live.nodes.live_session import SessionPhase
 from imu_calib.live.nodes.session_reports import report_session
 from imu_calib.live.rules import Severity
 from imu_calib.model.sensors import SensorModel
 from imu_calib.recordings.cdr import Messages
-from imu_calib.recordings.cdr_codec import Kind, encode_imu, encode_joints, encode_setpoints
+from imu_calib.recordings.cdr_codec import Kind, encode_joints, encode_setpoints
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.session.table import load_table
 from imu_calib.simulation.stand import simulate
@@ -31,11 +32,6 @@ TOPICS = {
     Kind.JOINTS: '/turntable/joint_states',
     Kind.SETPOINTS: '/turntable/setpoint',
 }
-ENCODERS = {
-    ImuBlock: (Kind.IMU, encode_imu),
-    JointBlock: (Kind.JOINTS, encode_joints),
-    SetpointBlock: (Kind.SETPOINTS, encode_setpoints),
-}
 TABLE = load_table('three_axis')
 PLAN = at_one_rate(quick_plan('twelve_position', dwell=6.0))
 SETUP = Setup(paper_imu(), PLAN, TABLE, SITE)
@@ -43,25 +39,25 @@ SLOW = replace(SETUP, plan=quick_plan('twelve_position', dwell=6.0))
 DESCRIPTION = {'imu_calib.plan': 'twelve, but shorter'}
 
 
-def serialised(setup):
+def messages_of(setup):
     payloads = {kind: [] for kind in TOPICS}
     for _, block in simulate(setup.plan, TABLE, setup.imu, SensorModel(), SITE, stand(), 3):
-        if type(block) in ENCODERS:
-            kind, encode = ENCODERS[type(block)]
-            payloads[kind] += encode(block).payloads()
+        kind, messages, _ = serialised(block)
+        if kind in payloads:
+            payloads[kind] += messages.payloads()
     return payloads
 
 
 @pytest.fixture(scope='module')
 def wire():
     """The serialised messages of a session, by topic."""
-    return serialised(SETUP)
+    return messages_of(SETUP)
 
 
 @pytest.fixture(scope='module')
 def slow_wire():
     """Those of a session that turns at all rates of the plan."""
-    return serialised(SLOW)
+    return messages_of(SLOW)
 
 
 @pytest.fixture(scope='module')

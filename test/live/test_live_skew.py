@@ -8,14 +8,14 @@ import pytest
 from sessions import SITE, Alone, ended, stand
 
 from imu_calib.api.calibrate import calibrate
+from imu_calib.api.simulate import serialised
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.files import named_file
-from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock, SkewBlock
 from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup
 from imu_calib.live.nodes import intake
 from imu_calib.live.nodes.live_session import SessionPhase
-from imu_calib.recordings.cdr_codec import Kind, encode_imu, encode_joints, encode_setpoints
+from imu_calib.recordings.cdr_codec import Kind
 from imu_calib.session.imu import load_imu
 from imu_calib.session.metadata import describe
 from imu_calib.session.plan import RateTest, load_plan
@@ -27,12 +27,6 @@ TOPICS = {
     Kind.SKEW: '/imu/skew',
     Kind.JOINTS: '/turntable/joint_states',
     Kind.SETPOINTS: '/turntable/setpoint',
-}
-ENCODERS = {
-    ImuBlock: (Kind.IMU, encode_imu),
-    SkewBlock: (Kind.SKEW, lambda block: encode_imu(block.as_imu())),
-    JointBlock: (Kind.JOINTS, encode_joints),
-    SetpointBlock: (Kind.SETPOINTS, encode_setpoints),
 }
 RATES = RateTest((60 * DEG, -60 * DEG, 120 * DEG, -120 * DEG), 2)
 PLAN = load_plan('skewed')
@@ -46,9 +40,9 @@ def wire():
     """The serialised messages of a session, block after block."""
     messages = []
     for _, block in simulate(PLAN, SETUP.table, SETUP.imu, TRUTH, SITE, stand(), 5):
-        if type(block) in ENCODERS:
-            kind, encode = ENCODERS[type(block)]
-            messages.append((kind, encode(block).payloads()))
+        kind, block_messages, _ = serialised(block)
+        if kind in TOPICS:
+            messages.append((kind, block_messages.payloads()))
     return messages
 
 

@@ -8,13 +8,13 @@ import pytest
 from loopback import patience, until
 from sessions import SITE, at_one_rate, paper_imu, quick_plan, stand, truth
 
-from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
+from imu_calib.api.simulate import serialised
 from imu_calib.estimation.setup import Setup
 from imu_calib.live.nodes.live_session import SessionPhase
 from imu_calib.live.nodes.session_parameters import StatedUnit
 from imu_calib.live.nodes.sessions import Sessions
 from imu_calib.model.sensors import SensorModel
-from imu_calib.recordings.cdr_codec import Kind, encode_imu, encode_joints, encode_setpoints
+from imu_calib.recordings.cdr_codec import Kind
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import Journal
 from imu_calib.session.metadata import LEFT_OUT
@@ -45,11 +45,11 @@ def wire():
         for seed, (topic, model) in enumerate(zip(TOPICS.values(), models, strict=True))
     ]
     found = {}
-    encoders = {ImuBlock: encode_imu, JointBlock: encode_joints, SetpointBlock: encode_setpoints}
     for topic, block in SeveralOnTable(PLAN, TABLE, mounted, SITE, stand(), 3).blocks():
-        if type(block) in encoders:
+        kind, messages, _ = serialised(block)
+        if kind in {Kind.IMU, *COMMON}:
             name = topic if topic.startswith('/') else f'/{topic}'
-            found.setdefault(name, []).extend(encoders[type(block)](block).payloads())
+            found.setdefault(name, []).extend(messages.payloads())
     return found
 
 
