@@ -808,20 +808,20 @@ def test_axes_that_are_not_the_plans(
     cli.refuses(1, sentence, good().with_imu(change))
 
 
-def test_a_temperature_in_kelvin(cli: CommandLine) -> None:
+@pytest.mark.parametrize(
+    ('reading', 'sentence'),
+    [
+        (298.15, 'The temperature is 298.1.? degrees Celsius, hotter than any unit .25.0 if it is'),
+        (
+            25_000.0,
+            'temperatures of the unit are not in degrees Celsius and are left out, the first '
+            '25000: in thousandths of a degree it is 25.0',
+        ),
+    ],
+)
+def test_a_temperature_in_another_unit(cli: CommandLine, reading: float, sentence: str) -> None:
     stamp = good().imu.stamp[::100]
-    readings = TemperatureBlock(stamp, np.full(len(stamp), 298.15))
-    sentence = 'The temperature is 298.1.? degrees Celsius, hotter than any unit .25.0 if it is in'
-    cli.uses_the_rest(sentence, {**good().columns, '/imu/temperature': readings})
-
-
-def test_a_temperature_in_thousandths_of_a_degree(cli: CommandLine) -> None:
-    stamp = good().imu.stamp[::100]
-    readings = TemperatureBlock(stamp, np.full(len(stamp), 25_000.0))
-    sentence = (
-        'temperatures of the unit are not in degrees Celsius and are left out, the first 25000: in '
-        'thousandths of a degree it is 25.0'
-    )
+    readings = TemperatureBlock(stamp, np.full(len(stamp), reading))
     cli.uses_the_rest(sentence, {**good().columns, '/imu/temperature': readings})
 
 

@@ -9,12 +9,11 @@ import subprocess
 import sys
 import threading
 import time
-import tty
 from contextlib import contextmanager
 from types import SimpleNamespace
 
 import pytest
-from device_frames import frame
+from device_frames import frame, pseudo_terminal
 from loopback import CHECKOUT, environment, patience, until
 
 from imu_calib.cli import monitor, stand_session
@@ -136,11 +135,8 @@ class Frames:
 @pytest.fixture
 def serial():
     """A serial port: what is written to the first end comes out of the device that is named."""
-    ours, theirs = os.openpty()
-    tty.setraw(theirs)
-    yield ours, os.ttyname(theirs)
-    os.close(ours)
-    os.close(theirs)
+    with pseudo_terminal() as (ours, _, name):
+        yield ours, name
 
 
 def refused(tmp_path, capsys, *words):

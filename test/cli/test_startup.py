@@ -2,19 +2,17 @@
 
 import json
 import os
-import pty
 import select
 import subprocess
 import sys
 import termios
 import threading
 import time
-import tty
 from dataclasses import replace
 
 import pytest
 import yaml
-from device_frames import NS, frame
+from device_frames import NS, frame, pseudo_terminal
 from loopback import CHECKOUT, until
 
 from imu_calib.cli import dispatch, main, stand, stand_session
@@ -232,11 +230,8 @@ def test_a_device_that_cannot_do_is_refused_before_anything_is_loaded(tmp_path, 
 @pytest.fixture
 def port():
     """A serial port: our end, and the name of the other."""
-    ours, theirs = pty.openpty()
-    tty.setraw(theirs)
-    yield ours, os.ttyname(theirs)
-    os.close(ours)
-    os.close(theirs)
+    with pseudo_terminal() as (ours, _, name):
+        yield ours, name
 
 
 class LoadedHere(Exception):

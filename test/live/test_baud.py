@@ -1,14 +1,11 @@
 """Rate of a serial port: option, device file, default; and frames that do not fit through it."""
 
-import os
-import pty
 import re
 import termios
-import tty
 
 import imu_bench
 import pytest
-from device_frames import SIMULATED, described
+from device_frames import SIMULATED, described, pseudo_terminal
 from loopback import CHECKOUT, until
 
 from imu_calib.cli import main, stand_session
@@ -24,11 +21,8 @@ bench = imu_bench.bench
 def port():
     """A pseudo terminal: something that pyserial opens, and that tells at which rate."""
     pytest.importorskip('serial')
-    ours, theirs = pty.openpty()
-    tty.setraw(theirs)
-    yield theirs, os.ttyname(theirs)
-    os.close(ours)
-    os.close(theirs)
+    with pseudo_terminal() as (_, theirs, name):
+        yield theirs, name
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from device_frames import pseudo_terminal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from loopback import until
@@ -314,22 +315,16 @@ def test_a_device_that_fell_silent_is_started_again(device):
 
 def test_a_serial_port_is_sent_the_commands():
     pytest.importorskip('serial')
-    import pty
-    import tty
-
-    ours, theirs = pty.openpty()
-    tty.setraw(theirs)
-    source = DeviceReader(os.ttyname(theirs), time.time_ns, commands=Commands(BEGIN, None, END))
-    source.start()
-    got = b''
-    while len(got) < 8:
-        got += os.read(ours, 100)
-    source.stop()
-    while len(got) < 15:
-        got += os.read(ours, 100)
-    assert got == b'\xfe\x00\r$GO\r\n$STOP\r\n'
-    os.close(ours)
-    os.close(theirs)
+    with pseudo_terminal() as (ours, _, name):
+        source = DeviceReader(name, time.time_ns, commands=Commands(BEGIN, None, END))
+        source.start()
+        got = b''
+        while len(got) < 8:
+            got += os.read(ours, 100)
+        source.stop()
+        while len(got) < 15:
+            got += os.read(ours, 100)
+        assert got == b'\xfe\x00\r$GO\r\n$STOP\r\n'
 
 
 def test_a_recording_is_sent_nothing(tmp_path):

@@ -1048,21 +1048,23 @@ def test_a_hold_without_joint_states_brakes_on_the_way():
     assert piece.course.end == pytest.approx(1.0 + 60 / 200)
 
 
-@pytest.mark.parametrize(('unseen', 'known'), [(0.19, True), (0.21, False)])
-def test_a_joint_state_is_as_old_as_the_steady_clock_says(unseen, known):
-    lead = Lead(TABLE)
-    turn = lead.piece(setpoint(Mode.RATE, rates=(60 * DEG, 0.0, 0.0)), at())
-    last = at(rates=(60 * DEG, 0.0, 0.0), still=False, stamp=10**9)
-    piece = lead.piece(setpoint(Mode.HOLD, stamp=10**9), last, unseen)
-    assert piece.stamp == (0 if known else turn.stamp)
-
-
-@pytest.mark.parametrize(('age', 'known'), [(0.05, True), (0.19, True), (0.21, False)])
-def test_a_joint_state_of_a_fifth_of_a_second_still_says_where_the_table_is(age, known):
+@pytest.mark.parametrize(
+    ('age', 'unseen', 'known'),
+    [
+        (0.05, 0.0, True),
+        (0.19, 0.0, True),
+        (0.21, 0.0, False),
+        (0.0, 0.19, True),
+        (0.0, 0.21, False),
+    ],
+)
+def test_a_joint_state_of_a_fifth_of_a_second_by_either_clock_still_says_where_the_table_is(
+    age, unseen, known
+):
     lead = Lead(TABLE)
     turn = lead.piece(setpoint(Mode.RATE, rates=(60 * DEG, 0.0, 0.0)), at())
     last = at(rates=(60 * DEG, 0.0, 0.0), still=False, stamp=10**9 - round(age * 1e9))
-    piece = lead.piece(setpoint(Mode.HOLD, stamp=10**9), last)
+    piece = lead.piece(setpoint(Mode.HOLD, stamp=10**9), last, unseen)
     assert piece.stamp == (0 if known else turn.stamp)
 
 

@@ -95,8 +95,7 @@ def test_no_start_while_the_calibrator_cannot_go_on(session):
 
 
 def test_the_emergency_stop_holds_and_refuses_a_start_until_it_is_released(session):
-    session.turn_at(90).open(autostart=True, **PATIENT)
-    session.reaches(Phase.TURNING)
+    session.turning()
     session.watcher.estop.publish(ros.messages.Bool(data=True))
     session.reaches(Phase.ABORTED)
     assert session.ends_stopped()
@@ -251,8 +250,7 @@ def test_a_stamp_beyond_what_a_header_can_state_stops_the_table(session):
 
 
 def test_a_stop_that_is_taken_back_on_its_topic_alone_stays_pressed(session):
-    session.turn_at(90).open(autostart=True, **PATIENT)
-    session.reaches(Phase.TURNING)
+    session.turning()
     session.watcher.estop.publish(ros.messages.Bool(data=True))
     session.reaches(Phase.ABORTED)
     session.watcher.estop.publish(ros.messages.Bool(data=False))
@@ -546,8 +544,7 @@ def answers_to_listed(node, topic):
 
 @pytest.mark.parametrize('topic', list(KINDS))
 def test_two_publishers_hold_the_table_are_named_and_nothing_starts(session, topic):
-    session.turn_at(60).open(autostart=True, **PATIENT)
-    session.reaches(Phase.TURNING)
+    session.turning(60)
     answers = answers_to_listed(session.node, topic)
     stranger = Stranger(topic)
     owner = {'turntable/joint_states': '/table'}.get(topic, '/watcher')
@@ -590,8 +587,7 @@ def test_two_publishers_forbid_a_start_by_itself_even_when_one_has_left(session,
 
 def test_two_leaders_of_one_name_hear_each_other_and_hold(session):
     """A stand that is launched twice: the names say nothing, the states do."""
-    session.turn_at(60).open(autostart=True, **PATIENT)
-    session.reaches(Phase.TURNING)
+    session.turning(60)
     session.start()
     session.reaches(Phase.PAUSED)
     words = '/turntable_node, /turntable_node'

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from bag_files import NS, STORE
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from imu_calib.common.stream import (
     ImuBlock,
@@ -19,7 +19,7 @@ from imu_calib.common.stream import (
     TemperatureBlock,
 )
 from imu_calib.recordings import cdr_codec as decode
-from imu_calib.recordings.cdr import CdrError, Malformed, Messages, definition
+from imu_calib.recordings.cdr import CdrError, Malformed, Messages
 from imu_calib.recordings.cdr_codec import (
     PULSES,
     RATES,
@@ -37,10 +37,6 @@ from imu_calib.recordings.cdr_codec import (
     part,
     rates_payloads,
 )
-
-STORE = get_typestore(Stores.ROS2_JAZZY)
-STORE.register(get_types_from_msg(definition(Kind.SETPOINTS.type_name), Kind.SETPOINTS.type_name))
-NS = 1_000_000_000
 
 stamps = st.integers(-(2**31) * NS, 2**31 * NS - 1)
 numbers = st.floats(width=64, allow_nan=False)
@@ -158,20 +154,15 @@ def test_rates_carry_their_covariances(count, frame):
         assert np.array_equal(message.linear_acceleration_covariance, force[k])
 
 
-def test_pulses_are_no_rates_to_a_filter():
-    # REP 145: -1 as the first element says that a message does not carry this quantity.
-    message = STORE.deserialize_cdr(encode_imu(imu_block(1)).payload(0), Kind.IMU.type_name)
+@pytest.mark.parametrize(('covariances', 'known'), [(PULSES, -1), (RATES, 0)])
+def test_pulses_are_no_rates_to_a_filter_and_rates_of_unknown_covariance_are(covariances, known):
+    # REP 145: -1 as the first element says that a message does not carry this quantity, zeros that
+    # its covariance is unknown.
+    payload = encode_imu(imu_block(1), covariances).payload(0)
+    message = STORE.deserialize_cdr(payload, Kind.IMU.type_name)
     assert message.orientation_covariance[0] == -1
-    assert message.angular_velocity_covariance[0] == -1
-    assert message.linear_acceleration_covariance[0] == -1
-
-
-def test_rates_without_a_covariance_are_known_all_the_same():
-    # REP 145: zeros say that the covariance is unknown, -1 that the quantity is.
-    message = STORE.deserialize_cdr(encode_imu(imu_block(1), RATES).payload(0), Kind.IMU.type_name)
-    assert message.orientation_covariance[0] == -1
-    assert message.angular_velocity_covariance[0] == 0
-    assert message.linear_acceleration_covariance[0] == 0
+    assert message.angular_velocity_covariance[0] == known
+    assert message.linear_acceleration_covariance[0] == known
 
 
 @st.composite

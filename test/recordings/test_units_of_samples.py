@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hand_sessions import recorded_in_si
 from numpy.typing import NDArray
 
 import imu_calib
@@ -43,12 +44,7 @@ PER_NUMBER = {
 @pytest.fixture(scope='module')
 def hand(tmp_path_factory: pytest.TempPathFactory) -> tuple[NDArray[np.int64], Floats, Floats]:
     """A session in the hand, SI."""
-    bag = tmp_path_factory.mktemp('hand') / 'bag'
-    imu_calib.simulate('free_positions', bag, imu='si', truth='mems_counts', seed=3)
-    seen = imu_calib.read(bag, '/imu/pulses')
-    gyro = np.column_stack([seen[f'angular_velocity.{a}'] for a in 'xyz'])
-    accel = np.column_stack([seen[f'linear_acceleration.{a}'] for a in 'xyz'])
-    return seen.stamp, gyro, accel
+    return recorded_in_si(tmp_path_factory.mktemp('hand') / 'bag')
 
 
 @pytest.fixture(scope='module')

@@ -166,6 +166,12 @@ def paper_imu_without_limits() -> ImuSpec:
     return replace(paper_imu(), specification=None)
 
 
+def shown_tests(result: Result, tests: dict[str, object]) -> str:
+    """Return the section on terms of a result with other tests of them."""
+    provenance = {**result.calibration.provenance, 'tests_of_terms': tests}
+    return ' '.join(terms_section(replace(result.calibration, provenance=provenance)))
+
+
 def test_terms_of_the_session_have_units_of_their_own(result: Result) -> None:
     tested = {
         'state': 'off',
@@ -173,8 +179,7 @@ def test_terms_of_the_session_have_units_of_their_own(result: Result) -> None:
         'found_from': [1e-9, 1e-9, 5e-10, 5e-8, 5e-8, 5e-8, 1e-8, None],
         'would_move': {'K_g': {'parameter': 'K_gz', 'by': 360.0}},
     }
-    provenance = {**result.calibration.provenance, 'tests_of_terms': {'trend': tested}}
-    shown = ' '.join(terms_section(replace(result.calibration, provenance=provenance)))
+    shown = shown_tests(result, {'trend': tested})
     assert 'parameters that drift evenly with time' in shown
     # 1e-9 rad/s^2, 5e-8 m/s^3 and 1e-8 1/s; of K_a nothing is seen.
     assert 'D_g 0.74 deg/h per h, D_a 18 µg per h, K_g 36 ppm per h<' in shown
@@ -188,8 +193,7 @@ def test_a_trend_of_chosen_biases_is_shown_as_a_trend(result: Result) -> None:
         'found_from': [1e-8, 1e-8, 5e-9],
         'would_move': {'D_ax': {'parameter': 'D_ax', 'by': 2000.0}},
     }
-    provenance = {**result.calibration.provenance, 'tests_of_terms': {'trend:D_a': tested}}
-    shown = ' '.join(terms_section(replace(result.calibration, provenance=provenance)))
+    shown = shown_tests(result, {'trend:D_a': tested})
     assert 'parameters that drift evenly with time' in shown
     assert 'D_a 3.7 µg per h<' in shown
     assert 'D_ax: 0.56 µg for 1 µg per h' in shown

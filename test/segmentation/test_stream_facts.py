@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hand_sessions import recorded_in_si
 from numpy.typing import NDArray
 
 import imu_calib
@@ -28,12 +29,7 @@ Session = tuple[NDArray[np.int64], Floats, Floats]
 @pytest.fixture(scope='module')
 def hand(tmp_path_factory: pytest.TempPathFactory) -> Session:
     """A session in the hand, SI, 100 Hz."""
-    bag = tmp_path_factory.mktemp('hand') / 'bag'
-    imu_calib.simulate('free_positions', bag, imu='si', truth='mems_counts', seed=3)
-    seen = imu_calib.read(bag, '/imu/pulses')
-    gyro = np.column_stack([seen[f'angular_velocity.{a}'] for a in 'xyz'])
-    accel = np.column_stack([seen[f'linear_acceleration.{a}'] for a in 'xyz'])
-    return seen.stamp, gyro, accel
+    return recorded_in_si(tmp_path_factory.mktemp('hand') / 'bag')
 
 
 def bag(folder: Path, stamp: NDArray[np.int64], gyro: Floats, accel: Floats) -> Path:

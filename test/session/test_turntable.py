@@ -92,19 +92,24 @@ def test_the_axis_of_a_joint_in_the_body_is_what_the_body_turns_about() -> None:
         assert table.joint_axis(k, angles) == pytest.approx(seen, abs=1e-5)
 
 
-def test_a_plan_beyond_the_limits_is_refused_before_it_starts() -> None:
-    text = JOINTS.replace('axis: [0, 1, 1]', 'axis: z').replace('axis: y', 'axis: z')
-    text = text.replace('max_rate: 100', 'max_rate: 50').replace('mount', '# mount')
+@pytest.mark.parametrize(
+    ('rate', 'limits', 'sentence'),
+    [
+        (50, '', 'position 1: joint one at 60 deg/s, table odd allows 50'),
+        (
+            100,
+            'limits: {lower: -200 deg, upper: 200 deg}, ',
+            'turns joint one, which table odd limits to -200 to 200',
+        ),
+    ],
+)
+def test_a_plan_beyond_the_limits_is_refused_before_it_starts(
+    rate: int, limits: str, sentence: str
+) -> None:
+    text = JOINTS.replace('axis: [0, 1, 1]', f'{limits}axis: z').replace('axis: y', 'axis: z')
+    text = text.replace('max_rate: 100', f'max_rate: {rate}').replace('mount', '# mount')
     table = read_table(Section.parse(text, 't.yaml'))
-    with pytest.raises(InputError, match='position 1: joint one at 60 deg/s, table odd allows 50'):
-        load_plan('twelve_position').steps(table)
-
-
-def test_turns_need_a_joint_without_end() -> None:
-    text = JOINTS.replace('axis: [0, 1, 1]', 'limits: {lower: -200 deg, upper: 200 deg}, axis: z')
-    text = text.replace('axis: y', 'axis: z').replace('mount', '# mount')
-    table = read_table(Section.parse(text, 't.yaml'))
-    with pytest.raises(InputError, match='turns joint one, which table odd limits to -200 to 200'):
+    with pytest.raises(InputError, match=sentence):
         load_plan('twelve_position').steps(table)
 
 

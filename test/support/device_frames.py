@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import binascii
 import itertools
+import os
+import pty
 import struct
+import tty
+from contextlib import contextmanager
 
 import yaml
 
@@ -23,6 +27,16 @@ def frame(counter, nanoseconds, counts, celsius=2500, status=0):
     """A frame of the simulated IMU, by its description alone."""
     body = struct.pack('<HIq6ihH', 0x55AA, counter % 2**32, nanoseconds, *counts, celsius, status)
     return body + struct.pack('<H', binascii.crc_hqx(body, 0xFFFF))
+
+
+@contextmanager
+def pseudo_terminal():
+    """A serial port for pyserial: our end, theirs, and its name."""
+    ours, theirs = pty.openpty()
+    tty.setraw(theirs)
+    yield ours, theirs, os.ttyname(theirs)
+    os.close(ours)
+    os.close(theirs)
 
 
 def cut(data, places):

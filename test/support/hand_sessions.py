@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
+import imu_calib
 from imu_calib.common.rotations import rotation
-from imu_calib.common.stream import Floats
+from imu_calib.common.stream import Floats, Stamps
 from imu_calib.common.units import DEG
 from imu_calib.simulation.hand import AXES, PAUSE, HandSession, directions, one_turn_each
 from imu_calib.simulation.motion import Motion, Track, side_by_side, trapezoid
@@ -80,6 +82,15 @@ def shortest_turns(ups: Floats, seconds: Floats, *, heading: float = 0.0) -> Han
         angle = float(np.arccos(np.clip(up @ target, -1.0, 1.0)))
         attitudes.append(attitudes[-1] @ rotation(axis / np.linalg.norm(axis), angle))
     return one_turn_each(np.array(attitudes), seconds)
+
+
+def recorded_in_si(bag: Path) -> tuple[Stamps, Floats, Floats]:
+    """Simulate a session in the hand at 100 Hz; return stamps (n,), gyros and forces (n, 3), SI."""
+    imu_calib.simulate('free_positions', bag, imu='si', truth='mems_counts', seed=3)
+    seen = imu_calib.read(bag, '/imu/pulses')
+    gyro = np.column_stack([seen[f'angular_velocity.{a}'] for a in 'xyz'])
+    accel = np.column_stack([seen[f'linear_acceleration.{a}'] for a in 'xyz'])
+    return seen.stamp, gyro, accel
 
 
 def _upright(up: Floats) -> Floats:

@@ -216,6 +216,11 @@ class Session:
             self.join()
         return self
 
+    def turning(self, rate=90):
+        """Open with a plan that starts by itself and turns at a rate, deg/s; wait for its turn."""
+        self.turn_at(rate).open(autostart=True, **PATIENT)
+        self.reaches(Phase.TURNING)
+
     def join(self):
         """Let the node join those who are there already."""
         self.node = TurntableNode()
