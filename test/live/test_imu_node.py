@@ -289,7 +289,7 @@ def test_the_program_ends_clean_and_says_what_is_wrong(bench, tmp_path):
         check=False,
     )
     assert wrong.returncode == 2
-    assert "No device is called 'no_such_device'; there are: " in wrong.stderr
+    assert "imu_node: No device is called 'no_such_device'; there are: " in wrong.stderr
     assert 'Traceback' not in wrong.stderr
     process = processes.start(
         [*command, f'port:={bench.device.url}'],

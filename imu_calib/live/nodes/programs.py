@@ -77,7 +77,8 @@ def entry_point(node: Callable[[], Any]) -> int:
     """
     from ..middleware import run
 
-    code = answered(_program(node), sys.argv[1:])
+    name = _program(node)
+    code = answered(name, sys.argv[1:])
     if code is not None:
         return code
     share_one_heap()
@@ -85,7 +86,7 @@ def entry_point(node: Callable[[], Any]) -> int:
     try:
         run(node, ends=True)
     except ImuCalibError as error:
-        print(f'{getattr(node, "__name__", "node")}: {error}', file=sys.stderr)  # noqa: T201
+        print(f'{name}: {error}', file=sys.stderr)  # noqa: T201
         return error.exit_code
     return 0
 
