@@ -70,7 +70,7 @@ nitpick_ignore_regex = [
         r'py:.*',
         r'(numpy|np|numpy\.typing|collections|pathlib|typing|types|contextlib|datetime|pandas|matplotlib)\..*',
     ),
-    ('py:class', 'Figure|TopicClock'),
+    ('py:class', 'Figure|TopicClock|datetime'),
     # Values within others, which have no page, and names for a choice of types.
     (
         'py:class',
