@@ -149,7 +149,9 @@ def excess(
         )
         for k, triad in enumerate(triads)
     ]
-    chosen = choose_variances(residuals, noise, _beyond(triads), _LEAST_GAIN)
+    chosen = choose_variances(
+        residuals, noise, _beyond(triads, by_hand=plain.evidence.plan.by_hand), _LEAST_GAIN
+    )
     drifts = [
         triad.unit_variance * chosen.means[which]
         for triad, which in zip(triads, _DRIFTS, strict=True)
@@ -179,16 +181,17 @@ def excess(
 _DRIFTS, _POSITIONING, _MOTIONS = ([0, 1], [2, 3]), [4, 5], 6  #: Places in `_beyond`.
 
 
-def _beyond(triads: Sequence[_Triad]) -> list[Variance]:
+def _beyond(triads: Sequence[_Triad], *, by_hand: bool) -> list[Variance]:
     """Return the variances beyond what is known.
 
     Fast and slow drift of gyros and of accelerometers, positioning errors of joints and of stops,
-    motions.
+    motions. In six holds by hand accelerometers that drift look like holds that lean, and these
+    lean by more than biases drift: their drift is not sought there.
     """
     gyros, accels = triads
     return [
         *(Variance((kernel, None)) for kernel in gyros.drifts),
-        *(Variance((None, kernel)) for kernel in accels.drifts),
+        *(Variance((None, None if by_hand else kernel)) for kernel in accels.drifts),
         *(Variance(both) for both in zip(gyros.common, accels.common, strict=True)),
     ]
 
