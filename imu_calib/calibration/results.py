@@ -314,9 +314,10 @@ def losses_of_all_segments(session: Segmented, labelled: Labelled, setup: Setup)
 
 
 def bad_samples_first(error: ImuCalibError, session: Segmented) -> ImuCalibError:
-    """Return a refusal that first names frozen samples, or many false ones: they may explain it."""
+    """Return a refusal that first names frozen, mistimed or many false samples, as its cause."""
     false = session.false_samples
     sentence = session.frozen or (false.sentences[0] if false.is_large else '')
+    sentence = sentence or session.mistimed
     if not sentence:
         return error
     others = tuple(text.replace(f'{sentence}.', '').strip() for text in error.args)

@@ -12,7 +12,7 @@ docs/mathematics.md, 'Moves' and 'Velocities of moves'.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,14 +106,17 @@ class MoveReader:
             self._open, self._begin, self._seen, self._reason = [], segment.end, segment.end, ''
         self.motion(samples, delivered)
 
-    def timed_moves(self, period: float) -> tuple[Move, ...]:
+    def timed_moves(self, interval_at: Callable[[float], float]) -> tuple[Move, ...]:
         """Return the moves in order.
 
         Args:
-            period: Sample interval by the whole session, s: where stamps jitter, those of a few
-                seconds would make the angles of rates a percent off.
+            interval_at: Sample interval by the whole session, s, at an instant, ns: where stamps
+                jitter, that of a few seconds would make the angles of rates a percent off.
         """
-        return tuple(self._move(*one, period) for one in self._moves)
+        return tuple(
+            self._move(start, end, steps, interval_at((start + end) / 2))
+            for start, end, steps in self._moves
+        )
 
     def _move(self, start: int, end: int, steps: _Steps, period: float) -> Move:
         """Return the steps from one instant to another, ns, as a move, timed by the interval, s."""

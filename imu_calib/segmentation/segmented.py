@@ -122,3 +122,5 @@ class Segmented:
     false_samples: FalseSamples = NONE_FALSE
     #: That the IMU froze for good, as one of `losses`; empty if it did not.
     frozen: str = ''
+    #: That many dwells and turns are left out for their stamps; empty if not.
+    mistimed: str = ''

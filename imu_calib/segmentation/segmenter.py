@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections import deque
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -26,9 +27,9 @@ from .clock import FARTHEST, ClockFit, fit_clock, offset_by_pattern
 from .course import Thermometer
 from .intake import Ordered, StreamBuffer
 from .moves import MoveReader
-from .reading import NEAR, IntervalReader, SegmentChoice
+from .reading import NEAR, IntervalReader, ReadParts, SegmentChoice
 from .reading_jumps import ReadingJumps
-from .segmented import Move, Segmented
+from .segmented import Move, Rejected, Segmented
 from .segments import Segment, Turn
 from .stamp_faults import interruptions
 from .statistics import Sensor, sample_period, to_samples
@@ -140,7 +141,7 @@ def reject_slewed(reader: IntervalReader) -> list[int]:
         return any(first <= instant <= last for first, last in slewed)
 
     reader.found.reject(
-        f'the stamps run at another pace there, by up to {most * 1e6:.2g} ppm: their clock was '
+        f'the stamps run at another pace there, by up to {most * 1e6:.0f} ppm: their clock was '
         'slewed, or the sample rate changed',
         lambda one: is_within(one.start),
     )
@@ -148,9 +149,22 @@ def reject_slewed(reader: IntervalReader) -> list[int]:
     return [first for first, _ in slewed]
 
 
+_MANY = 0.25
+"""Share of dwells and turns whose stamps explain best that a session is refused. A judgement."""
+
+
+def _mistimed_sentence(found: ReadParts, rejected: Sequence[Rejected]) -> str:
+    """Return that dwells and turns are rejected for their stamps, if they are many; else empty."""
+    count, others = len(rejected), len(found.segments) + len(found.turns)
+    if count <= _MANY * (count + others):
+        return ''
+    return f'{count} of {count + others} static dwells and turns are left out: {rejected[0].reason}'
+
+
 _LONGEST_REST = 1 << 20  #: Most samples held: a longer dwell is cut, so that memory stays bounded.
 _SAMPLES_FOR_PERIOD = 256
 """Samples whose median step is the interval. A choice: a quarter of a second at 1 kHz."""
+_LISTED_CHANGES = 3  #: Of the sample rate: more are of a device that has none.
 _SURELY_SEEN = 3
 """Motions seen by the gyros at the table's time, after which clocks are not compared otherwise: one
 motion matches another by chance, but not three in a row."""
@@ -213,7 +227,13 @@ class Segmenter:
     @property
     def moves(self) -> tuple[Move, ...]:
         """Moves between these static dwells so far."""
-        return self._reader.moves.timed_moves(self._reader.pace.interval)
+        pace = self._reader.pace
+        changes = pace.rate_changes
+        return tuple(
+            move
+            for move in self._reader.moves.timed_moves(pace.interval_at)
+            if not any(move.start < last and move.end > first for first, last, _, _ in changes)
+        )
 
     @property
     def quietest(self) -> Quietest | None:
@@ -280,8 +300,10 @@ class Segmenter:
             seconds = ((self._intake.last_stamp or froze) - froze) * 1e-9
             self._frozen_for_good = frozen_sentence(froze, seconds)
         reject_untimed(reader, self._intake)
+        before = len(found.rejected)
         reject_uncounted(reader)
         slewed = reject_slewed(reader)
+        mistimed = _mistimed_sentence(found, found.rejected[before:])
         self._frozen_motions = reject_hidden(reader)
         if self._clocks_unknown:
             # All was cut by clocks of unknown offset: its positions and rates are wrong.
@@ -316,6 +338,7 @@ class Segmenter:
             self._intake.facts,
             self._intake.false_samples,
             self._frozen_for_good,
+            mistimed,
         )
 
     @property
@@ -484,6 +507,11 @@ class Segmenter:
                 'clock or by a reader that polls: when samples were made is taken from a line '
                 'through the stamps'
             )
+        lost += [
+            f'The sample rate changes from {1 / before:.4g} to {1 / after:.4g} Hz near '
+            f'{at(last)}: a motion during it is left out, and every part timed by its own stamps'
+            for _, last, before, after in reader.pace.rate_changes[:_LISTED_CHANGES]
+        ]
         lost += reader.late.words(self._intake.samples)
         lost += reader.rounding.sentences
         if reader.bridged:

@@ -30,6 +30,9 @@ that warms by a degree. Clocks are slewed by tens of ppm and more."""
 _LARGEST_SLEW = 1e-3
 """Relative: twice what kernels slew a clock by. Intervals further apart are of segments in which
 jitter hides how many samples are missing."""
+_SAME_RATE = 1e-4
+"""Relative: intervals of three segments in a row that are this close are those of one sample rate;
+jitter that hides missing samples scatters them by more."""
 _SAME_PACE = 1e-6  #: Relative: intervals this close are of one pace. Of a quartz within minutes.
 _SURELY = 6.0  #: Standard deviations beyond which intervals differ: once in 10^9 by chance.
 _LEAST_STD = 1e-10  #: Of the level of a segment, s: stamps in ns, averaged.
@@ -130,6 +133,38 @@ class Pace:
         spans = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
         where = [(self._read[k[0]][0], self._read[k[-1]][1]) for k in spans if len(k)]
         return where, float(off[rows, usual].max(initial=0.0))
+
+    def interval_at(self, instant: float) -> float:
+        """Return the interval around an instant, ns, s: that of all, unless the rate changed."""
+        if not self._read:
+            return self.interval
+        first, last, period, _ = np.array(self._read).T
+        k = int(np.argmin(np.abs((first + last) / 2 - instant)))
+        for begin in (k - 2, k - 1, k):
+            some = period[max(begin, 0) : begin + 3]
+            if len(some) == 3 and np.ptp(some) < _SAME_RATE * some[1]:
+                local = float(np.median(some))
+                return local if abs(local / self.interval - 1) > _LARGEST_SLEW else self.interval
+        return self.interval
+
+    @property
+    def rate_changes(self) -> list[tuple[int, int, float, float]]:
+        """Between which instants, ns, the sample rate changes; intervals before and after, s.
+
+        Only changes that no slewed clock makes: the stamps themselves are then right.
+        """
+        found: list[tuple[int, int, float, float]] = []
+        period = np.array([one[2] for one in self._read])
+        for k in range(3, len(period) - 3):
+            # A segment may lie across the change.
+            before, after = period[k - 3 : k], period[k + 1 : k + 4]
+            even = max(np.ptp(before) / before[1], np.ptp(after) / after[1]) < _SAME_RATE
+            changed = even and abs(after[1] / before[1] - 1) > _LARGEST_SLEW
+            # Two segments in a row may have even ones on either side.
+            if changed and (not found or abs(found[-1][3] / after[1] - 1) > _LARGEST_SLEW):
+                around = self._read[k - 1][0], self._read[k + 1][0]
+                found.append((*around, float(before[1]), float(after[1])))
+        return found
 
     @property
     def interval(self) -> float:

@@ -303,9 +303,9 @@ intervals and a fifth of the samples missing 6 %. In a queue they come after a l
 _WITHIN_INTERVALS = 2.0
 """Intervals within which the last samples of bunches lie about their line: one, and its error."""
 
-_COARSE = 1.1
-"""Mean steps beyond which ticks surely put several samples on one stamp: counting these does not
-show how many are missing. A judgement, above the error of a mean where some are."""
+_COARSE = 0.5
+"""Mean steps from which on ticks that put several samples on one stamp hide how many are missing:
+with ticks of 1.56 intervals (15.6 ms at 100 Hz) where up to two thirds are. A judgement."""
 
 _LIKE = 0.2
 """Of an interval: largest difference of two estimates of it. A judgement: more than missing samples

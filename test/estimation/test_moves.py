@@ -98,7 +98,7 @@ def test_of_a_hand_angles_alone_are_read(by_hand: bool) -> None:
     reader.dwell(rests[0], delivered, found[:1])
     reader.motion(samples.part(20, n - 20), np.zeros((n - 40, 6)))
     reader.dwell(rests[1], delivered, found[1:])
-    (move,) = reader.timed_moves(PERIOD)
+    (move,) = reader.timed_moves(lambda _: PERIOD)
     # The first sample of a rest ends where it begins.
     assert move.seconds.sum() == pytest.approx((n - 40) * PERIOD)
     assert (move.velocity_steps is None) == by_hand

@@ -159,7 +159,7 @@ def read(
     reader.motion(samples(rows[begin:end], begin), delivered[begin:end])
     after = found or [rest(end + 4, len(rows))]
     reader.dwell(samples(rows[end:], end), delivered[end:], after)
-    return reader.timed_moves(period)
+    return reader.timed_moves(lambda _: period)
 
 
 def test_a_move_is_what_lies_between_two_rests() -> None:
@@ -219,12 +219,12 @@ def test_a_gap_ends_a_move() -> None:
     reader.dwell(samples(rows[:20]), rows[:20], [rest(1, 15)])
     reader.motion(samples(rows[22:80], 22), rows[22:80])
     reader.dwell(samples(rows[80:], 80), rows[80:], [rest(84, 100)])
-    assert reader.timed_moves(PERIOD) == ()
+    assert reader.timed_moves(lambda _: PERIOD) == ()
     # The next one begins anew.
     more = motion(60, 2)
     reader.motion(samples(more[:40], 100), more[:40])
     reader.dwell(samples(more[40:], 140), more[40:], [rest(144, 160)])
-    (move,) = reader.timed_moves(PERIOD)
+    (move,) = reader.timed_moves(lambda _: PERIOD)
     assert (move.start, move.end) == (1_000_000_000, 1_440_000_000)
 
 
@@ -236,7 +236,7 @@ def test_a_jerk_of_three_steps_is_no_move() -> None:
         reader.dwell(samples(rows[:20]), rows[:20], [rest(1, 20)])
         reader.motion(samples(rows[20:end], 20), rows[20:end])
         reader.dwell(samples(rows[end:], end), rows[end:], [rest(end + 1, end + 20)])
-        assert len(reader.timed_moves(PERIOD)) == moves
+        assert len(reader.timed_moves(lambda _: PERIOD)) == moves
 
 
 def test_samples_that_a_rest_has_had_are_passed_over() -> None:
@@ -246,5 +246,5 @@ def test_samples_that_a_rest_has_had_are_passed_over() -> None:
     # A second beside the motion is looked at on either side.
     reader.motion(samples(rows[10:90], 10), rows[10:90])
     reader.dwell(samples(rows[80:], 80), rows[80:], [rest(93, 100)])
-    (move,) = reader.timed_moves(PERIOD)
+    (move,) = reader.timed_moves(lambda _: PERIOD)
     assert move.duration == pytest.approx((92 - 15) * PERIOD)
