@@ -13,7 +13,7 @@ import processes
 import pytest
 from installed import ROS, SETUP, has_wheel, needs, without_ros
 from loopback import CHECKOUT, SUPPORT, environment, patience, until
-from ros_stands import LOOK, seen
+from ros_stands import LOOK, LOSSLESS, seen
 
 from imu_calib.recordings.cdr_codec import Kind
 from imu_calib.recordings.rosbag2 import open_recording
@@ -192,8 +192,7 @@ def test_the_rate_of_a_topic_on_dds_is_measured(rmw):
 def test_every_message_of_a_session_is_recorded(rmw, tmp_path):
     domain, count = environment(RMW_IMPLEMENTATION=rmw), 8000
     streams = ['/imu/pulses', '/imu/skew', '/turntable/joint_states']
-    options = ['-o', str(tmp_path / 'bag'), '--disable-keyboard-controls']
-    options += ['--qos-profile-overrides-path', str(CHECKOUT / 'config' / 'record_qos.yaml')]
+    options = ['-o', str(tmp_path / 'bag'), '--disable-keyboard-controls', *LOSSLESS]
     topics = ['--topics', *streams, '/turntable/state']
     with (
         peer('dds', domain, 'stream', str(count), str(patience())) as source,

@@ -4,8 +4,11 @@ What runs is the workspace as `colcon build` left it, in a domain of its own on 
 interface; no process may be left.
 """
 
+import os
 import re
+import signal
 import sys
+import time
 from functools import partial
 from types import SimpleNamespace
 
@@ -19,6 +22,7 @@ from ros_stands import (
     CANCEL,
     GOAL,
     LATITUDE,
+    LOSSLESS,
     NEEDS_ROS,
     NODES,
     PACKAGE,
@@ -165,16 +169,24 @@ def test_a_played_bag_ends_in_the_true_parameters(session, tmp_path):
     arguments = {'plan': session.net.folder / 'short.yaml', 'latitude': LATITUDE}
     arguments |= {'imu': 'fog_medium', 'setpoint_topic': '/replayed/setpoint'}
     words = [f'{name}:={value}' for name, value in arguments.items()]
-    bag = str(session.net.folder / 'bag')
+    bag = session.net.folder / 'bag'
     with nothing_left(net):
         net.start('it', net.ros('ros2', 'launch', 'imu_calib', 'calibrator.launch.py', *words))
         net.wait_for_text('it', 'Waiting for /imu/pulses.')
         remapped = ('--remap', '/turntable/setpoint:=/replayed/setpoint')
-        net.start('play', net.ros('ros2', 'bag', 'play', bag, *remapped))
+        net.start('play', net.ros('ros2', 'bag', 'play', str(bag), *remapped, *LOSSLESS))
+        net.wait_for_text('it', '/imu/pulses is received.')
+        # Two seconds are far more than the ten messages that a player keeps by itself.
+        os.killpg(net.processes['it'].pid, signal.SIGSTOP)
+        time.sleep(2.0)
+        os.killpg(net.processes['it'].pid, signal.SIGCONT)
         net.wait_for_text('it', 'calibration.yaml is written', seconds=120)
         assert net.ended('play') == 0, net.log('play')
         net.stop('it')
     check_truth(Calibration.load(tmp_path / 'calibration.yaml'))
+    played, heard = (read(f, '/imu/pulses').stamp for f in (bag, tmp_path / 'journal'))
+    between = (heard[0] <= played) & (played <= heard[-1])
+    assert np.array_equal(heard, played[between])
 
 
 @pytest.mark.skipif(not has_wheel(), reason='the wheel cyclonedds is not in this Python')

@@ -51,6 +51,7 @@ NODES = ('stand_node', 'imu_node', 'calibrator_node', 'turntable_node')
 TRIGGER = 'std_srvs/srv/Trigger'
 GOAL = ('action', 'send_goal', '--feedback', '/turntable_node/run_calibration')
 GOAL += ('imu_calib_msgs/action/RunCalibration',)
+LOSSLESS = ('--qos-profile-overrides-path', str(CHECKOUT / 'config' / 'record_qos.yaml'))
 CANCEL = 'action_msgs/srv/CancelGoal'
 
 
@@ -204,8 +205,7 @@ def launch(net, **arguments):
 
 def record(net):
     """Record as the documentation says; return when all topics are subscribed to."""
-    options = ['-o', str(net.folder / 'bag'), '--disable-keyboard-controls']
-    options += ['--qos-profile-overrides-path', str(CHECKOUT / 'config' / 'record_qos.yaml')]
+    options = ['-o', str(net.folder / 'bag'), '--disable-keyboard-controls', *LOSSLESS]
     net.start('record', net.ros('ros2', 'bag', 'record', *options, '--topics', *RECORDED))
     net.wait_for_text('record', *(f"Subscribed to topic '{topic}'" for topic in RECORDED))
 
