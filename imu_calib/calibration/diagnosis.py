@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 from typing import Any
 
 import numpy as np
-import scipy
 
 from ..common.errors import NotObservable
 from ..common.gaussian import FIVE_SIGMA
 from ..common.stream import Floats
 from ..common.units import ARCMIN, ARCSEC, DEG, DEG_H, MICRO_G, PPM, STANDARD_GRAVITY
 from ..estimation.free_dwells import Sensors
-from ..estimation.system import Fit, TriadSystem
+from ..estimation.score import log_bayes_factor, log_f
+from ..estimation.system import Fit, Scatter, TriadSystem, least_square
 from ..model.parameters import AXES, Parameter, ParameterKind, indices_of
 from ..model.sensors import Triad, terms_of
 from ..model.terms import G_SENSITIVITY, TERMS, Term
@@ -43,7 +43,7 @@ _SHARES = {
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A mistake, and the parameters corrected for it."""
+    """A mistake, and the parameters corrected for it; or parameters that have another value."""
 
     when: str  #: Ends the sentence 'the residuals vanish when'.
     why: str  #: What must then have happened, a sentence.
@@ -51,6 +51,46 @@ class Hypothesis:
     reading: float = 1.0  #: Factor on the outputs under this hypothesis.
     #: Whether it only rotates or mirrors the body axes, which lengths cannot show.
     of_body_axes: bool = False
+    freed: tuple[Parameter, ...] = ()  #: Terms that the calibration lacks; or some of its own.
+    mount_free: bool = False  #: Whether the unit may be turned in its mount.
+
+    def fit(self, system: TriadSystem, factor: Floats) -> Fit | None:
+        """Fit the calibration with a factor (p, k) of its covariance; None if it diverges.
+
+        With six lengths, nine parameters of a term are held by their prior alone and may diverge.
+        """
+        if self.freed or self.mount_free or self.reading != 1:
+            # Otherwise the session's equations are reused.
+            reading = system.reading * self.reading
+            system = replace(system, reading=reading, mount_free=self.mount_free)
+            system = _with_more(system, self.freed)
+        more = (0, len(system.sensors.parameters) - len(self.values))
+        if self.freed:
+            columns = indices_of(self.freed, system.sensors.parameters)
+            factor = np.hstack([np.pad(factor, (more, (0, 0))), _wide(system)[:, columns]])
+        # A large rotation, and lengths with freed parameters, are nonlinear: their minimum is
+        # always searched for.
+        nonlinear = self.mount_free or (self.freed and system.up is not None)
+        try:
+            chance = 0.0 if nonlinear else _EXPLAINED
+            return system.fit(np.pad(self.values, more), factor, chance)
+        except (np.linalg.LinAlgError, NotObservable):
+            return None
+
+    def found(self, fit: Fit) -> Hypothesis:
+        """Return it with what its fit shows."""
+        if not self.mount_free:
+            return self
+        about = ', '.join(
+            f'{v / ARCMIN:+.2f} arcmin about {axis}'
+            for v, axis in zip(fit.unknown[-3:], 'XYZ', strict=True)
+        )
+        return replace(self, when=f'the unit is turned by {about}')
+
+    def evidence(self, fit: Fit, without: float) -> float:
+        """Return the logarithm of its odds against the calibration as it is, of chi-square."""
+        gain, free = without - fit.chi_square, len(self.freed) + 3 * self.mount_free
+        return log_bayes_factor(gain, free) - _ODDS if free else gain / 2
 
 
 def mistakes(sensors: Sensors, values: Floats) -> Iterator[Hypothesis]:
@@ -229,13 +269,13 @@ def share_in_words(share: float, *, gyros: bool) -> str:
 _EXPLAINED = 1e-5
 """Chi-square probability above which a hypothesis explains the residuals; small, since hypotheses
 are tried only after the session failed."""
-_AS_GOOD = 6.0
-"""Difference in Schwarz's criterion: strong evidence (Kass and Raftery 1995). Hypotheses nearer to
-the best are named too."""
-_ODDS = 12.0  #: In Schwarz's criterion: prior odds of 400 to 1 for a plain mistake; a judgement.
-_EXCESS = 1e-3
-"""Chi-square probability below which residuals show excess scatter. A choice: in one sound session
-of a thousand."""
+_AS_GOOD = 3.0
+"""Logarithm of odds, 20: strong evidence (Kass and Raftery 1995). Hypotheses nearer to the best are
+named too."""
+_ODDS = 6.0  #: Logarithm of prior odds of 400 to 1 for a plain mistake; a judgement.
+_NOISE = 1e-3
+"""Chi-square probability above which residuals are noise: one sound session of a thousand has
+less."""
 _ENOUGH = 8.0  #: Fewest degrees of freedom left by new parameters: with fewer, any fit succeeds.
 _HALF = 0.5
 """Share of the determined parameters that must have changed to name another unit. A judgement."""
@@ -295,35 +335,12 @@ class Diagnosis:
     moved: tuple[ShiftedParameter, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class _FittedHypothesis:
-    """A fitted hypothesis; the number of freed parameters counts against it."""
-
-    diagnosis: Diagnosis
-    when: str
-    fit: Fit
-    freed: int = 0
-
-    def score(self) -> float:
-        """Return Schwarz's criterion, with odds in favour of a plain mistake."""
-        price = self.freed * float(np.log(max(self.fit.freedom, 2)))
-        return self.fit.chi_square + price + (_ODDS if self.freed else 0.0)
-
-
 def refitted_parameters(system: TriadSystem) -> Fit:
     """Fit all parameters, starting from an error-free unit: residuals are those of any calibration.
 
     The outputs are read as the recording describes them.
     """
     return replace(system, reading=1.0).fit(np.zeros(len(system.sensors.parameters)), _wide(system))
-
-
-def _refitted_from(nested: Fit, system: TriadSystem) -> tuple[float, Callable[[], Fit]]:
-    """Start `refitted_parameters` at a fit of its first parameters; see `TriadSystem.begun`."""
-    count, wide = len(system.sensors.parameters), _wide(system)
-    delta = np.pad(nested.delta, (0, count - len(nested.delta)))
-    begin = np.append(delta / np.diag(wide), nested.unknown)
-    return replace(system, reading=1.0).begun(np.zeros(count), wide, begin)
 
 
 def with_true_noise(system: TriadSystem) -> TriadSystem:
@@ -338,15 +355,10 @@ def with_true_noise(system: TriadSystem) -> TriadSystem:
     with_drift = replace(system, bias_drift=system.spec.bias_instability)
     if system.up is not None:
         return with_drift
-    without = refitted_parameters(system)
-    if without.spare < _ENOUGH:
-        system, without = with_drift, _refitted_from(without, with_drift)[1]()
-    fit = _with_missing_terms(system, without)
-    if _scatters(fit):
-        system = system.inflated(fit.ratios)
-        fit = _with_missing_terms(system, _refitted_from(without, system)[1]())
-    if _scatters(fit):
-        system = system.inflated(fit.ratios)
+    fit, scatter = _explained(system)
+    if scatter.at_rest < _ENOUGH:
+        system, (fit, scatter) = with_drift, _explained(with_drift)
+    system = replace(system, scatter=scatter, seen=fit.unknown)
     spread = system.spread(np.zeros(len(system.sensors.parameters)))
     noise = np.sqrt(np.median(np.diagonal(spread, axis1=1, axis2=2))) / system.reading
     if not system.gyros and noise > _NO_SENSE * system.magnitude:
@@ -354,105 +366,94 @@ def with_true_noise(system: TriadSystem) -> TriadSystem:
             'No parameters whatever explain the accelerometers of this recording: plan, table, '
             'mounting or the description of the IMU are not those of the recording.'
         )
-    return replace(system, seen=fit.unknown)
+    return system
 
 
-def _with_missing_terms(system: TriadSystem, without: Fit) -> Fit:
-    """Return the fit of all parameters, extended by terms if these remove all excess scatter.
+def _explained(system: TriadSystem) -> tuple[Fit, Scatter]:
+    """Return the fit of all parameters, and of missing terms that it shows, and what scatters.
 
-    Terms are added one at a time, the one that explains most first. A term counts if the F test
-    gives its reduction of chi-square a probability below `_EXPLAINED`.
+    The most significant term is added until none is, if the residuals are then noise.
     """
-    fit = without
-    while _scatters(fit):
-        begun = [(*_refitted_from(fit, larger), larger) for _, larger in _with_another(system)]
-        if not begun:
-            return without
-        best, larger = _best(begun, fit.chi_square)
-        count = len(larger.sensors.parameters) - len(system.sensors.parameters)
-        freedom = best.freedom - len(larger.sensors.parameters)
-        # With few dwells, many terms fit any error.
-        if freedom < 1 or best.spare < _ENOUGH:
-            return without
-        ratio = (fit.chi_square - best.chi_square) / count / (best.chi_square / freedom)
-        if scipy.special.fdtrc(count, freedom, ratio) > _EXPLAINED:
-            return without
-        fit, system = best, larger
-    return fit
+    fit, read = refitted_parameters(system), replace(system, reading=1.0)
+    scatter = read.likely_scatter(*_about(read, fit))
+    terms = _missing_terms(system)
+    if fit.chance > _NOISE:
+        return fit, Scatter(at_rest=scatter.at_rest)
+    if not terms or scatter.at_rest < _ENOUGH:
+        return fit, scatter
+    larger = [_with_more(read, term.parameters) for term in terms]
+    chances = [_log_chance(one, fit, scatter.freedom) for one in larger]
+    best = int(np.argmin(chances))
+    if chances[best] > np.log(_EXPLAINED):
+        return fit, scatter
+    better, remains = _explained(_with_more(system, terms[best].parameters))
+    # Terms that leave more may stand for something else, such as a wrong latitude; with few
+    # dwells, many terms fit any error.
+    explained = better.chance > _NOISE and remains.at_rest >= _ENOUGH
+    return (better, remains) if explained else (fit, scatter)
 
 
-def _best(
-    begun: list[tuple[float, Callable[[], Fit], TriadSystem]], before: float
-) -> tuple[Fit, TriadSystem]:
-    """Return the fit of least chi-square among candidates, and its system.
+def _about(system: TriadSystem, fit: Fit) -> tuple[Floats, Floats, Floats]:
+    """Return the whitened equations about a fit of the first parameters, and the state."""
+    wide = _wide(system)
+    values = np.pad(fit.delta, (0, len(wide) - len(fit.delta)))
+    point, state = (np.append(v, fit.unknown) for v in (values / np.diag(wide), values))
+    return *system.allowing(np.zeros(len(wide)), wide)(point), state
 
-    Each candidate comes with its chi-square by the linear equations, and `before` is chi-square at
-    the start. A candidate is fitted only if its linear reduction is at least half of the best
-    reduction so far: the factor of two allows for nonlinearity.
+
+def _log_chance(system: TriadSystem, fit: Fit, freedom: float) -> float:
+    """Return the logarithm of the chance that the parameters that a fit lacks explain as much.
+
+    By one linear step from the fit, whose residuals have some degrees of freedom.
     """
-    (_, fitted, best), *others = sorted(begun, key=lambda one: one[0])
-    found = fitted()
-    for square, fitted, system in others:
-        if 2 * (before - square) < before - found.chi_square:
-            break
-        fit = fitted()
-        if fit.chi_square < found.chi_square:
-            found, best = fit, system
-    return found, best
+    columns, residuals, _ = _about(system, fit)
+    count = len(system.sensors.parameters) - len(fit.delta)
+    if freedom <= count:
+        return 0.0
+    after = least_square(columns, residuals)
+    ratio = max(fit.chi_square - after, 0.0) / count / (after / (freedom - count))
+    return log_f(ratio, count, freedom - count)
 
 
-def _scatters(fit: Fit) -> bool:
-    return bool(scipy.special.chdtrc(max(fit.freedom, 1), fit.chi_square) < _EXCESS)
+def _with_more(system: TriadSystem, parameters: Sequence[Parameter]) -> TriadSystem:
+    """Return a system with those of some parameters that it lacks, last."""
+    every = tuple(dict.fromkeys((*system.sensors.parameters, *parameters)))
+    return replace(system, sensors=replace(system.sensors, parameters=every))
 
 
-def diagnose(system: TriadSystem, values: Floats, factor: Floats) -> Diagnosis:
+def diagnose(system: TriadSystem, values: Floats, factor: Floats, without: float) -> Diagnosis:
     """Fit the candidate mistakes and return the one that explains the data.
 
     Args:
         system: The session's equations for one triad, with the estimated noise.
         values: (p,) of the triad's parameters in the calibration.
         factor: (p, k) of their covariance.
+        without: Chi-square of the calibration as it is.
     """
-    name = 'gyros' if system.gyros else 'accelerometers'
-    tried = [*_mistaken(system, values, factor), *_freed(system, values, factor)]
-    good = [t for t in tried if t.fit.chance > _EXPLAINED]
+    name, good = _name(system), []
+    plain = mistakes(system.sensors, values)
+    for one in (*plain, *_readings(system, values), *_freed(system, values)):
+        if one.of_body_axes and system.up is not None:
+            continue
+        fit = one.fit(system, factor)
+        if fit is None or fit.chance <= _EXPLAINED:
+            continue
+        if not (one.mount_free and np.linalg.norm(fit.unknown[-3:]) > _LARGEST_ROTATION):
+            good.append((one.evidence(fit, without), one.found(fit), fit))
     if not good:
-        return _another_unit(system, values, factor, name)
-    best = min(t.score() for t in good)
-    first, *others = [t for t in good if t.score() < best + _AS_GOOD]
-    text = f'The residuals of the {name} vanish when {first.when}. {first.diagnosis.symptom}'
+        return _another_unit(system, values, factor)
+    best = max(evidence for evidence, _, _ in good)
+    (first, fit), *others = [(h, f) for e, h, f in good if e > best - _AS_GOOD]
+    text = f'The residuals of the {name} vanish when {first.when}. {first.why}'
     if others:
-        text += f' As good: {"; ".join(t.when for t in others[:3])}.'
-    return replace(first.diagnosis, symptom=text)
+        text += f' As good: {"; ".join(other.when for other, _ in others[:3])}.'
+    parameters = tuple(dict.fromkeys((*system.sensors.parameters, *first.freed)))
+    far = _shifted_parameters(parameters, fit, indices_of(first.freed, parameters))
+    return Diagnosis(text, far)
 
 
-def _fit(
-    system: TriadSystem, values: Floats, factor: Floats, chance: float = _EXPLAINED
-) -> Fit | None:
-    """Fit a hypothesis; None if it fails or the model has no inverse.
-
-    With six lengths, nine parameters of a term are held by their prior alone and may diverge.
-    """
-    try:
-        return system.fit_likely(values, factor, chance)
-    except (np.linalg.LinAlgError, NotObservable):
-        return None
-
-
-def _mistaken(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_FittedHypothesis]:
-    """Fit mistakes in the calibration file and in the reading of the outputs."""
-    likely = system.likely(values, factor, _EXPLAINED)
-    for mistake in (*mistakes(system.sensors, values), *_readings(system, values)):
-        if mistake.of_body_axes and system.up is not None:
-            continue
-        # Without a factor on the outputs, the session's equations are reused.
-        read = system
-        if mistake.reading != 1:
-            read = replace(system, reading=system.reading * mistake.reading)
-        elif not likely(mistake.values):
-            continue
-        if fit := _fit(read, mistake.values, factor):
-            yield _FittedHypothesis(Diagnosis(mistake.why), mistake.when, fit)
+def _name(system: TriadSystem) -> str:
+    return 'gyros' if system.gyros else 'accelerometers'
 
 
 def _readings(system: TriadSystem, values: Floats) -> Iterator[Hypothesis]:
@@ -490,42 +491,22 @@ def _scale_cause(system: TriadSystem, share: float) -> tuple[str, str]:
     )
 
 
-def _freed(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_FittedHypothesis]:
-    """Free parameters of one kind, of a missing term, or of the mount, and fit."""
+def _freed(system: TriadSystem, values: Floats) -> Iterator[Hypothesis]:
+    """Yield other parameters of the mount, of one kind, or of a missing term."""
     mine = system.sensors.parameters
+    if system.up is None:
+        # Before the misalignments, of which it is a special case.
+        why = 'It sits otherwise in its mount than when it was calibrated.'
+        yield Hypothesis('the unit is turned', why, values, mount_free=True)
     for kind in dict.fromkeys((*_FREED, *(p.kind for p in mine))):
-        columns = [k for k, p in enumerate(mine) if p.kind is kind]
         when, why = _words(kind)
         if kind is ParameterKind.SCALE_FACTOR_ERROR and not system.gyros:
             why += _ALIKE
-        yield from _without(system, values, factor, columns, when, why)
-    for term, larger in _with_another(system):
-        columns = list(range(len(mine), len(larger.sensors.parameters)))
-        when = f'{term.name} is in the model'
+        freed = tuple(p for p in mine if p.kind is kind)
+        yield Hypothesis(when, why, values, freed=freed)
+    for term in _missing_terms(system):
         why = f'The calibration was made without it: calibrate with the term {term.name} (`terms`).'
-        yield from _without(larger, values, factor, columns, when, why)
-    if system.up is None:
-        # A large rotation is nonlinear: its minimum is always searched for.
-        fit = replace(system, mount_free=True).fit(values, factor)
-        mounted = fit.unknown[-3:]
-        about = ', '.join(
-            f'{v / ARCMIN:+.2f} arcmin about {axis}' for v, axis in zip(mounted, 'XYZ', strict=True)
-        )
-        why = 'It sits otherwise in its mount than when it was calibrated.'
-        if np.linalg.norm(mounted) < _LARGEST_ROTATION:
-            yield _FittedHypothesis(Diagnosis(why), f'the unit is turned by {about}', fit, 3)
-
-
-def _without(
-    system: TriadSystem, values: Floats, factor: Floats, columns: list[int], when: str, why: str
-) -> Iterator[_FittedHypothesis]:
-    """Free the parameters of some columns; those that the calibration lacks come last."""
-    more = len(system.sensors.parameters) - len(values)
-    freed = np.hstack([np.pad(factor, ((0, more), (0, 0))), _wide(system)[:, columns]])
-    # Lengths are nonlinear in freed parameters: their minimum is always searched for.
-    if fit := _fit(system, np.pad(values, (0, more)), freed, 0.0 if system.up else _EXPLAINED):
-        far = _shifted_parameters(system.sensors.parameters, fit, columns)
-        yield _FittedHypothesis(Diagnosis(why, far), when, fit, len(columns))
+        yield Hypothesis(f'{term.name} is in the model', why, values, freed=term.parameters)
 
 
 def _shifted_parameters(
@@ -538,18 +519,15 @@ def _shifted_parameters(
     return tuple(m for m in moved if abs(m.difference) > FIVE_SIGMA * m.std)
 
 
-def _with_another(system: TriadSystem) -> Iterator[tuple[Term, TriadSystem]]:
-    """Yield each term of the triad that the parameters lack, and the system with it."""
-    mine = system.sensors.parameters
-    for term in TERMS:
-        if (term.triad == 'g') is system.gyros and term.kind not in {p.kind for p in mine}:
-            larger = replace(system.sensors, parameters=(*mine, *term.parameters))
-            yield term, replace(system, sensors=larger)
+def _missing_terms(system: TriadSystem) -> list[Term]:
+    """Return the terms of the triad that the parameters lack."""
+    known = {p.kind for p in system.sensors.parameters}
+    return [t for t in TERMS if (t.triad == 'g') is system.gyros and t.kind not in known]
 
 
-def _another_unit(system: TriadSystem, values: Floats, factor: Floats, name: str) -> Diagnosis:
+def _another_unit(system: TriadSystem, values: Floats, factor: Floats) -> Diagnosis:
     """Compare with refitted parameters, since no single mistake explains the data."""
-    fit = refitted_parameters(system)
+    name, fit = _name(system), refitted_parameters(system)
     apart = fit.delta - values
     if not fit.converged:
         # Biases of degrees per second are nearer to the calibration than to an error-free unit.

@@ -207,6 +207,7 @@ hundred, and practically no false rejection."""
 
 
 _Considered = tuple[tuple[Parameter, float], ...]  #: Parameters and standard deviations.
+_SLIGHTLY = 1.05  #: Times the stated scatter: less is not worth a word.
 _TOO_WIDE = 5.0  #: Times the stated scatter: wider limits would accept a wrong latitude.
 
 
@@ -457,9 +458,9 @@ class _Trial:
                 else ''
             )
             for what, factor in zip(
-                ('positions', 'turns', 'moves'), self.system.inflation, strict=True
+                ('positions', 'turns', 'moves'), self.system.scatter.factors, strict=True
             )
-            if factor > 1
+            if factor > _SLIGHTLY
         ]
         if not self.fit.converged:
             found.append(
@@ -477,13 +478,16 @@ class _Trial:
         verdict = Verdict.PASS
         # Limits this wide would hide more than positioning errors and drift, such as a wrong
         # latitude.
-        if not (chance > DOUBT and worst < limits[0]) or max(self.system.inflation) > _TOO_WIDE:
+        if (
+            not (chance > DOUBT and worst < limits[0])
+            or max(self.system.scatter.factors) > _TOO_WIDE
+        ):
             verdict = Verdict.MARGINAL
         if not (chance > REJECTION and worst < limits[1]):
             verdict = Verdict.FAIL
         diagnosis = None
         if verdict is Verdict.FAIL:
-            diagnosis = diagnose(self.system, self.values, self.factor)
+            diagnosis = diagnose(self.system, self.values, self.factor, self.fit.chi_square)
         return Judged(self.system.gyros, verdict, self.fit.chi_square, self.fit.freedom, diagnosis)
 
 

@@ -208,7 +208,7 @@ def _square(residuals: Floats) -> float:
     return float(residuals @ residuals) if np.isfinite(residuals).all() else np.inf
 
 
-_STARTS = 8
+STARTS = 8
 """Headings from which the fit is started where north is unknown: the nearest is at most 22.5 deg
 off, an angle that equals its sine to 3 %."""
 
@@ -249,7 +249,7 @@ def _check_terms(equations: Equations) -> None:
 def start(equations: Equations) -> Floats:
     """Solve for the sensors at headings all around, where they are linear; return the best."""
     known = equations.north_known
-    angles = [0.0] if known else [k * 2 * np.pi / _STARTS for k in range(_STARTS)]
+    angles = [0.0] if known else [k * 2 * np.pi / STARTS for k in range(STARTS)]
     best, smallest = equations.nominal(), np.inf
     # Weights hardly depend on the heading.
     factor = equations.factor(best)

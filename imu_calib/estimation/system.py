@@ -9,9 +9,10 @@ its nuisances. Source: docs/mathematics.md, 'Verification'.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import Protocol, cast
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import cast
 
 import numpy as np
 import scipy
@@ -35,8 +36,10 @@ from .evidence import Evidence, in_table_time
 from .free_dwells import Sensors, Up, compare_lengths, noise_at_rest
 from .information import Information
 from .outputs import Indices
+from .positioning_errors import PositioningErrors
 from .session_model import Nuisance
-from .solve import least_squares, linear_step
+from .solve import STARTS, least_squares, linear_step
+from .variances import Variance, choose_variances, restricted
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +159,13 @@ Calibrations with biases off by 0.005 to 20 deg/s took up to 85 steps, or 59 hal
 _ROUNDS_OF_SHARE = 3
 """Newton's steps for a factor that is known to some percent: two leave 1e-8 of it."""
 
-_TOO_FEW = 2.0  #: Degrees of freedom up to which residuals do not determine the noise.
+_LEAST_GAIN = 5.0
+"""Least gain in log likelihood by scatter of a kind beyond the noise, half of chi-square: one sound
+session in three hundred gains as much by chance in one of three kinds."""
+
+_PROBABLE = 0.05
+"""Probability of a kind of scatter below which it is none. A judgement: positioning errors that a
+few dwells seem to show affect turns so much that a millionth of them would widen these."""
 
 _ANY_TILT = 0.1  #: rad: prior std of an unlevelled table. Accelerometers determine the tilt.
 
@@ -172,11 +181,8 @@ class Fit:
     #: (u,) the other unknowns: `Nuisance`, and if requested a small rotation in the mount, rad;
     #: empty without attitudes.
     unknown: Floats
-    #: Squared residual over its expectation: of dwells, of turns, of moves (1 without).
-    ratios: tuple[float, ...]
-    spare: float  #: Degrees of freedom of the residuals at rest.
     #: Whether the search converged; else chi-square is that of its start, which is larger.
-    converged: bool = True
+    converged: bool
 
     @property
     def chance(self) -> float:
@@ -186,10 +192,20 @@ class Fit:
         return float(scipy.special.chdtrc(self.freedom, self.chi_square))
 
 
-class _System(Protocol):
-    """Derivatives and residuals at a point, both in standard deviations (`_whitened`)."""
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """Scatter of dwells, turns and moves beyond their noise, whatever the parameters."""
 
-    def __call__(self, point: Floats, /, *opposite: Floats) -> tuple[Floats, Floats]: ...
+    #: Variances of dwells, turns and moves over those of their noise, and of positioning errors of
+    #: joints, rad^2.
+    variances: Floats = field(default_factory=lambda: np.zeros(4))
+    factors: tuple[float, ...] = (1.0, 1.0, 1.0)  #: Times the noise of dwells, turns and moves.
+    at_rest: float = 0.0  #: Degrees of freedom of the residuals of dwells.
+    freedom: float = 0.0  #: Those of all.
+
+
+_System = Callable[[Floats], tuple[Floats, Floats]]
+"""Derivatives and residuals at a point, both in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,8 +216,7 @@ class TriadSystem:
     sensors: Sensors  #: Gyros or accelerometers.
     reading: float = 1.0  #: Factor by which the outputs are to be multiplied.
     up: Up | None = None  #: Direction of up by the accelerometers; None if attitudes are known.
-    #: Factors on the noise of dwells, of turns and of moves.
-    inflation: tuple[float, ...] = (1.0, 1.0, 1.0)
+    scatter: Scatter = field(default_factory=Scatter)  #: That is allowed for.
     #: Standard deviation of the biases from dwell to dwell, rad/s or m/s^2.
     bias_drift: float = 0.0
     #: The unknowns fitted with all parameters free, as a start; None before that fit.
@@ -266,6 +281,7 @@ class TriadSystem:
             levelled=None if self.gyros else _ANY_TILT,
             extra=(Component(ErrorSource.BIAS_STATED, Diagonal(drifts**2)),),
             considered=self.considered,
+            positioning=PositioningErrors(float(np.sqrt(self.scatter.variances[3]))),
         )
 
     @cached_property
@@ -283,8 +299,18 @@ class TriadSystem:
         return np.where(self._mine < rows.dwell.size, 0, np.where(of_moves, 2, 1))
 
     @property
-    def _widened(self) -> Floats:
-        return np.array(self.inflation)[self._kinds]
+    def _inflation(self) -> Floats:
+        """(m,) factors on the noise of each equation."""
+        return np.asarray(np.sqrt(1 + self.scatter.variances[self._kinds]))
+
+    @property
+    def _block(self) -> tuple[Indices, ...]:
+        """Indices of the covariance of the triad's equations."""
+        return np.ix_(self._mine, self._mine)
+
+    def _root(self, covariance: Floats) -> Floats:
+        """Return the lower root of a covariance of the triad's equations, with their scatter."""
+        return np.asarray(np.linalg.cholesky(covariance) * self._inflation)
 
     @cached_property
     def _known(self) -> Floats:
@@ -309,12 +335,11 @@ class TriadSystem:
         if self.up is not None:
             return self._noise_at_rest
         state, deviations = np.append(values, self._known), self.equations.prior[1]
-        further = self.equations.jacobian(state)[:, len(values) :] * deviations
+        further = self.equations.jacobian(state)[self._mine, len(values) :] * deviations
         further = further[:, ~self._free[: len(deviations)]]
-        covariance = self.equations.covariance(state) + further @ further.T
-        rows = self._mine.reshape(-1, 3)
-        found = covariance[rows[:, :, None], rows[:, None, :]]
-        return np.asarray(found * self._widened[::3, None, None] ** 2)
+        parts = np.hstack([self._root(self.equations.covariance(state)[self._block]), further])
+        rows = parts.reshape(-1, 3, parts.shape[1])
+        return np.asarray(rows @ np.swapaxes(rows, 1, 2))
 
     @cached_property
     def _noise_at_rest(self) -> Floats:
@@ -351,10 +376,31 @@ class TriadSystem:
             share += float(slope @ (self.magnitude - length) / (slope @ slope))
         return share
 
-    def inflated(self, ratios: tuple[float, ...]) -> TriadSystem:
-        """Return the system with its noise widened."""
-        factors = np.sqrt(np.maximum(ratios, 1.0)) * self.inflation
-        return replace(self, inflation=tuple(factors.tolist()))
+    def likely_scatter(self, columns: Floats, residuals: Floats, state: Floats) -> Scatter:
+        """Find the scatter in whitened equations (m + q, n) at a state, priors last."""
+        count = len(self._kinds)
+        root = self._root(self.equations.covariance(state)[self._block])
+        own = [np.eye(count)[:, self._kinds == kind] for kind in range(3)]
+        by_joints = self.equations.positioning_error_effects(state)[0]
+        effects = [*own, whiten(root, by_joints[self._mine])]
+        prior = np.column_stack([columns, residuals])[count:]
+        project, left = restricted(columns[:count], residuals[:count], np.eye(count), prior)
+        # As large as noise for a variance of one.
+        units = np.array([float((one**2).sum()) / count or 1.0 for one in effects])
+        entering = [project.T @ one for one in effects]
+        sought = [Variance((e @ e.T / unit,)) for e, unit in zip(entering, units, strict=True)]
+        chosen = choose_variances([(left, np.eye(len(left)))], (), sought, _LEAST_GAIN)
+        probable = [chosen.probability(kind) > _PROBABLE for kind in range(len(units))]
+        variances = np.where(probable, chosen.means / units, 0.0)
+        total = sum(v * (e**2).sum(axis=1) for v, e in zip(variances, effects, strict=True))
+        freedom = (project**2).sum(axis=1)
+        mine = [total[self._kinds == kind] for kind in range(3)]
+        return Scatter(
+            variances,
+            tuple(float(np.sqrt(1 + one.mean())) if len(one) else 1.0 for one in mine),
+            float(freedom[self._kinds == 0].sum()),
+            float(freedom.sum()),
+        )
 
     @cached_property
     def _without_moves(self) -> TriadSystem:
@@ -366,166 +412,78 @@ class TriadSystem:
             known[key] = replace(self.observed, evidence=self.observed.evidence.with_moves(()))
         return replace(self, observed=cast('Observed', known[key]))
 
-    def fit(self, values: Floats, factor: Floats) -> Fit:
-        """Fit errors of parameters (p,) with a covariance factor (p, k) to the session."""
-        system = self._allowing(values, factor)
-        begin = self._begun(system, values, factor)[0]
-        rounds = _ROUNDS if self.up is None else _ROUNDS_OF_LENGTHS
-        return self._fitted(begin, system, factor, rounds)
+    def fit(self, values: Floats, factor: Floats, chance: float = 0.0) -> Fit:
+        """Fit errors of parameters (p,) with a covariance factor (p, k) to the session.
 
-    def begun(
-        self, values: Floats, factor: Floats, point: Floats
-    ) -> tuple[float, Callable[[], Fit]]:
-        """Return chi-square by the equations linearised at a point, and the fit from there.
-
-        The point is (k + u,): multiples of the columns of the factor (p, k), and the unknowns.
+        Where dwells and turns alone show that the probability is far below `chance`, chi-square is
+        theirs at the start; half of it allows for nonlinearity.
         """
-        system = self._allowing(values, factor)
-        columns, residuals = system(point)
-        return _linear(columns, residuals)[1], partial(self._fitted, point, system, factor)
-
-    def fit_likely(self, values: Floats, factor: Floats, chance: float) -> Fit | None:
-        """Return `fit`; None if dwells and turns alone give a probability far below `chance`.
-
-        Half of chi-square is compared, which allows for nonlinearity: the errors must be small.
-        Moves are then not integrated.
-        """
-        system = self._allowing(values, factor)
-        point, square = self._begun(system, values, factor)
-        return self._fitted(point, system, factor) if self._likely(square, chance) else None
-
-    def likely(self, values: Floats, factor: Floats, chance: float) -> Callable[[Floats], bool]:
-        """Return a function that tells of other values whether `fit_likely` would fit them.
-
-        Without moves, the predictions and their derivatives by the unknowns are linear in the
-        parameters: p + 1 points give them for all values. With lengths all are likely.
-        """
-        if self.up is not None:
-            return lambda _: True
         resting, k = self._without_moves, factor.shape[1]
-        first = [one[k:] for one in resting._first(k)]
-
-        def rows_of(values: Floats) -> Floats:
-            return resting._rows(resting.equations, *(np.append(values, one) for one in first))
-
-        origin = rows_of(values)
-        slopes = np.array([rows_of(values + one) - origin for one in np.eye(len(values))])
-
-        def tested(other: Floats) -> bool:
-            rows = origin + np.tensordot(other - values, slopes, axes=1)
-            try:
-                found = resting._by_noise(resting.equations, np.append(other, first[0]), rows)
-            except np.linalg.LinAlgError:
-                return False
-            return self._likely(_linear(*_with_errors(*found, factor, np.zeros(k)))[1], chance)
-
-        return tested
-
-    def _likely(self, square: float, chance: float) -> bool:
-        """Return whether half of chi-square by dwells and turns is not too large for `chance`."""
-        freedom = len(self._without_moves._kinds)
-        return bool(scipy.special.chdtrc(freedom, square / 2) >= chance)
-
-    def _begun(self, system: _System, values: Floats, factor: Floats) -> tuple[Floats, float]:
-        """Return the start of `fit` and the linear chi-square there, by dwells and turns."""
-        resting = self._without_moves
-        if resting is not self:
-            system = resting._allowing(values, factor)
-        return resting._start(system, factor.shape[1])
-
-    def _fitted(self, point: Floats, system: _System, factor: Floats, rounds: int = _ROUNDS) -> Fit:
-        try:
-            point, converged = least_squares(point, system, np.add, rounds), True
-        except NotObservable:
+        known = self._known if self.seen is None else self.seen
+        point = np.pad(np.append(np.zeros(k), known), (0, len(self._free) - len(known)))
+        at_rest, system = (one.allowing(values, factor) for one in (resting, self))
+        if self.seen is None and self.up is None and self._free[Nuisance.AZIMUTH]:
+            headings = 2 * np.pi / STARTS * np.arange(STARTS)
+            around = np.tile(point, (STARTS, 1))
+            around[:, k + Nuisance.AZIMUTH] = headings
+            squares = np.array([least_square(*at_rest(one)) for one in around])
+            # Chi-square is nearly a sine of the heading.
+            point[k + Nuisance.AZIMUTH] = np.angle(-squares @ np.exp(1j * headings))
+        here, converged, square = self, False, least_square(*at_rest(point))
+        if scipy.special.chdtrc(len(resting._kinds), square / 2) < chance:
+            here, system = resting, at_rest
+        else:
             # If nothing fits nearby, chi-square at the start rejects the hypothesis.
-            converged = False
-        found = self._fit_at(*system(point), point, factor)
-        return replace(found, converged=converged)
+            with suppress(NotObservable):
+                rounds = _ROUNDS if self.up is None else _ROUNDS_OF_LENGTHS
+                point, converged = least_squares(point, system, np.add, rounds), True
+        return here._fit_at(*system(point), point, factor, converged=converged)
 
-    def _allowing(self, values: Floats, factor: Floats) -> _System:
+    def allowing(self, values: Floats, factor: Floats) -> _System:
         """Return the equations at a (k + u,) point: errors of the parameters, and the unknowns."""
-        k = factor.shape[1]
-        known: dict[bytes, tuple[Floats, Floats]] = {}
+        (p, k), known = factor.shape, dict[bytes, tuple[Floats, Floats]]()
 
-        def system(point: Floats, *opposite: Floats) -> tuple[Floats, Floats]:
+        def system(point: Floats) -> tuple[Floats, Floats]:
             # The first and last points of a search are evaluated twice.
-            key = b''.join(one.tobytes() for one in (point, *opposite))
-            if key not in known:
-                others = [one[k:] for one in opposite]
-                found = self._whitened(values + factor @ point[:k], point[k:], *others)
-                known[key] = _with_errors(*found, factor, point[:k])
+            if (key := point.tobytes()) not in known:
+                rows = self._whitened(values + factor @ point[:k], point[k:])
+                columns = np.hstack([rows[:, :p] @ factor, rows[:, p:-1]])
+                columns = np.vstack([columns, np.eye(k, columns.shape[1])])
+                known[key] = columns, np.append(rows[:, -1], -point[:k])
             return known[key]
 
         return system
 
-    def _start(self, system: _System, k: int) -> tuple[Floats, float]:
-        """Return the start, and chi-square at the minimum of the linear equations.
-
-        An unknown heading starts at the best fit of the level Earth rate of free size: the
-        equations are linear in its components, which change sign with half a turn.
-        """
-        point, *opposite = self._first(k)
-        step, square = _linear(*system(point, *opposite))
-        if opposite:
-            azimuth = k + Nuisance.AZIMUTH
-            point[azimuth] = np.arctan2(step[azimuth], 1 + step[-1])
-        return point, square
-
-    def _first(self, k: int) -> list[Floats]:
-        """Return the (k + u,) point where `_start` is linear; and the one opposite, if headed."""
-        point = np.zeros(k + len(self._free))
-        point[k : k + len(self._known)] = self._known if self.seen is None else self.seen
-        if self.up is not None or not self._free[Nuisance.AZIMUTH]:
-            return [point]
-        point[k + Nuisance.AZIMUTH] = 0.0
-        opposite = point.copy()
-        opposite[k + Nuisance.AZIMUTH] = np.pi
-        return [point, opposite]
-
-    def _whitened(
-        self, values: Floats, unknown: Floats, *opposite: Floats
-    ) -> tuple[Floats, Floats]:
-        """Return derivatives (m + q, p + u) and residuals in standard deviations, priors last.
-
-        For each opposite point, half the difference of the predictions is one more last column.
-        """
+    def _whitened(self, values: Floats, unknown: Floats) -> Floats:
+        """Return derivatives and residuals (m + q, p + u + 1) in deviations, priors last."""
         if self.up is not None:
             noise, site = self.spread(values), self.evidence.site
             jacobian, residuals, covariance = compare_lengths(
                 self.sensors, values, self.outputs, noise, self.up, site
             )
-            none = np.zeros((0, len(values) + 1))
-            return self._scaled(np.column_stack([jacobian, residuals]), covariance, none)
+            return whiten(self._root(covariance), np.column_stack([jacobian, residuals]))
         equations, mount = self.equations, unknown[len(self._known) :]
         if mount.any():
             equations = replace(equations, evidence=_mounted(self.evidence, mount))
-        states = [np.append(values, one[: len(self._known)]) for one in (unknown, *opposite)]
-        return self._by_noise(equations, states[0], self._rows(equations, *states))
-
-    def _rows(self, equations: Equations, state: Floats, *opposite: Floats) -> Floats:
-        """Return derivatives and residuals (m, p + u + 1) as `_whitened`, not divided by noise."""
+        state = np.append(values, unknown[: len(self._known)])
         turned = [equations.mount_derivatives(state)] if self.mount_free else []
-        predicted = equations.predict(state)
-        halves = [(predicted - equations.predict(other)) / 2 for other in opposite]
-        columns = [equations.jacobian(state), *turned, *halves, equations.outputs - predicted]
-        return np.column_stack(columns)[self._mine]
+        residuals = equations.outputs - equations.predict(state)
+        rows = np.column_stack([equations.jacobian(state), *turned, residuals])[self._mine]
+        prior = np.insert(equations.prior_rows(state), [-1] * len(mount), 0.0, axis=1)
+        root = self._root(equations.covariance(state)[self._block])
+        return np.vstack([whiten(root, rows), prior])
 
-    def _by_noise(self, equations: Equations, state: Floats, rows: Floats) -> tuple[Floats, Floats]:
-        """Return `_rows` in standard deviations, priors last."""
-        prior = equations.prior_rows(state)
-        below = np.insert(prior, [-1] * (rows.shape[1] - prior.shape[1]), 0.0, axis=1)
-        covariance = equations.covariance(state)[np.ix_(self._mine, self._mine)]
-        return self._scaled(rows, covariance, below)
-
-    def _scaled(self, rows: Floats, covariance: Floats, below: Floats) -> tuple[Floats, Floats]:
-        factor = np.linalg.cholesky(covariance) * self._widened[:, None]
-        rows = np.vstack([whiten(factor, rows), below])
-        return rows[:, :-1], rows[:, -1]
-
-    def _fit_at(self, columns: Floats, residuals: Floats, point: Floats, factor: Floats) -> Fit:
+    def _fit_at(
+        self,
+        columns: Floats,
+        residuals: Floats,
+        point: Floats,
+        factor: Floats,
+        *,
+        converged: bool,
+    ) -> Fit:
         k, count = factor.shape[1], len(self._kinds)
         found = Information.from_jacobian(columns)
-        spare = 1 - np.einsum('ij,ji->i', columns[:count], found.gain[:, :count])
         free = columns[:, k:][:, self._free]
         norms = np.linalg.norm(free[:count], axis=0)
         # Ignore columns at rounding level relative to their prior (a heading with turns alone).
@@ -534,40 +492,19 @@ class TriadSystem:
         spanned = free[:count, seen] / norms[seen]
         rank = int(np.linalg.matrix_rank(spanned)) if spanned.size else 0
         spread = np.diag(factor @ found.covariance[:k, :k] @ factor.T)
-
-        def ratio(kind: int) -> float:
-            these = self._kinds == kind
-            expected, square = (
-                float(spare[these].sum()),
-                float((residuals[:count][these] ** 2).sum()),
-            )
-            return square / expected if expected > _TOO_FEW else 1.0
-
         return Fit(
             float(residuals @ residuals),
             count - rank,
             factor @ point[:k],
             np.sqrt(np.maximum(spread, 0.0)),
             point[k:],
-            tuple(ratio(kind) for kind in range(len(self.inflation))),
-            float(spare[self._kinds == 0].sum()),
+            converged,
         )
 
 
-def _linear(columns: Floats, residuals: Floats) -> tuple[Floats, float]:
-    """Return the least-squares step, and the sum of squared residuals after it if linear."""
-    step = linear_step(columns, residuals)
-    return step, float(((residuals - columns @ step) ** 2).sum())
-
-
-def _with_errors(
-    columns: Floats, residuals: Floats, factor: Floats, errors: Floats
-) -> tuple[Floats, Floats]:
-    """Return equations for multiples (k,) of a factor's columns (p, k), with their prior."""
-    count, k = factor.shape
-    columns = np.hstack([columns[:, :count] @ factor, columns[:, count:]])
-    prior = np.eye(k, columns.shape[1])
-    return np.vstack([columns, prior]), np.append(residuals, -errors)
+def least_square(columns: Floats, residuals: Floats) -> float:
+    """Return the sum of squared residuals at the minimum if all is linear."""
+    return float(((residuals - columns @ linear_step(columns, residuals)) ** 2).sum())
 
 
 def _mounted(evidence: Evidence, small: Floats) -> Evidence:
