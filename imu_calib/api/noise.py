@@ -21,7 +21,7 @@ from ..recordings.remote import located
 from ..recordings.rosbag2 import Recording, is_storage
 from ..segmentation.long_rest import LongRestReader
 from ..segmentation.stream_facts import separate_messages_sentence
-from ..session.imu import ImuSpec
+from ..session.imu import GENERIC, ImuSpec
 from ..session.keywords import Named, Stated
 from .convert import convert, refuse_columns
 from .files import Recorded, recording_at
@@ -90,7 +90,8 @@ def noise(
             except NotObservable as error:
                 raise NotObservable(f'{error} {reader.facts.sentence}'.strip()) from None
         number = serial_of(stated, recording, streams.imu)
-        found = noise_at_rest(rest, number or (spec.id if known else recording.path.name))
+        kind = recording.path.name if spec.id == GENERIC else spec.id
+        found = noise_at_rest(rest, number or kind)
         findings = (
             *_units_in_doubt(found),
             *([] if known else [ASSUMED_SI]),

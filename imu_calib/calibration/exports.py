@@ -118,7 +118,7 @@ def export_imucal(source: ExportSource) -> Exported:
     """Return a TurntableCalibrationInfo."""
     calibration = source.calibration
     imu, model = calibration.imu, calibration.model
-    per_second, comment = 1.0, f'{imu.id}, by imu_calib'
+    per_second, comment = 1.0, f'{calibration.unit_name}, by imu_calib'
     if imu.units.per_interval:
         per_second = source.rate_for('imucal has no sample interval, which pulses need')
         comment += f'; pulses per sample at {per_second:g} Hz'
@@ -216,7 +216,7 @@ def export_kalibr(source: ExportSource) -> Exported:
             'nominal scale factor'
             + (' over the sample interval.' if calibration.imu.units.per_interval else '.')
         )
-    return Exported(_HEAD.format(imu=calibration.imu.id) + text, tuple(sentences))
+    return Exported(_HEAD.format(imu=_comment(calibration.unit_name)) + text, tuple(sentences))
 
 
 def _lower(response: Floats, name: str) -> tuple[Floats, Floats]:
@@ -304,7 +304,7 @@ def export_ros(source: ExportSource) -> Exported:
         )
     document = {'/**': {'compensator_node': {'ros__parameters': {'calibration': str(source.path)}}}}
     head = (
-        f'# Calibration of {source.calibration.imu.id} for compensator_node:\n'
+        f'# Calibration of {_comment(source.calibration.unit_name)} for compensator_node:\n'
         '# ros2 run imu_calib compensator_node --ros-args --params-file THIS_FILE\n'
     )
     return Exported(
@@ -368,7 +368,7 @@ def export_c_header(source: ExportSource) -> Exported:
         ]
     )
     text = _TEMPLATE.format(
-        imu=_comment(imu.id),
+        imu=_comment(calibration.unit_name),
         guard=guard,
         what=what,
         constants=constants,
@@ -438,7 +438,8 @@ def _product(product: Product, value: float) -> str:
 
 
 def _comment(text: str) -> str:
-    return text.replace('*/', '* /')
+    """Return a text, which a user chose, as it may stand in a line of a comment."""
+    return ' '.join(text.split()).replace('*/', '* /')
 
 
 def _number(value: float) -> str:

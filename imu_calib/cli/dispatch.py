@@ -13,7 +13,7 @@ from copy import copy
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
-from textwrap import fill
+from textwrap import fill, shorten
 from typing import Any, NoReturn
 
 from ..common.errors import ImuCalibError, InputError
@@ -92,6 +92,7 @@ _RARE = frozenset(
         *('--joint-topic', '--setpoint-topic', '--imu-only', '--method', '--separate'),
         *('--baud', '--table-baud', '--network', '--stop-required', '--web-host', '--without'),
         *('--sample-rate', '--bias-instability', '--scheduler', '--start', '--speed'),
+        '--processes',
     }
 )
 """Options that few sessions need: --help names them together, --help-all explains them."""
@@ -159,8 +160,7 @@ def _in_a_line(action: argparse.Action, formatter: argparse.HelpFormatter) -> ar
     width = formatter._width - _NAME_WIDTH
     if len(text) > width:
         text = _PART.match(text)[0]  # type: ignore[index]
-    if len(text) > width:
-        text = text[:width].rpartition(', ')[0]
+    text = shorten(text, width, placeholder=' ...')
     shown.help = text.replace('%', '%%')
     return shown
 

@@ -134,7 +134,10 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
         '--format',
         required=True,
         choices=tuple(EXPORTS),
-        help='ros: parameters of compensator_node; kalibr: imu.yaml; imucal: JSON; c: a header',
+        help=(
+            'software that reads the result (ros: parameters of compensator_node; kalibr: '
+            'imu.yaml; imucal: JSON; c: a header)'
+        ),
     )
     parser.add_argument(
         '-o', '--output', required=True, metavar='OUT', help='file to write, or to overwrite'
@@ -146,13 +149,15 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
         help='sample rate of the stream: for kalibr, and for imucal of pulses',
     )
     parser.add_argument(
-        '--topic', default='/imu/data', help='kalibr: topic of the stream (default: %(default)s)'
+        '--topic',
+        default='/imu/data',
+        help='topic of the stream, for kalibr (default: %(default)s)',
     )
     parser.add_argument(
         '--imu',
         metavar='NAME|FILE',
         help=(
-            'kalibr: name or file of the IMU, whose data sheet gives the noise that was not '
+            'name or file of the IMU: for kalibr its data sheet gives the noise that was not '
             'measured'
         ),
     )

@@ -127,7 +127,7 @@ def add_stand_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run_stand(arguments: argparse.Namespace) -> None:
-    """Run a plan live, with the suite's nodes in this process or in their own."""
+    """Run a plan live, on a real or a simulated stand."""
     if arguments.resume:
         _resume_session(arguments)
     elif arguments.plan:

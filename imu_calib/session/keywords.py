@@ -187,8 +187,9 @@ class AtSite(TypedDict, total=False):
         float | None,
         'Above the ellipsoid, m; determines gravity if that is not stated.',
         Option(
-            f'metres above the ellipsoid (default: 0, uncertain by {HEIGHT_STD:g} m); gravity is '
-            'computed from it, unless --gravity is given',
+            f'height of the site in metres (default: 0, uncertain by {HEIGHT_STD:g} m); gravity is '
+            'computed from it, unless --gravity is given; above the ellipsoid: the height above '
+            'the sea differs by up to 100 m, or 31 ppm of gravity',
             'M',
         ),
         NodeParameter(

@@ -221,6 +221,15 @@ def test_the_c_header_gives_our_values(
         assert np.abs(mine - theirs).max() < tolerance * np.abs(theirs).max()
 
 
+@pytest.mark.parametrize('name', EXPORTS)
+def test_an_export_names_the_unit_or_its_recording_in_one_line(name: str) -> None:
+    calibration = unit('si')
+    recorded = replace(calibration, provenance={**calibration.provenance, 'recording': 'shelf_2'})
+    assert 'shelf_2' in exported(name, recorded)
+    numbered = exported(name, replace(calibration, serial_number='A\nkey: 1'))
+    assert 'A key: 1' in numbered or r'A\nkey: 1' in numbered
+
+
 @pytest.mark.parametrize('node', ['/compensator_node', '/robot/compensator_node'])
 def test_the_ros_file_reaches_the_node_in_any_namespace(node: str, tmp_path: Path) -> None:
     needs_modules('cyclonedds')

@@ -145,16 +145,23 @@ def test_a_refusal_has_its_cause_first_and_the_rest_on_request(
     assert document['error']['message'] in whole
 
 
+@pytest.mark.parametrize('columns', [80, COLUMNS])
 @pytest.mark.parametrize('command', COMMANDS_OF_ALL)
-def test_the_help_of_a_command_fits_a_screen_and_names_every_option(
-    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_help_of_a_command_fits_a_screen_and_explains_every_usual_option(
+    command: str,
+    columns: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setenv('COLUMNS', str(COLUMNS))
+    monkeypatch.setenv('COLUMNS', str(columns))
     with pytest.raises(SystemExit):
         main([command, '--help'])
     short = capsys.readouterr().out
     assert len(short.splitlines()) <= LINES
-    assert max(map(len, short.splitlines())) <= COLUMNS
+    assert max(map(len, short.splitlines())) <= columns
+    usual = short.partition('rarely used')[0]
+    without_words = r'^  (?:-\w[^-\n]*, )?--[a-z][\w-]*(?: \S*[A-Z{]\S*)*$(?!\n {9})'
+    assert re.findall(without_words, usual, re.MULTILINE) == []
     with pytest.raises(SystemExit):
         main([command, '--help-all'])
     named = re.compile(r'^  (?:-\w[^-\n]*, )?(--[a-z][\w-]*)', re.MULTILINE)
