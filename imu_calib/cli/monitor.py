@@ -142,7 +142,7 @@ class Monitor:
         if isinstance(self._board, Board):
             self._board.on_calibration(message)
         if message.status in {message.VALID, message.INCOMPLETE}:
-            self.outcome = True, message.status_text
+            self.outcome = True, message.status_text.replace('\n', ' ')
         elif message.status == message.REFUSED:
             self.outcome = False, message.status_text
 

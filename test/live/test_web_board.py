@@ -125,9 +125,32 @@ def test_a_long_course_is_thinned_and_keeps_its_ends():
     assert row.course[-1][1] == pytest.approx(row.std, rel=0.011)
 
 
+@pytest.mark.parametrize(
+    ('text', 'level', 'now', 'detail'),
+    [
+        ('', Severity.OK, 'The calibration is done', ''),
+        ('One.\nTwo.', Severity.OK, 'The calibration is done', '2 notes are in the report.'),
+        (
+            'Warning: Hot.\nOne.',
+            Severity.WARN,
+            'The calibration is done, with 1 warning',
+            'Hot.\n1 note is in the report.',
+        ),
+    ],
+)
+def test_the_end_of_a_session_shows_its_warnings_and_counts_its_notes(
+    text, level, now, detail, expected
+):
+    board = Board(expected)
+    board.on_state(state(100.0), 1.0)
+    assert board.on_calibration(calibration('VALID', text))
+    first = headline(board.snapshot(1.0))
+    assert board.snapshot(1.0).outcome is SessionOutcome.DONE
+    assert (first.level, first.now, first.detail) == (level, now, detail)
+
+
 def test_how_a_session_ends(expected):
     for status, outcome, level in (
-        ('VALID', SessionOutcome.DONE, Severity.OK),
         ('INCOMPLETE', SessionOutcome.INCOMPLETE, Severity.WARN),
         ('REFUSED', SessionOutcome.FAILED, Severity.ERROR),
     ):

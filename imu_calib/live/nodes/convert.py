@@ -29,12 +29,15 @@ _UNITS = {
 
 
 def calibration_message(calibration: Calibration, status: int, frame_id: str, stamp: Any) -> Any:
-    """Return imu_calib_msgs/ImuCalibration: VALID, INCOMPLETE or PROVISIONAL."""
+    """Return imu_calib_msgs/ImuCalibration: VALID, INCOMPLETE or PROVISIONAL.
+
+    Its text has a finding in each line.
+    """
     findings = list(calibration.findings)
     if status == messages.ImuCalibration.INCOMPLETE:
         missing = ', '.join(_missing(calibration))
         findings.insert(0, f'Positions of the plan are missing: {missing}.')
-    text = ' '.join(findings)
+    text = '\n'.join(findings)
     message = _empty(calibration.imu, status, text, frame_id, stamp)
     message.serial_number = calibration.serial_number
     where = calibration.provenance

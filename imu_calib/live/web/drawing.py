@@ -44,8 +44,8 @@ def banner(shown: Snapshot, now: datetime) -> str:
     if table is not None and table.steps and shown.outcome is SessionOutcome.OPEN:
         where = f'step {min(table.step + 1, table.steps)} of {table.steps}'
     words = tag('h2', sign(first.level) + escape(in_plain_words(first.now)))
-    if first.detail:
-        words += tag('p', escape(in_plain_words(first.detail)), class_='detail')
+    for line in first.detail.splitlines():
+        words += tag('p', escape(in_plain_words(line)), class_='detail')
     time = tag('span', 'time left', class_='small') + tag('strong', escape(remaining))
     time += tag('span', escape(rests_on) or ' ', class_='small')
     share = f'{100 * min(max(shown.share, 0.0), 1.0):.1f}%'

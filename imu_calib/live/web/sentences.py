@@ -7,7 +7,8 @@ import re
 from dataclasses import dataclass
 from datetime import datetime
 
-from ...common.units import DEG
+from ...common.finding import is_warning, without_label
+from ...common.units import DEG, counted
 from ...reports.convergence import ends_at, in_words
 from ..rules import Phase, Severity
 from .board import NOT_BEGUN, SessionOutcome, Snapshot, TableState, silence
@@ -58,6 +59,7 @@ _IN_WORDS = [
         'publishes': 'sends',
         'publish': 'send',
         r'\bnode(s?)\b': r'program\1',
+        '`': '',
     }.items()
 ]
 """Words of ROS in the sentences of the nodes."""
@@ -90,13 +92,13 @@ class Headline:
 
     level: Severity  #: Severity.
     now: str  #: Present activity, a few words.
-    detail: str = ''  #: Reason or required action; may be empty.
+    detail: str = ''  #: Reason or required action, in lines; may be empty.
 
 
 def headline(shown: Snapshot) -> Headline:
     """Return the present activity."""
     if shown.outcome in _ENDS:
-        return Headline(*_ENDS[shown.outcome], shown.outcome_text)
+        return _last_headline(shown)
     if shown.calibrator_silent:
         return Headline(
             Severity.ERROR,
@@ -116,6 +118,20 @@ def headline(shown: Snapshot) -> Headline:
             f'{silence(shown.table_silent)} A table without commands stops by itself.',
         )
     return _table_headline(shown, shown.table)
+
+
+def _last_headline(shown: Snapshot) -> Headline:
+    """Return the outcome, of a result with its warnings and the number of its notes."""
+    level, words = _ENDS[shown.outcome]
+    if shown.outcome is not SessionOutcome.DONE:
+        return Headline(level, words, shown.outcome_text)
+    findings = shown.outcome_text.splitlines()
+    lines = [without_label(text) for text in findings if is_warning(text)]
+    if lines:
+        level, words = Severity.WARN, f'{words}, with {counted(len(lines), "warning")}'
+    if notes := len(findings) - len(lines):
+        lines.append(f'{counted(notes, "note is", "notes are")} in the report.')
+    return Headline(level, words, '\n'.join(lines))
 
 
 def _hand_headline(shown: Snapshot) -> Headline:
