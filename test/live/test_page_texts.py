@@ -134,7 +134,7 @@ def test_names_are_text_and_a_script_in_a_text_does_not_run(expected, shown):
         )
         page.wait_for_timeout(500)
         assert page.evaluate('window.ran === undefined')
-        board.on_calibration(calibration('VALID', MARKUP))
+        board.on_calibration(calibration('VALID', f'Warning: {MARKUP}'))
         page.locator('.banner[data-phase=done]').wait_for()
         assert MARKUP in page.locator('.banner').inner_text()
         assert page.locator('#injected').count() == 0

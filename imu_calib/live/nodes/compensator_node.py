@@ -279,7 +279,7 @@ class AppliedCalibration:
         if message.status == messages.ImuCalibration.INCOMPLETE:
             text = (
                 f'The calibration on {self._topic} is incomplete and is not used. '
-                f'{message.status_text}'
+                + message.status_text.partition('\n')[0]
             )
             self._diagnostics.report('calibration offered', Severity.WARN, text)
         if message.status != messages.ImuCalibration.VALID:
