@@ -20,7 +20,7 @@ from ..recordings.cdr_codec import Kind
 from ..recordings.order import StampSorter
 from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording
-from ..session.imu import GENERIC, ImuSpec, load_imu
+from ..session.imu import GENERIC, GRAVITY_FACTOR, ImuSpec, load_imu
 from ..session.keywords import Stated
 from ..session.plan import UNPLANNED, load_plan
 from ..session.segments_file import read_segments
@@ -139,6 +139,7 @@ def refuse_rest(recording: Recording, topic: str, imu: ImuSpec) -> None:
     Raises:
         NotStated: As far as it is examined the unit does not move, and either that is all, or the
             recording is too long for a session in the hand.
+        InputError: So does one whose accelerometers do not read gravity.
     """
     from ..segmentation.long_rest import StillSoFar
 
@@ -153,6 +154,14 @@ def refuse_rest(recording: Recording, topic: str, imu: ImuSpec) -> None:
                 return
             break
     if still.seconds >= _LEAST_REST:
+        # Of numbers that are taken too small every unit lies still.
+        ratio = still.length / STANDARD_GRAVITY
+        if not 1 / GRAVITY_FACTOR < ratio < GRAVITY_FACTOR:
+            raise InputError(
+                f"{recording.path}: by the IMU's description, {imu.id}, the accelerometers read "
+                f'{ratio:.3g} times gravity, and nothing moves: give the `imu` whose units and '
+                'scale factors are those of the recording.'
+            )
         in_memory = isinstance(recording, SamplesInMemory)
         way = '`imu_calib.noise`' if in_memory else f'imu-calib noise {recording.path}'
         raise NotStated(

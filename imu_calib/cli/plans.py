@@ -44,7 +44,8 @@ if TYPE_CHECKING:
 
 
 _ON_A_TABLE = (
-    'Predicted standard deviations; the last column is the smallest possible (Cramer-Rao bound).'
+    'Predicted standard deviations; those of the joint estimate are the smallest possible '
+    '(Cramer-Rao bound).'
 )
 _IN_THE_HAND = (
     'Predicted standard deviations by the noise, for turns of two seconds, each about one axis.'

@@ -257,6 +257,11 @@ class StillSoFar:
         """Duration so far, s."""
         return 0.0 if self._first is None else (self._last - self._first) * 1e-9
 
+    @property
+    def length(self) -> float:
+        """Length of the mean output of the accelerometers at the beginning, m/s^2."""
+        return 0.0 if self._reference is None else float(np.linalg.norm(self._reference[3:]))
+
     def add(self, block: ImuBlock) -> bool:
         """Add samples; return whether the unit may still lie still."""
         values = np.concatenate([block.gyro, block.accel], axis=1)[: len(block)] * self._imu.scale

@@ -190,6 +190,12 @@ def test_calibrate_names_the_command_without_a_search(
     assert not (tmp_path / 'c.yaml').exists()
 
 
+def test_a_description_of_another_scale_is_not_taken_for_rest(tmp_path: Path) -> None:
+    path = recorded(tmp_path / 'turned', at_rest(200.0) * (1 + np.arange(20_000)[:, None] % 2))
+    with pytest.raises(InputError, match=r'mems_counts.* times gravity.*whose units'):
+        imu_calib.calibrate(path, imu='mems_counts', latitude=50.0)
+
+
 def test_calibrate_reads_on_where_a_long_rest_comes_first(tmp_path: Path) -> None:
     values = at_rest(300.0)
     values[28_000:28_400, 1] += 1.0
