@@ -38,10 +38,14 @@ def quantity(
     Examples:
         >>> quantity(5.1e-6, 'K_ax', sign=True), quantity(1e-6, 'K_gx', per='month')
         ('+5.1 ppm', '1 ppm/month')
+        >>> quantity(-0.303362, 'K_az')
+        '-303362 ppm'
     """
     unit = engineering(_BY_NAME[parameter], by_hand=by_hand)
     shown = f'{unit.unit}/{per}' if per else unit.unit
-    return f'{value / unit.scale:{"+" if sign else ""}.3g} {shown}'
+    number = value / unit.scale
+    form = '.0f' if 1e3 <= abs(number) < 1e9 else '.3g'
+    return f'{number:{"+" if sign else ""}{form}} {shown}'
 
 
 def percent(share: float) -> str:
