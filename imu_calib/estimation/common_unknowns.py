@@ -3,9 +3,7 @@
 The normal equations have the form of an arrowhead: a block for each unit, and a border for the
 common unknowns. The parameters of each unit are eliminated (the Schur complement of its block), the
 reduced information on the common unknowns is summed, these are solved for, and the parameters of
-each unit follow by substitution. This is iterated by Gauss-Newton. Eight simulated units have 0.77
-of the errors of K_g (navigation grade) and 0.74 of D_a (medium grade) that each has by itself, as
-stated (docs/units_study.md).
+each unit follow by substitution. This is iterated by Gauss-Newton.
 
 Source: docs/mathematics.md, 'Several units on one table'; Golub and Plemmons 1980, Linear Algebra
 Appl. 34, 3 (block angular least squares); Schweppe 1973, section 5.5, for the test.

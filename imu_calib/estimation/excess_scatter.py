@@ -2,8 +2,8 @@
 
 All are variances of the residuals that the parameters cannot explain, found together by their
 restricted likelihood (`variances`). A bias drifts as a first-order Gauss-Markov process, from dwell
-to dwell or over the session; gyros and accelerometers see the same positioning errors. Motions may
-scatter more than
+to dwell or over the session, observed between the segments by their means and within them by their
+slopes; gyros and accelerometers see the same positioning errors. Motions may scatter more than
 dwells, where motors shake the unit: the ends of all motions have a variance of their own. None is
 used unless one of them alone raises the likelihood enough, so that a session of pure noise keeps
 its optimal weights. Then all are, since a few positioning errors and a drift are hard to separate,
@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ..common.budget import ErrorSource
@@ -37,10 +38,11 @@ from .evidence import SMALLEST_VARIANCE, Evidence
 from .positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 from .variances import Variance, choose_variances, restricted
 
-_TIMES = (1 / 30, 1.0)
-"""Correlation times of fast and of slow drift, in lengths of the session: about one dwell of a
-usual plan, and all of it. With three more between and beyond, stated deviations of simulated drifts
-are not nearer to the true ones."""
+_TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
+"""Correlation times of drift, in lengths of the session: half decades. A drift slower than the last
+cannot be distinguished from a bias; the first is about one dwell of a usual plan."""
+_STOP_SHARES = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
+"""Shares of stops in the variance of positioning errors: none, all, and mixtures of both."""
 
 _LEAST_GAIN = 4.5
 """Least gain in log likelihood for scatter beyond what is known: chi-square of one size by 9, three
@@ -57,6 +59,10 @@ with the mean by 1.3."""
 _ODDS_BESIDE_OUTLIERS = 10.0
 """The same where an outlier is tested against the scatter of the others: a stated drift that is
 absent would hide it. A judgement."""
+
+_BLOCKS_FOR_A_SLOPE = 4
+"""Fewest blocks of 10 s for a slope: a line has two unknowns, and two degrees of freedom remain for
+its standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,15 +155,11 @@ def excess(
         )
         for k, triad in enumerate(triads)
     ]
-    chosen = choose_variances(
-        residuals, noise, _beyond(triads, by_hand=plain.evidence.plan.by_hand), _LEAST_GAIN
-    )
-    drifts = [
-        triad.unit_variance * chosen.means[which]
-        for triad, which in zip(triads, _DRIFTS, strict=True)
-    ]
-    joints, stops = hidden * chosen.means[_POSITIONING]
-    moving = in_motion * float(chosen.means[_MOTIONS])
+    chosen = choose_variances(residuals, noise, _beyond(triads), _LEAST_GAIN)
+    *drifting, positioning, (moving,) = chosen.means
+    drifts = [t.unit_variance * means for t, means in zip(triads, drifting, strict=True)]
+    joints, stops = hidden * (1 - _STOP_SHARES) @ positioning, hidden * _STOP_SHARES @ positioning
+    moving *= in_motion
     kept = [1.0, 1.0]
     if not chosen.probability(*range(len(chosen.means))):
         odds = _ODDS_BESIDE_OUTLIERS if suspecting else _ODDS
@@ -170,29 +172,33 @@ def excess(
         np.repeat(np.sqrt(np.add(stated, [one.sum() for one in drifts])), 3),
         (*(part for found, _ in parts for part in found), *motions),
         tuple(part for _, spared in parts for part in spared),
-        chosen.probability(*_POSITIONING),
-        (chosen.probability(*_DRIFTS[0]), chosen.probability(*_DRIFTS[1])),
+        chosen.probability(_POSITIONING),
+        (chosen.probability(0), chosen.probability(1)),
         (_is_fast(triads[0], drifts[0]), _is_fast(triads[1], drifts[1])),
         math.sqrt(moving),
         chosen.probability(_MOTIONS),
     )
 
 
-_DRIFTS, _POSITIONING, _MOTIONS = ([0, 1], [2, 3]), [4, 5], 6  #: Places in `_beyond`.
+_POSITIONING, _MOTIONS = 2, 3  #: Indices of kinds in `_beyond`.
 
 
-def _beyond(triads: Sequence[_Triad], *, by_hand: bool) -> list[Variance]:
-    """Return the variances beyond what is known.
+def _beyond(triads: Sequence[_Triad]) -> list[list[Variance]]:
+    """Return the variances beyond what is known, by kinds.
 
-    Fast and slow drift of gyros and of accelerometers, positioning errors of joints and of stops,
-    motions. In six holds by hand accelerometers that drift look like holds that lean, and these
-    lean by more than biases drift: their drift is not sought there.
+    Drifts of gyros and of accelerometers, by their times; positioning errors, by the shares of
+    stops; motions.
     """
     gyros, accels = triads
+    joints, stops, motions = zip(gyros.common, accels.common, strict=True)
     return [
-        *(Variance((kernel, None)) for kernel in gyros.drifts),
-        *(Variance((None, None if by_hand else kernel)) for kernel in accels.drifts),
-        *(Variance(both) for both in zip(gyros.common, accels.common, strict=True)),
+        [Variance((kernel, None)) for kernel in gyros.drifts],
+        [Variance((None, kernel)) for kernel in accels.drifts],
+        [
+            Variance(tuple((1 - s) * j + s * k for j, k in zip(joints, stops, strict=True)))
+            for s in _STOP_SHARES.tolist()
+        ],
+        [Variance(motions)],
     ]
 
 
@@ -245,9 +251,9 @@ def _drift_parts(
 
 def _is_fast(triad: _Triad, variances: Floats) -> bool:
     """Return whether most of a drift is from dwell to dwell, and faster than biases drift."""
-    fast, slow = variances.tolist()
+    swift = float(variances[0]) > float(variances[1:].sum())
     # In a session of five hours the first of the times is nearest to that of the data sheet.
-    return fast > slow and math.sqrt(_TIMES[0] / 10) * triad.bias_drift.span < STATED_TIME
+    return swift and math.sqrt(_TIMES[0] / 10) * triad.bias_drift.span < STATED_TIME
 
 
 def scatter_of_motions(evidence: Evidence, in_motion: float) -> tuple[Component, ...]:
@@ -299,30 +305,32 @@ def _triads(plain: Equations, state: Floats, hidden: float, in_motion: float) ->
     positioning = [math.sqrt(hidden) * one for one in plain.positioning_error_effects(state)]
     motions = np.diag(math.sqrt(in_motion) * _ends_of_motions(plain.evidence))
     common = (*positioning, motions)
-    parts = (jacobian, residuals, plain.covariance(state), common)
+    parts = (jacobian, residuals, plain.slopes(state), plain.covariance(state), common)
     return [_triad(plain, first, parts, state) for first in (0, 3)]
 
 
 def _triad(
     equations: Equations,
     first: int,
-    parts: tuple[Floats, Floats, Floats, tuple[Floats, ...]],
+    parts: tuple[Floats, Floats, Floats, Floats, tuple[Floats, ...]],
     state: Floats,
 ) -> _Triad:
     """Select gyros (first = 0) or accelerometers (first = 3)."""
     evidence = equations.evidence
-    rows, passages = _outputs_of_triad(equations, first)
-    jacobian, residuals, covariance, common = parts
+    rows, segments, moves = _outputs_of_triad(equations, first)
+    jacobian, residuals, rising, covariance, common = parts
     seen = np.flatnonzero(np.any(jacobian[rows] != 0, axis=0))
     prior = equations.prior_rows(state)
+    slopes = _Slopes.from_segments(segments, rising[rows].reshape(-1, 3), evidence.walk, first)
     biases = np.array(indices_of(BIASES[first : first + 3], equations.parameters))
-    drift = _bias_drift(passages, jacobian[np.ix_(rows, biases)])
+    drift = _bias_drift([*segments, *moves], slopes.used, jacobian[np.ix_(rows, biases)])
     project, z = restricted(
         jacobian[np.ix_(rows, seen)],
         residuals[rows],
         covariance[np.ix_(rows, rows)],
         prior[:, np.append(seen, equations.size)],
     )
+    weights = slopes.weights
     entering = drift.entering(project)
     unit_variance = float(
         np.median(equations.own_variances[equations.layout.dwell[:, first : first + 3]])
@@ -330,11 +338,11 @@ def _triad(
     stated = float(evidence.instability[first] ** 2)
 
     def projected_by(time: float, variance: float) -> Floats:
-        return variance * drift.projected(time, entering)
+        return variance * drift.projected(time, entering, weights)
 
     def entered(columns: Floats) -> Floats:
         found = project.T @ columns[rows]
-        return np.asarray(found @ found.T)
+        return np.pad(found @ found.T, (0, len(weights)))
 
     every, by_drift = rows, drift
     if first == 0 and len(equations.layout.velocity):
@@ -342,14 +350,16 @@ def _triad(
         used = [link.move for link in evidence.used_moves.linked]
         carried = [used[k] for k in equations.layout.moves_with_accels]
         every = np.concatenate([rows, equations.layout.velocity.ravel()])
-        by_drift = _bias_drift([*passages, *carried], jacobian[np.ix_(every, biases)])
+        by_drift = _bias_drift(
+            [*segments, *moves, *carried], slopes.used, jacobian[np.ix_(every, biases)]
+        )
     return _Triad(
         every,
-        z,
+        np.concatenate([z, slopes.residuals * weights]),
         projected_by(drift.stated_time, stated),
         tuple(projected_by(time, unit_variance) for time in _TIMES),
         tuple(entered(columns) for columns in common),
-        _noise_of_channels(equations.own[first : first + 3], rows, project),
+        _noise_of_channels(equations.own[first : first + 3], rows, project, slopes),
         by_drift,
         unit_variance,
         stated,
@@ -358,8 +368,8 @@ def _triad(
 
 def _outputs_of_triad(
     equations: Equations, first: int
-) -> tuple[NDArray[np.intp], list[Segment | Turn | Move]]:
-    """Return the outputs of a triad, and the dwells, turns and moves that they belong to.
+) -> tuple[NDArray[np.intp], list[Segment | Turn], list[Move]]:
+    """Return the outputs of a triad, and the dwells and turns and the moves that they belong to.
 
     The rows (k,) of the outputs are those of dwells and turns, then of moves, three for each.
     """
@@ -367,33 +377,87 @@ def _outputs_of_triad(
     turns, moves = list(evidence.turns), [link.move for link in evidence.used_moves.linked]
     if first == 3:
         turns = [turns[k] for k in layout.turns_with_accels]
-        moves = [moves[k] for k in layout.moves_with_accels]
-    rows = layout.accels if first == 3 else layout.gyros
-    return rows, [*evidence.segments, *turns, *moves]
+        carried = [moves[k] for k in layout.moves_with_accels]
+        return layout.accels, [*evidence.segments, *turns], carried
+    return layout.gyros, [*evidence.segments, *turns], moves
 
 
-def _bias_drift(parts: Sequence[Segment | Turn | Move], derivatives: Floats) -> BiasDrift:
-    """Return where biases drift.
+def _bias_drift(
+    parts: Sequence[Segment | Turn | Move], sloped: NDArray[np.bool_], derivatives: Floats
+) -> BiasDrift:
+    """Return where biases drift: n dwells and turns, `sloped` some of them (n,), and moves.
 
     `derivatives` (3 k, 3) are those of the outputs of all k parts by the biases.
     """
     starts = np.array([part.start for part in parts], dtype=np.int64)
     durations = [p.duration if isinstance(p, Move) else p.statistics.duration for p in parts]
+    with_slope = np.append(sloped, np.zeros(len(parts) - len(sloped), dtype=bool))
     since = np.asarray((starts - starts.min()) * 1e-9)
-    return BiasDrift.over(since, np.array(durations), derivatives.reshape(-1, 3, 3))
+    return BiasDrift.over(since, np.array(durations), derivatives.reshape(-1, 3, 3), with_slope)
+
+
+@dataclass(frozen=True, eq=False)
+class _Slopes:
+    """Slopes of a triad's outputs within those s of n dwells and turns that have enough blocks."""
+
+    used: NDArray[np.bool_]  #: (n,) mask of these dwells and turns.
+    residuals: Floats  #: (3 s,) slopes less those that the parameters explain, rad/s^2 or m/s^3.
+    variances: Floats  #: (s, 3, 2) their variances by random walk alone, and in total.
+
+    @classmethod
+    def from_segments(
+        cls, segments: Sequence[Segment | Turn], explained: Floats, walk: Floats, first: int
+    ) -> _Slopes:
+        """Collect the slopes of gyros (first = 0) or accelerometers (first = 3).
+
+        `explained` are the slopes (n or more, 3) by the parameters, those of the segments first.
+        """
+        channels = range(first, first + 3)
+        every = [x.statistics for x in segments]
+        used = np.array(
+            [all(len(x.blocks[c]) >= _BLOCKS_FOR_A_SLOPE for c in channels) for x in every],
+            dtype=bool,
+        )
+        sloped = [x for x, good in zip(every, used, strict=True) if good]
+        drifts = np.array([x.drift[first : first + 3] for x in sloped]).reshape(-1, 3)
+        variances = [[_slope_variance(x.blocks[c], walk[c]) for c in channels] for x in sloped]
+        return cls(
+            used,
+            (drifts - explained[np.flatnonzero(used)]).ravel(),
+            np.array(variances).reshape(-1, 3, 2),
+        )
+
+    @property
+    def weights(self) -> Floats:
+        """(3 s,) inverse standard deviations of the slopes."""
+        return np.asarray(1 / np.sqrt(self.variances[..., 1].ravel()))
 
 
 def _noise_of_channels(
-    own: Sequence[Component], rows: NDArray[np.intp], project: Floats
+    own: Sequence[Component], rows: NDArray[np.intp], project: Floats, slopes: _Slopes
 ) -> tuple[tuple[Floats, float], ...]:
     """Return `_Triad.noise`: the effect of the random walk of each channel, and its freedom.
 
     `own` are the variances of all outputs by it, `project` is the projection (k, r) of the outputs
     `rows` by `restricted`.
     """
+    projection = scipy.linalg.block_diag(project, np.diag(slopes.weights))
     noise = []
-    for component in own:
+    for channel, component in enumerate(own):
         assert isinstance(component.part, Diagonal)
-        columns = project.T * np.sqrt(component.part.variances[rows])
+        walk = np.zeros_like(slopes.variances[..., 0])
+        walk[:, channel] = slopes.variances[:, channel, 0]
+        deviations = np.sqrt(np.concatenate([component.part.variances[rows], walk.ravel()]))
+        noisy = deviations > 0
+        columns = projection.T[:, noisy] * deviations[noisy]
         noise.append((columns @ columns.T, component.freedom))
     return tuple(noise)
+
+
+def _slope_variance(blocks: Floats, walk: float) -> tuple[float, float]:
+    """Return the variance of the slope `Statistics.drift`: that by random walk, and the total."""
+    centred = blocks[:, 3] - blocks[:, 3].mean()
+    weights = centred / (centred @ centred)
+    noise = walk**2 * blocks[:, 1]
+    own = np.maximum(noise + blocks[:, 2], SMALLEST_VARIANCE)
+    return float(weights**2 @ noise), float(weights**2 @ own)

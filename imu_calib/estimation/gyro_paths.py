@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,6 +188,8 @@ _CROSS = np.ascontiguousarray(np.moveaxis(GENERATORS, 0, -1))
 
 _ONE = np.zeros(1, dtype=np.intp)  #: Start index of a single motion.
 
+_SQUARES = tuple(combinations_with_replacement(range(3), 2))  #: Products of rates, each once.
+
 
 @dataclass(frozen=True, eq=False)
 class VelocityIncrement:
@@ -317,18 +320,35 @@ def by_places(increments: Sequence[VelocityIncrement]) -> Floats:
     a_i, a_i = ([alpha] + [w][w]) r_i. From dwell to dwell integration by parts removes alpha: the
     integral of C P_i a_i is that of C (P_i [w] - [w] P_i) [w] r_i; this is minus that.
     """
+    matrix = np.reshape(
+        _responses_alone(increments[0].model).reshape(3, 9) @ _by_responses(), (3, 18, 3)
+    )
+    return np.asarray(_moments(increments) @ np.swapaxes(matrix, 0, 1).reshape(18, 9))
+
+
+@lru_cache(maxsize=1)
+def _by_responses() -> Floats:
+    """Return P [w] - [w] P, times [w], as a matrix of P and products of w, (9, 18 * 3)."""
+    apart = np.einsum('mjp,klq->jkmpql', _CROSS, _CROSS)
+    apart -= np.einsum('kap,alq,jm->jkmpql', _CROSS, _CROSS, np.eye(3))
+    # Products of rates are symmetric.
+    folded = [apart[..., p, q, :] + (apart[..., q, p, :] if p != q else 0.0) for p, q in _SQUARES]
+    return np.stack(folded, axis=3).reshape(9, -1)
+
+
+def _moments(increments: Sequence[VelocityIncrement]) -> Floats:
+    """Return sums of C w_p w_q t over the steps, (m, 3, 3 * 6): of each product once.
+
+    A rate that changes by d within a step has a mean square of w^2 + d^2 / 12.
+    """
     rates, axes, seconds, starts = _all_steps(increments)
-    # A rate that changes by d within a step has a mean square of w^2 + d^2 / 12.
     change = _change(rates, seconds, starts) * seconds[:, None] / np.sqrt(12)
-    squares = rates[:, :, None] * rates[:, None] + change[:, :, None] * change[:, None]
-    timed = axes * seconds[:, None, None]
-    parts = zip(np.split(timed, starts[1:]), np.split(squares, starts[1:]), strict=True)
-    moments = [summed(axis, square.reshape(-1, 9)) for axis, square in parts]
-    alone = _responses_alone(increments[0].model)
-    turned = np.einsum('ibd,pde,qec->bpqic', alone, GENERATORS, GENERATORS)
-    turned -= np.einsum('pbd,ide,qec->bpqic', GENERATORS, alone, GENERATORS)
-    found = np.array(moments).reshape(-1, 3, 27) @ turned.reshape(27, 9)
-    return -np.asarray(found)
+    first, second = np.array(_SQUARES).T
+    squares = rates[:, first] * rates[:, second]
+    squares += change[:, first] * change[:, second]
+    timed = squares * seconds[:, None]
+    parts = zip(np.split(axes, starts[1:]), np.split(timed, starts[1:]), strict=True)
+    return np.array([summed(axis, square) for axis, square in parts]).reshape(len(starts), 3, -1)
 
 
 def _all_steps(

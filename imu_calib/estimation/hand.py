@@ -266,9 +266,9 @@ class _State:
         for name, unit in zip(TRENDS, units, strict=True):
             entering.append(project.T @ self.wandering(name) * np.sqrt(unit))
         chosen = choose_variances(
-            [(left, np.eye(len(left)))], (), [Variance((e @ e.T,)) for e in entering], _LEAST_GAIN
+            [(left, np.eye(len(left)))], (), [[Variance((e @ e.T,))] for e in entering], _LEAST_GAIN
         )
-        sizes = chosen.means
+        sizes = np.concatenate(chosen.means)
         probability = np.array([chosen.probability(k) for k in range(len(sizes))])
         return Scatter(sizes[:3], sizes[3:] * units, probability)
 

@@ -388,10 +388,10 @@ class TriadSystem:
         # As large as noise for a variance of one.
         units = np.array([float((one**2).sum()) / count or 1.0 for one in effects])
         entering = [project.T @ one for one in effects]
-        sought = [Variance((e @ e.T / unit,)) for e, unit in zip(entering, units, strict=True)]
+        sought = [[Variance((e @ e.T / unit,))] for e, unit in zip(entering, units, strict=True)]
         chosen = choose_variances([(left, np.eye(len(left)))], (), sought, _LEAST_GAIN)
         probable = [chosen.probability(kind) > _PROBABLE for kind in range(len(units))]
-        variances = np.where(probable, chosen.means / units, 0.0)
+        variances = np.where(probable, np.concatenate(chosen.means) / units, 0.0)
         total = sum(v * (e**2).sum(axis=1) for v, e in zip(variances, effects, strict=True))
         freedom = (project**2).sum(axis=1)
         mine = [total[self._kinds == kind] for kind in range(3)]

@@ -31,6 +31,8 @@ _SHORTEST = 1 / 64  #: Part of a step below which nothing is gained any more.
 _TRIED = 2.0
 """Gain of the log likelihood by a first step from none above which a variance is tried: two
 standard deviations. A judgement."""
+_RIVAL = float(np.log(1000.0))
+"""Difference of log likelihoods from which on an alternative, and those beyond it, do not count."""
 _DEPENDENT = 1e-10
 """Of the longest column, all scaled to one: residual of a column after projection that counts as
 zero, as in `information`."""
@@ -46,6 +48,11 @@ class Variance:
     #: The covariance of each group of residuals for a variance of one, (r, r); None of none.
     kernels: tuple[Floats | None, ...]
     freedom: float = 0.0  #: Degrees of freedom of a former estimate, which is one; 0 without any.
+
+    @property
+    def trace(self) -> float:
+        """Sum of the variances of all residuals for a variance of one."""
+        return sum(float(np.trace(kernel)) for kernel in self.kernels if kernel is not None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,67 +135,114 @@ def find_variances(
     return FoundVariances(tuple(sought), np.exp(here.logs), doubt, here.likelihood, here.weighted)
 
 
-Chosen = frozenset[int]
-"""Indices of the variances that are in a model."""
+Chosen = frozenset[tuple[int, int]]
+"""Variances that are in a model: the index of a kind, and of one of its alternatives."""
 
 
 @dataclass(frozen=True, eq=False)
 class ChosenVariances:
     """Models of residuals, each with its probability."""
 
-    means: Floats  #: (k,) means of the variances over all models.
+    #: (k,) means over all models of the variances of a kind, one for each alternative.
+    means: tuple[Floats, ...]
     models: tuple[tuple[Chosen, float], ...]  #: Variances in each, and its probability.
 
-    def probability(self, *places: int) -> float:
-        """Return the probability that any of some variances is in the model."""
-        return sum(share for chosen, share in self.models if chosen & set(places))
+    def probability(self, *kinds: int) -> float:
+        """Return the probability that any of some kinds is in the model."""
+        return sum(share for chosen, share in self.models if {k for k, _ in chosen} & set(kinds))
+
+
+@dataclass(eq=False)
+class _Models:
+    """Models of residuals that were fitted, by the variances in them."""
+
+    residuals: Residuals
+    known: Sequence[Variance]
+    kinds: Sequence[Sequence[Variance]]
+
+    def __post_init__(self) -> None:
+        self.found: dict[Chosen, FoundVariances] = {
+            frozenset(): find_variances(self.residuals, self.known)
+        }
+
+    def fit(self, chosen: Chosen, near: Chosen) -> FoundVariances:
+        """Fit a model from the variances of one near to it."""
+        if chosen not in self.found:
+            start, places = self.found[near], sorted(near)
+            of_kind = {k: len(self.known) + n for n, (k, _) in enumerate(places)}
+            sizes = start.values[: len(self.known)].tolist()
+            for k, a in sorted(chosen):
+                one = self.kinds[k][a]
+                if k in of_kind and one.trace:
+                    size, before = start.values[of_kind[k]], start.sought[of_kind[k]]
+                    sizes.append(size * before.trace / one.trace)
+                else:
+                    sizes.append(start.first_step(one)[0])
+            sought = [*self.known, *(self.kinds[k][a] for k, a in sorted(chosen))]
+            self.found[chosen] = find_variances(self.residuals, sought, sizes)
+        return self.found[chosen]
+
+    def with_another(self, chosen: Chosen) -> list[Chosen]:
+        """Return models with another kind, each by its likeliest alternative found."""
+        mine, here, found = {k for k, _ in chosen}, self.found[chosen], list[Chosen]()
+        for k in (k for k in range(len(self.kinds)) if k not in mine):
+            gains = [here.first_step(one)[1] for one in self.kinds[k]]
+            if max(gains) > _TRIED:
+                self.vary(chosen | {(k, int(np.argmax(gains)))}, chosen, k, 0.0)
+                tried = [chosen | {(k, a)} for a in range(len(gains))]
+                fitted = [one for one in tried if one in self.found]
+                found.append(max(fitted, key=lambda one: self.found[one].log_likelihood))
+        return found
+
+    def vary(self, model: Chosen, near: Chosen, kind: int, rival: float) -> None:
+        """Fit alternatives of a kind in a model, outwards as long as they are rivals."""
+        (at,) = (a for k, a in model if k == kind)
+        rest = model - {(kind, at)}
+        for beside in (range(at + 1, len(self.kinds[kind])), range(at - 1, -1, -1)):
+            least = self.fit(model, near).log_likelihood
+            for other in beside:
+                fitted = self.fit(rest | {(kind, other)}, model).log_likelihood
+                if fitted < least - rival:
+                    break
+                least = max(least, fitted)
 
 
 def choose_variances(
-    residuals: Residuals, known: Sequence[Variance], offered: Sequence[Variance], least: float
+    residuals: Residuals,
+    known: Sequence[Variance],
+    kinds: Sequence[Sequence[Variance]],
+    least: float,
 ) -> ChosenVariances:
     """Add variances to those that are known to be needed, the likeliest first.
 
-    Each raises the log likelihood by `least` or more; one that does not any more when others are
-    added is left out again. All models that were tried count by their likelihoods, with odds of
-    exp(`least`) against each variance (Hoeting et al. 1999, Statist. Sci. 14, 382): what explains
-    the same residuals cannot be told apart, but affects parameters differently. By the best model
-    alone one of 69 simulated sessions stated a deviation 5.6 times too small, by these means 1.7.
+    Of each kind one of several alternatives, which are in an order, is added at most, and if it
+    raises the log likelihood by `least` or more. Where any is, the best model is then varied in
+    each kind. All models that were tried count by their likelihoods, with odds of exp(`least`)
+    against each kind (Hoeting et al. 1999, Statist. Sci. 14, 382): what explains the same residuals
+    cannot be told apart, but affects parameters differently.
     """
+    models = _Models(residuals, known, kinds)
     best: Chosen = frozenset()
-    found = {best: find_variances(residuals, known)}
-
-    def fit(chosen: Chosen, near: Chosen) -> float:
-        """Fit a model from the variances of one near to it; return its log likelihood."""
-        if chosen not in found:
-            sizes = found[near].values.tolist()
-            start = dict(zip(sorted(near), sizes[len(known) :], strict=True))
-            start |= {k: found[near].first_step(offered[k])[0] for k in chosen - near}
-            found[chosen] = find_variances(
-                residuals,
-                [*known, *(offered[k] for k in sorted(chosen))],
-                [*sizes[: len(known)], *(start[k] for k in sorted(chosen))],
-            )
-        return found[chosen].log_likelihood - least * len(chosen)
-
-    while True:
-        here = fit(best, best)
-        others = [
-            best | {k}
-            for k, one in enumerate(offered)
-            if k not in best and found[best].first_step(one)[1] > _TRIED
-        ]
-        others += [best - {k} for k in best]
-        top = max(others, key=lambda one: fit(one, best), default=best)
-        if fit(top, best) <= here:
-            break
-        best = top
-    kept = {one: fit(one, one) for one in found if bool(one) == bool(best)}
-    logs = np.array(list(kept.values()))
+    last: Chosen | None = None
+    while best != last:
+        last = best
+        if trials := models.with_another(best):
+            top = max(trials, key=lambda one: models.found[one].log_likelihood)
+            if models.found[top].log_likelihood >= models.found[best].log_likelihood + least:
+                best = top
+                continue
+        for k, a in last:
+            models.fit(last - {(k, a)}, last)
+            models.vary(last, last, k, _RIVAL)
+        same = [one for one in models.found if len(one) == len(last)]
+        best = max(same, key=lambda one: models.found[one].log_likelihood)
+    kept = {one: m for one, m in models.found.items() if bool(one) == bool(best)}
+    logs = np.array([m.log_likelihood - least * len(one) for one, m in kept.items()])
     shares = np.exp(logs - np.logaddexp.reduce(logs)).tolist()
-    means = np.zeros(len(offered))
-    for chosen, share in zip(kept, shares, strict=True):
-        means[sorted(chosen)] += share * found[chosen].means[len(known) :]
+    means = tuple(np.zeros(len(kind)) for kind in kinds)
+    for (chosen, found), share in zip(kept.items(), shares, strict=True):
+        for (k, a), mean in zip(sorted(chosen), found.means[len(known) :], strict=True):
+            means[k][a] += share * mean
     return ChosenVariances(means, tuple(zip(kept, shares, strict=True)))
 
 

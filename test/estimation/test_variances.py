@@ -109,16 +109,16 @@ def test_noise_that_few_blocks_know_may_be_larger_than_it_seems() -> None:
 LEAST = 4.5
 
 
-def chosen(residuals: Floats, *patterns: Floats) -> Any:
-    """Choose between patterns, beside noise of one."""
-    offered = [Variance((k,)) for k in patterns]
+def chosen(residuals: Floats, *kinds: list[Floats]) -> Any:
+    """Choose between kinds of patterns, beside noise of one."""
+    offered = [[Variance((k,)) for k in kind] for kind in kinds]
     return choose_variances([(residuals, np.eye(len(residuals)))], [], offered, LEAST)
 
 
 def test_pure_noise_gets_a_variance_in_one_of_hundreds_of_sessions() -> None:
     one, two = patterns(30, 6, 6)
     rng = np.random.default_rng(0)
-    wrong = [chosen(rng.standard_normal(30), one, two).probability(0, 1) for _ in range(200)]
+    wrong = [chosen(rng.standard_normal(30), [one], [two]).probability(0, 1) for _ in range(200)]
     # A gain of 4.5 is chi-square 9 of a size that is not below none: 0.0013 for each of two.
     assert np.count_nonzero(wrong) <= 3
 
@@ -131,9 +131,9 @@ def test_a_variance_that_is_there_is_found_with_its_size(size: float) -> None:
     found = []
     for _ in range(40):
         residuals = rng.standard_normal(60) + size * columns[0] @ rng.standard_normal(12)
-        result = chosen(residuals, one, two)
+        result = chosen(residuals, [one], [two])
         assert result.probability(0) > 0.99
-        found.append(result.means[0])
+        found.append(result.means[0][0])
     # Twelve numbers show a variance to sqrt(2 / 12), forty such to a sixth of that; their mean is
     # the mean of an inverse chi-square, larger by 12 / 10.
     assert np.mean(found) == pytest.approx(1.2 * size**2, rel=0.25)
@@ -144,26 +144,19 @@ def test_explanations_that_cannot_be_told_apart_share_what_is_seen() -> None:
     root = np.linalg.cholesky(one + 1e-9 * np.eye(40))
     residuals = np.random.default_rng(6).standard_normal(40)
     residuals += 4 * root @ np.random.default_rng(7).standard_normal(40)
-    result = chosen(residuals, one, one.copy())
+    result = chosen(residuals, [one], [one.copy()])
     assert result.probability(0, 1) == pytest.approx(1.0)
     assert result.probability(0) == pytest.approx(0.5, abs=0.1)
     assert result.means[0] == pytest.approx(result.means[1], rel=0.3)
 
 
-def test_a_stand_in_is_left_out_once_what_it_stood_for_is_in() -> None:
-    """Two patterns are there; a third, of most of both, is the likeliest alone."""
-    rng = np.random.default_rng(3)
-    columns = [rng.standard_normal((80, 10)) for _ in range(2)]
-    one, two = (c @ c.T for c in columns)
-    most = np.hstack([c[:, :8] for c in columns])
-    residuals = rng.standard_normal(80)
-    residuals += sum(5 * c @ rng.standard_normal(10) for c in columns)
-    group = [(residuals, np.eye(80))]
-    alone = [
-        find_variances(group, [Variance((k,))]).log_likelihood for k in (one, two, most @ most.T)
-    ]
-    assert np.argmax(alone) == 2
-    result = chosen(residuals, one, two, most @ most.T)
-    assert result.probability(0) > 0.99
-    assert result.probability(1) > 0.99
-    assert result.means[2] < 1.0
+def test_of_one_kind_one_alternative_is_taken_and_the_others_count_by_their_likelihoods() -> None:
+    slow, fast = patterns(40, 3, 30)
+    rng = np.random.default_rng(8)
+    residuals = rng.standard_normal(40) + 5 * np.linalg.cholesky(
+        fast + 1e-9 * np.eye(40)
+    ) @ rng.standard_normal(40)
+    result = chosen(residuals, [slow, fast])
+    assert all(len(one) == 1 for one, _ in result.models)
+    assert sum(share for _, share in result.models) == pytest.approx(1.0)
+    assert result.means[0][1] > 100 * result.means[0][0]
