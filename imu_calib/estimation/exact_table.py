@@ -2,7 +2,9 @@
 
 The file is used as stated until the session shows an error of the table. So small an error cannot
 be identified: a zero error looks like a joint axis that leans, and a wobble like an encoder error.
-From then on all errors stated too small are taken as those of the best tables.
+From then on all errors stated too small are taken as those of the best tables. Of eight simulated
+navigation-grade sessions on tables 1 to 3 arcsec off errors are 1.0 of the standard deviations
+(root mean square), up to 3.9; with the errors that the session shows alone 1.5, up to 8.7.
 
 Source: docs/mathematics.md, 'Tables that are stated exact'.
 """

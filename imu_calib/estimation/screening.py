@@ -3,7 +3,9 @@
 The scatter beside a family is estimated anew, since scatter without it absorbs it: most of the work
 of a search. Here the scatter without it keeps its pattern, and only its size s is estimated beside
 each family, by restricted likelihood. In coordinates where noise and scatter are both diagonal,
-covariance 1 + s lambda, that takes a few small matrices per family.
+covariance 1 + s lambda, that takes a few small matrices per family. In 33 simulated sessions of
+eleven conditions it saves no time; without it one of 15 whose stops err by 2 arcsec is said to have
+moved in its mount.
 
 Sources: Patterson and Thompson 1971, Biometrika 58, 545; Kang et al. 2008, Genetics 178, 1709, for
 the coordinates.

@@ -15,7 +15,6 @@ from imu_calib.live.plan_run import (
     check_step,
     end_of,
     motion_time,
-    setpoint_of,
     steps_of_plan,
     stopping_setpoint,
 )
@@ -70,7 +69,7 @@ def test_a_motion_takes_as_long_as_its_slowest_joint():
 
 def test_a_setpoint_says_what_its_step_is():
     turn = step((0.5, 0.25, 0.0), (60 * DEG, 0.0, 0.0), turns=2)
-    sent = setpoint_of(turn, 'small', TABLE.names)
+    sent = turn.setpoint('small', TABLE.names)
     assert (sent.stamp, sent.plan, sent.step, sent.position) == (0, 'small', 3, '9')
     assert (sent.mode, sent.joints) == (Mode.RATE, TABLE.names)
     assert (sent.angles, sent.rates) == ((0.5, 0.25, 0.0), (60 * DEG, 0.0, 0.0))
