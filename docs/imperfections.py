@@ -191,9 +191,9 @@ def misnamed(row: dict[str, Any]) -> set[str]:
 def outcome(row: dict[str, Any]) -> str:
     """Say in a word what a session came to.
 
-    Misalignments are against the table's axes. Zeros, and right angles between the joints' axes,
-    that are further off than is assumed of them, which is said, turn them all alike, and no sensor
-    shows that: what is free of the frame must hold then.
+    Misalignments are against the last joint's axis and zero. A zero that is further off than is
+    assumed of it, which is said, turns them all alike, and no sensor shows that: what is free of
+    the frame must hold then.
     """
     if 'refused' in row:
         return 'refused'
@@ -204,7 +204,7 @@ def outcome(row: dict[str, Any]) -> str:
     held = {parameter for name, parameter in row['held'] if name in causes}
     if any(causes & named(finding) for finding in row['findings']) or wrong <= held:
         return 'named'
-    frame = {'zeros', 'orthogonality'} & causes and all(name.startswith('E') for name in wrong)
+    frame = {'zeros'} & causes and all(name.startswith('E') for name in wrong)
     return 'frame' if frame and max(map(abs, row['free'])) < SILENT else 'silently wrong'
 
 
@@ -361,9 +361,8 @@ drift as the data sheets state.
   does not. It omits shaking, frozen counts, warm-up of biases and terms.
 - wrong: an error of more than 4.5 standard deviations. It is named if a finding names its cause, or
   if the result states the unobserved term without which the parameter holds; else it is silent.
-- off by the frame alone: the table's zeros, or the right angles between its axes, are off by more
-  than the assumed values. This rotates all misalignments and no sensor shows it; the angles
-  between the input axes hold.
+- off by the frame alone: the table's zeros are off by more than the assumed value. This rotates all
+  misalignments and no sensor shows it; the angles between the input axes hold.
 - blamed: findings name a cause that is absent. Terms that explain a session as well as the
   right one, and are named with it, are not counted.
 

@@ -549,8 +549,8 @@ class Comparison:
         return [
             Finding(
                 f'The closed form {self.method} differs from the joint estimate by more than their '
-                f'standard deviations allow: {names}. The closed form ignores tilts and outliers, '
-                'and gives short and long segments the same weight.',
+                f'standard deviations allow: {names}. The closed form ignores tilts, errors of the '
+                'table and outliers, and gives short and long segments the same weight.',
                 effect=self.furthest[1],
             )
         ]

@@ -1,8 +1,8 @@
 """Errors of a table beyond its description: levelling, positioning, axes, zeros and encoders.
 
 A joint nominally turns by R(axis, a): its axis may lean, its zero be off, its encoder err within
-the turn and its axis wobble with the angle a. Errors are small: attitudes follow them to first
-order.
+the turn and its axis wobble with the angle a. The frame that it turns leans with its axis, which
+has the described direction there. Errors are small: attitudes follow them to first order.
 
 Source: docs/mathematics.md, "The table's own errors".
 """
@@ -71,12 +71,9 @@ def read_deviation(section: Section, name: str, *, above: float = -math.inf) -> 
 # sessions on zeros off by 60 were wrong by up to 6.5 deviations ("zeros 60 arcsec" of
 # docs/imperfect_stands.py); only the frame depends on a zero.
 #
-# Right angles are assumed to be less accurate. A session shows worse positions, but a lean of
-# the axes is mostly a rotation of all misalignments, which sensors cannot show. So the
-# assumption is the accuracy of a mechanic's square and dial gauge: 0.05 mm on 200 mm, 52 arcsec,
-# and 30 as a uniform law (a judgement). With 3 arcsec six of 60 sessions on axes off by 60 were
-# wrong by up to 24 deviations ("orthogonality 60 arcsec" of docs/imperfect_stands.py). Each
-# session estimates the errors of the axes that its moves determine.
+# Right angles are assumed to be less accurate, by a mechanic's square and dial gauge: 0.05 mm on
+# 200 mm, 52 arcsec, and 30 as a uniform law (a judgement). Each session estimates the errors of
+# the axes that its moves determine.
 
 
 def error_key(meaning: str, assumed: str, value: float = 0.0, **bounds: Any) -> Any:
@@ -137,7 +134,7 @@ def attitude_errors(joints: Sequence[JointPoses], errors: TableErrors) -> Floats
             if errors.wobble:
                 columns += [errors.wobble * wave[:, None] * (outside @ direction) for wave in waves]
             if k and errors.orthogonality:
-                columns.append(errors.orthogonality * (outside - inside) @ direction)
+                columns.append(errors.orthogonality * outside @ direction)
     return np.stack(columns, axis=2) if columns else np.zeros((len(joints[0].read), 3, 0))
 
 

@@ -12,7 +12,6 @@ import yaml
 from ..common.config import Section
 from ..common.files import write_whole
 from ..common.keys import key, record
-from ..common.rotations import rotation
 from ..common.stream import Floats
 from ..common.units import ARCSEC, DEG, Dimension
 from ..session.table import Table
@@ -81,6 +80,8 @@ class TrueJoint:
         ((0.0, 0.0), (0.0, 0.0)),
         ((0.0, 0.0), (0.0, 0.0)),
     )
+    #: Lean of the axis about both directions, rad.
+    lean: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,8 @@ class TrueTable:
     """The true geometry of a table, joints from the base outwards.
 
     A joint turns by W(a) R(axis, a - encoder(a) + zero), with a the angle that its encoder reads
-    and W(a) = R(u, wobble[0](a)) R(v, wobble[1](a)) about the directions u and v across the axis.
+    and W(a) = R(u, lean[0] + wobble[0](a)) R(v, lean[1] + wobble[1](a)) about the directions u and
+    v across the axis.
     """
 
     joints: tuple[TrueJoint, ...]
@@ -100,17 +102,18 @@ class TrueTable:
         joints = []
         for k, joint in enumerate(table.joints):
             zero = joint.zero + sizes.zeros * rng.standard_normal()
-            lean = sizes.orthogonality * rng.standard_normal(2) * (k > 0)
+            first, second = (sizes.orthogonality * rng.standard_normal(2) * (k > 0)).tolist()
             # Cosine and sine share the variance, so that the error itself has the stated size.
             parts = rng.standard_normal((3, 2, 2)) / math.sqrt(2)
             wobble = parts[:2] * np.array(sizes.wobble)[:, None]
             encoder = parts[2] * np.array(sizes.encoder)[:, None]
             joints.append(
                 TrueJoint(
-                    _leaning(joint.axis, lean),
+                    joint.axis,
                     float(zero),
                     _pair(encoder),
                     (_pair(wobble[0]), _pair(wobble[1])),
+                    (first, second),
                 )
             )
         return cls(tuple(joints))
@@ -125,11 +128,12 @@ class TrueTable:
         zeros: list[float] = []
         links: list[Link] = []
         for column, joint in enumerate(self.joints, start=first_column):
-            for direction, wobble in zip(across(joint.axis), joint.wobble, strict=True):
-                if any(map(any, wobble)):
+            pairs = zip(across(joint.axis), joint.wobble, joint.lean, strict=True)
+            for direction, wobble, lean in pairs:
+                if lean or any(map(any, wobble)):
                     (c1, s1), (c2, s2) = wobble
                     axes.append(direction)
-                    zeros.append(0.0)
+                    zeros.append(lean)
                     links.append(Link(column, 0.0, (c1, c2), (s1, s2)))
             (c1, s1), (c2, s2) = joint.encoder
             axes.append(np.array(joint.axis))
@@ -143,12 +147,12 @@ class TrueTable:
             {
                 'name': described.name,
                 'axis': [float(c) for c in joint.axis],
-                'described_axis': [float(c) for c in described.axis],
                 'zero': f'{joint.zero / DEG!r} deg',
                 'described_zero': f'{described.zero / DEG!r} deg',
                 'encoder': _written(joint.encoder),
                 'wobble': {
                     'about': [[float(c) for c in d] for d in across(joint.axis)],
+                    'lean': [f'{value / ARCSEC!r} arcsec' for value in joint.lean],
                     'errors': [_written(w) for w in joint.wobble],
                 },
             }
@@ -160,8 +164,9 @@ class TrueTable:
 
 _HEAD = """\
 # The simulated table as it truly is. A joint whose encoder reads a turns by
-# R(about[0], errors[0](a)) R(about[1], errors[1](a)) R(axis, a - encoder(a) + zero) in the frame of
-# the joint before it; an error is cos_1 cos(a) + sin_1 sin(a) + cos_2 cos(2a) + sin_2 sin(2a).
+# R(about[0], w[0]) R(about[1], w[1]) R(axis, a - encoder(a) + zero) in the frame of the joint
+# before it, with w[i] = lean[i] + errors[i](a); an error is
+# cos_1 cos(a) + sin_1 sin(a) + cos_2 cos(2a) + sin_2 sin(2a).
 """
 
 
@@ -176,16 +181,6 @@ def across(axis: tuple[float, float, float]) -> tuple[Floats, Floats]:
     first = letter - along * (along @ letter)
     first /= np.linalg.norm(first)
     return first, np.cross(along, first)
-
-
-def _leaning(axis: tuple[float, float, float], lean: Floats) -> tuple[float, float, float]:
-    if not lean.any():
-        return axis
-    turned = np.array(axis)
-    for direction, angle in zip(across(axis), lean, strict=True):
-        turned = rotation(direction, float(angle)) @ turned
-    x, y, z = (float(c) for c in turned / np.linalg.norm(turned))
-    return x, y, z
 
 
 def _pair(parts: Floats) -> tuple[Harmonic, Harmonic]:

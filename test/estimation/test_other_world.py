@@ -16,6 +16,7 @@ from other_sessions import DEG_H, EPOCH, MEDIUM, MICRO_G, NAVIGATION, errors, fe
 from other_world import (
     COMPASS,
     DEG,
+    SOUND,
     Damage,
     Flaw,
     Shaking,
@@ -23,6 +24,7 @@ from other_world import (
     Stops,
     Unit,
     World,
+    attitude,
     joints_of,
     schedule,
 )
@@ -32,7 +34,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.common.config import Section
 from imu_calib.common.files import named_file
-from imu_calib.common.stream import ImuBlock, JointBlock
+from imu_calib.common.stream import Floats, ImuBlock, JointBlock
 from imu_calib.estimation import search
 from imu_calib.estimation.solve import NotConverged
 from imu_calib.model.parameters import PARAMETERS
@@ -189,6 +191,64 @@ def test_on_a_table_as_they_are_no_parameter_is_further_off_than_stated(
     # Nothing is named that the sensors do not do: no term of theirs, and no bias that drifts.
     assert found.parameters[24:] == ()
     assert not [f for f in found.findings if re.search('drift by|The session shows .*_', f)]
+
+
+def described(**stated: str) -> Table:
+    """The three axes, of which nothing is said but this."""
+    known = yaml.safe_load(named_file('tables', 'three_axis').read_text(encoding='utf-8'))
+    left = {key: value for key, value in known.items() if key not in {*ASSUMED, 'simulated'}}
+    return read_table(Section({**left, **stated}, 'three_axis'))
+
+
+FINE = dict.fromkeys(('positioning', 'zeros', 'wobble', 'encoder'), '1 arcsec')
+
+
+def turn(axis: str, angle: float) -> Floats:
+    """A rotation about x, y or z, written out."""
+    c, s = math.cos(angle), math.sin(angle)
+    return {
+        'x': np.array([[1, 0, 0], [0, c, -s], [0, s, c]]),
+        'y': np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]),
+        'z': np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]),
+    }[axis]
+
+
+LEANING = {
+    # As a zero of the middle joint does: nothing tells them apart, nor need they be.
+    'x': Flaw(lean=(25 * ARCSEC, 0.0)),
+    'y': Flaw(lean=(0.0, 25 * ARCSEC)),
+}
+
+
+@pytest.mark.parametrize('orthogonality', ['1 arcsec', again('30 arcsec')])
+@pytest.mark.parametrize('about', ['x', 'y'])
+def test_misalignments_are_against_the_axis_that_turns_the_unit(
+    about: str, orthogonality: str
+) -> None:
+    """All were off by 25 arcsec about X, 21 deviations, where an axis was said to be a zero."""
+    world = World(flaws=(SOUND, SOUND, LEANING[about]))
+    for outer, middle, inner in ((0.0, 0.0, 0.0), (0.3, -1.2, 2.5)):
+        # The middle frame, the inner axis that leans in it, and the body on that axis.
+        wanted = turn('z', outer) @ turn('x', middle) @ turn(about, 25 * ARCSEC) @ turn('z', inner)
+        assert np.allclose(attitude((outer, middle, inner), world), wanted, rtol=0, atol=1e-14)
+    table = described(**FINE, orthogonality=orthogonality)
+    found = fed(world, NAVIGATION, 1, find_terms=True, table=table).finish().calibration
+    assert np.abs(errors(found, NAVIGATION)).max() < 4.5
+    # Moves show where the axis is: X and Y are known to less than it leans, whatever is stated.
+    across = [k for k, p in enumerate(PARAMETERS) if p.name in {'E_gxz', 'E_gyz', 'E_axz', 'E_ayz'}]
+    assert found.std[across].max() < 2 * ARCSEC
+
+
+def test_where_a_joint_reads_zero_changes_no_misalignment() -> None:
+    """By twice the lean they did: the same table, its inner joint counted from the other side."""
+    world = World(flaws=(SOUND, SOUND, LEANING['y']))
+    here = described(**FINE, orthogonality='30 arcsec')
+    inner = replace(here.joints[2], zero=math.pi)
+    there = replace(here, joints=(*here.joints[:2], inner), mount=turn('z', math.pi))
+    one, other = (
+        fed(world, NAVIGATION, 1, table=table).finish().calibration for table in (here, there)
+    )
+    assert np.abs((one.values - other.values) / one.std).max() < 0.5
 
 
 @pytest.mark.parametrize('grade', ['navigation', again('medium')])

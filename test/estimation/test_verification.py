@@ -456,11 +456,16 @@ def test_a_recording_of_nothing_known_is_no_judge() -> None:
 def test_an_axis_off_by_what_the_table_states_is_no_fault_of_the_calibration() -> None:
     # The inner axis leans by 60 arcsec, ten times what a rest of 20 s leaves open of up.
     table, lean = load_table('three_axis'), 60 * ARCSEC
-    inner = replace(table.joints[2], axis=np.array([0.0, np.sin(lean), np.cos(lean)]))
-    leaning = replace(table, joints=(*table.joints[:2], inner))
+    across = replace(table.joints[2], axis=(0.0, 1.0, 0.0))
+    leaning = replace(table, joints=(*table.joints[:2], across, table.joints[2]))
+
+    def attitude(angles: Floats | None) -> Floats:
+        assert angles is not None
+        return leaning.attitude(np.insert(angles, 2, lean))
+
     evidence = observed().evidence
-    segments = tuple(replace(s, attitude=leaning.attitude(s.angles)) for s in evidence.segments)
-    turns = tuple(replace(t, up=leaning.attitude(t.angles)[2]) for t in evidence.turns)
+    segments = tuple(replace(s, attitude=attitude(s.angles)) for s in evidence.segments)
+    turns = tuple(replace(t, up=attitude(t.angles)[2]) for t in evidence.turns)
 
     def stating(**stated: float) -> Verification:
         stated_table = replace(table, errors=TableErrors(**stated))

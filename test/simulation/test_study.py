@@ -66,8 +66,8 @@ def test_the_causes_of_conditions_are_known() -> None:
         (row('accel_cubic', off=off('K_ay'), held=[['accel_cubic', 'K_ax']]), 'silently wrong'),
         (row('zeros 60 arcsec', off=off('E_gxy')), 'frame'),
         (row('zeros 60 arcsec', off=off('E_gxy'), free=[5.0] * 9), 'silently wrong'),
-        (row('orthogonality 10 arcsec', off=off('E_gxy')), 'frame'),
-        (row('orthogonality 10 arcsec', off=off('K_gx')), 'silently wrong'),
+        (row('zeros 60 arcsec', off=off('K_gx')), 'silently wrong'),
+        (row('orthogonality 10 arcsec', off=off('E_gxy')), 'silently wrong'),
         (row('wobble 2 arcsec', off=off('E_gxy')), 'silently wrong'),
         ({'condition': 'perfect', 'refused': 'Nothing.'}, 'refused'),
     ],
@@ -130,7 +130,9 @@ def test_axes_further_off_than_is_stated_are_named_and_nothing_else(stated: int)
     calibrator = Calibrator(replace(setup, table=replace(setup.table, errors=errors, assumed=())))
     for block in recorded:
         calibrator.add_block(block)
-    (finding,) = calibrator.finish().calibration.findings
+    findings = calibrator.finish().calibration.findings
+    # The closed form takes the table as it is stated.
+    (finding,) = [f for f in findings if not f.startswith('The closed form twelve_position')]
     assert finding.startswith('The session shows joint axes that are not at right angles')
     assert f'the description of the table states {stated} arcsec' in finding
 

@@ -145,8 +145,8 @@ class Flaw:
 
     Attributes:
         zero: To add to its angle.
-        lean: Of its axis about the next letter but one and the one after that: of z about x and y,
-            of x about y and z.
+        lean: Of its axis, and of all that it turns, about the next letter but one and the one
+            after that: of z about x and y, of x about y and z.
         wobble: The same, with the angle that its encoder reads.
         encoder: What the encoder reads beyond the angle, with that angle.
     """
@@ -452,8 +452,7 @@ def joint_turned(axis: int, reads: float, flaw: Flaw) -> Matrix:
     first, second = (axis + 1) % 3, (axis + 2) % 3
     turned = about(axis, reads - course(flaw.encoder, reads) + flaw.zero)
     if flaw.lean != LEVEL:
-        lean = times(about(second, flaw.lean[1]), about(first, flaw.lean[0]))
-        turned = times(lean, times(turned, transposed(lean)))
+        turned = times(times(about(second, flaw.lean[1]), about(first, flaw.lean[0])), turned)
     if flaw.wobble == STEADY:
         return turned
     wobble = times(
