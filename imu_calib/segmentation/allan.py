@@ -33,9 +33,14 @@ _PARTS = (16, 18, 20, 23, 25, 28)
 """Parts of a cluster: six sizes in an octave, equal within rounding on a logarithmic axis."""
 _FIRST_PARTS = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24, 28)
 """The same at the rate of the samples: the shortest times are known best, and cost most."""
-_AT_ONCE = 16384
-"""Samples of a channel that are differenced at once: the arrays stay in a processor's cache.
+_AT_ONCE = 32768
+"""Samples of a channel that are summed at once: what is set up for each piece is paid rarely, and a
+channel stays in a processor's cache.
 Callers limit BLAS to one thread (`common.processes`), since several would wait for each other."""
+_FEW = 1024  #: Integrals from which on products of them are faster than second differences.
+_DIGITS = 1e-7
+"""Share of the integrals' squares below which second differences are taken one by one: products
+round to some 1e-15 of those, the sum then to 1e-8. White noise has a share of 12 / n."""
 _MOST_LENGTHS = 64  #: Of runs: with more, those are taken as equal that nearly are.
 _ALIKE = 0.05
 """Relative: the covariance of a stream that often breaks is known to that, deviations to half."""
@@ -129,7 +134,7 @@ class AllanAccumulator:
 
     def __init__(self, channels: int) -> None:
         self._channels = channels
-        self._levels: list[_Level] = []
+        self._levels = [_Level(channels, _FIRST_PARTS)]
         self._lengths: list[int] = []
         self._samples = 0
         self._mean = np.zeros(channels)
@@ -139,19 +144,21 @@ class AllanAccumulator:
         """Add (n, c) increments that follow the ones before without a gap, rad and m/s."""
         if not len(increments):
             return
+        level = self._levels[0]
         if not self._samples:
             # Second differences do not depend on the mean, but it would cost digits.
             self._mean, self._integral = increments.mean(axis=0), np.zeros(self._channels)
-            self._pass_on(0, np.zeros((self._channels, 1)))
-        for start in range(0, len(increments), _AT_ONCE):
-            part = increments[start : start + _AT_ONCE]
-            # Row by row: adding up six channels at once is faster than one after the other.
-            phase = part - self._mean
-            phase[0] += self._integral
-            np.cumsum(phase, axis=0, out=phase)
-            self._integral = phase[-1].copy()
-            self._pass_on(0, phase.T)
+            level.next(1)[:] = 0.0
         self._samples += len(increments)
+        while len(increments):
+            part, increments = np.split(increments, [level.room])
+            # Channel by channel: numpy's loops over rows of six take three times as long.
+            phase = np.subtract(part.T, self._mean[:, None], out=level.next(len(part)))
+            phase[:, 0] += self._integral
+            np.cumsum(phase, axis=1, out=phase)
+            self._integral = phase[:, -1].copy()
+            if not level.room:
+                self._process(0)
 
     def end_run(self) -> None:
         """Begin another run with the next sample."""
@@ -182,58 +189,125 @@ class AllanAccumulator:
         found = AllanSums(period, tuple(self._lengths), squares, counts, sizes)
         return found.at(sizes * _LEAST_CLUSTERS <= longest)
 
-    def _pass_on(self, k: int, phase: Floats) -> None:
-        """Hand integrals (c, n) to a level, which waits for as many as numpy needs to be fast."""
-        if k == len(self._levels):
-            self._levels.append(_Level(self._channels, _FIRST_PARTS if k == 0 else _PARTS))
-        level = self._levels[k]
-        level.waiting.append(phase)
-        level.waits += phase.shape[1]
-        if level.waits >= _AT_ONCE:
-            self._process(k)
-
     def _process(self, k: int) -> None:
-        halved = self._levels[k].process()
-        if halved.shape[1]:
-            self._pass_on(k + 1, halved)
+        self._levels[k].sum()
+        halved = self._levels[k].every_second()
+        if halved.shape[1] and k + 1 == len(self._levels):
+            self._levels.append(_Level(self._channels, _PARTS))
+        while halved.shape[1]:
+            above = self._levels[k + 1]
+            part, halved = np.split(halved, [above.room], axis=1)
+            above.next(part.shape[1])[:] = part
+            if not above.room:
+                self._process(k + 1)
+        self._levels[k].keep_last()
 
 
 class _Level:
-    """Integrals at one rate: those of the last two clusters, and the sums so far."""
+    """Integrals at one rate, as many as numpy needs to be fast, and the sums so far."""
 
     def __init__(self, channels: int, parts: tuple[int, ...]) -> None:
         self.parts = parts
         self.squares = np.zeros((len(parts), channels))
         self.counts = np.zeros(len(parts), dtype=np.int64)
+        # Arrays made for each piece would cost as much as what is computed in them.
+        self._phase = np.empty((channels, 2 * parts[-1] + _AT_ONCE))
+        self._index = np.arange(self._phase.shape[1], dtype=float)
+        self._straight = np.empty(self._phase.shape[1])
         self.begin()
 
     def begin(self) -> None:
         """Begin another run."""
-        self.waiting: list[Floats] = []
-        self.waits = 0
-        self._last = np.zeros((len(self.squares[0]), 0))
-        self._odd = 0
+        self._held = self._summed = self._odd = 0
 
-    def process(self) -> Floats:
-        """Sum what waits; return every second integral of it."""
-        phase = np.concatenate([self._last, *self.waiting], axis=1)
-        before, new = self._last.shape[1], self.waits
-        self.waiting, self.waits = [], 0
-        counts = [phase.shape[1] - max(before, 2 * m) for m in self.parts]
-        first, second = np.empty((2, phase.shape[1]))
-        # Channel by channel, in memory that stays in a processor's cache.
+    @property
+    def room(self) -> int:
+        """How many integrals can be added."""
+        return self._phase.shape[1] - self._held
+
+    def next(self, count: int) -> Floats:
+        """Return where the next integrals belong, (c, count)."""
+        self._held += count
+        return self._phase[:, self._held - count : self._held]
+
+    def sum(self) -> None:
+        """Add the squares of the second differences that end after those summed before."""
+        phase, before, width = self._phase[:, : self._held], self._summed, 2 * self.parts[-1]
+        if self._held < _FEW:
+            self.squares += self._differenced(phase, before)
+        else:
+            # Among the first integrals, differences are new only in a run's first piece.
+            self.squares += self._differenced(phase[:, :width], before) + self._by_products(phase)
+        self.counts += np.maximum([self._held - max(before, 2 * m) for m in self.parts], 0)
+
+    def every_second(self) -> Floats:
+        """Return every second integral of those that were not summed before."""
+        return self._phase[:, self._summed + self._odd : self._held : 2]
+
+    def keep_last(self) -> None:
+        """Forget all but the last two clusters."""
+        self._odd = (self._odd + self._held - self._summed) % 2
+        self._summed = min(self._held, 2 * self.parts[-1])
+        self._phase[:, : self._summed] = self._phase[:, self._held - self._summed : self._held]
+        self._held = self._summed
+
+    def _differenced(self, phase: Floats, before: int) -> Floats:
+        """Return the sums of the second differences that end after the first `before` integrals."""
+        squares = np.zeros_like(self.squares)
+        for i, m in enumerate(self.parts):
+            start = max(before - 2 * m, 0)
+            if phase.shape[1] > max(before, 2 * m):
+                squares[i] = [second_differences(own[start:], m)[0] for own in phase]
+        return squares
+
+    def _by_products(self, phase: Floats) -> Floats:
+        """Return the same after those of the widest second difference, from lagged products.
+
+        Continued by zeros, an integral whose products with itself are r(lag) has second differences
+        whose squares sum to 6 r(0) - 8 r(m) + 2 r(2 m). Those that reach into the zeros, or were
+        summed, are subtracted. A product takes half the time of a difference.
+        """
+        lags, weights, reaching = _products(self.parts)
+        width, n = 2 * self.parts[-1], phase.shape[1]
+        index, straight = self._index[:n], self._straight[:n]
+        products = np.empty((len(lags), len(phase)))
+        ends = np.empty((2, width, len(phase)))
         for c, own in enumerate(phase):
-            for i, m in enumerate(self.parts):
-                if counts[i] > 0:
-                    start = max(before - 2 * m, 0)
-                    a = np.subtract(own[start + m :], own[start:-m], out=first[: counts[i] + m])
-                    b = np.subtract(a[m:], a[:-m], out=second[: counts[i]])
-                    self.squares[i, c] += b @ b
-        self.counts += np.maximum(counts, 0)
-        halved = phase[:, before + self._odd :: 2]
-        self._odd = (self._odd + new) % 2
-        self._last = phase[:, -2 * self.parts[-1] :].copy()
-        return halved
+            # A line has no second differences, but would cost the products digits.
+            np.multiply(index, (own[0] - own[-1]) / (n - 1), out=straight)
+            straight += own
+            straight -= own[0]
+            products[:, c] = [straight[lag:].dot(straight[: n - lag]) for lag in lags]
+            ends[0, :, c], ends[1, :, c] = straight[:width], straight[-width:]
+        squares = weights @ products
+        for (differences, starts), end in zip(reaching, ends, strict=True):
+            squares -= np.add.reduceat(np.square(differences @ end), starts)
+        if np.any(squares < _DIGITS * products[0]):
+            return self._differenced(phase, width)
+        return np.asarray(squares)
+
+
+@lru_cache(maxsize=2)
+def _products(parts: tuple[int, ...]) -> tuple[list[int], Floats, list[tuple[Floats, list[int]]]]:
+    """Return lags, weights (k, lags) of the products in each sum of squares, and what reaches out.
+
+    That is, of the first and of the last integrals, the matrix of the second differences that end
+    among them or begin among them and end beyond, and the first row of each cluster size.
+    """
+    lags, width = sorted({0, *parts, *(2 * m for m in parts)}), 2 * parts[-1]
+    weights = np.zeros((len(parts), len(lags)))
+    padded = np.eye(3 * width, width, -width)
+    heads, tails = [], []
+    for row, m in zip(weights, parts, strict=True):
+        row[[0, lags.index(m), lags.index(2 * m)]] = 6, -8, 2
+        second = padded[2 * m :] - 2 * padded[m:-m] + padded[: -2 * m]
+        heads.append(second[width - 2 * m : -width])
+        tails.append(second[2 * width - 2 * m :])
+    reaching = [
+        (np.concatenate(of), [0, *np.cumsum([len(each) for each in of[:-1]]).tolist()])
+        for of in (heads, tails)
+    ]
+    return lags, weights, reaching
 
 
 def fully_overlapping_sums(runs: Sequence[Floats], period: float) -> AllanSums:
