@@ -32,11 +32,10 @@ from imu_calib.common.stream import Floats, ImuBlock, Mode, Units
 from imu_calib.common.units import ARCSEC, DEG
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
-from imu_calib.model.parameters import AXES, PARAMETERS
+from imu_calib.model.parameters import AXES, PARAMETERS, engineering
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.recordings.cdr_codec import Kind
 from imu_calib.recordings.rosbag2 import open_recording
-from imu_calib.reports.tables import engineering
 from imu_calib.session.imu import ImuSpec, load_imu
 from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table

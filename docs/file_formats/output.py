@@ -247,6 +247,7 @@ _STREAMS = [
     _key('left_out', _TEXTS, 'unused data, with the reason'),
     _key('lost', _TEXTS, 'lost data'),
     _key('segments', _rows(_LISTED), 'the dwells and turns with both ends'),
+    _key('by_hand', flag(), 'whether a hand holds the unit'),
 ]
 _CLOCK = [
     _key('topic', _TEXT, 'its name'),

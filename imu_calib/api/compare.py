@@ -136,7 +136,9 @@ class Compared:
         plain = {'chance': self.agreement.chance}
         if self.std.ndim == 1:
             plain = {'difference/std': self.normalised, **plain}
-        return compared_frame(self.parameters, dict(zip(shown, columns, strict=True)), plain)
+        named = dict(zip(shown, columns, strict=True))
+        by_hand = self.side_by_side.by_hand
+        return compared_frame(self.parameters, named, plain, by_hand=by_hand)
 
     def plot(self) -> Figure:
         """Draw the differences of two over their standard deviations; return the Figure.

@@ -96,7 +96,8 @@ class Prediction:
     def to_dataframe(self) -> pandas.DataFrame:
         """Return std, the smallest that the session allows (best) and unit, by parameter."""
         found = self.forecast
-        return predicted_frame(found.parameters, found.std, found.best)
+        by_hand = found.evidence.plan.by_hand
+        return predicted_frame(found.parameters, found.std, found.best, by_hand=by_hand)
 
 
 @with_keywords(Planned)

@@ -455,7 +455,9 @@ class MonteCarloResult:
             'stated': outcome.mean_stated,
             'worst': outcome.worst,
         }
-        return compared_frame(outcome.parameters, columns, {'normalised': outcome.rms})
+        by_hand = self.setup.plan.by_hand
+        plain = {'normalised': outcome.rms}
+        return compared_frame(outcome.parameters, columns, plain, by_hand=by_hand)
 
     def plot(self) -> Figure:
         """Draw the errors over the stated standard deviations; return the matplotlib Figure."""

@@ -77,6 +77,7 @@ class StreamContents:
     lost: tuple[str, ...]  #: Lost data.
     #: The dwells and turns with both their ends, to be edited (`calibrate` takes their file).
     segments: tuple[ListedSegment, ...] = ()
+    by_hand: bool = False  #: Whether a hand holds the unit.
 
 
 def stream_contents(opened: Opened, progress: Progress) -> StreamContents:
@@ -114,6 +115,7 @@ def stream_contents(opened: Opened, progress: Progress) -> StreamContents:
         ),
         (*opened.losses, *session.losses),
         tuple(_listed(session, labelled, free=free)),
+        setup.plan.by_hand,
     )
 
 

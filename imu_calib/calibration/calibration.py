@@ -328,7 +328,8 @@ class Calibration:
         """Return value, std and unit of each parameter as a pandas.DataFrame, by its name."""
         from .views import compared_frame
 
-        return compared_frame(self.parameters, {'value': self.values, 'std': self.std}, {})
+        shown = {'value': self.values, 'std': self.std}
+        return compared_frame(self.parameters, shown, {}, by_hand=self.by_hand)
 
     @property
     def labelled(self) -> LabelledValues:
@@ -381,13 +382,15 @@ class Calibration:
 
         findings = counted(len(self.findings), 'finding')
         title = f'{self.unit_name}: {findings}'
-        return parameter_page(title, self.parameters, self.values, self.std)
+        return parameter_page(title, self.parameters, self.values, self.std, by_hand=self.by_hand)
 
     def plot(self) -> Figure:
         """Draw the parameters with bars of two standard deviations, as a matplotlib Figure."""
         from .views import draw_parameters
 
-        return draw_parameters(self.unit_name, self.parameters, self.values, self.std)
+        return draw_parameters(
+            self.unit_name, self.parameters, self.values, self.std, by_hand=self.by_hand
+        )
 
     def plot_residuals(self) -> Figure:
         """Draw the residuals of the static dwells by position; return the matplotlib Figure.

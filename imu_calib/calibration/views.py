@@ -18,8 +18,8 @@ import numpy as np
 from ..common.errors import InputError
 from ..common.files import require
 from ..common.stream import Floats, Stamps
-from ..common.units import decimals, significant, typeset
-from ..model.parameters import Parameter
+from ..common.units import decimals, significant
+from ..model.parameters import Parameter, engineering
 from ..session.imu import COEFFICIENTS, TRIAD_NAMES, ChannelNoise
 
 if TYPE_CHECKING:
@@ -46,16 +46,21 @@ _HEIGHT = 4.2  #: Height of a row of panels, and width of a panel, inches.
 
 
 def compared_frame(
-    parameters: Sequence[Parameter], shown: dict[str, Floats], plain: dict[str, Floats]
+    parameters: Sequence[Parameter],
+    shown: dict[str, Floats],
+    plain: dict[str, Floats],
+    *,
+    by_hand: bool = False,
 ) -> pandas.DataFrame:
     """Return columns (n,) by parameter: `shown`, SI, in the unit of each, `plain` without one."""
     require('pandas', 'A data frame', 'dataframe')
     import pandas as pd
 
-    scale = np.array([p.unit.scale for p in parameters])
+    unit = [engineering(p, by_hand=by_hand) for p in parameters]
+    scale = np.array([one.scale for one in unit])
     index = pd.Index([p.name for p in parameters], name='parameter')
     columns = {name: values / scale for name, values in shown.items()}
-    units = [p.unit.shown for p in parameters]
+    units = [one.unit for one in unit]
     return pd.DataFrame({**columns, **plain, 'unit': units}, index=index)
 
 
@@ -106,19 +111,26 @@ def labelled(
     )
 
 
-def parameter_page(title: str, parameters: Sequence[Parameter], values: Floats, std: Floats) -> str:
+def parameter_page(
+    title: str,
+    parameters: Sequence[Parameter],
+    values: Floats,
+    std: Floats,
+    *,
+    by_hand: bool = False,
+) -> str:
     """Return (n,) parameters, SI units, as a table of HTML in a notebook's colours, gyros first."""
     columns: dict[str, list[str]] = {letter: [] for letter in _TRIADS}
     for parameter, value, deviation in zip(parameters, values, std, strict=True):
         # A zero that is exact is a choice of axes.
         if deviation > 0 or (deviation == 0 and value):
-            unit = parameter.unit
+            unit = engineering(parameter, by_hand=by_hand)
             places = decimals(deviation / unit.scale)
             number = f'{value / unit.scale:.{places}f}'.replace('-', '\u2212')
             number += f' \u00b1 {deviation / unit.scale:.{places}f}' if deviation else ''
             columns[parameter.triad].append(
                 f'<th>{parameter.name}</th><td>{number}</td>'
-                f'<td style="text-align:left">{escape(typeset(unit.shown))}</td>'
+                f'<td style="text-align:left">{escape(unit.symbol)}</td>'
             )
     empty = '<th></th><td></td><td></td>'
     rows = [''.join(row) for row in zip_longest(*columns.values(), fillvalue=empty)]
@@ -130,16 +142,23 @@ def parameter_page(title: str, parameters: Sequence[Parameter], values: Floats, 
     )
 
 
-def predicted_frame(parameters: Sequence[Parameter], std: Floats, best: Floats) -> pandas.DataFrame:
+def predicted_frame(
+    parameters: Sequence[Parameter], std: Floats, best: Floats, *, by_hand: bool
+) -> pandas.DataFrame:
     """Return predicted standard deviations, and the least possible ones, by parameter."""
-    return compared_frame(parameters, {'std': std, 'best': best}, {})
+    return compared_frame(parameters, {'std': std, 'best': best}, {}, by_hand=by_hand)
 
 
 def draw_parameters(
-    unit_name: str, parameters: tuple[Parameter, ...], values: Floats, std: Floats
+    unit_name: str,
+    parameters: tuple[Parameter, ...],
+    values: Floats,
+    std: Floats,
+    *,
+    by_hand: bool = False,
 ) -> Figure:
     """Draw parameters, (n,) in SI, with bars of two standard deviations, grouped by unit."""
-    groups = _groups(parameters)
+    groups = _groups(parameters, by_hand=by_hand)
     columns = max(sum(triad == letter for triad, _ in groups) for letter in _TRIADS)
     figure = empty_figure(3.2 * columns, 6.0)
     places = dict.fromkeys(_TRIADS, 0)
@@ -147,7 +166,7 @@ def draw_parameters(
         places[letter] += 1
         row = list(_TRIADS).index(letter)
         axes = figure.add_subplot(2, columns, row * columns + places[letter])
-        scale = parameters[members[0]].unit.scale
+        scale = engineering(parameters[members[0]], by_hand=by_hand).scale
         shown, bars = values[members] / scale, _BAR * std[members] / scale
         axes.axhline(0.0, color='0.7', linewidth=0.8)
         axes.errorbar(range(len(members)), shown, yerr=bars, fmt='o', markersize=4, capsize=3)
@@ -292,9 +311,12 @@ def _name(axes: Axes, names: Sequence[str], first: int = 0) -> None:
     axes.set_xticks(range(first, first + len(names), step), names[::step], rotation=90)
 
 
-def _groups(parameters: tuple[Parameter, ...]) -> dict[tuple[str, str], list[int]]:
+def _groups(
+    parameters: tuple[Parameter, ...], *, by_hand: bool
+) -> dict[tuple[str, str], list[int]]:
     """Return the indices of the parameters of each triad with a common unit."""
     found: dict[tuple[str, str], list[int]] = {}
     for k, parameter in enumerate(parameters):
-        found.setdefault((parameter.triad, parameter.unit.shown), []).append(k)
+        unit = engineering(parameter, by_hand=by_hand).unit
+        found.setdefault((parameter.triad, unit), []).append(k)
     return found

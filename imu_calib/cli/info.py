@@ -148,12 +148,14 @@ def _dwells(contents: StreamContents) -> Rows:
 
 def _outputs(contents: StreamContents) -> Rows:
     """List the mean outputs of every dwell."""
-    rows = plain_table(('dwell', 'fx, g', 'fy, g', 'fz, g', 'wx', 'wy', 'wz, deg/h'), 'r' * 7)
+    unit, scale, places = ('deg/s', DEG, 5) if contents.by_hand else ('deg/h', DEG_H, 2)
+    headings = ('dwell', 'fx, g', 'fy, g', 'fz, g', 'wx', 'wy', f'wz, {unit}')
+    rows = plain_table(headings, 'r' * 7)
     for k, dwell in enumerate(contents.dwells):
         rows.add_row(
             str(k + 1),
             *(f'{v / STANDARD_GRAVITY:.4f}' for v in dwell.mean[3:]),
-            *(f'{v / DEG_H:.2f}' for v in dwell.mean[:3]),
+            *(f'{v / scale:.{places}f}' for v in dwell.mean[:3]),
         )
     return rows
 

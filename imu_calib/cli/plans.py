@@ -25,8 +25,8 @@ from ..common.files import share_folder
 from ..common.finding import by_effect
 from ..common.stream import Mode
 from ..common.units import DEG, PPM, decimals
+from ..model.parameters import engineering
 from ..reports.plain_table import plain_table
-from ..reports.tables import engineering
 from ..session.keywords import AtSite, Solved
 from ..session.plan import METHOD_NAMES, Plan, Position, Step, load_plan
 from ..session.table import Table, load_table

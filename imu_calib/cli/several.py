@@ -21,8 +21,8 @@ from ..common.units import significant
 from ..live.devices.format import load_format
 from ..live.devices.simulated import SCHEME
 from ..live.devices.source import check_port
+from ..model.parameters import engineering
 from ..reports.plain_table import plain_table
-from ..reports.tables import engineering
 from ..session.imu import load_imu
 from ..session.plan import load_plan
 from ..session.units_file import PULSES, TRUTHS, MountedUnit, load_units, remaining

@@ -26,8 +26,8 @@ from ..calibration.views import empty_figure
 from ..common.errors import InputError
 from ..common.files import write_by
 from ..common.units import decimals
+from ..model.parameters import engineering
 from ..reports.plain_table import plain_table
-from ..reports.tables import engineering
 from ..session.keywords import AtSite, Numbered, Solved
 from ..session.plan import METHOD_NAMES
 from ..session.units_file import TRUTHS

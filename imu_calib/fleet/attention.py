@@ -12,10 +12,10 @@ import numpy as np
 
 from ..common.stream import Floats
 from ..common.units import decimals, typeset
-from ..model.parameters import PARAMETERS
+from ..model.parameters import PARAMETERS, engineering
 from ..reports.charts import drawing, tag
 from ..reports.html import bullets, paragraph, table
-from ..reports.tables import engineering, fixed
+from ..reports.tables import fixed
 from ..session.imu import COVERAGE
 from .page_contents import PLACE_OF, Flag, Fleet, Unit, count, day
 from .results import Outlier, Population, Signal, UnitHistory

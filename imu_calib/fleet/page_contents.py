@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from ..common.stream import Floats
 from ..common.units import decimals, typeset
-from ..model.parameters import PARAMETERS
-from ..reports.tables import engineering
+from ..model.parameters import PARAMETERS, engineering
 from ..session.imu import Verdict
 from . import results
 from .results import Dates, Flags, History, UnitHistory

@@ -8,9 +8,8 @@ import numpy as np
 from rich.table import Table
 
 from ..common.units import decimals
-from ..model.parameters import PARAMETER_NAMES, PARAMETERS
+from ..model.parameters import PARAMETER_NAMES, PARAMETERS, engineering
 from ..reports.plain_table import plain_table
-from ..reports.tables import engineering
 from .results import Cause, Chart, Population, Rules, Signal, StandShift, Step, UnitHistory, day
 
 _BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}

@@ -10,7 +10,16 @@ from functools import cached_property
 import numpy as np
 
 from ..common.stream import Floats
-from ..common.units import ARCMIN, DEG, DEG_H, MICRO_G, PPM, STANDARD_GRAVITY, Dimension
+from ..common.units import (
+    ARCMIN,
+    DEG,
+    DEG_H,
+    MICRO_G,
+    PPM,
+    STANDARD_GRAVITY,
+    Dimension,
+    typeset,
+)
 
 
 class Carried(Enum):
@@ -378,3 +387,33 @@ def indices_of(wanted: Sequence[Parameter], among: Sequence[Parameter]) -> list[
     """Return the indices of parameters in a longer list."""
     places = {parameter: k for k, parameter in enumerate(among)}
     return [places[parameter] for parameter in wanted]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """Display of a parameter: its unit as text, and the unit's SI value."""
+
+    unit: str
+    scale: float
+
+    @property
+    def symbol(self) -> str:
+        """The unit on a page."""
+        return typeset(self.unit)
+
+
+_BY_HAND = {
+    (ParameterKind.SCALE_FACTOR_ERROR, 'g'): Shown('%', 0.01),
+    (ParameterKind.SCALE_FACTOR_ERROR, 'a'): Shown('%', 0.01),
+    (ParameterKind.MISALIGNMENT, 'g'): Shown('deg', DEG),
+    (ParameterKind.MISALIGNMENT, 'a'): Shown('deg', DEG),
+    (ParameterKind.BIAS, 'g'): Shown('deg/s', DEG),
+    (ParameterKind.BIAS, 'a'): Shown('mg', 1e3 * MICRO_G),
+}
+"""Units of the grade of the units that are calibrated in the hand."""
+
+
+def engineering(parameter: Parameter, *, by_hand: bool = False) -> Shown:
+    """Return the unit that engineers use for a parameter, on a table or of a unit in the hand."""
+    own = Shown(parameter.unit.shown, parameter.unit.scale)
+    return _BY_HAND.get((parameter.kind, parameter.triad), own) if by_hand else own

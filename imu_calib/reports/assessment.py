@@ -11,7 +11,7 @@ import numpy as np
 
 from ..calibration.calibration import Calibration
 from ..common.units import decimals
-from ..model.parameters import Parameter, ParameterKind
+from ..model.parameters import Parameter, ParameterKind, engineering
 from ..model.terms import TERMS
 from ..session.imu import (
     COVERAGE,
@@ -21,7 +21,7 @@ from ..session.imu import (
 )
 from .charts import drawing, joined, segment, tag
 from .html import table
-from .tables import angle_unit, engineering, fixed
+from .tables import angle_unit, fixed
 
 LIMITS = (
     'Pass and fail are given where the value and its error bar of two standard deviations lie '

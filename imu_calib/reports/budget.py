@@ -15,11 +15,10 @@ from ..calibration.calibration import Calibration
 from ..common.budget import PROBABILITY, Budget, ErrorSource
 from ..common.stream import Floats
 from ..common.units import decimals, typeset
-from ..model.parameters import Parameter
+from ..model.parameters import Parameter, engineering
 from .charts import drawing, label, tag
 from .html import paragraph, table
 from .plain_table import plain_table
-from .tables import engineering
 
 _LEAST = 0.005
 """A source below half a percent of every variance has no column: it would be shown as zero."""

@@ -23,14 +23,14 @@ from ..common.errors import InputError
 from ..common.files import version
 from ..common.stream import Units
 from ..common.units import ARCSEC, counted, decimals
-from ..model.parameters import Parameter
+from ..model.parameters import Parameter, engineering
 from ..session.imu import Specification
 from . import provenance
 from .budget import budget_parts, freedom_words
 from .certificate_fields import Conformity, Equipment, Fields, decide, missing
 from .charts import tag
 from .html import bullets, document, named_rows, paragraph, section, sheet, table
-from .tables import engineering, fixed
+from .tables import fixed
 
 OUTPUT = {
     Units.PULSES: 'pulse',

@@ -10,7 +10,8 @@ from html import escape
 import numpy as np
 
 from ..common.stream import Floats
-from .tables import Shown, fixed
+from ..model.parameters import Shown
+from .tables import fixed
 
 COLOURS = ('#0072b2', '#d55e00', '#00805c')
 """Of X, Y, Z: colours of Okabe and Ito, distinct for colour-blind readers; the green is

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from ..model.parameters import Parameter
+from ..model.parameters import Parameter, engineering
 from ..session.imu import Specification, Verdict, judge
-from .tables import engineering, three_digits
+from .tables import three_digits
 
 _MOST_POINTS = 120
 """Most points of a course: more than a drawing of 120 px can show."""

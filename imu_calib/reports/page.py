@@ -13,6 +13,7 @@ from ..calibration.results import Result
 from ..calibration.thermal import ThermalCalibration, temperature_range
 from ..common.stream import Floats
 from ..common.units import DEG_H, MICRO_G, decimals, typeset
+from ..model.parameters import engineering
 from ..session.imu import ImuSpec
 from . import course, provenance, repeatability
 from .assessment import (
@@ -37,7 +38,6 @@ from .tables import (
     TERM_NOTE,
     change_note,
     change_rows,
-    engineering,
     fixed,
     term_rows,
     three_digits,

@@ -19,11 +19,11 @@ from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import decimals
-from ..model.parameters import Parameter
+from ..model.parameters import Parameter, Shown, engineering
 from .charts import panels, small, tag
 from .html import named_rows, paragraph, table
 from .provenance import recorded
-from .tables import Shown, engineering, fixed
+from .tables import fixed
 
 _SURPRISING = 0.001
 """Probability of chance below which the scatter of sessions is significant."""

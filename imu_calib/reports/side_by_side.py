@@ -14,10 +14,10 @@ from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import ARCSEC, DEG, decimals
 from ..estimation.common_unknowns import TableEstimate
-from ..model.parameters import AXES, Parameter, ParameterKind
+from ..model.parameters import AXES, Parameter, ParameterKind, engineering
 from ..model.sensors import OF_MOTION
 from .plain_table import plain_table
-from .tables import engineering, section_of
+from .tables import section_of
 
 _COARSE = 60 * ARCSEC
 """Standard deviation from which an angle is shown in degrees."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,45 +10,15 @@ from rich.table import Table
 
 from ..calibration.calibration import Calibration
 from ..common.stream import at
-from ..common.units import DEG, MICRO_G, decimals, significant, typeset
+from ..common.units import DEG, decimals, significant
 from ..model.alignment import SCALE, SHOWN
-from ..model.parameters import AXES, Parameter, ParameterKind
+from ..model.parameters import AXES, Parameter, Shown, engineering
 from ..model.sensors import by_name
 from ..model.session_terms import Change, largest
 from ..model.terms import TERMS, coefficients_of
 from .plain_table import plain_table
 
 _OF_TERMS = {term.kind for term in TERMS}
-
-
-@dataclass(frozen=True)
-class Shown:
-    """Display of a parameter: its unit as text, and the unit's SI value."""
-
-    unit: str
-    scale: float
-
-    @property
-    def symbol(self) -> str:
-        """The unit on a page."""
-        return typeset(self.unit)
-
-
-_BY_HAND = {
-    (ParameterKind.SCALE_FACTOR_ERROR, 'g'): Shown('%', 0.01),
-    (ParameterKind.SCALE_FACTOR_ERROR, 'a'): Shown('%', 0.01),
-    (ParameterKind.MISALIGNMENT, 'g'): Shown('deg', DEG),
-    (ParameterKind.MISALIGNMENT, 'a'): Shown('deg', DEG),
-    (ParameterKind.BIAS, 'g'): Shown('deg/s', DEG),
-    (ParameterKind.BIAS, 'a'): Shown('mg', 1e3 * MICRO_G),
-}
-"""Units of the grade of the units that are calibrated in the hand."""
-
-
-def engineering(parameter: Parameter, *, by_hand: bool = False) -> Shown:
-    """Return the unit that engineers use for a parameter, on a table or of a unit in the hand."""
-    own = Shown(parameter.unit.shown, parameter.unit.scale)
-    return _BY_HAND.get((parameter.kind, parameter.triad), own) if by_hand else own
 
 
 def fixed(value: float, places: int) -> str:

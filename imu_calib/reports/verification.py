@@ -11,8 +11,8 @@ from rich.table import Table
 from ..calibration.diagnosis import ShiftedParameter
 from ..calibration.verify import ComparedQuantity, Quantity, Verdict, Verification
 from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G, decimals
+from ..model.parameters import Shown, engineering
 from .plain_table import plain_table
-from .tables import Shown, engineering
 
 _SHOWN = {
     Quantity.GRAVITY: Shown('ug', MICRO_G),
@@ -22,6 +22,12 @@ _SHOWN = {
     Quantity.TURN: Shown('arcsec', ARCSEC),
     Quantity.TURN_AXIS: Shown('arcsec', ARCSEC),
 }
+_BY_HAND = {
+    'ug': Shown('mg', 1e3 * MICRO_G),
+    'deg/h': Shown('deg/s', DEG),
+    'arcsec': Shown('deg', DEG),
+}
+"""By those of a table, the units of the grade of the units that are calibrated in the hand."""
 _AT_REST = (Quantity.GRAVITY, Quantity.DIRECTION, Quantity.EARTH_RATE, Quantity.UP_RATE)
 _IN_TURNS = (Quantity.TURN, Quantity.TURN_AXIS)
 
@@ -78,11 +84,15 @@ def _verification_table(
     mine = [one for row in rows for one in row]
     present = [q for q in quantities if any(c.quantity is q for c in mine)]
     turns = quantities is _IN_TURNS
+    units = {q: _shown(q, by_hand=verification.by_hand) for q in present}
     headings = ['position', 'rate, deg/s' if turns else 'at, s']
     for quantity in present:
-        headings += [f'{quantity.value}, {_SHOWN[quantity].unit}', 'std']
+        headings += [f'{quantity.value}, {units[quantity].unit}', 'std']
     table = plain_table([*headings, 'worst/std', ''], f'l{"r" * len(headings)}l')
-    places = {q: _verification_places([c for c in mine if c.quantity is q]) for q in present}
+    places = {
+        q: _verification_places([c for c in mine if c.quantity is q], units[q].scale)
+        for q in present
+    }
     for row in rows:
         first = row[0]
         cells = [first.name, f'{first.rate / DEG:+.4g}' if turns else f'{first.at:.1f}']
@@ -91,7 +101,7 @@ def _verification_table(
             if one is None:
                 cells += ['', '']
                 continue
-            scale, digits = _SHOWN[quantity].scale, places[quantity]
+            scale, digits = units[quantity].scale, places[quantity]
             sign = '' if quantity in {Quantity.DIRECTION, Quantity.TURN_AXIS} else '+'
             cells += [f'{one.deviation / scale:{sign}.{digits}f}', f'{one.std / scale:.{digits}f}']
         worst = _worst(row)
@@ -116,6 +126,10 @@ def _worst(row: Sequence[ComparedQuantity]) -> float:
     return max(abs(c.ratio) for c in row)
 
 
-def _verification_places(compared: Sequence[ComparedQuantity]) -> int:
-    scale = _SHOWN[compared[0].quantity].scale
+def _shown(quantity: Quantity, *, by_hand: bool) -> Shown:
+    own = _SHOWN[quantity]
+    return _BY_HAND[own.unit] if by_hand else own
+
+
+def _verification_places(compared: Sequence[ComparedQuantity], scale: float) -> int:
     return decimals(float(np.median([c.std for c in compared])) / scale)

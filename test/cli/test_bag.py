@@ -241,6 +241,29 @@ def test_info_tells_times_from_the_start_and_attitudes_in_the_hand(bag: str) -> 
     assert looked.streams.contradictions == ()
 
 
+def test_all_commands_speak_of_a_unit_in_the_hand_in_the_same_units(
+    made: str, bag: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['info', bag, '--latitude', str(LATITUDE)]) == 0
+    assert 'wz, deg/s' in capsys.readouterr().out
+    main(['verify', bag, '--calibration', made, '--latitude', str(LATITUDE)])
+    words = ' '.join(capsys.readouterr().out.split())
+    assert '|f| - g, mg std' in words
+    assert 'deg/h' not in words and ' ug ' not in words
+    found = Calibration.load(made)
+    frame, shown = found.to_dataframe(), found._repr_html_()
+    units = {'K_gx': ('%', 1e-2), 'E_azx': ('deg', DEG), 'D_gy': ('deg/s', DEG)}
+    units['D_az'] = 'mg', 1e-3 * STANDARD_GRAVITY
+    for k, parameter in enumerate(found.parameters):
+        if parameter.name in units:
+            unit, scale = units[parameter.name]
+            assert frame['unit'][parameter.name] == unit
+            assert frame['value'][parameter.name] == pytest.approx(found.values[k] / scale)
+    assert 'ppm' not in shown and '>%<' in shown
+    compared = imu_calib.compare(found, found).to_dataframe()
+    assert compared['unit'].equals(frame['unit'][compared.index])
+
+
 def test_all_that_a_recording_does_not_state_is_asked_for_at_once(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -147,14 +147,14 @@ def test_a_length_of_rates_that_noise_hides_is_not_shown(tmp_path: Path, tremble
     hidden = [c for c in found.compared if not c.is_meaningful]
     table = next(worst_of(found)).table
     heads = [str(column.header) for column in table.columns]
-    assert 'w up - Earth, deg/h' in heads
+    assert 'w up - Earth, deg/s' in heads
     # A third of what is compared at rest; what a hold by chance resolves stays.
     lengths = sum(c.quantity is Quantity.EARTH_RATE for c in found.compared)
     assert len(hidden) > 0.8 * lengths if tremble else not hidden
     cells = [
         str(cell)
         for column in table.columns
-        if column.header == '|w| - Earth, deg/h'
+        if column.header == '|w| - Earth, deg/s'
         for cell in column.cells
     ]
     assert sum(map(bool, cells)) == lengths - len(hidden)

@@ -15,9 +15,8 @@ from ...common.finding import is_warning, without_label
 from ...common.stream import NS
 from ...common.units import significant
 from ...estimation.setup import Setup
-from ...model.parameters import Parameter
+from ...model.parameters import Parameter, engineering
 from ...recordings.cdr_codec import Kind
-from ...reports.tables import engineering
 from .. import middleware as ros
 from ..middleware import messages
 from ..rules import Severity
