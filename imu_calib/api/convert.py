@@ -91,8 +91,10 @@ def from_text(
     """
     sentences: list[str] = []
     text, stamps = _in_time(text, stamp, rate, sentences)
+    forces_at = stamps
     if accel_text is not None:
         accel_text, forces_at = _in_time(accel_text, accel_stamp or stamp, None, sentences)
+    stamps, forces_at = _from_zero(stamps, forces_at, sentences)
     rates, gyro_unit = _columns(text, gyro, '`gyro`', _GYRO, 3)
     forces, accel_unit = _columns(accel_text or text, accel, '`accel`', _ACCEL, 3)
     numbers = _units_of(gyro_unit, accel_unit)
@@ -181,6 +183,18 @@ def _in_time(
             text, stamps = replace(text, values=text.values[places]), stamps[places]
         _refuse_what_is_no_time(stamps[np.isfinite(stamps)], f'{text.path}: `stamp` {stamp}')
     return text, stamps
+
+
+def _from_zero(stamps: Floats, others: Floats, sentences: list[str]) -> tuple[Floats, Floats]:
+    """Return times, ns, later by the earliest one if it is negative: log times cannot be."""
+    earliest = min(float(np.nanmin(times, initial=0.0)) for times in (stamps, others))
+    if earliest == 0:
+        return stamps, others
+    sentences.append(
+        f'The time begins at {earliest * 1e-9:.6g} s, and recordings hold none before 0: all times '
+        f'are shifted by {-earliest * 1e-9:.6g} s.'
+    )
+    return stamps - earliest, others - earliest
 
 
 def _sensor_rows(

@@ -14,6 +14,7 @@ import numpy as np
 from ..common.config import Section
 from ..common.errors import InputError, NotObservable, NotStated
 from ..common.files import other_encoding
+from ..common.finding import warning
 from ..common.stream import ImuBlock, Units
 from ..common.units import PPM
 from ..recordings.cdr_codec import Kind
@@ -268,7 +269,7 @@ def contradiction(recording: Recording, topic: str) -> str:
 
 
 def clock_findings(recording: Recording, streams: Streams, units: Units) -> list[str]:
-    """Return a sentence on the clock by which a calibration counts seconds, if it is off.
+    """Return a warning of the clock by which a calibration counts seconds, if it is off.
 
     Args:
         recording: Read.
@@ -277,7 +278,8 @@ def clock_findings(recording: Recording, streams: Streams, units: Units) -> list
     """
     topic = streams.imu if streams.joints is None else streams.joints
     # docs/mathematics.md, 'Uncertainty budget': pulses per angle do not depend on a clock.
-    return _differing(recording, topic, 'every K_a' if units.per_interval else 'every K_g')
+    found = _differing(recording, topic, 'every K_a' if units.per_interval else 'every K_g')
+    return [warning(sentence) for sentence in found]
 
 
 def sample_findings(recording: Recording, topic: str, units: Units) -> list[str]:

@@ -62,6 +62,9 @@ def with_facts(session: Segmented) -> Iterator[None]:
         facts = session.facts.sentence
         if without := _without_gravity(session):
             raise Contradiction(without, facts) from None
+        if session.facts.unusual:
+            # With the cause, as what explains it.
+            raise error.followed_by(facts) from None
         raise error.among(after=(facts,)) from None
 
 

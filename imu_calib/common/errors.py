@@ -39,6 +39,12 @@ class ImuCalibError(Exception):
         found.args = (*before, *self.args, *after)
         return found
 
+    def followed_by(self: _Error, sentence: str) -> _Error:
+        """Return the error with another sentence on its cause."""
+        found = copy(self)
+        found.args = (f'{self.cause} {sentence}', *self.args[1:])
+        return found
+
 
 class InputError(ImuCalibError):
     """Wrong usage or unreadable input: file, key, topic, what was found, what was expected.

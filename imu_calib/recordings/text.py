@@ -118,7 +118,8 @@ def _table(path: AnyPath, written: Sequence[str], delimiter: str | None) -> Text
         raise _no_table(path, 'holds no lines, expected a table of numbers.')
     if delimiter is not None and len(delimiter) != 1:
         raise InputError(f'`delimiter`: found {delimiter!r}, expected one character.')
-    labels, lines = _without_labels(lines)
+    whole = lines
+    labels, lines = _without_labels(whole)
     sample = lines[len(lines) // 2]
     between = _delimiter(sample) if delimiter is None else delimiter
     count = _usual_count(lines, between)
@@ -134,7 +135,7 @@ def _table(path: AnyPath, written: Sequence[str], delimiter: str | None) -> Text
         names = labels
     elif names:
         above -= 1
-    elif comment := _heading(written[: written.index(lines[first])], between):
+    elif comment := _heading(written[: written.index(whole[first])], between):
         # Text behind a # is a heading only if it has a distinct name for each column.
         names = comment if len(comment) == len(set(comment)) == count else []
     if len(set(names)) < len(names):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..common.errors import InputError, NotObservable
 from ..common.gaussian import MAD_TO_STD
 from ..common.stream import Block, Floats, ImuBlock, Stamps, TemperatureBlock, at
-from ..common.units import DEG, STANDARD_GRAVITY, counted
+from ..common.units import DEG, LARGEST, STANDARD_GRAVITY, counted
 from ..session.imu import ImuSpec
 from .allan import AllanAccumulator, AllanSums, fully_overlapping_sums
 from .course import Temperature, Thermometer
@@ -265,13 +265,15 @@ class StillSoFar:
     def add(self, block: ImuBlock) -> bool:
         """Add samples; return whether the unit may still lie still."""
         values = np.concatenate([block.gyro, block.accel], axis=1)[: len(block)] * self._imu.scale
-        steps = np.diff(block.stamp)
+        sound = (np.abs(values) <= LARGEST).all(axis=1)
+        values, stamp = values[sound], block.stamp[sound]
+        steps = np.diff(stamp)
         steps = steps[steps > 0]
         if not len(steps):
             return True
         if self._first is None:
-            self._first = int(block.stamp[0])
-        self._last = int(block.stamp[-1])
+            self._first = int(stamp[0])
+        self._last = int(stamp[-1])
         period = float(np.median(steps)) * 1e-9
         if self._imu.units.per_interval:
             values = values / period

@@ -124,17 +124,21 @@ class StreamFacts:
             return ''
         seconds = (self._last - self._first) * 1e-9
         rate = f', {(self.samples - 1) / seconds:.4g} Hz' if seconds > 0 else ''
-        facts = [
-            f'The stream: {counted(self.samples, "sample")} in {seconds:.4g} s{rate}',
-            f'{self._missing:.0%} are missing' if self._missing >= _SHOWN else '',
+        received = f'The stream: {counted(self.samples, "sample")} in {seconds:.4g} s{rate}'
+        return '; '.join([received, *(self.unusual or ['none missing, in order'])]) + '.'
+
+    @property
+    def unusual(self) -> list[str]:
+        """What is unusual, by its share of the samples."""
+        missing = self._missing
+        return [
+            *([f'{missing:.0%} are missing'] if missing >= _SHOWN else []),
             *(
                 f'{count / self.samples:.0%} {what}'
                 for count, what in self._counts()
-                if count >= _SHOWN * self.samples
+                if count >= max(_SHOWN * self.samples, 1)
             ),
         ]
-        usual = ['none missing, in order'] if len([f for f in facts if f]) == 1 else []
-        return '; '.join([*(fact for fact in facts if fact), *usual]) + '.'
 
     @property
     def _missing(self) -> float:

@@ -95,6 +95,20 @@ def test_tables_are_read_as_people_write_them(text: str, tmp_path: Path) -> None
     assert columns.units['angular_velocity.x'] == 'rad/s'
 
 
+def test_labels_before_several_numbers_are_no_names_of_columns(tmp_path: Path) -> None:
+    path = write(tmp_path / 'log.csv', 'T: 1.5 G: 90 0 0 A: 0 0 1\nT: 1.6 G: 90 0 0 A: 0 0 1\n')
+    columns = converted(path, stamp='1:s', gyro='2,3,4:deg/s', accel='5,6,7:g')
+    assert columns['angular_velocity.x'] == pytest.approx([np.pi / 2] * 2)
+    assert columns['linear_acceleration.z'] == pytest.approx([9.80665] * 2)
+
+
+def test_a_time_before_a_trigger_is_shifted_to_begin_at_0(tmp_path: Path) -> None:
+    path = write(tmp_path / 'log.csv', ROW + '-0.1,90,0,0,0,0,1\n0.0,90,0,0,0,0,1\n')
+    done = imu_calib.convert(path, tmp_path / 'bag', **WORDS)  # type: ignore[arg-type]
+    assert imu_calib.read(done.path, '/imu/data_raw').stamp.tolist() == [0, 100_000_000]
+    assert any('begins at -0.1 s' in text for text in done.findings)
+
+
 def test_a_heading_in_the_code_page_of_windows_is_read(tmp_path: Path) -> None:
     text = ROW.replace('wx', 'wx (°/s)') + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n'
     (tmp_path / 'log.csv').write_bytes(text.encode('cp1252'))

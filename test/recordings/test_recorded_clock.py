@@ -13,6 +13,7 @@ from imu_calib.api.simulate import simulate
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
+from imu_calib.common.finding import is_warning, without_label
 from imu_calib.common.stream import ImuBlock, Stamps
 from imu_calib.common.units import PPM
 from imu_calib.model.sensors import SensorModel
@@ -117,6 +118,8 @@ def test_stamps_that_run_fast_are_said_with_what_contains_them(
     found = calibrate(fast).calibration
     (said,) = [finding for finding in found.findings if 'log times' in finding]
     assert '1.5 % (15000 +- 1 ppm) too fast' in said
+    # 300 standard deviations: no note among others.
+    assert is_warning(said)
     assert 'every K_g contains this difference' in said
     # Angles are rates by durations, and these are those of the stamps.
     contained = (1 + found.values[:3]) / (1 + sound.values[:3]) - 1
@@ -153,9 +156,9 @@ def test_compensation_says_what_calibration_says(
     assert said in first
     (same,) = [finding for finding in told if said in finding]
     # What it means is another thing for a calibration and for samples.
-    assert (
-        first.replace('what is integrated over the stamps contains', 'every K_g contains') == same
-    )
+    assert first.replace(
+        'what is integrated over the stamps contains', 'every K_g contains'
+    ) == without_label(same)
 
 
 @pytest.mark.parametrize(

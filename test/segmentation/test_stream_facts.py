@@ -87,12 +87,25 @@ def test_a_refusal_ends_with_the_facts(hand: Session, tmp_path: Path) -> None:
     stamp, gyro, accel = hand
     kept = np.random.default_rng(2).random(len(stamp)) > 0.4
     path = bag(tmp_path / 'lossy', stamp[kept], gyro[kept], accel[kept])
-    with pytest.raises((NotObservable, InputError), match=r'The stream: \d+ samples in 14\d'):
+    with pytest.raises((NotObservable, InputError), match=r'The stream: \d+ samples in 14\d') as no:
         imu_calib.calibrate(path, latitude=LATITUDE, imu='si', plan='twelve_position')
+    # With the cause, which people see without asking for more.
+    assert '40% are missing' in no.value.cause
     banded = np.where(np.abs(gyro) < 2 * DEG, 0.0, gyro)
     path = bag(tmp_path / 'banded', stamp, banded, accel)
-    with pytest.raises((NotObservable, InputError), match='% have gyros of exactly 0'):
+    with pytest.raises((NotObservable, InputError), match='% have gyros of exactly 0') as no:
         imu_calib.calibrate(path, latitude=LATITUDE)
+    assert '% have gyros of exactly 0' in no.value.cause
+
+
+def test_infinite_samples_are_left_out_without_a_word_of_numpy(
+    hand: Session, tmp_path: Path
+) -> None:
+    stamp, gyro, accel = hand
+    gyro, accel = gyro.copy(), accel.copy()
+    gyro[::500, 2], accel[7::500, 1] = np.inf, -np.inf
+    found = imu_calib.calibrate(bag(tmp_path / 'bag', stamp, gyro, accel), latitude=LATITUDE)
+    assert any('not numbers (NaN or infinite)' in text for text in found.calibration.findings)
 
 
 def test_samples_out_of_order_give_what_they_give_in_order(hand: Session, tmp_path: Path) -> None:
