@@ -116,7 +116,7 @@ def _least(names: str, most: int) -> Schema:
 
 def _algorithm() -> list[Schema]:
     """Return which parameters each kind of checksum takes."""
-    names = [key.name for key in _ALGORITHM[1:]]
+    names = [key.name for key in _ALGORITHM[1:] if key.name != 'byte_order']
     known = [
         when(
             has('kind', 'sum'),

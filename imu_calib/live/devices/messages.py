@@ -126,6 +126,9 @@ class AlgorithmKeys:
     )
     refout: bool = key('of `crc`: the result is reflected', Section.flag, default=False)
     xorout: int = key('of `crc`: final XOR value', Section.whole, least=0, default=0)
+    byte_order: str = key(
+        'of the checksum', Section.choice, ONE_ORDER, otherwise='`byte_order` of the frame'
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,9 +136,6 @@ class CheckKeys(AlgorithmKeys):
     """Keys of the checksum of a frame."""
 
     offset: int = key('of its first byte', Section.whole, least=0, most=LONGEST - 1)
-    byte_order: str = key(
-        'of the checksum', Section.choice, ONE_ORDER, otherwise='`byte_order` of the frame'
-    )
     covers: list[int] = key(
         'first and last byte covered',
         whole_list,
@@ -159,9 +159,6 @@ class MessageCheckKeys(AlgorithmKeys):
         least=-LONGEST,
         most=-1,
         otherwise='its own length: it comes last',
-    )
-    byte_order: str = key(
-        'of the checksum', Section.choice, ONE_ORDER, otherwise='`byte_order` of the frame'
     )
     covers: list[int] = key(
         'first byte, and the last counted back from the end',
