@@ -93,7 +93,6 @@ _REPEATS = pytest.StashKey[int]()
 _WAITING = (
     'test_stand.py',
     'test_turntable_node.py',
-    'test_stand_strangers.py',
     'test_web_page.py',
     'test_ros_stand.py',
     'test_ros_launched.py',
