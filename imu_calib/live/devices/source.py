@@ -58,7 +58,7 @@ class _Socket:
     """Bytes of one read."""
 
     def __init__(self, host: str, port: int) -> None:
-        self._socket = socket.socket(_family(host), self.KIND)
+        self._socket = socket.socket(socket.AF_INET6 if ':' in host else socket.AF_INET, self.KIND)
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self.BUFFER)
             self._open(host, port)
@@ -180,10 +180,6 @@ class File:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-
-def _family(host: str) -> socket.AddressFamily:
-    return socket.AF_INET6 if ':' in host else socket.AF_INET
 
 
 DEFAULT = 115200

@@ -75,11 +75,6 @@ def two_publishers(topic: str) -> str:
     return f'Two publishers on {topic}: stop one of them.'
 
 
-def own_topic() -> QoSProfile:
-    """Return the profile for detecting other publishers on a node's own topics."""
-    return QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-
-
 def observer_profile(depth: int) -> QoSProfile:
     """Return the profile of an observer: publishers do not wait for it, it may miss messages."""
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -190,7 +185,7 @@ class OwnTopics:
         self._sent: deque[bytes] = deque(maxlen=_KEPT)
         for name, kind in own.items():
             receive = partial(self._receive, name)
-            node.create_subscription(kind, name, receive, own_topic(), raw=True)
+            node.create_subscription(kind, name, receive, observer_profile(100), raw=True)
         self._watched = {
             name: OnePublisher(node, node.resolve_topic_name(name)) for name in (*others, *own)
         }

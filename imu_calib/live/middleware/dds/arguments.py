@@ -129,7 +129,7 @@ def parse(args: Sequence[str]) -> Arguments:
         elif kind == 'file':
             parameters += _file(Path(text))
         elif kind == 'remap':
-            remaps.append(_remap(text))
+            remaps.append(Remap(*_assignment(text, '-r')))
         elif kind == 'level':
             logger, _, level = text.rpartition(':=')
             levels.append((logger, level))
@@ -177,10 +177,6 @@ def _parameter(text: str) -> tuple[str, str, Any]:
         return node or '/**', name, load(value)
     except yaml.YAMLError as error:
         raise InputError(f'--ros-args: -p {text!r} is not YAML: {error}') from error
-
-
-def _remap(text: str) -> Remap:
-    return Remap(*_assignment(text, '-r'))
 
 
 def _file(path: Path) -> list[tuple[str, str, Any]]:
