@@ -1,4 +1,4 @@
-"""What ruff does not know of this package: circles of imports, options, docstrings, constants.
+"""What ruff does not know of this package: circles of imports, options, constants, pages.
 
     .venv/bin/python .ci/lint.py
 
@@ -16,6 +16,8 @@ import sys
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+
+import documents
 
 import imu_calib
 from imu_calib.cli.dispatch import build_parser
@@ -228,9 +230,10 @@ def constants() -> Iterator[str]:
 
 def main() -> int:
     """Print all findings; return whether there are any."""
-    found = [line for check in (circles, option_names, docstrings, constants) for line in check()]
+    checks = (circles, option_names, docstrings, constants, *documents.CHECKS)
+    found = [line for check in checks for line in check()]
     print(*found, sep='\n', end='\n' if found else '')
-    return bool(found or doctest.testmod().failed)
+    return bool(found or doctest.testmod().failed or doctest.testmod(documents).failed)
 
 
 if __name__ == '__main__':
