@@ -10,7 +10,6 @@ import sys
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,13 +30,12 @@ from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.reports.side_by_side import in_scale_of
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
-from imu_calib.simulation.repetition import RunStatistics, Study
 
 SITE = ('--latitude', '34.65')
 
 
 @pytest.fixture(scope='module')
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """A plan of short dwells, its recording and its result."""
     folder = tmp_path_factory.mktemp('api')
     text = Path(CHECKOUT, 'config/plans/twelve_position.yaml').read_text(encoding='utf-8')
@@ -49,17 +47,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope='module')
-def result(folder: Path) -> imu_calib.Result:
+def result(folder):
     return imu_calib.calibrate(folder / 'bag')
 
 
-def test_it_loads_what_is_asked_for_alone() -> None:
+def test_it_loads_what_is_asked_for_alone():
     code = 'import imu_calib, json, sys; print(json.dumps(sorted(sys.modules)))'
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
     assert 'numpy' not in json.loads(done.stdout)
 
 
-def test_every_name_is_there_and_no_other() -> None:
+def test_every_name_is_there_and_no_other():
     assert imu_calib.__version__[0].isdigit()
     for name in imu_calib.__all__:
         assert getattr(imu_calib, name).__name__ == name
@@ -68,42 +66,42 @@ def test_every_name_is_there_and_no_other() -> None:
         imu_calib.calibrat  # noqa: B018
 
 
-def test_the_command_gives_the_same_bits(folder: Path, result: imu_calib.Result) -> None:
+def test_the_command_gives_the_same_bits(folder, result):
     file = folder / 'by_command.yaml'
     assert main(['calibrate', str(folder / 'bag'), '-o', str(file)]) == 0
     result.calibration.save(str(folder / 'by_api.yaml'))
     assert file.read_text() == (folder / 'by_api.yaml').read_text()
 
 
-def test_the_simulated_recording_is_that_of_the_command(folder: Path, tmp_path: Path) -> None:
+def test_the_simulated_recording_is_that_of_the_command(folder, tmp_path):
     words = ['simulate', str(folder / 'brief.yaml'), '-o', str(tmp_path / 'bag'), '--seed', '3']
     assert main([*words, *SITE]) == 0
     with open_recording(tmp_path / 'bag') as one, open_recording(folder / 'bag') as other:
         assert one.sha256() == other.sha256()
 
 
-def test_it_finds_the_truth_that_was_simulated(folder: Path, result: imu_calib.Result) -> None:
+def test_it_finds_the_truth_that_was_simulated(folder, result):
     truth = Calibration.load(str(folder / 'bag' / 'truth.yaml'))
     errors = (result.calibration.values[:24] - truth.values[:24]) / result.calibration.std[:24]
     assert np.abs(errors).max() < 4.5
 
 
-def test_values_do_where_names_do(folder: Path, result: imu_calib.Result) -> None:
+def test_values_do_where_names_do(folder, result):
     plan, imu = load_plan(folder / 'brief.yaml'), load_imu('fog_medium')
     again = imu_calib.calibrate(str(folder / 'bag'), plan=plan, imu=imu, latitude=34.65)
     # The recording says the same of itself, but for how well the latitude is known.
     assert again.calibration.values == pytest.approx(result.calibration.values, rel=1e-6)
 
 
-def test_progress_is_shown_and_terms_are_left_out_where_that_is_asked(folder: Path) -> None:
+def test_progress_is_shown_and_terms_are_left_out_where_that_is_asked(folder):
     opened: list[str] = []
     shown: list[float] = []
 
     class Bar:
-        def __init__(self, text: str) -> None:
+        def __init__(self, text):
             opened.append(text)
 
-        def __enter__(self) -> object:
+        def __enter__(self):
             return lambda done, total, *_: shown.append(done / total)
 
         def __exit__(self, *_: object) -> None: ...
@@ -129,14 +127,12 @@ def test_progress_is_shown_and_terms_are_left_out_where_that_is_asked(folder: Pa
         ({'latitude': -60.0}, NotObservable, 'latitude'),
     ],
 )
-def test_errors_are_the_sentences_of_the_command(
-    folder: Path, stated: dict[str, object], error: type[Exception], sentence: str
-) -> None:
+def test_errors_are_the_sentences_of_the_command(folder, stated, error, sentence):
     with pytest.raises(error, match=sentence):
         imu_calib.calibrate(folder / 'bag', **stated)  # type: ignore[arg-type]
 
 
-def test_read_gives_columns_with_stamps_and_units(folder: Path) -> None:
+def test_read_gives_columns_with_stamps_and_units(folder):
     topics = imu_calib.read(folder / 'bag')
     assert set(topics) >= {'/imu/pulses', '/turntable/joint_states', '/turntable/setpoint'}
     pulses = topics['/imu/pulses']
@@ -157,7 +153,7 @@ def test_read_gives_columns_with_stamps_and_units(folder: Path) -> None:
         imu_calib.read(folder / 'bag', '/imu/nothing')
 
 
-def test_columns_are_data_frames_too(folder: Path) -> None:
+def test_columns_are_data_frames_too(folder):
     import pandas as pd
 
     frame = imu_calib.read(folder / 'bag', '/imu/pulses').to_dataframe()
@@ -167,7 +163,7 @@ def test_columns_are_data_frames_too(folder: Path) -> None:
     assert list(frame.columns[:3]) == [f'angular_velocity.{a}' for a in 'xyz']
 
 
-def test_parameters_are_a_data_frame_and_a_picture(result: imu_calib.Result) -> None:
+def test_parameters_are_a_data_frame_and_a_picture(result):
     frame = result.calibration.to_dataframe()
     assert frame.loc['D_gx', 'unit'] == 'deg/h'
     at = [p.name for p in result.calibration.parameters].index('D_gx')
@@ -179,9 +175,7 @@ def test_parameters_are_a_data_frame_and_a_picture(result: imu_calib.Result) -> 
     assert {axes.get_ylabel() for axes in figure.axes} == set(frame['unit'])
 
 
-def test_what_is_not_installed_is_asked_for(
-    folder: Path, result: imu_calib.Result, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_not_installed_is_asked_for(folder, result, monkeypatch):
     monkeypatch.setattr('imu_calib.common.files.find_spec', lambda _: None)
     with pytest.raises(InputError, match=r"needs pandas.*pip install '\.\[dataframe\]'"):
         result.calibration.to_dataframe()
@@ -191,9 +185,7 @@ def test_what_is_not_installed_is_asked_for(
         imu_calib.read(folder / 'bag', '/imu/pulses').to_dataframe()
 
 
-def test_a_simulation_takes_values_and_its_recording_asks_for_them(
-    folder: Path, result: imu_calib.Result, tmp_path: Path
-) -> None:
+def test_a_simulation_takes_values_and_its_recording_asks_for_them(folder, result, tmp_path):
     plan, imu = load_plan(folder / 'brief.yaml'), load_imu('fog_medium')
     table = imu_calib.load_table('three_axis')
     bag = imu_calib.simulate(
@@ -210,7 +202,7 @@ def test_a_simulation_takes_values_and_its_recording_asks_for_them(
         imu_calib.stand('six_position', tmp_path / 'stand', imu=imu)  # type: ignore[arg-type]
 
 
-def test_one_calibration_is_a_list_of_one(result: imu_calib.Result, tmp_path: Path) -> None:
+def test_one_calibration_is_a_list_of_one(result, tmp_path):
     result.calibration.save(tmp_path / 'c.yaml')
     others = replace(result.calibration, serial_number='B')
     others.save(tmp_path / 'b.yaml')
@@ -229,18 +221,14 @@ def test_one_calibration_is_a_list_of_one(result: imu_calib.Result, tmp_path: Pa
         imu_calib.combine([])
 
 
-def test_ros_takes_a_result_whose_file_is_written_beside(
-    result: imu_calib.Result, tmp_path: Path
-) -> None:
+def test_ros_takes_a_result_whose_file_is_written_beside(result, tmp_path):
     imu_calib.export(result, 'ros', tmp_path / 'node.yaml')
     file = tmp_path / 'node_calibration.yaml'
     assert f'calibration: {file}' in (tmp_path / 'node.yaml').read_text()
     assert Calibration.load(file).values.tolist() == result.calibration.values.tolist()
 
 
-def test_every_result_is_shown_in_one_line(
-    folder: Path, result: imu_calib.Result, tmp_path: Path
-) -> None:
+def test_every_result_is_shown_in_one_line(folder, result, tmp_path):
     plan = folder / 'brief.yaml'
     result.calibration.save(tmp_path / 'c.yaml')
     prediction = imu_calib.predict(plan, 'fog_medium')
@@ -269,7 +257,7 @@ def test_every_result_is_shown_in_one_line(
     )
 
 
-def test_every_class_is_shown_in_one_line(result: imu_calib.Result) -> None:
+def test_every_class_is_shown_in_one_line(result):
     known, here = result.calibration, Path('there')
     plan = load_plan('six_position')
     warm = {**known.provenance, 'temperature': {'mean': 20.0, 'lowest': 19.0, 'highest': 21.0}}
@@ -309,7 +297,7 @@ def test_every_class_is_shown_in_one_line(result: imu_calib.Result) -> None:
             assert written is not None and 'imu_calib' in written.co_filename, name
 
 
-def test_results_are_shown_in_a_line(folder: Path, result: imu_calib.Result) -> None:
+def test_results_are_shown_in_a_line(folder, result):
     assert re.fullmatch(
         r'<Result: <Calibration of .*: 24 parameters, \d+ findings?> of \d+ static dwells and '
         r'\d+ turns>',
@@ -330,14 +318,12 @@ def test_results_are_shown_in_a_line(folder: Path, result: imu_calib.Result) -> 
         ('height', True, '`height`: found True, expected a number.'),
     ],
 )
-def test_texts_for_numbers_are_refused_in_words(name: str, value: Any, said: str) -> None:
+def test_texts_for_numbers_are_refused_in_words(name, value, said):
     with pytest.raises(InputError, match=said):
         imu_calib.calibrate('x', **{name: value})
 
 
-def test_verify_judges_values_and_files(
-    folder: Path, result: imu_calib.Result, tmp_path: Path
-) -> None:
+def test_verify_judges_values_and_files(folder, result, tmp_path):
     imu_calib.simulate(folder / 'brief.yaml', tmp_path / 'other', seed=4, latitude=34.65)
     verification = imu_calib.verify(tmp_path / 'other', result.calibration)
     assert verification.verdict is Verdict.PASS
@@ -349,9 +335,7 @@ def test_verify_judges_values_and_files(
         imu_calib.verify(tmp_path / 'other', result.calibration, imu='mems_counts')
 
 
-def test_compensate_writes_rates_and_forces(
-    folder: Path, result: imu_calib.Result, tmp_path: Path
-) -> None:
+def test_compensate_writes_rates_and_forces(folder, result, tmp_path):
     done = imu_calib.compensate(folder / 'bag', result.calibration, tmp_path / 'si')
     assert done.samples_out == done.samples_in
     assert done.target == '/imu/data_raw'
@@ -362,7 +346,7 @@ def test_compensate_writes_rates_and_forces(
         imu_calib.compensate(folder / 'bag', result.calibration, tmp_path / 'si')
 
 
-def test_a_prediction_is_what_the_session_reached(folder: Path, result: imu_calib.Result) -> None:
+def test_a_prediction_is_what_the_session_reached(folder, result):
     prediction = imu_calib.predict(folder / 'brief.yaml', 'fog_medium', latitude=34.65)
     names = [p.name for p in result.calibration.parameters]
     reached = dict(zip(names, result.calibration.std, strict=True))
@@ -374,9 +358,7 @@ def test_a_prediction_is_what_the_session_reached(folder: Path, result: imu_cali
         imu_calib.predict(folder / 'brief.yaml', 'fog_medium', terms='trend')
 
 
-def test_reports_of_results_and_of_files_are_the_same(
-    folder: Path, result: imu_calib.Result, tmp_path: Path
-) -> None:
+def test_reports_of_results_and_of_files_are_the_same(folder, result, tmp_path):
     result.calibration.save(tmp_path / 'c.yaml')
     by_value = imu_calib.report(result, tmp_path / 'a.html')
     by_file = imu_calib.report(tmp_path / 'c.yaml', tmp_path / 'b.html', bag=folder / 'bag')
@@ -387,9 +369,7 @@ def test_reports_of_results_and_of_files_are_the_same(
         imu_calib.report(result, tmp_path / 'nowhere' / 'a.html')
 
 
-def test_limits_of_another_type_judge_nothing(
-    folder: Path, result: imu_calib.Result, tmp_path: Path
-) -> None:
+def test_limits_of_another_type_judge_nothing(folder, result, tmp_path):
     other = 'found the limits of type fog_navigation, but the calibration is of a fog_medium'
     with pytest.raises(InputError, match=other):
         imu_calib.conformity(result, 'fog_navigation')
@@ -397,8 +377,8 @@ def test_limits_of_another_type_judge_nothing(
         imu_calib.report(result, tmp_path / 'a.html', imu='fog_navigation')
 
 
-def test_gravity_without_a_standard_deviation_is_said_to_be_exact(folder: Path) -> None:
-    def notes(**stated: float) -> str:
+def test_gravity_without_a_standard_deviation_is_said_to_be_exact(folder):
+    def notes(**stated):
         return ' '.join(imu_calib.calibrate(folder / 'bag', **stated).calibration.findings)
 
     words = 'The stated gravity, 9.797 m/s^2, is taken as exact'
@@ -406,16 +386,14 @@ def test_gravity_without_a_standard_deviation_is_said_to_be_exact(folder: Path) 
     assert words not in notes(gravity=9.797, gravity_std=2e-5)
 
 
-def test_a_report_takes_the_site_of_the_calibration_not_of_the_recording(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_a_report_takes_the_site_of_the_calibration_not_of_the_recording(folder, tmp_path):
     elsewhere = imu_calib.calibrate(folder / 'bag', height=420.0)
     elsewhere.calibration.save(tmp_path / 'c.yaml')
     page = imu_calib.report(tmp_path / 'c.yaml', tmp_path / 'b.html', bag=folder / 'bag')
     assert '420' in page.read_text()
 
 
-def test_each_option_of_a_command_is_a_keyword_of_its_function() -> None:
+def test_each_option_of_a_command_is_a_keyword_of_its_function():
     functions = {
         'compensate': imu_calib.compensate,
         'convert': imu_calib.convert,
@@ -439,9 +417,7 @@ def test_each_option_of_a_command_is_a_keyword_of_its_function() -> None:
         assert known - alone <= {action.dest for action in parser._actions} | {'source'}, name
 
 
-def test_a_recording_comes_before_a_calibration(
-    folder: Path, result: imu_calib.Result, tmp_path: Path
-) -> None:
+def test_a_recording_comes_before_a_calibration(folder, result, tmp_path):
     result.calibration.save(tmp_path / 'c.yaml')
     with pytest.raises(InputError, match='bag is a recording, expected a calibration file'):
         imu_calib.verify(tmp_path / 'c.yaml', folder / 'bag')
@@ -449,7 +425,7 @@ def test_a_recording_comes_before_a_calibration(
         imu_calib.verify(result, folder / 'bag')
 
 
-def test_keywords_that_functions_share_are_in_their_signatures_and_others_are_refused() -> None:
+def test_keywords_that_functions_share_are_in_their_signatures_and_others_are_refused():
     verify = inspect.signature(imu_calib.verify).parameters
     assert {'plan', 'imu', 'table', 'latitude', 'height_std', 'imu_topic'} < set(verify)
     assert verify['plan'].default is None
@@ -458,9 +434,7 @@ def test_keywords_that_functions_share_are_in_their_signatures_and_others_are_re
         imu_calib.verify('bag', 'calibration.yaml', method='joint')  # type: ignore[call-arg]
 
 
-def test_two_calibrations_are_compared_in_any_form(
-    folder: Path, result: imu_calib.Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_calibrations_are_compared_in_any_form(folder, result, tmp_path, capsys):
     truth = folder / 'bag' / 'truth.yaml'
     compared = imu_calib.compare(result, truth)
     assert compared.names == ('first', 'truth')
@@ -484,9 +458,7 @@ def test_two_calibrations_are_compared_in_any_form(
         imu_calib.compare(result, tmp_path / 'nothing.yaml')
 
 
-def test_a_unit_in_another_scale_is_compared_in_that_of_the_first(
-    result: imu_calib.Result,
-) -> None:
+def test_a_unit_in_another_scale_is_compared_in_that_of_the_first(result):
     mine = result.calibration
     twice = replace(
         mine.imu, gyro=replace(mine.imu.gyro, scale_factor=2 * mine.imu.gyro.scale_factor)
@@ -497,9 +469,7 @@ def test_a_unit_in_another_scale_is_compared_in_that_of_the_first(
     assert compared.findings == ('Shown with the nominal scale factors of first.',)
 
 
-def test_calibrations_at_several_temperatures_are_combined(
-    result: imu_calib.Result, tmp_path: Path
-) -> None:
+def test_calibrations_at_several_temperatures_are_combined(result, tmp_path):
     warm, cold = (
         replace(
             result.calibration,
@@ -527,9 +497,7 @@ def test_calibrations_at_several_temperatures_are_combined(
 
 
 @pytest.mark.parametrize('kind', ['ros', 'kalibr', 'imucal', 'c'])
-def test_an_export_is_that_of_the_command(
-    result: imu_calib.Result, tmp_path: Path, kind: str
-) -> None:
+def test_an_export_is_that_of_the_command(result, tmp_path, kind):
     file, mine, its = tmp_path / 'c.yaml', tmp_path / 'mine', tmp_path / 'its'
     result.calibration.save(file)
     done = imu_calib.export(file, kind, mine, sample_rate=100.0, imu='fog_medium')
@@ -545,7 +513,7 @@ def test_an_export_is_that_of_the_command(
         assert again.text == done.text
 
 
-def test_what_cannot_be_exported_is_refused(result: imu_calib.Result, tmp_path: Path) -> None:
+def test_what_cannot_be_exported_is_refused(result, tmp_path):
     file = tmp_path / 'c.yaml'
     result.calibration.save(file)
     with pytest.raises(InputError, match="`format`: found 'json', expected one of ros, kalibr"):
@@ -556,9 +524,7 @@ def test_what_cannot_be_exported_is_refused(result: imu_calib.Result, tmp_path: 
         imu_calib.export(file, 'c', file)
 
 
-def test_repeated_sessions_are_those_of_the_command(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_repeated_sessions_are_those_of_the_command(folder, capsys, monkeypatch):
     repeated = imu_calib.montecarlo(folder / 'brief.yaml', runs=2, seed=5, terms='none')
     assert [run.seed for run in repeated.outcome.runs] == [5, 6]
     # Of 48 normalised errors: four deviations of their root mean square (1 / sqrt(2 * 48)).
@@ -568,7 +534,7 @@ def test_repeated_sessions_are_those_of_the_command(
     (axes,) = repeated.plot().axes
     assert [t.get_text() for t in axes.get_xticklabels()] == list(frame.index)
 
-    def known(study: Study, runs: int, seed: int, jobs: int, *_: object) -> RunStatistics:
+    def known(study, runs, seed, jobs, *_):
         assert (runs, seed, jobs) == (2, 5, 1)
         assert study.setup.plan.name == repeated.setup.plan.name
         assert not study.setup.search_terms
@@ -583,7 +549,7 @@ def test_repeated_sessions_are_those_of_the_command(
         imu_calib.montecarlo(folder / 'brief.yaml', runs=0)
 
 
-def test_dwells_are_found_that_reach_what_is_wanted(folder: Path) -> None:
+def test_dwells_are_found_that_reach_what_is_wanted(folder):
     reached = imu_calib.reach(folder / 'brief.yaml', 'fog_medium', {'D_gx': '0.05 deg/h'})
     places = {p.name: k for k, p in enumerate(reached.forecast.parameters)}
     std = reached.forecast.std[places['D_gx']] / DEG_H
@@ -599,7 +565,7 @@ def test_dwells_are_found_that_reach_what_is_wanted(folder: Path) -> None:
         imu_calib.reach(folder / 'brief.yaml', 'fog_medium', {'D_gx': 0.0})
 
 
-def test_noise_and_residuals_are_pictures_that_notebooks_show(result: imu_calib.Result) -> None:
+def test_noise_and_residuals_are_pictures_that_notebooks_show(result):
     calibration = result.calibration
     gyros, accels = calibration.plot_residuals().axes
     assert len(gyros.get_lines()) == 1 + 3
@@ -617,12 +583,12 @@ def test_noise_and_residuals_are_pictures_that_notebooks_show(result: imu_calib.
     assert picture._repr_png_().startswith(b'\x89PNG')
 
 
-def test_a_truth_has_no_residuals_to_draw(result: imu_calib.Result) -> None:
+def test_a_truth_has_no_residuals_to_draw(result):
     with pytest.raises(InputError, match='carries no residuals: it was not made of a recording'):
         replace(result.calibration, residuals=()).plot_residuals()
 
 
-def test_no_more_names_are_below_an_axis_than_can_be_read(result: imu_calib.Result) -> None:
+def test_no_more_names_are_below_an_axis_than_can_be_read(result):
     rows = result.calibration.residuals
     many = replace(result.calibration, residuals=(rows * 9)[:70])
     axes = many.plot_residuals().axes[0]
@@ -630,9 +596,7 @@ def test_no_more_names_are_below_an_axis_than_can_be_read(result: imu_calib.Resu
     assert [t.get_text() for t in axes.get_xticklabels()][1] == many.residuals[3].position
 
 
-def test_a_calibration_that_follows_the_temperature_does_so_as_a_value_too(
-    result: imu_calib.Result,
-) -> None:
+def test_a_calibration_that_follows_the_temperature_does_so_as_a_value_too(result):
     mine = result.calibration
     asked = split_terms('thermal:D_gx')[1]
     zeros = np.zeros((len(asked), len(asked)))

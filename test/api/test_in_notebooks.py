@@ -1,9 +1,6 @@
 """A calibration in a notebook: labelled numbers, samples in memory, a table for the eye."""
 
-from __future__ import annotations
-
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,18 +12,18 @@ NAMES = [f'{name}.{a}' for name in ('angular_velocity', 'linear_acceleration') f
 
 
 @pytest.fixture(scope='module')
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(tmp_path_factory):
     bag = tmp_path_factory.mktemp('notebook') / 'bag'
     imu_calib.simulate('twelve_position', bag, seed=1, latitude=48.1)
     return bag
 
 
 @pytest.fixture(scope='module')
-def result(bag: Path) -> imu_calib.Result:
+def result(bag):
     return imu_calib.calibrate(bag)
 
 
-def test_numbers_are_found_by_the_names_of_their_parameters(result: imu_calib.Result) -> None:
+def test_numbers_are_found_by_the_names_of_their_parameters(result):
     mine = result.calibration
     names = [p.name for p in mine.parameters]
     at, other = names.index('K_ax'), names.index('D_ay')
@@ -39,7 +36,7 @@ def test_numbers_are_found_by_the_names_of_their_parameters(result: imu_calib.Re
     assert mine.to_dataframe()['value']['K_ax'] == mine.values[at] * 1e6
 
 
-def test_noise_is_a_frame_with_units(result: imu_calib.Result) -> None:
+def test_noise_is_a_frame_with_units(result):
     noise = result.calibration.labelled.noise
     walk = result.calibration.noise['gx'].random_walk
     row = noise.loc[('gx', 'random_walk')]
@@ -55,18 +52,18 @@ def test_noise_is_a_frame_with_units(result: imu_calib.Result) -> None:
     assert (insignificant['below'] > 0).all()
 
 
-def test_a_truth_without_a_session_has_no_noise() -> None:
+def test_a_truth_without_a_session_has_no_noise():
     truth = imu_calib.Calibration.load(named_file('truths', 'mems_counts'))
     assert truth.labelled.noise.empty
     assert list(truth.labelled.noise.columns) == ['value', 'std', 'below', 'unit']
 
 
-def test_a_result_shows_what_its_calibration_shows(result: imu_calib.Result) -> None:
+def test_a_result_shows_what_its_calibration_shows(result):
     assert result.findings == result.calibration.findings
     assert result.to_dataframe().equals(result.calibration.to_dataframe())
 
 
-def test_wrong_calls_are_refused_in_words(result: imu_calib.Result) -> None:
+def test_wrong_calls_are_refused_in_words(result):
     gyro, accel = np.zeros((6000, 3)), np.tile([0.0, 0.0, 9.81], (6000, 1))
     with pytest.raises(imu_calib.InputError, match=r'calibrate\(\(gyro, accel\), rate=200\)'):
         imu_calib.calibrate(gyro, accel)  # type: ignore[misc]
@@ -76,9 +73,7 @@ def test_wrong_calls_are_refused_in_words(result: imu_calib.Result) -> None:
         imu_calib.calibrate((gyro, accel), rate=100.0, latitude=48.1)
 
 
-def test_samples_in_memory_become_what_compensate_writes(
-    bag: Path, result: imu_calib.Result, tmp_path: Path
-) -> None:
+def test_samples_in_memory_become_what_compensate_writes(bag, result, tmp_path):
     raw = imu_calib.read(bag, '/imu/pulses').to_dataframe()
     values = raw[NAMES].to_numpy()
     done = imu_calib.compensate(bag, result, tmp_path / 'si')
@@ -92,7 +87,7 @@ def test_samples_in_memory_become_what_compensate_writes(
     np.testing.assert_array_equal(frames[0], rate)
 
 
-def test_pulses_need_a_rate_and_both_sensors_their_columns(result: imu_calib.Result) -> None:
+def test_pulses_need_a_rate_and_both_sensors_their_columns(result):
     apply = result.calibration.apply
     with pytest.raises(imu_calib.InputError, match=r'`rate`: found None.*pulses counted over'):
         apply(np.zeros((5, 3)), np.zeros((5, 3)))
@@ -100,7 +95,7 @@ def test_pulses_need_a_rate_and_both_sensors_their_columns(result: imu_calib.Res
         apply(np.zeros((5, 3)), np.zeros((4, 3)), rate=100.0)
 
 
-def test_a_notebook_shows_no_zero_that_is_a_choice_of_axes(tmp_path: Path) -> None:
+def test_a_notebook_shows_no_zero_that_is_a_choice_of_axes(tmp_path):
     imu_calib.simulate('free_positions', tmp_path / 'bag', imu='mems_counts', latitude=48.1)
     page = imu_calib.calibrate(tmp_path / 'bag').calibration._repr_html_()
     assert '<th>E_ayx</th>' in page
@@ -111,9 +106,7 @@ def test_a_notebook_shows_no_zero_that_is_a_choice_of_axes(tmp_path: Path) -> No
     assert '\u00b1' not in truth._repr_html_()
 
 
-def test_the_table_of_a_notebook_shows_each_parameter_in_its_own_colours(
-    result: imu_calib.Result,
-) -> None:
+def test_the_table_of_a_notebook_shows_each_parameter_in_its_own_colours(result):
     page = result._repr_html_()
     assert page == result.calibration._repr_html_()
     for parameter, std in zip(result.calibration.parameters, result.calibration.std, strict=True):

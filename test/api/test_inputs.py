@@ -16,7 +16,7 @@ NAMES = [f'{name}.{a}' for name in ('angular_velocity', 'linear_acceleration') f
 
 
 @pytest.fixture(scope='module')
-def hand(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def hand(tmp_path_factory):
     """A session in the hand, in whole counts."""
     bag = tmp_path_factory.mktemp('hand') / 'bag'
     imu_calib.simulate('free_positions', bag, imu='mems_counts', latitude=48.1, seed=2)
@@ -24,13 +24,13 @@ def hand(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope='module')
-def frame(hand: Path) -> pd.DataFrame:
+def frame(hand):
     (topic,) = (t for t, c in imu_calib.read(hand).items() if c.type == 'sensor_msgs/msg/Imu')
     return imu_calib.read(hand, topic).to_dataframe()
 
 
 @pytest.fixture(scope='module')
-def expected(hand: Path) -> imu_calib.Calibration:
+def expected(hand):
     return imu_calib.calibrate(hand).calibration
 
 
@@ -42,16 +42,14 @@ def same_bits(one: imu_calib.Calibration, other: imu_calib.Calibration) -> bool:
     return values and np.array_equal(one.covariance, other.covariance, equal_nan=True)
 
 
-def test_a_frame_gives_the_bits_of_its_recording(
-    frame: pd.DataFrame, expected: imu_calib.Calibration
-) -> None:
+def test_a_frame_gives_the_bits_of_its_recording(frame, expected):
     found = imu_calib.calibrate(frame, **STATED).calibration
     assert same_bits(found, expected)
     assert found.provenance['recording'] == 'data frame'
 
 
 @pytest.mark.parametrize('index', ['dates of a zone', 'durations', 'seconds'])
-def test_the_index_may_be_dates_durations_or_seconds(frame: pd.DataFrame, index: str) -> None:
+def test_the_index_may_be_dates_durations_or_seconds(frame, index):
     other = frame.copy()
     since = frame.index - frame.index[0]
     if index == 'dates of a zone':
@@ -74,7 +72,7 @@ def imu_stamps(bag: Any, rate: float | None = None) -> np.ndarray[Any, Any]:
     return np.concatenate([block.stamp for _, block in blocks])  # type: ignore[union-attr]
 
 
-def test_arrays_give_the_bits_of_a_frame_of_their_rate(frame: pd.DataFrame) -> None:
+def test_arrays_give_the_bits_of_a_frame_of_their_rate(frame):
     values = frame[NAMES].to_numpy()
     by_rate = imu_calib.calibrate(frame.reset_index(drop=True), rate=100.0, **STATED).calibration
     one = imu_calib.calibrate(values, rate=100.0, **STATED).calibration
@@ -84,12 +82,12 @@ def test_arrays_give_the_bits_of_a_frame_of_their_rate(frame: pd.DataFrame) -> N
     assert imu_stamps(values, 100.0)[:2].tolist() == [10_000_000, 20_000_000]
 
 
-def test_a_part_of_a_frame_has_the_stamps_of_its_rate(frame: pd.DataFrame) -> None:
+def test_a_part_of_a_frame_has_the_stamps_of_its_rate(frame):
     part = frame.reset_index(drop=True)[9:]
     assert imu_stamps(part, 100.0)[:2].tolist() == [10_000_000, 20_000_000]
 
 
-def test_what_a_mask_hides_is_missing() -> None:
+def test_what_a_mask_hides_is_missing():
     from imu_calib.recordings.cdr_codec import Kind
 
     values = np.ma.masked_array(np.ones((3, 6)), mask=np.eye(3, 6, dtype=bool))
@@ -97,9 +95,7 @@ def test_what_a_mask_hides_is_missing() -> None:
     assert np.isnan(block.gyro).tolist() == np.eye(3, dtype=bool).tolist()
 
 
-def test_a_latitude_that_the_recording_contradicts_is_a_warning(
-    hand: Path, expected: imu_calib.Calibration
-) -> None:
+def test_a_latitude_that_the_recording_contradicts_is_a_warning(hand, expected):
     text = 'The recording states latitude 48.1, and 50 is used'
     off = imu_calib.calibrate(hand, plan='free_positions', latitude=50.0)
     assert text in ' '.join(off.calibration.findings)
@@ -108,9 +104,7 @@ def test_a_latitude_that_the_recording_contradicts_is_a_warning(
     assert 'states latitude' not in ' '.join(same.calibration.findings)
 
 
-def test_a_frame_is_verified_and_compensated_as_its_recording(
-    hand: Path, frame: pd.DataFrame, expected: imu_calib.Calibration, tmp_path: Path
-) -> None:
+def test_a_frame_is_verified_and_compensated_as_its_recording(hand, frame, expected, tmp_path):
     found = imu_calib.verify(frame, expected, latitude=48.1)
     wanted = imu_calib.verify(hand, expected, latitude=48.1)
     assert found.verdict is wanted.verdict
@@ -121,7 +115,7 @@ def test_a_frame_is_verified_and_compensated_as_its_recording(
     pd.testing.assert_frame_equal(one, other, check_exact=True)
 
 
-def test_a_calibration_knows_the_frame_it_was_made_of(frame: pd.DataFrame) -> None:
+def test_a_calibration_knows_the_frame_it_was_made_of(frame):
     calibration = imu_calib.calibrate(frame, **STATED).calibration
     assert imu_calib.verify(frame.copy(), calibration, latitude=48.1).own_recording
     other = frame.copy()
@@ -129,7 +123,7 @@ def test_a_calibration_knows_the_frame_it_was_made_of(frame: pd.DataFrame) -> No
     assert not imu_calib.verify(other, calibration, latitude=48.1).own_recording
 
 
-def test_a_frame_joined_of_several_topics_gives_the_bits_of_a_table(tmp_path: Path) -> None:
+def test_a_frame_joined_of_several_topics_gives_the_bits_of_a_table(tmp_path):
     text = Path('config/plans/twelve_position.yaml').read_text(encoding='utf-8')
     rows = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[').splitlines(True)
     plan = tmp_path / 'brief.yaml'
@@ -158,8 +152,6 @@ def test_a_frame_joined_of_several_topics_gives_the_bits_of_a_table(tmp_path: Pa
         (lambda f: 7, None, '`bag`: found 7, expected a text, a path, a DataFrame, an array or'),
     ],
 )
-def test_what_is_no_samples_is_refused(
-    frame: pd.DataFrame, change: Any, rate: float | None, message: str
-) -> None:
+def test_what_is_no_samples_is_refused(frame, change, rate, message):
     with pytest.raises(imu_calib.InputError, match=message):
         imu_calib.calibrate(change(frame), rate=rate, **STATED)

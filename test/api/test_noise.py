@@ -49,12 +49,12 @@ def recorded(path: Path, values: Floats, celsius: Floats | None = None) -> Path:
 
 
 @pytest.fixture(scope='module')
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(tmp_path_factory):
     folder = tmp_path_factory.mktemp('rest')
     return recorded(folder / 'still', at_rest(300.0), np.linspace(20.0, 26.0, 100))
 
 
-def test_a_recording_arrays_and_a_frame_give_the_same(bag: Path) -> None:
+def test_a_recording_arrays_and_a_frame_give_the_same(bag):
     values = at_rest(300.0)
     first = imu_calib.noise(bag)
     arrays = imu_calib.noise((values[:, :3], values[:, 3:]), rate=RATE)
@@ -72,7 +72,7 @@ def test_a_recording_arrays_and_a_frame_give_the_same(bag: Path) -> None:
     assert list(first.curves()) == list(first.channels)
 
 
-def test_full_overlap_takes_every_second_difference() -> None:
+def test_full_overlap_takes_every_second_difference():
     values = at_rest(100.0)
     usual = imu_calib.noise(values, rate=RATE).channels['gx']
     full = imu_calib.noise(values, rate=RATE, full_overlap=True).channels['gx']
@@ -81,7 +81,7 @@ def test_full_overlap_takes_every_second_difference() -> None:
     assert not np.array_equal(usual.deviation, full.deviation)
 
 
-def test_what_changed_during_the_record_is_said(bag: Path) -> None:
+def test_what_changed_during_the_record_is_said(bag):
     findings = ' '.join(imu_calib.noise(bag).findings)
     assert 'rad/s and m/s^2 (REP 145) are assumed' in findings
     assert 'The temperature ranged from 20.0 to 26.0 degC' in findings
@@ -91,7 +91,7 @@ def test_what_changed_during_the_record_is_said(bag: Path) -> None:
     assert any('moved or shaken once at 1' in one and 'turned by 2.9 deg' in one for one in moved)
 
 
-def test_counts_are_read_by_the_file_of_the_unit(tmp_path: Path) -> None:
+def test_counts_are_read_by_the_file_of_the_unit(tmp_path):
     file = tmp_path / 'unit.yaml'
     file.write_text(
         'id: counts\nunits: counts\n'
@@ -107,7 +107,7 @@ def test_counts_are_read_by_the_file_of_the_unit(tmp_path: Path) -> None:
         assert walk.value == pytest.approx(WALK[0 if name[0] == 'g' else 3], rel=0.05)
 
 
-def test_a_text_file_is_read_by_its_columns(tmp_path: Path) -> None:
+def test_a_text_file_is_read_by_its_columns(tmp_path):
     values = at_rest(60.0)
     file = tmp_path / 'log.csv'
     time_ = np.arange(len(values)) / RATE
@@ -129,16 +129,14 @@ def test_a_text_file_is_read_by_its_columns(tmp_path: Path) -> None:
         imu_calib.noise(values, rate=RATE, stamp='t:s')
 
 
-def test_a_unit_in_motion_is_refused_with_the_facts_of_the_stream() -> None:
+def test_a_unit_in_motion_is_refused_with_the_facts_of_the_stream():
     values = at_rest(100.0)
     values[:, 2] += np.sin(np.arange(len(values)) / RATE * 3)
     with pytest.raises(NotObservable, match=r'does not lie still.*The stream: 10000 samples'):
         imu_calib.noise(values, rate=RATE)
 
 
-def test_the_command_prints_and_writes(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_prints_and_writes(bag, tmp_path, capsys):
     names = ('html', 'csv', 'kalibr', 'openvins', 'vins', 'robot-localization')
     files = {name: tmp_path / f'{name}.{"csv" if name == "csv" else "out"}' for name in names}
     options = [text for name, path in files.items() for text in (f'--{name}', str(path))]
@@ -159,7 +157,7 @@ def test_the_command_prints_and_writes(
     assert kalibr['gyroscope_noise_density'] == pytest.approx(2e-4, rel=0.05)
 
 
-def test_the_command_has_a_document(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_has_a_document(bag, capsys):
     assert main(['noise', str(bag), '--json']) == 0
     document = json.loads(capsys.readouterr().out)
     channel = document['result']['channels']['ax']
@@ -167,7 +165,7 @@ def test_the_command_has_a_document(bag: Path, capsys: pytest.CaptureFixture[str
     assert channel['coefficients']['rate_random_walk']['value'] is None
 
 
-def test_a_picture_is_drawn(bag: Path, tmp_path: Path) -> None:
+def test_a_picture_is_drawn(bag, tmp_path):
     pytest.importorskip('matplotlib')
     assert main(['noise', str(bag), '--plot', str(tmp_path / 'allan.png')]) == 0
     assert (tmp_path / 'allan.png').read_bytes().startswith(b'\x89PNG')
@@ -175,9 +173,7 @@ def test_a_picture_is_drawn(bag: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('end', [2000.0, 200.0])
-def test_calibrate_names_the_command_without_a_search(
-    tmp_path: Path, end: float, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_calibrate_names_the_command_without_a_search(tmp_path, end, capsys):
     path = recorded(tmp_path / 'still', at_rest(end))
     main(['calibrate', str(tmp_path / 'none')])
     capsys.readouterr()
@@ -190,13 +186,13 @@ def test_calibrate_names_the_command_without_a_search(
     assert not (tmp_path / 'c.yaml').exists()
 
 
-def test_a_description_of_another_scale_is_not_taken_for_rest(tmp_path: Path) -> None:
+def test_a_description_of_another_scale_is_not_taken_for_rest(tmp_path):
     path = recorded(tmp_path / 'turned', at_rest(200.0) * (1 + np.arange(20_000)[:, None] % 2))
     with pytest.raises(InputError, match=r'mems_counts.* times gravity.*whose units'):
         imu_calib.calibrate(path, imu='mems_counts', latitude=50.0)
 
 
-def test_calibrate_reads_on_where_a_long_rest_comes_first(tmp_path: Path) -> None:
+def test_calibrate_reads_on_where_a_long_rest_comes_first(tmp_path):
     values = at_rest(300.0)
     values[28_000:28_400, 1] += 1.0
     with pytest.raises((InputError, NotObservable)) as caught:

@@ -7,7 +7,7 @@ from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 
 
-def test_a_command_says_the_option_where_a_function_says_the_keyword(tmp_path, capsys) -> None:
+def test_a_command_says_the_option_where_a_function_says_the_keyword(tmp_path, capsys):
     arguments = {'seed': 0, 'latitude': 34.65, 'start': 'noon'}
     with pytest.raises(InputError, match=r'^`start`: found noon, expected a date'):
         imu_calib.simulate('twelve_position', tmp_path / 'bag', **arguments)

@@ -1,9 +1,6 @@
 """`imu_calib.stand`: a simulated stand from Python."""
 
-from __future__ import annotations
-
 import argparse
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +16,7 @@ from imu_calib.common.files import named_file
 
 
 @pytest.mark.repeats
-def test_a_stand_is_run_to_its_calibration(tmp_path: Path) -> None:
+def test_a_stand_is_run_to_its_calibration(tmp_path):
     folder, file = tmp_path / 'a stand', tmp_path / 'table.yaml'
     file.write_text('table: {zeros: 3 arcsec}')
     # Below zero and with a blank: neither is taken for an option, or for two.
@@ -45,7 +42,7 @@ def test_a_stand_is_run_to_its_calibration(tmp_path: Path) -> None:
         imu_calib.stand('twelve_position', folder)
 
 
-def test_it_says_what_the_command_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_says_what_the_command_says(tmp_path, capsys):
     with pytest.raises(NotObservable) as refused:
         imu_calib.stand('six_position', tmp_path / 'stand', method='six_position')
     words = ['six_position', '--method', 'six_position', '-o', str(tmp_path / 'stand')]
@@ -55,7 +52,7 @@ def test_it_says_what_the_command_says(tmp_path: Path, capsys: pytest.CaptureFix
     assert not (tmp_path / 'stand').exists()
 
 
-def test_a_simulated_table_with_errors_that_its_description_lacks_is_said(tmp_path: Path) -> None:
+def test_a_simulated_table_with_errors_that_its_description_lacks_is_said(tmp_path):
     """Misalignments are then tens of standard deviations off: a beginner must know why."""
     exact = argparse.Namespace(table='three_axis')
     assert stand_session._true_table_hint(exact, tmp_path) == []

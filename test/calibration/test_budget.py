@@ -87,7 +87,7 @@ WHATEVER_THE_METHOD = {
 
 
 @pytest.mark.parametrize(('plan', 'name'), METHODS)
-def test_the_sources_in_the_file_add_up_to_the_covariance_in_the_file(plan: str, name: str) -> None:
+def test_the_sources_in_the_file_add_up_to_the_covariance_in_the_file(plan, name):
     document = yaml.safe_load(made(plan, name).to_yaml())
     written = document['uncertainty_budget']
     sources = {entry['source']: entry for entry in written['sources']}
@@ -109,16 +109,14 @@ def test_the_sources_in_the_file_add_up_to_the_covariance_in_the_file(plan: str,
 
 
 @pytest.mark.parametrize(('plan', 'name'), METHODS)
-def test_a_budget_is_read_as_it_was_written(plan: str, name: str) -> None:
+def test_a_budget_is_read_as_it_was_written(plan, name):
     text = made(plan, name).to_yaml()
     assert Calibration.from_yaml(text, 'c.yaml').to_yaml() == text
 
 
 @pytest.mark.parametrize('heading', [0.0, np.pi / 2])
 @pytest.mark.parametrize(('plan', 'name'), [*METHODS, ('six_position', 'joint')])
-def test_the_shares_are_covariances_that_add_up_to_the_covariance(
-    plan: str, name: str, heading: float
-) -> None:
+def test_the_shares_are_covariances_that_add_up_to_the_covariance(plan, name, heading):
     # Six positions see one of the tilts and not the other, which one by their heading.
     found = method(name)(loaded(plan, heading))
     scale = np.outer(found.std, found.std)
@@ -168,7 +166,7 @@ def six_positions() -> Solution:
     return method('six_position')(SIX)
 
 
-def test_six_positions_err_by_what_their_means_and_differences_make_of_each_source() -> None:
+def test_six_positions_err_by_what_their_means_and_differences_make_of_each_source():
     # Cao 2022, eqs. (15) to (18): K_a is half a difference over g, D_a the mean of all six.
     found = six_positions()
     walk = ACCEL_WALK / np.sqrt(DWELL)
@@ -186,7 +184,7 @@ def test_six_positions_err_by_what_their_means_and_differences_make_of_each_sour
     assert std_of(found, ErrorSource.NOISE)[D_G] == pytest.approx(gyro_bias, rel=0.01)
 
 
-def test_six_positions_err_by_the_arrivals_in_the_directions_that_these_have() -> None:
+def test_six_positions_err_by_the_arrivals_in_the_directions_that_these_have():
     # Up and down each have an arrival of their own; turns keep that of their axis.
     found = std_of(six_positions(), ErrorSource.POSITIONING_STATED) / POSITIONING
     assert found[of('E_gxy', 'E_gyx', 'E_gzx')] == pytest.approx(1.0, rel=0.01)
@@ -198,7 +196,7 @@ def test_six_positions_err_by_the_arrivals_in_the_directions_that_these_have() -
         assert found[of(f'D_a{own[-1]}')[0]] == pytest.approx(bias, rel=0.01)
 
 
-def test_an_error_of_the_encoders_rate_goes_into_the_slope_on_the_rates() -> None:
+def test_an_error_of_the_encoders_rate_goes_into_the_slope_on_the_rates():
     rates = np.array([t.rate() for t in SIX.turns if abs(t.up[0]) > 0.5])
     centred = rates - rates.mean()
     # Each turn errs by its share of its rate, weighted as a line's slope weighs it.
@@ -213,9 +211,7 @@ def test_an_error_of_the_encoders_rate_goes_into_the_slope_on_the_rates() -> Non
 
 
 @pytest.mark.parametrize(('plan', 'name'), METHODS)
-def test_the_rate_between_the_clocks_goes_into_every_scale_factor_of_pulses(
-    plan: str, name: str
-) -> None:
+def test_the_rate_between_the_clocks_goes_into_every_scale_factor_of_pulses(plan, name):
     evidence = loaded(plan)
     found = std_of(method(name)(evidence), ErrorSource.CLOCK)
     std = evidence.clock_rate()[1]
@@ -227,7 +223,7 @@ def test_the_rate_between_the_clocks_goes_into_every_scale_factor_of_pulses(
     assert (rates[[*K_G, *K_A]] < 1e-3 * std).all()
 
 
-def test_the_degrees_of_freedom_are_those_of_the_estimates_behind_them() -> None:
+def test_the_degrees_of_freedom_are_those_of_the_estimates_behind_them():
     shares = six_positions().shares
     # One walk for each channel: of each 30.
     assert shares[ErrorSource.NOISE].freedom[K_A] == pytest.approx(30.0)
@@ -250,7 +246,7 @@ def perfect(plan: str, model: SensorModel, **known: float) -> Evidence:
         ('twelve_position', 'twelve_position'),
     ],
 )
-def test_a_wrong_latitude_does_what_the_budget_says_of_it(plan: str, name: str) -> None:
+def test_a_wrong_latitude_does_what_the_budget_says_of_it(plan, name):
     std = 0.01 * DEG
     right = replace(perfect(plan, truth().model), site=replace(SITE, latitude_std=std))
     found = method(name)(right)
@@ -261,7 +257,7 @@ def test_a_wrong_latitude_does_what_the_budget_says_of_it(plan: str, name: str) 
     assert of_latitude == pytest.approx(np.abs(moved), rel=0.02, abs=1e-13)
 
 
-def test_a_table_that_stands_off_its_azimuth_does_what_the_budget_says_of_it() -> None:
+def test_a_table_that_stands_off_its_azimuth_does_what_the_budget_says_of_it():
     right = perfect('six_position', truth().model)
     found = method('joint')(right)
     off = perfect('six_position', truth().model, azimuth=GIVEN_AZIMUTH)
@@ -271,7 +267,7 @@ def test_a_table_that_stands_off_its_azimuth_does_what_the_budget_says_of_it() -
     assert std_of(found, ErrorSource.AZIMUTH)[D_G].max() < SITE.north_rate * GIVEN_AZIMUTH
 
 
-def test_a_tilted_table_does_what_the_budget_says_of_it() -> None:
+def test_a_tilted_table_does_what_the_budget_says_of_it():
     evidence = perfect('six_position', truth().model)
     # Turns that no table times have no accelerometers, which would see both tilts.
     untimed = tuple(replace(turn, seconds=None) for turn in evidence.turns)
@@ -299,7 +295,7 @@ def test_a_tilted_table_does_what_the_budget_says_of_it() -> None:
 INSTABILITY = np.repeat([0.1 * DEG_H, 1 * MICRO_G], 3)
 
 
-def test_biases_that_drift_as_stated_do_what_the_budget_says_of_them() -> None:
+def test_biases_that_drift_as_stated_do_what_the_budget_says_of_them():
     # Processes second by second, in plain sums, through the weights of the estimate.
     evidence = evidence_of(noise=np.random.default_rng(1))
     evidence = replace(evidence, instability=INSTABILITY)
@@ -334,7 +330,7 @@ def test_biases_that_drift_as_stated_do_what_the_budget_says_of_them() -> None:
     assert stated[K_G] == pytest.approx(spread[K_G], rel=0.12)
 
 
-def test_what_the_session_shows_beyond_what_is_stated_has_lines_of_its_own() -> None:
+def test_what_the_session_shows_beyond_what_is_stated_has_lines_of_its_own():
     rng = np.random.default_rng(4)
     evidence = replace(loaded(), positioning=0.0)
     ups = [s.attitude[2] for s in evidence.segments]
@@ -358,7 +354,7 @@ def test_what_the_session_shows_beyond_what_is_stated_has_lines_of_its_own() -> 
 
 
 @pytest.mark.parametrize('name', ['joint', 'twelve_position'])
-def test_turns_that_disagree_are_a_source_of_their_own(name: str) -> None:
+def test_turns_that_disagree_are_a_source_of_their_own(name):
     evidence = loaded()
     turns = tuple(
         replace(
@@ -375,7 +371,7 @@ def test_turns_that_disagree_are_a_source_of_their_own(name: str) -> None:
 
 
 @pytest.mark.parametrize(('plan', 'name'), METHODS)
-def test_the_doubt_of_gravity_is_that_of_every_response_to_force(plan: str, name: str) -> None:
+def test_the_doubt_of_gravity_is_that_of_every_response_to_force(plan, name):
     calibration = made(plan, name)
     (line,) = [x for x in calibration.budget.lines if x.source is ErrorSource.GRAVITY]
     doubt = PLACE.gravity_std / PLACE.gravity
@@ -384,7 +380,7 @@ def test_the_doubt_of_gravity_is_that_of_every_response_to_force(plan: str, name
     assert not line.std[D_A].any()
 
 
-def test_a_gravity_as_measured_is_exact_and_has_no_line() -> None:
+def test_a_gravity_as_measured_is_exact_and_has_no_line():
     measured = Site.at(LATITUDE, gravity=9.79642, latitude_std=0.0)
     plan = at_one_rate(quick_plan('twelve_position', 12.0))
     found = calibrate(session(plan, stand(), 1), plan, site=measured).calibration
@@ -393,7 +389,7 @@ def test_a_gravity_as_measured_is_exact_and_has_no_line() -> None:
 
 
 @pytest.mark.parametrize('units', [Units.PULSES, Units.COUNTS])
-def test_a_table_whose_clock_is_off_does_what_the_budget_says_of_it(units: Units) -> None:
+def test_a_table_whose_clock_is_off_does_what_the_budget_says_of_it(units):
     off, model = 20 * PPM, truth().model
     right = perfect('twelve_position', model)
     found = method('joint')(right)
@@ -421,7 +417,7 @@ def test_a_table_whose_clock_is_off_does_what_the_budget_says_of_it(units: Units
     assert np.abs(moved[unfelt]).max() < 1e-3 * off
 
 
-def test_a_table_states_its_clock_and_a_calibration_counts_it(tmp_path) -> None:
+def test_a_table_states_its_clock_and_a_calibration_counts_it(tmp_path):
     path = tmp_path / 't.yaml'
     text = named_file('tables', 'three_axis').read_text()
     path.write_text(text + 'clock: 5 ppm\n')
@@ -436,7 +432,7 @@ def test_a_table_states_its_clock_and_a_calibration_counts_it(tmp_path) -> None:
     assert calibration.provenance['table_clock_std'] == TABLE_CLOCK
 
 
-def test_degrees_of_freedom_add_up_as_in_the_guides_example() -> None:
+def test_degrees_of_freedom_add_up_as_in_the_guides_example():
     # JCGM 100:2008, H.1.6: calibration of a gauge block, nm; 25, 9.7, 2.9 and 16.6 with
     # 18, 25.6, 50 and 2 degrees of freedom give 16.7.
     variances = np.array([[25.0], [9.7], [2.9], [16.6]]) ** 2
@@ -447,7 +443,7 @@ def test_degrees_of_freedom_add_up_as_in_the_guides_example() -> None:
 @pytest.mark.parametrize(
     ('freedom', 'factor'), [(1.0, 12.71), (5.0, 2.57), (10.0, 2.23), (50.0, 2.01), (np.inf, 1.96)]
 )
-def test_the_coverage_factor_is_students(freedom: float, factor: float) -> None:
+def test_the_coverage_factor_is_students(freedom, factor):
     # JCGM 100:2008, table G.2, 95 %.
     line = BudgetLine(ErrorSource.NOISE, np.array([2.0]), np.array([freedom]))
     assert Budget((line,)).coverage_factor == pytest.approx(factor, abs=0.005)
@@ -457,7 +453,7 @@ def test_the_coverage_factor_is_students(freedom: float, factor: float) -> None:
 @pytest.mark.parametrize(
     ('plan', 'name'), [('six_position', 'joint'), ('six_position', 'six_position')]
 )
-def test_each_source_is_missed_where_it_is_left_out(plan: str, name: str) -> None:
+def test_each_source_is_missed_where_it_is_left_out(plan, name):
     # The sessions here feel each of them by more than rounding: a sum without it is too small.
     found = method(name)(loaded(plan))
     for source in found.shares:
@@ -484,7 +480,7 @@ def test_each_source_is_missed_where_it_is_left_out(plan: str, name: str) -> Non
         (lambda b: b.update(parameters=['K_gx']), 'not the 24 parameters of the covariance'),
     ],
 )
-def test_a_broken_budget_is_refused(change, words: str) -> None:
+def test_a_broken_budget_is_refused(change, words):
     document = copy.deepcopy(written())
     change(document['uncertainty_budget'])
     with pytest.raises(InputError, match=rf'c\.yaml: uncertainty_budget.*{words}'):
@@ -497,7 +493,7 @@ def written() -> dict[str, Any]:
 
 
 @pytest.fixture
-def recording(tmp_path, monkeypatch) -> str:
+def recording(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = named_file('plans', 'twelve_position').read_text()
     text = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[')
@@ -506,7 +502,7 @@ def recording(tmp_path, monkeypatch) -> str:
     return 'bag'
 
 
-def test_the_screen_shows_the_budget_in_80_columns(recording, tmp_path, capsys) -> None:
+def test_the_screen_shows_the_budget_in_80_columns(recording, tmp_path, capsys):
     options = ['--height', '520', '--latitude-std', '0.1']
     assert main(['calibrate', recording, '--budget', '-o', 'c.yaml', *options]) == 0
     budget = capsys.readouterr().out.partition('Uncertainty budget')[2].partition('\nNotes\n')[0]
@@ -526,7 +522,7 @@ def test_the_screen_shows_the_budget_in_80_columns(recording, tmp_path, capsys) 
     assert 'Uncertainty budget' not in capsys.readouterr().out
 
 
-def test_columns_of_all_sources_keep_to_80_letters() -> None:
+def test_columns_of_all_sources_keep_to_80_letters():
     names = [source.heading for source in ErrorSource]
     shares = np.full((2, len(names)), 0.01)
     shown: Any = SimpleNamespace(headings=names, fractions=shares, parameters=PARAMETERS[:2])
@@ -539,7 +535,7 @@ def test_columns_of_all_sources_keep_to_80_letters() -> None:
         assert max(map(len, written.getvalue().splitlines())) <= 80
 
 
-def test_free_positions_tell_noise_pulses_and_what_trembles() -> None:
+def test_free_positions_tell_noise_pulses_and_what_trembles():
     calibration = by_hand(0).calibration
     lines = {line.source: line for line in calibration.budget.lines}
     assert {ErrorSource.NOISE, ErrorSource.QUANTISATION, ErrorSource.NORTH} <= set(lines)
@@ -550,7 +546,7 @@ def test_free_positions_tell_noise_pulses_and_what_trembles() -> None:
     assert (lines[ErrorSource.QUANTISATION].std[K_A] < calibration.std[K_A]).all()
 
 
-def test_what_concerns_no_estimated_parameter_has_no_row_and_no_column() -> None:
+def test_what_concerns_no_estimated_parameter_has_no_row_and_no_column():
     # As where only the gyros are calibrated, and gravity is a source of the others alone.
     whole = made('six_position', 'six_position')
     of_gyros = [p.triad == 'g' for p in whole.parameters]
@@ -563,7 +559,7 @@ def test_what_concerns_no_estimated_parameter_has_no_row_and_no_column() -> None
     assert not any('gravity at the site' in line for line in tables if isinstance(line, str))
 
 
-def test_a_method_that_does_not_tell_says_so() -> None:
+def test_a_method_that_does_not_tell_says_so():
     calibration = replace(made('twelve_position', 'joint'), budget=None)
     (words,) = budget_tables(calibration)
     assert 'there is no budget' in words
@@ -571,7 +567,7 @@ def test_a_method_that_does_not_tell_says_so() -> None:
     assert 'uncertainty_budget' not in calibration.to_yaml()
 
 
-def test_the_picture_shares_out_every_variance() -> None:
+def test_the_picture_shares_out_every_variance():
     calibration = made('twelve_position_33', 'joint_33')
     picture, *_, table = budget_section(calibration)
     for parameter in calibration.parameters:
@@ -580,7 +576,7 @@ def test_the_picture_shares_out_every_variance() -> None:
     assert picture.count('<title>K_ax: grav') == 1
 
 
-def test_what_is_known_of_a_latitude_goes_with_the_recording() -> None:
+def test_what_is_known_of_a_latitude_goes_with_the_recording():
     assert Site.at(0.5).latitude_std == pytest.approx(0.01 * DEG)
     site = Site.at(0.5, 100.0, latitude_std=0.002)
     again = described_site(describe('twelve_position', 'fog_medium', None, site), 'bag')
@@ -594,7 +590,7 @@ def test_what_is_known_of_a_latitude_goes_with_the_recording() -> None:
         Site.at(0.5, latitude_std=-DEG)
 
 
-def test_covariance_and_budget_grow_by_the_same_share() -> None:
+def test_covariance_and_budget_grow_by_the_same_share():
     calibration = made('six_position', 'six_position')
     share = Share.known(np.diag(calibration.std**2))
     more = calibration.with_share(ErrorSource.SCATTER, share)

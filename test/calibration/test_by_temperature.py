@@ -24,7 +24,7 @@ from imu_calib.calibration.thermal import (
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Units
 from imu_calib.model.session_terms import Changes, Course, change
-from imu_calib.session.imu import ImuSpec, StampingClock, TriadSpec
+from imu_calib.session.imu import StampingClock, TriadSpec
 
 
 def points(*celsius: float, order: int | None = None) -> ThermalCalibration:
@@ -35,11 +35,11 @@ def points(*celsius: float, order: int | None = None) -> ThermalCalibration:
     ('celsius', 'weights'),
     [(-99, (1, 0, 0)), (0, (1, 0, 0)), (5, (0.5, 0.5, 0)), (25, (0, 0.25, 0.75)), (99, (0, 0, 1))],
 )
-def test_lines_weigh_the_neighbours_and_hold_at_the_ends(celsius: float, weights: Any) -> None:
+def test_lines_weigh_the_neighbours_and_hold_at_the_ends(celsius, weights):
     assert points(30, 0, 10).weights(celsius) == pytest.approx(weights)
 
 
-def test_a_parabola_through_three_points_weighs_them_as_lagrange_did() -> None:
+def test_a_parabola_through_three_points_weighs_them_as_lagrange_did():
     weights = points(5, 15, 35, order=2).weights(25.0)
     # (25 - 15) (25 - 35) / ((5 - 15) (5 - 35)), and so on.
     assert weights == pytest.approx([-100 / 300, -200 / -200, 200 / 600])
@@ -49,7 +49,7 @@ def test_a_parabola_through_three_points_weighs_them_as_lagrange_did() -> None:
     assert points(0, 10, 20, 30, order=1).weights(25.0) == pytest.approx(1 / 4 + 10 * off / 500)
 
 
-def test_what_gravity_does_to_all_of_them_does_not_average_down() -> None:
+def test_what_gravity_does_to_all_of_them_does_not_average_down():
     # 1e-3 of gravity is as much of the scale factors of accelerometers, K_ax at 12.
     gravity = {'gravity': 9.8, 'gravity_std': 9.8e-3}
     square = np.zeros((24, 24))
@@ -61,7 +61,7 @@ def test_what_gravity_does_to_all_of_them_does_not_average_down() -> None:
     assert found.covariance[12, 13] == pytest.approx(1e-6)
 
 
-def test_between_two_what_is_known_of_both_is_kept() -> None:
+def test_between_two_what_is_known_of_both_is_kept():
     cold = brick_at(0.0, 1.0, 0.3, random_walk=[3.0] * 6, highest_rate=2.0, place='here')
     warm = brick_at(10.0, 2.0, 0.4, random_walk=[4.0] * 6, highest_rate=1.5)
     found = combine([warm, cold], ['a', 'b']).at(7.5)
@@ -78,7 +78,7 @@ def test_between_two_what_is_known_of_both_is_kept() -> None:
     assert points(0, 10).at(5.0).provenance['highest_rate'] is None
 
 
-def test_a_session_without_a_clock_goes_by_the_stamps_own() -> None:
+def test_a_session_without_a_clock_goes_by_the_stamps_own():
     clock = StampingClock('imu', 'table', 4e-5, 3e-6)
     found = combine([replace(brick_at(0.0), clock=clock), brick_at(10.0)], ['a', 'b']).at(2.5).clock
     assert found is not None
@@ -99,7 +99,7 @@ def test_a_session_without_a_clock_goes_by_the_stamps_own() -> None:
         (45.0, 0.0),
     ],
 )
-def test_chords_are_doubted_by_the_larger_bend_beside_them(celsius: float, doubt: float) -> None:
+def test_chords_are_doubted_by_the_larger_bend_beside_them(celsius, doubt):
     bends = [brick_at(t, b) for t, b in ((0.0, 0.0), (10.0, 10.0), (20.0, 40.0), (40.0, 60.0))]
     found = combine(bends, list('abcd')).at(celsius)
     assert found.std[BIAS] == pytest.approx(doubt, abs=1e-12)
@@ -107,7 +107,7 @@ def test_chords_are_doubted_by_the_larger_bend_beside_them(celsius: float, doubt
     assert combine(bends[:2], list('ab')).at(5.0).std[BIAS] == 0.0
 
 
-def test_a_session_that_follows_its_temperature_is_led_along_its_coefficients() -> None:
+def test_a_session_that_follows_its_temperature_is_led_along_its_coefficients():
     terms = tuple(change(Course.THERMAL, name) for name in ('D_gx', 'K_a'))
     cross = np.zeros((24, 2))
     cross[BIAS, 0] = -0.02
@@ -134,7 +134,7 @@ def test_a_session_that_follows_its_temperature_is_led_along_its_coefficients() 
     assert by_temperature(trend, 'file') is trend
 
 
-def test_a_calibration_counts_within_what_it_saw() -> None:
+def test_a_calibration_counts_within_what_it_saw():
     assert temperature_range(brick_at(20.0)) == (14.0, 27.0)
     assert temperature_range(replace(brick_at(20.0), provenance={})) == (-np.inf, np.inf)
     cold, warm = brick_at(0.0), brick_at(10.0)
@@ -144,7 +144,7 @@ def test_a_calibration_counts_within_what_it_saw() -> None:
     assert first_of(warm) is warm
 
 
-def test_a_file_of_several_is_read_as_it_was_written(tmp_path: Any) -> None:
+def test_a_file_of_several_is_read_as_it_was_written(tmp_path):
     whole = points(0, 10, 20, order=2)
     whole.save(tmp_path / 'all.yaml')
     text = (tmp_path / 'all.yaml').read_text()
@@ -194,7 +194,7 @@ HEAVIER = replace(BRICK, accel=TriadSpec(2e-2))
         ),
     ],
 )
-def test_another_unit_is_refused_by_what_differs(imu: ImuSpec, sentence: str) -> None:
+def test_another_unit_is_refused_by_what_differs(imu, sentence):
     mine = replace(brick_at(0.0), imu=imu)
     with pytest.raises(InputError) as refused:
         check_same_unit(mine, 'a.yaml', points(0, 10), 'b.yaml')
@@ -202,7 +202,7 @@ def test_another_unit_is_refused_by_what_differs(imu: ImuSpec, sentence: str) ->
     check_unit(replace(mine, imu=SAME), 'a.yaml', BRICK, 'b.yaml')
 
 
-def test_serial_numbers_are_compared_where_both_state_one() -> None:
+def test_serial_numbers_are_compared_where_both_state_one():
     mine = replace(brick_at(0.0), serial_number='7')
     for other in ('', '7'):
         check_identity(mine, 'a.yaml', 'brick', 'b.yaml', other)
@@ -278,9 +278,7 @@ ALL_KEYS = (
         ),
     ],
 )
-def test_what_does_not_go_together_is_refused_by_name(
-    calibrations: list[Calibration], order: int | None, sentence: str | None
-) -> None:
+def test_what_does_not_go_together_is_refused_by_name(calibrations, order, sentence):
     with pytest.raises(InputError) as refused:
         combine(calibrations, [str(k) for k in range(len(calibrations))], order, 'c: ')
     if sentence is None:

@@ -28,7 +28,7 @@ def example() -> Calibration:
     )
 
 
-def test_a_calibration_comes_back_from_its_file_bit_for_bit(tmp_path: Path) -> None:
+def test_a_calibration_comes_back_from_its_file_bit_for_bit(tmp_path):
     saved, path = example(), tmp_path / 'calibration.yaml'
     saved.save(path)
     loaded = Calibration.load(path)
@@ -41,9 +41,7 @@ def test_a_calibration_comes_back_from_its_file_bit_for_bit(tmp_path: Path) -> N
 @pytest.mark.parametrize('name', ['E_gxy', 'D_az'])
 @pytest.mark.parametrize('number', [np.nan, np.inf])
 @pytest.mark.parametrize('spoilt', ['value', 'std'])
-def test_a_parameter_without_a_number_is_not_written(
-    tmp_path: Path, name: str, number: float, spoilt: str
-) -> None:
+def test_a_parameter_without_a_number_is_not_written(tmp_path, name, number, spoilt):
     calibration, path = example(), tmp_path / 'calibration.yaml'
     k = [p.name for p in calibration.parameters].index(name)
     values, covariance = calibration.values.copy(), calibration.covariance.copy()
@@ -62,7 +60,7 @@ def test_a_parameter_without_a_number_is_not_written(
     assert not path.exists()
 
 
-def test_the_file_says_the_angles_between_input_axes_and_cannot_contradict_itself() -> None:
+def test_the_file_says_the_angles_between_input_axes_and_cannot_contradict_itself():
     calibration = example()
     text = calibration.to_yaml()
     document = yaml.safe_load(text)
@@ -81,7 +79,7 @@ def test_the_file_says_the_angles_between_input_axes_and_cannot_contradict_itsel
     assert Calibration.from_yaml(changed, 'c.yaml').to_yaml() == text
 
 
-def test_the_file_alone_is_enough_to_apply_it() -> None:
+def test_the_file_alone_is_enough_to_apply_it():
     # The README's formula on what yaml.safe_load returns, against the model's own compensation.
     calibration = example()
     document = yaml.safe_load(calibration.to_yaml())
@@ -102,12 +100,12 @@ def test_the_file_alone_is_enough_to_apply_it() -> None:
         ('format: 1\nunits: volts', "found 'volts'"),
     ],
 )
-def test_what_is_no_calibration_is_refused_in_words(text: str, message: str) -> None:
+def test_what_is_no_calibration_is_refused_in_words(text, message):
     with pytest.raises(InputError, match=message):
         Calibration.from_yaml(text, 'my.yaml')
 
 
-def test_a_matrix_of_the_wrong_size_is_named() -> None:
+def test_a_matrix_of_the_wrong_size_is_named():
     text = example().to_yaml().replace('  bias: [', '  bias: [1.0, ', 1)
     with pytest.raises(InputError, match=r'gyro: bias: found 4 numbers, expected 3'):
         Calibration.from_yaml(text, 'my.yaml')
@@ -118,9 +116,7 @@ def rendered(table: object) -> list[list[str]]:
     return [[str(cell) for cell in row] for row in zip(*columns, strict=True)]
 
 
-def test_the_truth_of_the_paper_prints_as_the_paper_prints_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_truth_of_the_paper_prints_as_the_paper_prints_it(monkeypatch):
     # Cao 2022, Table 1, twelve positions; names, order, numbers and units are the paper's.
     monkeypatch.syspath_prepend(DOCS)
     from table_1 import table_1
@@ -146,7 +142,7 @@ def test_the_truth_of_the_paper_prints_as_the_paper_prints_it(
     assert list(rows)[:4] == ['K_GX', 'K_GY', 'K_GZ', 'E_GXY']
 
 
-def test_the_screen_shows_the_angles_of_the_file_beside_those_of_the_truth() -> None:
+def test_the_screen_shows_the_angles_of_the_file_beside_those_of_the_truth():
     calibration = example()
     rows = rendered(angle_table(calibration, calibration))
     shown = [pair for a in calibration.free_of_frame for pair in zip(a.values, a.std, strict=True)]
@@ -160,7 +156,7 @@ def test_the_screen_shows_the_angles_of_the_file_beside_those_of_the_truth() -> 
     assert [row[0] for row in rows[::4]] == names
 
 
-def test_the_table_shows_as_many_digits_as_the_deviation_deserves() -> None:
+def test_the_table_shows_as_many_digits_as_the_deviation_deserves():
     rows = rendered(parameter_table(example(), example()))
     assert len(rows) == 24
     for name, value, deviation, unit, _, ratio in rows:

@@ -49,14 +49,14 @@ def normalised(result: Result) -> Floats:
 
 
 @pytest.mark.parametrize('azimuth', [0.0, again(1.0), again(2.5), 5.0, 200.0])
-def test_the_twelve_position_bias_does_not_move_with_the_azimuth(azimuth: float) -> None:
+def test_the_twelve_position_bias_does_not_move_with_the_azimuth(azimuth):
     plan = at_one_rate(quick_plan('twelve_position', 20.0))
     exact = stand(azimuth=azimuth * DEG, quantise=False, noise=False)
     result = calibrate(session(plan, exact), plan, method='twelve_position')
     assert np.abs(errors(result)[GYRO_BIAS]).max() < 1e-6 * DEG_H
 
 
-def test_with_pulses_the_bias_moves_by_quantisation_and_no_more() -> None:
+def test_with_pulses_the_bias_moves_by_quantisation_and_no_more():
     plan = at_one_rate(quick_plan('twelve_position', 60.0))
     biases = []
     for azimuth in (0.0, 2.0, 5.0, 200.0):
@@ -70,7 +70,7 @@ def test_with_pulses_the_bias_moves_by_quantisation_and_no_more() -> None:
 
 
 @pytest.mark.parametrize('azimuth', [0.0, 2.0, 5.0])
-def test_the_six_position_bias_moves_as_its_formula_says(azimuth: float) -> None:
+def test_the_six_position_bias_moves_as_its_formula_says(azimuth):
     # docs/mathematics.md, 'Twelve positions':
     # dD = (I + M) mean(R_nb^T) (Rz(-e) - 1) (0, omega_N, 0).
     plan = at_one_rate(quick_plan('six_position', 20.0))
@@ -88,7 +88,7 @@ def test_the_six_position_bias_moves_as_its_formula_says(azimuth: float) -> None
 
 
 @pytest.mark.parametrize('seed', [0, 1, again(2), again(3)])
-def test_without_noise_the_scale_factor_is_exact_at_any_start_phase(seed: int) -> None:
+def test_without_noise_the_scale_factor_is_exact_at_any_start_phase(seed):
     plan = load_plan('twelve_position')
     ten = replace(plan.positions[0].rate_test, rates=(10 * DEG, -10 * DEG))  # type: ignore[type-var]
     positions = tuple(
@@ -100,7 +100,7 @@ def test_without_noise_the_scale_factor_is_exact_at_any_start_phase(seed: int) -
     assert np.abs(errors(result)[:3]).max() < 1 * PPM
 
 
-def test_a_difference_of_clocks_is_found_and_does_not_reach_the_scale_factor() -> None:
+def test_a_difference_of_clocks_is_found_and_does_not_reach_the_scale_factor():
     options = stand(clock_offset=0.05, clock_rate_error=50e-6)
     result = calibrate(session(usual_plan(), options, 2), usual_plan())
     clock = result.session.clock
@@ -108,7 +108,7 @@ def test_a_difference_of_clocks_is_found_and_does_not_reach_the_scale_factor() -
     assert np.abs(normalised(result)[:9]).max() < 4.5
 
 
-def test_half_a_millisecond_of_jitter_costs_little() -> None:
+def test_half_a_millisecond_of_jitter_costs_little():
     options = stand(joint_stamp_jitter=0.0005, imu_stamp_jitter=0.0005)
     result = calibrate(session(usual_plan(), options, 2), usual_plan())
     assert np.abs(normalised(result)).max() < 4.5
@@ -116,7 +116,7 @@ def test_half_a_millisecond_of_jitter_costs_little() -> None:
 
 
 @pytest.mark.parametrize('missing', [(SetpointBlock,), (SetpointBlock, JointBlock)])
-def test_joint_states_alone_and_the_imu_alone_serve_too(missing: tuple[type, ...]) -> None:
+def test_joint_states_alone_and_the_imu_alone_serve_too(missing):
     blocks = [b for b in session(usual_plan(), seed=5) if not isinstance(b[1], missing)]
     result = calibrate(blocks, usual_plan(), imu_only=JointBlock in missing)
     assert len(result.labelled.segments) == 12
@@ -134,13 +134,13 @@ mount: [-y, z, -x]
 """
 
 
-def test_another_table_needs_no_special_case() -> None:
+def test_another_table_needs_no_special_case():
     table = read_table(Section.parse(OTHER_TABLE, 'other.yaml'))
     result = calibrate(session(usual_plan(), table=table, seed=6), usual_plan(), table=table)
     assert np.abs(normalised(result)).max() < 4.5
 
 
-def test_the_south_needs_no_special_case() -> None:
+def test_the_south_needs_no_special_case():
     site = Site.at(-LATITUDE, gravity=normal_gravity(-LATITUDE))
     result = calibrate(session(usual_plan(), site=site, seed=7), usual_plan(), site=site)
     assert np.abs(normalised(result)).max() < 4.5
@@ -152,13 +152,13 @@ def shuffled(plan: Plan) -> Plan:
     return replace(plan, positions=tuple(plan.positions[k] for k in order))
 
 
-def test_another_order_needs_no_special_case() -> None:
+def test_another_order_needs_no_special_case():
     plan = shuffled(usual_plan())
     result = calibrate(session(plan, seed=8), plan)
     assert np.abs(normalised(result)).max() < 4.5
 
 
-def test_a_repeated_position_is_averaged_and_makes_its_share_surer() -> None:
+def test_a_repeated_position_is_averaged_and_makes_its_share_surer():
     plan = usual_plan()
     again = replace(plan.positions[2], id='3 again')
     run = replace(plan, positions=(*plan.positions, again))
@@ -178,12 +178,12 @@ def renamed(block: Block) -> Block:
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=8 if ALL else 3)
-def test_the_result_does_not_depend_on_cuts_and_interleaving(seed: int) -> None:
+def test_the_result_does_not_depend_on_cuts_and_interleaving(seed):
     again = calibrate(recut(short_session(), seed), short_plan())
     assert again.calibration.to_yaml() == of_short_session()
 
 
-def test_nor_does_it_where_the_encoders_wrap() -> None:
+def test_nor_does_it_where_the_encoders_wrap():
     blocks = list(session(short_plan(), stand(wrapped=True), seed=1))
     reference = calibrate(blocks, short_plan()).calibration.to_yaml()
     for seed in range(3 if ALL else 1):
@@ -205,7 +205,7 @@ def of_short_session() -> str:
 
 
 @pytest.mark.parametrize('seed', [0, again(1), again(2)])
-def test_the_positioning_that_a_table_states_is_in_the_standard_deviations(seed: int) -> None:
+def test_the_positioning_that_a_table_states_is_in_the_standard_deviations(seed):
     # No sensor sees it: two arcsec, uniform, tilt the axis of a rate test by 1e-5 rad as a whole.
     half_width = 2 * ARCMIN / 60
     table = replace(load_table('three_axis'), positioning=half_width / np.sqrt(3))
@@ -215,7 +215,7 @@ def test_the_positioning_that_a_table_states_is_in_the_standard_deviations(seed:
     assert not any('scatter' in finding for finding in result.calibration.findings)
 
 
-def test_errors_of_arrival_that_no_table_states_widen_the_deviations() -> None:
+def test_errors_of_arrival_that_no_table_states_widen_the_deviations():
     plan, options = usual_plan(), stand(positioning_error=10 * ARCMIN / 60)
     result = calibrate(session(plan, options, seed=1), plan)
     plain = calibrate(session(plan, seed=1), plan)
@@ -228,7 +228,7 @@ def test_errors_of_arrival_that_no_table_states_widen_the_deviations() -> None:
     assert wider[12:15].max() < 3
 
 
-def test_holding_the_table_where_it_stands_leaves_the_position_its_name() -> None:
+def test_holding_the_table_where_it_stands_leaves_the_position_its_name():
     plan = at_one_rate(quick_plan('twelve_position', dwell=12.0))
 
     def held(blocks):

@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import date
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,7 +36,7 @@ Path_ = tuple[Any, ...]
 
 
 @pytest.fixture(scope='module')
-def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def recordings(tmp_path_factory):
     """A short session on a table, and one in the hand; the calibration file of each beside it."""
     folder = tmp_path_factory.mktemp('sessions')
     plan = (CHECKOUT / 'config' / 'plans' / 'twelve_position.yaml').read_text()
@@ -99,9 +98,7 @@ def loaded(text: str, path: Path_) -> Calibration | None:
 @pytest.mark.parametrize(
     ('name', 'seed'), [('table', 1), ('hand', 1), again('table', 2), again('hand', 2)]
 )
-def test_one_changed_value_is_refused_by_its_key_or_does_no_harm(
-    recordings: dict[str, Path], name: str, seed: int, tmp_path: Path
-) -> None:
+def test_one_changed_value_is_refused_by_its_key_or_does_no_harm(recordings, name, seed, tmp_path):
     document = load(recordings[name].with_suffix('.yaml').read_text())
     accepted = 0
     for path, value in cases(document, seed, CHANGES):
@@ -125,7 +122,7 @@ def test_one_changed_value_is_refused_by_its_key_or_does_no_harm(
     assert CHANGES / 10 < accepted < CHANGES
 
 
-def test_a_budget_of_exact_parameters_has_no_picture_and_no_certificate(tmp_path: Path) -> None:
+def test_a_budget_of_exact_parameters_has_no_picture_and_no_certificate(tmp_path):
     line = BudgetLine(ErrorSource.NOISE, np.zeros(24), np.full(24, np.inf))
     exact = replace(truth(), budget=Budget((line,)))
     assert 'Uncertainty budget' not in imu_calib.report(exact, tmp_path / 'r.html').read_text()
@@ -133,7 +130,7 @@ def test_a_budget_of_exact_parameters_has_no_picture_and_no_certificate(tmp_path
         imu_calib.certificate(exact, FIELDS, tmp_path / 'c.html', draft=True)
 
 
-def test_what_is_loaded_can_be_verified(recordings: dict[str, Path]) -> None:
+def test_what_is_loaded_can_be_verified(recordings):
     document = load(recordings['hand'].with_suffix('.yaml').read_text())
     origin = {'provenance': document['provenance']}
     judged = 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -43,7 +42,7 @@ def rows(first: Calibration, second: Calibration) -> dict[str, tuple[str, ...]]:
     return {str(r[0]): tuple(map(str, r[1:6])) for r in zip(*columns, strict=True)}
 
 
-def test_g_sensitivities_and_skewed_gyros_are_compared_too() -> None:
+def test_g_sensitivities_and_skewed_gyros_are_compared_too():
     first, second = unit(), unit()
     moved = second.model.g_sensitivity + np.diag([0, 3e-6, 0])
     second = replace(second, model=replace(second.model, g_sensitivity=moved))
@@ -60,7 +59,7 @@ def test_g_sensitivities_and_skewed_gyros_are_compared_too() -> None:
     assert all(float(row[2]) == 0 for name, row in found.items() if name != 'G_gyy')
 
 
-def test_names_units_and_order_are_those_of_a_calibration() -> None:
+def test_names_units_and_order_are_those_of_a_calibration():
     first = unit()
     shown = parameter_table(first)
     names, units = (list(shown.columns[k].cells) for k in (0, 3))
@@ -72,7 +71,7 @@ def test_names_units_and_order_are_those_of_a_calibration() -> None:
     assert [float(row[0]) for row in found.values()] == pytest.approx(values, abs=1e-3)
 
 
-def test_what_only_one_of_them_has_is_named() -> None:
+def test_what_only_one_of_them_has_is_named():
     large, small = unit(), unit(with_g=False, skewed=False)
     only, nothing = side_by_side([large, small]).only
     assert list(only) == [p.name for p in parameters_of([G_SENSITIVITY], skewed=1)[24:]]
@@ -80,7 +79,7 @@ def test_what_only_one_of_them_has_is_named() -> None:
     assert len(rows(large, small)) == len(rows(small, large)) == 24
 
 
-def test_another_nominal_scale_factor_is_no_difference_of_the_unit() -> None:
+def test_another_nominal_scale_factor_is_no_difference_of_the_unit():
     first = unit()
     imu = first.imu
     assert imu.skewed is not None
@@ -106,7 +105,7 @@ def test_another_nominal_scale_factor_is_no_difference_of_the_unit() -> None:
     assert all(abs(float(row[2])) < 1e-9 for row in rows(first, second).values())
 
 
-def test_rows_of_a_kind_have_the_same_decimals() -> None:
+def test_rows_of_a_kind_have_the_same_decimals():
     # Deviations of different size, and a difference below all of them.
     first = unit()
     parameters = list(first.parameters)
@@ -123,7 +122,7 @@ def test_rows_of_a_kind_have_the_same_decimals() -> None:
         assert len(cells) >= 3 and len(after) == 1, kind
 
 
-def test_two_units_are_said_to_be_two() -> None:
+def test_two_units_are_said_to_be_two():
     """A unit without a serial number, the truth of a simulation for one, may be any."""
     first, second = (replace(unit(), serial_number=n) for n in ('A1004', 'A1005'))
     (finding,) = compare(first, second, unit()).findings
@@ -131,7 +130,7 @@ def test_two_units_are_said_to_be_two() -> None:
     assert compare(first, first, unit()).findings == ()
 
 
-def test_pulses_and_si_are_not_compared(tmp_path: Path) -> None:
+def test_pulses_and_si_are_not_compared(tmp_path):
     first = unit()
     second = replace(first, imu=replace(first.imu, units=Units.SI))
     with pytest.raises(InputError, match='of pulses and of si cannot be compared'):
@@ -141,9 +140,7 @@ def test_pulses_and_si_are_not_compared(tmp_path: Path) -> None:
     assert main(['compare', str(tmp_path / 'a.yaml'), str(tmp_path / 'b.yaml')]) == 2
 
 
-def test_the_command_names_what_is_not_in_both(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_names_what_is_not_in_both(tmp_path, capsys):
     unit().save(tmp_path / 'large.yaml')
     unit(skewed=False).save(tmp_path / 'small.yaml')
     assert main(['compare', str(tmp_path / 'large.yaml'), str(tmp_path / 'small.yaml')]) == 0
@@ -168,7 +165,7 @@ def covariance(rng: np.random.Generator, scale: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize('count', [again(2), 4])
-def test_chance_marks_a_parameter_in_one_of_a_hundred_comparisons_at_most(count: int) -> None:
+def test_chance_marks_a_parameter_in_one_of_a_hundred_comparisons_at_most(count):
     rng = np.random.default_rng(5)
     truth = rng.normal(0, 1e-4, 24)
     spreads = [covariance(rng, 1e-6 * (k + 1)) for k in range(count)]
@@ -191,7 +188,7 @@ def test_chance_marks_a_parameter_in_one_of_a_hundred_comparisons_at_most(count:
     assert each == pytest.approx(np.full(24, count - 1), abs=5 * np.sqrt(2 * (count - 1) / runs))
 
 
-def test_what_has_moved_is_named_and_the_rest_is_not() -> None:
+def test_what_has_moved_is_named_and_the_rest_is_not():
     rng = np.random.default_rng(6)
     truth, spread = np.zeros(24), covariance(rng, 1e-6)
     units = [drawn(rng, truth, spread) for _ in range(3)]
@@ -205,7 +202,7 @@ def test_what_has_moved_is_named_and_the_rest_is_not() -> None:
     assert compare(*units[:3]).agreement.names == ()
 
 
-def test_chi_square_is_that_about_the_weighted_mean_or_about_a_truth() -> None:
+def test_chi_square_is_that_about_the_weighted_mean_or_about_a_truth():
     stds, values = np.array([1e-6, 2e-6, 4e-6]), np.array([1e-6, 4e-6, -3e-6])
     units = [
         Calibration(load_imu('si'), SensorModel.from_vector(np.full(24, v)), np.eye(24) * s**2)
@@ -224,7 +221,7 @@ def test_chi_square_is_that_about_the_weighted_mean_or_about_a_truth() -> None:
     assert set(found.freedom) == {2}
 
 
-def test_the_gravity_of_one_place_makes_no_difference_between_its_calibrations() -> None:
+def test_the_gravity_of_one_place_makes_no_difference_between_its_calibrations():
     doubt, here = 160e-6, {'gravity': 9.797, 'gravity_std': 160e-6 * 9.797, 'latitude_deg': 34.65}
     own = np.eye(24) * (2e-6) ** 2
     both = own.copy()
@@ -244,9 +241,7 @@ def test_the_gravity_of_one_place_makes_no_difference_between_its_calibrations()
     assert compare(first, elsewhere).agreement.names == ()
 
 
-def test_no_head_and_no_unit_is_cut_in_a_narrow_terminal(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_head_and_no_unit_is_cut_in_a_narrow_terminal(tmp_path, capsys, monkeypatch):
     files = [tmp_path / f'a_long_name_of_a_unit_{k}.yaml' for k in range(3)]
     for file in files:
         unit().save(file)

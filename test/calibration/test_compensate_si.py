@@ -26,13 +26,13 @@ WALK = 1e-4
 
 
 @pytest.fixture(scope='module')
-def session() -> ImuBlock:
+def session():
     """A hundred seconds in the hand, turned every other second, of a unit with errors."""
     return shaky(MODEL, rate=100, noise=(1e-3, 0.01), holds=12, seed=4).block
 
 
 @pytest.fixture
-def calibration(tmp_path) -> str:
+def calibration(tmp_path):
     square = np.zeros((24, 24))
     origin = {'random_walk': [WALK] * 6, 'highest_rate': 6.0}
     path = tmp_path / 'unit.yaml'
@@ -54,7 +54,7 @@ def rates(path) -> np.ndarray:
 
 
 @pytest.mark.parametrize('stated', [True, False])
-def test_stamps_that_are_all_zero_cost_no_sample(tmp_path, session, calibration, stated) -> None:
+def test_stamps_that_are_all_zero_cost_no_sample(tmp_path, session, calibration, stated):
     if stated:
         known = Calibration.load(calibration)
         known = replace(known, imu=replace(known.imu, sample_rate=100.0))
@@ -72,7 +72,7 @@ def test_stamps_that_are_all_zero_cost_no_sample(tmp_path, session, calibration,
     assert covariance[0] == pytest.approx(WALK**2 / 0.01 if stated else 0.0, rel=0.05)
 
 
-def test_nothing_written_is_no_success(tmp_path, session, calibration, capsys) -> None:
+def test_nothing_written_is_no_success(tmp_path, session, calibration, capsys):
     gyro = session.gyro.copy()
     gyro[:, 1] = np.nan
     bag = written(tmp_path / 'bag', replace(session, gyro=gyro))
@@ -88,9 +88,7 @@ def test_nothing_written_is_no_success(tmp_path, session, calibration, capsys) -
 
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('value', [1.7e308, -1e300, 1e160])
-def test_values_beyond_all_measure_are_named_and_left_out(
-    tmp_path, session, calibration, value
-) -> None:
+def test_values_beyond_all_measure_are_named_and_left_out(tmp_path, session, calibration, value):
     for k, name in enumerate(('gyro', 'accel')):
         spoiled = getattr(session, name).copy()
         spoiled[1000:1003, k] = value
@@ -108,7 +106,7 @@ def test_values_beyond_all_measure_are_named_and_left_out(
 
 
 @pytest.mark.parametrize(('share', 'warned'), [(0.6, True), (0.4, False)])
-def test_most_samples_lost_is_a_warning(tmp_path, session, calibration, share, warned) -> None:
+def test_most_samples_lost_is_a_warning(tmp_path, session, calibration, share, warned):
     gyro = session.gyro.copy()
     gyro[: round(share * len(gyro)), 1] = np.nan
     bag = written(tmp_path / 'bag', replace(session, gyro=gyro))
@@ -117,7 +115,7 @@ def test_most_samples_lost_is_a_warning(tmp_path, session, calibration, share, w
 
 
 @pytest.mark.parametrize('wrong', ['', 'deg/s', 'accelerated', 'still'])
-def test_rates_in_degrees_are_named(tmp_path, session, calibration, wrong) -> None:
+def test_rates_in_degrees_are_named(tmp_path, session, calibration, wrong):
     gyro, accel = session.gyro, session.accel
     if wrong == 'deg/s':
         gyro = gyro / DEG
@@ -137,7 +135,7 @@ def test_rates_in_degrees_are_named(tmp_path, session, calibration, wrong) -> No
 
 def test_the_data_sheet_of_a_unit_calibrated_in_the_hand_gives_the_noise(
     tmp_path, session, calibration
-) -> None:
+):
     made = Calibration.load(calibration)
     made = replace(made, provenance={**made.provenance, 'frame': 'accelerometers'})
     bag = written(tmp_path / 'bag', session)

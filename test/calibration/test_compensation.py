@@ -320,7 +320,7 @@ def test_gravity_of_the_paper_to_a_fraction_of_a_micro_g():
     assert np.abs(result.force.mean(axis=0) - force).max() < 0.01 / (count * TAU) * 1.2 + MICRO_G
 
 
-def test_noise_grows_by_the_longest_row_of_the_inverse() -> None:
+def test_noise_grows_by_the_longest_row_of_the_inverse():
     """White noise of equal size in three outputs makes of (I + M)^-1 times them its rows' norms."""
     gyro = np.array([[0.0, 0.5, 0.0], [0.0, -0.5, 0.0], [0.0, 0.0, 0.25]])
     accel = np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 0.0, 0.0]])

@@ -156,7 +156,7 @@ def calls_of(function: Any, *arguments: Any) -> int:
     return count
 
 
-def test_a_live_sample_takes_few_calls() -> None:
+def test_a_live_sample_takes_few_calls():
     decoder = ImuDecoder()
     compensator = Compensator(load_calibration(named_file('truths', 'cao2022_table1')))
     *first, last = messages(100)
@@ -165,7 +165,7 @@ def test_a_live_sample_takes_few_calls() -> None:
     assert calls_of(compensated, decoder, compensator, last) < MOST_CALLS
 
 
-def test_one_sample_is_given_as_among_many() -> None:
+def test_one_sample_is_given_as_among_many():
     """The way of one message writes the bytes that the way of many writes."""
     calibration = load_calibration(named_file('truths', 'cao2022_table1'))
     stream = messages(200)

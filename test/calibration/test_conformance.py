@@ -170,7 +170,7 @@ def spread_of(model: SensorModel) -> Floats:
 # ---------------------------------------------------------------- the model
 
 
-def test_every_parameter_has_a_name_a_unit_a_product_and_a_row_for_each_export() -> None:
+def test_every_parameter_has_a_name_a_unit_a_product_and_a_row_for_each_export():
     parameters = parameters_of(TERMS, skewed=4)
     assert len({p.name for p in parameters}) == len(parameters) == 24 + 49 + 16
     assert set(PRODUCTS) == set(parameters)
@@ -192,7 +192,7 @@ def test_every_parameter_has_a_name_a_unit_a_product_and_a_row_for_each_export()
 
 
 @of_sets
-def test_the_prediction_is_the_formula(terms: tuple[Term, ...]) -> None:
+def test_the_prediction_is_the_formula(terms):
     model, (rate, force) = unit(terms), samples()
     for found, expected in zip(
         model.predict(rate, force), outputs(named(model), rate, force), strict=True
@@ -201,7 +201,7 @@ def test_the_prediction_is_the_formula(terms: tuple[Term, ...]) -> None:
 
 
 @of_sets
-def test_derivatives_and_slopes_are_those_of_the_formula(terms: tuple[Term, ...]) -> None:
+def test_derivatives_and_slopes_are_those_of_the_formula(terms):
     model, (rate, force) = unit(terms), samples(5)
     parameters, values = model.parameters, named(model)
     by_parameters = model.derivatives(rate, force, parameters)
@@ -221,7 +221,7 @@ def test_derivatives_and_slopes_are_those_of_the_formula(terms: tuple[Term, ...]
 
 
 @of_sets
-def test_compensation_undoes_the_formula(terms: tuple[Term, ...]) -> None:
+def test_compensation_undoes_the_formula(terms):
     model, (rate, force) = unit(terms), samples()
     found = model.compensate(*outputs(named(model), rate, force))
     assert found[0] == pytest.approx(rate, abs=1e-12)
@@ -230,7 +230,7 @@ def test_compensation_undoes_the_formula(terms: tuple[Term, ...]) -> None:
     assert one[0].tolist() == found[0][0].tolist()
 
 
-def test_what_cannot_be_inverted_is_refused() -> None:
+def test_what_cannot_be_inverted_is_refused():
     # Beyond w = -w_ref / (2 Q) a quadratic turns back: no rate reads so little.
     model = SensorModel().with_values(parameters_of(TERMS)[42:45], np.array([-0.04, 0, 0]))
     assert list(model.terms) == ['gyro_quadratic']
@@ -242,7 +242,7 @@ def test_what_cannot_be_inverted_is_refused() -> None:
 
 
 @of_sets
-def test_samples_are_compensated_live_and_in_bulk(terms: tuple[Term, ...]) -> None:
+def test_samples_are_compensated_live_and_in_bulk(terms):
     model, (rate, force) = unit(terms), samples(700)
     gyro, accel = outputs(named(model), rate, force)
     applied = Compensation(known(model))
@@ -257,7 +257,7 @@ def test_samples_are_compensated_live_and_in_bulk(terms: tuple[Term, ...]) -> No
 
 
 @of_sets
-def test_the_covariance_of_a_sample_is_that_of_the_parameters(terms: tuple[Term, ...]) -> None:
+def test_the_covariance_of_a_sample_is_that_of_the_parameters(terms):
     model, (rate, force) = unit(terms), samples(4)
     gyro, accel = outputs(named(model), rate, force)
     spread = spread_of(model)
@@ -276,7 +276,7 @@ def test_the_covariance_of_a_sample_is_that_of_the_parameters(terms: tuple[Term,
         assert part == pytest.approx(block, abs=2e-3 * np.abs(block).max())
 
 
-def test_a_sample_that_no_input_explains_is_no_number() -> None:
+def test_a_sample_that_no_input_explains_is_no_number():
     model = SensorModel().with_values(parameters_of(TERMS)[42:45], np.array([-0.04, 0, 0]))
     gyro = np.array([[1.0, 0, 0], [8.0, 0, 0], [1.0, 0, 0]])
     found = Compensation(known(model)).apply(gyro, np.zeros((3, 3)), np.full(3, 0.01))
@@ -289,7 +289,7 @@ def test_a_sample_that_no_input_explains_is_no_number() -> None:
 
 
 @of_sets
-def test_a_file_keeps_every_parameter(terms: tuple[Term, ...]) -> None:
+def test_a_file_keeps_every_parameter(terms):
     model = unit(terms)
     calibration = known(model, spread_of(model))
     text = calibration.to_yaml()
@@ -303,7 +303,7 @@ def test_a_file_keeps_every_parameter(terms: tuple[Term, ...]) -> None:
         assert f'add {term.name}{channel}' in text
 
 
-def test_a_truth_by_hand_states_any_term_and_no_wrong_one() -> None:
+def test_a_truth_by_hand_states_any_term_and_no_wrong_one():
     text = truth().to_yaml()
     head = text.split('covariance:')[0]
     stated = head.replace('accelerometer:\n', 'accelerometer:\n  accel_quadratic: [1.0e-6, 0, 0]\n')
@@ -348,7 +348,7 @@ def conversion() -> tuple[Callable[[Calibration], Any], Callable[[Any], Calibrat
 
 
 @of_sets
-def test_a_message_keeps_every_parameter(terms: tuple[Term, ...]) -> None:
+def test_a_message_keeps_every_parameter(terms):
     message_of, calibration_of = conversion()
     model = unit(terms)
     calibration = known(model, spread_of(model), **provenance())
@@ -367,7 +367,7 @@ def test_a_message_keeps_every_parameter(terms: tuple[Term, ...]) -> None:
 
 
 @pytest.mark.parametrize('course', Course)
-def test_a_message_keeps_what_follows_time_or_temperature(course: Course) -> None:
+def test_a_message_keeps_what_follows_time_or_temperature(course):
     message_of, calibration_of = conversion()
     model = unit(())
     changes = (change(course, 'K_gx'), change(course, 'D_az'))
@@ -398,7 +398,7 @@ def test_a_message_keeps_what_follows_time_or_temperature(course: Course) -> Non
         setattr(message, field, kept)
 
 
-def test_a_calibration_by_message_follows_the_temperature_as_its_file_does() -> None:
+def test_a_calibration_by_message_follows_the_temperature_as_its_file_does():
     message_of, calibration_of = conversion()
     model = unit(())
     kelvin = Changes(
@@ -420,7 +420,7 @@ def test_a_calibration_by_message_follows_the_temperature_as_its_file_does() -> 
 
 
 @of_sets
-def test_temperature_interpolates_every_parameter(terms: tuple[Term, ...], tmp_path: Path) -> None:
+def test_temperature_interpolates_every_parameter(terms, tmp_path):
     model = unit(terms)
     parts = []
     for celsius, factor in ((0.0, 1.0), (20.0, 3.0)):
@@ -440,7 +440,7 @@ def test_temperature_interpolates_every_parameter(terms: tuple[Term, ...], tmp_p
 
 
 @of_sets
-def test_every_parameter_is_shown_by_its_name_in_its_unit(terms: tuple[Term, ...]) -> None:
+def test_every_parameter_is_shown_by_its_name_in_its_unit(terms):
     model = unit(terms)
     calibration = known(model, spread_of(model))
     values, deviations = named(model), calibration.std
@@ -458,7 +458,7 @@ def test_every_parameter_is_shown_by_its_name_in_its_unit(terms: tuple[Term, ...
 
 
 @of_sets
-def test_in_another_scale_the_unit_reads_the_same_numbers(terms: tuple[Term, ...]) -> None:
+def test_in_another_scale_the_unit_reads_the_same_numbers(terms):
     model, (rate, force) = unit(terms), samples(5)
     calibration = known(model, spread_of(model))
     imu = calibration.imu
@@ -484,7 +484,7 @@ def test_in_another_scale_the_unit_reads_the_same_numbers(terms: tuple[Term, ...
 
 
 @of_sets
-def test_limits_are_by_kind(terms: tuple[Term, ...]) -> None:
+def test_limits_are_by_kind(terms):
     for parameter in parameters_of(terms)[24:]:
         limit = parameter.unit.limit
         assert limit is not None
@@ -498,9 +498,7 @@ def test_limits_are_by_kind(terms: tuple[Term, ...]) -> None:
 
 
 @of_sets
-def test_a_wrong_gravity_changes_parameters_by_their_share_of_force(
-    terms: tuple[Term, ...],
-) -> None:
+def test_a_wrong_gravity_changes_parameters_by_their_share_of_force(terms):
     # Outputs stay what they are where forces are larger by a ten-millionth: what changes instead?
     model, more = unit(terms), 1e-7
     rate, force = samples(60)
@@ -517,7 +515,7 @@ def test_a_wrong_gravity_changes_parameters_by_their_share_of_force(
 
 
 @of_sets
-def test_exports_carry_every_parameter_or_refuse_it(terms: tuple[Term, ...]) -> None:
+def test_exports_carry_every_parameter_or_refuse_it(terms):
     calibration = known(unit(terms), random_walk=[1e-5] * 6)
     sheet = load_imu('fog_medium')
     for name, export in EXPORTS.items():
@@ -540,7 +538,7 @@ def test_exports_carry_every_parameter_or_refuse_it(terms: tuple[Term, ...]) -> 
 
 
 @of_sets
-def test_the_c_header_takes_every_term_off(terms: tuple[Term, ...], tmp_path: Path) -> None:
+def test_the_c_header_takes_every_term_off(terms, tmp_path):
     model, (rate, force) = unit(terms), samples(8)
     text = EXPORTS['c'](ExportSource(known(model), Path('/c.yaml'))).text
     found = compensated_in_c(tmp_path, text, np.hstack(outputs(named(model), rate, force)))
@@ -548,7 +546,7 @@ def test_the_c_header_takes_every_term_off(terms: tuple[Term, ...], tmp_path: Pa
     assert found[:, 1::2] == pytest.approx(force, abs=1e-11)
 
 
-def test_a_header_whose_rounds_would_not_end_is_refused() -> None:
+def test_a_header_whose_rounds_would_not_end_is_refused():
     model = SensorModel().with_values(parameters_of(TERMS)[39:42], np.array([0.04, 0, 0]))
     with pytest.raises(NotObservable, match='gyro_cubic outgrow'):
         EXPORTS['c'](ExportSource(known(model), Path('/c.yaml')))
@@ -616,7 +614,7 @@ def observed(terms: tuple[Term, ...]) -> Observed:
 
 
 @pytest.mark.parametrize('triads', ['g', 'a', 'ga'])
-def test_the_joint_estimate_finds_every_parameter(triads: str) -> None:
+def test_the_joint_estimate_finds_every_parameter(triads):
     terms = tuple(term for term in AT_REST if term.triad in triads)
     parameters = parameters_of(terms)
     found = estimate(evidence_of(terms), parameters)
@@ -630,9 +628,7 @@ def test_the_joint_estimate_finds_every_parameter(triads: str) -> None:
 
 
 @of_resting
-def test_verify_accepts_with_every_term_and_names_the_one_that_is_missing(
-    terms: tuple[Term, ...],
-) -> None:
+def test_verify_accepts_with_every_term_and_names_the_one_that_is_missing(terms):
     model = unit(terms)
     observation = observed(terms)
     # Deviations far below the session's own, and none that is zero.
@@ -653,7 +649,7 @@ def test_verify_accepts_with_every_term_and_names_the_one_that_is_missing(
 
 
 @of_sets
-def test_verify_predicts_by_the_formula(terms: tuple[Term, ...]) -> None:
+def test_verify_predicts_by_the_formula(terms):
     model, (rate, force) = unit(terms), samples(5)
     gyro, accel = outputs(named(model), rate, force)
     for gyros, read, inputs in ((True, gyro, rate), (False, accel, force)):
@@ -684,7 +680,7 @@ def test_verify_predicts_by_the_formula(terms: tuple[Term, ...]) -> None:
         ({'accel_cross'}, 'accel_cross .*X_axxy.*not observable'),
     ],
 )
-def test_what_a_plan_cannot_tell_is_refused_by_name(names: set[str], told: str) -> None:
+def test_what_a_plan_cannot_tell_is_refused_by_name(names, told):
     evidence = evidence_of(())
     aligned = replace(evidence, segments=evidence.segments[:12])
     terms = [term for term in TERMS if term.name in names]
@@ -693,7 +689,7 @@ def test_what_a_plan_cannot_tell_is_refused_by_name(names: set[str], told: str) 
         check_observable(Equations(aligned, parameters_of(terms)))
 
 
-def test_one_rate_does_not_tell_a_scale_factor_that_depends_on_it() -> None:
+def test_one_rate_does_not_tell_a_scale_factor_that_depends_on_it():
     evidence = evidence_of(())
     slow = tuple(t for t in evidence.turns if abs(abs(t.rate()) - 10 * DEG) < 1e-9)
     terms = [term for term in TERMS if term.name == 'gyro_rate_dependence']
@@ -702,7 +698,7 @@ def test_one_rate_does_not_tell_a_scale_factor_that_depends_on_it() -> None:
 
 
 @of_sets
-def test_the_simulated_unit_reads_the_formula(terms: tuple[Term, ...]) -> None:
+def test_the_simulated_unit_reads_the_formula(terms):
     options = ImuOptions(noise=False, bias_instability=False, quantise=False, turn_on_gyro=0.0)
     imu = SimulatedImu(load_imu('si'), unit(terms), SITE, options, np.random.default_rng(1))
     rate, force = samples(3)
@@ -711,7 +707,7 @@ def test_the_simulated_unit_reads_the_formula(terms: tuple[Term, ...]) -> None:
         assert mine == pytest.approx(expected, rel=1e-12)
 
 
-def test_a_parameter_of_no_known_kind_is_an_error_and_no_zero() -> None:
+def test_a_parameter_of_no_known_kind_is_an_error_and_no_zero():
     stranger = Parameter(ParameterKind.G_SENSITIVITY, 'a', 0, 0)
     for wrong in (
         lambda: SensorModel().values((stranger,)),

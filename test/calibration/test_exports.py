@@ -74,7 +74,7 @@ def assert_same(found: tuple[Floats, Floats], expected: tuple[Floats, Floats]) -
 
 
 @pytest.mark.parametrize('name', ['fog_medium', 'mems_counts', 'si'])
-def test_imucal_gives_our_values(name: str) -> None:
+def test_imucal_gives_our_values(name):
     # imucal's documentation: (raw - b_a) through inv(R_a) inv(K_a); likewise the gyros after K_ga.
     calibration = unit(name)
     gyro, accel = samples(calibration)
@@ -88,7 +88,7 @@ def test_imucal_gives_our_values(name: str) -> None:
 
 
 @pytest.mark.parametrize('name', ['fog_medium', 'mems_counts', 'si'])
-def test_imucal_itself_reads_the_file_and_gives_our_values(name: str) -> None:
+def test_imucal_itself_reads_the_file_and_gives_our_values(name):
     imucal = pytest.importorskip('imucal')
     calibration = unit(name)
     gyro, accel = samples(calibration)
@@ -104,7 +104,7 @@ def kalibr(calibration: Calibration) -> dict[str, Any]:
     return dict(yaml.safe_load(exported('kalibr', calibration)))
 
 
-def test_kalibr_predicts_what_our_model_predicts() -> None:
+def test_kalibr_predicts_what_our_model_predicts():
     # IccSensors.py, IccScaledMisalignedImu: alpha = M (C_i_b a_b) + b and
     # omega = M (C_gyro_i C_i_b w_b) + Ma (C_gyro_i C_i_b a_b) + b.
     calibration = unit('si')
@@ -124,7 +124,7 @@ def test_kalibr_predicts_what_our_model_predicts() -> None:
     assert_same((omega, alpha), calibration.model.predict(rate, force))
 
 
-def test_kalibrs_matrices_have_its_form_and_its_noise_its_units() -> None:
+def test_kalibrs_matrices_have_its_form_and_its_noise_its_units():
     file = kalibr(unit('si'))
     rotations = [np.array(file['T_i_b'])[:3, :3], np.array(file['gyroscopes']['C_gyro_i'])]
     for rotation in rotations:
@@ -145,7 +145,7 @@ def test_kalibrs_matrices_have_its_form_and_its_noise_its_units() -> None:
     assert file['accelerometer_random_walk'] == pytest.approx(np.sqrt((16 + 25 + 36) / 3) * 1e-6)
 
 
-def test_kalibrs_formula_makes_the_noise_that_its_figure_was_measured_from() -> None:
+def test_kalibrs_formula_makes_the_noise_that_its_figure_was_measured_from():
     # The wiki: sigma_discrete = sigma / sqrt(dt). White samples of that size, summed up,
     # are the random walk that our figure states: sigma^2 * t.
     file = kalibr(unit('si'))
@@ -159,7 +159,7 @@ def test_kalibrs_formula_makes_the_noise_that_its_figure_was_measured_from() -> 
 
 
 @pytest.mark.parametrize('share', [0.5, 2.0])
-def test_noise_from_the_data_sheet_is_in_kalibrs_units(share: float) -> None:
+def test_noise_from_the_data_sheet_is_in_kalibrs_units(share):
     calibration = replace(unit('si'), provenance={})
     sheet = load_imu('fog_medium')
     sheet = replace(sheet, accel=replace(sheet.accel, random_walk=share * 1e-3))
@@ -171,7 +171,7 @@ def test_noise_from_the_data_sheet_is_in_kalibrs_units(share: float) -> None:
     assert file['accelerometer_random_walk'] == pytest.approx(sheet.accel.bias_instability / 60)
 
 
-def test_noise_that_nobody_measured_is_the_data_sheets_and_it_is_said() -> None:
+def test_noise_that_nobody_measured_is_the_data_sheets_and_it_is_said():
     calibration = replace(unit('si'), provenance={'random_walk': WALK})
     sheet = load_imu('fog_medium')
     found = EXPORTS['kalibr'](ExportSource(calibration, Path('/c.yaml'), sheet=sheet))
@@ -182,7 +182,7 @@ def test_noise_that_nobody_measured_is_the_data_sheets_and_it_is_said() -> None:
     assert any('rule of thumb' in sentence for sentence in found.findings)
 
 
-def test_the_noise_of_a_hand_is_not_written_as_that_of_the_sensor() -> None:
+def test_the_noise_of_a_hand_is_not_written_as_that_of_the_sensor():
     noise = unit('si').provenance
     held = replace(unit('si'), provenance={**noise, 'by_hand': True})
     with pytest.raises(InputError, match=r'noise of the accelerometers.*imu-calib noise BAG'):
@@ -193,7 +193,7 @@ def test_the_noise_of_a_hand_is_not_written_as_that_of_the_sensor() -> None:
     assert density == pytest.approx(sheet.gyro.random_walk)
 
 
-def test_kalibr_is_refused_what_it_needs_in_words() -> None:
+def test_kalibr_is_refused_what_it_needs_in_words():
     calibration = unit('si')
     with pytest.raises(InputError, match='give `sample_rate`'):
         EXPORTS['kalibr'](ExportSource(calibration, Path('/c.yaml')))
@@ -208,9 +208,7 @@ def test_kalibr_is_refused_what_it_needs_in_words() -> None:
 
 @pytest.mark.parametrize('name', ['fog_medium', 'mems_counts', 'si'])
 @pytest.mark.parametrize(('define', 'tolerance'), [(None, 1e-12), ('IMU_CALIB_FLOAT', 3e-6)])
-def test_the_c_header_gives_our_values(
-    name: str, define: str | None, tolerance: float, tmp_path: Path
-) -> None:
+def test_the_c_header_gives_our_values(name, define, tolerance, tmp_path):
     calibration = unit(name)
     gyro, accel = samples(calibration)
     header = exported('c', calibration)
@@ -222,7 +220,7 @@ def test_the_c_header_gives_our_values(
 
 
 @pytest.mark.parametrize('name', EXPORTS)
-def test_an_export_names_the_unit_or_its_recording_in_one_line(name: str) -> None:
+def test_an_export_names_the_unit_or_its_recording_in_one_line(name):
     calibration = unit('si')
     recorded = replace(calibration, provenance={**calibration.provenance, 'recording': 'shelf_2'})
     assert 'shelf_2' in exported(name, recorded)
@@ -231,7 +229,7 @@ def test_an_export_names_the_unit_or_its_recording_in_one_line(name: str) -> Non
 
 
 @pytest.mark.parametrize('node', ['/compensator_node', '/robot/compensator_node'])
-def test_the_ros_file_reaches_the_node_in_any_namespace(node: str, tmp_path: Path) -> None:
+def test_the_ros_file_reaches_the_node_in_any_namespace(node, tmp_path):
     needs_modules('cyclonedds')
     from imu_calib.live.middleware.dds.arguments import parse
 
@@ -242,9 +240,7 @@ def test_the_ros_file_reaches_the_node_in_any_namespace(node: str, tmp_path: Pat
     assert arguments.parameters_of('/imu_node') == {}
 
 
-def test_the_command_writes_and_says_what_is_lost(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_and_says_what_is_lost(tmp_path, capsys):
     file = tmp_path / 'calibration.yaml'
     unit().save(file)
     for name in EXPORTS:
@@ -265,7 +261,7 @@ def test_the_command_writes_and_says_what_is_lost(
     assert '/dev/stdout is the standard output' in capsys.readouterr().err
 
 
-def test_a_gyro_only_calibration_says_so() -> None:
+def test_a_gyro_only_calibration_says_so():
     calibration = unit('si')
     covariance = calibration.covariance[:24, :24].copy()
     covariance[12:, :], covariance[:, 12:] = np.nan, np.nan

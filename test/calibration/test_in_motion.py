@@ -43,7 +43,7 @@ def compensated(unit: Unit, calibration: Calibration, sizes: Sequence[int] = (10
     return Reading(np.concatenate([reading.stamp for reading in readings]), values, '')
 
 
-def test_compensation_takes_off_what_motion_adds() -> None:
+def test_compensation_takes_off_what_motion_adds():
     # At the arm all three are together: where places are zero along their own axes.
     together = replace(QUIET, places=((0.11, -0.05, 0.08),) * 3, late=0.0)
     wanted = compensated(together, known(terms=False)).values.force
@@ -66,7 +66,7 @@ def test_compensation_takes_off_what_motion_adds() -> None:
     assert np.sqrt(more[20]).max() < 1e-6
 
 
-def test_a_force_is_as_unknown_as_the_rate_that_places_make_of_it() -> None:
+def test_a_force_is_as_unknown_as_the_rate_that_places_make_of_it():
     whole = known(terms=True)
     narrow = replace(whole, imu=replace(whole.imu, gyro=replace(whole.imu.gyro, range=20 * DEG)))
     found, sound = compensated(QUIET, narrow).values, compensated(QUIET, whole).values
@@ -79,7 +79,7 @@ def test_a_force_is_as_unknown_as_the_rate_that_places_make_of_it() -> None:
     assert np.array_equal(found.force[inner], sound.force[inner])
 
 
-def test_samples_have_the_same_bits_however_they_come() -> None:
+def test_samples_have_the_same_bits_however_they_come():
     whole = compensated(QUIET, known(terms=True))
     pieces = compensated(QUIET, known(terms=True), (1, 7, 1, 1, 300, 2))
     assert pieces.stamp.tolist() == whole.stamp.tolist()
@@ -88,7 +88,7 @@ def test_samples_have_the_same_bits_however_they_come() -> None:
         assert one.tobytes() == other.tobytes(), name
 
 
-def test_the_noise_of_a_change_passes_through_places_and_delay() -> None:
+def test_the_noise_of_a_change_passes_through_places_and_delay():
     """Parameters that are known: what is added is by the noise of the two samples beside."""
     sure = [replace(c, covariance=0 * c.covariance) for c in (known(True), known(False))]
     tau, rng = 0.01, np.random.default_rng(1)
@@ -109,14 +109,14 @@ def test_the_noise_of_a_change_passes_through_places_and_delay() -> None:
     assert added == pytest.approx(wanted, rel=1e-6, abs=1e-6 * wanted.max())
 
 
-def test_samples_across_a_gap_are_not_beside_each_other() -> None:
+def test_samples_across_a_gap_are_not_beside_each_other():
     # One interval is missing: by how much the unit turned faster meanwhile nobody saw.
     rng, half = np.random.default_rng(2), 20
     number = np.arange(2 * half) + (np.arange(2 * half) >= half)
     stamps = EPOCH * 10**9 + number * 10_000_000
     outputs = np.cumsum(rng.integers(-99, 99, (2 * half, 6)), axis=0).astype(float)
 
-    def forces(rows: slice) -> np.ndarray:
+    def forces(rows):
         compensator = Compensator(known(terms=True))
         readings = compensator.compensate_block(
             ImuBlock(stamps[rows], outputs[rows, :3], outputs[rows, 3:])

@@ -41,7 +41,7 @@ def fed_with(joint_signs: tuple[int, ...], gyro_signs: tuple[int, ...], unit: ob
     'unit', [MEDIUM, CONSUMER, again(NAVIGATION), again(replace(MEDIUM, counts=True))]
 )
 @pytest.mark.parametrize('reversed_ones', [(0,), (1,), (2,), (0, 2)])
-def test_the_sentence_names_the_joint(reversed_ones: tuple[int, ...], unit: object) -> None:
+def test_the_sentence_names_the_joint(reversed_ones, unit):
     signs = tuple(-1 if k in reversed_ones else 1 for k in range(3))
     names = ' and '.join(JOINTS[k] for k in reversed_ones)
     with pytest.raises(Contradiction, match=f'Joints? {names} turns? opposite to') as refused:
@@ -50,11 +50,11 @@ def test_the_sentence_names_the_joint(reversed_ones: tuple[int, ...], unit: obje
 
 
 @pytest.mark.parametrize('mirrored', [(-1, -1, -1), (1, -1, 1)])
-def test_mirrored_gyros_are_not_taken_for_joints(mirrored: tuple[int, ...]) -> None:
+def test_mirrored_gyros_are_not_taken_for_joints(mirrored):
     with pytest.raises(Contradiction, match='axes of the gyros are mirrored') as refused:
         fed_with((1, 1, 1), mirrored, MEDIUM).finish()
     assert 'opposite to' not in str(refused.value)
 
 
-def test_what_agrees_is_not_asked() -> None:
+def test_what_agrees_is_not_asked():
     assert np.isfinite(fed_with((1, 1, 1), (1, 1, 1), MEDIUM).finish().calibration.std).all()

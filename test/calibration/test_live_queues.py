@@ -42,7 +42,7 @@ def rates(readings: list[Any]) -> list[float]:
     return [float(v) for r in readings for v in r.values.rate[:, 0]]
 
 
-def test_a_temperature_counts_for_samples_half_a_second_after_it() -> None:
+def test_a_temperature_counts_for_samples_half_a_second_after_it():
     # The bias is the temperature; the unit stands still.
     compensator = Compensator(combine([brick_at(0.0, 0.0), brick_at(100.0, 100.0)], ['a', 'b']))
     assert compensator.waits_for_temperature
@@ -64,7 +64,7 @@ def test_a_temperature_counts_for_samples_half_a_second_after_it() -> None:
     assert compensator.celsius == 20.0
 
 
-def test_a_temperature_that_hardly_moves_is_the_one_before() -> None:
+def test_a_temperature_that_hardly_moves_is_the_one_before():
     compensator = Compensator(combine([brick_at(0.0, 0.0), brick_at(100.0, 100.0)], ['a', 'b']))
     compensator.compensate_block(temperature(0, 10.0))
     # From 10 to 10.0099 nothing is prepared anew; 10.0101 is a hundredth more.
@@ -74,7 +74,7 @@ def test_a_temperature_that_hardly_moves_is_the_one_before() -> None:
     assert found == pytest.approx([-10.0] * 600 + [-10.0101] * 100, abs=1e-9)
 
 
-def test_beyond_what_was_seen_samples_are_marked_until_the_temperature_is_back() -> None:
+def test_beyond_what_was_seen_samples_are_marked_until_the_temperature_is_back():
     # Seen from 19 to 22 degC, and taken to count five kelvin further.
     compensator = Compensator(brick_at(20.0, 3.0))
     for k, celsius in enumerate((27.0, 27.1, 13.9, 14.0)):
@@ -87,7 +87,7 @@ def test_beyond_what_was_seen_samples_are_marked_until_the_temperature_is_back()
     assert rates(readings) == pytest.approx([-3.0] * 1000)
 
 
-def test_while_no_temperature_comes_the_oldest_make_room(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_while_no_temperature_comes_the_oldest_make_room(monkeypatch):
     monkeypatch.setattr(module, '_MOST_WAITING', 50)
     compensator = Compensator(combine([brick_at(0.0), brick_at(100.0)], ['a', 'b']))
     for first in (0, 40, 50, 51):
@@ -98,7 +98,7 @@ def test_while_no_temperature_comes_the_oldest_make_room(monkeypatch: pytest.Mon
     assert (compensator.dropped, compensator.waiting) == (70, 0)
 
 
-def test_what_comes_again_and_again_is_dropped_and_the_rest_goes_on() -> None:
+def test_what_comes_again_and_again_is_dropped_and_the_rest_goes_on():
     compensator = Compensator(brick_at(20.0))
     still = replace(samples(0, 33), stamp=np.full(33, START))
     assert compensator.compensate_block(still) == []
@@ -110,7 +110,7 @@ def test_what_comes_again_and_again_is_dropped_and_the_rest_goes_on() -> None:
     assert (compensator.irregular_steps, compensator.dropped) == (0, 0)
 
 
-def test_stamps_that_stand_still_wait_for_a_second_at_most() -> None:
+def test_stamps_that_stand_still_wait_for_a_second_at_most():
     # No repeats: the values go on.
     compensator = Compensator(brick_at(20.0))
     values = np.arange(5000.0)[:, None] * np.ones(3)
@@ -125,7 +125,7 @@ def skewed(*milliseconds: float) -> SkewBlock:
     return SkewBlock(at(*milliseconds), np.full(len(milliseconds), 1.0))
 
 
-def test_a_sample_waits_fifty_milliseconds_for_its_skewed_gyro() -> None:
+def test_a_sample_waits_fifty_milliseconds_for_its_skewed_gyro():
     calibration = known(model=with_skew())
     # Samples that come ten times as fast as stated would wait for others.
     calibration = replace(calibration, imu=replace(calibration.imu, sample_rate=1000.0))
@@ -145,7 +145,7 @@ def test_a_sample_waits_fifty_milliseconds_for_its_skewed_gyro() -> None:
     assert (compensator.alone, compensator.waiting) == (55, 0)
 
 
-def test_values_of_the_same_stamp_belong_together() -> None:
+def test_values_of_the_same_stamp_belong_together():
     # Four gyros of ideal axes: the fourth sees (x + y + z) / sqrt(3).
     model = SensorModel(skewed=with_skew().skewed)
     compensator = Compensator(known(BRICK, model))
@@ -158,7 +158,7 @@ def test_values_of_the_same_stamp_belong_together() -> None:
     assert out.values.rate == pytest.approx(np.full((33, 3), 1e-3), abs=1e-5)
 
 
-def test_a_calibration_that_cannot_be_applied_leaves_the_one_before() -> None:
+def test_a_calibration_that_cannot_be_applied_leaves_the_one_before():
     compensator = Compensator(brick_at(20.0, 3.0))
     flat = known(BRICK, SensorModel(Triad(np.diag([0.0, 0.0, -1.0]), np.zeros(3))))
     with pytest.raises(NotObservable):
@@ -175,7 +175,7 @@ def test_a_calibration_that_cannot_be_applied_leaves_the_one_before() -> None:
 
 
 @pytest.mark.parametrize('interval', [0.0, -0.001])
-def test_a_sample_without_an_interval_is_alone_as_it_is_among_many(interval: float) -> None:
+def test_a_sample_without_an_interval_is_alone_as_it_is_among_many(interval):
     spec = replace(BRICK, units=Units.PULSES)
     compensation = Compensation(known(spec, SensorModel(), random_walk=[1e-3] * 6))
     gyro, accel, tau = np.ones((2, 3)), np.ones((2, 3)), np.full(2, interval)
@@ -248,7 +248,7 @@ def awkward() -> Any:
 
 
 @pytest.mark.parametrize('size', [1, 3, 700, 10**6])
-def test_intervals_are_those_of_the_rules(size: int) -> None:
+def test_intervals_are_those_of_the_rules(size):
     stamps = awkward()
     if size == 1:
         stamps = stamps[:1300]
@@ -262,7 +262,7 @@ def test_intervals_are_those_of_the_rules(size: int) -> None:
 
 
 @pytest.mark.parametrize(('late', 'odd'), [(0.49, 0), (0.51, 1)])
-def test_a_step_is_odd_that_is_half_an_interval_longer(late: float, odd: int) -> None:
+def test_a_step_is_odd_that_is_half_an_interval_longer(late, odd):
     clock = SampleClock()
     clock.time_samples(at(*range(40)))
     clock.time_samples(at(40 + late))
@@ -270,7 +270,7 @@ def test_a_step_is_odd_that_is_half_an_interval_longer(late: float, odd: int) ->
     assert clock.typical == pytest.approx(1e-3)
 
 
-def test_few_samples_are_timed_at_the_end_by_all_of_their_steps() -> None:
+def test_few_samples_are_timed_at_the_end_by_all_of_their_steps():
     clock = SampleClock()
     assert len(clock.time_samples(at(0.0, 1.0, 2.1)).interval) == 0
     assert clock.waiting == 3

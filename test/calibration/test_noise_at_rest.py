@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -75,7 +74,7 @@ def found(values: Floats, imu: ImuSpec = SI, stamp: Any = None) -> NoiseAtRest:
     return noise_at_rest(read(values, imu, stamp), 'unit')
 
 
-def test_default_overlap_costs_a_tenth_of_a_deviation_and_full_overlap_nothing() -> None:
+def test_default_overlap_costs_a_tenth_of_a_deviation_and_full_overlap_nothing():
     rng = np.random.default_rng(1)
     values = rng.normal(size=(20_000, 40))
     accumulator = AllanAccumulator(40)
@@ -95,7 +94,7 @@ def test_default_overlap_costs_a_tenth_of_a_deviation_and_full_overlap_nothing()
         assert m >= 32 or mine.variance[k] == pytest.approx(expected, rel=1e-9)
 
 
-def test_full_overlap_is_that_of_allantools() -> None:
+def test_full_overlap_is_that_of_allantools():
     allantools = pytest.importorskip('allantools')
     values = made(np.random.default_rng(2), 30_000, 1e-3, rate_walk=1e-5) + UP
     rest = read(values, full_overlap=True)
@@ -107,7 +106,7 @@ def test_full_overlap_is_that_of_allantools() -> None:
         assert np.sqrt(rest.sums.variance[:, c]) == pytest.approx(expected, rel=1e-9)
 
 
-def test_a_stream_is_summed_the_same_however_it_is_cut() -> None:
+def test_a_stream_is_summed_the_same_however_it_is_cut():
     values = np.random.default_rng(3).normal(size=(50_000, 2))
     whole, parts = AllanAccumulator(2), AllanAccumulator(2)
     whole.add(values)
@@ -118,7 +117,7 @@ def test_a_stream_is_summed_the_same_however_it_is_cut() -> None:
 
 
 @pytest.mark.parametrize('kind', ['noise', 'warming', 'jump', 'stuck'])
-def test_sums_of_large_pieces_keep_their_digits(kind: str) -> None:
+def test_sums_of_large_pieces_keep_their_digits(kind):
     rng, n = np.random.default_rng(5), 103_000
     values = rng.normal(size=(n, 2))
     values += {
@@ -138,7 +137,7 @@ def test_sums_of_large_pieces_keep_their_digits(kind: str) -> None:
     assert mine.squares[every] == pytest.approx(full.squares[every], rel=1e-7, abs=1e-15 * n)
 
 
-def test_a_ramp_spreads_the_variances_as_simulated() -> None:
+def test_a_ramp_spreads_the_variances_as_simulated():
     # E = R^2 tau^2 / 2 (IEEE Std 952-1997, eq. C.18), and noise times the constant difference.
     rng, ramp, rows = np.random.default_rng(4), 2e-2, []
     for _ in range(600):
@@ -165,9 +164,7 @@ def test_a_ramp_spreads_the_variances_as_simulated() -> None:
         {'walk': 1e-3, 'ramp': 4e-6},
     ],
 )
-def test_what_is_determined_lies_within_its_deviation_of_the_truth(
-    truth: dict[str, float],
-) -> None:
+def test_what_is_determined_lies_within_its_deviation_of_the_truth(truth):
     count, names = 1 << 17, dict(zip(KEYWORDS, KINDS, strict=True))
     channels = [
         channel
@@ -195,7 +192,7 @@ def test_what_is_determined_lies_within_its_deviation_of_the_truth(
 KEYWORDS = ('quantisation', 'walk', 'instability', 'rate_walk', 'ramp')
 
 
-def test_intervals_hold_the_true_deviation_in_two_of_three() -> None:
+def test_intervals_hold_the_true_deviation_in_two_of_three():
     true = {'walk': 1e-3, 'rate_walk': 1e-4}
     inside = []
     for seed in range(10):
@@ -209,7 +206,7 @@ def test_intervals_hold_the_true_deviation_in_two_of_three() -> None:
     assert abs(share.mean() - 0.683) < 0.09
 
 
-def test_a_low_pass_filter_is_left_out_of_the_fit_and_named() -> None:
+def test_a_low_pass_filter_is_left_out_of_the_fit_and_named():
     values = made(np.random.default_rng(5), 1 << 17, walk=1e-3)
     kernel = np.exp(-np.arange(60) / 4.0)
     filtered = np.column_stack([np.convolve(v, kernel / kernel.sum(), 'same') for v in values.T])
@@ -223,7 +220,7 @@ def test_a_low_pass_filter_is_left_out_of_the_fit_and_named() -> None:
     assert any('fitted from' in sentence for sentence in noise.findings)
 
 
-def test_a_counter_shows_the_walk_beneath_its_pulses() -> None:
+def test_a_counter_shows_the_walk_beneath_its_pulses():
     rng, pulse, walk = np.random.default_rng(6), 4e-5, 2e-5
     triad = TriadSpec(scale_factor=pulse)
     imu = ImuSpec('counter', Units.PULSES, 100.0, triad, triad)
@@ -236,7 +233,7 @@ def test_a_counter_shows_the_walk_beneath_its_pulses() -> None:
         assert abs(seen.value - walk) < 4.5 * seen.std < walk
 
 
-def test_a_movement_is_said_with_its_time_and_no_average_spans_it() -> None:
+def test_a_movement_is_said_with_its_time_and_no_average_spans_it():
     count = 120_000
     values = made(np.random.default_rng(7), count, walk=1e-4) + UP
     values[60_000:60_100, 0] += 0.1
@@ -250,7 +247,7 @@ def test_a_movement_is_said_with_its_time_and_no_average_spans_it() -> None:
     assert quiet == pytest.approx(1e-4 / np.sqrt(rest.sums.taus), rel=1.0)
 
 
-def test_a_unit_that_is_turned_again_and_again_is_refused() -> None:
+def test_a_unit_that_is_turned_again_and_again_is_refused():
     values = made(np.random.default_rng(8), 20_000, walk=1e-4) + UP
     values[:, 0] += np.sin(np.arange(20_000) * PERIOD)
     with pytest.raises(
@@ -259,22 +256,22 @@ def test_a_unit_that_is_turned_again_and_again_is_refused() -> None:
         read(values)
 
 
-def test_too_short_a_rest_is_refused() -> None:
+def test_too_short_a_rest_is_refused():
     with pytest.raises(NotObservable, match='too short for an Allan deviation'):
         read(made(np.random.default_rng(8), 2000, walk=1e-4) + UP)
 
 
 @pytest.mark.parametrize('last', [1, 50, 150, 250, 350])
-def test_a_short_rest_after_the_last_whole_piece_is_no_movement(last: int) -> None:
+def test_a_short_rest_after_the_last_whole_piece_is_no_movement(last):
     values = made(np.random.default_rng(3), 12_000 + last, walk=1e-4) + UP
     assert read(values).findings == ()
 
 
-def test_a_unit_without_any_noise_gives_a_table_without_rows() -> None:
+def test_a_unit_without_any_noise_gives_a_table_without_rows():
     assert found(np.zeros((12_000, 6)) + UP).to_dataframe().empty
 
 
-def test_the_table_is_in_the_units_of_data_sheets() -> None:
+def test_the_table_is_in_the_units_of_data_sheets():
     noise = found(made(np.random.default_rng(4), 20_000, walk=1e-4) + UP)
     table = noise.to_dataframe()
     walk = noise.channels['gx'].noise.random_walk.value
@@ -284,7 +281,7 @@ def test_the_table_is_in_the_units_of_data_sheets() -> None:
     assert table.loc[('gx', 'random_walk'), 'unit'] == 'deg/sqrt(h)'
 
 
-def test_lost_doubled_and_false_samples_do_not_change_the_curve() -> None:
+def test_lost_doubled_and_false_samples_do_not_change_the_curve():
     rng = np.random.default_rng(9)
     values = made(rng, 100_000, walk=1e-4) + UP + 1e-3
     stamp = START + np.arange(len(values)) * 10_000_000
@@ -303,7 +300,7 @@ def test_lost_doubled_and_false_samples_do_not_change_the_curve() -> None:
     assert rows > 60 and rest.sums.period == pytest.approx(PERIOD, rel=1e-9)
 
 
-def test_the_interval_is_that_of_the_stamps_and_not_of_the_data_sheet() -> None:
+def test_the_interval_is_that_of_the_stamps_and_not_of_the_data_sheet():
     values = made(np.random.default_rng(10), 30_000, walk=1e-3)
     late = START + np.arange(30_000) * 11_000_000
     rest = read(values, stamp=late + np.random.default_rng(1).integers(0, 500_000, 30_000))
@@ -312,7 +309,7 @@ def test_the_interval_is_that_of_the_stamps_and_not_of_the_data_sheet() -> None:
     assert np.sqrt(rest.sums.variance[0]) == pytest.approx(np.full(6, 1e-2), rel=0.03)
 
 
-def test_filters_get_what_they_ask_for() -> None:
+def test_filters_get_what_they_ask_for():
     truth = {'walk': 1e-3, 'rate_walk': 1e-4}
     noise = found(made(np.random.default_rng(11), 1 << 17, **truth))
     kalibr = yaml.safe_load(export_noise(noise, 'kalibr').text)
@@ -337,7 +334,7 @@ def test_filters_get_what_they_ask_for() -> None:
         export_noise(noise, 'imucal')
 
 
-def test_a_limit_is_exported_as_one() -> None:
+def test_a_limit_is_exported_as_one():
     noise = found(made(np.random.default_rng(12), 20_000, walk=1e-3))
     exported = export_noise(noise, 'kalibr')
     assert any('upper limit (95 %)' in note for note in exported.findings)
@@ -345,7 +342,7 @@ def test_a_limit_is_exported_as_one() -> None:
     assert yaml.safe_load(exported.text)['gyroscope_random_walk'] == pytest.approx(max(below[:3]))
 
 
-def test_opencv_reads_the_files_of_openvins_and_vins_fusion(tmp_path: Path) -> None:
+def test_opencv_reads_the_files_of_openvins_and_vins_fusion(tmp_path):
     noise = found(made(np.random.default_rng(11), 1 << 14, walk=1e-3, rate_walk=1e-4))
     texts = {name: export_noise(noise, name).text for name in ('openvins', 'vins')}
     # Both read by OpenCV, which refuses rows of a matrix that are not farther in than its key.

@@ -38,7 +38,7 @@ SPEC = ImuSpec(
 
 
 @pytest.fixture(scope='module')
-def session() -> Recording:
+def session():
     """Half a minute of turns and rests; its stamps are when the samples were made."""
     program = Stop(joints_of('ENU')), Stop(joints_of('NUE'))
     return record(World(dwell=10.0, program=program), UNIT, 4)
@@ -106,9 +106,7 @@ def forces(recording: Recording) -> Any:
 
 
 @pytest.mark.parametrize('size', [2, 5, 20, 50])
-def test_samples_of_one_transfer_all_come_out_when_they_were_made(
-    session: Recording, size: int
-) -> None:
+def test_samples_of_one_transfer_all_come_out_when_they_were_made(session, size):
     made = session.imu_stamps
     block = block_of(session, by_transfers(made, size))
     whole, force, compensator = out_of(block, len(block))
@@ -125,9 +123,7 @@ def test_samples_of_one_transfer_all_come_out_when_they_were_made(
         assert np.array_equal(again, force)
 
 
-def test_of_a_reader_that_polls_every_sample_comes_out_within_its_period(
-    session: Recording,
-) -> None:
+def test_of_a_reader_that_polls_every_sample_comes_out_within_its_period(session):
     made, period = np.array(session.imu_stamps), 0.033
     block = block_of(session, polled(session.imu_stamps, period))
     stamps, force, compensator = out_of(block, 1)
@@ -142,7 +138,7 @@ def test_of_a_reader_that_polls_every_sample_comes_out_within_its_period(
 
 
 @pytest.mark.parametrize(('stall', 'each'), [(0.4, 5e-5), (3.0, 5e-5), (2.0, 4e-3), (4.0, 6e-3)])
-def test_a_queue_is_no_other_rate(session: Recording, stall: float, each: float) -> None:
+def test_a_queue_is_no_other_rate(session, stall, each):
     made = session.imu_stamps
     block = block_of(session, held_up(made, [(6.0, stall), (20.0, stall / 2)], each))
     stamps, force, compensator = out_of(block, 1)
@@ -152,9 +148,7 @@ def test_a_queue_is_no_other_rate(session: Recording, stall: float, each: float)
 
 
 @pytest.mark.parametrize(('stall', 'within'), [(0.4, 1.0), (3.0, 0.1), (4.9, 0.1)])
-def test_of_a_recording_a_queue_goes_back_to_when_it_was_made(
-    session: Recording, stall: float, within: float
-) -> None:
+def test_of_a_recording_a_queue_goes_back_to_when_it_was_made(session, stall, within):
     """One that is short leaves those as they came that are late by less than an interval."""
     made = session.imu_stamps
     block = block_of(session, held_up(made, [(6.0, stall), (20.0, stall / 2)], 5e-5))
@@ -166,7 +160,7 @@ def test_of_a_recording_a_queue_goes_back_to_when_it_was_made(
     assert force == pytest.approx(forces(session), rel=within / 600)
 
 
-def test_of_a_recording_jitter_is_left_and_what_is_lost_stays_lost(session: Recording) -> None:
+def test_of_a_recording_jitter_is_left_and_what_is_lost_stays_lost(session):
     draw = random.Random(5)
     made = session.imu_stamps
     jittered = [one + draw.gauss(0, 0.3e-3) for one in made]
@@ -181,9 +175,7 @@ def test_of_a_recording_jitter_is_left_and_what_is_lost_stays_lost(session: Reco
     assert np.array_equal(in_whole(block), block.stamp)
 
 
-def test_what_a_bad_line_brings_is_in_the_recording_once_and_in_time(
-    session: Recording, tmp_path: Any
-) -> None:
+def test_what_a_bad_line_brings_is_in_the_recording_once_and_in_time(session, tmp_path):
     sent = damaged(session, Damage(twice=0.01, bunch=10), random.Random(6))
     block = block_of(sent, sent.imu_stamps)
     with RecordingWriter(tmp_path / 'bag') as writer:
@@ -201,7 +193,7 @@ def test_what_a_bad_line_brings_is_in_the_recording_once_and_in_time(
     assert np.abs(seconds(stamps)[:full] - np.array(session.imu_stamps)[:full]).max() < 1e-3
 
 
-def test_a_queue_of_thousands_goes_back_to_when_it_was_made() -> None:
+def test_a_queue_of_thousands_goes_back_to_when_it_was_made():
     """At 1 kHz, longer than what is looked at at once."""
     made = [k / 1000 for k in range(1, 12001)]
     for stall in (0.7, 2.5, 4.0):

@@ -215,13 +215,13 @@ def write(path: Path, columns: Columns, data: Mapping[str, str] = DATA) -> Path:
 
 
 @pytest.fixture(scope='module')
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recorded(tmp_path_factory):
     """The good session as a recording, not to be changed."""
     return write(tmp_path_factory.mktemp('good') / 'bag', good().columns)
 
 
 @pytest.fixture(scope='module')
-def of_good(recorded: Path) -> Calibration:
+def of_good(recorded):
     """What the good session gives."""
     output = recorded.parent / 'calibration.yaml'
     assert main(['calibrate', str(recorded), '-o', str(output)]) == 0
@@ -293,11 +293,11 @@ def assert_true(calibration: Calibration) -> None:
 
 
 @pytest.fixture
-def cli(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> CommandLine:
+def cli(capsys, tmp_path):
     return CommandLine(capsys, tmp_path)
 
 
-def test_the_good_session_is_good(cli: CommandLine, recorded: Path) -> None:
+def test_the_good_session_is_good(cli, recorded):
     code, text = cli.calibrate(recorded)
     assert code == 0
     found = Calibration.load(cli.output)
@@ -311,19 +311,19 @@ def test_the_good_session_is_good(cli: CommandLine, recorded: Path) -> None:
 # What is no recording, and what lacks its topics.
 
 
-def test_an_empty_bag(cli: CommandLine, tmp_path: Path) -> None:
+def test_an_empty_bag(cli, tmp_path):
     with RecordingWriter(tmp_path / 'empty', DATA):
         pass
     cli.refuses(2, 'empty holds no topics', tmp_path / 'empty')
 
 
-def test_topics_without_messages(cli: CommandLine, tmp_path: Path) -> None:
+def test_topics_without_messages(cli, tmp_path):
     with RecordingWriter(tmp_path / 'silent', DATA) as writer:
         writer.add_topic(IMU, 'sensor_msgs/msg/Imu')
     cli.refuses(2, f'silent: no message on {IMU}', tmp_path / 'silent')
 
 
-def test_an_imu_topic_without_messages_beside_full_ones(cli: CommandLine, tmp_path: Path) -> None:
+def test_an_imu_topic_without_messages_beside_full_ones(cli, tmp_path):
     with RecordingWriter(tmp_path / 'bag', DATA) as writer:
         writer.add_topic(IMU, 'sensor_msgs/msg/Imu')
         kind, messages, stamp = serialised(good().joints)
@@ -331,12 +331,12 @@ def test_an_imu_topic_without_messages_beside_full_ones(cli: CommandLine, tmp_pa
     cli.refuses(1, 'The IMU stream is empty', tmp_path / 'bag')
 
 
-def test_no_imu_topic(cli: CommandLine) -> None:
+def test_no_imu_topic(cli):
     columns = {t: b for t, b in good().columns.items() if t != IMU}
     cli.refuses(2, rf'no topic of type sensor_msgs/msg/Imu; its topics: {JOINTS} \(', columns)
 
 
-def test_two_imu_topics_are_listed_and_can_be_chosen_from(cli: CommandLine) -> None:
+def test_two_imu_topics_are_listed_and_can_be_chosen_from(cli):
     columns = {**good().columns, '/other/imu': good().with_imu(halve)[IMU]}
     sentence = r'2 topics of type sensor_msgs/msg/Imu: /imu/pulses, /other/imu. Choose with --imu-t'
     cli.refuses(2, sentence, columns)
@@ -361,7 +361,7 @@ def storage(bag: Path) -> Path:
     return next(bag.glob('*.mcap'))
 
 
-def test_an_mcap_cut_early(cli: CommandLine, recorded: Path, tmp_path: Path) -> None:
+def test_an_mcap_cut_early(cli, recorded, tmp_path):
     bag = copied(recorded, tmp_path)
     os.truncate(storage(bag), int(storage(bag).stat().st_size * 0.3))
     sentence = 'bag_0.mcap is cut off at byte .* No position turns Y.*Missing .* position 5, 6, 7, '
@@ -369,9 +369,7 @@ def test_an_mcap_cut_early(cli: CommandLine, recorded: Path, tmp_path: Path) -> 
     cli.refuses(1, sentence, storage(bag))
 
 
-def test_messages_of_what_was_cut_off_are_counted(
-    cli: CommandLine, recorded: Path, tmp_path: Path
-) -> None:
+def test_messages_of_what_was_cut_off_are_counted(cli, recorded, tmp_path):
     whole = storage(recorded).read_bytes()
     # The footer says where the summary begins. Before it are 13 bytes that end the data and the
     # index of the last chunk: without them all messages are there, uncounted.
@@ -379,7 +377,7 @@ def test_messages_of_what_was_cut_off_are_counted(
     cut = tmp_path / 'cut.mcap'
     cut.write_bytes(whole[: summary - 20])
 
-    def shown(bag: Path) -> tuple[list[list[str]], str]:
+    def shown(bag):
         code, text = cli('info', '--topics', bag)
         assert code == 0
         topics, _, lost = text.partition('Lost')
@@ -393,7 +391,7 @@ def test_messages_of_what_was_cut_off_are_counted(
     assert 'its recorder did not finish' in lost
 
 
-def test_an_mcap_cut_late(cli: CommandLine, recorded: Path, tmp_path: Path) -> None:
+def test_an_mcap_cut_late(cli, recorded, tmp_path):
     bag = copied(recorded, tmp_path)
     os.truncate(storage(bag), int(storage(bag).stat().st_size * 0.92))
     sentence = r'bag_0.mcap is cut off at byte \d+ of \d+: its recorder did not finish'
@@ -404,7 +402,7 @@ def test_an_mcap_cut_late(cli: CommandLine, recorded: Path, tmp_path: Path) -> N
 
 # A chunk like any other.
 @pytest.mark.parametrize('share', [again(0.3), 0.5, again(0.9)])
-def test_a_corrupt_chunk(cli: CommandLine, recorded: Path, tmp_path: Path, share: float) -> None:
+def test_a_corrupt_chunk(cli, recorded, tmp_path, share):
     bag = copied(recorded, tmp_path)
     content = bytearray(storage(bag).read_bytes())
     first = int(len(content) * share)
@@ -416,7 +414,7 @@ def test_a_corrupt_chunk(cli: CommandLine, recorded: Path, tmp_path: Path, share
     assert not re.search('moved|disturbed|turned', ' '.join(found.findings))
 
 
-def test_a_foreign_sqlite_file(cli: CommandLine, tmp_path: Path) -> None:
+def test_a_foreign_sqlite_file(cli, tmp_path):
     database = sqlite3.connect(tmp_path / 'people.db3')
     database.execute('CREATE TABLE people(name TEXT)')
     database.commit()
@@ -425,7 +423,7 @@ def test_a_foreign_sqlite_file(cli: CommandLine, tmp_path: Path) -> None:
     cli.refuses(2, sentence, tmp_path / 'people.db3')
 
 
-def test_a_text_file_by_the_name_of_a_recording(cli: CommandLine, tmp_path: Path) -> None:
+def test_a_text_file_by_the_name_of_a_recording(cli, tmp_path):
     (tmp_path / 'notes.mcap').write_text('hello\n' * 100)
     cli.refuses(
         2,
@@ -434,30 +432,30 @@ def test_a_text_file_by_the_name_of_a_recording(cli: CommandLine, tmp_path: Path
     )
 
 
-def test_a_folder_that_does_not_exist(cli: CommandLine, tmp_path: Path) -> None:
+def test_a_folder_that_does_not_exist(cli, tmp_path):
     cli.refuses(2, 'nowhere: no such recording; expected a rosbag2 folder', tmp_path / 'nowhere')
 
 
-def test_the_metadata_in_place_of_the_recording(cli: CommandLine, recorded: Path) -> None:
+def test_the_metadata_in_place_of_the_recording(cli, recorded):
     sentence = r'metadata.yaml describes a recording: give the folder that holds it'
     cli.refuses(2, sentence, recorded / 'metadata.yaml')
 
 
-def test_a_device_in_place_of_a_file(cli: CommandLine, recorded: Path) -> None:
+def test_a_device_in_place_of_a_file(cli, recorded):
     cli.refuses(
         2, '/dev/null: a device or a pipe, expected a file', recorded, '--plan', '/dev/null'
     )
     cli.refuses(2, '/dev/null: found a device or a pipe; expected a rosbag2', Path('/dev/null'))
 
 
-def test_an_output_folder_that_does_not_exist(cli: CommandLine, recorded: Path) -> None:
+def test_an_output_folder_that_does_not_exist(cli, recorded):
     code, text = cli('calibrate', recorded, '-o', cli.folder / 'no' / 'c.yaml')
     assert (code, 'no/c.yaml: the folder' in text, 'does not exist' in text) == (2, True, True)
     code, text = cli('calibrate', recorded, '-o', cli.folder)
     assert (code, 'is a folder, expected the name of a file' in text) == (2, True)
 
 
-def test_a_recording_is_not_written_over(cli: CommandLine, recorded: Path, tmp_path: Path) -> None:
+def test_a_recording_is_not_written_over(cli, recorded, tmp_path):
     bag = copied(recorded, tmp_path)
     kept = storage(bag).read_bytes()
     (tmp_path / 'link.yaml').symlink_to(storage(bag))
@@ -470,9 +468,7 @@ def test_a_recording_is_not_written_over(cli: CommandLine, recorded: Path, tmp_p
     assert (bag / 'metadata.yaml').read_bytes() == described
 
 
-def test_an_input_is_not_written_over(
-    cli: CommandLine, of_good: Calibration, tmp_path: Path
-) -> None:
+def test_an_input_is_not_written_over(cli, of_good, tmp_path):
     file, link = tmp_path / 'mine.yaml', tmp_path / 'link.yaml'
     of_good.save(file)
     kept = file.read_bytes()
@@ -497,9 +493,7 @@ def test_an_input_is_not_written_over(
         ('format: 1\nunits: pulses\nimu: [', 'calibration.yaml: not YAML'),
     ],
 )
-def test_comparing_what_is_no_calibration(
-    cli: CommandLine, content: str | None, sentence: str
-) -> None:
+def test_comparing_what_is_no_calibration(cli, content, sentence):
     if content is not None:
         cli.output.write_text(content)
     code, text = cli('compare', named_file('truths', 'cao2022_table1'), cli.output)
@@ -507,7 +501,7 @@ def test_comparing_what_is_no_calibration(
     assert code == 2
 
 
-def test_wrong_usage_ends_with_2() -> None:
+def test_wrong_usage_ends_with_2():
     # In a process of its own: what a shell sees.
     command = [sys.executable, '-m', 'imu_calib.cli.main', 'calibrate']
     done = subprocess.run(
@@ -528,14 +522,14 @@ def test_wrong_usage_ends_with_2() -> None:
         ('--azimuth 12deg', "--azimuth: found '12deg', expected a number without its unit"),
     ],
 )  # fmt: skip
-def test_a_number_option_says_what_to_write(cli: CommandLine, words: str, said: str) -> None:
+def test_a_number_option_says_what_to_write(cli, words, said):
     code, text = cli('calibrate', 'x', *words.split())
     assert re.search(said, text), text
     assert 'usage' not in text
     assert code == 2
 
 
-def test_a_whole_number_is_asked_for(cli: CommandLine) -> None:
+def test_a_whole_number_is_asked_for(cli):
     code, text = cli('simulate', 'twelve_position', '-o', 'x', '--seed', '1.5')
     assert "--seed: found '1.5', expected a whole number." in text
     assert code == 2
@@ -544,16 +538,16 @@ def test_a_whole_number_is_asked_for(cli: CommandLine) -> None:
 # Samples that cannot be used.
 
 
-def test_values_that_are_no_numbers(cli: CommandLine) -> None:
-    def spoil(gyro: Floats, accel: Floats) -> None:
+def test_values_that_are_no_numbers(cli):
+    def spoil(gyro, accel):
         gyro[middle_of_7() : middle_of_7() + 3, 1] = np.nan
         accel[middle_of_7() + 500, 2] = np.inf
 
     cli.uses_the_rest(r'4 samples left out for values that are not num', good().with_imu(spoil))
 
 
-def test_a_channel_that_is_never_a_number(cli: CommandLine) -> None:
-    def spoil(gyro: Floats, accel: Floats) -> None:
+def test_a_channel_that_is_never_a_number(cli):
+    def spoil(gyro, accel):
         gyro[:, 2] = np.nan
 
     sentence = r'None of \d+ IMU samples can be used. \d+ samples left out for values that are no'
@@ -571,23 +565,21 @@ def test_a_channel_that_is_never_a_number(cli: CommandLine) -> None:
         ),
     ],
 )
-def test_a_channel_that_is_dead_or_named_twice(
-    cli: CommandLine, change: Callable[[Floats, Floats], object], sentence: str
-) -> None:
+def test_a_channel_that_is_dead_or_named_twice(cli, change, sentence):
     cli.refuses(1, sentence, good().with_imu(change))
 
 
-def test_a_second_of_saturation_in_a_dwell(cli: CommandLine) -> None:
-    def saturate(gyro: Floats, accel: Floats) -> None:
+def test_a_second_of_saturation_in_a_dwell(cli):
+    def saturate(gyro, accel):
         accel[middle_of_7() : middle_of_7() + 100, 1] = 98.0  # 10 g in pulses per sample
 
     cli.uses_the_rest('Position 7: 100 samples are saturated', good().with_imu(saturate))
 
 
-def test_a_dwell_that_is_saturated(cli: CommandLine) -> None:
+def test_a_dwell_that_is_saturated(cli):
     begin, end = good().dwells['7']
 
-    def saturate(gyro: Floats, accel: Floats) -> None:
+    def saturate(gyro, accel):
         accel[good().row(begin - 1) : good().row(end) + 1, 1] = 98.0
 
     found = cli.uses_the_rest(
@@ -596,17 +588,17 @@ def test_a_dwell_that_is_saturated(cli: CommandLine) -> None:
     assert 'Missing from the recording: position 7.' in found.findings
 
 
-def test_a_turn_that_is_saturated(cli: CommandLine) -> None:
+def test_a_turn_that_is_saturated(cli):
     middle = good().row(sum(good().turns[0]) / 2)
 
-    def saturate(gyro: Floats, accel: Floats) -> None:
+    def saturate(gyro, accel):
         gyro[middle : middle + 20, 0] = 32767.0
 
     sentence = 'Position 1: a turn is left out, the sensor is saturated during it'
     cli.uses_the_rest(sentence, good().with_imu(saturate))
 
 
-def test_an_imu_in_whose_units_all_turns_are_beyond_the_range(cli: CommandLine) -> None:
+def test_an_imu_in_whose_units_all_turns_are_beyond_the_range(cli):
     sentence = 'the gyros state [0-9]+ times the rate of the table, beyond their range: units'
     cli.refuses(
         1,
@@ -620,7 +612,7 @@ def test_an_imu_in_whose_units_all_turns_are_beyond_the_range(cli: CommandLine) 
     )
 
 
-def test_turns_beyond_the_range(cli: CommandLine) -> None:
+def test_turns_beyond_the_range(cli):
     narrow = replace(paper_imu(), gyro=replace(paper_imu().gyro, range=50 * DEG))
     columns = run_stand(slow_too(), narrow).columns
     stated = DATA['imu_calib.imu'].replace('range: 300 deg/s', 'range: 50 deg/s')
@@ -635,12 +627,12 @@ def test_turns_beyond_the_range(cli: CommandLine) -> None:
     cli.refuses(1, sentence, cli.folder / 'bag', '--imu', 'fog_medium', '--method', 'joint')
 
 
-def test_a_second_is_missing_in_a_dwell(cli: CommandLine) -> None:
+def test_a_second_is_missing_in_a_dwell(cli):
     rows = np.r_[0 : middle_of_7(), middle_of_7() + 100 : len(good().imu)]
     cli.uses_the_rest(r'Position 7: 100 samples missing in 1 gap', good().with_imu(rows=rows))
 
 
-def test_a_second_is_missing_in_a_turn(cli: CommandLine) -> None:
+def test_a_second_is_missing_in_a_turn(cli):
     middle = good().row(sum(good().turns[0]) / 2)
     rows = np.r_[0:middle, middle + 100 : len(good().imu)]
     sentence = 'Position 1: a turn is left out, IMU samples are missing within it'
@@ -651,7 +643,7 @@ def test_a_second_is_missing_in_a_turn(cli: CommandLine) -> None:
 
 
 @pytest.mark.parametrize('jump', [-5, again(5), 500_000])
-def test_one_wild_stamp_costs_one_sample(cli: CommandLine, jump: int) -> None:
+def test_one_wild_stamp_costs_one_sample(cli, jump):
     stamp = good().imu.stamp.copy()
     stamp[middle_of_7()] += jump * NS
     found = cli.uses_the_rest(
@@ -663,7 +655,7 @@ def test_one_wild_stamp_costs_one_sample(cli: CommandLine, jump: int) -> None:
 APART = r'Position 7, 8, .*: left out, the gyros do not show the motion next to it .*clocks that j'
 
 
-def test_an_imu_clock_that_jumps_on_for_good(cli: CommandLine) -> None:
+def test_an_imu_clock_that_jumps_on_for_good(cli):
     stamp = good().imu.stamp.copy()
     stamp[middle_of_7() :] += 5 * NS
     sentence = (
@@ -673,21 +665,21 @@ def test_an_imu_clock_that_jumps_on_for_good(cli: CommandLine) -> None:
     assert not [f for f in found.findings if 'interrupted' in f]
 
 
-def test_an_imu_clock_that_jumps_back_for_good(cli: CommandLine) -> None:
+def test_an_imu_clock_that_jumps_back_for_good(cli):
     stamp = good().imu.stamp.copy()
     stamp[middle_of_7() :] -= 5 * NS
     sentence = r'The stamps of the IMU go back by 5\.00 s at'
     cli.uses_the_rest(sentence, good().with_imu(stamp=stamp))
 
 
-def test_joint_stamps_that_jump_back_for_good(cli: CommandLine) -> None:
+def test_joint_stamps_that_jump_back_for_good(cli):
     stamp = good().joints.stamp.copy()
     stamp[good().row(sum(good().dwells['7']) / 2, JOINTS) :] -= 5 * NS
     sentence = r'The stamps of the joint states go back by 5\.00 s at'
     cli.uses_the_rest(sentence, good().with_joint_stamps(stamp))
 
 
-def test_joint_stamps_that_jump_back_and_return(cli: CommandLine) -> None:
+def test_joint_stamps_that_jump_back_and_return(cli):
     stamp = good().joints.stamp.copy()
     first = good().row(sum(good().dwells['7']) / 2, JOINTS)
     stamp[first : first + 50] -= 5 * NS
@@ -696,7 +688,7 @@ def test_joint_stamps_that_jump_back_and_return(cli: CommandLine) -> None:
 
 
 @pytest.mark.parametrize('jump', [-0.3, 0.3])
-def test_a_small_jump_of_the_clocks_is_found_and_bridged(cli: CommandLine, jump: float) -> None:
+def test_a_small_jump_of_the_clocks_is_found_and_bridged(cli, jump):
     stamp = good().imu.stamp.copy()
     stamp[middle_of_7() :] += round(jump * NS)
     sentence = {
@@ -706,15 +698,13 @@ def test_a_small_jump_of_the_clocks_is_found_and_bridged(cli: CommandLine, jump:
     cli.uses_the_rest(sentence, good().with_imu(stamp=stamp))
 
 
-def test_clocks_that_are_apart(cli: CommandLine) -> None:
+def test_clocks_that_are_apart(cli):
     stamp = good().imu.stamp + 100 * NS
     cli.refuses(1, 'the gyros do not show the motion next to it', good().with_imu(stamp=stamp))
 
 
 @pytest.mark.parametrize(('offset', 'where'), [(5, 'ahead of'), (-25, 'behind')])
-def test_clocks_within_a_minute_are_compared_by_the_pattern_of_motions(
-    cli: CommandLine, offset: int, where: str
-) -> None:
+def test_clocks_within_a_minute_are_compared_by_the_pattern_of_motions(cli, offset, where):
     stamp = good().imu.stamp + offset * NS
     sentence = f'The clock of the IMU is {abs(offset)}.0 s {where} that of the table'
     cli.uses_the_rest(sentence, good().with_imu(stamp=stamp))
@@ -729,21 +719,21 @@ def without(*positions: str) -> Columns:
     return run_stand(replace(plan, positions=kept)).columns
 
 
-def test_a_position_is_missing(cli: CommandLine) -> None:
+def test_a_position_is_missing(cli):
     sentence = 'Missing from the recording: position 7'
     cli.uses_the_rest(sentence, without('7'))
     found = cli.uses_the_rest(sentence, cli.folder / 'bag', '--method', 'twelve_position')
     assert any('rest on 2 of 3 groups' in finding for finding in found.findings)
 
 
-def test_the_imu_is_missing_during_a_position(cli: CommandLine) -> None:
+def test_the_imu_is_missing_during_a_position(cli):
     begin, end = good().dwells['7']
     rows = np.r_[0 : good().row(begin - 1), good().row(end + 1) : len(good().imu)]
     sentence = 'Missing from the recording: position 7'
     cli.uses_the_rest(sentence, good().with_imu(rows=rows))
 
 
-def test_an_axis_that_was_never_down(cli: CommandLine) -> None:
+def test_an_axis_that_was_never_down(cli):
     # The biases are known from the other axes: it takes the joint estimate to use that.
     cli.uses_the_rest('Missing from the recording: position 3, 4', without('3', '4'))
     cli.output.unlink()
@@ -751,17 +741,17 @@ def test_an_axis_that_was_never_down(cli: CommandLine) -> None:
     cli.refuses(1, sentence, cli.folder / 'bag', '--method', 'twelve_position')
 
 
-def test_an_axis_that_nothing_turned_about(cli: CommandLine) -> None:
+def test_an_axis_that_nothing_turned_about(cli):
     cli.refuses(1, r'No position turns Y: K_gy, .* Missing .* position 5\.', without('5'))
 
 
 @pytest.mark.parametrize('latitude', [44.65, again(24.65), -34.65])
-def test_a_wrong_latitude(cli: CommandLine, recorded: Path, latitude: float) -> None:
+def test_a_wrong_latitude(cli, recorded, latitude):
     sentence = rf'contradicts the latitude {latitude} deg.*fits a latitude of 3[345]\.\d \+-'
     cli.refuses(1, sentence, recorded, '--latitude', latitude)
 
 
-def test_six_positions_at_a_wrong_latitude(cli: CommandLine, tmp_path: Path) -> None:
+def test_six_positions_at_a_wrong_latitude(cli, tmp_path):
     """On them g-sensitivity of one size along all axes is the Earth rate up; 15 deg north of where
     it was no estimate converged."""
     bag = tmp_path / 'six'
@@ -772,7 +762,7 @@ def test_six_positions_at_a_wrong_latitude(cli: CommandLine, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(('latitude', 'found'), [(95, '95'), ('nan', 'nan')])
-def test_no_latitude_at_all(cli: CommandLine, recorded: Path, latitude: object, found: str) -> None:
+def test_no_latitude_at_all(cli, recorded, latitude, found):
     cli.refuses(2, f'latitude: found {found} deg, exp', recorded, '--latitude', latitude)
 
 
@@ -802,9 +792,7 @@ def turn_by_40_deg(gyro: Floats, accel: Floats) -> None:
         (turn_by_40_deg, r'axes of the gyros are turned .*\[\[0.77, 0.64'),
     ],
 )
-def test_axes_that_are_not_the_plans(
-    cli: CommandLine, change: Callable[[Floats, Floats], None], sentence: str
-) -> None:
+def test_axes_that_are_not_the_plans(cli, change, sentence):
     cli.refuses(1, sentence, good().with_imu(change))
 
 
@@ -819,14 +807,14 @@ def test_axes_that_are_not_the_plans(
         ),
     ],
 )
-def test_a_temperature_in_another_unit(cli: CommandLine, reading: float, sentence: str) -> None:
+def test_a_temperature_in_another_unit(cli, reading, sentence):
     stamp = good().imu.stamp[::100]
     readings = TemperatureBlock(stamp, np.full(len(stamp), reading))
     cli.uses_the_rest(sentence, {**good().columns, '/imu/temperature': readings})
 
 
 @pytest.mark.parametrize('speeds', [1.0, 1 / DEG])
-def test_joint_states_in_degrees(cli: CommandLine, speeds: float) -> None:
+def test_joint_states_in_degrees(cli, speeds):
     joints = good().joints
     changed = replace(joints, position=joints.position / DEG, velocity=joints.velocity * speeds)
     sentence = 'the joint states change by 57 times the angle .*: they are in degrees. Expected rad'
@@ -834,28 +822,26 @@ def test_joint_states_in_degrees(cli: CommandLine, speeds: float) -> None:
 
 
 @pytest.mark.parametrize('imu', ['si', 'mems_counts'])
-def test_units_of_another_imu(cli: CommandLine, recorded: Path, imu: str) -> None:
+def test_units_of_another_imu(cli, recorded, imu):
     sentence = r'The gyros answer [\d.]+ times what they should to whole turns: units or scale fact'
     cli.refuses(2, sentence, recorded, '--imu', imu)
 
 
-def test_a_result_that_every_reader_would_refuse(
-    cli: CommandLine, recorded: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_result_that_every_reader_would_refuse(cli, recorded, monkeypatch):
     # Accelerometers that saturate below their stated range gave a file that `report` refused.
     monkeypatch.setattr('imu_calib.calibration.provenance._SCALE', (0.99, 1.01))
     sentence = 'The result is not that of a strapdown IMU: accelerometer X answers 0.909.* times'
     cli.refuses(1, sentence, recorded)
 
 
-def test_a_scale_factor_of_another_imu(cli: CommandLine, recorded: Path, tmp_path: Path) -> None:
+def test_a_scale_factor_of_another_imu(cli, recorded, tmp_path):
     (tmp_path / 'imu.yaml').write_text(DATA['imu_calib.imu'].replace('7.8 arcsec', '5.2 arcsec'))
     code, text = cli.calibrate(recorded, '--imu', tmp_path / 'imu.yaml')
     assert code == 0
     assert 'The gyros read 0.667 times what their description states' in ' '.join(text.split())
 
 
-def test_the_plan_of_another_session(cli: CommandLine, recorded: Path) -> None:
+def test_the_plan_of_another_session(cli, recorded):
     sentence = r'setpoints .* of plan twelve_position with positions 1, .*; plan six_position has x'
     cli.refuses(2, sentence, recorded, '--plan', 'six_position')
     # Without setpoints nothing says so but the session itself: a closed form finds none of its
@@ -882,16 +868,14 @@ def test_the_plan_of_another_session(cli: CommandLine, recorded: Path) -> None:
         ('id: 2,', 'id: 1,', "plan.yaml: positions: two positions have the id '1'"),
     ],
 )
-def test_a_broken_plan(
-    cli: CommandLine, recorded: Path, tmp_path: Path, old: str, new: str, sentence: str
-) -> None:
+def test_a_broken_plan(cli, recorded, tmp_path, old, new, sentence):
     assert old in PLAN_TEXT
     (tmp_path / 'plan.yaml').write_text(PLAN_TEXT.replace(old, new, 1))
     cli.refuses(2, sentence, recorded, '--plan', tmp_path / 'plan.yaml')
 
 
 @pytest.mark.parametrize('table', ['one_axis', 'two_axis'])
-def test_another_table(cli: CommandLine, recorded: Path, table: str) -> None:
+def test_another_table(cli, recorded, table):
     # Its joints are among those of the recording; the motions of the others contradict it.
     sentence = rf'further joints \(.*middle\), which are not of table {table}: they are ignored'
     cli.refuses(1, sentence, recorded, '--table', table)
@@ -909,15 +893,13 @@ def others(columns: Columns, names: tuple[str, ...], every: int = 50) -> Columns
 @pytest.mark.parametrize(
     'names', [('outer', 'middle'), again(('wheel', 'gripper')), ('outer',) * 3]
 )
-def test_joint_states_of_others_on_the_tables_topic(
-    cli: CommandLine, of_good: Calibration, names: tuple[str, ...]
-) -> None:
+def test_joint_states_of_others_on_the_tables_topic(cli, of_good, names):
     sentence = rf'\d+ joint states left out: they name {", ".join(names)}, not all joints of table'
     found = cli.uses_the_rest(sentence, others(good().columns, names))
     assert found.values.tobytes() == of_good.values.tobytes()
 
 
-def test_further_joints_in_another_order(cli: CommandLine, of_good: Calibration) -> None:
+def test_further_joints_in_another_order(cli, of_good):
     joints = good().columns[JOINTS]
     assert isinstance(joints, JointBlock)
     names = ('gripper', *reversed(joints.names))
@@ -930,7 +912,7 @@ def test_further_joints_in_another_order(cli: CommandLine, of_good: Calibration)
     assert found.values.tobytes() == of_good.values.tobytes()
 
 
-def test_a_table_with_other_names(cli: CommandLine, recorded: Path, tmp_path: Path) -> None:
+def test_a_table_with_other_names(cli, recorded, tmp_path):
     (tmp_path / 'table.yaml').write_text(DATA['imu_calib.table'].replace('outer', 'yaw'))
     sentence = 'joint states name outer, middle, inner; table three_axis has yaw, middle, inner'
     cli.refuses(2, sentence, recorded, '--table', tmp_path / 'table.yaml')
@@ -950,7 +932,7 @@ def test_a_table_with_other_names(cli: CommandLine, recorded: Path, tmp_path: Pa
         ('imu_calib.latitude_deg', 'does not say where it was taken: give --latitude'),
     ],
 )
-def test_a_recording_that_does_not_say(cli: CommandLine, key: str, sentence: str) -> None:
+def test_a_recording_that_does_not_say(cli, key, sentence):
     data = {k: v for k, v in DATA.items() if k != key}
     # Joint states would do without a plan.
     cli.refuses(2, sentence, {IMU: good().imu}, data=data)
@@ -968,7 +950,7 @@ def shocked(position: str, after: float, axis: tuple[float, float, float]) -> Co
 
 
 @pytest.mark.parametrize('axis', [(1.0, 0, 0), (0, 1.0, 0), again((0, 0, 1.0))])
-def test_a_shock_amid_the_session(cli: CommandLine, axis: tuple[float, float, float]) -> None:
+def test_a_shock_amid_the_session(cli, axis):
     # About Y, which is vertical at position 7, no accelerometer sees it: the gyros must.
     sentence = (
         r'No position turns Z: K_gz, .* The unit shifted in its mount \(by 0.05\d deg at '
@@ -977,15 +959,15 @@ def test_a_shock_amid_the_session(cli: CommandLine, axis: tuple[float, float, fl
     cli.refuses(1, sentence, shocked('7', 11.0, axis), data=SHOCKED)
 
 
-def test_a_shock_at_the_end_of_the_session(cli: CommandLine) -> None:
+def test_a_shock_at_the_end_of_the_session(cli):
     sentence = r'The unit shifted .* at position 12\): .* only what lies before it is used'
     columns = shocked('12', 11.0, (1.0, 0.0, 0.0))
     found = cli.uses_the_rest(sentence, columns, data=SHOCKED)
     assert not any('Missing' in finding for finding in found.findings)
 
 
-def test_a_bump_that_comes_back(cli: CommandLine) -> None:
-    def bump(gyro: Floats, accel: Floats) -> None:
+def test_a_bump_that_comes_back(cli):
+    def bump(gyro, accel):
         first = middle_of_7()
         gyro[first : first + 10, 0] += 9
         gyro[first + 40 : first + 50, 0] -= 9
@@ -998,9 +980,7 @@ def test_a_bump_that_comes_back(cli: CommandLine) -> None:
 # Which unit it is.
 
 
-def test_the_serial_number_of_the_recording_or_of_the_command_line(
-    cli: CommandLine, recorded: Path
-) -> None:
+def test_the_serial_number_of_the_recording_or_of_the_command_line(cli, recorded):
     assert cli.calibrate(recorded, '--serial', '0042')[0] == 0
     assert Calibration.load(cli.output).serial_number == '0042'
     cli.output.unlink()

@@ -56,19 +56,19 @@ def recorded(
 
 
 @pytest.fixture(scope='module')
-def bag(tmp_path_factory: pytest.TempPathFactory) -> str:
+def bag(tmp_path_factory):
     return recorded(tmp_path_factory.mktemp('bag') / 'hand', '/imu/data_raw')
 
 
 @pytest.fixture(scope='module')
-def made(bag: str) -> str:
+def made(bag):
     file = str(Path(bag).parent / 'calibration.yaml')
     words = ['--latitude', str(LATITUDE), '--height', str(HEIGHT), '-o', file]
     assert main(['calibrate', bag, *words]) == 0
     return file
 
 
-def test_latitude_is_all_that_has_to_be_said(made: str) -> None:
+def test_latitude_is_all_that_has_to_be_said(made):
     found = Calibration.load(made)
     assert found.provenance['method'] == 'free_positions'
     true = in_frame_of_accelerometers(TRUTH.model)
@@ -82,7 +82,7 @@ def test_latitude_is_all_that_has_to_be_said(made: str) -> None:
     )
 
 
-def test_a_report_has_the_site_of_its_calibration(made: str, bag: str, tmp_path: Path) -> None:
+def test_a_report_has_the_site_of_its_calibration(made, bag, tmp_path):
     imu_calib.report(made, tmp_path / 'report.html', bag=bag)
     text = (tmp_path / 'report.html').read_text(encoding='utf-8')
     # The course shows the turns from hold to hold.
@@ -94,9 +94,7 @@ def test_a_report_has_the_site_of_its_calibration(made: str, bag: str, tmp_path:
     assert main(['report', str(tmp_path / 'c.yaml'), bag, '-o', str(tmp_path / 'r.html')]) == 0
 
 
-def test_verify_says_where_the_calibration_was_made(
-    made: str, bag: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_verify_says_where_the_calibration_was_made(made, bag, capsys):
     # Gravity alone will do, as it does for a calibration.
     assert main(['verify', bag, '--calibration', made, '--gravity', '9.81']) in {0, 1}
     capsys.readouterr()
@@ -105,20 +103,18 @@ def test_verify_says_where_the_calibration_was_made(
     assert f'calibration.yaml was made at latitude {LATITUDE:g}.' in errors
 
 
-def test_a_dead_accelerometer_is_named(tmp_path: Path) -> None:
+def test_a_dead_accelerometer_is_named(tmp_path):
     hand = recorded(tmp_path / 'hand', '/imu', 12, (1, np.array([1.0, 1.0, 0.0])))
     with pytest.raises(NotObservable, match='The accelerometer z reads 0 in every static dwell'):
         imu_calib.calibrate(hand, imu='si', plan='free_positions', latitude=LATITUDE)
 
 
-def test_holds_too_short_for_an_allan_deviation_have_no_picture_of_it(made: str) -> None:
+def test_holds_too_short_for_an_allan_deviation_have_no_picture_of_it(made):
     with pytest.raises(InputError, match=r'carries no Allan deviation.*Lay the unit down'):
         Calibration.load(made).plot_noise()
 
 
-def test_latitude_is_asked_for_with_why_and_what_else_would_do(
-    bag: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_latitude_is_asked_for_with_why_and_what_else_would_do(bag, tmp_path, capsys):
     assert main(['calibrate', bag]) == 2
     text = capsys.readouterr().err.replace('\n', ' ')
     assert re.search(
@@ -144,12 +140,7 @@ def test_latitude_is_asked_for_with_why_and_what_else_would_do(
         ((1 / DEG, 1), 'the gyros read up to .* deg/s is possible'),
     ],
 )
-def test_what_is_not_in_si_is_not_taken_for_it(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    scale: tuple[float, float],
-    sentence: str,
-) -> None:
+def test_what_is_not_in_si_is_not_taken_for_it(tmp_path, capsys, scale, sentence):
     hand = recorded(tmp_path / 'hand', '/imu', 4, scale)
     assert main(['calibrate', hand, '--latitude', '48', '-o', str(tmp_path / 'c.yaml')]) == 2
     text = capsys.readouterr().err.replace('\n', ' ')
@@ -165,7 +156,7 @@ def test_what_is_not_in_si_is_not_taken_for_it(
         ('/imu/pulses', '/imu/data_raw'),
     ],
 )
-def test_a_topic_is_called_what_it_is(tmp_path: Path, made: str, topic: str, target: str) -> None:
+def test_a_topic_is_called_what_it_is(tmp_path, made, topic, target):
     hand = recorded(tmp_path / 'hand', topic, 2)
     done = imu_calib.compensate(hand, made, tmp_path / 'out')
     assert done.target == target
@@ -175,7 +166,7 @@ def test_a_topic_is_called_what_it_is(tmp_path: Path, made: str, topic: str, tar
         assert isinstance(block, ImuBlock)
 
 
-def test_a_session_is_not_faster_than_itself(bag: str, made: str, tmp_path: Path) -> None:
+def test_a_session_is_not_faster_than_itself(bag, made, tmp_path):
     done = imu_calib.compensate(bag, made, tmp_path / 'out')
     assert done.marked == {}
     words = ['--imu', 'mems_counts', '--truth', 'mems_counts']
@@ -190,14 +181,12 @@ def test_a_session_is_not_faster_than_itself(bag: str, made: str, tmp_path: Path
 
 
 @pytest.fixture(scope='module')
-def by_latitude(bag: str) -> Calibration:
+def by_latitude(bag):
     return imu_calib.calibrate(bag, latitude=LATITUDE).calibration
 
 
 @pytest.mark.parametrize('off', [0.02, again(0.5), 3.0])
-def test_lengths_find_biases_that_moved_without_a_bias_instability(
-    bag: str, by_latitude: Calibration, off: float
-) -> None:
+def test_lengths_find_biases_that_moved_without_a_bias_instability(bag, by_latitude, off):
     # Weights of squares follow the state: in 30 steps the search did not converge.
     made = by_latitude
     biases = [p.name.startswith('D_g') for p in made.parameters]
@@ -210,16 +199,12 @@ def test_lengths_find_biases_that_moved_without_a_bias_instability(
     assert not any('did not converge' in text for text in found.findings)
 
 
-def test_info_ends_with_2_where_a_topic_is_not_there(
-    bag: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_ends_with_2_where_a_topic_is_not_there(bag, capsys):
     assert main(['info', bag, '--imu-topic', '/nothing']) == 2
     assert 'no such topic' in capsys.readouterr().err
 
 
-def test_info_shows_the_topics_and_asks_for_what_is_not_stated(
-    bag: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_shows_the_topics_and_asks_for_what_is_not_stated(bag, capsys):
     assert main(['info', bag]) == 2
     shown = capsys.readouterr()
     assert 'sensor_msgs/msg/Imu' in shown.out
@@ -227,7 +212,7 @@ def test_info_shows_the_topics_and_asks_for_what_is_not_stated(
     assert main(['info', bag, '--topics']) == 0
 
 
-def test_info_tells_times_from_the_start_and_attitudes_in_the_hand(bag: str) -> None:
+def test_info_tells_times_from_the_start_and_attitudes_in_the_hand(bag):
     looked = imu_calib.inspect(bag, latitude=LATITUDE)
     assert looked.streams is not None
     session = spread_holds(24, 1)
@@ -241,9 +226,7 @@ def test_info_tells_times_from_the_start_and_attitudes_in_the_hand(bag: str) -> 
     assert looked.streams.contradictions == ()
 
 
-def test_all_commands_speak_of_a_unit_in_the_hand_in_the_same_units(
-    made: str, bag: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_all_commands_speak_of_a_unit_in_the_hand_in_the_same_units(made, bag, capsys):
     assert main(['info', bag, '--latitude', str(LATITUDE)]) == 0
     assert 'wz, deg/s' in capsys.readouterr().out
     main(['verify', bag, '--calibration', made, '--latitude', str(LATITUDE)])
@@ -264,18 +247,14 @@ def test_all_commands_speak_of_a_unit_in_the_hand_in_the_same_units(
     assert compared['unit'].equals(frame['unit'][compared.index])
 
 
-def test_all_that_a_recording_does_not_state_is_asked_for_at_once(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_all_that_a_recording_does_not_state_is_asked_for_at_once(capsys):
     session = Path(__file__).parents[1] / 'data' / 'hand_session'
     assert main(['calibrate', str(session)]) == 2
     message = ' '.join(capsys.readouterr().err.split())
     assert all(option in message for option in ('--imu (', '--latitude', '--plan'))
 
 
-def test_info_says_that_another_latitude_is_contradicted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_says_that_another_latitude_is_contradicted(tmp_path, capsys):
     folder = str(tmp_path / 'six')
     assert main(['simulate', 'static_six', '-o', folder, '--seed', '1']) == 0
     seen = imu_calib.inspect(folder).streams
@@ -291,9 +270,7 @@ def test_info_says_that_another_latitude_is_contradicted(
     )
 
 
-def test_a_simulated_session_has_the_date_and_the_temperature_that_are_stated(
-    tmp_path: Path,
-) -> None:
+def test_a_simulated_session_has_the_date_and_the_temperature_that_are_stated(tmp_path):
     words = ['--imu', 'mems_counts', '--truth', 'mems_counts']
     when = ['--start', '2026-01-31T12:00:00Z', '--temperature', '40']
     assert main(['simulate', 'free_positions', '-o', str(tmp_path / 'a'), *words, *when]) == 0
@@ -310,13 +287,11 @@ def test_a_simulated_session_has_the_date_and_the_temperature_that_are_stated(
     assert not (tmp_path / 'b').exists()
 
 
-def test_an_interrupted_simulation_leaves_nothing_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_simulation_leaves_nothing_behind(tmp_path, monkeypatch):
     written = RecordingWriter.write
     calls = []
 
-    def interrupted(self: RecordingWriter, *rest: object, **named: object) -> None:
+    def interrupted(self, *rest, **named):
         calls.append(self.path.exists())
         if len(calls) > 3:
             raise KeyboardInterrupt
@@ -339,20 +314,15 @@ def test_an_interrupted_simulation_leaves_nothing_behind(
     ],
 )
 def test_a_folder_that_is_not_there_is_refused_alike(
-    words: tuple[str, ...],
-    made: str,
-    bag: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    words, made, bag, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     assert main([word.format(made=made, bag=bag) for word in words]) == 2
     assert 'the folder none does not exist.' in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_exists_is_not_overwritten(tmp_path: Path) -> None:
+def test_what_exists_is_not_overwritten(tmp_path):
     (tmp_path / 'a').mkdir()
     (tmp_path / 'a' / 'mine').touch()
     with pytest.raises(InputError, match='exists already'):

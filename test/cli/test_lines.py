@@ -20,7 +20,7 @@ LINES, COLUMNS = 40, 100
 
 
 @pytest.fixture(scope='module')
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Two sessions of one unit on a table, one in the hand, and their calibrations."""
     folder = tmp_path_factory.mktemp('sessions')
     text = named_file('plans', 'twelve_position').read_text().replace('dwell: 120', 'dwell: 20')
@@ -49,9 +49,7 @@ COMMANDS = [
 
 
 @pytest.mark.parametrize('command', COMMANDS)
-def test_a_sound_session_fits_a_screen(
-    command: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_sound_session_fits_a_screen(command, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     assert main(command.split()) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -59,9 +57,7 @@ def test_a_sound_session_fits_a_screen(
     assert max(map(len, lines)) <= COLUMNS
 
 
-def test_nothing_is_lost_that_is_not_on_the_screen(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nothing_is_lost_that_is_not_on_the_screen(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     assert main(['calibrate', 'a', '-o', 'all.yaml', '--verbose']) == 0
     shown = ' '.join(capsys.readouterr().out.split())
@@ -80,9 +76,7 @@ def test_nothing_is_lost_that_is_not_on_the_screen(
     assert 'hold for' not in shown
 
 
-def test_warnings_come_first_and_none_is_cut(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_warnings_come_first_and_none_is_cut(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     text = Path('a.yaml').read_text().replace('\nfindings:\n', '\nfindings:\n' + ADDED, 1)
     Path('told.yaml').write_text(text)
@@ -105,9 +99,7 @@ ADDED = ''.join(
 )
 
 
-def test_a_session_in_the_hand_speaks_of_its_grade(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_session_in_the_hand_speaks_of_its_grade(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     assert main(['calibrate', 'hand', '-o', 'units.yaml']) == 0
     out = capsys.readouterr().out
@@ -125,9 +117,7 @@ def test_a_session_in_the_hand_speaks_of_its_grade(
     assert found.provenance['gravity_off_before'] == pytest.approx(float(won[0]) / 100, rel=0.05)
 
 
-def test_a_refusal_has_its_cause_first_and_the_rest_on_request(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_refusal_has_its_cause_first_and_the_rest_on_request(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     # The Earth turns otherwise there.
     command = ['calibrate', 'a', '--latitude', '-60', '-o', 'refused.yaml']
@@ -148,11 +138,8 @@ def test_a_refusal_has_its_cause_first_and_the_rest_on_request(
 @pytest.mark.parametrize('columns', [80, COLUMNS])
 @pytest.mark.parametrize('command', COMMANDS_OF_ALL)
 def test_the_help_of_a_command_fits_a_screen_and_explains_every_usual_option(
-    command: str,
-    columns: int,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    command, columns, monkeypatch, capsys
+):
     monkeypatch.setenv('COLUMNS', str(columns))
     with pytest.raises(SystemExit):
         main([command, '--help'])
@@ -170,7 +157,7 @@ def test_the_help_of_a_command_fits_a_screen_and_explains_every_usual_option(
     assert [name for name in options - {'--help-all'} if name not in short] == []
 
 
-def test_a_shell_completes_commands_and_options(tmp_path: Path) -> None:
+def test_a_shell_completes_commands_and_options(tmp_path):
     pytest.importorskip('argcomplete')
     answers = {
         'imu-calib calib': 'calibrate ',

@@ -217,7 +217,7 @@ def following(case: Case) -> Case:
 
 
 @pytest.fixture(scope='module')
-def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def workshop(tmp_path_factory):
     folder = tmp_path_factory.mktemp('matrix')
     for plan in names('plans'):
         (folder / f'{plan}.plan.yaml').write_text(short_plan(plan))
@@ -229,9 +229,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def shell(
-    workshop: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> Shell:
+def shell(workshop, capsys, monkeypatch):
     monkeypatch.chdir(workshop)
     return Shell(capsys)
 
@@ -263,7 +261,7 @@ class Shell:
 
 
 @pytest.mark.parametrize('case', RUN, ids=str)
-def test_a_shipped_plan_with_a_shipped_unit_goes_all_the_way(case: Case, shell: Shell) -> None:
+def test_a_shipped_plan_with_a_shipped_unit_goes_all_the_way(case, shell):
     bag = shell.simulated(case)
     file = f'{case}.calibration.yaml'
     if case in READ_AGAIN:
@@ -409,7 +407,7 @@ def _readable(kind: str, text: str) -> None:
         assert yaml.safe_load(text)
 
 
-def test_every_file_that_ships_is_in_some_combination() -> None:
+def test_every_file_that_ships_is_in_some_combination():
     assert {c.plan for c in CASES} == {c.plan for c in WHOLE} == set(names('plans'))
     assert {c.imu for c in CASES} == {c.imu for c in WHOLE} == set(names('imus'))
     assert {c.truth for c in CASES} == {c.truth for c in WHOLE} == set(linear_truths())

@@ -39,7 +39,7 @@ specification:
 
 
 @pytest.fixture(scope='module')
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Two sessions in the hand, and a calibration of the first."""
     path = tmp_path_factory.mktemp('output')
     for name, seed in (('one', '1'), ('two', '2')):
@@ -71,13 +71,11 @@ class Program:
 
 
 @pytest.fixture
-def program(capsys: pytest.CaptureFixture[str]) -> Program:
+def program(capsys):
     return Program(capsys)
 
 
-def test_a_calibration_is_a_document_and_people_read_stderr(
-    program: Program, folder: Path, tmp_path: Path
-) -> None:
+def test_a_calibration_is_a_document_and_people_read_stderr(program, folder, tmp_path):
     file = tmp_path / 'c.yaml'
     document = program('calibrate', folder / 'one', '-o', file)
     result = document['result']
@@ -100,9 +98,7 @@ def test_a_calibration_is_a_document_and_people_read_stderr(
     assert again['parameters'] == result['parameters']
 
 
-def test_a_calibration_that_nobody_named_is_not_overwritten(
-    program: Program, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_calibration_that_nobody_named_is_not_overwritten(program, folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     file = tmp_path / 'calibration.yaml'
     assert program('calibrate', folder / 'one')['result']['file'] == file.name
@@ -117,9 +113,7 @@ def test_a_calibration_that_nobody_named_is_not_overwritten(
     assert file.read_bytes() != before
 
 
-def test_without_json_people_read_stdout(
-    program: Program, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_json_people_read_stdout(program, folder, capsys):
     program('info', folder / 'one')
     assert main(['info', str(folder / 'one')]) == 0
     assert '/imu/pulses' in capsys.readouterr().out
@@ -137,15 +131,7 @@ def test_without_json_people_read_stdout(
         (['report', 'none.yaml'], 2, 'input', 'cannot be read'),
     ],
 )
-def test_an_error_is_a_document(
-    program: Program,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    words: list[str],
-    code: int,
-    kind: str,
-    sentence: str,
-) -> None:
+def test_an_error_is_a_document(program, tmp_path, monkeypatch, words, code, kind, sentence):
     monkeypatch.chdir(tmp_path)
     document = program(*words, code=code)
     assert document['result'] is None
@@ -154,19 +140,15 @@ def test_an_error_is_a_document(
     assert document['error']['message'] in program.told.replace('\n', ' ') + program.told
 
 
-def test_data_that_gives_no_answer_is_exit_code_1(
-    program: Program, folder: Path, tmp_path: Path
-) -> None:
+def test_data_that_gives_no_answer_is_exit_code_1(program, folder, tmp_path):
     words = ['--plan', 'six_position_by_hand', '-o', tmp_path / 'c.yaml']
     # Thirty holds and no whole turn: no method of six positions has its turns.
     document = program('calibrate', folder / 'one', *words, code=1)
     assert document['error']['kind'] == 'not_observable'
 
 
-def test_an_interruption_is_a_document(
-    program: Program, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(*_: object) -> None:
+def test_an_interruption_is_a_document(program, folder, monkeypatch):
+    def interrupted(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(info_command, 'topics', interrupted)
@@ -174,9 +156,7 @@ def test_an_interruption_is_a_document(
     assert document['error'] == {'kind': 'interrupted', 'message': 'interrupted'}
 
 
-def test_a_ctrl_c_while_a_module_makes_its_dataclasses_is_exit_code_130(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_a_ctrl_c_while_a_module_makes_its_dataclasses_is_exit_code_130(folder, tmp_path):
     (tmp_path / 'interrupted_one.py').write_text("""
 import signal, sys
 from imu_calib.cli import dispatch, info, main
@@ -195,9 +175,7 @@ sys.exit(main.main(sys.argv[1:]))
     assert (ended.returncode, ended.stderr) == (130, '\nimu-calib info: interrupted\n')
 
 
-def test_a_unit_outside_its_specification_is_exit_code_3(
-    program: Program, folder: Path, tmp_path: Path
-) -> None:
+def test_a_unit_outside_its_specification_is_exit_code_3(program, folder, tmp_path):
     words = ['calibrate', folder / 'one', '-o', tmp_path / 'c.yaml', '--imu']
     wide, narrow = folder / 'wide.imu.yaml', folder / 'narrow.imu.yaml'
     # Without --specification nobody asks.
@@ -222,17 +200,15 @@ def test_a_unit_outside_its_specification_is_exit_code_3(
 
 
 def test_a_unit_without_a_specification_is_refused_before_it_is_calibrated(
-    program: Program, folder: Path, tmp_path: Path
-) -> None:
+    program, folder, tmp_path
+):
     file = tmp_path / 'c.yaml'
     document = program('calibrate', folder / 'one', '-o', file, '--specification', code=2)
     assert re.search('add the section specification', document['error']['message'])
     assert not file.exists()
 
 
-def test_a_verdict_is_a_document_and_rejected_is_exit_code_1(
-    program: Program, folder: Path, tmp_path: Path
-) -> None:
+def test_a_verdict_is_a_document_and_rejected_is_exit_code_1(program, folder, tmp_path):
     document = program('verify', folder / 'two', '--calibration', folder / 'one.yaml')
     assert document['result']['verdict'] == 'pass'
     assert {row['unit'] for row in document['result']['compared']} == {'m/s^2', 'rad/s'}
@@ -247,7 +223,7 @@ def test_a_verdict_is_a_document_and_rejected_is_exit_code_1(
     assert 'is rejected by' in program.told
 
 
-def test_a_comparison_is_a_document(program: Program, folder: Path) -> None:
+def test_a_comparison_is_a_document(program, folder):
     files = [folder / 'one.yaml', folder / 'two.yaml', folder / 'one' / 'truth.yaml']
     result = program('compare', *files)['result']
     assert result['names'] == ['one', 'two', 'truth']
@@ -255,7 +231,7 @@ def test_a_comparison_is_a_document(program: Program, folder: Path) -> None:
     assert result['parameters'][0]['degrees_of_freedom'] == 2
 
 
-def test_a_look_is_a_document(program: Program, folder: Path) -> None:
+def test_a_look_is_a_document(program, folder):
     result = program('info', folder / 'one')['result']
     assert [t['name'] for t in result['topics']] == ['/imu/pulses']
     assert len(result['streams']['dwells']) == 30
@@ -268,9 +244,7 @@ SHELL = ['-c', 'import sys; from imu_calib.cli.main import main; sys.exit(main()
 
 @pytest.mark.parametrize('words', [['-m', 'imu_calib.cli.main'], SHELL])
 @pytest.mark.parametrize('module', ['argparse', 'rich.console', 'numpy', 'imu_calib.cli.info'])
-def test_a_ctrl_c_while_modules_load_is_a_sentence(
-    tmp_path: Path, words: list[str], module: str
-) -> None:
+def test_a_ctrl_c_while_modules_load_is_a_sentence(tmp_path, words, module):
     (tmp_path / 'sitecustomize.py').write_text(f"""
 import signal, sys
 
@@ -290,7 +264,7 @@ sys.meta_path.insert(0, Interrupting)
     assert json.loads(ended.stdout)['error'] == {'kind': 'interrupted', 'message': 'interrupted'}
 
 
-def test_who_has_read_enough_is_not_told_of_an_error(folder: Path) -> None:
+def test_who_has_read_enough_is_not_told_of_an_error(folder):
     command = [sys.executable, '-m', 'imu_calib.cli.main', 'info', str(folder / 'one')]
     reading, writing = os.pipe()
     os.close(reading)
@@ -309,7 +283,7 @@ def test_who_has_read_enough_is_not_told_of_an_error(folder: Path) -> None:
 
 
 @pytest.mark.parametrize('words', [['info', 'nowhere', '--json'], ['plans'], ['--version']])
-def test_a_full_disk_or_a_closed_output_is_no_traceback(words: list[str]) -> None:
+def test_a_full_disk_or_a_closed_output_is_no_traceback(words):
     command = [sys.executable, '-m', 'imu_calib.cli.main', *words]
     usual = 2 if words[0] == 'info' else 0
     with Path('/dev/full').open('w') as full:
@@ -329,9 +303,7 @@ def test_a_full_disk_or_a_closed_output_is_no_traceback(words: list[str]) -> Non
 
 
 @pytest.mark.parametrize('encoding', ['ascii', 'utf-8'])
-def test_a_name_in_any_encoding_ends_no_command(
-    folder: Path, tmp_path: Path, encoding: str
-) -> None:
+def test_a_name_in_any_encoding_ends_no_command(folder, tmp_path, encoding):
     # 'März' of a disk that was written in Latin-1.
     odd = os.fsdecode(bytes(tmp_path) + b'/M\xe4rz')
     shutil.copytree(folder / 'one', odd)
@@ -345,10 +317,8 @@ def test_a_name_in_any_encoding_ends_no_command(
     assert Calibration.load(f'{odd}.yaml').provenance['recording'] == r'M\udce4rz'
 
 
-def test_too_little_memory_is_said(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def run(_: object) -> None:
+def test_too_little_memory_is_said(monkeypatch, capsys):
+    def run(_):
         raise MemoryError('Unable to allocate 75 GiB')
 
     monkeypatch.setattr('imu_calib.cli.info.run_info', run)
@@ -357,7 +327,7 @@ def test_too_little_memory_is_said(
     assert said in capsys.readouterr().err
 
 
-def test_the_version_is_for_stdout(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_version_is_for_stdout(capsys):
     with pytest.raises(SystemExit) as ended:
         main(['--version'])
     assert ended.value.code == 0
@@ -365,9 +335,7 @@ def test_the_version_is_for_stdout(capsys: pytest.CaptureFixture[str]) -> None:
     assert out.startswith('imu-calib ') and err == ''
 
 
-def test_what_is_no_calibration_file_is_said(
-    program: Program, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_calibration_file_is_said(program, folder, tmp_path, capsys):
     recording = folder / 'one'
     for words in (
         ['verify', folder / 'one.yaml', '--calibration', recording],
@@ -382,9 +350,7 @@ def test_what_is_no_calibration_file_is_said(
     assert f"{imu} is not a calibration file (the key 'format' is missing)." in errors
 
 
-def test_tables_in_files_end_without_blanks_and_zeros_have_no_sign(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_tables_in_files_end_without_blanks_and_zeros_have_no_sign(folder, capsys):
     assert main(['compare', str(folder / 'one.yaml'), str(folder / 'one.yaml')]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line for line in lines if line != line.rstrip()] == []

@@ -17,14 +17,14 @@ HAND = {'imu': 'mems_counts', 'latitude': 48.1}
 
 
 @pytest.fixture(scope='module')
-def hand(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def hand(tmp_path_factory):
     bag = tmp_path_factory.mktemp('hand') / 'bag'
     imu_calib.simulate('free_positions', bag, imu='mems_counts', latitude=48.1, seed=2)
     return bag
 
 
 @pytest.fixture(scope='module')
-def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def table(tmp_path_factory):
     bag = tmp_path_factory.mktemp('table') / 'bag'
     imu_calib.simulate('twelve_position', bag, latitude=48.1, seed=3)
     return bag
@@ -53,9 +53,7 @@ def holds_of(result: imu_calib.Result) -> np.ndarray:
     return np.array([(s.start - zero, s.end - zero) for s in result.session.segments]) * 1e-9
 
 
-def test_a_file_as_it_was_written_gives_the_result_of_the_search(
-    hand: Path, tmp_path: Path
-) -> None:
+def test_a_file_as_it_was_written_gives_the_result_of_the_search(hand, tmp_path):
     file, rows = written(hand, tmp_path)
     found, again = imu_calib.calibrate(hand), imu_calib.calibrate(hand, segments=file)
     assert {row['kind'] for row in rows} == {'hold'}
@@ -67,7 +65,7 @@ def test_a_file_as_it_was_written_gives_the_result_of_the_search(
     assert 'found.csv' in ' '.join(again.calibration.findings)
 
 
-def test_holds_in_the_hand_are_removed_moved_and_added(hand: Path, tmp_path: Path) -> None:
+def test_holds_in_the_hand_are_removed_moved_and_added(hand, tmp_path):
     file, rows = written(hand, tmp_path)
     removed, moved, parted = rows[4], rows[7], rows[9]
     kept = [row for row in rows if row is not removed and row is not parted]
@@ -95,7 +93,7 @@ def test_holds_in_the_hand_are_removed_moved_and_added(hand: Path, tmp_path: Pat
     assert (off <= 5 * result.calibration.std + 1e-12).all()
 
 
-def test_holds_of_a_frame_are_chosen_too(hand: Path, tmp_path: Path) -> None:
+def test_holds_of_a_frame_are_chosen_too(hand, tmp_path):
     file, rows = written(hand, tmp_path)
     edited(file, rows[:-3])
     (columns,) = (c for c in imu_calib.read(hand).values() if c.type == 'sensor_msgs/msg/Imu')
@@ -104,7 +102,7 @@ def test_holds_of_a_frame_are_chosen_too(hand: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(by_frame.calibration.values, by_path.calibration.values)
 
 
-def test_dwells_and_turns_of_a_table_are_chosen(table: Path, tmp_path: Path) -> None:
+def test_dwells_and_turns_of_a_table_are_chosen(table, tmp_path):
     file, rows = written(table, tmp_path)
     holds = [row for row in rows if row['kind'] == 'hold']
     turns = [row for row in rows if row['kind'] == 'turn']
@@ -144,9 +142,7 @@ def test_dwells_and_turns_of_a_table_are_chosen(table: Path, tmp_path: Path) -> 
         ('kind,start,end\n', 'found no segment, expected a hold in each line'),
     ],
 )
-def test_a_wrong_file_is_refused_with_its_line_and_key(
-    hand: Path, tmp_path: Path, text: str, message: str
-) -> None:
+def test_a_wrong_file_is_refused_with_its_line_and_key(hand, tmp_path, text, message):
     file = tmp_path / 'edited.csv'
     file.write_text(text)
     with pytest.raises(imu_calib.InputError) as refused:
@@ -155,7 +151,7 @@ def test_a_wrong_file_is_refused_with_its_line_and_key(
     assert message in str(refused.value)
 
 
-def test_a_hold_in_which_the_table_moved_is_refused(table: Path, tmp_path: Path) -> None:
+def test_a_hold_in_which_the_table_moved_is_refused(table, tmp_path):
     file, rows = written(table, tmp_path)
     at = next(k for k, row in enumerate(rows) if row['kind'] == 'hold')
     rows[at] = {**rows[at], 'end': f'{float(rows[at]["end"]) + 1.5:.3f}'}
@@ -165,7 +161,7 @@ def test_a_hold_in_which_the_table_moved_is_refused(table: Path, tmp_path: Path)
     assert 'expected a time in which the table stood still: ' in str(refused.value)
 
 
-def test_holds_that_are_too_few_are_refused_by_what_they_lack(hand: Path, tmp_path: Path) -> None:
+def test_holds_that_are_too_few_are_refused_by_what_they_lack(hand, tmp_path):
     file, rows = written(hand, tmp_path)
     with pytest.raises(imu_calib.NotObservable, match='hold'):
         imu_calib.calibrate(hand, segments=edited(file, rows[:3]))

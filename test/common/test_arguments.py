@@ -5,7 +5,6 @@ import itertools
 from collections.abc import Callable
 from datetime import datetime
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,9 +53,7 @@ WRONG = [(None, 'None'), (3, '3'), (object(), 'a value of the type object')]
 
 
 @pytest.mark.parametrize('name', functions())
-def test_any_argument_of_a_wrong_type_is_refused_in_a_sentence(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_any_argument_of_a_wrong_type_is_refused_in_a_sentence(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for parameter, (value, found) in itertools.product(arguments(name), WRONG):
         argument, kinds = parameter.name, str(parameter.annotation).split(' | ')
@@ -113,21 +110,19 @@ def test_any_argument_of_a_wrong_type_is_refused_in_a_sentence(
         ),
     ],
 )
-def test_the_sentence_names_the_keyword_what_was_found_and_what_was_expected(
-    ask: Callable[[], object], sentence: str
-) -> None:
+def test_the_sentence_names_the_keyword_what_was_found_and_what_was_expected(ask, sentence):
     with pytest.raises(InputError) as caught:
         ask()
     assert str(caught.value) == sentence
 
 
-def test_a_stand_that_is_a_command_names_keywords_too(tmp_path: Path) -> None:
+def test_a_stand_that_is_a_command_names_keywords_too(tmp_path):
     with pytest.raises(InputError, match=r'^`speed`: found -1') as caught:
         imu_calib.stand('six_position', tmp_path / 'stand', speed=-1.0)
     assert '--' not in str(caught.value)
 
 
-def test_nothing_in_place_of_several_is_refused(tmp_path: Path) -> None:
+def test_nothing_in_place_of_several_is_refused(tmp_path):
     with pytest.raises(InputError, match=r'^`reach`: found no parameter'):
         imu_calib.reach('six_position', 'fog_medium', {})
     with pytest.raises(InputError, match=r'^`imus`: found no unit, expected one or more'):
@@ -136,9 +131,9 @@ def test_nothing_in_place_of_several_is_refused(tmp_path: Path) -> None:
         imu_calib.export(tmp_path, 'c', '/')
 
 
-def test_what_numpy_and_python_call_a_number_is_one() -> None:
+def test_what_numpy_and_python_call_a_number_is_one():
     @checked
-    def both(rate: 'float', runs: 'int' = 1) -> float:
+    def both(rate, runs=1):
         return rate * runs
 
     assert both(np.float32(2), np.int64(3)) == 6
@@ -148,7 +143,7 @@ def test_what_numpy_and_python_call_a_number_is_one() -> None:
             both(1.0, wrong)  # type: ignore[arg-type]
 
 
-def test_missing_and_unknown_arguments_are_those_of_python() -> None:
+def test_missing_and_unknown_arguments_are_those_of_python():
     with pytest.raises(TypeError, match=r'calibrate.. missing 1 required positional'):
         imu_calib.calibrate()  # type: ignore[call-arg]
     with pytest.raises(TypeError, match=r"export.. got an unexpected keyword argument 'nothing'"):
@@ -156,7 +151,7 @@ def test_missing_and_unknown_arguments_are_those_of_python() -> None:
 
 
 @pytest.mark.parametrize('name', ['x' * 300, 'a\0b'])
-def test_a_name_that_no_file_can_have_is_refused_in_a_sentence(name: str) -> None:
+def test_a_name_that_no_file_can_have_is_refused_in_a_sentence(name):
     for ask in (imu_calib.load_plan, imu_calib.Calibration.load, imu_calib.read):
         with pytest.raises(InputError, match='no file can be found there'):
             ask(name)

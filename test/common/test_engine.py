@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -26,7 +25,7 @@ from imu_calib.simulation.repetition import repeat
 
 
 @pytest.fixture
-def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def scheduler(tmp_path_factory):
     """The address of a scheduler with one worker, which finds this file and the studies."""
     pytest.importorskip('distributed')
     cluster = Cluster(tmp_path_factory.mktemp('cluster'))
@@ -38,7 +37,7 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     cluster.stop()
 
 
-def test_results_keep_the_order_of_the_tasks(tmp_path: Path) -> None:
+def test_results_keep_the_order_of_the_tasks(tmp_path):
     ended: list[tuple[int, int]] = []
     found = run_all(partial(first_last, tmp_path), range(4), jobs=2, ended=ended.append)
     assert [task for task, _ in found] == [0, 1, 2, 3]
@@ -49,20 +48,18 @@ def test_results_keep_the_order_of_the_tasks(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('jobs', [1, 2])
-def test_what_a_task_refuses_is_said(jobs: int) -> None:
+def test_what_a_task_refuses_is_said(jobs):
     with pytest.raises(NotObservable, match='Nothing to see'):
         run_all(refused, range(3), jobs=jobs)
 
 
 @pytest.mark.parametrize('after', [1, 4, 7, 10, 13, 16])
-def test_a_run_that_is_interrupted_with_tasks_waiting_ends_quietly(
-    after: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_is_interrupted_with_tasks_waiting_ends_quietly(after, monkeypatch):
     ended: list[int] = []
     errors: list[object] = []
     monkeypatch.setattr(threading, 'excepthook', errors.append)
 
-    def take(result: int) -> None:
+    def take(result):
         ended.append(result)
         if len(ended) == after:
             raise KeyboardInterrupt
@@ -77,7 +74,7 @@ def loaded(name: str) -> bool:
     return name in sys.modules
 
 
-def test_workers_begin_with_the_modules_of_their_tasks() -> None:
+def test_workers_begin_with_the_modules_of_their_tasks():
     pytest.importorskip('distributed')
     modules = ('scipy.special', 'wave')
     with Engine(workers=2, loads=modules[:1]).connected() as client:
@@ -85,12 +82,7 @@ def test_workers_begin_with_the_modules_of_their_tasks() -> None:
     assert [list(each.values()) for each in found] == [[True, True], [False, False]]
 
 
-def test_a_cluster_gives_what_this_machine_gives(
-    scheduler: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_cluster_gives_what_this_machine_gives(scheduler, tmp_path, capsys, monkeypatch):
     there = run_all(partial(first_last, tmp_path), [3, 1, 2], scheduler=scheduler)
     assert [task for task, _ in there] == [3, 1, 2]
     with pytest.raises(NotObservable, match='Nothing to see'):
@@ -119,13 +111,11 @@ def test_a_cluster_gives_what_this_machine_gives(
     assert 'six_position_by_hand: 2 runs' in capsys.readouterr().out
 
 
-def test_what_callbacks_of_dask_raise_is_not_logged(
-    scheduler: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_callbacks_of_dask_raise_is_not_logged(scheduler, caplog):
     """One that cancels what was not begun does, where Ctrl-C comes early."""
     begun, over = threading.Event(), threading.Event()
 
-    def fails() -> None:
+    def fails():
         begun.set()
         raise NameError('There is no future yet.')
 
@@ -141,9 +131,7 @@ def test_what_callbacks_of_dask_raise_is_not_logged(
     ('where', 'again'),
     [('jobs', None), ('jobs', 0.01), repeated('jobs', 0.02), ('scheduler', 0.01)],
 )
-def test_ctrl_c_ends_a_study(
-    where: str, again: float | None, request: pytest.FixtureRequest
-) -> None:
+def test_ctrl_c_ends_a_study(where, again, request):
     command = [sys.executable, '-m', 'imu_calib.cli.main', 'montecarlo', 'twelve_position']
     option = ['--jobs', '2']
     if where == 'scheduler':
@@ -209,9 +197,7 @@ def in_group(group: int) -> list[str]:
     return found
 
 
-def test_nothing_but_a_scheduler_asks_for_dask(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nothing_but_a_scheduler_asks_for_dask(monkeypatch, capsys):
     monkeypatch.setattr('imu_calib.common.files.find_spec', lambda name: None)
     assert run_all(refused, [0, 2], jobs=1) == [0, 2]
     command = ['montecarlo', 'twelve_position', '--runs', '1', '--scheduler', 'tcp://127.0.0.1:1']
@@ -219,7 +205,7 @@ def test_nothing_but_a_scheduler_asks_for_dask(
     assert "pip install '.[fleet]'" in capsys.readouterr().err
 
 
-def test_what_is_no_address_ends_at_once() -> None:
+def test_what_is_no_address_ends_at_once():
     """In a process of its own: what Dask leaves behind speaks when the interpreter ends."""
     pytest.importorskip('distributed')
     addresses = ['nonsense', 'foo://host:8786', 'tcp://host:port']

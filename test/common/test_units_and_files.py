@@ -1,5 +1,4 @@
 import math
-from pathlib import Path
 
 import pytest
 
@@ -26,29 +25,29 @@ from imu_calib.session.table import load_table, read_table
         ('2 min', Dimension.TIME, 120.0),
     ],
 )
-def test_quantities_become_si(text: str, dimension: Dimension, value: float) -> None:
+def test_quantities_become_si(text, dimension, value):
     assert parse(text, dimension, 'key') == pytest.approx(value, rel=1e-7)
 
 
 @pytest.mark.parametrize('text', ['7.8', 7.8, '7.8 deg/h', 'fast', None, '1e999 arcsec/pulse'])
-def test_what_is_no_quantity_of_the_kind_is_refused_with_key_and_units(text: object) -> None:
+def test_what_is_no_quantity_of_the_kind_is_refused_with_key_and_units(text):
     with pytest.raises(InputError, match=r'gyro\.scale: found .*expected'):
         parse(text, Dimension.ANGLE_PER_PULSE, 'gyro.scale')
 
 
-def test_pages_set_units_and_leave_names_alone() -> None:
+def test_pages_set_units_and_leave_names_alone():
     written = 'D_ax is 3 +- 1 ug, 2 ug/g^2; 0.1 deg/sqrt(h) at 20 degC, 9.8 m/s^2: 4 ug.'
     assert typeset(written) == ('D_ax is 3 ± 1 µg, 2 µg/g²; 0.1 deg/√h at 20 °C, 9.8 m/s²: 4 µg.')
     names = 'ug.yaml, my-ug, /data/ug/rec, debug, 2^10'
     assert typeset(names) == names
 
 
-def test_a_key_that_stands_twice_is_refused() -> None:
+def test_a_key_that_stands_twice_is_refused():
     with pytest.raises(InputError, match='found the key range more than once'):
         Section.parse('gyro: {range: 1 deg/s, range: 2 deg/s}', 'my file')
 
 
-def test_a_misspelt_key_is_named() -> None:
+def test_a_misspelt_key_is_named():
     text = 'id: a\nunits: si\nsample_frequency: 100 Hz\n'
     with pytest.raises(InputError, match=r"my\.yaml: unknown key 'sample_frequency'; known are"):
         read_imu(Section.parse(text, 'my.yaml'))
@@ -75,12 +74,12 @@ def test_a_misspelt_key_is_named() -> None:
         ('- 1', 'found a list, expected keys'),
     ],
 )
-def test_a_wrong_imu_file_is_refused_in_words(text: str, message: str) -> None:
+def test_a_wrong_imu_file_is_refused_in_words(text, message):
     with pytest.raises(InputError, match=message):
         read_imu(Section.parse(text, 'my.yaml'))
 
 
-def test_every_shipped_file_reads() -> None:
+def test_every_shipped_file_reads():
     config = named_file('imus', 'si').parent.parent
     for path in (config / 'imus').glob('*.yaml'):
         assert load_imu(path).id == path.stem
@@ -90,14 +89,14 @@ def test_every_shipped_file_reads() -> None:
         assert load_table(path).name == path.stem
 
 
-def test_the_medium_unit_is_that_of_the_paper() -> None:
+def test_the_medium_unit_is_that_of_the_paper():
     spec = load_imu('fog_medium')
     assert spec.units is Units.PULSES
     assert spec.gyro.scale_factor == pytest.approx(7.8 / 206264.806247)
     assert spec.accel.scale_factor == 0.01
 
 
-def test_an_unknown_name_lists_the_shipped_ones(tmp_path: Path) -> None:
+def test_an_unknown_name_lists_the_shipped_ones(tmp_path):
     with pytest.raises(
         InputError, match=r"No plan is called 'twelve'; there are: .*twelve_position"
     ):
@@ -131,7 +130,7 @@ positions:
         ('{id: 1, axes: [E, N, U]}\n  - {id: 1, axes: [E, N, U]}', "two positions have the id '1'"),
     ],
 )
-def test_a_wrong_plan_is_refused_in_words(position: str, message: str) -> None:
+def test_a_wrong_plan_is_refused_in_words(position, message):
     with pytest.raises(InputError, match=message):
         read_plan(Section.parse(PLAN.format(position=position), 'my.yaml'))
 
@@ -155,6 +154,6 @@ joints:
         ('  - {name: b, axis: x, max_rate: 0 deg/s, max_acceleration: 1 deg/s^2}', 'above 0'),
     ],
 )
-def test_a_wrong_table_is_refused_in_words(more: str, message: str) -> None:
+def test_a_wrong_table_is_refused_in_words(more, message):
     with pytest.raises(InputError, match=message):
         read_table(Section.parse(TABLE.format(more=more), 'my.yaml'))

@@ -5,7 +5,6 @@ docs/interoperability.md says what was seen, with the versions.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +50,7 @@ def as_of_version(part: Path, version: int) -> None:
 
 
 @pytest.fixture
-def grown(tmp_path: Path) -> Path:
+def grown(tmp_path):
     kept = Catalogue(tmp_path / 'catalogue', create=True)
     for k, version in enumerate(GROWN):
         kept.add([row(k)])
@@ -106,21 +105,19 @@ def of_a_union(rows: Path) -> list[dict[str, Any]]:
 # Of Dask 2026.8, whose code pandas 3.1 warns of.
 @pytest.mark.filterwarnings('ignore:The inplace keyword')
 @pytest.mark.parametrize('reader', [by_pandas, by_duckdb, by_polars, by_dask, of_a_union])
-def test_readers_find_all_columns_once_this_version_has_added_a_row(
-    grown: Path, reader: Callable[[Path], list[dict[str, Any]]]
-) -> None:
+def test_readers_find_all_columns_once_this_version_has_added_a_row(grown, reader):
     assert Catalogue(grown).add([row(3)]) == 1
     read = sorted(reader(grown / 'rows'), key=lambda one: one['key'])
     assert {*read[0]} == {*schema().names}
     assert [told(one) for one in read] == [expected(k) for k in range(ROWS)]
 
 
-def test_before_that_the_catalogue_and_a_union_by_name_find_them(grown: Path) -> None:
+def test_before_that_the_catalogue_and_a_union_by_name_find_them(grown):
     for read in (Catalogue(grown).table().to_pylist(), of_a_union(grown / 'rows')):
         assert [told(one) for one in read] == [expected(k) for k in range(len(GROWN))]
 
 
-def test_parts_of_the_present_version_stay_as_they_are(grown: Path) -> None:
+def test_parts_of_the_present_version_stay_as_they_are(grown):
     Catalogue(grown).add([row(3)])
     before = {p: p.stat().st_ino for p in (grown / 'rows').iterdir()}
     Catalogue(grown).add([row(4)])

@@ -49,7 +49,7 @@ def first_month(covariance: list[list[float]], allowed: float = 0.05) -> float:
 
 
 @pytest.mark.parametrize('together', [-0.9, 0.0, 0.9])
-def test_level_and_slope_that_err_together_bring_the_date_nearer(together: float) -> None:
+def test_level_and_slope_that_err_together_bring_the_date_nearer(together):
     std = 0.5, 0.03
     common = together * std[0] * std[1]
     covariance = [[std[0] ** 2, common], [common, std[1] ** 2]]
@@ -62,7 +62,7 @@ def test_level_and_slope_that_err_together_bring_the_date_nearer(together: float
     assert np.isnan(found.earliest[0, 1:]).all()
 
 
-def test_nothing_is_predicted_beyond_the_horizon() -> None:
+def test_nothing_is_predicted_beyond_the_horizon():
     small = [[1e-6, 0.0], [0.0, 1e-10]]
     # 8 units at 0.1 a month: after 80 months, and with scatter before that.
     within, beyond = due(small, horizon=81 / 12), due(small, horizon=79 / 12)
@@ -81,6 +81,6 @@ def test_nothing_is_predicted_beyond_the_horizon() -> None:
 
 
 @pytest.mark.parametrize('level', [LIMIT + 1.0, -LIMIT - 1.0])
-def test_a_unit_that_is_outside_is_due_at_once(level: float) -> None:
+def test_a_unit_that_is_outside_is_due_at_once(level):
     found = due([[0.01, 0.0], [0.0, 1e-6]], level=level)
     assert (found.leaves[0, 0], found.earliest[0, 0], found.unit[0]) == (0.0, 0.0, 0.0)

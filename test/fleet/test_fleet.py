@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -41,7 +40,7 @@ NOW = datetime(2026, 3, 1, 12, tzinfo=timezone.utc)
 
 
 @pytest.fixture(scope='module')
-def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recordings(tmp_path_factory):
     """Two short sessions of two units, the first twice under two names, and one that is none."""
     folder = tmp_path_factory.mktemp('recordings')
     plan = folder / 'brief.yaml'
@@ -58,7 +57,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope='module')
-def done(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def done(recordings, tmp_path_factory):
     """The catalogue of a batch over all of them."""
     folder = tmp_path_factory.mktemp('done') / 'catalogue'
     with pytest.MonkeyPatch.context() as patched:
@@ -80,8 +79,8 @@ def a_row(k: int, **values: object) -> TaskResult:
     return TaskResult(row['key'], {**row, **values})
 
 
-def test_sources_are_found(recordings: Path) -> None:
-    def names(*sources: str | Path) -> list[str]:
+def test_sources_are_found(recordings):
+    def names(*sources):
         jobs = find_jobs([str(s) for s in sources], Stated())
         return [str(Path(job.recording).relative_to(recordings)) for job in jobs]
 
@@ -95,9 +94,7 @@ def test_sources_are_found(recordings: Path) -> None:
         find_jobs([str(recordings / 'x*')], Stated())
 
 
-def test_folders_that_link_to_themselves_are_searched_once(
-    recordings: Path, tmp_path: Path
-) -> None:
+def test_folders_that_link_to_themselves_are_searched_once(recordings, tmp_path):
     shutil.copytree(recordings / 'a', tmp_path / 'day' / 'a')
     shutil.copy(next((recordings / 'a').glob('*.mcap')), tmp_path / 'day' / 'RUN.MCAP')
     # Two links in each folder double the number of ways at each level.
@@ -109,7 +106,7 @@ def test_folders_that_link_to_themselves_are_searched_once(
     assert list(map(str, found)) == ['day/RUN.MCAP', 'day/gone.mcap', 'day/a']
 
 
-def test_files_to_convert_are_counted(recordings: Path, tmp_path: Path) -> None:
+def test_files_to_convert_are_counted(recordings, tmp_path):
     folder = tmp_path / 'folder'
     shutil.copytree(recordings / 'a', folder / 'a')
     (folder / 'a' / 'notes.txt').touch()
@@ -123,7 +120,7 @@ def test_files_to_convert_are_counted(recordings: Path, tmp_path: Path) -> None:
     assert not convertible([folder / 'list.csv', folder / 'a', 's3://nowhere'])
 
 
-def test_a_manifest_says_what_recordings_do_not(tmp_path: Path) -> None:
+def test_a_manifest_says_what_recordings_do_not(tmp_path):
     (tmp_path / 'own.yaml').write_text('{}')
     csv = tmp_path / 'list.csv'
     csv.write_text(
@@ -174,20 +171,20 @@ def test_a_manifest_says_what_recordings_do_not(tmp_path: Path) -> None:
         ('recording,serial\n\nx,A1,B1\n', 'row 3: found 3 entries, expected at most 2'),
     ],
 )
-def test_a_broken_manifest_gets_a_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+def test_a_broken_manifest_gets_a_sentence(tmp_path, text, sentence):
     path = tmp_path / 'list.csv'
     path.write_text(text)
     with pytest.raises(InputError, match=sentence):
         find_jobs([str(path)], Stated())
 
 
-def test_the_page_names_every_column_of_a_manifest() -> None:
+def test_the_page_names_every_column_of_a_manifest():
     page = (CHECKOUT / 'docs' / 'fleet.md').read_text(encoding='utf-8')
     section = page.partition('## Sources of a batch')[2].partition('\n## ')[0]
     assert not [name for name in COLUMNS if f'`{name}`' not in section]
 
 
-def test_a_copied_part_counts_once_and_hinders_nothing(tmp_path: Path) -> None:
+def test_a_copied_part_counts_once_and_hinders_nothing(tmp_path):
     catalogue = Catalogue(tmp_path / 'c', create=True)
     catalogue.add([a_row(1), a_row(2)])
     (part,) = (tmp_path / 'c' / 'rows').glob('*.parquet')
@@ -197,7 +194,7 @@ def test_a_copied_part_counts_once_and_hinders_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('serial', ['..', '.', 'A/B', 'ü' * 60, 'M\udce4rz'])
-def test_any_serial_number_has_a_file_of_its_own(serial: str, tmp_path: Path) -> None:
+def test_any_serial_number_has_a_file_of_its_own(serial, tmp_path):
     values = {'status': 'calibrated', 'imu': '..', 'serial': serial, 'date': NOW}
     catalogue = Catalogue(tmp_path / 'all', create=True)
     catalogue.add([replace(a_row(1, **values), calibration='{}')])
@@ -206,12 +203,12 @@ def test_any_serial_number_has_a_file_of_its_own(serial: str, tmp_path: Path) ->
     assert all(file.parts[:3] == ('all', 'calibrations', '%2E%2E') for file in files)
 
 
-def test_a_task_is_known_by_what_counts(recordings: Path, tmp_path: Path) -> None:
+def test_a_task_is_known_by_what_counts(recordings, tmp_path):
     imu = tmp_path / 'unit.yaml'
     shutil.copy(named_file('imus', 'fog_medium'), imu)
     job = Job(str(recordings / 'a'), Stated(imu=str(imu)))
 
-    def key(job: Job) -> str:
+    def key(job):
         return key_of(job, content_of(Path(job.recording)))
 
     known = key(job)
@@ -226,7 +223,7 @@ def test_a_task_is_known_by_what_counts(recordings: Path, tmp_path: Path) -> Non
     assert key(replace(job, stated=Stated(imu=str(moved)))) != known
 
 
-def test_simulated_units_with_numbers_differ_and_remain_themselves(recordings: Path) -> None:
+def test_simulated_units_with_numbers_differ_and_remain_themselves(recordings):
     first, second, again = (
         imu_calib.Calibration.load(recordings / name / 'truth.yaml').values
         for name in ('a', 'b', 'deeper/again')
@@ -238,7 +235,7 @@ def test_simulated_units_with_numbers_differ_and_remain_themselves(recordings: P
     assert np.all((first != second)[usual != 0])
 
 
-def test_a_batch_gives_what_calibrate_gives(recordings: Path, done: Path) -> None:
+def test_a_batch_gives_what_calibrate_gives(recordings, done):
     found = {Path(row['recording']).name: row for row in rows(done)}
     # The same recording under two names is one row, of whichever came first.
     assert len(found) == 3 and {'b', 'broken.mcap'} < set(found)
@@ -260,9 +257,7 @@ def test_a_batch_gives_what_calibrate_gives(recordings: Path, done: Path) -> Non
     assert np.isnan(lost['K_gx'] or np.nan)
 
 
-def test_what_is_done_is_not_done_again_and_what_failed_is_said(
-    recordings: Path, done: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_done_is_not_done_again_and_what_failed_is_said(recordings, done, capsys):
     before = rows(done)
     assert main(['batch', str(recordings), '-o', str(done), '--workers', '1']) == 1
     out, err = capsys.readouterr()
@@ -275,7 +270,7 @@ def test_what_is_done_is_not_done_again_and_what_failed_is_said(
     assert rows(done) == before
 
 
-def test_what_cannot_be_read_is_one_row_until_it_changes(recordings: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_read_is_one_row_until_it_changes(recordings, tmp_path):
     lacking = tmp_path / 'one' / 'rec'
     shutil.copytree(recordings / 'a', lacking)
     (storage,) = lacking.glob('*.mcap')
@@ -295,9 +290,7 @@ def test_what_cannot_be_read_is_one_row_until_it_changes(recordings: Path, tmp_p
     assert len({*gone, first.key}) == 3
 
 
-def test_catalogue_lists_filters_and_exports(
-    done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_catalogue_lists_filters_and_exports(done, tmp_path, capsys):
     import pandas as pd
 
     assert main(['catalogue', str(done)]) == 0
@@ -329,7 +322,7 @@ def test_catalogue_lists_filters_and_exports(
     assert main(['catalogue', str(tmp_path)]) == 2
 
 
-def test_others_read_it(done: Path) -> None:
+def test_others_read_it(done):
     import duckdb
     import pandas as pd
     import pyarrow.parquet as pq
@@ -341,7 +334,7 @@ def test_others_read_it(done: Path) -> None:
     assert pq.read_schema(next(files.iterdir())).field('K_gx').metadata
 
 
-def test_no_row_is_there_twice(tmp_path: Path) -> None:
+def test_no_row_is_there_twice(tmp_path):
     kept = Catalogue(tmp_path / 'c', create=True)
     assert kept.add([a_row(1), a_row(2), a_row(1)]) == 2
     assert Catalogue(tmp_path / 'c').add([a_row(2), a_row(3)]) == 1
@@ -351,8 +344,8 @@ def test_no_row_is_there_twice(tmp_path: Path) -> None:
     assert [row['error'] for row in rows(tmp_path / 'c')] == ['It failed.', 'Again.', 'It failed.']
 
 
-def test_a_recording_calibrated_again_supersedes_its_older_rows(tmp_path: Path) -> None:
-    def calibrated(k: int, serial: str, **values: object) -> TaskResult:
+def test_a_recording_calibrated_again_supersedes_its_older_rows(tmp_path):
+    def calibrated(k, serial, **values):
         one = {'sha256': 'same', 'topic': '/imu', 'status': 'calibrated', 'imu': 'fog', 'date': NOW}
         return replace(a_row(k, serial=serial, **(one | values)), calibration=f'of {k}')
 
@@ -375,9 +368,7 @@ def test_a_recording_calibrated_again_supersedes_its_older_rows(tmp_path: Path) 
     ]
 
 
-def test_a_recording_with_other_options_counts_once(
-    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_with_other_options_counts_once(recordings, tmp_path, capsys):
     folder, recording = tmp_path / 'c', str(recordings / 'a')
     kept = Catalogue(folder, create=True)
     # A mistake that fails, one that does not, and at last the right options.
@@ -399,16 +390,16 @@ def test_a_recording_with_other_options_counts_once(
     assert '1 done before (1 superseded)' in out and '--retry goes back to these options' in out
 
 
-def test_two_clients_and_a_reader_at_a_time(tmp_path: Path) -> None:
+def test_two_clients_and_a_reader_at_a_time(tmp_path):
     folder = tmp_path / 'c'
     Catalogue(folder, create=True)
     over = threading.Event()
 
-    def client(_: int) -> int:
+    def client(_):
         kept = Catalogue(folder)
         return sum(kept.add([a_row(k)]) for k in range(20))
 
-    def reader() -> list[int]:
+    def reader():
         calls = []
         while not over.is_set():
             read = Catalogue(folder).table()
@@ -425,11 +416,11 @@ def test_two_clients_and_a_reader_at_a_time(tmp_path: Path) -> None:
     assert calls == sorted(calls)
 
 
-def test_a_full_disk_loses_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_loses_no_row(tmp_path, monkeypatch):
     kept = Catalogue(tmp_path / 'c', create=True)
     kept.add([a_row(1)])
 
-    def full(*_: object, **__: object) -> None:
+    def full(*_, **__):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patched:
@@ -441,7 +432,7 @@ def test_a_full_disk_loses_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert kept.add([a_row(2)]) == 1
 
 
-def test_older_columns_are_filled_in_and_newer_refused(tmp_path: Path) -> None:
+def test_older_columns_are_filled_in_and_newer_refused(tmp_path):
     import pyarrow.parquet as pq
 
     kept = Catalogue(tmp_path / 'c', create=True)
@@ -465,8 +456,8 @@ def test_older_columns_are_filled_in_and_newer_refused(tmp_path: Path) -> None:
         Catalogue(tmp_path / 'c').table()
 
 
-def test_what_nobody_foresaw_is_a_row(monkeypatch: pytest.MonkeyPatch, recordings: Path) -> None:
-    def broken(*_: object, **__: object) -> None:
+def test_what_nobody_foresaw_is_a_row(monkeypatch, recordings):
+    def broken(*_, **__):
         raise ZeroDivisionError('by zero')
 
     monkeypatch.setattr('imu_calib.fleet.task.recording_at', broken)
@@ -475,13 +466,11 @@ def test_what_nobody_foresaw_is_a_row(monkeypatch: pytest.MonkeyPatch, recording
     assert 'ZeroDivisionError: by zero' in ended.row['error'] and ended.row['sha256']
 
 
-def test_a_recording_lies_in_a_bucket(
-    recordings: Path, done: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recording_lies_in_a_bucket(recordings, done, monkeypatch):
     s3fs = pytest.importorskip('s3fs', reason='s3fs is not installed')
     whole, sizes = s3fs.S3FileSystem._cat_file, []
 
-    async def counted(files: object, *arguments: object, **keywords: object) -> bytes:
+    async def counted(files, *arguments, **keywords):
         content = await whole(files, *arguments, **keywords)
         sizes.append(len(content))
         return content
@@ -502,7 +491,7 @@ def test_a_recording_lies_in_a_bucket(
         assert gone is not None and gone['error'].startswith(f'{bucket}/b: no such recording')
 
 
-def test_a_server_that_does_not_answer_gets_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_that_does_not_answer_gets_a_sentence(monkeypatch):
     monkeypatch.setattr('imu_calib.recordings.remote.PAUSE', 0.0)
     pytest.importorskip('aiohttp')
     row = run(Job('http://127.0.0.1:9/rec.mcap')).row
@@ -520,7 +509,7 @@ def poisonous(job: Job, known: frozenset[str]) -> TaskResult:
     return TaskResult(path.name, a_row(int(path.name)).row)
 
 
-def test_a_recording_that_kills_its_worker_is_a_row(tmp_path: Path) -> None:
+def test_a_recording_that_kills_its_worker_is_a_row(tmp_path):
     jobs = [Job(str(tmp_path / name)) for name in ('1', 'poison', '2', '3')]
     kept = Catalogue(tmp_path / 'c', create=True)
     import dask
@@ -536,7 +525,7 @@ def test_a_recording_that_kills_its_worker_is_a_row(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Cluster]:
+def cluster(tmp_path):
     with_port = Cluster(tmp_path)
     yield with_port
     with_port.stop()
@@ -551,9 +540,7 @@ def slow(job: Job, known: frozenset[str]) -> TaskResult:
     return a_row(int(path.name))
 
 
-def test_a_scheduler_that_is_started_again_is_gone_on_with(
-    tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scheduler_that_is_started_again_is_gone_on_with(tmp_path, cluster, monkeypatch):
     monkeypatch.setenv('PYTHONPATH', IMPORTED)
     cluster.start()
     jobs = [Job(str(tmp_path / str(k))) for k in range(3)]
@@ -569,9 +556,7 @@ def test_a_scheduler_that_is_started_again_is_gone_on_with(
     assert sorted(row['recording'] for row in rows(tmp_path / 'c')) == ['r0', 'r1', 'r2']
 
 
-def test_two_clients_of_one_catalogue_add_each_row_once(
-    tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_clients_of_one_catalogue_add_each_row_once(tmp_path, cluster, monkeypatch):
     monkeypatch.setenv('PYTHONPATH', IMPORTED)
     cluster.start()
     (tmp_path / 'go').touch()
@@ -581,7 +566,7 @@ def test_two_clients_of_one_catalogue_add_each_row_once(
     # Each knows what is done when it begins: nothing.
     both = threading.Barrier(2, timeout=patience(120))
 
-    def client(_: int) -> int:
+    def client(_):
         engine = Engine(scheduler=cluster.address)
         both.wait()
         return run_batch(jobs, Catalogue(folder), engine, task=slow).failed
@@ -592,9 +577,7 @@ def test_two_clients_of_one_catalogue_add_each_row_once(
 
 
 @pytest.mark.repeats
-def test_one_corrupt_recording_of_twenty_costs_its_own_row(
-    recordings: Path, tmp_path: Path
-) -> None:
+def test_one_corrupt_recording_of_twenty_costs_its_own_row(recordings, tmp_path):
     damaged = tmp_path / 'damaged'
     shutil.copytree(recordings / 'a', damaged)
     storage = next(damaged.glob('*.mcap'))
@@ -619,21 +602,18 @@ def test_one_corrupt_recording_of_twenty_costs_its_own_row(
 
 
 def test_a_batch_that_is_interrupted_says_at_once_what_becomes_of_it(
-    recordings: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    recordings, tmp_path, monkeypatch, capsys
+):
     said_before_the_workers_ended = []
 
     @contextmanager
-    def workers(_: Engine) -> Iterator[object]:
+    def workers(_):
         try:
             yield SimpleNamespace(dashboard_link='')
         finally:
             said_before_the_workers_ended.append(capsys.readouterr().err)
 
-    def interrupted(*_: object) -> Iterator[object]:
+    def interrupted(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Engine, 'connected', workers)
@@ -644,12 +624,7 @@ def test_a_batch_that_is_interrupted_says_at_once_what_becomes_of_it(
     assert 'imu-calib batch: interrupted' in capsys.readouterr().err
 
 
-def test_no_scheduler_gets_a_sentence(
-    recordings: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_no_scheduler_gets_a_sentence(recordings, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr('imu_calib.common.parallel._ANSWER', '1s')
     command = ['batch', str(recordings / 'a'), '-o', str(tmp_path / 'c')]
     assert main([*command, '--scheduler', 'tcp://127.0.0.1:1']) == 2
@@ -659,9 +634,7 @@ def test_no_scheduler_gets_a_sentence(
     assert "--memory: found 'much'" in capsys.readouterr().err
 
 
-def test_where_no_catalogue_can_be_nothing_is_begun(
-    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_where_no_catalogue_can_be_nothing_is_begun(recordings, tmp_path, capsys):
     file = tmp_path / 'file'
     file.touch()
     for place, words in ((tmp_path / 'none' / 'c', 'does not exist'), (file, 'is a file')):
@@ -673,7 +646,7 @@ def test_where_no_catalogue_can_be_nothing_is_begun(
 
 
 @pytest.mark.repeats
-def test_a_client_that_is_killed_goes_on_where_it_was(recordings: Path, tmp_path: Path) -> None:
+def test_a_client_that_is_killed_goes_on_where_it_was(recordings, tmp_path):
     folder = tmp_path / 'c'
     copies = tmp_path / 'many'
     command = [sys.executable, '-m', 'imu_calib.cli.main', 'batch', str(copies), '-o', str(folder)]

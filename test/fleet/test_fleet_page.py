@@ -59,12 +59,12 @@ def add(catalogue: Path, key: int, **values: Any) -> None:
 
 
 @pytest.fixture(scope='module')
-def made() -> fleets.Invented:
+def made():
     return fleets.invented(60)
 
 
 @pytest.fixture(scope='module')
-def catalogue(made: fleets.Invented, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def catalogue(made, tmp_path_factory):
     """Sixty units, and what a catalogue may hold besides."""
     folder = fleets.write(tmp_path_factory.mktemp('lab') / 'catalogue', made)
     some = (0.1 * STD).tolist()
@@ -84,7 +84,7 @@ def catalogue(made: fleets.Invented, tmp_path_factory: pytest.TempPathFactory) -
 
 
 @pytest.fixture(scope='module')
-def written(catalogue: Path) -> Path:
+def written(catalogue):
     """The page as the command writes it."""
     path = catalogue.parent / 'pages' / 'fleet.html'
     path.parent.mkdir()
@@ -94,7 +94,7 @@ def written(catalogue: Path) -> Path:
 
 
 @pytest.fixture(scope='module')
-def known(made: fleets.Invented) -> Fleet:
+def known(made):
     return fleets.fleet(made)
 
 
@@ -114,7 +114,7 @@ def unpacked(text: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     return head['texts'], arrays
 
 
-def test_numbers_are_packed_as_exactly_as_they_are_shown() -> None:
+def test_numbers_are_packed_as_exactly_as_they_are_shown():
     rng = np.random.default_rng(5)
     std = 10.0 ** rng.uniform(-7, -5, (200, 3))
     values = 3.0 + std * rng.normal(size=std.shape)
@@ -147,7 +147,7 @@ def test_numbers_are_packed_as_exactly_as_they_are_shown() -> None:
     assert packed.minutes(dates).tolist() == [then / 60, packed.NO_DAY]
 
 
-def test_what_needs_a_person_is_said_with_numbers(known: Fleet, made: fleets.Invented) -> None:
+def test_what_needs_a_person_is_said_with_numbers(known, made):
     found = {matter.title: matter for matter in issues(known)}
     assert next(iter(found)) == 'Stands that are off'
     assert 'Stand west is off: it adds +5 ppm' in found['Stands that are off'].sentences[0]
@@ -167,7 +167,7 @@ def test_what_needs_a_person_is_said_with_numbers(known: Fleet, made: fleets.Inv
     assert 'D_ax' in found['Out of control'].cases[0][2]
 
 
-def test_what_is_due_depends_on_the_day(known: Fleet) -> None:
+def test_what_is_due_depends_on_the_day(known):
     due = {u.serial: u.history.forecast.recalibrate for u in known.units if u.history is not None}
     order = sorted(due.values())
     day = order[20] + np.timedelta64(1, 's')
@@ -187,7 +187,7 @@ def test_what_is_due_depends_on_the_day(known: Fleet) -> None:
     assert not known.flagged(Flag.OVERDUE)
 
 
-def test_a_unit_that_is_outside_was_inside_until_no_date(known: Fleet) -> None:
+def test_a_unit_that_is_outside_was_inside_until_no_date(known):
     first, *others = known.history.units
     newest = first.date[-1]
     due = replace(first.forecast, recalibrate=newest)
@@ -208,7 +208,7 @@ def test_a_unit_that_is_outside_was_inside_until_no_date(known: Fleet) -> None:
     assert 'from then on the forecast gives less than' in matter.sentences[0]
 
 
-def test_a_stand_is_not_counted_among_units(known: Fleet) -> None:
+def test_a_stand_is_not_counted_among_units(known):
     units, off = summary(known).split('. ')
     assert units.startswith(f'{len(known.units)} units: ') and 'stand' not in units
     assert off == '1 stand is off.'
@@ -226,7 +226,7 @@ class Elements(HTMLParser):
         self.found.append((tag, dict(attrs)))
 
 
-def test_the_page_asks_nobody_and_runs_nothing_but_its_own(written: Path) -> None:
+def test_the_page_asks_nobody_and_runs_nothing_but_its_own(written):
     text = written.read_text(encoding='utf-8')
     elements = Elements(text).found
     scripts = [attributes for tag, attributes in elements if tag == 'script']
@@ -243,13 +243,11 @@ def test_the_page_asks_nobody_and_runs_nothing_but_its_own(written: Path) -> Non
     assert '<script>hacked' not in text
 
 
-def test_the_same_catalogue_gives_the_same_page(known: Fleet) -> None:
+def test_the_same_catalogue_gives_the_same_page(known):
     assert page(known) == page(replace(known))
 
 
-def test_a_catalogue_of_failures_has_a_page(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_catalogue_of_failures_has_a_page(tmp_path, capsys):
     folder = tmp_path / 'catalogue'
     Catalogue(folder, create=True)
     path = imu_calib.fleet_report(folder, tmp_path / 'none.html')
@@ -268,9 +266,7 @@ def test_a_catalogue_of_failures_has_a_page(
     )
 
 
-def test_wrong_usage_gets_a_sentence(
-    catalogue: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
-) -> None:
+def test_wrong_usage_gets_a_sentence(catalogue, tmp_path, capsys, monkeypatch):
     out = ['-o', str(tmp_path / 'page.html')]
     for words, errors in (
         ([str(tmp_path), *out], 'is not a catalogue'),
@@ -480,7 +476,7 @@ def check_units_with_little_behind_them_open(shown: Window, name: str) -> None:
 
 
 @needs_chromium
-def test_the_table_in_a_browser(browser: Any, written: Path, made: fleets.Invented) -> None:
+def test_the_table_in_a_browser(browser, written, made):
     with Window(browser, written) as shown:
         shown.open()
         check_it_opens_without_a_word_and_without_a_network(shown)
@@ -492,7 +488,7 @@ def test_the_table_in_a_browser(browser: Any, written: Path, made: fleets.Invent
 
 
 @needs_chromium
-def test_units_in_a_browser(browser: Any, written: Path, made: fleets.Invented) -> None:
+def test_units_in_a_browser(browser, written, made):
     with Window(browser, written) as shown:
         shown.open()
         check_a_unit_shows_its_course(shown, made)
@@ -503,7 +499,7 @@ def test_units_in_a_browser(browser: Any, written: Path, made: fleets.Invented) 
 
 
 @needs_chromium
-def test_no_text_stands_on_another(browser: Any, written: Path) -> None:
+def test_no_text_stands_on_another(browser, written):
     for size, dark in ((390, True), (820, False), (1400, False), (1400, True)):
         scheme = 'dark' if dark else 'light'
         with Window(browser, written, size, color_scheme=scheme) as window:
@@ -518,7 +514,7 @@ def test_no_text_stands_on_another(browser: Any, written: Path) -> None:
 
 
 @needs_chromium
-def test_on_a_phone_every_value_has_its_heading(browser: Any, written: Path) -> None:
+def test_on_a_phone_every_value_has_its_heading(browser, written):
     with Window(browser, written, 390) as window:
         page = window.open()
         cells = page.locator('table.cases td:not(:first-child)')
@@ -532,9 +528,7 @@ def test_on_a_phone_every_value_has_its_heading(browser: Any, written: Path) -> 
 
 
 @needs_chromium
-def test_paper_has_what_needs_a_person_and_every_unit(
-    browser: Any, written: Path, tmp_path: Path
-) -> None:
+def test_paper_has_what_needs_a_person_and_every_unit(browser, written, tmp_path):
     pdfium = pytest.importorskip('pypdfium2')
     file = tmp_path / 'page.pdf'
     with Window(browser, written, A4, color_scheme='dark') as window:
@@ -569,7 +563,7 @@ def thread_time(session: Any) -> float:
 
 
 @needs_chromium
-def test_5000_units_open_in_three_seconds(browser: Any, tmp_path: Path) -> None:
+def test_5000_units_open_in_three_seconds(browser, tmp_path):
     path = tmp_path / 'fleet.html'
     path.write_text(page(fleets.fleet(fleets.invented(5000))), encoding='utf-8')
     # 30 000 sessions of 150 bytes, and the library's 1.4 MB.

@@ -28,7 +28,7 @@ NOBODY = '  - {serial_number: A3, imu: my_imu.yaml, topic: top/imu/pulses}\n'
 
 
 @pytest.fixture(scope='module')
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """A short session of two units, and files that list them: the second with one more."""
     folder = tmp_path_factory.mktemp('several')
     plan = folder / 'brief.yaml'
@@ -47,14 +47,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope='module')
-def manifest(folder: Path) -> Path:
+def manifest(folder):
     path = folder / 'list.csv'
     path.write_text('recording,imus,stand,date\nlists/session,three.yaml,east,2026-03-01T12:00\n')
     return path
 
 
 @pytest.fixture(scope='module')
-def done(folder: Path, manifest: Path) -> Path:
+def done(folder, manifest):
     catalogue = folder / 'catalogue'
     assert main(['batch', str(manifest), '-o', str(catalogue), '--workers', '1']) == 1
     return catalogue
@@ -66,7 +66,7 @@ def rows(catalogue: Path) -> dict[str, dict]:
     return {row['serial']: row for row in found}
 
 
-def test_each_unit_is_a_row_with_the_bits_of_calibrate(folder: Path, done: Path) -> None:
+def test_each_unit_is_a_row_with_the_bits_of_calibrate(folder, done):
     alone = imu_calib.calibrate_units(folder / 'lists' / 'session', folder / 'three.yaml')
     found = rows(done)
     assert list(found) == ['A1', 'A2', 'A3']
@@ -88,9 +88,7 @@ def test_each_unit_is_a_row_with_the_bits_of_calibrate(folder: Path, done: Path)
     assert len({row['sha256'] for row in found.values()}) == 1
 
 
-def test_what_is_done_is_not_done_again_until_the_list_changes(
-    folder: Path, manifest: Path, done: Path
-) -> None:
+def test_what_is_done_is_not_done_again_until_the_list_changes(folder, manifest, done):
     (job,) = find_jobs([manifest], Stated())
     known = Catalogue(done).keys()
     assert [one.row for one in run(job, known).results] == [None] * 3
@@ -112,7 +110,7 @@ def test_what_is_done_is_not_done_again_until_the_list_changes(
         imu.write_text(text)
 
 
-def test_a_recording_that_says_which_units_it_has_needs_no_list(folder: Path) -> None:
+def test_a_recording_that_says_which_units_it_has_needs_no_list(folder):
     (job,) = find_jobs([folder / 'lists'], Stated())
     said = run(job).results
     assert [one.row['serial'] for one in said if one.row] == ['A1', 'A2']
@@ -122,9 +120,7 @@ def test_a_recording_that_says_which_units_it_has_needs_no_list(folder: Path) ->
     assert one.row['topic'] == '/right/imu/pulses'
 
 
-def test_listing_page_and_history_take_them_as_any(
-    folder: Path, done: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_listing_page_and_history_take_them_as_any(folder, done, capsys):
     assert main(['catalogue', str(done)]) == 0
     out = capsys.readouterr().out
     assert '3 rows' in out and 'A2' in out and 'A3' in out
@@ -138,7 +134,7 @@ def test_listing_page_and_history_take_them_as_any(
     assert {unit['serial'] for unit in output['result']['units']} == {'A1', 'A2'}
 
 
-def test_a_recording_that_gives_nothing_is_a_row_for_each_unit(folder: Path) -> None:
+def test_a_recording_that_gives_nothing_is_a_row_for_each_unit(folder):
     broken = folder / 'broken.mcap'
     broken.write_bytes(b'no mcap at all')
     job = Job(str(broken), imus=str(folder / 'units.yaml'))
@@ -153,7 +149,7 @@ def test_a_recording_that_gives_nothing_is_a_row_for_each_unit(folder: Path) -> 
     assert [one.row for one in run(job, known).results] == [None, None]
 
 
-def test_the_list_of_a_row_counts_before_that_of_all(folder: Path, tmp_path: Path) -> None:
+def test_the_list_of_a_row_counts_before_that_of_all(folder, tmp_path):
     table = tmp_path / 'list.csv'
     (tmp_path / 'own.yaml').write_text(SIMULATED)
     table.write_text('recording,imus,serial\none,own.yaml,\ntwo,,S2\nthree,,\n')
@@ -166,9 +162,7 @@ def test_the_list_of_a_row_counts_before_that_of_all(folder: Path, tmp_path: Pat
         find_jobs([table], Stated())
 
 
-def test_options_that_contradict_are_refused(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_that_contradict_are_refused(folder, tmp_path, capsys):
     words = ['batch', str(folder / 'lists'), '-o', str(tmp_path / 'c')]
     units = ['--imus', str(folder / 'units.yaml')]
     assert main([*words, *units, '--serial', 'S1']) == 2

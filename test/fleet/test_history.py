@@ -44,7 +44,7 @@ def published() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return y, 1 / a - 1 / (a + b) + 1 / c - 1 / (c + d), latitude
 
 
-def test_restricted_likelihood_gives_what_is_published() -> None:
+def test_restricted_likelihood_gives_what_is_published():
     # Viechtbauer 2010 (J. Stat. Softw. 36(3)), 4.1: tau^2 0.3132, Q-profile 0.1197 to 1.1115.
     y, v, latitude = published()
     one = np.ones((13, 1))
@@ -56,7 +56,7 @@ def test_restricted_likelihood_gives_what_is_published() -> None:
     assert between(np.column_stack([one, latitude]), v, y) == pytest.approx(0.0764, abs=1e-4)
 
 
-def test_restricted_likelihood_is_at_its_maximum() -> None:
+def test_restricted_likelihood_is_at_its_maximum():
     rng = np.random.default_rng(5)
     for _ in range(10):
         n = int(rng.integers(4, 12))
@@ -65,7 +65,7 @@ def test_restricted_likelihood_is_at_its_maximum() -> None:
         y = rng.standard_normal(n) * np.sqrt(v + 1.5)
         K = scipy.linalg.null_space(X.T)
 
-        def minus(t: float, K=K, v=v, y=y) -> float:
+        def minus(t, K=K, v=v, y=y):
             V = K.T @ np.diag(v + t) @ K
             return np.linalg.slogdet(V)[1] + (K.T @ y) @ np.linalg.solve(V, K.T @ y)
 
@@ -74,7 +74,7 @@ def test_restricted_likelihood_is_at_its_maximum() -> None:
         assert float(between(X, v, y)) == pytest.approx(best, rel=0.02, abs=1e-3)
 
 
-def test_the_interval_of_turn_on_repeatability_holds_the_truth() -> None:
+def test_the_interval_of_turn_on_repeatability_holds_the_truth():
     rng = np.random.default_rng(6)
     held, runs = 0, 4000
     for part in range(40):
@@ -89,7 +89,7 @@ def test_the_interval_of_turn_on_repeatability_holds_the_truth() -> None:
     assert held / runs == pytest.approx(0.9, abs=3 * np.sqrt(0.09 / runs))
 
 
-def test_sessions_that_agree_better_than_they_state_are_said_to() -> None:
+def test_sessions_that_agree_better_than_they_state_are_said_to():
     y = np.array([1.0, 1.001, 0.999, 1.0, 1.002, 0.998])
     one, v = np.ones((6, 1)), np.ones(6)
     low, high, odd = interval(one, v, y, 0.95)
@@ -109,15 +109,13 @@ def test_sessions_that_agree_better_than_they_state_are_said_to() -> None:
         (0.05, 2.615, (500, 84.1, 28.8, 11.4, 5.2)),
     ],
 )
-def test_run_lengths_are_those_of_the_tables(
-    smoothing: float, limit: float, runs: tuple[float, ...]
-) -> None:
+def test_run_lengths_are_those_of_the_tables(smoothing, limit, runs):
     for shift, run in zip((0.0, 0.25, 0.5, 1.0, 2.0), runs, strict=True):
         assert mean_run_length(smoothing, limit, shift) == pytest.approx(run, rel=0.015)
     assert ewma_limit(smoothing, 500.0) == pytest.approx(limit, abs=1.5e-3)
 
 
-def test_chart_limits_share_the_rate_among_the_parameters() -> None:
+def test_chart_limits_share_the_rate_among_the_parameters():
     limits = chart_limits(Rules(false_alarm=0.01))
     assert 24 * 2 * scipy.stats.norm.sf(limits.individuals) == pytest.approx(0.01)
     assert limits.parameter_run == pytest.approx(2400)
@@ -138,7 +136,7 @@ def most(share: float, count: int) -> float:
     return float(scipy.stats.binom.ppf(0.999, count, share) / count)
 
 
-def test_false_alarms_of_charts_come_as_seldom_as_stated(quiet) -> None:
+def test_false_alarms_of_charts_come_as_seldom_as_stated(quiet):
     units = [unit for one in quiet for unit in one.units]
     for chart in Chart:
         count = sum(len(unit.key) - 1 for unit in units)
@@ -149,7 +147,7 @@ def test_false_alarms_of_charts_come_as_seldom_as_stated(quiet) -> None:
         assert 0 < alarms / count <= most(0.05, count)
 
 
-def test_scores_in_control_are_standard_normal(quiet) -> None:
+def test_scores_in_control_are_standard_normal(quiet):
     scores = np.concatenate([unit.charts.score[1:].ravel() for one in quiet for unit in one.units])
     # Scatter is known by 50 units with six degrees of freedom: to a hundredth or two.
     assert scores.mean() == pytest.approx(0.0, abs=0.03)
@@ -157,13 +155,13 @@ def test_scores_in_control_are_standard_normal(quiet) -> None:
     assert np.mean(np.abs(scores) > 2.5758) == pytest.approx(0.01, abs=0.003)
 
 
-def test_t2_in_control_has_the_law_that_is_stated(quiet) -> None:
+def test_t2_in_control_has_the_law_that_is_stated(quiet):
     chances = np.concatenate([unit.charts.t2_chance[1:] for one in quiet for unit in one.units])
     assert np.isfinite(chances).all()
     assert scipy.stats.kstest(chances, 'uniform').pvalue > 0.001
 
 
-def test_trends_and_steps_are_found_as_seldom_as_stated_where_there_are_none(quiet) -> None:
+def test_trends_and_steps_are_found_as_seldom_as_stated_where_there_are_none(quiet):
     units = [unit for one in quiet for unit in one.units]
     assert np.mean([unit.trend.significant.any() for unit in units]) <= most(0.05, len(units))
     assert np.mean([bool(unit.steps) for unit in units]) <= most(0.05, len(units))
@@ -171,7 +169,7 @@ def test_trends_and_steps_are_found_as_seldom_as_stated_where_there_are_none(qui
     assert held == pytest.approx(0.95, abs=0.015)
 
 
-def test_nothing_is_called_apart_where_nothing_is(quiet) -> None:
+def test_nothing_is_called_apart_where_nothing_is(quiet):
     for one in quiet:
         assert one.stands.shifts == ()
         assert one.populations['fog'].outliers == ()
@@ -180,8 +178,8 @@ def test_nothing_is_called_apart_where_nothing_is(quiet) -> None:
         assert turn_on == pytest.approx(np.ones(24), abs=0.2)
 
 
-def test_a_course_says_scatter_and_trend() -> None:
-    def truth(unit: int, months: float, k: int, stand: str) -> np.ndarray:
+def test_a_course_says_scatter_and_trend():
+    def truth(unit, months, k, stand):
         return of(D_gx=0.3 * months) * (unit == 0)
 
     found = backtest(sessions(np.random.default_rng(21), 20, 8, truth=truth), LIMITS)
@@ -196,14 +194,14 @@ def test_a_course_says_scatter_and_trend() -> None:
     assert all(u.trend.significant.sum() == 0 for u in found.units[1:])
 
 
-def test_units_are_inside_when_they_are_due_as_often_as_stated() -> None:
+def test_units_are_inside_when_they_are_due_as_often_as_stated():
     rng = np.random.default_rng(31)
     count = 200
     # So much alike that the scatter of the next session counts as much as the line's doubt.
     rates, start = rng.normal(0.1, 0.01, count), rng.uniform(-2, 2, count)
     p = index('K_ax')
 
-    def truth(unit: int, months: float, k: int, stand: str) -> np.ndarray:
+    def truth(unit, months, k, stand):
         return of(K_ax=start[unit] + rates[unit] * months)
 
     limit = np.full(24, np.nan)
@@ -225,8 +223,8 @@ def test_units_are_inside_when_they_are_due_as_often_as_stated() -> None:
     assert inside / due == pytest.approx(0.9, abs=0.07)
 
 
-def test_the_line_leaves_the_limit_where_it_does() -> None:
-    def truth(unit: int, months: float, k: int, stand: str) -> np.ndarray:
+def test_the_line_leaves_the_limit_where_it_does():
+    def truth(unit, months, k, stand):
         return of(D_ay=2.0 * months)
 
     made = sessions(
@@ -243,10 +241,10 @@ def test_the_line_leaves_the_limit_where_it_does() -> None:
     assert any(s.startswith(f'Recalibrate by {unit.forecast.recalibrate}') for s in unit.findings)
 
 
-def test_a_mount_shift_and_a_repair_are_told_apart() -> None:
+def test_a_mount_shift_and_a_repair_are_told_apart():
     turn = {'E_gxy': 8.0, 'E_gyx': -8.0, 'E_axy': 8.0, 'E_ayx': -8.0}
 
-    def truth(unit: int, months: float, k: int, stand: str) -> np.ndarray:
+    def truth(unit, months, k, stand):
         if unit == 0:
             return of(**turn) * (k >= 4)
         return of(K_gz=30.0, D_gz=-20.0) * (k >= 6) if unit == 1 else of()
@@ -269,26 +267,26 @@ def test_a_mount_shift_and_a_repair_are_told_apart() -> None:
     assert abs(second.trend.slope[index('K_gz')] / SCALE[index('K_gz')]) < 0.5
 
 
-def test_a_large_step_is_where_it_is() -> None:
+def test_a_large_step_is_where_it_is():
     """A million standard deviations leave nothing of the places around it."""
 
-    def truth(unit: int, months: float, k: int, stand: str) -> np.ndarray:
+    def truth(unit, months, k, stand):
         return of(K_gz=1e6) * (unit == 0 and k >= 6)
 
     made = sessions(np.random.default_rng(42), 20, 10, truth=truth)
     assert [step.index for step in backtest(made, LIMITS).units[0].steps] == [6]
 
 
-def test_charts_see_a_unit_that_changes() -> None:
+def test_charts_see_a_unit_that_changes():
     together = of(K_gx=3.0, E_gxy=3.0, D_gx=3.0, K_ax=3.0, E_axy=3.0, D_ax=3.0, K_gy=3.0, K_gz=3.0)
 
-    def truth(unit: int, months: float, k: int, stand: str) -> np.ndarray:
+    def truth(unit, months, k, stand):
         changed = {0: of(K_gx=12.0) * (k == 7), 1: of(K_ay=3.0) * (k >= 4), 2: together * (k == 7)}
         return changed.get(unit, of())
 
     found = backtest(sessions(np.random.default_rng(51), 30, 12, truth=truth), LIMITS)
 
-    def signals_of(unit: int, chart: Chart) -> set[tuple[int, str]]:
+    def signals_of(unit, chart):
         return {
             (s.index, s.parameter) for s in found.units[unit].charts.signals if s.chart is chart
         }
@@ -299,8 +297,8 @@ def test_charts_see_a_unit_that_changes() -> None:
     assert any('Out of control on' in s for s in found.units[0].findings)
 
 
-def test_what_is_outside_is_said_with_its_limit() -> None:
-    def truth(unit: int, months: float, k: int, stand: str) -> np.ndarray:
+def test_what_is_outside_is_said_with_its_limit():
+    def truth(unit, months, k, stand):
         return of(K_gx=400.0) if unit == 1 else of()
 
     found = backtest(sessions(np.random.default_rng(61), 3, 3, apart=1.0, truth=truth), LIMITS)
@@ -311,7 +309,7 @@ def test_what_is_outside_is_said_with_its_limit() -> None:
     assert any(s.startswith('K_gx is outside its specification: 4') for s in bad.findings)
 
 
-def test_few_sessions_say_what_they_do_not_tell() -> None:
+def test_few_sessions_say_what_they_do_not_tell():
     rng = np.random.default_rng(71)
     for count, words in ((1, 'One session'), (2, 'Two sessions'), (3, None)):
         unit = backtest(sessions(rng, 1, count), LIMITS).units[0]
@@ -330,7 +328,7 @@ def test_few_sessions_say_what_they_do_not_tell() -> None:
     assert unit.forecast.reason == '' or 'beyond the horizon' in unit.forecast.reason
 
 
-def test_sessions_of_one_date_tell_no_trend() -> None:
+def test_sessions_of_one_date_tell_no_trend():
     made = sessions(np.random.default_rng(81), 1, 5)
     unit = backtest(replace(made, date=np.full(5, START)), LIMITS).units[0]
     assert np.isnan(unit.trend.slope).all() and not unit.trend.significant.any()
@@ -338,7 +336,7 @@ def test_sessions_of_one_date_tell_no_trend() -> None:
     assert any('one date' in s for s in unit.findings)
 
 
-def test_what_does_not_count_is_said() -> None:
+def test_what_does_not_count_is_said():
     made = sessions(np.random.default_rng(91), 4, 3)
     date = made.date.copy()
     date[0] = np.datetime64('NaT', 's')
@@ -352,7 +350,7 @@ def test_what_does_not_count_is_said() -> None:
     assert [unit.serial for unit in found.units] == ['F001', 'F002', 'F003']
 
 
-def test_a_type_without_limits_and_a_number_of_two_types() -> None:
+def test_a_type_without_limits_and_a_number_of_two_types():
     rng = np.random.default_rng(92)
     other = replace(sessions(rng, 2, 3, imu='mems'), serial=('F000',) * 3 + ('M1',) * 3)
     found = backtest(joined(sessions(rng, 2, 3), other), LIMITS)
@@ -367,7 +365,7 @@ def test_a_type_without_limits_and_a_number_of_two_types() -> None:
     assert all(u.verdict is None and np.isnat(u.forecast.recalibrate) for u in mems)
 
 
-def test_without_deviations_and_with_singular_covariances() -> None:
+def test_without_deviations_and_with_singular_covariances():
     made = sessions(np.random.default_rng(93), 20, 5, stands=('a', 'b', 'c'))
     bare = backtest(replace(made, covariance=np.full_like(made.covariance, np.nan)), LIMITS)
     assert any('states a standard deviation: all scatter' in s for s in bare.findings)
@@ -385,7 +383,7 @@ def test_without_deviations_and_with_singular_covariances() -> None:
         assert all(np.isfinite(u.trend.slope).all() for u in one.units)
 
 
-def test_a_triad_that_is_not_estimated_is_left_out() -> None:
+def test_a_triad_that_is_not_estimated_is_left_out():
     made = sessions(np.random.default_rng(94), 20, 6)
     values, covariance = made.values.copy(), made.covariance.copy()
     values[:, 12:] = np.nan
@@ -400,12 +398,12 @@ def test_a_triad_that_is_not_estimated_is_left_out() -> None:
 @pytest.mark.parametrize(
     'wrong', [{'false_alarm': 0.0}, {'inside': 1.5}, {'smoothing': 0.01}, {'horizon': -1.0}]
 )
-def test_rules_are_refused_that_are_none(wrong: dict[str, float]) -> None:
+def test_rules_are_refused_that_are_none(wrong):
     with pytest.raises(InputError, match=f'{next(iter(wrong))}: found .*, expected'):
         Rules(**wrong)
 
 
-def test_nothing_is_nothing() -> None:
+def test_nothing_is_nothing():
     made = sessions(np.random.default_rng(95), 1, 1)
     found = backtest(replace(made, serial=('',)), LIMITS)
     assert found.units == () and found.populations == {}

@@ -66,7 +66,7 @@ def truth(unit: int, months: float, k: int, stand: str) -> np.ndarray:
 
 
 @pytest.fixture(scope='module')
-def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def laboratory(tmp_path_factory):
     """Thirty units with six sessions each, one that only failed, and one calibrated twice."""
     folder = tmp_path_factory.mktemp('laboratory') / 'catalogue'
     # A navigation grade repeats to ppm, ug, and hundredths of arcmin and deg/h.
@@ -99,7 +99,7 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_history_from_python(laboratory: Path) -> None:
+def test_history_from_python(laboratory):
     found = imu_calib.history(laboratory)
     assert len(found.units) == 30 and set(found.populations) == {'fog_navigation'}
     (shift,) = found.stands.shifts
@@ -120,7 +120,7 @@ def test_history_from_python(laboratory: Path) -> None:
     assert 'No recording of F900 gave a calibration' in findings
 
 
-def test_one_unit_and_some_rows(laboratory: Path) -> None:
+def test_one_unit_and_some_rows(laboratory):
     (unit,) = imu_calib.history(laboratory, serial='F004').units
     assert unit.serial == 'F004' and len(unit.key) == 6
     few = imu_calib.history(laboratory, where="serial in ('F003', 'F004')")
@@ -133,7 +133,7 @@ def test_one_unit_and_some_rows(laboratory: Path) -> None:
         imu_calib.history(laboratory, where='nothing = 1')
 
 
-def test_another_specification_counts_where_it_is_given(laboratory: Path, tmp_path: Path) -> None:
+def test_another_specification_counts_where_it_is_given(laboratory, tmp_path):
     own = tmp_path / 'mine.yaml'
     text = Path(named_file('imus', 'fog_navigation')).read_text('utf-8')
     own.write_text(text.replace('scale_factor_error: 500 ppm', 'scale_factor_error: 2000 ppm'))
@@ -145,7 +145,7 @@ Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
+def run(capsys):
     def command(*words: object) -> tuple[int, str, str]:
         code = main(['history', *map(str, words)])
         printed = capsys.readouterr()
@@ -154,7 +154,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
     return command
 
 
-def test_the_command_says_what_needs_attention(laboratory: Path, run: Run) -> None:
+def test_the_command_says_what_needs_attention(laboratory, run):
     code, out, err = run(laboratory, '--on', '2023-01-01')
     assert code == 3 and 'F000 is outside the specification.' in err
     lines = out.splitlines()
@@ -170,7 +170,7 @@ def test_the_command_says_what_needs_attention(laboratory: Path, run: Run) -> No
         assert sum(line.rstrip().endswith(unit) for line in lines) >= 3
 
 
-def test_the_command_says_all_of_one_unit(laboratory: Path, run: Run) -> None:
+def test_the_command_says_all_of_one_unit(laboratory, run):
     code, out, _ = run(laboratory, '--serial', 'F001')
     assert code == 0
     assert 'F001 (fog_navigation): 6 sessions' in out
@@ -181,7 +181,7 @@ def test_the_command_says_all_of_one_unit(laboratory: Path, run: Run) -> None:
     assert 'T^2' in out and 'Recalibrate ' in out
 
 
-def test_the_command_writes_documents(laboratory: Path, run: Run, tmp_path: Path) -> None:
+def test_the_command_writes_documents(laboratory, run, tmp_path):
     table, whole = tmp_path / 'units.csv', tmp_path / 'history.json'
     code, out, _ = run(laboratory, '--json', '-o', whole)
     document = json.loads(out)
@@ -199,7 +199,7 @@ def test_the_command_writes_documents(laboratory: Path, run: Run, tmp_path: Path
     assert json.loads(whole.read_text()) == result
 
 
-def test_the_command_refuses_what_it_cannot_do(laboratory: Path, run: Run, tmp_path: Path) -> None:
+def test_the_command_refuses_what_it_cannot_do(laboratory, run, tmp_path):
     assert run(laboratory, '-o', tmp_path / 'x.txt')[0] == 2
     assert run(tmp_path)[0] == 2
     assert run(laboratory, '--on', 'soon')[0] == 2
@@ -207,7 +207,7 @@ def test_the_command_refuses_what_it_cannot_do(laboratory: Path, run: Run, tmp_p
     assert code == 1 and "no row meets imu = 'none'. It has " in err
 
 
-def test_two_days_make_a_history(tmp_path: Path, run: Run) -> None:
+def test_two_days_make_a_history(tmp_path, run):
     """A catalogue as it begins: one unit, two sessions, no specification, nothing stated."""
     made = sessions(np.random.default_rng(1), 1, 2)
     rows = [done(made, k, covariance=None, parameters=None, limits=None) for k in range(2)]
@@ -228,7 +228,7 @@ def test_two_days_make_a_history(tmp_path: Path, run: Run) -> None:
         assert sentence in out
 
 
-def test_units_in_the_hand_are_shown_in_units_of_their_grade(tmp_path: Path, run: Run) -> None:
+def test_units_in_the_hand_are_shown_in_units_of_their_grade(tmp_path, run):
     made = sessions(np.random.default_rng(2), 3, 4)
     rows = [done(made, k, method='free_positions') for k in range(len(made.key))]
     Catalogue(tmp_path / 'held', create=True).add(rows)
@@ -240,7 +240,7 @@ def test_units_in_the_hand_are_shown_in_units_of_their_grade(tmp_path: Path, run
     assert '>deg/s</td>' in page and '>ppm</td>' not in page
 
 
-def test_parameters_that_the_axes_fix_have_no_row(tmp_path: Path, run: Run) -> None:
+def test_parameters_that_the_axes_fix_have_no_row(tmp_path, run):
     made = sessions(np.random.default_rng(3), 2, 3)
     k = index('E_axy')
     made.values[:, k] = made.covariance[:, k] = made.covariance[:, :, k] = 0.0

@@ -48,7 +48,7 @@ def laboratory(seed: int, shift: np.ndarray, stands=THREE, units: int = 30, coun
     )
 
 
-def test_a_stand_that_shifts_accelerometers_by_5_ppm_is_named() -> None:
+def test_a_stand_that_shifts_accelerometers_by_5_ppm_is_named():
     found = backtest(laboratory(1, of(K_ax=5.0, K_ay=5.0, K_az=5.0)), LIMITS)
     (shift,) = found.stands.shifts
     assert (shift.stand, shift.what, shift.identified) == ('south', 'K_a', True)
@@ -59,14 +59,14 @@ def test_a_stand_that_shifts_accelerometers_by_5_ppm_is_named() -> None:
 
 
 @pytest.mark.parametrize('name', ['E_gxy', 'E_azx'])
-def test_a_stand_that_shifts_a_misalignment_by_a_hundredth_of_an_arcminute_is_named(name) -> None:
+def test_a_stand_that_shifts_a_misalignment_by_a_hundredth_of_an_arcminute_is_named(name):
     found = backtest(laboratory(2, of(**{name: 0.01})), LIMITS)
     (shift,) = found.stands.shifts
     assert (shift.stand, shift.what, shift.identified) == ('south', name, True)
     assert shift.low < 0.01 * SCALE[index(name)] < shift.high
 
 
-def test_a_stand_that_is_far_off_is_named_once() -> None:
+def test_a_stand_that_is_far_off_is_named_once():
     """Chances of large shifts are all zero in floating point."""
     found = backtest(laboratory(1, of(K_ax=5e4, K_ay=5e4, K_az=5e4)), LIMITS)
     assert [(s.stand, s.what, s.identified) for s in found.stands.shifts] == [
@@ -74,7 +74,7 @@ def test_a_stand_that_is_far_off_is_named_once() -> None:
     ]
 
 
-def test_a_fixture_that_is_turned_is_one_shift() -> None:
+def test_a_fixture_that_is_turned_is_one_shift():
     found = backtest(laboratory(3, 0.01 * turned(1)), LIMITS)
     (shift,) = found.stands.shifts
     assert (shift.stand, shift.what) == ('south', 'E about Y')
@@ -83,7 +83,7 @@ def test_a_fixture_that_is_turned_is_one_shift() -> None:
 
 @pytest.mark.parametrize('remounted', [0.0, 0.02, 0.2])
 @pytest.mark.parametrize('stands', [THREE, ('east', 'south')])
-def test_a_fixture_that_is_turned_far_is_one_shift_of_its_size(remounted, stands) -> None:
+def test_a_fixture_that_is_turned_far_is_one_shift_of_its_size(remounted, stands):
     """However units turn in it from session to session: that scatter has the same pattern."""
     laid = laboratory(3, 0.30 * turned(2), stands=stands)
     rng = np.random.default_rng(21)
@@ -106,7 +106,7 @@ def test_a_fixture_that_is_turned_far_is_one_shift_of_its_size(remounted, stands
     assert at_south.any()
 
 
-def test_a_turned_fixture_is_found_in_a_short_history_as_one_parameter_would_be() -> None:
+def test_a_turned_fixture_is_found_in_a_short_history_as_one_parameter_would_be():
     """Of three units: weights from correlations of so few sessions would leave no freedom."""
     laid = laboratory(3, 0.30 * turned(2), units=3, count=4)
     (shift,) = backtest(laid, LIMITS).stands.shifts
@@ -126,7 +126,7 @@ def test_a_turned_fixture_is_found_in_a_short_history_as_one_parameter_would_be(
     assert shift.low < 0.30 * SCALE[index('E_gxy')] < shift.high and shift.low > 0
 
 
-def test_a_turned_unit_has_the_misalignments_of_the_turn() -> None:
+def test_a_turned_unit_has_the_misalignments_of_the_turn():
     """Against rotations of the input itself: a unit turned by t measures R(t)' f."""
     for axis in range(3):
         angle = np.zeros(3)
@@ -144,12 +144,12 @@ def test_a_turned_unit_has_the_misalignments_of_the_turn() -> None:
             assert got[name] == pytest.approx(value, abs=1e-5)
 
 
-def test_what_a_stand_adds_is_no_step_of_its_units() -> None:
+def test_what_a_stand_adds_is_no_step_of_its_units():
     """Units that move to a stand that is off look as if they stepped; the stand is at fault."""
     shift = of(K_ax=40.0, K_ay=40.0, K_az=40.0)
     rng = np.random.default_rng(4)
 
-    def truth(unit: int, months: float, k: int, stand: str) -> np.ndarray:
+    def truth(unit, months, k, stand):
         return shift / ROUGH * (stand == 'south')
 
     stays = sessions(rng, 10, 6, stands=('east', 'west'), truth=truth)
@@ -170,10 +170,10 @@ def test_what_a_stand_adds_is_no_step_of_its_units() -> None:
     assert raw / SCALE[p] == pytest.approx(40.0 / ROUGH[p], abs=1.0)
 
 
-def test_what_a_unit_does_is_not_blamed_on_a_stand() -> None:
+def test_what_a_unit_does_is_not_blamed_on_a_stand():
     """One of thirty units is repaired at the stand where it goes then."""
 
-    def truth(unit: int, months: float, k: int, stand: str) -> np.ndarray:
+    def truth(unit, months, k, stand):
         return of(K_gx=300.0) * (unit == 0 and k >= 3)
 
     made = sessions(np.random.default_rng(5), 30, 6, stands=THREE, truth=truth)
@@ -183,14 +183,14 @@ def test_what_a_unit_does_is_not_blamed_on_a_stand() -> None:
     assert [s.parameters for s in found.units[0].steps] == [('K_gx',)]
 
 
-def test_of_two_stands_none_is_blamed() -> None:
+def test_of_two_stands_none_is_blamed():
     found = backtest(laboratory(6, of(K_ax=9, K_ay=9, K_az=9), stands=('east', 'south')), LIMITS)
     (shift,) = found.stands.shifts
     assert not shift.identified and {shift.stand, *shift.others} == {'east', 'south'}
     assert 'Which of them is off needs a further stand' in found.findings[0]
 
 
-def test_stands_that_no_unit_links_are_not_compared() -> None:
+def test_stands_that_no_unit_links_are_not_compared():
     """All units of one stand are shifted: nobody can tell it from the units, and nobody says so."""
     rng = np.random.default_rng(7)
     shift = of(K_ax=100.0, K_ay=100.0, K_az=100.0)
@@ -207,7 +207,7 @@ def test_stands_that_no_unit_links_are_not_compared() -> None:
     assert any('No session says on which stand' in s for s in unknown.findings)
 
 
-def test_one_unit_on_both_sides_links_groups() -> None:
+def test_one_unit_on_both_sides_links_groups():
     rng = np.random.default_rng(8)
     one = sessions(rng, 5, 4, stands=('a', 'b'))
     other = sessions(rng, 5, 4, stands=('c', 'd'))
@@ -219,7 +219,7 @@ def test_one_unit_on_both_sides_links_groups() -> None:
     assert together.stands.groups == (('a', 'b', 'c', 'd'),)
 
 
-def test_stands_used_one_after_the_other_are_not_told_from_drift() -> None:
+def test_stands_used_one_after_the_other_are_not_told_from_drift():
     """Every unit drifts alike, and all moved to another stand on the same day."""
     made = sessions(np.random.default_rng(9), 20, 2, stands=('old',), truth=lambda *_: of())
     date = np.where(np.arange(40) % 2, made.date[1], made.date[0])
@@ -230,7 +230,7 @@ def test_stands_used_one_after_the_other_are_not_told_from_drift() -> None:
     assert any('cannot be separated from the drift of the units' in s for s in found.findings)
 
 
-def test_effects_of_a_balanced_design_are_differences_of_means() -> None:
+def test_effects_of_a_balanced_design_are_differences_of_means():
     """Each unit on each stand: the effect is the mean of the differences, worked out by hand."""
     rng = np.random.default_rng(10)
     table = rng.standard_normal((40, 3)) + np.array([0.0, 1.0, -0.5])
@@ -246,7 +246,7 @@ def test_effects_of_a_balanced_design_are_differences_of_means() -> None:
     assert found.freedom == 78 and found.comparable
 
 
-def test_stands_are_named_as_seldom_as_stated_where_none_is_off() -> None:
+def test_stands_are_named_as_seldom_as_stated_where_none_is_off():
     """In effects alone, which is where it is decided: 24 parameters of small laboratories."""
     rng = np.random.default_rng(12)
     large, count = 0, 0
@@ -263,7 +263,7 @@ def test_stands_are_named_as_seldom_as_stated_where_none_is_off() -> None:
     assert large / count == pytest.approx(0.05, abs=3 * np.sqrt(0.05 * 0.95 / (count / 2)))
 
 
-def test_effects_in_short_histories_are_far_out_as_seldom_as_students_t() -> None:
+def test_effects_in_short_histories_are_far_out_as_seldom_as_students_t():
     """Where stands are named, 1 % over 87 tests: three units, six degrees of freedom."""
     rng = np.random.default_rng(13)
     units, limit = np.repeat(np.arange(3), 4), 0.01 / 87
@@ -341,15 +341,15 @@ ROSNER = np.array(
 )
 
 
-def test_outliers_are_those_of_rosners_example(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_outliers_are_those_of_rosners_example(monkeypatch):
     monkeypatch.setattr('imu_calib.fleet.scatter._SHARE', 5)
     assert sorted(ROSNER[outliers(ROSNER, 0.05)]) == [5.34, 5.42, 6.01]
     critical = [critical_deviate(54, i, 0.05) for i in range(1, 6)]
     assert critical == pytest.approx([3.158, 3.151, 3.143, 3.136, 3.128], abs=1e-3)
 
 
-def test_a_unit_and_a_lot_apart_are_found() -> None:
-    def truth(unit: int, months: float, k: int, stand: str) -> np.ndarray:
+def test_a_unit_and_a_lot_apart_are_found():
+    def truth(unit, months, k, stand):
         return of(E_gxy=400.0) * (unit == 3) + of(D_az=150.0) * (unit >= 30)
 
     made = sessions(np.random.default_rng(13), 40, 2, truth=truth)
@@ -364,7 +364,7 @@ def test_a_unit_and_a_lot_apart_are_found() -> None:
     assert lot.shift / SCALE[index('D_az')] == pytest.approx(150, abs=4 * 50 / np.sqrt(7.5))
 
 
-def test_lots_are_compared_by_what_units_differ_within() -> None:
+def test_lots_are_compared_by_what_units_differ_within():
     values = np.array([1.0, 2.0, 3.0, 5.0, 6.0, 7.0, 9.0])
     (first, second) = lot_shifts(values, ['A', 'A', 'A', 'B', 'B', 'B', ''])
     # Means 2 and 6, variance within 1: sqrt(1/3 + 1/3).
@@ -373,7 +373,7 @@ def test_lots_are_compared_by_what_units_differ_within() -> None:
     assert lot_shifts(values, ['A', 'A', 'A', 'B', '', '', '']) == []
 
 
-def test_a_population_says_how_its_units_are_distributed() -> None:
+def test_a_population_says_how_its_units_are_distributed():
     made = sessions(np.random.default_rng(14), 200, 1, apart=30.0)
     population = backtest(made, LIMITS, Rules()).populations['fog']
     expected = np.sqrt(30.0**2 + 1.0 + 0.25)

@@ -45,7 +45,7 @@ def taken(*blocks: JointBlock) -> list[Feedback]:
     return [feedback for one in blocks for feedback in mine.read_feedback(one)]
 
 
-def test_joints_come_in_the_order_of_the_table_whatever_that_of_the_message() -> None:
+def test_joints_come_in_the_order_of_the_table_whatever_that_of_the_message():
     mixed = (NAMES[2], 'door', NAMES[0], NAMES[1])
     stamps = START + np.array([0, 50], dtype=np.int64) * MS
     angles = np.array([[0.3, 9.0, 0.1, 0.2], [0.3, 9.0, 0.11, 0.2]])
@@ -56,7 +56,7 @@ def test_joints_come_in_the_order_of_the_table_whatever_that_of_the_message() ->
     assert found[0].stamp == START
 
 
-def test_messages_that_lack_a_joint_are_counted_and_named() -> None:
+def test_messages_that_lack_a_joint_are_counted_and_named():
     mine = encoders()
     other = JointBlock(
         START + np.arange(3) * MS, ('door', 'lid'), np.zeros((3, 2)), np.zeros((3, 2))
@@ -68,7 +68,7 @@ def test_messages_that_lack_a_joint_are_counted_and_named() -> None:
     assert mine.ignored == 3
 
 
-def test_stamps_that_do_not_advance_are_left_out_and_a_jump_back_is_said() -> None:
+def test_stamps_that_do_not_advance_are_left_out_and_a_jump_back_is_said():
     still = (0.0, 0.0, 0.0)
     mine = encoders()
     found = list(mine.read_feedback(block([0, 10, 10, 5, 20], [still] * 5)))
@@ -84,12 +84,12 @@ def test_stamps_that_do_not_advance_are_left_out_and_a_jump_back_is_said() -> No
 
 
 @pytest.mark.parametrize('wrong', [NAN, math.inf])
-def test_an_angle_that_is_no_number_is_named(wrong: float) -> None:
+def test_an_angle_that_is_no_number_is_named(wrong):
     with pytest.raises(FeedbackError, match=f'give {wrong} as the angle of joint {NAMES[1]}'):
         taken(block([0], [(0.0, wrong, NAN)]))
 
 
-def test_rates_that_nobody_reports_are_the_mean_of_the_last_tenth_of_a_second() -> None:
+def test_rates_that_nobody_reports_are_the_mean_of_the_last_tenth_of_a_second():
     """Of one joint they are derived, of the others taken as they come."""
     at = list(range(0, 260, 20))
     # Slow for 0.1 s, then ten times as fast.
@@ -107,7 +107,7 @@ def test_rates_that_nobody_reports_are_the_mean_of_the_last_tenth_of_a_second() 
     assert derived[240] == pytest.approx(0.1)
 
 
-def test_at_rest_is_who_has_not_moved_for_a_tenth_of_a_second() -> None:
+def test_at_rest_is_who_has_not_moved_for_a_tenth_of_a_second():
     moved = [(0.0, 0.0, 0.0)] * 8
     moved[3:] = [(0.0, 0.0, 1.1 * QUIET)] * 5
     found = taken(block([0, 20, 40, 60, 80, 100, 160, 200], moved))
@@ -118,7 +118,7 @@ def test_at_rest_is_who_has_not_moved_for_a_tenth_of_a_second() -> None:
     assert [f.still for f in found] == [False] * 5 + [True]
 
 
-def test_an_encoder_that_wraps_is_followed_through() -> None:
+def test_an_encoder_that_wraps_is_followed_through():
     rate = 100 * DEG
     at = list(range(0, 8000, 20))
     true = [rate * ms / 1000 for ms in at]
@@ -130,7 +130,7 @@ def test_an_encoder_that_wraps_is_followed_through() -> None:
     assert [f.angles[0] for f in back] == pytest.approx([-angle for angle in true])
 
 
-def test_a_jump_that_no_wrap_makes_is_left_for_the_watch_to_see() -> None:
+def test_a_jump_that_no_wrap_makes_is_left_for_the_watch_to_see():
     # Half a turn and a bit; and a whole turn after a gap longer than patience.
     for at, to in (([0, 20], math.pi + 0.5), ([0, 600], 2 * math.pi)):
         found = taken(block(at, [(0.0, 0.0, 0.0), (to, 0.0, 0.0)]))
@@ -140,7 +140,7 @@ def test_a_jump_that_no_wrap_makes_is_left_for_the_watch_to_see() -> None:
     assert found[1].angles[0] == pytest.approx(0.0)
 
 
-def test_a_wrap_may_be_five_degrees_off_what_the_table_can_have_turned() -> None:
+def test_a_wrap_may_be_five_degrees_off_what_the_table_can_have_turned():
     # In 20 ms the outer joint turns 8 deg at the most; a tenth more and 5 deg are granted.
     reach = 1.1 * TABLE.joints[0].max_rate * 0.02 + 5 * DEG
     for sign in (1, -1):
@@ -152,14 +152,14 @@ def test_a_wrap_may_be_five_degrees_off_what_the_table_can_have_turned() -> None
 
 
 @pytest.mark.parametrize('wild', [math.inf, -math.inf, math.nan])
-def test_a_rate_that_is_no_number_is_that_of_the_angles(wild: float) -> None:
+def test_a_rate_that_is_no_number_is_that_of_the_angles(wild):
     angles = [(0.001 * k, 0.0, 0.0) for k in range(20)]
     found = taken(block([10 * k for k in range(20)], angles, [(wild, 0.5, 0.0)] * 20))
     assert found[0].rates == (0.0, 0.5, 0.0)
     assert found[-1].rates == pytest.approx((0.1, 0.5, 0.0))
 
 
-def test_the_mean_rates_are_those_of_the_angles_over_a_tenth_of_a_second() -> None:
+def test_the_mean_rates_are_those_of_the_angles_over_a_tenth_of_a_second():
     times = np.arange(31) * 0.01
     angles = [(float(t * t), 0.0, 0.0) for t in times]
     found = taken(block([10 * k for k in range(31)], angles, [(2.0, 0.0, 0.0)] * 31))
@@ -168,7 +168,7 @@ def test_the_mean_rates_are_those_of_the_angles_over_a_tenth_of_a_second() -> No
 
 
 @pytest.mark.parametrize('far', [1e308, -1e308, 7e6, -7e6])
-def test_an_angle_that_no_table_has_is_refused(far: float) -> None:
+def test_an_angle_that_no_table_has_is_refused(far):
     mine = encoders()
     list(mine.read_feedback(block([0], [(0.0, 0.0, 0.0)])))
     with pytest.raises(FeedbackError, match='as the angle of joint middle'):

@@ -62,8 +62,8 @@ def test_the_threads_of_a_node_take_memory_from_one_heap():
 
 
 @pytest.mark.parametrize('program', ['imu_node', 'turntable_node'])
-def test_a_program_says_how_it_is_called_and_refuses_stray_words(program: str) -> None:
-    def answer(*words: str) -> subprocess.CompletedProcess[str]:
+def test_a_program_says_how_it_is_called_and_refuses_stray_words(program):
+    def answer(*words):
         module = f'imu_calib.live.nodes.{program}'
         command = [sys.executable, '-m', module, *words]
         return subprocess.run(command, capture_output=True, text=True, check=False, cwd=CHECKOUT)
@@ -77,7 +77,7 @@ def test_a_program_says_how_it_is_called_and_refuses_stray_words(program: str) -
     assert f"{program}: found 'stand', expected --ros-args" in stray.stderr
 
 
-def test_words_of_ros_are_not_stray() -> None:
+def test_words_of_ros_are_not_stray():
     ros = ['--ros-args', '-p', 'port:=x', '-r', '__ns:=/a', '--']
     assert programs.answered('imu_node', ros) is None
     assert programs.answered('imu_node', [*ros, 'more']) == 2

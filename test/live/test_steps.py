@@ -1,7 +1,5 @@
 """What is held against the table's limits before a step is sent, and the setpoints themselves."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -126,7 +124,7 @@ def test_what_forbids_is_new_once():
 MS = 1_000_000
 
 
-def test_a_new_setpoint_is_due_at_once_and_once() -> None:
+def test_a_new_setpoint_is_due_at_once_and_once():
     pacing = Pacing(10.0)
     pacing.sent(0, 0.0, 1)
     assert not pacing.is_due(50 * MS, 0.05, 1)
@@ -135,7 +133,7 @@ def test_a_new_setpoint_is_due_at_once_and_once() -> None:
     assert not pacing.is_due(60 * MS, 0.06, 2)
 
 
-def test_without_joint_states_the_steady_clock_counts() -> None:
+def test_without_joint_states_the_steady_clock_counts():
     pacing = Pacing(10.0)
     assert pacing.is_due(None, 5.0, 1)
     pacing.sent(None, 5.0, 1)
@@ -147,7 +145,7 @@ def test_without_joint_states_the_steady_clock_counts() -> None:
     assert pacing.is_due(0, 6.101, 1)
 
 
-def test_a_fast_table_is_led_by_its_own_time() -> None:
+def test_a_fast_table_is_led_by_its_own_time():
     pacing, stamps = Pacing(10.0), []
     for k in range(1000):
         stamp = k * 10 * MS
@@ -157,7 +155,7 @@ def test_a_fast_table_is_led_by_its_own_time() -> None:
     assert stamps == [k * 100 * MS for k in range(100)]
 
 
-def test_a_delay_does_not_lower_the_rate() -> None:
+def test_a_delay_does_not_lower_the_rate():
     """Joint states every 30 ms, setpoints every 100 ms: ten in a second in the mean."""
     pacing, count = Pacing(10.0), 0
     for k in range(1000):
@@ -167,7 +165,7 @@ def test_a_delay_does_not_lower_the_rate() -> None:
     assert abs(count - 300) <= 1
 
 
-def test_a_table_whose_time_begins_anew_is_led_on() -> None:
+def test_a_table_whose_time_begins_anew_is_led_on():
     pacing = Pacing(10.0)
     pacing.sent(10_000 * MS, 0.0, 1)
     assert not pacing.is_due(10_050 * MS, 0.01, 1)

@@ -94,7 +94,7 @@ GYRO = [[1.0019, 2e-3, -7e-4], [-1.4e-3, 0.9986, 9e-4], [5e-4, -1.1e-3, 1.0023]]
 ACCEL = [[0.9991, -1.3e-3, 4e-4], [2.2e-3, 1.0007, -1.9e-3], [-3e-4, 6e-4, 0.9979]]
 
 
-def test_axes_of_a_unit_enclose_what_they_enclose() -> None:
+def test_axes_of_a_unit_enclose_what_they_enclose():
     # Known by construction: all pairs of accelerometers at acos(0.01), gyros at right angles and
     # turned against them by a known vector.
     c, turn = 0.01, [3e-3, -1e-3, 2e-3]
@@ -107,7 +107,7 @@ def test_axes_of_a_unit_enclose_what_they_enclose() -> None:
     assert found['gyro_to_accelerometer'].values == pytest.approx(turn, rel=1e-9)
 
 
-def test_a_common_rotation_changes_nothing() -> None:
+def test_a_common_rotation_changes_nothing():
     wanted = expected(GYRO, ACCEL)
     assert values(GYRO, ACCEL) == pytest.approx(wanted, abs=1e-12)
     for turn in ([2e-4, -1e-4, 3e-4], [0.05, 0.02, -0.03], [0.9, -0.4, 1.3]):
@@ -118,7 +118,7 @@ def test_a_common_rotation_changes_nothing() -> None:
     assert abs(values(alone, ACCEL)[6] - wanted[6]) == pytest.approx(2e-4, rel=5e-3)
 
 
-def test_scale_factors_are_no_angles() -> None:
+def test_scale_factors_are_no_angles():
     longer = [[f * v for v in row] for f, row in zip((1.01, 0.98, 1.003), GYRO, strict=True)]
     assert values(longer, ACCEL) == pytest.approx(values(GYRO, ACCEL), abs=1e-12)
 
@@ -133,7 +133,7 @@ def by_parameter(k: int, step: float) -> list[float]:
     return expected(changed['g'], changed['a'])
 
 
-def test_deviations_follow_from_the_whole_covariance() -> None:
+def test_deviations_follow_from_the_whole_covariance():
     root = np.random.default_rng(4).normal(size=(24, 24)) * 1e-5
     covariance = root @ root.T
     step = 1e-4
@@ -144,7 +144,7 @@ def test_deviations_follow_from_the_whole_covariance() -> None:
     assert std == pytest.approx(np.sqrt(np.diag(slopes @ covariance @ slopes.T)), rel=1e-5)
 
 
-def test_what_turns_the_whole_unit_is_in_no_deviation() -> None:
+def test_what_turns_the_whole_unit_is_in_no_deviation():
     # The table's frame is known to 30 arcsec about each axis, the axes among themselves to 1e-7.
     doubt, own = 30 * ARCSEC, 1e-7
     covariance = own**2 * np.eye(24)
@@ -162,7 +162,7 @@ def test_what_turns_the_whole_unit_is_in_no_deviation() -> None:
     assert std == pytest.approx([own * math.sqrt(2)] * 6 + [own] * 3, rel=0.02)
 
 
-def test_a_triad_that_was_not_estimated_has_no_angles() -> None:
+def test_a_triad_that_was_not_estimated_has_no_angles():
     covariance = np.zeros((24, 24))
     covariance[12:], covariance[:, 12:] = np.nan, np.nan
     assert [group.group.key for group in angles(GYRO, ACCEL, covariance)] == [

@@ -5,7 +5,7 @@ from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.model.sensors import SensorModel, Triad
 
 
-def test_prediction_by_hand() -> None:
+def test_prediction_by_hand():
     # Cao 2022, eq. (1), row y: n = E_yx wx + (1 + K_y) wy + E_yz wz + D_y.
     matrix = np.array([[0.1, 0, 0], [0.02, 0.3, 0.04], [0, 0, 0]])
     model = SensorModel(Triad(matrix, np.array([0, 5.0, 0])))
@@ -14,7 +14,7 @@ def test_prediction_by_hand() -> None:
     assert accel == pytest.approx([7, 8, 9])
 
 
-def test_names_are_row_and_column_of_the_matrix() -> None:
+def test_names_are_row_and_column_of_the_matrix():
     vector = np.zeros(24)
     vector[PARAMETER_NAMES.index('E_gxy')] = 1.0
     vector[PARAMETER_NAMES.index('D_az')] = 2.0
@@ -25,7 +25,7 @@ def test_names_are_row_and_column_of_the_matrix() -> None:
     assert len(set(PARAMETER_NAMES)) == 24
 
 
-def test_no_parameters_have_no_derivatives() -> None:
+def test_no_parameters_have_no_derivatives():
     """As where every term is on, and none is left to be looked for."""
     at = np.zeros((4, 3))
     assert SensorModel().derivatives(at, at, ()).shape == (4, 6, 0)

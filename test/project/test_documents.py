@@ -1,7 +1,6 @@
 """The commands of a page print what it shows."""
 
 import re
-from pathlib import Path
 
 import pytest
 from loopback import CHECKOUT
@@ -21,13 +20,8 @@ INDENTED = re.compile(r'(?:(?<=\n\n)|^)(?: {4}.*\n?)+')
     ],
 )
 def test_the_commands_of_a_page_print_what_it_shows(
-    page: str,
-    begins: str,
-    ends_with: dict[str, int],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    page, begins, ends_with, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     text = (DOCS / f'{page}.md').read_text('utf-8').partition(begins)[2].partition('## Is it')[0]
     blocks = ''.join(INDENTED.findall(FENCE.sub('', text))).splitlines()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import re
-from collections.abc import Iterator
 from contextlib import ExitStack
 from decimal import Decimal
 from pathlib import Path
@@ -67,7 +66,7 @@ def output_texts(cell: Any) -> list[str]:
 
 
 @pytest.fixture(scope='module')
-def kernel() -> Iterator[Any]:
+def kernel():
     with ExitStack() as started:
         with processes.kept():
             manager = started.enter_context(RUN.kernel())
@@ -75,7 +74,7 @@ def kernel() -> Iterator[Any]:
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_a_notebook_runs_and_prints_what_is_committed(name: str, kernel: Any) -> None:
+def test_a_notebook_runs_and_prints_what_is_committed(name, kernel):
     committed = RUN.read(name).cells
     for cell, before in zip(RUN.executed(name, kernel).cells, committed, strict=True):
         now, then = output_texts(cell), output_texts(before)
@@ -87,7 +86,7 @@ def test_a_notebook_runs_and_prints_what_is_committed(name: str, kernel: Any) ->
             )
 
 
-def test_only_the_last_digit_may_differ() -> None:
+def test_only_the_last_digit_may_differ():
     table = 'K_gx  1.234  0.10 ppm\nroot mean square: 1.6e+02'
     assert not differences('K_gx 1.236  0.11  ppm\nroot mean square: 1.4e+02', table)
     assert differences(table.replace('1.234', '1.237'), table) == ['1.237 instead of 1.234']
@@ -99,7 +98,7 @@ def test_only_the_last_digit_may_differ() -> None:
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_a_notebook_is_committed_as_it_was_run(name: str) -> None:
+def test_a_notebook_is_committed_as_it_was_run(name):
     notebook = RUN.read(name)
     assert notebook.nbformat == 4
     assert set(notebook.metadata) == {'kernelspec', 'language_info'}
@@ -114,7 +113,7 @@ def test_a_notebook_is_committed_as_it_was_run(name: str) -> None:
 
 
 @pytest.mark.parametrize('name', [*(f'{name}.ipynb' for name in NAMES), 'index.md'])
-def test_links_of_notebooks_lead_somewhere(name: str) -> None:
+def test_links_of_notebooks_lead_somewhere(name):
     path = FOLDER / name
     cells = RUN.read(path.stem).cells if path.suffix == '.ipynb' else []
     text = '\n'.join(c.source for c in cells if c.cell_type == 'markdown') or path.read_text()
@@ -124,7 +123,7 @@ def test_links_of_notebooks_lead_somewhere(name: str) -> None:
         assert (FOLDER / link.partition('#')[0]).is_file(), link
 
 
-def test_each_notebook_is_in_the_index() -> None:
+def test_each_notebook_is_in_the_index():
     index = (FOLDER / 'index.md').read_text(encoding='utf-8')
     assert NAMES
     assert all(f'({name}.ipynb)' in index for name in NAMES)

@@ -1,10 +1,7 @@
 """What only Linux has is not needed to import the package, to simulate, or to calibrate."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
-from pathlib import Path
 
 import yaml
 from loopback import CHECKOUT
@@ -37,7 +34,7 @@ assert main(['calibrate', bag, '-o', folder + '/calibration.yaml']) == 0
 """
 
 
-def test_simulating_and_calibrating_need_nothing_that_linux_alone_has(tmp_path: Path) -> None:
+def test_simulating_and_calibrating_need_nothing_that_linux_alone_has(tmp_path):
     plan = yaml.safe_load(named_file('plans', 'twelve_position').read_text())
     plan['dwell'], plan['rate_test']['rates'] = '3 s', ['120 deg/s', '-120 deg/s']
     (tmp_path / 'plan.yaml').write_text(yaml.safe_dump(plan))

@@ -36,14 +36,14 @@ def catalogue(*entries: ChunkIndex, counts: dict[int, int], **other: object) -> 
     return found
 
 
-def test_chunks_come_in_the_order_of_the_file() -> None:
+def test_chunks_come_in_the_order_of_the_file():
     second, third = entry(END), entry(END + 1000)
     found = chunks_of(catalogue(third, entry(), second, counts={1: 9, 2: 15}), SUMMARY)
     assert found is not None
     assert [one.start for one in found] == [FIRST, END, END + 1000]
 
 
-def test_chunks_may_touch_each_other_and_the_summary() -> None:
+def test_chunks_may_touch_each_other_and_the_summary():
     two = catalogue(entry(), entry(END), counts={1: 6, 2: 10})
     end = 2 * END - FIRST
     assert chunks_of(two, end) is not None
@@ -52,7 +52,7 @@ def test_chunks_may_touch_each_other_and_the_summary() -> None:
     assert chunks_of(one_less, SUMMARY) is None
 
 
-def test_a_file_without_a_message_has_no_chunk() -> None:
+def test_a_file_without_a_message_has_no_chunk():
     assert chunks_of(catalogue(counts={1: 0}), SUMMARY) == []
 
 
@@ -71,18 +71,18 @@ def test_a_file_without_a_message_has_no_chunk() -> None:
         {'channels': {1: Channel(1, '/1', 'A', 'cdr')}},
     ],
 )
-def test_a_summary_that_leaves_anything_out_is_not_used(change: dict[str, object]) -> None:
+def test_a_summary_that_leaves_anything_out_is_not_used(change):
     counts = {1: 3, 2: 5}
     assert chunks_of(catalogue(entry(), **{'counts': counts, **change}), SUMMARY) is None  # type: ignore[arg-type]
 
 
-def test_channels_without_messages_do_no_harm() -> None:
+def test_channels_without_messages_do_no_harm():
     assert chunks_of(catalogue(entry(), counts={1: 3, 2: 5, 9: 0}), SUMMARY) is not None
     known = catalogue(entry(), counts={1: 3, 2: 5}, totals=(1, 1), metadata_at=[(10, 20)])
     assert chunks_of(known, SUMMARY) is not None
 
 
-def test_an_index_too_short_for_an_entry_has_none() -> None:
+def test_an_index_too_short_for_an_entry_has_none():
     """The three messages of channel 1 are in the second chunk."""
     first = entry(index={1: INDEX_1, 2: INDEX_1}, index_bytes=15 + 16)
     second = entry(1000, index={1: 1000 + INDEX_1 - FIRST}, index_bytes=15 + 3 * 16 + 15)

@@ -36,7 +36,7 @@ def converted(path: Path, **stated: str) -> imu_calib.Columns:
     return imu_calib.read(out, '/imu/data_raw')
 
 
-def test_a_session_as_a_text_file_gives_what_its_recording_gives(tmp_path: Path) -> None:
+def test_a_session_as_a_text_file_gives_what_its_recording_gives(tmp_path):
     text = Path(CHECKOUT, 'config/plans/twelve_position.yaml').read_text(encoding='utf-8')
     text = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[')
     write(tmp_path / 'brief.yaml', text.replace('dwell: 120 s', 'dwell: 3 s'))
@@ -87,7 +87,7 @@ def test_a_session_as_a_text_file_gives_what_its_recording_gives(tmp_path: Path)
         't=1.5 wx=90 wy=0 wz=0 ax=0 ay=-.0 az= 1\nt=1.6 wx=90 wy=0 wz=0 ax=0 ay=0 az= 1\n',
     ],
 )
-def test_tables_are_read_as_people_write_them(text: str, tmp_path: Path) -> None:
+def test_tables_are_read_as_people_write_them(text, tmp_path):
     columns = converted(write(tmp_path / 'log.csv', text))
     assert columns.stamp.tolist() == [1_500_000_000, 1_600_000_000]
     assert columns['angular_velocity.x'] == pytest.approx([np.pi / 2] * 2)
@@ -95,30 +95,28 @@ def test_tables_are_read_as_people_write_them(text: str, tmp_path: Path) -> None
     assert columns.units['angular_velocity.x'] == 'rad/s'
 
 
-def test_labels_before_several_numbers_are_no_names_of_columns(tmp_path: Path) -> None:
+def test_labels_before_several_numbers_are_no_names_of_columns(tmp_path):
     path = write(tmp_path / 'log.csv', 'T: 1.5 G: 90 0 0 A: 0 0 1\nT: 1.6 G: 90 0 0 A: 0 0 1\n')
     columns = converted(path, stamp='1:s', gyro='2,3,4:deg/s', accel='5,6,7:g')
     assert columns['angular_velocity.x'] == pytest.approx([np.pi / 2] * 2)
     assert columns['linear_acceleration.z'] == pytest.approx([9.80665] * 2)
 
 
-def test_a_time_before_a_trigger_is_shifted_to_begin_at_0(tmp_path: Path) -> None:
+def test_a_time_before_a_trigger_is_shifted_to_begin_at_0(tmp_path):
     path = write(tmp_path / 'log.csv', ROW + '-0.1,90,0,0,0,0,1\n0.0,90,0,0,0,0,1\n')
     done = imu_calib.convert(path, tmp_path / 'bag', **WORDS)  # type: ignore[arg-type]
     assert imu_calib.read(done.path, '/imu/data_raw').stamp.tolist() == [0, 100_000_000]
     assert any('begins at -0.1 s' in text for text in done.findings)
 
 
-def test_a_heading_in_the_code_page_of_windows_is_read(tmp_path: Path) -> None:
+def test_a_heading_in_the_code_page_of_windows_is_read(tmp_path):
     text = ROW.replace('wx', 'wx (°/s)') + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n'
     (tmp_path / 'log.csv').write_bytes(text.encode('cp1252'))
     assert len(converted(tmp_path / 'log.csv', gyro='wx (°/s),wy,wz:deg/s')) == 2
 
 
-def test_a_recording_that_cannot_be_completed_leaves_nothing_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object) -> None:
+def test_a_recording_that_cannot_be_completed_leaves_nothing_behind(tmp_path, monkeypatch):
+    def full(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     path = write(tmp_path / 'log.csv', ROW + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n')
@@ -131,7 +129,7 @@ def test_a_recording_that_cannot_be_completed_leaves_nothing_behind(
         assert not (tmp_path / 'out').exists()
 
 
-def test_a_table_in_utf_16_is_read_and_a_file_of_matlab_is_named(tmp_path: Path) -> None:
+def test_a_table_in_utf_16_is_read_and_a_file_of_matlab_is_named(tmp_path):
     text = ROW + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n'
     (tmp_path / 'log.csv').write_text(text, encoding='utf-16')
     assert len(converted(tmp_path / 'log.csv')) == 2
@@ -140,7 +138,7 @@ def test_a_table_in_utf_16_is_read_and_a_file_of_matlab_is_named(tmp_path: Path)
         converted(tmp_path / 'data.mat')
 
 
-def test_columns_without_a_heading_have_places_and_rows_may_have_a_rate(tmp_path: Path) -> None:
+def test_columns_without_a_heading_have_places_and_rows_may_have_a_rate(tmp_path):
     path = write(tmp_path / 'log.txt', '1 2 3 4 5 6\n7 8 9 10 11 12\n')
     out = tmp_path / 'out'
     words = ['--rate', '50', '--gyro', '4,5,6:rad/s', '--accel', '1,2,3:m/s^2']
@@ -151,7 +149,7 @@ def test_columns_without_a_heading_have_places_and_rows_may_have_a_rate(tmp_path
     assert columns['linear_acceleration.x'].tolist() == [1.0, 7.0]
 
 
-def test_broken_rows_are_left_out_and_counted(tmp_path: Path) -> None:
+def test_broken_rows_are_left_out_and_counted(tmp_path):
     rows = '.1,9,0,0,0,0,1\n.2,9,0,0\n.3,,0,0,0,0,1\nend of file\n.4,9,0,0,0,0,1\n'
     path = write(tmp_path / 'log.csv', ROW + rows)
     done = imu_calib.convert(
@@ -201,16 +199,14 @@ def logged(times: list[str]) -> str:
         ([str(10**10 * k) for k in range(100)], 't:ns', 'found 0.1 Hz.*Name the column of the'),
     ],
 )
-def test_what_is_no_time_of_an_imu_is_refused(
-    times: list[str], stamp: str, sentence: str, tmp_path: Path
-) -> None:
+def test_what_is_no_time_of_an_imu_is_refused(times, stamp, sentence, tmp_path):
     with pytest.raises(InputError, match=sentence):
         converted(write(tmp_path / 'log.csv', logged(times)), stamp=stamp)
     assert not (tmp_path / 'log.out').exists()
 
 
 @pytest.mark.parametrize(('unit', 'ticks'), [('us', 10_000), ('ms', 10)])
-def test_a_counter_that_begins_anew_goes_on(unit: str, ticks: int, tmp_path: Path) -> None:
+def test_a_counter_that_begins_anew_goes_on(unit, ticks, tmp_path):
     times = [str((2**32 - 500 * ticks + k * ticks) % 2**32) for k in range(1000)]
     path = write(tmp_path / 'log.csv', logged(times))
     done = imu_calib.convert(path, tmp_path / 'out', **WORDS | {'stamp': f't:{unit}'})  # type: ignore[arg-type]
@@ -223,7 +219,7 @@ def test_a_counter_that_begins_anew_goes_on(unit: str, ticks: int, tmp_path: Pat
         converted(write(tmp_path / 'back.csv', logged([f'{t:.2f}' for t in backwards])))
 
 
-def test_a_time_in_two_columns_is_their_sum(tmp_path: Path) -> None:
+def test_a_time_in_two_columns_is_their_sum(tmp_path):
     rows = [f'{k // 100},{k % 100 * 10_000_000},9,0,0,0,0,1\n' for k in range(300)]
     path = write(tmp_path / 'log.csv', ROW.replace('t,', 'sec,nanosec,') + ''.join(rows))
     stamps = converted(path, stamp='sec:s,nanosec:ns').stamp
@@ -232,14 +228,14 @@ def test_a_time_in_two_columns_is_their_sum(tmp_path: Path) -> None:
         imu_calib.convert(path, tmp_path / 'no', **WORDS | {'stamp': 'sec:s'})  # type: ignore[arg-type]
 
 
-def test_rows_with_labels_of_two_kinds_are_no_table(tmp_path: Path) -> None:
+def test_rows_with_labels_of_two_kinds_are_no_table(tmp_path):
     rows = 'G: 1.0, 2.0, 3.0\nA: 1.0, 2.0, 3.0\n' * 20
     words = {'rate': '100 Hz', 'gyro': '1,2,3:deg/s', 'accel': '1,2,3:g'}
     with pytest.raises(InputError, match=r'column 1 of .* holds no number'):
         imu_calib.convert(write(tmp_path / 'log.csv', rows), tmp_path / 'out', **words)  # type: ignore[arg-type]
 
 
-def test_temperatures_in_thousandths_of_a_degree_have_a_unit(tmp_path: Path) -> None:
+def test_temperatures_in_thousandths_of_a_degree_have_a_unit(tmp_path):
     text = ROW.replace('\n', ',T\n') + '1.5,9,0,0,0,0,1,25000\n1.6,9,0,0,0,0,1,25000\n'
     path = write(tmp_path / 'log.csv', text)
     with pytest.raises(InputError, match=r'median is 25000 degrees.*\(25.0 degC\): mdegC'):
@@ -249,14 +245,12 @@ def test_temperatures_in_thousandths_of_a_degree_have_a_unit(tmp_path: Path) -> 
     assert readings['temperature'].tolist() == [25.0, 25.0]
 
 
-def test_a_row_that_was_written_twice_is_no_reason(tmp_path: Path) -> None:
+def test_a_row_that_was_written_twice_is_no_reason(tmp_path):
     times = [f'{(k - (k == 50)) / 100:.2f}' for k in range(200)]
     assert len(converted(write(tmp_path / 'log.csv', logged(times))).stamp) == 200
 
 
-def test_rate_and_duration_of_what_was_written_are_printed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rate_and_duration_of_what_was_written_are_printed(tmp_path, capsys):
     path = write(tmp_path / 'log.csv', logged([f'{k / 100:.2f}' for k in range(1001)]))
     columns = ['--stamp', 't:s', '--gyro', 'wx,wy,wz:deg/s', '--accel', 'ax,ay,az:g']
     out = tmp_path / 'out'
@@ -268,7 +262,7 @@ def test_rate_and_duration_of_what_was_written_are_printed(
     assert '--rate 0.1 Hz: expected 2 Hz to 40 kHz' in capsys.readouterr().err
 
 
-def test_pulses_stay_pulses_and_need_a_description(tmp_path: Path) -> None:
+def test_pulses_stay_pulses_and_need_a_description(tmp_path):
     path = write(tmp_path / 'log.csv', ROW + '1,3,0,-1,0,0,9\n1.01,4,0,-1,0,0,8\n')
     words = {'stamp': 't:s', 'gyro': 'wx,wy,wz:pulse', 'accel': 'ax,ay,az:pulse'}
     with pytest.raises(InputError, match='in pulses: give `imu`'):
@@ -306,15 +300,13 @@ def test_pulses_stay_pulses_and_need_a_description(tmp_path: Path) -> None:
         (ROW + '1|2|3|4|5|6|7\n', {}, "no row of numbers found; a line of it is '1|2|3|4|5|6|7'"),
     ],
 )
-def test_what_does_not_fit_is_refused_in_a_sentence(
-    text: str, stated: dict[str, str], sentence: str, tmp_path: Path
-) -> None:
+def test_what_does_not_fit_is_refused_in_a_sentence(text, stated, sentence, tmp_path):
     with pytest.raises(InputError, match=sentence):
         converted(write(tmp_path / 'log.csv', text), **stated)
     assert not (tmp_path / 'log.out').exists()
 
 
-def test_other_commands_name_the_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_other_commands_name_the_way(tmp_path, capsys):
     for name, word in (('a.csv', 'is a text file'), ('b.bag', 'bag of ROS 1'), ('c.ulg', 'PX4')):
         path = write(tmp_path / name, 'x')
         assert main(['calibrate', str(path)]) == 2
@@ -333,18 +325,14 @@ def test_other_commands_name_the_way(tmp_path: Path, capsys: pytest.CaptureFixtu
         ({'gyro': 'wx,wy,wz:rad/s'}, 'the gyros read up to 90, faster than any IMU turns in rad/s'),
     ],
 )
-def test_numbers_of_other_units_than_stated_are_said(
-    stated: dict[str, str], sentence: str, tmp_path: Path
-) -> None:
+def test_numbers_of_other_units_than_stated_are_said(stated, sentence, tmp_path):
     path = write(tmp_path / 'log.csv', ROW + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n')
     words = {'gyro': 'wx,wy,wz:deg/s', 'accel': 'ax,ay,az:g', 'stamp': 't:s'} | stated
     (finding,) = imu_calib.convert(path, tmp_path / 'out', **words).findings  # type: ignore[arg-type]
     assert finding.startswith('The stated units may be wrong: ') and sentence in finding
 
 
-def test_gyros_and_accelerometers_in_two_files_become_one_recording(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_gyros_and_accelerometers_in_two_files_become_one_recording(tmp_path, capsys):
     rates = ''.join(f'{k / 100:.2f},{k},0,0\n' for k in range(101))
     forces = ''.join(f'{20 * k} 0 0 {k}\n' for k in range(40))
     gyro = write(tmp_path / 'gyro.csv', 't,wx,wy,wz\n' + rates)
@@ -370,7 +358,7 @@ def test_gyros_and_accelerometers_in_two_files_become_one_recording(
     assert columns['linear_acceleration.z'] == pytest.approx(np.arange(79) / 2)
 
 
-def test_a_calibration_says_that_its_accelerometers_were_interpolated(tmp_path: Path) -> None:
+def test_a_calibration_says_that_its_accelerometers_were_interpolated(tmp_path):
     imu_calib.simulate('free_positions', tmp_path / 'hand', imu='si', truth='mems_counts', seed=1)
     seen = imu_calib.read(tmp_path / 'hand', '/imu/pulses')
     stamp = (seen.stamp - seen.stamp[0]) * 1e-9
@@ -394,7 +382,7 @@ def test_a_calibration_says_that_its_accelerometers_were_interpolated(tmp_path: 
     assert 'interpolated from 25' in (tmp_path / 'report.html').read_text(encoding='utf-8')
 
 
-def test_counts_in_two_files_are_joined_at_shared_times_alone(tmp_path: Path) -> None:
+def test_counts_in_two_files_are_joined_at_shared_times_alone(tmp_path):
     gyro = write(tmp_path / 'gyro.txt', '0.00 1 2 3\n0.01 4 5 6\n0.02 7 8 9\n')
     write(tmp_path / 'same.txt', '0.00 10 20 30\n0.01 40 50 60\n0.02 70 80 90\n')
     write(tmp_path / 'other.txt', '0.00 10 20 30\n0.02 40 50 60\n0.04 70 80 90\n')
@@ -427,7 +415,7 @@ def test_counts_in_two_files_are_joined_at_shared_times_alone(tmp_path: Path) ->
     assert not (tmp_path / 'no').exists()
 
 
-def test_gyros_and_accelerometers_on_two_topics_become_one(tmp_path: Path) -> None:
+def test_gyros_and_accelerometers_on_two_topics_become_one(tmp_path):
     gyro_at = T0 + np.arange(400) * 5_000_000
     accel_at = T0 + 2_000_000 + np.delete(np.arange(200), [50, 51, 52]) * 10_000_000
     rates = np.column_stack([np.arange(400.0), np.zeros(400), np.ones(400)])
@@ -456,7 +444,7 @@ def test_gyros_and_accelerometers_on_two_topics_become_one(tmp_path: Path) -> No
     assert len(gap) == 8
 
 
-def test_two_topics_say_at_which_rates_they_come(tmp_path: Path) -> None:
+def test_two_topics_say_at_which_rates_they_come(tmp_path):
     stamp = T0 + np.arange(100) * 5_000_000
     zeros = np.zeros((100, 3))
     later = stamp + 1_000_000
@@ -477,7 +465,7 @@ def test_two_topics_say_at_which_rates_they_come(tmp_path: Path) -> None:
         imu_calib.convert(bag, tmp_path / 'out', gyro_topic='/g', accel_topic='/a')
 
 
-def test_a_bag_of_ros_1_becomes_a_recording(tmp_path: Path) -> None:
+def test_a_bag_of_ros_1_becomes_a_recording(tmp_path):
     bag_of_ros_1(tmp_path / 'old.bag')
     assert main(['convert', str(tmp_path / 'old.bag'), '-o', str(tmp_path / 'new')]) == 0
     topics = imu_calib.read(tmp_path / 'new')
@@ -489,9 +477,7 @@ def test_a_bag_of_ros_1_becomes_a_recording(tmp_path: Path) -> None:
         imu_calib.convert(broken, tmp_path / 'other')
 
 
-def test_a_bag_of_ros_1_asks_for_the_library(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bag_of_ros_1_asks_for_the_library(tmp_path, monkeypatch):
     monkeypatch.setattr('imu_calib.common.files.find_spec', lambda _: None)
     with pytest.raises(InputError, match=r"needs rosbags.*'\.\[ros1\]'"):
         imu_calib.convert(write(tmp_path / 'old.bag', 'x'), tmp_path / 'new')
@@ -505,16 +491,14 @@ def test_a_bag_of_ros_1_asks_for_the_library(
         ({'imu': 'fog_medium'}, '`imu` fog_medium: units: found pulses, but the numbers are rates'),
     ],
 )
-def test_a_wrong_option_leaves_nothing_behind(
-    stated: dict[str, str], sentence: str, tmp_path: Path
-) -> None:
+def test_a_wrong_option_leaves_nothing_behind(stated, sentence, tmp_path):
     path = write(tmp_path / 'log.csv', ROW + '1,2,3,4,5,6,7\n')
     with pytest.raises(InputError, match=sentence):
         converted(path, **stated)
     assert [p.name for p in tmp_path.iterdir()] == ['log.csv']
 
 
-def test_rates_that_are_not_si_are_not_said_to_lie_on_no_line(tmp_path: Path) -> None:
+def test_rates_that_are_not_si_are_not_said_to_lie_on_no_line(tmp_path):
     path = write(tmp_path / 'log.csv', ROW + '1,3,0,-1,0,0,1\n1.01,4,0,-1,0,0,1\n')
     imu_calib.convert(path, tmp_path / 'bag', imu='rates', **WORDS)  # type: ignore[arg-type]
     topics = {'gyro_topic': '/imu/pulses', 'accel_topic': '/imu/pulses'}
@@ -522,14 +506,14 @@ def test_rates_that_are_not_si_are_not_said_to_lie_on_no_line(tmp_path: Path) ->
         imu_calib.convert(tmp_path / 'bag', tmp_path / 'out', **topics)  # type: ignore[arg-type]
 
 
-def test_names_of_joints_may_stand_apart(tmp_path: Path) -> None:
+def test_names_of_joints_may_stand_apart(tmp_path):
     text = ROW.replace('az', 'az,outer,inner') + '1,2,3,4,5,6,7,90,180\n1.1,2,3,4,5,6,7,90,180\n'
     converted(write(tmp_path / 'log.csv', text), joints='outer, inner : deg')
     joints = imu_calib.read(tmp_path / 'log.out', '/turntable/joint_states')
     assert joints['position.inner'] == pytest.approx([np.pi] * 2)
 
 
-def test_pulses_on_two_topics_lie_on_no_line(tmp_path: Path) -> None:
+def test_pulses_on_two_topics_lie_on_no_line(tmp_path):
     path = write(tmp_path / 'log.csv', ROW + '1,3,0,-1,0,0,9\n1.01,4,0,-1,0,0,8\n')
     words = {'stamp': 't:s', 'gyro': 'wx,wy,wz:pulse', 'accel': 'ax,ay,az:pulse'}
     imu_calib.convert(path, tmp_path / 'bag', imu='fog_medium', **words)  # type: ignore[arg-type]
@@ -539,9 +523,7 @@ def test_pulses_on_two_topics_lie_on_no_line(tmp_path: Path) -> None:
     assert not (tmp_path / 'out').exists()
 
 
-def test_a_bag_of_ros_1_that_cannot_be_read_is_called_by_its_own_name(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bag_of_ros_1_that_cannot_be_read_is_called_by_its_own_name(tmp_path, capsys):
     (tmp_path / 'empty.bag').touch()
     assert main(['convert', str(tmp_path / 'empty.bag'), '-o', str(tmp_path / 'out')]) == 2
     said = capsys.readouterr().err.replace('\n', '')
@@ -549,7 +531,7 @@ def test_a_bag_of_ros_1_that_cannot_be_read_is_called_by_its_own_name(
     assert 'bag.bag' not in said
 
 
-def test_a_bag_of_ros_1_without_an_imu_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_a_bag_of_ros_1_without_an_imu_leaves_nothing_behind(tmp_path):
     store = get_typestore(Stores.ROS1_NOETIC)
     with Writer(tmp_path / 'talk.bag') as writer:
         at = writer.add_connection('/chatter', 'std_msgs/msg/String', typestore=store)

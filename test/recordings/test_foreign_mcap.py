@@ -80,7 +80,7 @@ def sent() -> list[tuple[int, int, int, bytes]]:
 
 
 @pytest.fixture
-def foreign(tmp_path: Path) -> Path:
+def foreign(tmp_path):
     samples = shaky(SensorModel(), rate=100, holds=3, noise=(1e-3, 0.01)).block
     content = MAGIC + record(0x01, text('') + text('another recorder'))
     for key, (name, language, data) in SCHEMAS.items():
@@ -146,9 +146,7 @@ def summary(path: Path) -> list[tuple[int, bytes]]:
 
 
 @pytest.mark.parametrize('keep', [True, False])
-def test_all_else_in_a_foreign_mcap_comes_out_as_it_went_in(
-    foreign: Path, tmp_path: Path, keep: bool
-) -> None:
+def test_all_else_in_a_foreign_mcap_comes_out_as_it_went_in(foreign, tmp_path, keep):
     square = np.zeros((24, 24))
     unit = Calibration(load_imu('si'), SensorModel(), square)
     compensate(foreign, unit, tmp_path / 'out', keep=keep)
@@ -186,7 +184,7 @@ def test_all_else_in_a_foreign_mcap_comes_out_as_it_went_in(
     assert (schemas, count, attachments) == (4, len(channels_after), 2)
 
 
-def test_a_second_time_it_comes_through_by_the_summary_too(foreign: Path, tmp_path: Path) -> None:
+def test_a_second_time_it_comes_through_by_the_summary_too(foreign, tmp_path):
     unit = Calibration(load_imu('si'), SensorModel(), np.zeros((24, 24)))
     compensate(foreign, unit, tmp_path / 'one', keep=True)
     compensate(

@@ -37,7 +37,7 @@ def apart(nothing: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize('nothing', [0.0, np.nan])
-def test_rows_of_one_sensor_are_told_from_those_of_both(nothing: float) -> None:
+def test_rows_of_one_sensor_are_told_from_those_of_both(nothing):
     found = halves(*apart(nothing))
     assert found is not None
     assert (
@@ -79,7 +79,7 @@ def interleaved(path: Path, nothing: float = 0.0) -> Path:
 
 
 @pytest.mark.parametrize('nothing', [0.0, np.nan])
-def test_messages_of_one_topic_are_joined(nothing: float, tmp_path: Path) -> None:
+def test_messages_of_one_topic_are_joined(nothing, tmp_path):
     bag = interleaved(tmp_path / 'bag', nothing)
     words = ['--gyro-topic', '/imu', '--accel-topic', '/imu']
     assert main(['convert', str(bag), '-o', str(tmp_path / 'out'), *words]) == 0
@@ -87,7 +87,7 @@ def test_messages_of_one_topic_are_joined(nothing: float, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize('nothing', [0.0, np.nan])
-def test_calibrate_names_the_way_to_join_them(nothing: float, tmp_path: Path) -> None:
+def test_calibrate_names_the_way_to_join_them(nothing, tmp_path):
     bag = interleaved(tmp_path / 'bag', nothing)
     with pytest.raises(InputError, match='in messages of their own') as refused:
         imu_calib.calibrate(bag, latitude=34.65)
@@ -97,7 +97,7 @@ def test_calibrate_names_the_way_to_join_them(nothing: float, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize('units', ['rates', 'increments', 'mems_counts', 'fog_medium'])
-def test_where_they_cannot_be_joined_no_command_is_named(units: str, tmp_path: Path) -> None:
+def test_where_they_cannot_be_joined_no_command_is_named(units, tmp_path):
     bag = interleaved(tmp_path / 'bag')
     with pytest.raises(InputError, match='in messages of their own') as refused:
         imu_calib.calibrate(bag, latitude=34.65, imu=units, plan='free_positions')
@@ -105,7 +105,7 @@ def test_where_they_cannot_be_joined_no_command_is_named(units: str, tmp_path: P
     assert 'let the driver put both into each message' in str(refused.value)
 
 
-def test_topics_of_other_types_are_copied(tmp_path: Path) -> None:
+def test_topics_of_other_types_are_copied(tmp_path):
     bag = tmp_path / 'bag'
     with RecordingWriter(tmp_path / 'camera') as writer:
         writer.write('/camera', 'std_msgs/msg/String', Messages.join([b'\0\1\0\0abcd']), STAMP[:1])
@@ -132,7 +132,7 @@ WORDS = {'stamp': 't:s', 'gyro': 'gx,gy,gz:rad/s', 'accel': 'ax,ay,az:m/s^2'}
 
 
 @pytest.mark.parametrize('nothing', [0.0, np.nan])
-def test_rows_of_a_table_are_joined(nothing: float, tmp_path: Path) -> None:
+def test_rows_of_a_table_are_joined(nothing, tmp_path):
     table = np.column_stack([(STAMP - T0) * 1e-9 + T0 * 1e-9, *apart(nothing)])
     table[:, 0] = AT * 0.005
     np.savetxt(tmp_path / 'log.csv', table, delimiter=',', header='t,gx,gy,gz,ax,ay,az')
@@ -149,9 +149,7 @@ def test_rows_of_a_table_are_joined(nothing: float, tmp_path: Path) -> None:
     ('gyr', 'acc', 'between'),
     [('GYR', 'ACC', ','), ('gyroscope', 'ACCE', ' '), ('Gyro', 'acc', ';')],
 )
-def test_rows_that_name_their_sensor_are_joined(
-    gyr: str, acc: str, between: str, tmp_path: Path
-) -> None:
+def test_rows_that_name_their_sensor_are_joined(gyr, acc, between, tmp_path):
     lines = ['# a log of a phone', between.join(['sensor', 't', 'x', 'y', 'z'])]
     for k in AT.tolist():
         values = RATE[k] if k % 2 == 0 else FORCE[k]
@@ -171,7 +169,7 @@ def test_rows_that_name_their_sensor_are_joined(
         )
 
 
-def test_a_heading_with_names_of_sensors_is_no_label(tmp_path: Path) -> None:
+def test_a_heading_with_names_of_sensors_is_no_label(tmp_path):
     text = 't,gyr x,gyr y,acc x\n' + '0.1,1,2,3\n' * 30
     (tmp_path / 'log.csv').write_text(text, encoding='utf-8')
     table, other = read_sensors(tmp_path / 'log.csv')
@@ -184,7 +182,7 @@ def shuffled(count: int, reach: int, seed: int) -> np.ndarray:
     return np.argsort(np.arange(count) + rng.uniform(0, reach, count) * (rng.random(count) < 0.3))
 
 
-def test_samples_out_of_order_are_sorted_however_the_stream_is_cut() -> None:
+def test_samples_out_of_order_are_sorted_however_the_stream_is_cut():
     count = 3 * HELD
     stamp = T0 + np.arange(count) * 1_000_000
     values = np.column_stack([np.arange(count)] * 3).astype(float)
@@ -201,7 +199,7 @@ def test_samples_out_of_order_are_sorted_however_the_stream_is_cut() -> None:
         assert f'{order.moved} IMU samples came out of the order' in order.sentences[0]
 
 
-def test_a_clock_that_is_set_back_is_not_sorted() -> None:
+def test_a_clock_that_is_set_back_is_not_sorted():
     stamp = np.concatenate([np.arange(3000), np.arange(2500, 6000)]) * 1_000_000
     assert places_by_stamp(stamp) is None
     far = shuffled(4 * HELD, 3 * HELD, 2)
@@ -213,7 +211,7 @@ def test_a_clock_that_is_set_back_is_not_sorted() -> None:
     assert order.sentences == ()
 
 
-def test_rows_of_a_table_out_of_order_are_sorted(tmp_path: Path) -> None:
+def test_rows_of_a_table_out_of_order_are_sorted(tmp_path):
     places = shuffled(400, 5, 3)
     table = np.column_stack([AT * 0.005, RATE, FORCE])[places]
     np.savetxt(tmp_path / 'log.csv', table, delimiter=',', header='t,gx,gy,gz,ax,ay,az')
@@ -225,9 +223,7 @@ def test_rows_of_a_table_out_of_order_are_sorted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('place', [0, 1000])
-def test_a_row_without_a_time_does_not_hide_that_others_are_late(
-    place: int, tmp_path: Path
-) -> None:
+def test_a_row_without_a_time_does_not_hide_that_others_are_late(place, tmp_path):
     seconds = np.arange(2000) / 100
     seconds = seconds.reshape(-1, 10)[:, ::-1].ravel()
     lines = ['t,wx,wy,wz,ax,ay,az', *(f'{t:.2f},1,2,3,0.1,0.2,0.9' for t in seconds)]

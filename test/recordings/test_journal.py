@@ -43,9 +43,7 @@ def held(path: Path) -> dict[str, tuple[Floats, Floats]]:
     }
 
 
-def test_messages_that_came_together_are_logged_one_nanosecond_after_the_other(
-    tmp_path: Path,
-) -> None:
+def test_messages_that_came_together_are_logged_one_nanosecond_after_the_other(tmp_path):
     journal = Journal(tmp_path / 'one', SESSION, NAMES)
     assert not journal.resumed
     assert journal.former == {}
@@ -62,7 +60,7 @@ def test_messages_that_came_together_are_logged_one_nanosecond_after_the_other(
     assert counted.tolist() == list(range(15))
 
 
-def test_a_clock_that_jumps_back_logs_nothing_before_what_was_written(tmp_path: Path) -> None:
+def test_a_clock_that_jumps_back_logs_nothing_before_what_was_written(tmp_path):
     journal = Journal(tmp_path / 'one', SESSION, NAMES)
     journal.write(IMU, Kind.IMU.type_name, samples(0), EPOCH + NS)
     journal.write(SKEW, Kind.SKEW.type_name, samples(0), EPOCH)
@@ -77,7 +75,7 @@ def test_a_clock_that_jumps_back_logs_nothing_before_what_was_written(tmp_path: 
     assert own.tolist() == list(range(at, at + 10))
 
 
-def test_what_a_killed_session_flushed_is_gone_on_with(tmp_path: Path) -> None:
+def test_what_a_killed_session_flushed_is_gone_on_with(tmp_path):
     folder = tmp_path / 'one'
     killed = Journal(folder, SESSION, NAMES)
     killed.note({'imu_calib.left_out': 'unit_C'})
@@ -107,7 +105,7 @@ def test_what_a_killed_session_flushed_is_gone_on_with(tmp_path: Path) -> None:
         Journal(folder, SESSION, NAMES)
 
 
-def test_how_much_of_an_old_session_is_read_rises_to_all_of_it(tmp_path: Path) -> None:
+def test_how_much_of_an_old_session_is_read_rises_to_all_of_it(tmp_path):
     folder = tmp_path / 'one'
     for k in range(2):
         journal = Journal(folder, SESSION, NAMES)
@@ -125,7 +123,7 @@ def test_how_much_of_an_old_session_is_read_rises_to_all_of_it(tmp_path: Path) -
     assert np.diff([0.0, *shares]).max() < 0.25
 
 
-def test_of_an_old_session_that_cannot_be_read_it_is_said_why(tmp_path: Path) -> None:
+def test_of_an_old_session_that_cannot_be_read_it_is_said_why(tmp_path):
     folder = tmp_path / 'one'
     journal = Journal(folder, SESSION, NAMES)
     assert journal.losses == []
@@ -145,9 +143,7 @@ def test_of_an_old_session_that_cannot_be_read_it_is_said_why(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ('key', 'word'), [('imu_calib.plan', 'plan'), ('imu_calib.latitude_deg', 'latitude')]
 )
-def test_a_session_of_something_else_is_not_gone_on_with(
-    tmp_path: Path, key: str, word: str
-) -> None:
+def test_a_session_of_something_else_is_not_gone_on_with(tmp_path, key, word):
     journal = Journal(tmp_path / 'one', SESSION, NAMES)
     journal.write(IMU, Kind.IMU.type_name, samples(0), EPOCH)
     journal.close(finished=False)
@@ -160,7 +156,7 @@ def test_a_session_of_something_else_is_not_gone_on_with(
     again.close(finished=True)
 
 
-def test_a_session_that_is_not_finished_does_not_say_so(tmp_path: Path) -> None:
+def test_a_session_that_is_not_finished_does_not_say_so(tmp_path):
     for finished in (False, True):
         journal = Journal(tmp_path / str(finished), SESSION, NAMES)
         journal.write(IMU, Kind.IMU.type_name, samples(0), EPOCH)
@@ -171,7 +167,7 @@ def test_a_session_that_is_not_finished_does_not_say_so(tmp_path: Path) -> None:
             assert not recording.losses
 
 
-def test_a_journal_in_which_nothing_came_begins_anew(tmp_path: Path) -> None:
+def test_a_journal_in_which_nothing_came_begins_anew(tmp_path):
     Journal(tmp_path / 'one', SESSION, NAMES).close(finished=False)
     again = Journal(tmp_path / 'one', SESSION, NAMES)
     assert list(again.replay()) == []
@@ -181,14 +177,14 @@ def test_a_journal_in_which_nothing_came_begins_anew(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     'times', [[EPOCH] * 4, [EPOCH] * 6, [[EPOCH] * 5], [EPOCH, EPOCH, -1, EPOCH, EPOCH]]
 )
-def test_messages_need_as_many_log_times_as_there_are(tmp_path: Path, times: list[int]) -> None:
+def test_messages_need_as_many_log_times_as_there_are(tmp_path, times):
     with RecordingWriter(tmp_path / 'bag') as writer:
         with pytest.raises(ValueError, match='5 messages need as many log times, none negative'):
             writer.write(IMU, Kind.IMU.type_name, samples(0), np.array(times))
         writer.write(IMU, Kind.IMU.type_name, samples(0), np.zeros(5, np.int64))
 
 
-def test_a_recording_without_messages_begins_and_ends_at_zero(tmp_path: Path) -> None:
+def test_a_recording_without_messages_begins_and_ends_at_zero(tmp_path):
     with RecordingWriter(tmp_path / 'bag') as writer:
         writer.add_topic(IMU, Kind.IMU.type_name)
     text = (tmp_path / 'bag' / 'metadata.yaml').read_text(encoding='utf-8')
@@ -196,7 +192,7 @@ def test_a_recording_without_messages_begins_and_ends_at_zero(tmp_path: Path) ->
     assert re.search(r'duration:\s*\{?\s*nanoseconds: 0\b', text), text
 
 
-def test_a_journal_that_is_being_written_is_neither_resumed_nor_shared(tmp_path: Path) -> None:
+def test_a_journal_that_is_being_written_is_neither_resumed_nor_shared(tmp_path):
     journal = Journal(tmp_path / 'one', SESSION, NAMES)
     journal.write(IMU, Kind.IMU.type_name, samples(0), EPOCH)
     journal.flush()
@@ -210,7 +206,7 @@ def test_a_journal_that_is_being_written_is_neither_resumed_nor_shared(tmp_path:
     again.close(finished=True)
 
 
-def test_a_journal_that_is_refused_locks_nothing_while_its_error_is_held(tmp_path: Path) -> None:
+def test_a_journal_that_is_refused_locks_nothing_while_its_error_is_held(tmp_path):
     Journal(tmp_path / 'one', SESSION, NAMES).close(finished=False)
     with pytest.raises(InputError, match='another plan') as held_error:
         Journal(tmp_path / 'one', {**SESSION, 'imu_calib.plan': 'name: two'}, NAMES)

@@ -86,9 +86,7 @@ def pairs(k: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize('kind', ['mcap', 'db3'])
 @pytest.mark.parametrize('order', [halves, blocks, shuffled, pairs])
-def test_messages_are_read_in_the_order_of_their_log_times(
-    kind: str, order: Order, tmp_path: Path
-) -> None:
+def test_messages_are_read_in_the_order_of_their_log_times(kind, order, tmp_path):
     stamp = T0 + np.arange(COUNT) * 5_000_000
     log = stamp + 1_000_000
     place = order(np.arange(COUNT))
@@ -100,9 +98,7 @@ def test_messages_are_read_in_the_order_of_their_log_times(
 
 @pytest.mark.parametrize('kind', ['mcap', 'db3'])
 @pytest.mark.parametrize('seconds', [0.5, 20, 45])
-def test_a_clock_that_was_set_back_keeps_the_order_of_the_file(
-    kind: str, seconds: float, tmp_path: Path
-) -> None:
+def test_a_clock_that_was_set_back_keeps_the_order_of_the_file(kind, seconds, tmp_path):
     stamp = T0 + np.arange(COUNT) * 5_000_000
     stamp[COUNT // 2 :] -= round(seconds * NS) + 1_234_567
     stamps, logs, losses = read(written(tmp_path / 'bag', kind, stamp, stamp))
@@ -112,9 +108,7 @@ def test_a_clock_that_was_set_back_keeps_the_order_of_the_file(
 
 
 @pytest.mark.parametrize('kind', ['mcap', 'db3'])
-def test_log_times_that_scatter_do_not_change_the_order_of_stamps(
-    kind: str, tmp_path: Path
-) -> None:
+def test_log_times_that_scatter_do_not_change_the_order_of_stamps(kind, tmp_path):
     stamp = T0 + np.arange(COUNT) * 5_000_000
     log = stamp + np.random.default_rng(1).integers(0, 7_000_000, COUNT)
     stamps, logs, losses = read(written(tmp_path / 'bag', kind, stamp, log))
@@ -123,7 +117,7 @@ def test_log_times_that_scatter_do_not_change_the_order_of_stamps(
     assert not [s for s in losses if 'order' in s]
 
 
-def test_parts_in_order_are_read_in_the_order_of_the_file() -> None:
+def test_parts_in_order_are_read_in_the_order_of_the_file():
     starts = np.array([10, 20, 20, 35])
     found = time_order(starts, starts + 12)
     assert found is not None
@@ -133,7 +127,7 @@ def test_parts_in_order_are_read_in_the_order_of_the_file() -> None:
     assert found.tolist() == [2, 3, 0, 1]
 
 
-def test_topics_that_overlap_between_chunks_are_in_order(tmp_path: Path) -> None:
+def test_topics_that_overlap_between_chunks_are_in_order(tmp_path):
     """As recorders with several threads write them: another topic is logged a little later."""
     file, first = Chunked().describe(), T0 // NS
     for k in range(5):

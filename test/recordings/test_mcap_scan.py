@@ -42,7 +42,7 @@ NS = 1_000_000_000
 
 
 @pytest.fixture
-def scanned(tmp_path: Path) -> Callable[[bytes], tuple[Scan, list[str]]]:
+def scanned(tmp_path):
     def of(content: bytes) -> tuple[Scan, list[str]]:
         (tmp_path / 'a.mcap').write_bytes(content)
         losses = Losses()
@@ -85,7 +85,7 @@ def without_index(one: Chunk) -> Chunk:
     return replace(one, index=None, counts=None)
 
 
-def test_a_whole_file_is_known_to_the_last_byte(scanned: Scanned) -> None:
+def test_a_whole_file_is_known_to_the_last_byte(scanned):
     file = two()
     found, losses = scanned(file.summed_up())
     assert found.chunks == found_in(file)
@@ -94,7 +94,7 @@ def test_a_whole_file_is_known_to_the_last_byte(scanned: Scanned) -> None:
     assert losses == []
 
 
-def test_a_file_that_ends_anywhere_gives_what_is_whole_of_it(scanned: Scanned) -> None:
+def test_a_file_that_ends_anywhere_gives_what_is_whole_of_it(scanned):
     file = two()
     content, chunks = file.content, found_in(file)
     starts, start = [], len(MAGIC)
@@ -128,7 +128,7 @@ def test_a_file_that_ends_anywhere_gives_what_is_whole_of_it(scanned: Scanned) -
 
 
 @pytest.mark.parametrize('content', [b'', b'\x89MCAP', b'SQLite format 3\0', MAGIC[:-1] + b'!'])
-def test_what_is_no_mcap_says_what_it_starts_with(scanned: Scanned, content: bytes) -> None:
+def test_what_is_no_mcap_says_what_it_starts_with(scanned, content):
     what = f'starts with {content[:8]!r}' if content else 'is empty'
     with pytest.raises(RecordingError) as refused:
         scanned(content)
@@ -145,9 +145,7 @@ BEYOND = struct.pack('<Q', 2**40)
 
 
 @pytest.mark.parametrize('other', [b'\0', b'\x80', bytes([CHUNK]) + BEYOND, b'\x05' + BEYOND])
-def test_a_damaged_head_costs_what_lies_up_to_the_next_chunk(
-    scanned: Scanned, other: bytes
-) -> None:
+def test_a_damaged_head_costs_what_lies_up_to_the_next_chunk(scanned, other):
     file = two()
     first, second = found_in(file)
     found, losses = scanned(damaged(file.summed_up(), first.start, other))
@@ -163,7 +161,7 @@ def test_a_damaged_head_costs_what_lies_up_to_the_next_chunk(
     ]
 
 
-def test_a_damaged_index_is_looked_at_no_further(scanned: Scanned) -> None:
+def test_a_damaged_index_is_looked_at_no_further(scanned):
     file = two()
     first, second = found_in(file)
     end = first.end
@@ -174,20 +172,20 @@ def test_a_damaged_index_is_looked_at_no_further(scanned: Scanned) -> None:
     ]
 
 
-def test_the_index_before_damage_is_not_trusted_and_others_are(scanned: Scanned) -> None:
+def test_the_index_before_damage_is_not_trusted_and_others_are(scanned):
     file = two().add((1, 15 * NS, b'c'))
     first, second = found_in(file)
     found, _ = scanned(damaged(file.summed_up(), file.places[2][0], b'\0'))
     assert found.chunks == [first, without_index(second)]
 
 
-def test_of_a_long_chunk_that_was_cut_all_is_kept_that_is_there(scanned: Scanned) -> None:
+def test_of_a_long_chunk_that_was_cut_all_is_kept_that_is_there(scanned):
     file = Chunked().describe().add((1, 15 * NS, bytes(5000)))
     found, _ = scanned(file.content[:4000])
     assert [one.end for one in found.chunks] == [4000]
 
 
-def test_without_a_summary_nobody_knows_where_to_go_on(scanned: Scanned) -> None:
+def test_without_a_summary_nobody_knows_where_to_go_on(scanned):
     file = two()
     first, second = found_in(file)
     found, losses = scanned(damaged(file.content, second.start, b'\x80' + BEYOND))
@@ -200,7 +198,7 @@ def test_without_a_summary_nobody_knows_where_to_go_on(scanned: Scanned) -> None
 
 
 @pytest.mark.parametrize(('more', 'sound'), [(-1, True), (0, True), (1, False)])
-def test_a_chunk_holds_no_more_than_its_record(scanned: Scanned, more: int, sound: bool) -> None:
+def test_a_chunk_holds_no_more_than_its_record(scanned, more, sound):
     file = two()
     first, second = found_in(file)
     stored = struct.pack('<Q', first.stored + more)
@@ -211,7 +209,7 @@ def test_a_chunk_holds_no_more_than_its_record(scanned: Scanned, more: int, soun
     assert (losses == []) is sound
 
 
-def test_a_compression_that_is_no_text_is_no_chunk(scanned: Scanned) -> None:
+def test_a_compression_that_is_no_text_is_no_chunk(scanned):
     file = two()
     first, second = found_in(file)
     name = struct.pack('<I', 1) + b'\xff'
@@ -232,9 +230,7 @@ def test_a_compression_that_is_no_text_is_no_chunk(scanned: Scanned) -> None:
         (record(INDEX, struct.pack('<HI', 7, 8) + bytes(8)), None),
     ],
 )
-def test_an_index_counts_if_its_entries_fill_it(
-    scanned: Scanned, one: bytes, held: dict[int, int] | None
-) -> None:
+def test_an_index_counts_if_its_entries_fill_it(scanned, one, held):
     whole = chunk(message(7, 1)) + one + record(DATA_END, bytes(4))
     # One before any chunk is of none.
     found, losses = scanned(MAGIC + one + whole)
@@ -244,7 +240,7 @@ def test_an_index_counts_if_its_entries_fill_it(
     assert found.chunks[0].index == (held and {7: (place, held[7])})
 
 
-def test_an_index_shorter_than_its_head_is_no_record(scanned: Scanned) -> None:
+def test_an_index_shorter_than_its_head_is_no_record(scanned):
     content = MAGIC + chunk(message(7, 1)) + record(INDEX, bytes(5)) + record(DATA_END, bytes(4))
     found, losses = scanned(content)
     assert len(found.chunks) == 1
@@ -252,13 +248,13 @@ def test_an_index_shorter_than_its_head_is_no_record(scanned: Scanned) -> None:
 
 
 @pytest.mark.parametrize('last', [record(DATA_END, bytes(4)), footer(0)[:-8]])
-def test_nothing_behind_the_end_of_the_data_is_of_the_data(scanned: Scanned, last: bytes) -> None:
+def test_nothing_behind_the_end_of_the_data_is_of_the_data(scanned, last):
     found, losses = scanned(MAGIC + schema(1, 'A') + last + schema(2, 'B'))
     assert list(found.catalogue.schemas) == [1]
     assert losses == []
 
 
-def test_records_of_other_kinds_are_passed_over(scanned: Scanned) -> None:
+def test_records_of_other_kinds_are_passed_over(scanned):
     other = b''.join(record(op, bytes(50)) for op in (0x80, STATISTICS, METADATA_INDEX, 0x09, 0x0E))
     content = MAGIC + other + schema(1, 'A') + metadata('n', a='b') + record(DATA_END, bytes(4))
     found, losses = scanned(content)
@@ -269,7 +265,7 @@ def test_records_of_other_kinds_are_passed_over(scanned: Scanned) -> None:
     assert found.catalogue.counts is None
 
 
-def test_a_description_that_is_broken_is_no_record(scanned: Scanned) -> None:
+def test_a_description_that_is_broken_is_no_record(scanned):
     content = MAGIC + schema(1, 'A') + record(SCHEMA, b'\x01') + record(DATA_END, bytes(4))
     found, losses = scanned(content)
     place = len(MAGIC + schema(1, 'A'))
@@ -281,7 +277,7 @@ def with_summary(content: bytes, summary: bytes, start: int) -> bytes:
     return content + record(DATA_END, bytes(4)) + summary + footer(start)
 
 
-def test_the_summary_counts_if_it_lies_in_the_file(scanned: Scanned) -> None:
+def test_the_summary_counts_if_it_lies_in_the_file(scanned):
     content = MAGIC + schema(1, 'A')
     end = len(content) + 13
     for start, taken in [
@@ -301,7 +297,7 @@ def test_the_summary_counts_if_it_lies_in_the_file(scanned: Scanned) -> None:
     assert list(found.catalogue.schemas) == [2]
 
 
-def test_of_a_broken_summary_nothing_is_taken(scanned: Scanned) -> None:
+def test_of_a_broken_summary_nothing_is_taken(scanned):
     file = two()
     data = file.content + record(DATA_END, bytes(4))
     broken = schema(5, 'B') + b''.join(file.entries) + record(SCHEMA, b'\x01')
@@ -311,7 +307,7 @@ def test_of_a_broken_summary_nothing_is_taken(scanned: Scanned) -> None:
     assert losses == []
 
 
-def test_a_record_of_a_summary_ends_where_it_says(scanned: Scanned) -> None:
+def test_a_record_of_a_summary_ends_where_it_says(scanned):
     # Behind the schema, which has no definition, 128 bytes look like one.
     cut_short = record(SCHEMA, schema(2, 'B')[9:-4])
     broken = cut_short + record(0x80) + record(0x80, bytes(150))
@@ -321,7 +317,7 @@ def test_a_record_of_a_summary_ends_where_it_says(scanned: Scanned) -> None:
     assert losses == []
 
 
-def test_a_file_that_ends_with_the_magic_alone_was_not_finished(scanned: Scanned) -> None:
+def test_a_file_that_ends_with_the_magic_alone_was_not_finished(scanned):
     found, losses = scanned(MAGIC + schema(1, 'A') + record(0x80, bytes(12)) + MAGIC)
     assert list(found.catalogue.schemas) == [1]
     assert 'its recorder did not finish' in losses[-1]
@@ -361,9 +357,7 @@ def ranges_read(
     return scan(File(), losses), read, losses.sentences  # type: ignore[arg-type]
 
 
-def test_of_a_file_elsewhere_the_summary_alone_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_a_file_elsewhere_the_summary_alone_is_read(tmp_path, monkeypatch):
     file = two()
     content = file.summed_up()
     found, read, losses = ranges_read(tmp_path / 'a.mcap', content, monkeypatch)
@@ -373,9 +367,7 @@ def test_of_a_file_elsewhere_the_summary_alone_is_read(
     assert losses == []
 
 
-def test_metadata_elsewhere_are_read_from_where_they_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_metadata_elsewhere_are_read_from_where_they_are(tmp_path, monkeypatch):
     file, own = two(), metadata('n', a='b')
     place = len(file.content)
     file.content += own
@@ -394,9 +386,7 @@ def test_metadata_elsewhere_are_read_from_where_they_are(
         assert (found.chunks == found_in(file)) is bool(moved)
 
 
-def test_a_summary_that_leaves_a_chunk_out_is_walked_past(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_summary_that_leaves_a_chunk_out_is_walked_past(tmp_path, monkeypatch):
     file = two()
     file.entries.pop()
     found, read, losses = ranges_read(tmp_path / 'a.mcap', file.summed_up(), monkeypatch)
@@ -406,7 +396,7 @@ def test_a_summary_that_leaves_a_chunk_out_is_walked_past(
     assert losses == []
 
 
-def test_a_chunk_that_the_summary_sees_behind_itself_is_none(scanned: Scanned) -> None:
+def test_a_chunk_that_the_summary_sees_behind_itself_is_none(scanned):
     file = two()
     _, second = found_in(file)
     far = Chunked(bytes(10**6)).add((1, 5, b''))
@@ -415,7 +405,7 @@ def test_a_chunk_that_the_summary_sees_behind_itself_is_none(scanned: Scanned) -
     assert losses[0].endswith('the rest cannot be read.')
 
 
-def test_a_chunk_too_short_for_its_fields_is_no_record(scanned: Scanned) -> None:
+def test_a_chunk_too_short_for_its_fields_is_no_record(scanned):
     for content in (MAGIC + record(CHUNK, bytes(10)), MAGIC + record(CHUNK, bytes(10)) + MAGIC):
         _, losses = scanned(content)
         assert losses[0] == 'a.mcap holds no valid record at byte 8: the rest cannot be read.'
@@ -429,7 +419,7 @@ def flat(*more: bytes) -> tuple[bytes, bytes]:
     return head, b''.join(message(*one) for one in MESSAGES) + b''.join(more)
 
 
-def test_messages_without_a_chunk_are_as_one_of_their_own(scanned: Scanned) -> None:
+def test_messages_without_a_chunk_are_as_one_of_their_own(scanned):
     head, messages = flat()
     among = index(1, [(1, 2)]) + channel(2, 1, '/b') + message(2, 9)
     end = record(DATA_END, bytes(4))
@@ -456,16 +446,14 @@ def test_messages_without_a_chunk_are_as_one_of_their_own(scanned: Scanned) -> N
     assert losses == []
 
 
-def test_messages_end_where_the_summary_begins(scanned: Scanned) -> None:
+def test_messages_end_where_the_summary_begins(scanned):
     head, messages = flat()
     found, losses = scanned(head + messages + schema(2, 'B') + footer(len(head + messages)))
     assert [(one.start, one.end) for one in found.chunks] == [(len(head), len(head + messages))]
     assert losses == []
 
 
-def test_messages_without_a_chunk_are_read_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_messages_without_a_chunk_are_read_once(tmp_path, monkeypatch):
     messages = flat()[1]
     content = MAGIC + messages + record(DATA_END, bytes(4)) + footer(0)
     _, read, _ = ranges_read(tmp_path / 'a.mcap', content, monkeypatch)
@@ -474,9 +462,7 @@ def test_messages_without_a_chunk_are_read_once(
 
 
 @pytest.mark.parametrize('window', [1, 40, 66, 67, 68, 110, 300])
-def test_as_many_messages_are_taken_at_once_as_a_window_holds(
-    scanned: Scanned, monkeypatch: pytest.MonkeyPatch, window: int
-) -> None:
+def test_as_many_messages_are_taken_at_once_as_a_window_holds(scanned, monkeypatch, window):
     monkeypatch.setattr(mcap_scan, '_WINDOW', window)
     head, messages = flat()
     found, losses = scanned(head + messages + record(DATA_END, bytes(4)))
@@ -491,7 +477,7 @@ def test_as_many_messages_are_taken_at_once_as_a_window_holds(
     assert losses == []
 
 
-def test_messages_of_a_file_that_was_cut_are_whole_ones(scanned: Scanned) -> None:
+def test_messages_of_a_file_that_was_cut_are_whole_ones(scanned):
     head, messages = flat()
     ends = np.cumsum([31 + len(data) for *_, data in MESSAGES]).tolist()
     for size in range(ends[0], len(messages) + 1):
@@ -506,7 +492,7 @@ def test_messages_of_a_file_that_was_cut_are_whole_ones(scanned: Scanned) -> Non
         assert sentences.startswith(f'a.mcap {where}: its recorder did not finish')
 
 
-def test_a_broken_description_among_messages_is_no_record(scanned: Scanned) -> None:
+def test_a_broken_description_among_messages_is_no_record(scanned):
     head, messages = flat(record(SCHEMA, b'\x01'))
     found, losses = scanned(head + messages + record(DATA_END, bytes(4)))
     assert found.chunks == []
@@ -516,7 +502,7 @@ def test_a_broken_description_among_messages_is_no_record(scanned: Scanned) -> N
 
 
 @pytest.mark.parametrize('length', [0, 3, 13, 21])
-def test_a_message_too_short_to_be_one_tells_nothing(scanned: Scanned, length: int) -> None:
+def test_a_message_too_short_to_be_one_tells_nothing(scanned, length):
     head, messages = flat()
     short = record(MESSAGE, block(bytes(length))[:length])
     found, _ = scanned(head + messages + short)

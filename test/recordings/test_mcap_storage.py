@@ -57,7 +57,7 @@ class Opened:
 
 
 @pytest.fixture
-def opened(tmp_path: Path) -> Callable[[bytes], Opened]:
+def opened(tmp_path):
     return lambda content: Opened(tmp_path / 'a.mcap', content)
 
 
@@ -70,9 +70,7 @@ def two(compression: str = '') -> Chunked:
     return Chunked(compression=compression).describe().add(*FIRST).add(*SECOND)
 
 
-def test_messages_of_a_topic_come_chunk_by_chunk(
-    opened: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_messages_of_a_topic_come_chunk_by_chunk(opened, monkeypatch):
     monkeypatch.setattr(mcap_chunk, 'TOGETHER', 0)
     file = two()
     found = opened(file.summed_up())
@@ -91,9 +89,7 @@ def test_messages_of_a_topic_come_chunk_by_chunk(
 
 
 @pytest.mark.parametrize('compression', ['', 'lz4'])
-def test_small_chunks_are_loaded_as_one(
-    opened: Open, monkeypatch: pytest.MonkeyPatch, compression: str
-) -> None:
+def test_small_chunks_are_loaded_as_one(opened, monkeypatch, compression):
     ranges = reads(monkeypatch)
     file = two(compression)
     found = opened(file.summed_up())
@@ -110,9 +106,7 @@ def test_small_chunks_are_loaded_as_one(
 
 @pytest.mark.parametrize('compression', ['', 'lz4'])
 @pytest.mark.parametrize('lost', [0, 1])
-def test_of_chunks_that_are_loaded_as_one_the_sound_ones_are_used(
-    opened: Open, compression: str, lost: int
-) -> None:
+def test_of_chunks_that_are_loaded_as_one_the_sound_ones_are_used(opened, compression, lost):
     file = two(compression)
     content = bytearray(file.content)
     start, end, _ = file.places[lost]
@@ -125,7 +119,7 @@ def test_of_chunks_that_are_loaded_as_one_the_sound_ones_are_used(
     assert losses.startswith(f'a.mcap: the chunk at byte {start} ')
 
 
-def test_when_a_message_was_published_is_beside_when_it_was_logged(opened: Open) -> None:
+def test_when_a_message_was_published_is_beside_when_it_was_logged(opened):
     inside = message(1, 7, b'abc', 5) + message(1, 9, b'', 2**40)
     file = Chunked().describe().add_raw(inside, (7, 9), {1: [(7, 0), (9, HEAD + 3)]})
     times = opened(file.summed_up()).batches('/a')[0].times()
@@ -133,7 +127,7 @@ def test_when_a_message_was_published_is_beside_when_it_was_logged(opened: Open)
     assert times.publish.tolist() == [5, 2**40]
 
 
-def test_publishers_of_one_topic_come_in_the_order_of_the_file(opened: Open) -> None:
+def test_publishers_of_one_topic_come_in_the_order_of_the_file(opened):
     file = Chunked(described=schema(1, 'A') + channel(1, 1, '/a') + channel(2, 1, '/a')).describe()
     found = opened(file.add(*FIRST).summed_up())
     (only,) = found.batches('/a')
@@ -142,7 +136,7 @@ def test_publishers_of_one_topic_come_in_the_order_of_the_file(opened: Open) -> 
     assert found.storage.topics['/a'].count == 3
 
 
-def test_topics_are_counted_by_the_summary_or_by_the_indexes(opened: Open) -> None:
+def test_topics_are_counted_by_the_summary_or_by_the_indexes(opened):
     file = two()
     counts = {name: one.count for name, one in opened(file.summed_up()).storage.topics.items()}
     assert counts == {'/a': 2, '/b': 3}
@@ -156,7 +150,7 @@ def test_topics_are_counted_by_the_summary_or_by_the_indexes(opened: Open) -> No
     ].count is None  # fmt: skip
 
 
-def test_an_empty_chunk_tells_no_time(opened: Open) -> None:
+def test_an_empty_chunk_tells_no_time(opened):
     file = two().add_raw(b'', (0, 0), {})
     index_of_none = record(0x07, struct.pack('<HI', 1, 0))
     found = opened(file.content + index_of_none + END).storage
@@ -166,7 +160,7 @@ def test_an_empty_chunk_tells_no_time(opened: Open) -> None:
     assert opened(MAGIC + END).storage.start_ns is None
 
 
-def test_metadata_are_custom_data_and_those_of_rosbag2_hold_them(opened: Open) -> None:
+def test_metadata_are_custom_data_and_those_of_rosbag2_hold_them(opened):
     own = metadata('rosbag2', serialized_metadata='custom_data: {plan: p, imu: i}')
     found = opened(Chunked().describe().content + metadata('any', a='b') + own + END)
     assert found.storage.custom_data == {'a': 'b', 'plan': 'p', 'imu': 'i'}
@@ -186,9 +180,7 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
     return ranges
 
 
-def test_chunks_are_looked_into_for_channels_that_nobody_has_described(
-    opened: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_chunks_are_looked_into_for_channels_that_nobody_has_described(opened, monkeypatch):
     ranges = reads(monkeypatch)
     opened(two().summed_up())
     opened(two().content + END)
@@ -205,9 +197,7 @@ def test_chunks_are_looked_into_for_channels_that_nobody_has_described(
 
 
 @pytest.mark.parametrize('known', [True, False])
-def test_a_chunk_without_an_index_is_looked_into_unless_all_is_known(
-    opened: Open, monkeypatch: pytest.MonkeyPatch, known: bool
-) -> None:
+def test_a_chunk_without_an_index_is_looked_into_unless_all_is_known(opened, monkeypatch, known):
     file = Chunked().describe().add_raw(message(1, 5, b'q'), (5, 5), {})
     file.counts = {1: 1}
     ranges = reads(monkeypatch)
@@ -216,7 +206,7 @@ def test_a_chunk_without_an_index_is_looked_into_unless_all_is_known(
     assert found.payloads('/a') == [b'q']
 
 
-def test_a_broken_description_in_a_chunk_is_a_stated_loss(opened: Open) -> None:
+def test_a_broken_description_in_a_chunk_is_a_stated_loss(opened):
     file = Chunked().add(*FIRST, before=two().described + record(0x03, b'\x01'))
     losses = opened(file.content + END).losses.sentences
     assert len(losses) == 1
@@ -235,9 +225,7 @@ class Asked(Cache):
         return super().get(key, load, users)
 
 
-def test_a_chunk_is_asked_for_by_those_whose_messages_it_holds(
-    opened: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_chunk_is_asked_for_by_those_whose_messages_it_holds(opened, monkeypatch):
     monkeypatch.setattr(mcap_chunk, 'TOGETHER', 0)
     file, cache = two(), Asked()
     storage = opened(file.summed_up()).storage
@@ -269,7 +257,7 @@ SOUND = [(1, 50, PLACES[0]), (2, 51, PLACES[1]), (1, 52, PLACES[2]), (2, 53, PLA
 
 
 @pytest.mark.parametrize('order', [[0, 1, 2, 3], [2, 1, 0, 3], [3, 2, 1, 0]])
-def test_an_index_in_any_order_gives_messages_in_that_of_the_file(order: list[int]) -> None:
+def test_an_index_in_any_order_gives_messages_in_that_of_the_file(order):
     found = indexed_alone(tables(*(SOUND[k] for k in order)), BUFFER)
     assert found is not None
     for key, k in ((1, 0), (2, 1)):
@@ -278,7 +266,7 @@ def test_an_index_in_any_order_gives_messages_in_that_of_the_file(order: list[in
         assert found[key].log_ns == 50 + k
 
 
-def test_entries_of_several_chunks_may_come_in_any_order() -> None:
+def test_entries_of_several_chunks_may_come_in_any_order():
     messages = INSIDE[len(HEADED) :]
     rows = [(key, time, place - len(HEADED)) for key, time, place in reversed(SOUND)]
     size, buffer = len(messages), np.frombuffer(messages * 2, np.uint8)
@@ -291,7 +279,7 @@ def test_entries_of_several_chunks_may_come_in_any_order() -> None:
     assert (found[1].log_ns, found[2].log_ns) == (50, 51)
 
 
-def test_an_index_is_complete_with_or_without_records_of_other_kinds() -> None:
+def test_an_index_is_complete_with_or_without_records_of_other_kinds():
     for before, between, after in (
         (b'', b'', b''),
         (HEADED, HEADED * 2, HEADED),
@@ -320,7 +308,7 @@ def test_an_index_is_complete_with_or_without_records_of_other_kinds() -> None:
         [(2, 50, PLACES[0]), *SOUND[1:]],
     ],
 )
-def test_an_index_that_contradicts_the_chunk_is_not_used(rows: list[tuple[int, int, int]]) -> None:
+def test_an_index_that_contradicts_the_chunk_is_not_used(rows):
     assert indexed_alone(tables(*rows), BUFFER) is None
 
 
@@ -329,7 +317,7 @@ def with_length(content: bytes, place: int, length: int) -> Bytes:
     return np.frombuffer(changed, np.uint8)
 
 
-def test_messages_that_overlap_or_are_too_short_are_none() -> None:
+def test_messages_that_overlap_or_are_too_short_are_none():
     assert indexed_alone(tables(*SOUND), with_length(INSIDE, PLACES[1], 21)) is None
     assert indexed_alone(tables(*SOUND), with_length(INSIDE, PLACES[1], 24)) is None
     assert indexed_alone(tables(*SOUND), with_length(INSIDE, PLACES[3], 26)) is None
@@ -338,7 +326,7 @@ def test_messages_that_overlap_or_are_too_short_are_none() -> None:
     assert indexed_alone(tables(*SOUND), both) is None
 
 
-def test_what_lies_between_messages_is_whole_records() -> None:
+def test_what_lies_between_messages_is_whole_records():
     one, other = message(1, 5), message(1, 6)
     for between, sound in [
         (record(0x80, b'abc'), True),
@@ -360,7 +348,7 @@ def place_of_chunk() -> int:
     return len(Chunked().describe().content)
 
 
-def test_without_an_index_messages_are_found_record_by_record(opened: Open) -> None:
+def test_without_an_index_messages_are_found_record_by_record(opened):
     inside = HEADED + message(2, 70, b'ab') + message(1, 60, b'c') + message(2, 61)
     found = walked(opened, inside)
     (a,), (b,) = found.batches('/a'), found.batches('/b')
@@ -370,7 +358,7 @@ def test_without_an_index_messages_are_found_record_by_record(opened: Open) -> N
     assert found.losses.sentences == []
 
 
-def test_what_follows_a_broken_record_of_a_chunk_is_left_out(opened: Open) -> None:
+def test_what_follows_a_broken_record_of_a_chunk_is_left_out(opened):
     sound = message(1, 60, b'c')
     found = walked(opened, sound + bytes(17))
     assert found.payloads('/a') == [b'c']
@@ -380,7 +368,7 @@ def test_what_follows_a_broken_record_of_a_chunk_is_left_out(opened: Open) -> No
     ]
 
 
-def test_messages_too_short_to_be_any_are_counted(opened: Open) -> None:
+def test_messages_too_short_to_be_any_are_counted(opened):
     short = record(MESSAGE, struct.pack('<HIQI', 1, 0, 7, 0) + b'abc')
     found = walked(opened, short + message(1, 60, b'c') + record(MESSAGE, bytes(3)))
     assert found.payloads('/a') == [b'c']
@@ -407,7 +395,7 @@ def lost(opened: Open, changed: bytes) -> str:
     return losses.removeprefix(where).removesuffix(end_of_it)
 
 
-def test_a_chunk_that_is_not_sound_is_left_out_and_says_why(opened: Open) -> None:
+def test_a_chunk_that_is_not_sound_is_left_out_and_says_why(opened):
     inside = b''.join(message(*one) for one in FIRST)
     times = 10 * NS, 12 * NS
     size = len(inside)
@@ -420,7 +408,7 @@ def test_a_chunk_that_is_not_sound_is_left_out_and_says_why(opened: Open) -> Non
 
 
 @pytest.mark.parametrize('compression', ['zstd', 'lz4'])
-def test_a_chunk_is_not_unpacked_beyond_its_stated_size(opened: Open, compression: str) -> None:
+def test_a_chunk_is_not_unpacked_beyond_its_stated_size(opened, compression):
     bomb = chunk(bytes(64 << 20), (10 * NS, 12 * NS), size=100_000, compression=compression)
     assert len(bomb) < 1 << 20
     tracemalloc.start()
@@ -432,7 +420,7 @@ def test_a_chunk_is_not_unpacked_beyond_its_stated_size(opened: Open, compressio
     assert said == f'does not unpack ({compression}: it unpacks to more than 100000 bytes)'
 
 
-def test_a_chunk_without_a_checksum_is_taken_as_it_is(opened: Open) -> None:
+def test_a_chunk_without_a_checksum_is_taken_as_it_is(opened):
     file = two()
     start, end, _ = file.places[0]
     inside = b''.join(message(*one) for one in FIRST)
@@ -442,7 +430,7 @@ def test_a_chunk_without_a_checksum_is_taken_as_it_is(opened: Open) -> None:
     assert found.losses.sentences == []
 
 
-def test_a_chunk_of_which_nobody_counted_the_messages_says_so(opened: Open) -> None:
+def test_a_chunk_of_which_nobody_counted_the_messages_says_so(opened):
     start = place_of_chunk()
     content = Chunked().describe().content + chunk(message(1, 5), (5, 5), crc=1) + END
     found = opened(content)
@@ -452,7 +440,7 @@ def test_a_chunk_of_which_nobody_counted_the_messages_says_so(opened: Open) -> N
     ]
 
 
-def test_of_a_chunk_that_is_cut_the_whole_messages_are_used(opened: Open) -> None:
+def test_of_a_chunk_that_is_cut_the_whole_messages_are_used(opened):
     file = Chunked().describe().add(*FIRST)
     start, end, _ = file.places[0]
     size, kept = end - start - 49, HEAD + 1 + HEAD + 2
@@ -490,7 +478,7 @@ def tables_of(given: Chunk, file: Noted) -> dict[int, list[list[int]]]:
     return {key: table.tolist() for key, table in found.items()}
 
 
-def test_a_chunk_and_the_index_behind_it_are_read_at_once() -> None:
+def test_a_chunk_and_the_index_behind_it_are_read_at_once():
     one, other = entries((1, 2), (3, 4)), entries((5, 6))
     content = b'..' + b'stored' + b'heads' + one + b'head' + other + b'rest'
     file = Noted(content)
@@ -503,14 +491,14 @@ def test_a_chunk_and_the_index_behind_it_are_read_at_once() -> None:
     assert file.ranges == [(2, len(content) - 4 - 2)]
 
 
-def test_an_index_that_was_cut_is_read_up_to_its_last_whole_entry() -> None:
+def test_an_index_that_was_cut_is_read_up_to_its_last_whole_entry():
     content = b'stored' + entries((1, 2), (3, 4))[:-1]
     given = Chunk(0, 0, 6, 6, '', 0, 0, 0, {7: (6, 3)})
     assert tables_of(given, Noted(content)) == {7: [[1, 2]]}
 
 
 @pytest.mark.parametrize(('far', 'reads'), [(0, 1), (1, 2)])
-def test_an_index_far_behind_its_chunk_is_read_by_itself(far: int, reads: int) -> None:
+def test_an_index_far_behind_its_chunk_is_read_by_itself(far, reads):
     between = (1 << 20) - 16 + far
     file = Noted(b'stored' + bytes(between) + entries((1, 2)) + b'rest')
     given = Chunk(0, 0, 6, 6, '', 0, 0, 0, {7: (6 + between, 1)})
@@ -519,7 +507,7 @@ def test_an_index_far_behind_its_chunk_is_read_by_itself(far: int, reads: int) -
     assert file.ranges[1:] == [(6 + between, 16)] * (reads - 1)
 
 
-def test_the_checksum_of_a_chunk_is_in_its_head() -> None:
+def test_the_checksum_of_a_chunk_is_in_its_head():
     content = b'before' + chunk(b'inside', (1, 2))
     whole, _ = chunk_at(6, content[6 + 9 :])
     index = {1: (100, 2)}
@@ -543,9 +531,7 @@ def test_the_checksum_of_a_chunk_is_in_its_head() -> None:
         (-1, '', [[0], [1], [2]]),
     ],
 )
-def test_chunks_that_lie_together_are_loaded_as_one(
-    monkeypatch: pytest.MonkeyPatch, apart: int, other: str, expected: list[list[int]]
-) -> None:
+def test_chunks_that_lie_together_are_loaded_as_one(monkeypatch, apart, other, expected):
     monkeypatch.setattr(mcap_chunk, 'TOGETHER', 20)
     # The second one unpacks to less than is stored of it, the third is one byte too many.
     chunks = [
@@ -557,7 +543,7 @@ def test_chunks_that_lie_together_are_loaded_as_one(
     assert found == expected
 
 
-def test_memory_is_lent_again_when_nobody_holds_anything_of_it() -> None:
+def test_memory_is_lent_again_when_nobody_holds_anything_of_it():
     memory = Memory()
     lent = memory.allocate(100)
     place = lent.ctypes.data
@@ -574,7 +560,7 @@ def test_memory_is_lent_again_when_nobody_holds_anything_of_it() -> None:
     assert len(memory.allocate(1000)) == 1000
 
 
-def test_chunks_without_a_sound_index_are_walked_over_and_the_others_are_not() -> None:
+def test_chunks_without_a_sound_index_are_walked_over_and_the_others_are_not():
     one, other = message(1, 5, b'ab') + message(2, 6), message(1, 7, b'c')
     buffer = np.frombuffer(b'..' + one + other + bytes(17) + one, np.uint8)
     ends = np.cumsum([2, len(one), len(other) + 17, len(one)]).tolist()
@@ -609,7 +595,7 @@ def test_chunks_without_a_sound_index_are_walked_over_and_the_others_are_not() -
     assert both[1].size.tolist() == [2, 1]
 
 
-def test_a_chunk_in_memory_knows_what_it_takes() -> None:
+def test_a_chunk_in_memory_knows_what_it_takes():
     buffer = np.zeros(100, np.uint8)
     some = np.arange(3, dtype=np.int64)
     unpacked = UnpackedChunks(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
@@ -26,7 +24,7 @@ def merged(**topics: list[Piece]) -> list[tuple[str, list[float], int]]:
     return [(topic, block.celsius.tolist(), done) for topic, block, done in found]  # type: ignore[union-attr]
 
 
-def test_a_topic_alone_comes_piece_by_piece() -> None:
+def test_a_topic_alone_comes_piece_by_piece():
     assert merged(a=[piece(10, 1, 9, 99), piece(20, 100)], b=[]) == [
         ('a', [1, 9, 99], 10),
         ('a', [100], 20),
@@ -34,7 +32,7 @@ def test_a_topic_alone_comes_piece_by_piece() -> None:
     assert merged() == []
 
 
-def test_none_runs_ahead_by_more_than_five_seconds_but_for_one_sample() -> None:
+def test_none_runs_ahead_by_more_than_five_seconds_but_for_one_sample():
     found = merged(a=[piece(10, 1, 2, 7, 7.1, 20)], b=[piece(30, 2, 3)], c=[piece(20, 50)])
     assert found == [
         # Up to five seconds beyond b, then b up to five beyond a, which goes on at 7.1.
@@ -45,7 +43,7 @@ def test_none_runs_ahead_by_more_than_five_seconds_but_for_one_sample() -> None:
     ]
 
 
-def test_a_first_sample_far_ahead_comes_all_the_same() -> None:
+def test_a_first_sample_far_ahead_comes_all_the_same():
     # Out of order within the topic: nothing else would ever come before it.
     assert merged(a=[piece(10, 30, 1, 2)], b=[piece(20, 40)]) == [
         ('a', [30, 1, 2], 10),
@@ -58,13 +56,13 @@ def test_a_first_sample_far_ahead_comes_all_the_same() -> None:
     ]
 
 
-def test_of_two_at_one_instant_the_first_in_the_file_comes_first() -> None:
+def test_of_two_at_one_instant_the_first_in_the_file_comes_first():
     found = merged(a=[piece(20, 1, 2)], b=[piece(10, 1, 2)])
     assert found == [('b', [1, 2], 10), ('a', [1, 2], 20)]
 
 
 @pytest.mark.parametrize('order', ['ab', 'ba'])
-def test_stamps_of_zero_leave_the_order_to_the_log(order: str) -> None:
+def test_stamps_of_zero_leave_the_order_to_the_log(order):
     topics = {
         'a': [piece(10, 0, 99, log=5.0), piece(30, 0, log=7.0)],
         'b': [piece(20, 1, 2, log=6.0)],
@@ -77,10 +75,10 @@ def test_stamps_of_zero_leave_the_order_to_the_log(order: str) -> None:
     ]
 
 
-def test_a_piece_is_fetched_when_the_one_before_is_used_up() -> None:
+def test_a_piece_is_fetched_when_the_one_before_is_used_up():
     fetched = []
 
-    def pieces() -> Iterator[Piece]:
+    def pieces():
         for k in range(3):
             fetched.append(k)
             yield piece(10 * k, k + 1.0)

@@ -2,7 +2,6 @@
 
 import argparse
 import re
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -83,14 +82,7 @@ def command_line(name: str, argument: str, file: Path) -> list[str]:
 
 @pytest.mark.parametrize('file', FILES)
 @pytest.mark.parametrize(('name', 'argument'), files_of_commands())
-def test_any_command_names_the_way(
-    name: str,
-    argument: str,
-    file: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_any_command_names_the_way(name, argument, file, tmp_path, monkeypatch, capsys):
     content, sentence = FILES[file]
     path = tmp_path / file
     path.write_bytes(content)
@@ -119,9 +111,7 @@ def test_any_command_names_the_way(
         ),
     ],
 )
-def test_a_recording_in_place_of_another_file_says_what_that_is(
-    load: Callable[[Path], object], expected: str, tmp_path: Path
-) -> None:
+def test_a_recording_in_place_of_another_file_says_what_that_is(load, expected, tmp_path):
     for file, (content, _) in FILES.items():
         (tmp_path / file).write_bytes(content)
         with pytest.raises(InputError, match=expected):
@@ -131,9 +121,7 @@ def test_a_recording_in_place_of_another_file_says_what_that_is(
         load(tmp_path / 'run.db3')
 
 
-def test_what_is_right_inside_may_have_any_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_right_inside_may_have_any_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path('plan.txt').write_text(named_file('plans', 'six_position').read_text())
     assert imu_calib.load_plan('plan.txt').name == 'six_position'
@@ -141,7 +129,7 @@ def test_what_is_right_inside_may_have_any_name(
     assert imu_calib.Calibration.load('truth.dat').imu.id == 'fog_medium'
 
 
-def test_binary_data_is_not_shown_as_a_fault_of_yaml(tmp_path: Path) -> None:
+def test_binary_data_is_not_shown_as_a_fault_of_yaml(tmp_path):
     file = tmp_path / 'plan.yaml'
     file.write_bytes(b'ULog\x01\x125')
     with pytest.raises(InputError, match=r'plan.yaml: found binary data, expected YAML text.'):

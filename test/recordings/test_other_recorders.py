@@ -48,16 +48,14 @@ def samples(count: int = 50) -> Messages:
         ('some.Imu', 'flatbuffer', "serialised as 'flatbuffer'"),
     ],
 )
-def test_another_encoding_is_named_with_the_way(
-    type_name: str, encoding: str, said: str, tmp_path: Path
-) -> None:
+def test_another_encoding_is_named_with_the_way(type_name, encoding, said, tmp_path):
     bag = mcap(tmp_path / 'run.mcap', type_name, encoding, Messages.join([b'{"x": 1}'] * 9))
     for topic in (None, '/imu'):
         with pytest.raises(InputError, match=f'messages of /imu (are )?{said}'):
             imu_calib.calibrate(bag, imu_topic=topic)
 
 
-def test_cdr_is_read_under_the_name_that_ros_1_has_for_it(tmp_path: Path) -> None:
+def test_cdr_is_read_under_the_name_that_ros_1_has_for_it(tmp_path):
     bag = mcap(tmp_path / 'run.mcap', 'sensor_msgs/Imu', 'cdr', samples())
     columns = imu_calib.read(bag, '/imu')
     assert columns['angular_velocity.x'].tolist() == [0.1] * 50
@@ -67,7 +65,7 @@ def test_cdr_is_read_under_the_name_that_ros_1_has_for_it(tmp_path: Path) -> Non
         imu_calib.calibrate(bag)
 
 
-def test_a_bag_of_ros_1_is_known_by_its_first_bytes(tmp_path: Path) -> None:
+def test_a_bag_of_ros_1_is_known_by_its_first_bytes(tmp_path):
     bag_of_ros_1(tmp_path / 'old.bag')
     active = (tmp_path / 'old.bag').rename(tmp_path / 'old.bag.active')
     with pytest.raises(InputError, match=r'is a bag of ROS 1: imu-calib convert .*active -o OUT'):
@@ -82,9 +80,7 @@ def test_a_bag_of_ros_1_is_known_by_its_first_bytes(tmp_path: Path) -> None:
         imu_calib.convert(active, tmp_path / 'other')
 
 
-def test_a_topic_without_accelerations_names_the_way_to_join_two(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_topic_without_accelerations_names_the_way_to_join_two(tmp_path, capsys):
     stamp = T0 + np.arange(100) * 5_000_000
     rates, forces, zeros = np.full((100, 3), 0.1), np.full((100, 3), 5.0), np.zeros((100, 3))
     topics = {'/g': (stamp, rates, zeros), '/a': (stamp, zeros, forces)}

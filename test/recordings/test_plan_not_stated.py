@@ -31,7 +31,7 @@ def without_metadata(plan: str, folder: Path, seconds: float = np.inf) -> Path:
     return folder / 'bag'
 
 
-def test_holds_and_turns_without_a_plan_are_refused_with_its_name(tmp_path: Path) -> None:
+def test_holds_and_turns_without_a_plan_are_refused_with_its_name(tmp_path):
     bag = without_metadata(FERRARIS, tmp_path)
     with pytest.raises(NotStated, match=f'give `plan` {FERRARIS}'):
         imu_calib.calibrate(bag, latitude=LATITUDE)
@@ -39,14 +39,14 @@ def test_holds_and_turns_without_a_plan_are_refused_with_its_name(tmp_path: Path
     assert found.provenance['plan'] == FERRARIS
 
 
-def test_few_holds_in_free_positions_are_not_taken_for_that_plan(tmp_path: Path) -> None:
+def test_few_holds_in_free_positions_are_not_taken_for_that_plan(tmp_path):
     bag = without_metadata('free_positions', tmp_path, 35.0)
     with pytest.raises(ImuCalibError) as refused:
         imu_calib.calibrate(bag, latitude=LATITUDE)
     assert FERRARIS not in str(refused.value)
 
 
-def test_a_report_takes_the_plan_of_the_calibration(tmp_path: Path) -> None:
+def test_a_report_takes_the_plan_of_the_calibration(tmp_path):
     bag = without_metadata(FERRARIS, tmp_path)
     found = imu_calib.calibrate(bag, latitude=LATITUDE, plan=FERRARIS).calibration
     found.save(tmp_path / 'made.yaml')
@@ -54,7 +54,7 @@ def test_a_report_takes_the_plan_of_the_calibration(tmp_path: Path) -> None:
     assert FERRARIS in page.read_text(encoding='utf-8')
 
 
-def test_a_report_asks_for_the_file_of_a_plan_of_ones_own(tmp_path: Path) -> None:
+def test_a_report_asks_for_the_file_of_a_plan_of_ones_own(tmp_path):
     bag = without_metadata(FERRARIS, tmp_path)
     text = named_file('plans', FERRARIS).read_text(encoding='utf-8')
     own = tmp_path / 'own.yaml'

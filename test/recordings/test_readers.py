@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-from collections.abc import Callable
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -96,7 +95,7 @@ def column(read: Read, topic: str, *paths: str) -> np.ndarray[Any, Any]:
 
 
 @pytest.fixture(scope='module')
-def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def recordings(tmp_path_factory):
     """The files of a journal of four topics, of a converted and of a compensated recording."""
     folder = tmp_path_factory.mktemp('recordings')
     journal = Journal(folder / 'journal', {'imu_calib.plan': 'name: one'}, KINDS)
@@ -114,9 +113,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.mark.parametrize('reader', READERS)
-def test_a_journal_reads_the_same_everywhere(
-    recordings: dict[str, Path], reader: Callable[[Path], Read]
-) -> None:
+def test_a_journal_reads_the_same_everywhere(recordings, reader):
     read = reader(recordings['journal'])
     imu, setpoints = SESSION[IMU], SESSION[SETPOINTS].setpoints
     expected = np.hstack([imu.gyro, imu.accel])
@@ -138,8 +135,8 @@ def test_a_journal_reads_the_same_everywhere(
     ('name', 'topic'), [('converted', RAW), ('compensated', RAW), ('compensated', COMPENSATED)]
 )
 def test_a_converted_and_a_compensated_recording_read_the_same_everywhere(
-    recordings: dict[str, Path], reader: Callable[[Path], Read], name: str, topic: str
-) -> None:
+    recordings, reader, name, topic
+):
     read = reader(recordings[name])
     np.testing.assert_allclose(column(read, topic, *VECTORS), VALUES, rtol=1e-15)
     log = np.array([at for at, _ in read[topic]])
@@ -157,7 +154,7 @@ def by_rerun(file: Path, column: str) -> dict[str, list[Any]]:
     return found
 
 
-def test_rerun_imports_a_journal(recordings: dict[str, Path]) -> None:
+def test_rerun_imports_a_journal(recordings):
     imu, joints = SESSION[IMU], SESSION[JOINTS]
     scalars = by_rerun(recordings['journal'], 'Scalars:scalars')
     np.testing.assert_array_equal(scalars[IMU], np.hstack([imu.gyro, imu.accel]))
@@ -170,7 +167,7 @@ def test_rerun_imports_a_journal(recordings: dict[str, Path]) -> None:
     assert read == [(s.step, s.position) for s in SESSION[SETPOINTS].setpoints]
 
 
-def test_rerun_imports_converted_and_compensated_recordings(recordings: dict[str, Path]) -> None:
+def test_rerun_imports_converted_and_compensated_recordings(recordings):
     for name, topics in (('converted', [RAW]), ('compensated', [RAW, COMPENSATED])):
         scalars = by_rerun(recordings[name], 'Scalars:scalars')
         assert sorted(scalars) == sorted(topics)
@@ -184,7 +181,7 @@ def ours(path: Path, topic: str) -> np.ndarray[Any, Any]:
 
 
 @pytest.mark.parametrize('name', [TYPE, 'sensor_msgs/Imu'])
-def test_a_recording_by_mcap_ros2_support_is_read(tmp_path: Path, name: str) -> None:
+def test_a_recording_by_mcap_ros2_support_is_read(tmp_path, name):
     writing = pytest.importorskip('mcap_ros2.writer')
     path = tmp_path / 'theirs.mcap'
     with path.open('wb') as stream:
@@ -210,7 +207,7 @@ PAYLOADS = encode_imu(ImuBlock(STAMPS, VALUES[:, :3], VALUES[:, 3:], 'imu')).pay
 
 
 @pytest.fixture
-def by_foxglove_sdk(tmp_path: Path) -> Path:
+def by_foxglove_sdk(tmp_path):
     """CDR of an IMU, and beside it Protobuf, and JSON with and without a schema."""
     foxglove = pytest.importorskip('foxglove')
     messages = pytest.importorskip('foxglove.messages')
@@ -231,9 +228,7 @@ def by_foxglove_sdk(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_recording_by_foxglove_sdk_is_read_and_its_other_encodings_are_named(
-    by_foxglove_sdk: Path,
-) -> None:
+def test_a_recording_by_foxglove_sdk_is_read_and_its_other_encodings_are_named(by_foxglove_sdk):
     assert imu_calib.read(by_foxglove_sdk, '/imu').stamp.tolist() == STAMPS.tolist()
     np.testing.assert_array_equal(ours(by_foxglove_sdk, '/imu'), VALUES)
     with open_recording(by_foxglove_sdk) as recording:
@@ -248,11 +243,11 @@ def test_a_recording_by_foxglove_sdk_is_read_and_its_other_encodings_are_named(
 
 
 def test_what_foxglove_sdk_recorded_beside_comes_out_of_compensate_as_it_was(
-    by_foxglove_sdk: Path, tmp_path: Path
-) -> None:
+    by_foxglove_sdk, tmp_path
+):
     reading = pytest.importorskip('mcap.reader')
 
-    def others(file: Path) -> list[Any]:
+    def others(file):
         with file.open('rb') as stream:
             return [
                 (
@@ -273,7 +268,7 @@ def test_what_foxglove_sdk_recorded_beside_comes_out_of_compensate_as_it_was(
 
 
 @pytest.mark.parametrize('kind', [0x06, 0x07, 0x09, 0x0B, 0x11, 0x15])
-def test_messages_of_xcdr2_are_refused_by_name(tmp_path: Path, kind: int) -> None:
+def test_messages_of_xcdr2_are_refused_by_name(tmp_path, kind):
     writing = pytest.importorskip('mcap.writer')
     path = tmp_path / 'theirs.mcap'
     with path.open('wb') as stream:

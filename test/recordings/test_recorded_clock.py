@@ -49,7 +49,7 @@ def delayed(seconds: float, faster: float, seed: int) -> tuple[Stamps, Stamps]:
 
 @pytest.mark.parametrize('faster', [0.015, -0.004, 50 * PPM])
 @pytest.mark.parametrize('seconds', [60, 1500])
-def test_the_ratio_is_found_through_bursts_and_delays(seconds: float, faster: float) -> None:
+def test_the_ratio_is_found_through_bursts_and_delays(seconds, faster):
     for seed in range(5):
         ratio = clock_of(*delayed(seconds, faster, seed)).ratio()
         assert ratio is not None
@@ -58,7 +58,7 @@ def test_the_ratio_is_found_through_bursts_and_delays(seconds: float, faster: fl
         assert ratio.std < 3e-3 / (seconds / 4)
 
 
-def test_a_clock_that_is_set_once_does_not_change_the_ratio() -> None:
+def test_a_clock_that_is_set_once_does_not_change_the_ratio():
     stamp, log = delayed(600, 0.0, 1)
     log[len(log) // 3 :] += 3 * NS
     ratio = clock_of(stamp, log).ratio()
@@ -66,11 +66,11 @@ def test_a_clock_that_is_set_once_does_not_change_the_ratio() -> None:
     assert abs(ratio.value - 1) < 200 * PPM
 
 
-def test_a_short_recording_shows_no_ratio() -> None:
+def test_a_short_recording_shows_no_ratio():
     assert clock_of(*delayed(9.0, 0.0, 0)).ratio() is None
 
 
-def test_memory_does_not_grow_with_the_recording() -> None:
+def test_memory_does_not_grow_with_the_recording():
     clock = RecordedClock()
     for k in range(300):
         at = np.arange(k * 10_000, (k + 1) * 10_000) * 1_000_000
@@ -85,13 +85,13 @@ def test_memory_does_not_grow_with_the_recording() -> None:
 
 
 @pytest.fixture(scope='module')
-def in_the_hand(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def in_the_hand(tmp_path_factory):
     folder = tmp_path_factory.mktemp('hand') / 'bag'
     return simulate('free_positions', folder, imu='mems_counts', seed=3, latitude=34.65).path
 
 
 @pytest.fixture(scope='module')
-def sound(in_the_hand: Path) -> Calibration:
+def sound(in_the_hand):
     return calibrate(in_the_hand).calibration
 
 
@@ -108,9 +108,7 @@ def restamped(source: Path, target: Path, change: Change) -> Path:
     return target
 
 
-def test_stamps_that_run_fast_are_said_with_what_contains_them(
-    in_the_hand: Path, sound: Calibration, tmp_path: Path
-) -> None:
+def test_stamps_that_run_fast_are_said_with_what_contains_them(in_the_hand, sound, tmp_path):
     assert not any('log times' in finding for finding in sound.findings)
     assert [p.name for p in sound.parameters[:3]] == ['K_gx', 'K_gy', 'K_gz']
     epoch = 1_700_000_000 * NS
@@ -126,9 +124,7 @@ def test_stamps_that_run_fast_are_said_with_what_contains_them(
     assert np.abs(contained - 0.015).max() < sound.std[:3].max()
 
 
-def test_compensation_says_nothing_of_sound_stamps(
-    in_the_hand: Path, sound: Calibration, tmp_path: Path
-) -> None:
+def test_compensation_says_nothing_of_sound_stamps(in_the_hand, sound, tmp_path):
     kept = compensate(in_the_hand, sound, tmp_path / 'kept').findings
     assert not any('header stamps' in finding for finding in kept)
 
@@ -143,8 +139,8 @@ def test_compensation_says_nothing_of_sound_stamps(
     ],
 )
 def test_compensation_says_what_calibration_says(
-    in_the_hand: Path, sound: Calibration, tmp_path: Path, change: Change, said: str, refused: int
-) -> None:
+    in_the_hand, sound, tmp_path, change, said, refused
+):
     bag = restamped(in_the_hand, tmp_path / 'bag', change)
     if refused:
         with pytest.raises(InputError, match=said) as error:
@@ -164,9 +160,7 @@ def test_compensation_says_what_calibration_says(
 @pytest.mark.parametrize(
     ('imu', 'meaning'), [('si', 'what is integrated over'), ('fog_medium', 'every rate and force')]
 )
-def test_fast_stamps_have_another_meaning_for_increments(
-    tmp_path: Path, imu: str, meaning: str
-) -> None:
+def test_fast_stamps_have_another_meaning_for_increments(tmp_path, imu, meaning):
     log = 1_700_000_000 * NS + np.arange(4000) * (NS // 100)
     samples = ImuBlock(log + (log - log[0]) // 200, *np.ones((2, len(log), 3)))
     with RecordingWriter(tmp_path / 'bag') as writer:
@@ -189,16 +183,14 @@ def test_fast_stamps_have_another_meaning_for_increments(
     ],
 )
 def test_stamps_that_are_no_times_are_said_before_anything_else(
-    in_the_hand: Path, tmp_path: Path, change: Change, said: str
-) -> None:
+    in_the_hand, tmp_path, change, said
+):
     bag = restamped(in_the_hand, tmp_path / 'bag', change)
     with pytest.raises(InputError, match=said):
         calibrate(bag)
 
 
-def test_info_shows_both_clocks_and_where_log_times_step(
-    in_the_hand: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_shows_both_clocks_and_where_log_times_step(in_the_hand, tmp_path, capsys):
     epoch = 1_700_000_000 * NS
     fast = restamped(in_the_hand, tmp_path / 'fast', lambda s: s + (s - epoch) * 15 // 1000)
     found = inspect(fast)
@@ -213,7 +205,7 @@ def test_info_shows_both_clocks_and_where_log_times_step(
     assert '+15000' in capsys.readouterr().out
 
 
-def test_a_step_of_log_times_is_located() -> None:
+def test_a_step_of_log_times_is_located():
     stamp, log = delayed(600, 50 * PPM, 1)
     log[40_000:] += 4 * NS
     ((at, by),) = clock_of(stamp, log).log_steps()
@@ -222,7 +214,7 @@ def test_a_step_of_log_times_is_located() -> None:
     assert clock_of(*delayed(600, 50 * PPM, 1)).log_steps() == []
 
 
-def test_a_slow_topic_that_is_logged_before_its_next_message_has_no_steps() -> None:
+def test_a_slow_topic_that_is_logged_before_its_next_message_has_no_steps():
     """One message per second, as of a thermometer, of which some wait for almost the next one."""
     stamp = np.arange(1200, dtype=np.int64) * NS
     late = np.where((stamp // (100 * NS)) % 2, 9 * NS // 10, 0)

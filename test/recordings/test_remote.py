@@ -4,7 +4,6 @@ import errno
 import os
 import shutil
 import sqlite3
-from collections.abc import Iterator
 from contextlib import closing
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -36,7 +35,7 @@ BRIEF = {'dwell: 120 s': 'dwell: 2 s', '[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/
 
 
 @pytest.fixture(scope='module')
-def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str]]:
+def lab(tmp_path_factory):
     """A session here, in all storages, and a bucket with the same."""
     here = tmp_path_factory.mktemp('here')
     text = named_file('plans', 'twelve_position').read_text('utf-8')
@@ -55,13 +54,13 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str]]:
 
 
 @pytest.fixture(scope='module')
-def alone(lab: tuple[Path, str]) -> imu_calib.Calibration:
+def alone(lab):
     """By the recording that is here."""
     return imu_calib.calibrate(lab[0] / 'rec').calibration
 
 
 @pytest.fixture
-def fetched(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+def fetched(monkeypatch):
     """Bytes of each answer, as they come."""
     import s3fs
 
@@ -82,9 +81,7 @@ def size(recording: Path) -> int:
     return sum(file.stat().st_size for file in files)
 
 
-def test_calibrate_gives_the_same_bits_and_fetches_no_byte_twice(
-    lab: tuple[Path, str], alone: imu_calib.Calibration, fetched: list[int], tmp_path: Path
-) -> None:
+def test_calibrate_gives_the_same_bits_and_fetches_no_byte_twice(lab, alone, fetched, tmp_path):
     here, bucket = lab
     out = tmp_path / 'out.yaml'
     assert main(['calibrate', f'{bucket}/rec', '-o', str(out)]) == 0
@@ -99,12 +96,7 @@ def test_calibrate_gives_the_same_bits_and_fetches_no_byte_twice(
     assert len(fetched) < size(here / 'rec') / remote_copy.BLOCK / 2
 
 
-def test_every_command_that_reads_a_recording_takes_a_url(
-    lab: tuple[Path, str],
-    alone: imu_calib.Calibration,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_every_command_that_reads_a_recording_takes_a_url(lab, alone, tmp_path, capsys):
     here, bucket = lab
     own = tmp_path / 'own.yaml'
     alone.save(own)
@@ -127,9 +119,7 @@ def test_every_command_that_reads_a_recording_takes_a_url(
     assert len(imu_calib.read(tmp_path / 'text', '/imu/data_raw')) == 2
 
 
-def test_topics_of_a_long_mcap_are_read_from_its_summary(
-    lab: tuple[Path, str], fetched: list[int], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_topics_of_a_long_mcap_are_read_from_its_summary(lab, fetched, capsys):
     here, bucket = lab
     assert main(['info', f'{bucket}/rec', '--topics']) == 0
     output = capsys.readouterr().out
@@ -139,9 +129,7 @@ def test_topics_of_a_long_mcap_are_read_from_its_summary(
     assert sum(fetched) <= 4 * remote_copy.BLOCK < size(here / 'rec') / 4
 
 
-def test_rows_of_sqlite_come_from_a_copy(
-    lab: tuple[Path, str], fetched: list[int], tmp_path: Path
-) -> None:
+def test_rows_of_sqlite_come_from_a_copy(lab, fetched, tmp_path):
     here, bucket = lab
     blocks, losses = read(f'{bucket}/lite')
     assert losses == []
@@ -160,7 +148,7 @@ def test_rows_of_sqlite_come_from_a_copy(
     assert sum(map(len, halved[next(iter(KINDS))])) < sum(map(len, blocks[next(iter(KINDS))]))
 
 
-def test_a_bag_of_ros_1_is_converted_from_a_bucket(lab: tuple[Path, str], tmp_path: Path) -> None:
+def test_a_bag_of_ros_1_is_converted_from_a_bucket(lab, tmp_path):
     _, bucket = lab
     from bag_files import bag_of_ros_1
 
@@ -170,7 +158,7 @@ def test_a_bag_of_ros_1_is_converted_from_a_bucket(lab: tuple[Path, str], tmp_pa
     assert len(imu_calib.read(tmp_path / 'new', '/imu/data')) == 5
 
 
-def test_a_damaged_chunk_is_a_loss_there_too(lab: tuple[Path, str], tmp_path: Path) -> None:
+def test_a_damaged_chunk_is_a_loss_there_too(lab, tmp_path):
     here, bucket = lab
     content = bytearray((here / 'one.mcap').read_bytes())
     found = open_recording(here / 'one.mcap')
@@ -191,7 +179,7 @@ def test_a_damaged_chunk_is_a_loss_there_too(lab: tuple[Path, str], tmp_path: Pa
             assert [words in loss for loss in recording.losses] == [True]
 
 
-def test_a_file_without_a_summary_is_walked_over(lab: tuple[Path, str], tmp_path: Path) -> None:
+def test_a_file_without_a_summary_is_walked_over(lab, tmp_path):
     here, bucket = lab
     whole = (here / 'one.mcap').read_bytes()
     (tmp_path / 'cut.mcap').write_bytes(whole[: len(whole) // 2])
@@ -218,9 +206,7 @@ def failing(monkeypatch: pytest.MonkeyPatch, times: int) -> list[int]:
     return lost
 
 
-def test_a_connection_that_is_lost_is_tried_again(
-    lab: tuple[Path, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_connection_that_is_lost_is_tried_again(lab, monkeypatch, capsys):
     here, bucket = lab
     lost = failing(monkeypatch, retries.TRIES - 1)
     with open_recording(f'{bucket}/rec') as there, open_recording(here / 'rec') as alone:
@@ -233,9 +219,7 @@ def test_a_connection_that_is_lost_is_tried_again(
     assert 'Check the network' in errors and 'Traceback' not in errors
 
 
-def test_a_file_of_several_that_cannot_be_reached_is_no_loss(
-    lab: tuple[Path, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_file_of_several_that_cannot_be_reached_is_no_loss(lab, monkeypatch, tmp_path):
     """A damaged file is left out of a recording; one behind a lost connection is not damaged."""
     here, bucket = lab
     folder = tmp_path / 'two'
@@ -248,9 +232,7 @@ def test_a_file_of_several_that_cannot_be_reached_is_no_loss(
         open_recording(url)
 
 
-def test_what_is_not_there_gets_a_sentence(
-    lab: tuple[Path, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_not_there_gets_a_sentence(lab, monkeypatch, capsys):
     import s3fs
 
     _, bucket = lab
@@ -262,7 +244,7 @@ def test_what_is_not_there_gets_a_sentence(
     assert main(['calibrate', 'foo://lab/rec']) == 2
     assert 'Protocol not known: foo' in capsys.readouterr().err
 
-    async def refused(*_: object, **__: object) -> bytes:
+    async def refused(*_, **__):
         raise PermissionError('Forbidden')
 
     monkeypatch.setattr(s3fs.S3FileSystem, '_info', refused)
@@ -270,20 +252,16 @@ def test_what_is_not_there_gets_a_sentence(
     assert 'reading it is not permitted (Forbidden)' in capsys.readouterr().err
 
 
-def test_a_url_asks_for_the_library(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_url_asks_for_the_library(monkeypatch, capsys):
     monkeypatch.setattr('imu_calib.common.files.find_spec', lambda name: None)
     assert main(['calibrate', 's3://lab/rec']) == 2
     assert "pip install '.[remote]'" in capsys.readouterr().err
 
 
-def test_a_full_disk_gets_a_sentence(
-    lab: tuple[Path, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_full_disk_gets_a_sentence(lab, monkeypatch, capsys):
     _, bucket = lab
 
-    def full(*_: object) -> int:
+    def full(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, 'pwrite', full)
@@ -291,9 +269,7 @@ def test_a_full_disk_gets_a_sentence(
     assert 'Set TMPDIR to a folder with room for' in capsys.readouterr().err
 
 
-def test_nothing_of_it_stays_here(
-    lab: tuple[Path, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_nothing_of_it_stays_here(lab, monkeypatch, tmp_path):
     _, bucket = lab
     monkeypatch.setattr('tempfile.tempdir', str(tmp_path))
     with open_recording(f'{bucket}/rec') as recording:
@@ -310,7 +286,7 @@ class WithoutRanges(SimpleHTTPRequestHandler):
         """Say nothing."""
 
 
-def test_a_server_that_knows_no_ranges_serves_as_well(lab: tuple[Path, str]) -> None:
+def test_a_server_that_knows_no_ranges_serves_as_well(lab):
     pytest.importorskip('aiohttp')
     here, _ = lab
     server = ThreadingHTTPServer(
@@ -330,7 +306,7 @@ def test_a_server_that_knows_no_ranges_serves_as_well(lab: tuple[Path, str]) -> 
         serving.join()
 
 
-def test_a_batch_finds_recordings_in_a_bucket(lab: tuple[Path, str], tmp_path: Path) -> None:
+def test_a_batch_finds_recordings_in_a_bucket(lab, tmp_path):
     here, bucket = lab
     for place in ('lots/2025/a', 'lots/b'):
         put(here / 'lite', f'{bucket}/{place}')
@@ -340,7 +316,7 @@ def test_a_batch_finds_recordings_in_a_bucket(lab: tuple[Path, str], tmp_path: P
     listed.write_text('recording,serial\nb,S2\ns3://else/where,S3\n')
     put(listed, f'{bucket}/lots/list.csv')
 
-    def names(source: str) -> list[str]:
+    def names(source):
         return [job.recording for job in find_jobs([f'{bucket}/{source}'], Stated())]
 
     lots = f'{bucket}/lots'

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import io
 import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -49,7 +48,7 @@ class Files:
 
 
 @pytest.fixture
-def files() -> Files:
+def files():
     return Files()
 
 
@@ -57,7 +56,7 @@ def copy(files: Any, size: int | None = len(CONTENT)) -> FetchedFile:
     return FetchedFile(URL, files, 'lab/rec.mcap', size)
 
 
-def test_what_is_asked_for_is_given_in_whole_blocks_and_fetched_once(files: Files) -> None:
+def test_what_is_asked_for_is_given_in_whole_blocks_and_fetched_once(files):
     held = copy(files)
     assert held.read(10 * BLOCK + 5, 11 * BLOCK + 9) == CONTENT[10 * BLOCK + 5 : 11 * BLOCK + 9]
     assert files.blocks == [(10, 2)]
@@ -68,12 +67,12 @@ def test_what_is_asked_for_is_given_in_whole_blocks_and_fetched_once(files: File
     assert files.blocks == [(10, 2), (9, 1), (12, 1)]
 
 
-def test_a_range_that_ends_at_a_block_asks_for_no_byte_of_the_next(files: Files) -> None:
+def test_a_range_that_ends_at_a_block_asks_for_no_byte_of_the_next(files):
     copy(files).read(3 * BLOCK, 4 * BLOCK)
     assert files.asked == [(3 * BLOCK, 4 * BLOCK)]
 
 
-def test_the_last_block_ends_with_the_file(files: Files) -> None:
+def test_the_last_block_ends_with_the_file(files):
     held = copy(files)
     assert held.read(len(CONTENT) - 5, len(CONTENT) + 100) == CONTENT[-5:]
     assert files.asked == [((BLOCKS - 1) * BLOCK, len(CONTENT))]
@@ -82,7 +81,7 @@ def test_the_last_block_ends_with_the_file(files: Files) -> None:
     assert len(files.asked) == 1
 
 
-def test_who_reads_on_is_given_twice_as_many_each_time_up_to_the_most(files: Files) -> None:
+def test_who_reads_on_is_given_twice_as_many_each_time_up_to_the_most(files):
     held = copy(files)
     for block in range(BLOCKS):
         assert held.read(block * BLOCK, block * BLOCK + 1) == CONTENT[block * BLOCK :][:1]
@@ -90,14 +89,14 @@ def test_who_reads_on_is_given_twice_as_many_each_time_up_to_the_most(files: Fil
     assert files.blocks == [(0, 1), (1, 2), (3, 4), (7, 8), (15, 16), (31, 32), (63, 32), (95, 5)]
 
 
-def test_who_jumps_begins_anew(files: Files) -> None:
+def test_who_jumps_begins_anew(files):
     held = copy(files)
     for block in (0, 1, 50, 51, 20):
         held.read(block * BLOCK, block * BLOCK + 1)
     assert files.blocks == [(0, 1), (1, 2), (50, 1), (51, 2), (20, 1)]
 
 
-def test_reading_ahead_leaves_out_what_is_there(files: Files) -> None:
+def test_reading_ahead_leaves_out_what_is_there(files):
     held = copy(files)
     held.read(5 * BLOCK, 6 * BLOCK)
     held.read(0, 2 * BLOCK)
@@ -108,14 +107,14 @@ def test_reading_ahead_leaves_out_what_is_there(files: Files) -> None:
     assert len(files.asked) == 3
 
 
-def test_a_long_range_is_requests_of_the_most(files: Files) -> None:
+def test_a_long_range_is_requests_of_the_most(files):
     held = copy(files)
     held.fill(0, held.size)
     assert files.blocks == [(0, 32), (32, 32), (64, 32), (96, 4)]
     assert held.path.read_bytes() == CONTENT
 
 
-def test_a_server_that_says_no_size_sends_all(files: Files) -> None:
+def test_a_server_that_says_no_size_sends_all(files):
     held = copy(files, None)
     assert files.asked == [(None, None)]
     assert held.size == len(CONTENT)
@@ -123,7 +122,7 @@ def test_a_server_that_says_no_size_sends_all(files: Files) -> None:
     assert len(files.asked) == 1
 
 
-def test_a_server_that_knows_no_ranges_is_asked_once(files: Files) -> None:
+def test_a_server_that_knows_no_ranges_is_asked_once(files):
     whole = Files()
     whole.cat_file = lambda path, start, end: files.cat_file(path, None, None)  # type: ignore[method-assign]
     held = copy(whole)
@@ -132,7 +131,7 @@ def test_a_server_that_knows_no_ranges_is_asked_once(files: Files) -> None:
     assert len(files.asked) == 1
 
 
-def test_a_file_of_one_block_is_whole_by_its_range() -> None:
+def test_a_file_of_one_block_is_whole_by_its_range():
     small = Files(b'0123456789')
     held = copy(small, 10)
     assert held.read(2, 5) == b'234'
@@ -141,15 +140,13 @@ def test_a_file_of_one_block_is_whole_by_its_range() -> None:
 
 
 @pytest.fixture
-def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+def pauses(monkeypatch):
     waited: list[float] = []
     monkeypatch.setattr(retries.time, 'sleep', waited.append)
     return waited
 
 
-def test_a_lost_connection_is_tried_three_times_after_pauses(
-    files: Files, pauses: list[float]
-) -> None:
+def test_a_lost_connection_is_tried_three_times_after_pauses(files, pauses):
     files.errors = [ConnectionError('gone'), ConnectionError('gone')]
     assert copy(files).read(0, 4) == CONTENT[:4]
     assert pauses == [PAUSE, 2 * PAUSE]
@@ -159,7 +156,7 @@ def test_a_lost_connection_is_tried_three_times_after_pauses(
     assert not files.errors
 
 
-def test_an_answer_that_is_too_short_is_a_lost_one(files: Files, pauses: list[float]) -> None:
+def test_an_answer_that_is_too_short_is_a_lost_one(files, pauses):
     files.shorter = 3
     wanted = rf'EOFError: {BLOCK - 3} of {BLOCK} bytes came from byte {2 * BLOCK} on'
     with pytest.raises(InputError, match=wanted):
@@ -167,7 +164,7 @@ def test_an_answer_that_is_too_short_is_a_lost_one(files: Files, pauses: list[fl
     assert len(pauses) == 2
 
 
-def test_a_file_that_goes_meanwhile_is_no_longer_there(files: Files, pauses: list[float]) -> None:
+def test_a_file_that_goes_meanwhile_is_no_longer_there(files, pauses):
     files.errors = [FileNotFoundError('rec.mcap')]
     with pytest.raises(InputError, match=r'rec\.mcap: is no longer there\.'):
         copy(files).read(0, 4)
@@ -190,17 +187,15 @@ def refusal(name: str, **attributes: int) -> Exception:
         refusal('ResponseError', status=403),
     ],
 )
-def test_who_has_no_right_is_told_at_once(
-    files: Files, pauses: list[float], error: Exception
-) -> None:
+def test_who_has_no_right_is_told_at_once(files, pauses, error):
     files.errors = [error]
     with pytest.raises(InputError, match=r'reading it is not permitted \(refused\)'):
         copy(files).read(0, 4)
     assert not pauses
 
 
-def test_a_server_that_is_gone_is_no_missing_file(files: Files, pauses: list[float]) -> None:
-    def missing(cause: Exception) -> FileNotFoundError:
+def test_a_server_that_is_gone_is_no_missing_file(files, pauses):
+    def missing(cause):
         error = FileNotFoundError('rec.mcap')
         error.__cause__ = cause
         return error
@@ -216,12 +211,10 @@ def test_a_server_that_is_gone_is_no_missing_file(files: Files, pauses: list[flo
         copy(files).read(0, 4)
 
 
-def test_a_write_that_takes_a_part_is_gone_on_with(
-    files: Files, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_write_that_takes_a_part_is_gone_on_with(files, monkeypatch):
     whole = os.pwrite
 
-    def some(file: int, view: memoryview, start: int) -> int:
+    def some(file, view, start):
         return whole(file, view[: 1 + BLOCK // 3], start)
 
     monkeypatch.setattr(remote_copy.os, 'pwrite', some)
@@ -229,10 +222,8 @@ def test_a_write_that_takes_a_part_is_gone_on_with(
     assert held.read(BLOCK, 3 * BLOCK) == CONTENT[BLOCK : 3 * BLOCK]
 
 
-def test_a_full_disk_names_what_it_would_take(
-    files: Files, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object) -> int:
+def test_a_full_disk_names_what_it_would_take(files, monkeypatch):
+    def full(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(remote_copy.os, 'pwrite', full)
@@ -241,7 +232,7 @@ def test_a_full_disk_names_what_it_would_take(
         copy(files).read(0, 4)
 
 
-def test_the_copy_goes_with_who_holds_it(files: Files) -> None:
+def test_the_copy_goes_with_who_holds_it(files):
     held = copy(files)
     path = held.path
     assert path.name == 'rec.mcap'
@@ -252,7 +243,7 @@ def test_the_copy_goes_with_who_holds_it(files: Files) -> None:
     assert nameless.path.name == 'recording'
 
 
-def test_an_open_file_is_a_place_in_it(files: Files, tmp_path: Path) -> None:
+def test_an_open_file_is_a_place_in_it(files, tmp_path):
     small = CONTENT[: 3 * BLOCK]
     there = RemoteReader(copy(Files(small), len(small)))
     here_path = tmp_path / 'here'

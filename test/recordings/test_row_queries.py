@@ -50,12 +50,12 @@ class File:
 
 
 @pytest.fixture(scope='module')
-def long(tmp_path_factory: pytest.TempPathFactory) -> File:
+def long(tmp_path_factory):
     rows = [(k, RARE if k % EVERY == 0 else COMMON, 10 * k, b'') for k in range(1, ROWS + 1)]
     return File(tmp_path_factory.mktemp('long') / 'bag.db3', rows)  # type: ignore[arg-type]
 
 
-def test_a_topic_that_is_everywhere_is_read_in_narrow_windows(long: File) -> None:
+def test_a_topic_that_is_everywhere_is_read_in_narrow_windows(long):
     long.ranges.clear()
     found = long.read((COMMON,), 1)
     assert long.ranges[:4] == [(1, 2048), (2049, 4096), (4097, 6144), (6145, 8192)]
@@ -64,7 +64,7 @@ def test_a_topic_that_is_everywhere_is_read_in_narrow_windows(long: File) -> Non
     assert sum(count for _, count, _ in found) == ROWS - ROWS // EVERY
 
 
-def test_a_rare_one_is_read_in_windows_that_grow_up_to_the_widest(long: File) -> None:
+def test_a_rare_one_is_read_in_windows_that_grow_up_to_the_widest(long):
     long.ranges.clear()
     found = long.read((RARE,), 1)
     widths = [last - first + 1 for first, last in long.ranges]
@@ -73,7 +73,7 @@ def test_a_rare_one_is_read_in_windows_that_grow_up_to_the_widest(long: File) ->
     assert sum(count for _, count, _ in found) == ROWS // EVERY
 
 
-def test_windows_shrink_again_where_a_topic_is_no_longer_rare(tmp_path: Path) -> None:
+def test_windows_shrink_again_where_a_topic_is_no_longer_rare(tmp_path):
     rows = [(k, RARE if k > 20_000 or k % EVERY == 0 else COMMON, k, b'') for k in range(1, 50_001)]
     file = File(tmp_path / 'bag.db3', rows)  # type: ignore[arg-type]
     file.read((RARE,), 1)
@@ -82,7 +82,7 @@ def test_windows_shrink_again_where_a_topic_is_no_longer_rare(tmp_path: Path) ->
     assert widths == [2048, 4096, 8192, 16384, 8192, 4096, 2048, 2048, 2048, 2048, 2048]
 
 
-def test_a_window_without_a_row_is_passed_over(tmp_path: Path) -> None:
+def test_a_window_without_a_row_is_passed_over(tmp_path):
     rows = [(5, COMMON, 50, b''), (1_000_000, COMMON, 60, b'abc'), (1_000_001, RARE, 70, b'')]
     file = File(tmp_path / 'bag.db3', rows)  # type: ignore[arg-type]
     found = file.read((COMMON,), 5)
@@ -94,12 +94,12 @@ def test_a_window_without_a_row_is_passed_over(tmp_path: Path) -> None:
     assert file.read((), 5) == []
 
 
-def test_the_last_row_id_of_all_is_read(tmp_path: Path) -> None:
+def test_the_last_row_id_of_all_is_read(tmp_path):
     file = File(tmp_path / 'bag.db3', [(LAST_ROW, COMMON, 7, b'')])
     assert file.read((COMMON,), LAST_ROW) == [(7, 1, None)]
 
 
-def test_foreign_values_are_a_message_of_no_bytes_at_the_time_of_the_first(tmp_path: Path) -> None:
+def test_foreign_values_are_a_message_of_no_bytes_at_the_time_of_the_first(tmp_path):
     rows = [(1, COMMON, 'soon', b'a'), (2, COMMON, 8, 'text'), (3, COMMON, None, b'bc')]
     file = File(tmp_path / 'bag.db3', rows)  # type: ignore[arg-type]
     ((messages, log, following),) = RowQueries('bag.db3', file.connect, 3, file.losses).read(
@@ -127,18 +127,18 @@ def loaded_chunks(limit: int, requests: str, users: int = 2, nbytes: int = 10) -
     return ''.join(loaded)
 
 
-def test_a_chunk_is_loaded_once_for_all_who_read_it() -> None:
+def test_a_chunk_is_loaded_once_for_all_who_read_it():
     assert loaded_chunks(100, 'aabbcc') == 'abc'
     assert loaded_chunks(100, 'abcabc') == 'abc'
     assert loaded_chunks(100, 'aaaaaa', users=3) == 'aa'
 
 
-def test_it_goes_when_the_last_has_read_it() -> None:
+def test_it_goes_when_the_last_has_read_it():
     assert loaded_chunks(100, 'aaa') == 'aa'
     assert loaded_chunks(100, 'aaaa', users=1) == 'aaaa'
 
 
-def test_of_too_many_the_one_that_was_used_longest_ago_goes() -> None:
+def test_of_too_many_the_one_that_was_used_longest_ago_goes():
     assert loaded_chunks(30, 'abcabc') == 'abc'
     assert loaded_chunks(29, 'abcabc') == 'abcabc'
     # Asked for again, a is used later than b.
@@ -147,7 +147,7 @@ def test_of_too_many_the_one_that_was_used_longest_ago_goes() -> None:
     assert loaded_chunks(5, 'aabb') == 'ab'
 
 
-def test_what_was_read_by_all_no_longer_counts() -> None:
+def test_what_was_read_by_all_no_longer_counts():
     loaded: list[str] = []
     cache = Cache(20)
     for name in 'aabbccdd':
@@ -189,20 +189,20 @@ def past(*damaged: int) -> tuple[list[tuple[int, int, int | None]], list[str]]:
     return found, losses.sentences
 
 
-def test_what_cannot_be_read_is_passed_over_in_growing_steps() -> None:
+def test_what_cannot_be_read_is_passed_over_in_growing_steps():
     windows, reports = past(3000, 3001, 3002)
     # After one, two and four rows: 3003 lies in between, and nobody looks at it.
     assert windows == [(10, 2048, 2049), (20490, 951, 3004), (30040, 1997, 5052)]
     assert reports == ['bag.db3: rows 3000 to 3003 cannot be read (malformed).']
 
 
-def test_where_nothing_follows_that_can_be_read_it_is_said_once() -> None:
+def test_where_nothing_follows_that_can_be_read_it_is_said_once():
     windows, reports = past(*range(3000, 5001))
     assert windows == [(10, 2048, 2049), (20490, 951, None)]
     assert reports == ['bag.db3: the rows after 2999 cannot be read (malformed).']
 
 
-def test_before_damage_rows_come_in_windows_too() -> None:
+def test_before_damage_rows_come_in_windows_too():
     losses = Losses()
     queries = RowQueries('bag.db3', Damaged, None, losses)  # type: ignore[arg-type,return-value]
     error = sqlite3.DatabaseError('malformed')

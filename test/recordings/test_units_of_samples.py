@@ -42,13 +42,13 @@ PER_NUMBER = {
 
 
 @pytest.fixture(scope='module')
-def hand(tmp_path_factory: pytest.TempPathFactory) -> tuple[NDArray[np.int64], Floats, Floats]:
+def hand(tmp_path_factory):
     """A session in the hand, SI."""
     return recorded_in_si(tmp_path_factory.mktemp('hand') / 'bag')
 
 
 @pytest.fixture(scope='module')
-def expected(hand, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+def expected(hand, tmp_path_factory):
     """What the session gives in SI."""
     bag = tmp_path_factory.mktemp('si') / 'bag'
     with RecordingWriter(bag) as writer:
@@ -66,9 +66,7 @@ def calibrated(hand: tuple[NDArray[np.int64], Floats, Floats], units: str, folde
 
 
 @pytest.mark.parametrize('units', ['counts', 'pulses', 'rates', 'increments'])
-def test_numbers_that_are_not_whole_give_what_si_gives(
-    hand, expected: Calibration, units: str, tmp_path: Path
-) -> None:
+def test_numbers_that_are_not_whole_give_what_si_gives(hand, expected, units, tmp_path):
     found = calibrated(hand, units, tmp_path)
     assert found.std == pytest.approx(expected.std, rel=0.02)
     free = expected.std > 0
@@ -80,7 +78,7 @@ def test_numbers_that_are_not_whole_give_what_si_gives(
     assert all(f'state `units: {stated}`' in text for text in told)
 
 
-def test_a_calibration_keeps_its_units(hand, tmp_path: Path) -> None:
+def test_a_calibration_keeps_its_units(hand, tmp_path):
     made = calibrated(hand, 'rates', tmp_path)
     made.save(tmp_path / 'made.yaml')
     again = Calibration.load(tmp_path / 'made.yaml')
@@ -93,14 +91,14 @@ def test_a_calibration_keeps_its_units(hand, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(('name', 'scale'), [('rates', DEG), ('increments', 1.0)])
-def test_shipped_files_of_numbers_with_units(name: str, scale: float) -> None:
+def test_shipped_files_of_numbers_with_units(name, scale):
     spec = load_imu(name)
     assert spec.units.value == name and spec.gyro.scale_factor == scale
     with pytest.raises(InputError, match='expected pulses or counts'):
         check_live(spec)
 
 
-def test_a_channel_that_reads_zero_is_no_counter() -> None:
+def test_a_channel_that_reads_zero_is_no_counter():
     spec = load_imu('mems_counts')
     values = np.random.default_rng(1).normal(size=(100, 6))
     values[:, 2] = 0.0
@@ -119,7 +117,7 @@ def rows(tmp_path: Path, stamp, gyro: Floats, accel: Floats) -> Path:
     return file
 
 
-def test_text_of_angles_and_velocities_is_converted(hand, tmp_path: Path) -> None:
+def test_text_of_angles_and_velocities_is_converted(hand, tmp_path):
     stamp, gyro, accel = hand
     file = rows(tmp_path, stamp, gyro / DEG / 100, accel / 100)
     done = imu_calib.convert(
@@ -137,7 +135,7 @@ def test_text_of_angles_and_velocities_is_converted(hand, tmp_path: Path) -> Non
         )
 
 
-def test_text_is_written_in_the_units_that_the_imus_file_states(hand, tmp_path: Path) -> None:
+def test_text_is_written_in_the_units_that_the_imus_file_states(hand, tmp_path):
     stamp, gyro, accel = hand
     file = rows(tmp_path, stamp, gyro, accel)
     words = {'stamp': 't:s', 'gyro': 'gx,gy,gz:rad/s', 'accel': 'ax,ay,az:m/s^2'}

@@ -44,7 +44,7 @@ PLAN = at_one_rate(quick_plan('twelve_position', 20.0))
 
 
 @pytest.fixture(scope='module')
-def calibration() -> Calibration:
+def calibration():
     found = calibrate(session(PLAN, stand(), 1), PLAN).calibration
     return replace(found, serial_number='A1234')
 
@@ -60,12 +60,12 @@ def made(calibration: Calibration, **changes: Any) -> Certificate:
 
 
 @pytest.fixture(scope='module')
-def example(calibration: Calibration) -> Certificate:
+def example(calibration):
     return made(calibration)
 
 
 @pytest.fixture(scope='module')
-def text(example: Certificate) -> str:
+def text(example):
     return certificate_page(example)
 
 
@@ -80,8 +80,8 @@ def rows(text: str) -> dict[str, list[str]]:
     return {line[0]: line[1:] for line in reversed(lines)}
 
 
-def test_every_field_stands_on_the_certificate(text: str) -> None:
-    def stated(value: Any) -> list[str]:
+def test_every_field_stands_on_the_certificate(text):
+    def stated(value):
         if isinstance(value, dict):
             return [t for v in value.values() for t in stated(v)]
         if isinstance(value, list):
@@ -97,9 +97,7 @@ def test_every_field_stands_on_the_certificate(text: str) -> None:
     assert [t for t in stated(document) if t not in page] == []
 
 
-def test_results_are_those_of_the_calibration_with_uncertainty_and_coverage(
-    text: str, calibration: Calibration
-) -> None:
+def test_results_are_those_of_the_calibration_with_uncertainty_and_coverage(text, calibration):
     shown, budget = rows(text), calibration.budget
     assert budget is not None
     for k, parameter in enumerate(calibration.parameters):
@@ -136,12 +134,12 @@ def test_results_are_those_of_the_calibration_with_uncertainty_and_coverage(
         (1.11, Rule.GUARDED_BOTH, Conformity.FAIL),
     ],
 )
-def test_conformity_by_the_stated_rule(value: float, rule: Rule, stated: Conformity) -> None:
+def test_conformity_by_the_stated_rule(value, rule, stated):
     # Limit 1, U 0.1 (ILAC-G8:09/2019, 4.2).
     assert decide(value, 0.1, 1.0, rule) is stated
 
 
-def test_a_guarded_pass_is_wrong_as_seldom_as_the_rule_says() -> None:
+def test_a_guarded_pass_is_wrong_as_seldom_as_the_rule_says():
     rng, limit, std = np.random.default_rng(5), 1.0, 0.1
     measured = limit - 1.96 * std
     true = measured + std * rng.standard_normal(100_000)
@@ -150,7 +148,7 @@ def test_a_guarded_pass_is_wrong_as_seldom_as_the_rule_says() -> None:
     assert np.mean(true > limit) == pytest.approx(0.025, abs=0.002)
 
 
-def test_without_a_rule_nothing_is_stated_of_conformity(calibration: Calibration) -> None:
+def test_without_a_rule_nothing_is_stated_of_conformity(calibration):
     found = made(calibration, conformity=None)
     assert found.conformity is None
     page = certificate_page(found)
@@ -158,9 +156,7 @@ def test_without_a_rule_nothing_is_stated_of_conformity(calibration: Calibration
     assert 'conformity>' not in dcc(found)
 
 
-def test_what_is_missing_is_named_with_its_clause_and_not_invented(
-    calibration: Calibration, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_missing_is_named_with_its_clause_and_not_invented(calibration, tmp_path, capsys):
     path, source, target = tmp_path / 'f.yaml', tmp_path / 'c.yaml', tmp_path / 'c.html'
     path.write_text('laboratory: {name: "A <lab> & sons"}\nequipment: [{name: Table}]\n')
     calibration.save(source)
@@ -186,9 +182,7 @@ def test_what_is_missing_is_named_with_its_clause_and_not_invented(
     assert 'A draft may have gaps, and a DCC may not' in capsys.readouterr().err
 
 
-def test_the_commands_of_the_page_work_with_the_example_to_copy(
-    calibration: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_commands_of_the_page_work_with_the_example_to_copy(calibration, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr('imu_calib.api.documents.pdf', str.encode)
     calibration.save(tmp_path / 'calibration.yaml')
@@ -227,9 +221,7 @@ ASKED = [
 
 
 @pytest.mark.parametrize('path', ASKED, ids=lambda p: '-'.join(map(str, p)))
-def test_each_thing_that_is_asked_for_is_missed(
-    calibration: Calibration, path: tuple[Any, ...]
-) -> None:
+def test_each_thing_that_is_asked_for_is_missed(calibration, path):
     document = removed(yaml.safe_load(EXAMPLE.read_text()), path)
     name = ''.join(f'[{p}]' if isinstance(p, int) else f': {p}' for p in path)[2:]
     sentence = r'my\.yaml: 1 of the entries that a certificate needs is missing: .*'
@@ -242,9 +234,7 @@ def test_each_thing_that_is_asked_for_is_missed(
         )
 
 
-def test_a_calibration_without_a_serial_number_gives_a_draft_alone(
-    calibration: Calibration,
-) -> None:
+def test_a_calibration_without_a_serial_number_gives_a_draft_alone(calibration):
     unnamed = replace(calibration, serial_number='')
     with pytest.raises(InputError, match='calibrate again with `serial`'):
         made(unnamed)
@@ -252,9 +242,7 @@ def test_a_calibration_without_a_serial_number_gives_a_draft_alone(
     assert 'calibrate again with `serial`' in draft.missing[-1]
 
 
-def test_a_certificate_is_not_issued_before_its_day(
-    calibration: Calibration, tmp_path: Path
-) -> None:
+def test_a_certificate_is_not_issued_before_its_day(calibration, tmp_path):
     later = fields(issued='2123-11-16')
     with pytest.raises(InputError, match='issued: found 2123-11-16, which is after today'):
         certificate(calibration, later, tmp_path / 'c.html', imu='fog_medium')
@@ -262,11 +250,8 @@ def test_a_certificate_is_not_issued_before_its_day(
 
 
 def test_a_certificate_that_nobody_named_is_not_overwritten(
-    calibration: Calibration,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    calibration, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     calibration.save(tmp_path / 'c.yaml')
     command = ['certificate', 'c.yaml', '--fields', str(EXAMPLE), '--imu', 'fog_medium']
@@ -281,9 +266,7 @@ def referring(valid_until: str) -> list[dict[str, Any]]:
     return [{**first, 'valid_until': valid_until}, *others]
 
 
-def test_a_reference_that_was_not_valid_any_more_gives_no_certificate(
-    calibration: Calibration,
-) -> None:
+def test_a_reference_that_was_not_valid_any_more_gives_no_certificate(calibration):
     # Recorded on 2023-11-14 (ISO/IEC 17025:2017, 6.5.1).
     sentence = r'equipment\[0\]: valid_until: found 2023-11-13, before the end of the calibration'
     with pytest.raises(InputError, match=sentence):
@@ -303,9 +286,7 @@ HINTS = [
 
 
 @pytest.mark.parametrize(('finding', 'remark'), HINTS)
-def test_remarks_hold_findings_without_what_they_advise_the_operator(
-    calibration: Calibration, finding: str, remark: str | None
-) -> None:
+def test_remarks_hold_findings_without_what_they_advise_the_operator(calibration, finding, remark):
     found = made(replace(calibration, findings=(finding,)), remarks=['State as received.'])
     assert found.remarks == ('State as received.', *([] if remark is None else [remark]))
     told = '\n'.join([certificate_page(found), contents(ET.fromstring(dcc(found)))])
@@ -313,7 +294,7 @@ def test_remarks_hold_findings_without_what_they_advise_the_operator(
     assert remark is None or told.count(remark) == 2
 
 
-def test_gravity_has_its_uncertainty_and_source(calibration: Calibration) -> None:
+def test_gravity_has_its_uncertainty_and_source(calibration):
     known = {'gravity': 9.81, 'gravity_std': 0.0015, 'gravity_source': 'normal gravity (WGS 84)'}
     found = made(replace(calibration, provenance={**calibration.provenance, **known}))
     shown = rows(certificate_page(found))['gravity, standard uncertainty'][0]
@@ -345,16 +326,12 @@ def test_gravity_has_its_uncertainty_and_source(calibration: Calibration) -> Non
         ({'numbr': 1}, "unknown key 'numbr'"),
     ],
 )
-def test_fields_of_another_session_are_refused(
-    calibration: Calibration, change: dict[str, Any], message: str
-) -> None:
+def test_fields_of_another_session_are_refused(calibration, change, message):
     with pytest.raises(InputError, match=message):
         made(calibration, **change)
 
 
-def test_a_calibration_without_a_budget_has_no_certificate(
-    calibration: Calibration, tmp_path: Path
-) -> None:
+def test_a_calibration_without_a_budget_has_no_certificate(calibration, tmp_path):
     with pytest.raises(InputError, match='no uncertainty budget'):
         made(replace(calibration, budget=None))
     parts = [
@@ -398,9 +375,7 @@ PRINTERS = [
 
 
 @pytest.mark.parametrize('by', PRINTERS)
-def test_every_printed_page_has_the_number_and_how_many_there_are(
-    text: str, by: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_printed_page_has_the_number_and_how_many_there_are(text, by, monkeypatch):
     if by == 'chromium':
         monkeypatch.setattr(printing, 'find_spec', lambda name: None)
     pages = pages_of(printing.pdf(text))
@@ -411,14 +386,14 @@ def test_every_printed_page_has_the_number_and_how_many_there_are(
         assert 'Example Inertial Calibration Laboratory' in page
 
 
-def test_without_a_printer_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_printer_it_says_what_to_do(monkeypatch):
     monkeypatch.setattr(printing, 'find_spec', lambda name: None)
     monkeypatch.setattr(printing.shutil, 'which', lambda name: None)
     with pytest.raises(InputError, match=r'needs WeasyPrint or Chromium.*\.\[pdf\]'):
         printing.pdf('<p>a</p>')
 
 
-def test_no_text_ends_the_style_that_prints_it(calibration: Calibration) -> None:
+def test_no_text_ends_the_style_that_prints_it(calibration):
     nasty = '7"; } </style><b>\\'
     page = certificate_page(made(calibration, number=nasty))
     head, _, rest = page.partition('</style>')
@@ -427,9 +402,7 @@ def test_no_text_ends_the_style_that_prints_it(calibration: Calibration) -> None
 
 
 @needs_chromium
-def test_no_text_of_a_certificate_stands_on_another(
-    browser: Any, text: str, tmp_path: Path
-) -> None:
+def test_no_text_of_a_certificate_stands_on_another(browser, text, tmp_path):
     path = tmp_path / 'certificate.html'
     path.write_text(text, encoding='utf-8')
     with opened(browser, path) as shown:
@@ -460,7 +433,7 @@ def contents(element: ET.Element | None) -> str:
     return words(element)
 
 
-def test_a_dcc_is_valid_and_says_the_same(example: Certificate, calibration: Calibration) -> None:
+def test_a_dcc_is_valid_and_says_the_same(example, calibration):
     root = validated(dcc(example))
     core = root.find('dcc:administrativeData/dcc:coreData', SPACES)
     assert core is not None
@@ -484,9 +457,7 @@ def test_a_dcc_is_valid_and_says_the_same(example: Certificate, calibration: Cal
     assert probability == '0.95'
 
 
-def test_a_dcc_carries_budget_conformity_and_the_calibration_itself(
-    example: Certificate, calibration: Calibration
-) -> None:
+def test_a_dcc_carries_budget_conformity_and_the_calibration_itself(example, calibration):
     root = validated(dcc(example))
     (data,) = [e.text for e in root.iter(f'{{{DCC}}}dataBase64')]
     assert data is not None
@@ -513,9 +484,7 @@ def test_a_dcc_carries_budget_conformity_and_the_calibration_itself(
         )
 
 
-def test_a_dcc_keeps_the_rules_of_ptb_beside_the_schema(
-    calibration: Calibration, example: Certificate
-) -> None:
+def test_a_dcc_keeps_the_rules_of_ptb_beside_the_schema(calibration, example):
     root = validated(dcc(example))
     # A letter first, as PTB's Schematron wants it.
     releases = [e.text or '' for e in root.iter(f'{{{DCC}}}release')]
@@ -530,9 +499,7 @@ def test_a_dcc_keeps_the_rules_of_ptb_beside_the_schema(
     assert labels == [r.parameter.name for r in example.results]
 
 
-def test_degrees_of_freedom_are_stated_where_the_coverage_factor_depends_on_them(
-    example: Certificate,
-) -> None:
+def test_degrees_of_freedom_are_stated_where_the_coverage_factor_depends_on_them(example):
     few, many = (replace(example.results[0], freedom=f) for f in (7.5, 2e8))
     told = ET.fromstring(dcc(replace(example, results=(few, many))))
     data = [
@@ -548,7 +515,7 @@ def stated(certificate: Certificate) -> dict[str, float]:
     return {r.parameter.name: r.expanded / digital(r.parameter).scale for r in certificate.results}
 
 
-def test_dcc2json_reads_a_dcc_and_writes_it_again(example: Certificate) -> None:
+def test_dcc2json_reads_a_dcc_and_writes_it_again(example):
     toolkit = pytest.importorskip('dcc_json_toolkit')
     # PTB's schema, as it lies here: the tool would ask the network for it.
     schema = toolkit.DccSchema('3.1.2', no_cache=True, schema_url=str(SCHEMA))
@@ -565,9 +532,7 @@ def test_dcc2json_reads_a_dcc_and_writes_it_again(example: Certificate) -> None:
     assert given == pytest.approx(stated(example))
 
 
-def test_pydcc_reads_a_dcc(
-    example: Certificate, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pydcc_reads_a_dcc(example, tmp_path, monkeypatch):
     pytest.importorskip('signxml')
     # It loads no library of signatures with OpenSSL 3.0.10 and newer, and asks PTB for schemas.
     monkeypatch.setitem(sys.modules, 'certvalidator', MagicMock())
@@ -615,7 +580,7 @@ BASES = {
 """Units of SI without factors, for each that is written."""
 
 
-def test_units_are_those_of_d_si() -> None:
+def test_units_are_those_of_d_si():
     dsi = pytest.importorskip('dsi_unit')
     for parameter in [*PARAMETERS, *(p for term in TERMS for p in term.parameters)]:
         unit = digital(parameter)
@@ -626,14 +591,14 @@ def test_units_are_those_of_d_si() -> None:
         assert si_scale(unit.unit) == pytest.approx(unit.scale, rel=1e-12), parameter.name
 
 
-def test_the_schema_finds_what_is_wrong(example: Certificate) -> None:
+def test_the_schema_finds_what_is_wrong(example):
     etree = pytest.importorskip('lxml.etree')
     text = dcc(example).replace('<dcc:receiptDate>2023-11-10', '<dcc:receiptDate>10.11.2023')
     with pytest.raises(etree.DocumentInvalid):
         validated(text)
 
 
-def test_limits_of_another_type_are_refused(calibration: Calibration, tmp_path: Path) -> None:
+def test_limits_of_another_type_are_refused(calibration, tmp_path):
     target = tmp_path / 'c.html'
     with pytest.raises(InputError, match=r'limits of type mems_counts, but .* of a fog_medium'):
         certificate(calibration, EXAMPLE, target, imu='mems_counts')
@@ -641,8 +606,8 @@ def test_limits_of_another_type_are_refused(calibration: Calibration, tmp_path: 
 
 
 def test_a_draft_does_not_take_the_name_of_the_final_certificate(
-    calibration: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    calibration, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     calibration.save('c.yaml')
     command = ['certificate', 'c.yaml', '--fields', str(EXAMPLE), '--imu', 'fog_medium']
@@ -653,9 +618,7 @@ def test_a_draft_does_not_take_the_name_of_the_final_certificate(
     assert b'DRAFT, not a certificate' in Path('certificate_draft.html').read_bytes()
 
 
-def test_the_command_and_the_function_write_the_same(
-    calibration: Calibration, tmp_path: Path
-) -> None:
+def test_the_command_and_the_function_write_the_same(calibration, tmp_path):
     source, names = tmp_path / 'c.yaml', ('one.html', 'one.xml')
     calibration.save(source)
     targets = [str(tmp_path / n) for n in names]

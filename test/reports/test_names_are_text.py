@@ -16,11 +16,9 @@ import yaml
 from loopback import CHECKOUT
 from sessions import at_one_rate, calibrate, quick_plan, session, stand
 
-from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.exports import EXPORTS, ExportSource
-from imu_calib.calibration.results import Result
 from imu_calib.common.config import Section
-from imu_calib.reports.certificate import Certificate, certificate_of, certificate_page
+from imu_calib.reports.certificate import certificate_of, certificate_page
 from imu_calib.reports.certificate_fields import read_fields
 from imu_calib.reports.dcc import DCC, dcc
 from imu_calib.reports.page import Contents, page
@@ -66,7 +64,7 @@ def marked(value: Any, kept: frozenset[str] = frozenset()) -> Any:
 
 
 @pytest.fixture(scope='module')
-def result() -> Result:
+def result():
     plan = replace(
         PLAN,
         name=MARKUP,
@@ -76,7 +74,7 @@ def result() -> Result:
 
 
 @pytest.fixture(scope='module')
-def calibration(result: Result) -> Calibration:
+def calibration(result):
     found = result.calibration
     kept = frozenset({'recorded', 'state', 'parameter', 'tests_of_terms', 'method', 'tables'})
     return replace(
@@ -89,7 +87,7 @@ def calibration(result: Result) -> Calibration:
 
 
 @pytest.fixture(scope='module')
-def certificate(calibration: Calibration) -> Certificate:
+def certificate(calibration):
     example = CHECKOUT / 'config' / 'certificates' / 'example.yaml'
     document = marked(yaml.safe_load(example.read_text()), KEPT)
     document |= {'location': 'laboratory'}
@@ -98,7 +96,7 @@ def certificate(calibration: Calibration) -> Certificate:
     return certificate_of(calibration, stated, load_imu('fog_medium').specification, dcc=True)
 
 
-def test_in_the_report(result: Result, calibration: Calibration) -> None:
+def test_in_the_report(result, calibration):
     own = replace(result, calibration=calibration)
     others = {}
     for month in (2, 3):
@@ -115,11 +113,11 @@ def test_in_the_report(result: Result, calibration: Calibration) -> None:
     is_text(page(Contents(calibration, MARKUP, load_imu('fog_medium'), own, others)), 20)
 
 
-def test_in_the_certificate(certificate: Certificate) -> None:
+def test_in_the_certificate(certificate):
     is_text(certificate_page(certificate), 30)
 
 
-def test_in_the_digital_certificate(certificate: Certificate) -> None:
+def test_in_the_digital_certificate(certificate):
     root = ET.fromstring(dcc(certificate))
     assert {e.tag.partition('}')[0] for e in root.iter()} <= {
         f'{{{DCC}',
@@ -128,7 +126,7 @@ def test_in_the_digital_certificate(certificate: Certificate) -> None:
     assert ' '.join(root.itertext()).count(MARKUP) >= 30
 
 
-def test_in_the_c_header(calibration: Calibration) -> None:
+def test_in_the_c_header(calibration):
     source = ExportSource(calibration, Path('calibration.yaml'), 100.0, '/imu0')
     text = EXPORTS['c'](source).text
     assert 'x</b>' in text
@@ -136,7 +134,7 @@ def test_in_the_c_header(calibration: Calibration) -> None:
     assert 'injected' not in code
 
 
-def test_in_the_fleet_page() -> None:
+def test_in_the_fleet_page():
     pytest.importorskip('bokeh')
     from imu_calib.fleet import page as fleet_page
 

@@ -59,7 +59,7 @@ PLAN = at_one_rate(quick_plan('twelve_position', 20.0))
 
 
 @pytest.fixture(scope='module')
-def result() -> Result:
+def result():
     """A short session; a stretch of it was not sound."""
     found = calibrate(session(PLAN, stand(), 1), PLAN)
     start = found.session.start or 0
@@ -74,7 +74,7 @@ def moved(calibration: Calibration, by: float) -> Calibration:
 
 
 @pytest.fixture(scope='module')
-def contents(result: Result) -> Contents:
+def contents(result):
     imu = load_imu('fog_medium')
     calibration = result.calibration
     dated = [
@@ -85,7 +85,7 @@ def contents(result: Result) -> Contents:
 
 
 @pytest.fixture(scope='module')
-def text(contents: Contents) -> str:
+def text(contents):
     return page(contents)
 
 
@@ -103,9 +103,7 @@ def parameter_rows(text: str) -> dict[str, list[str]]:
     return {row[0]: row[1:] for row in rows}
 
 
-def test_all_parameters_are_there_with_the_numbers_of_the_calibration(
-    text: str, result: Result
-) -> None:
+def test_all_parameters_are_there_with_the_numbers_of_the_calibration(text, result):
     rows, calibration = parameter_rows(text), result.calibration
     assert tuple(rows) == PARAMETER_NAMES
     for name, value, std in zip(rows, calibration.values, calibration.std, strict=True):
@@ -116,7 +114,7 @@ def test_all_parameters_are_there_with_the_numbers_of_the_calibration(
         assert float(bar) > 0
 
 
-def test_the_angles_between_input_axes_are_there(text: str, result: Result) -> None:
+def test_the_angles_between_input_axes_are_there(text, result):
     (table,) = [t for t in parsed(text).iter('table') if t.get('class') == 'angles']
     rows = [[words(cell) for cell in row] for row in table.findall('tbody/*')]
     groups = result.calibration.free_of_frame
@@ -128,7 +126,7 @@ def test_the_angles_between_input_axes_are_there(text: str, result: Result) -> N
         assert shown == pytest.approx(value / ARCMIN, abs=0.51 * 10**-places)
 
 
-def test_verdicts_stand_beside_the_limits_of_the_specification(text: str) -> None:
+def test_verdicts_stand_beside_the_limits_of_the_specification(text):
     # Truth of Table 1 against fog_medium.yaml: E_azy 7.55 arcmin of 6, K_gx 1927 ppm of 3000.
     rows = parameter_rows(text)
     assert rows['E_azy'][4] == '±6' and rows['E_azy'][-1] == 'fail'
@@ -151,11 +149,11 @@ def test_verdicts_stand_beside_the_limits_of_the_specification(text: str) -> Non
         (0.0, 0.6, Verdict.MARGINAL),
     ],
 )
-def test_verdicts_at_the_limit(value: float, std: float, verdict: Verdict) -> None:
+def test_verdicts_at_the_limit(value, std, verdict):
     assert judge(value, std, 1.0) is verdict
 
 
-def test_without_a_specification_no_verdict_is_given(contents: Contents) -> None:
+def test_without_a_specification_no_verdict_is_given(contents):
     bare = replace(contents, imu=paper_imu_without_limits(), others=None)
     assert 'No specification was given' in page(bare)
     assert list(parameter_rows(page(bare))) == list(PARAMETER_NAMES)
@@ -172,7 +170,7 @@ def shown_tests(result: Result, tests: dict[str, object]) -> str:
     return ' '.join(terms_section(replace(result.calibration, provenance=provenance)))
 
 
-def test_terms_of_the_session_have_units_of_their_own(result: Result) -> None:
+def test_terms_of_the_session_have_units_of_their_own(result):
     tested = {
         'state': 'off',
         'log10_p': -0.3,
@@ -186,7 +184,7 @@ def test_terms_of_the_session_have_units_of_their_own(result: Result) -> None:
     assert 'K_gz: 0.1 ppm for 1 ppm per h' in shown
 
 
-def test_a_trend_of_chosen_biases_is_shown_as_a_trend(result: Result) -> None:
+def test_a_trend_of_chosen_biases_is_shown_as_a_trend(result):
     # As sessions in the hand write it: 1e-8 m/s^3 would move D_ax by 2e-5 m/s^2.
     tested = {
         'state': 'off',
@@ -199,21 +197,21 @@ def test_a_trend_of_chosen_biases_is_shown_as_a_trend(result: Result) -> None:
     assert 'D_ax: 0.56 µg for 1 µg per h' in shown
 
 
-def test_what_was_not_used_is_named_with_its_reason(text: str) -> None:
+def test_what_was_not_used_is_named_with_its_reason(text):
     cells = [[words(c) for c in row] for row in parsed(text).iter('tr')]
     assert ['7', '22:13:21', '1.0', '2.0', 'somebody <knocked> on the table'] in cells
     titles = [words(t) for t in parsed(text).iter('title')]
     assert any('somebody <knocked>' in t for t in titles)
 
 
-def test_every_stretch_is_on_the_time_line(text: str, result: Result) -> None:
+def test_every_stretch_is_on_the_time_line(text, result):
     blocks = [e.get('class') for e in parsed(text).iter('rect') if 'block' in str(e.get('class'))]
     assert blocks.count('block static') == len(result.labelled.segments) == 12
     assert blocks.count('block turn') == len(result.labelled.turns) == 6
     assert blocks.count('block rejected') == 1
 
 
-def test_thousands_of_rejected_stretches_do_not_swell_the_page(contents: Contents) -> None:
+def test_thousands_of_rejected_stretches_do_not_swell_the_page(contents):
     result = contents.result
     assert result is not None
     start = result.session.start or 0
@@ -227,7 +225,7 @@ def test_thousands_of_rejected_stretches_do_not_swell_the_page(contents: Content
     assert 'and 4960 more' in found
 
 
-def test_the_page_asks_nobody_for_anything_and_is_small(text: str, contents: Contents) -> None:
+def test_the_page_asks_nobody_for_anything_and_is_small(text, contents):
     names = {e.tag for e in parsed(text).iter()}
     assert not names & {'script', 'link', 'img', 'iframe', 'object', 'image', 'use', 'a'}
     attributes = {key for e in parsed(text).iter() for key in e.attrib}
@@ -239,13 +237,13 @@ def test_the_page_asks_nobody_for_anything_and_is_small(text: str, contents: Con
     assert page(contents) == text
 
 
-def test_findings_are_texts_whatever_they_hold(contents: Contents) -> None:
+def test_findings_are_texts_whatever_they_hold(contents):
     nasty = replace(contents.calibration, findings=('<script>alert(1)</script> & "so"',))
     found = page(replace(contents, calibration=nasty))
     assert [words(e) for e in parsed(found).iter('li')] == ['<script>alert(1)</script> & "so"']
 
 
-def test_a_calibration_alone_gives_a_report_too(contents: Contents, tmp_path: Path) -> None:
+def test_a_calibration_alone_gives_a_report_too(contents, tmp_path):
     path = tmp_path / 'c.yaml'
     contents.calibration.save(path)
     assert main(['report', str(path), '-o', str(tmp_path / 'r.html')]) == 0
@@ -255,7 +253,7 @@ def test_a_calibration_alone_gives_a_report_too(contents: Contents, tmp_path: Pa
 
 
 @pytest.fixture(scope='module')
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(tmp_path_factory):
     """A recording that says nothing of itself."""
     folder = tmp_path_factory.mktemp('recording') / 'bag'
     with RecordingWriter(folder, {}) as writer:
@@ -265,9 +263,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_calibration_and_recording_on_the_command_line(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_calibration_and_recording_on_the_command_line(recording, tmp_path, capsys):
     said = ['--plan', 'six_position', '--imu', 'fog_medium', '--latitude', '34.65']
     said += ['--azimuth', '0']
     made, report = str(tmp_path / 'c.yaml'), tmp_path / 'r.html'
@@ -286,7 +282,7 @@ def test_calibration_and_recording_on_the_command_line(
     assert 'is not the recording that' in capsys.readouterr().err.replace('\n', ' ')
 
 
-def test_spread_and_drift_of_a_hand_worked_case() -> None:
+def test_spread_and_drift_of_a_hand_worked_case():
     # 1, 2, 3 on days 0, 1, 2, each +-0.1: slope 1 +- 0.1 / sqrt(2), spread 1, chi-squared 200.
     row = RepeatedParameter(
         PARAMETERS[0], np.array([1.0, 2.0, 3.0]), np.full(3, 0.1), np.array([0.0, 1.0, 2.0])
@@ -312,9 +308,7 @@ def test_spread_and_drift_of_a_hand_worked_case() -> None:
         ([0.0, 0.1, -0.1, 0.0], [0, 1, 2, 3], Variation.REPEATS),
     ],
 )
-def test_a_drift_and_a_step_are_named_where_the_values_tell_them_apart(
-    values: list[float], days: list[float], variation: Variation
-) -> None:
+def test_a_drift_and_a_step_are_named_where_the_values_tell_them_apart(values, days, variation):
     size = len(values)
     row = RepeatedParameter(
         PARAMETERS[0], np.array(values), np.full(size, 0.1), np.array(days, float), FIRST
@@ -329,7 +323,7 @@ def test_a_drift_and_a_step_are_named_where_the_values_tell_them_apart(
     assert ('as a drift or a step explains: K_gx.' in notes) is (variation is Variation.CHANGES)
 
 
-def test_only_calibrations_of_one_unit_are_compared(contents: Contents) -> None:
+def test_only_calibrations_of_one_unit_are_compared(contents):
     own = contents.calibration
     foreign = replace(own, imu=replace(own.imu, id='another'))
     with pytest.raises(InputError, match=r"b\.yaml: is of unit 'another', expected 'fog_medium'"):
@@ -357,13 +351,13 @@ def test_only_calibrations_of_one_unit_are_compared(contents: Contents) -> None:
         repeated([own, wrong], ['a', 'b'])
 
 
-def test_a_report_is_not_called_a_pdf(contents: Contents, tmp_path: Path) -> None:
+def test_a_report_is_not_called_a_pdf(contents, tmp_path):
     with pytest.raises(InputError, match='the page is HTML, expected a name'):
         report(contents.calibration, tmp_path / 'r.pdf')
     assert not (tmp_path / 'r.pdf').exists()
 
 
-def test_compare_may_be_repeated(contents: Contents, tmp_path: Path) -> None:
+def test_compare_may_be_repeated(contents, tmp_path):
     files = [tmp_path / f'{name}.yaml' for name in 'abc']
     for by, file in enumerate(files):
         moved(contents.calibration, float(by)).save(file)
@@ -373,7 +367,7 @@ def test_compare_may_be_repeated(contents: Contents, tmp_path: Path) -> None:
     assert '3 calibrations;' in (tmp_path / 'r.html').read_text(encoding='utf-8')
 
 
-def test_the_recording_dates_the_calibration(result: Result) -> None:
+def test_the_recording_dates_the_calibration(result):
     # The simulated stand begins at 1.7e9 s after the epoch.
     assert result.calibration.provenance['recorded'] == '2023-11-14T22:13:20Z'
 
@@ -381,7 +375,7 @@ def test_the_recording_dates_the_calibration(result: Result) -> None:
 SPECIFIED = 'id: a\nunits: si\nspecification: {gyro: {bias: 1 deg/h}, accelerometer: {%s}}'
 
 
-def test_a_specification_is_read_in_si() -> None:
+def test_a_specification_is_read_in_si():
     spec = read_imu(Section.parse(SPECIFIED % 'scale_factor_error: 500 ppm', 'my.yaml'))
     assert spec.specification == Specification(
         {
@@ -400,12 +394,12 @@ def test_a_specification_is_read_in_si() -> None:
         ('g_sensitivity: 1 (deg/h)/g', "unknown key 'g_sensitivity'"),
     ],
 )
-def test_a_wrong_specification_is_refused_in_words(entry: str, message: str) -> None:
+def test_a_wrong_specification_is_refused_in_words(entry, message):
     with pytest.raises(InputError, match=message):
         read_imu(Section.parse(SPECIFIED % entry, 'my.yaml'))
 
 
-def test_axes_stand_at_round_numbers() -> None:
+def test_axes_stand_at_round_numbers():
     assert [t for _, t in Axis(-1.1, 2.2).ticks()] == [
         '−1.0',
         '−0.5',
@@ -455,7 +449,7 @@ needs_browser = pytest.mark.skipif(BROWSER is None, reason='chromium is not inst
 
 
 @needs_browser
-def test_a_browser_shows_it_without_an_error_or_a_request(text: str, tmp_path: Path) -> None:
+def test_a_browser_shows_it_without_an_error_or_a_request(text, tmp_path):
     path, printed = tmp_path / 'report.html', tmp_path / 'report.pdf'
     path.write_text(text, encoding='utf-8')
     console, asked = browse(path, tmp_path, f'--print-to-pdf={printed}', '--no-pdf-header-footer')
@@ -467,7 +461,7 @@ def test_a_browser_shows_it_without_an_error_or_a_request(text: str, tmp_path: P
 
 
 @needs_browser
-def test_the_browser_would_tell_of_a_request_and_of_an_error(tmp_path: Path) -> None:
+def test_the_browser_would_tell_of_a_request_and_of_an_error(tmp_path):
     path = tmp_path / 'bad.html'
     path.write_text('<img src="http://elsewhere.invalid/a.png"><script>nothing()</script>')
     console, asked = browse(path, tmp_path)
@@ -475,8 +469,8 @@ def test_the_browser_would_tell_of_a_request_and_of_an_error(tmp_path: Path) -> 
     assert asked == {'http://elsewhere.invalid'}
 
 
-def test_the_title_is_the_serial_number_and_without_one_the_type(contents: Contents) -> None:
-    def title(serial_number: str) -> str:
+def test_the_title_is_the_serial_number_and_without_one_the_type(contents):
+    def title(serial_number):
         calibration = replace(contents.calibration, serial_number=serial_number)
         return page(replace(contents, calibration=calibration)).partition('<h1>')[2]
 
@@ -484,7 +478,7 @@ def test_the_title_is_the_serial_number_and_without_one_the_type(contents: Conte
     assert title('').startswith('fog_medium</h1>')
 
 
-def test_units_are_set_alike_on_the_page(contents: Contents) -> None:
+def test_units_are_set_alike_on_the_page(contents):
     told = 'Scatter of 3 +- 1 ug at 0.05 deg/sqrt(h).'
     found = page(replace(contents, calibration=replace(contents.calibration, findings=(told,))))
     assert 'Scatter of 3 ± 1 µg at 0.05 deg/√h.' in found
@@ -493,17 +487,17 @@ def test_units_are_set_alike_on_the_page(contents: Contents) -> None:
     assert {'µg', 'deg/√h', '(m/s)/√h'} <= set(re.findall('<td[^>]*>([^<]*)</td>', shown))
 
 
-def test_every_column_of_the_terms_is_explained(contents: Contents) -> None:
+def test_every_column_of_the_terms_is_explained(contents):
     told = ''.join(terms_section(contents.calibration)).partition('</table>')[2].lower()
     assert [word for word in TERM_HEADINGS[1:] if f'{word}:' not in told] == []
 
 
-def test_a_curve_above_the_data_sheet_by_the_steps_of_the_output_names_them() -> None:
+def test_a_curve_above_the_data_sheet_by_the_steps_of_the_output_names_them():
     """White noise as stated, and steps that hide it at short times (IEEE 952: sqrt(3) Q / tau)."""
     imu = load_imu('fog_medium')
     walk, tau = imu.gyro.random_walk, np.array([0.01, 1.0, 100.0])
 
-    def channel(step: float) -> ChannelNoise:
+    def channel(step):
         known = Coefficient(walk, walk / 100, walk)
         steps = Coefficient(step, 0.0, step)
         curve = np.sqrt(walk**2 / tau + 3 * step**2 / tau**2)
@@ -519,7 +513,7 @@ def test_a_curve_above_the_data_sheet_by_the_steps_of_the_output_names_them() ->
         assert 'quantisation' not in noise_notes(noise, known)
 
 
-def test_budgets_of_units_in_the_hand_have_the_units_of_their_grade(contents: Contents) -> None:
+def test_budgets_of_units_in_the_hand_have_the_units_of_their_grade(contents):
     table = contents.calibration
     hand = replace(table, provenance={**table.provenance, 'by_hand': True})
     units = [
@@ -529,7 +523,7 @@ def test_budgets_of_units_in_the_hand_have_the_units_of_their_grade(contents: Co
     assert units == [{'ppm', 'arcmin', 'deg/h', 'µg'}, {'%', 'deg', 'deg/s', 'mg'}]
 
 
-def test_a_zero_by_the_choice_of_axes_has_no_row(contents: Contents) -> None:
+def test_a_zero_by_the_choice_of_axes_has_no_row(contents):
     calibration = contents.calibration
     k = PARAMETER_NAMES.index('E_axy')
     free = (np.arange(len(calibration.std)) != k).astype(float)
@@ -540,7 +534,7 @@ def test_a_zero_by_the_choice_of_axes_has_no_row(contents: Contents) -> None:
     assert 'E_axy' not in shown and shown.count('E_axz') > 2
 
 
-def test_units_in_the_hand_have_the_units_of_their_grade() -> None:
+def test_units_in_the_hand_have_the_units_of_their_grade():
     """Of one calibration the same numbers, in % and deg in place of ppm and arcmin."""
     unit = Calibration.load(named_file('truths', 'mems_counts'))
     known = replace(unit, covariance=np.diag(np.full(len(unit.std), 1e-8)))

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +15,6 @@ from sessions import at_one_rate, calibrate, quick_plan, session, stand
 
 import imu_calib
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.results import Result
 from imu_calib.calibration.thermal import combine
 from imu_calib.cli.main import main
 from imu_calib.common.budget import ErrorSource, Share
@@ -39,7 +35,7 @@ WIDTHS = (390, 820, 1400)
 
 
 @pytest.fixture(scope='module')
-def result() -> Result:
+def result():
     found = calibrate(session(PLAN, stand(), 1), PLAN)
     start = found.session.start or 0
     disturbed = Rejected(
@@ -57,13 +53,13 @@ def dated(calibration: Calibration, month: int, celsius: float) -> Calibration:
 
 
 @pytest.fixture(scope='module')
-def at_temperatures(result: Result) -> list[Calibration]:
+def at_temperatures(result):
     some = enumerate((-10.0, 5.0, 20.0, 50.0), 1)
     return [dated(result.calibration, month, celsius) for month, celsius in some]
 
 
 @pytest.fixture(scope='module')
-def pages(result: Result, at_temperatures: list[Calibration]) -> dict[str, str]:
+def pages(result, at_temperatures):
     imu, own = load_imu('fog_medium'), at_temperatures[0]
     others = {f'of_{c.provenance["recorded"][:7]}.yaml': c for c in at_temperatures[1:]}
     combined = combine(at_temperatures, ['a', 'b', 'c', 'd'])
@@ -75,12 +71,7 @@ def pages(result: Result, at_temperatures: list[Calibration]) -> dict[str, str]:
 
 
 @pytest.fixture(scope='module', params=['whole', 'alone', 'combined'])
-def shown(
-    request: pytest.FixtureRequest,
-    browser: Any,
-    pages: dict[str, str],
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Iterator[Any]:
+def shown(request, browser, pages, tmp_path_factory):
     path = tmp_path_factory.mktemp('layout') / f'{request.param}.html'
     path.write_text(pages[request.param], encoding='utf-8')
     with opened(browser, path) as found:
@@ -88,7 +79,7 @@ def shown(
 
 
 @needs_chromium
-def test_no_text_stands_on_another_and_no_page_is_wider_than_its_window(shown: Any) -> None:
+def test_no_text_stands_on_another_and_no_page_is_wider_than_its_window(shown):
     for size in WIDTHS:
         look_at(shown, size)
         assert overlaps(shown) == [], size
@@ -107,9 +98,7 @@ name => [...document.querySelectorAll(name)].flatMap(all => [...all.querySelecto
 
 
 @needs_chromium
-def test_on_a_phone_budget_and_terms_are_seen_whole(
-    browser: Any, pages: dict[str, str], tmp_path: Path
-) -> None:
+def test_on_a_phone_budget_and_terms_are_seen_whole(browser, pages, tmp_path):
     path = tmp_path / 'whole.html'
     path.write_text(pages['whole'], encoding='utf-8')
     with opened(browser, path) as shown:
@@ -134,7 +123,7 @@ def test_on_a_phone_budget_and_terms_are_seen_whole(
 
 
 @needs_chromium
-def test_the_measurement_sees_texts_on_each_other(browser: Any, tmp_path: Path) -> None:
+def test_the_measurement_sees_texts_on_each_other(browser, tmp_path):
     path = tmp_path / 'bad.html'
     path.write_text(
         '<p style="width: 40px; white-space: nowrap">much too long a sentence</p>'
@@ -149,7 +138,7 @@ def test_the_measurement_sees_texts_on_each_other(browser: Any, tmp_path: Path) 
 
 @needs_chromium
 @pytest.mark.parametrize('dark', [False, True], ids=['light', 'dark'])
-def test_every_text_is_read_in_the_dark_as_in_the_light(shown: Any, dark: bool) -> None:
+def test_every_text_is_read_in_the_dark_as_in_the_light(shown, dark):
     look_at(shown, 820, dark=dark)
     found = contrasts(shown)
     # WCAG 2.1, 1.4.3: 4.5 for letters of this size. Badges are white on colour in both.
@@ -159,9 +148,7 @@ def test_every_text_is_read_in_the_dark_as_in_the_light(shown: Any, dark: bool) 
 
 
 @needs_chromium
-def test_paper_is_white_in_the_dark_too(
-    browser: Any, pages: dict[str, str], tmp_path: Path
-) -> None:
+def test_paper_is_white_in_the_dark_too(browser, pages, tmp_path):
     path = tmp_path / 'page.html'
     path.write_text(pages['alone'], encoding='utf-8')
     with opened(browser, path) as printed:
@@ -178,9 +165,7 @@ def parsed(text: str) -> ET.Element:
     return ET.fromstring(text.removeprefix('<!DOCTYPE html>\n'))
 
 
-def test_every_position_has_a_cube_that_points_as_the_plan_says(
-    pages: dict[str, str], result: Result
-) -> None:
+def test_every_position_has_a_cube_that_points_as_the_plan_says(pages, result):
     captions = [words(f) for f in parsed(pages['whole']).iter('figcaption')]
     assert len(captions) == 12
     # Position 1 of the paper: X up, Y east, Z north (config/plans/twelve_position.yaml).
@@ -204,7 +189,7 @@ def drawn(attitude: np.ndarray) -> dict[str, tuple[float, float]]:
     }
 
 
-def test_a_cube_shows_up_above_east_at_the_right_and_north_behind() -> None:
+def test_a_cube_shows_up_above_east_at_the_right_and_north_behind():
     # X east, Y north, Z up, seen from the south-west and above.
     level = drawn(np.eye(3))
     assert level['Z'][1] > 25 and abs(level['Z'][0]) < 1
@@ -217,7 +202,7 @@ def test_a_cube_shows_up_above_east_at_the_right_and_north_behind() -> None:
     assert over['X'] == pytest.approx(level['X'], abs=0.1)
 
 
-def test_letters_of_a_cube_never_stand_on_each_other() -> None:
+def test_letters_of_a_cube_never_stand_on_each_other():
     rng = np.random.default_rng(3)
     for attitude in rotations(rng.normal(size=(300, 3)) * 2):
         places = list(drawn(attitude).values())
@@ -226,7 +211,7 @@ def test_letters_of_a_cube_never_stand_on_each_other() -> None:
                 assert abs(x - a) >= 10 or abs(y - b) >= 10
 
 
-def test_a_unit_of_which_only_up_is_known_says_so(result: Result) -> None:
+def test_a_unit_of_which_only_up_is_known_says_so(result):
     first = result.labelled.segments[0]
     bare = replace(
         result, labelled=replace(result.labelled, segments=(replace(first, attitude=None),))
@@ -236,7 +221,7 @@ def test_a_unit_of_which_only_up_is_known_says_so(result: Result) -> None:
     assert 'The heading was not measured' in attitudes([one])
 
 
-def test_provenance_is_words_and_units_and_no_dump(pages: dict[str, str], result: Result) -> None:
+def test_provenance_is_words_and_units_and_no_dump(pages, result):
     rows = {}
     for line in parsed(pages['alone']).iter('tr'):
         cells = [words(c) for c in line]
@@ -255,12 +240,12 @@ def test_provenance_is_words_and_units_and_no_dump(pages: dict[str, str], result
     assert not re.search(r'\de-\d|\[|\{|_std|None', text)
 
 
-def test_what_other_software_wrote_into_the_file_is_shown_too(result: Result) -> None:
+def test_what_other_software_wrote_into_the_file_is_shown_too(result):
     foreign = replace(result.calibration, provenance={'fixture': {'screws': 4}, 'by': ['a', 'b']})
     assert words(parsed(provenance(foreign))) == 'Further fixture: screws 4 by a, b'
 
 
-def test_dates_are_absolute(pages: dict[str, str], result: Result) -> None:
+def test_dates_are_absolute(pages, result):
     text = words(parsed(pages['whole']))
     assert 'From 2023-11-14 22:13:20 to 22:' in text
     assert 'of_2026-02.yaml recorded 2026-02-03 08:00 UTC' in text
@@ -269,9 +254,7 @@ def test_dates_are_absolute(pages: dict[str, str], result: Result) -> None:
     assert (at(12_500_000_000), iso(5)) == ('12.500 s', None)
 
 
-def test_a_combined_file_has_a_report(
-    at_temperatures: list[Calibration], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_combined_file_has_a_report(at_temperatures, tmp_path, capsys):
     path, made = tmp_path / 'combined.yaml', tmp_path / 'r.html'
     combined = imu_calib.combine(at_temperatures, path)
     # At some temperature a parameter is beyond its limit.
@@ -292,7 +275,7 @@ def test_a_combined_file_has_a_report(
         imu_calib.report(path, made, compare=[at_temperatures[0]])
 
 
-def test_every_source_of_uncertainty_can_be_drawn(result: Result) -> None:
+def test_every_source_of_uncertainty_can_be_drawn(result):
     budget = result.calibration.budget
     assert budget is not None
     large = Share.known(np.diag(np.diag(result.calibration.covariance)))

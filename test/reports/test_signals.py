@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,14 +19,14 @@ from imu_calib.segmentation.course import SignalMeans, Signals
 
 
 @pytest.fixture(scope='module')
-def result(tmp_path_factory: pytest.TempPathFactory) -> imu_calib.Result:
+def result(tmp_path_factory):
     bag = tmp_path_factory.mktemp('signals') / 'bag'
     imu_calib.simulate('free_positions', bag, imu='mems_counts', latitude=48.1, seed=2)
     return imu_calib.calibrate(bag)
 
 
 @pytest.fixture(scope='module')
-def page(result: imu_calib.Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def page(result, tmp_path_factory):
     return imu_calib.report(result, tmp_path_factory.mktemp('page') / 'report.html')
 
 
@@ -41,7 +39,7 @@ def means(stamp: Stamps, values: Floats, cut: int) -> Signals:
 
 
 @pytest.mark.parametrize(('samples', 'size'), [(500, 1), (1999, 1), (2000, 2), (70_000, 64)])
-def test_a_session_of_any_length_is_as_many_means(samples: int, size: int) -> None:
+def test_a_session_of_any_length_is_as_many_means(samples, size):
     stamp = np.arange(samples, dtype=np.int64) * 10_000_000
     values = np.random.default_rng(1).normal(size=(samples, 6))
     found = means(stamp, values, 4096)
@@ -61,7 +59,7 @@ def element(page: Path, kind: str) -> ET.Element:
     return next(e for e in tree.iter() if e.get('class') == kind)
 
 
-def test_holds_lie_where_they_were(page: Path, result: imu_calib.Result) -> None:
+def test_holds_lie_where_they_were(page, result):
     plots = [e for e in element(page, 'film').iter('svg') if e.get('preserveAspectRatio')]
     assert len(plots) == 2
     across = float((plots[0].get('viewBox') or '').split()[2])
@@ -76,7 +74,7 @@ def test_holds_lie_where_they_were(page: Path, result: imu_calib.Result) -> None
             assert float(band.get('width', '')) / across == pytest.approx(lasts, abs=1e-5)
 
 
-def test_curves_are_in_the_units_of_their_titles(result: imu_calib.Result, tmp_path: Path) -> None:
+def test_curves_are_in_the_units_of_their_titles(result, tmp_path):
     imu, session = result.calibration.imu, result.session
     stamp = (session.start or 0) + np.linspace(0, session.duration * 1e9, 5).astype(np.int64)
     # 30 deg/s about x, and 5 m/s^2 along z, in counts.
@@ -105,25 +103,25 @@ def test_curves_are_in_the_units_of_their_titles(result: imu_calib.Result, tmp_p
         assert values[0] == pytest.approx(low, abs=0.02 * high)
 
 
-def test_a_page_without_signals_is_as_before(result: imu_calib.Result, tmp_path: Path) -> None:
+def test_a_page_without_signals_is_as_before(result, tmp_path):
     path = imu_calib.report(replace(result, signals=None), tmp_path / 'page.html')
     assert 'class="film"' not in path.read_text(encoding='utf-8')
     assert 'Course of the session' in path.read_text(encoding='utf-8')
 
 
-def test_the_page_stays_small(page: Path) -> None:
+def test_the_page_stays_small(page):
     assert page.stat().st_size < 300_000
 
 
 @pytest.fixture
-def shown(browser: Any, page: Path) -> Iterator[Any]:
+def shown(browser, page):
     with opened(browser, page) as found:
         yield found
 
 
 @needs_chromium
 @pytest.mark.parametrize('size', [390, 1400])
-def test_the_plot_is_enlarged_in_its_window_alone(shown: Any, size: int) -> None:
+def test_the_plot_is_enlarged_in_its_window_alone(shown, size):
     look_at(shown, size)
     film, window = shown.locator('.film'), shown.locator('.window')
     before = film.bounding_box()['width']
@@ -143,9 +141,7 @@ def test_the_plot_is_enlarged_in_its_window_alone(shown: Any, size: int) -> None
 @needs_chromium
 @pytest.mark.parametrize('factor', [1, 4, 16])
 @pytest.mark.parametrize('dark', [False, True], ids=['light', 'dark'])
-def test_it_is_read_at_every_width_on_a_phone_and_in_the_dark(
-    shown: Any, factor: int, dark: bool
-) -> None:
+def test_it_is_read_at_every_width_on_a_phone_and_in_the_dark(shown, factor, dark):
     look_at(shown, 390, dark=dark)
     shown.locator(f'label[for=zoom-{factor}]').click()
     assert overlaps(shown) == []

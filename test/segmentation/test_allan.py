@@ -43,14 +43,14 @@ def nist_data() -> Iterator[float]:
 @pytest.mark.parametrize(
     ('clusters', 'deviation'), [(1, 2.922319e-1), (10, 9.159953e-2), (100, 3.241343e-2)]
 )
-def test_published_deviations_of_the_nist_test_suite(clusters: int, deviation: float) -> None:
+def test_published_deviations_of_the_nist_test_suite(clusters, deviation):
     # NIST SP 1065, Table 31, overlapping Allan deviation.
     phase = np.concatenate([[0.0], np.cumsum(list(nist_data()))])
     total, count = second_differences(phase, clusters)
     assert np.sqrt(total / (2 * count * clusters**2)) == pytest.approx(deviation, rel=5e-7)
 
 
-def test_overlapping_deviations_are_those_of_allantools() -> None:
+def test_overlapping_deviations_are_those_of_allantools():
     allantools = pytest.importorskip('allantools')
     increments = np.random.default_rng(3).normal(size=(3000, 2)).cumsum(axis=0) * PERIOD
     found = np.sqrt(allan_sums([increments], PERIOD).variance)
@@ -71,7 +71,7 @@ def test_overlapping_deviations_are_those_of_allantools() -> None:
 @pytest.mark.parametrize(
     ('term', 'alpha', 'within'), [(0, 2, 1e-4), (1, 0, 0.14), (2, -1, 0.03), (3, -2, 0.02)]
 )
-def test_degrees_of_freedom_are_those_of_allantools(term: int, alpha: int, within: float) -> None:
+def test_degrees_of_freedom_are_those_of_allantools(term, alpha, within):
     allantools = pytest.importorskip('allantools')
     freedom = [
         allantools.edf_greenhall(alpha=alpha, d=2, m=m, N=1001, overlapping=True)
@@ -83,7 +83,7 @@ def test_degrees_of_freedom_are_those_of_allantools(term: int, alpha: int, withi
     assert found[2:] == pytest.approx(freedom, rel=within)
 
 
-def test_the_spread_is_that_of_simulated_stretches() -> None:
+def test_the_spread_is_that_of_simulated_stretches():
     # Cross-covariances too: a thousand pairs of stretches of white rate noise.
     rng = np.random.default_rng(1)
     rows = []
@@ -98,7 +98,7 @@ def test_the_spread_is_that_of_simulated_stretches() -> None:
     )
 
 
-def test_stretches_add_up_and_a_gap_joins_nothing() -> None:
+def test_stretches_add_up_and_a_gap_joins_nothing():
     rng = np.random.default_rng(2)
     first, second = rng.normal(size=(500, 6)), rng.normal(size=(400, 6)) + 5.0
     both = allan_sums([first, second], PERIOD)
@@ -142,7 +142,7 @@ def mixed_noise(seed: int) -> dict[str, ChannelNoise]:
     return session_noise(stretches, np.full(6, N))
 
 
-def test_known_noise_is_found_within_its_deviations() -> None:
+def test_known_noise_is_found_within_its_deviations():
     found = [c for seed in range(4) for c in mixed_noise(seed).values()]
     for name, truth in (('random_walk', N), ('bias_instability', B), ('quantisation', Q)):
         values = [getattr(c, name) for c in found]
@@ -152,7 +152,7 @@ def test_known_noise_is_found_within_its_deviations() -> None:
         assert np.mean([v.std for v in values]) < 0.35 * truth
 
 
-def test_the_curve_is_flat_where_bias_instability_rules() -> None:
+def test_the_curve_is_flat_where_bias_instability_rules():
     rng = np.random.default_rng(5)
     rates = np.column_stack([flicker(rng, 131072) for _ in range(6)])
     floor = np.sqrt(allan_sums([rates * PERIOD], PERIOD).variance[4:10])
@@ -161,7 +161,7 @@ def test_the_curve_is_flat_where_bias_instability_rules() -> None:
     assert floor == pytest.approx(np.full((6, 6), flat), rel=0.15)
 
 
-def test_noise_that_does_not_show_is_bounded_not_invented() -> None:
+def test_noise_that_does_not_show_is_bounded_not_invented():
     rng = np.random.default_rng(6)
     white = [statistics_of(rng.normal(size=(8192, 6)) * 1e-4, SI) for _ in range(4)]
     for channel in session_noise(white, np.full(6, 1e-5)).values():
@@ -173,7 +173,7 @@ def test_noise_that_does_not_show_is_bounded_not_invented() -> None:
 
 
 @pytest.mark.parametrize(('rate', 'walk'), [(0.02, 0.0), (0.3, 0.05), (9.81, 0.02), (0.007, 0.1)])
-def test_what_the_steps_of_a_counter_add(rate: float, walk: float) -> None:
+def test_what_the_steps_of_a_counter_add(rate, walk):
     rng = np.random.default_rng(7)
     true = rng.uniform(size=(400, 1)) + np.cumsum(
         rate + walk * rng.normal(size=(400, 3000)), axis=1
@@ -186,7 +186,7 @@ def test_what_the_steps_of_a_counter_add(rate: float, walk: float) -> None:
         assert expected == pytest.approx(np.mean(d**2), rel=0.1, abs=0.01)
 
 
-def test_a_session_shows_the_noise_that_was_put_in_and_no_other() -> None:
+def test_a_session_shows_the_noise_that_was_put_in_and_no_other():
     spec = paper_imu()
     plan = at_one_rate(quick_plan('twelve_position', 60.0))
     result = calibrate(session(plan, stand(), 3), plan)
@@ -208,7 +208,7 @@ def test_a_session_shows_the_noise_that_was_put_in_and_no_other() -> None:
     assert '0.05 deg/sqrt(h)' in stated and '0.012 (m/s)/sqrt(h)' in stated
 
 
-def test_of_the_terms_those_fit_best_that_take_no_negative_number() -> None:
+def test_of_the_terms_those_fit_best_that_take_no_negative_number():
     rng = np.random.default_rng(4)
     units, terms = unit_variances(cluster_sizes(12), 0.1), list(Term)
     covariance, kept = np.eye(len(units)), set()
@@ -222,7 +222,7 @@ def test_of_the_terms_those_fit_best_that_take_no_negative_number() -> None:
     assert kept >= {1, 2, 3}
 
 
-def test_a_channel_that_shows_nothing_is_left_out() -> None:
+def test_a_channel_that_shows_nothing_is_left_out():
     rates = np.zeros((6000, 6))
     rates[:, 0] = np.random.default_rng(8).normal(size=6000)
     assert list(session_noise([statistics_of(rates, SI)], np.full(6, 0.1))) == ['gx']
@@ -230,7 +230,7 @@ def test_a_channel_that_shows_nothing_is_left_out() -> None:
     assert session_noise([bare], np.full(6, 0.1)) == {}
 
 
-def test_stretches_whose_blocks_differ_in_length_are_not_pooled() -> None:
+def test_stretches_whose_blocks_differ_in_length_are_not_pooled():
     """Two lengths, half each: midway between them there is none."""
     rng = np.random.default_rng(11)
     pulses = np.round(np.cumsum(np.full((6000, 6), 0.03), axis=0))
@@ -239,7 +239,7 @@ def test_stretches_whose_blocks_differ_in_length_are_not_pooled() -> None:
     coarse = ImuSpec('coarse', Units.PULSES, 100.0, triad, triad)
     plain = statistics_of(steps, coarse)
 
-    def blocks_of(length: float) -> Statistics:
+    def blocks_of(length):
         middle = length * (np.arange(12) + 0.5)
         mean = rng.normal(size=12) * 0.1 / np.sqrt(length)
         one = np.column_stack([mean, np.full(12, 1 / length), np.full(12, 1e-9), middle])
@@ -251,7 +251,7 @@ def test_stretches_whose_blocks_differ_in_length_are_not_pooled() -> None:
         assert channel.deviation[0] == pytest.approx(0.1 / np.sqrt(16.0), rel=0.5)
 
 
-def test_noise_that_few_blocks_tell_is_stated_a_deviation_larger() -> None:
+def test_noise_that_few_blocks_tell_is_stated_a_deviation_larger():
     # Two dwells of four blocks: six degrees of freedom, and a variance known to sqrt(2 / 6).
     rng = np.random.default_rng(41)
     calls = []

@@ -39,7 +39,7 @@ def seen(middle: float, share: MeasuredShare, repetition: Repetition) -> SeenMot
 # Sentences
 
 
-def test_a_jump_is_said_that_is_a_tenth_of_a_millisecond_at_least() -> None:
+def test_a_jump_is_said_that_is_a_tenth_of_a_millisecond_at_least():
     jumps, least = (0.0502, -0.3, 0.002, 0.001), (0.99e-4, 1.01e-4, 0.0, 2e-4)
     fit = ClockFit(0.0, 0.0, 0.0, 0.0, 0.0, 9, jumps, least)
     assert clock_jumps(fit) == [
@@ -49,13 +49,13 @@ def test_a_jump_is_said_that_is_a_tenth_of_a_millisecond_at_least() -> None:
     assert clock_jumps(NO_CLOCK) == []
 
 
-def test_an_interruption_is_told_by_its_length_and_its_beginning() -> None:
+def test_an_interruption_is_told_by_its_length_and_its_beginning():
     assert interruption(START + 5 * NS, START + 7 * NS + 340_000_000) == (
         'The IMU stream was interrupted: 2.3 s are missing, from 2023-11-14 22:13:25.000 UTC'
     )
 
 
-def test_lost_samples_are_told_by_their_share() -> None:
+def test_lost_samples_are_told_by_their_share():
     held = Segmenter(SPEC, TABLE)
     held._intake.facts.samples, held._reader.bridged = 17, 3
     held._reader.off_grid = {START + 9 * NS, START + 2 * NS}
@@ -71,7 +71,7 @@ def test_lost_samples_are_told_by_their_share() -> None:
     )
 
 
-def test_what_is_lost_counts_after_the_beginning_and_up_to_the_end() -> None:
+def test_what_is_lost_counts_after_the_beginning_and_up_to_the_end():
     stamp = np.arange(1, 9) * 100
     samples = Samples(stamp, np.zeros((8, 6)), NONE, 1e-7, NONE)
     whole = Bridged(samples, np.array([-1, 0, -1, -1, 1, 2, -1, -1]))
@@ -109,7 +109,7 @@ def kept_middles(angles: list[float], times: list[float]) -> list[float]:
     return kept
 
 
-def test_a_dwell_that_repeats_the_sample_of_a_frozen_motion_is_frozen_itself() -> None:
+def test_a_dwell_that_repeats_the_sample_of_a_frozen_motion_is_frozen_itself():
     """Of the last of four motions one sample is all there is; so it is of the dwell before it."""
     values = np.zeros((60, 6))
     values[:, 3] = 9.0
@@ -150,9 +150,7 @@ def test_a_dwell_that_repeats_the_sample_of_a_frozen_motion_is_frozen_itself() -
         ([], [], [5, 15, 25, 35]),
     ],
 )
-def test_rests_beside_a_motion_that_was_not_seen_do_not_count(
-    angles: list[float], times: list[float], kept: list[float]
-) -> None:
+def test_rests_beside_a_motion_that_was_not_seen_do_not_count(angles, times, kept):
     assert kept_middles(angles, times) == kept
 
 
@@ -173,7 +171,7 @@ def left_out(period_ms: int, at: int, count: int = 100) -> list[int]:
     return gone
 
 
-def test_around_a_step_of_the_clock_more_is_left_out_than_gaps_that_are_filled() -> None:
+def test_around_a_step_of_the_clock_more_is_left_out_than_gaps_that_are_filled():
     # Gaps of a tenth of a second are filled: half of it and one on either side.
     assert left_out(10, 50) == list(range(44, 56))
     assert left_out(20, 50) == list(range(47, 53))
@@ -207,7 +205,7 @@ def compared(other: float, joint: int) -> IntervalReader:
 
 
 @pytest.mark.parametrize('joint', [0, 1])
-def test_motions_of_one_joint_tell_how_far_clocks_are_apart(joint: int) -> None:
+def test_motions_of_one_joint_tell_how_far_clocks_are_apart(joint):
     held = compared(0.0, joint)
     (found,) = held.clock
     assert found.offset == pytest.approx(0.003, abs=1e-5)

@@ -57,7 +57,7 @@ def cut(sound: Sound) -> list[int]:
 
 
 @pytest.mark.parametrize('channel', range(6))
-def test_sums_stay_within_seven_of_the_scatter(channel: int) -> None:
+def test_sums_stay_within_seven_of_the_scatter(channel):
     pulse, carried, grid = np.full(6, 1e-4), np.full(6, 2e-4), np.full(6, 1e-5)
     limit = 7 * WALK[channel] * np.sqrt(0.5) + 2.5 * 3e-4 + 50 * 1e-5
     for factor, gone in ((0.999, []), (1.001, [6]), (-0.999, []), (-1.001, [6])):
@@ -65,7 +65,7 @@ def test_sums_stay_within_seven_of_the_scatter(channel: int) -> None:
         assert cut(sound_samples(held, WALK)) == gone
 
 
-def test_the_scatter_is_the_one_that_is_seen_where_it_is_larger() -> None:
+def test_the_scatter_is_the_one_that_is_seen_where_it_is_larger():
     sums = np.zeros((24, 6))
     sums[:, 1] = np.tile([1.0, -1.0], 12)
     for size, gone in ((7 * 1.4826 - 0.01, []), (7 * 1.4826 + 0.01, [12])):
@@ -73,21 +73,21 @@ def test_the_scatter_is_the_one_that_is_seen_where_it_is_larger() -> None:
         assert cut(sound_samples(dwell(sums), WALK)) == gone
 
 
-def test_rounding_of_large_numbers_is_no_disturbance() -> None:
+def test_rounding_of_large_numbers_is_no_disturbance():
     for size, gone in ((0.9e-8, []), (1.1e-8, [6])):
         sums = one(5, 6, size)
         sums[:, 5] += 10.0
         assert cut(sound_samples(dwell(sums), NONE)) == gone
 
 
-def test_scatter_within_a_window_stays_within_three_times_the_usual() -> None:
+def test_scatter_within_a_window_stays_within_three_times_the_usual():
     for factor, gone in ((2.99, []), (3.01, [6])):
         spreads = np.full((12, 6), 1e-4)
         spreads[6, 3] *= factor
         assert cut(sound_samples(dwell(np.zeros((12, 6)), spreads), WALK)) == gone
 
 
-def test_a_counter_goes_to_and_fro_by_a_pulse() -> None:
+def test_a_counter_goes_to_and_fro_by_a_pulse():
     pulse, carried, grid = np.full(6, 1e-4), np.full(6, 2e-4), np.full(6, 3e-4)
     for factor, gone in ((0.99, []), (1.01, [6])):
         spreads = one(2, 6, factor * 3 * 0.5 * 6e-4)
@@ -95,14 +95,14 @@ def test_a_counter_goes_to_and_fro_by_a_pulse() -> None:
         assert cut(sound_samples(held, WALK)) == gone
 
 
-def test_many_windows_are_looked_at_as_few_are() -> None:
+def test_many_windows_are_looked_at_as_few_are():
     for window in (15, 16, 17, 33):
         spreads = np.full((40, 6), 1e-4)
         spreads[window, 0] *= 4
         assert cut(sound_samples(dwell(np.zeros((40, 6)), spreads), WALK)) == [window]
 
 
-def test_fewer_than_four_windows_are_not_judged() -> None:
+def test_fewer_than_four_windows_are_not_judged():
     assert sound_samples(dwell(one(0, 1, 1.0, 3)), WALK).mask.all()
     assert cut(sound_samples(dwell(one(0, 1, 1.0, 4)), WALK)) == [0, 1]
     spoilt = np.zeros(150, bool)
@@ -112,7 +112,7 @@ def test_fewer_than_four_windows_are_not_judged() -> None:
 
 
 @pytest.mark.parametrize('count', [4, 7, 10, 11])
-def test_a_line_goes_through_the_medians_of_both_ends(count: int) -> None:
+def test_a_line_goes_through_the_medians_of_both_ends(count):
     sums = np.random.default_rng(count).normal(0, 1, (count, 2))
     third = max(1, count // 3)
     for c in range(2):
@@ -125,7 +125,7 @@ def test_a_line_goes_through_the_medians_of_both_ends(count: int) -> None:
         assert _robust_line(sums)[:, c] == pytest.approx(wanted)
 
 
-def test_a_drift_is_no_disturbance() -> None:
+def test_a_drift_is_no_disturbance():
     sums = np.outer(np.arange(12.0), np.ones(6))
     assert sound_samples(dwell(sums), WALK).mask.all()
 
@@ -162,9 +162,7 @@ def bad_windows(bad: Sequence[int], count: int = 12, more: int = 0) -> Sound:
         ([4, 7], [4, 7], (2.0, 1.0)),
     ],
 )
-def test_it_is_quiet_from_three_windows_in_a_row_on(
-    bad: list[int], gone: list[int], note: tuple[float, float] | None
-) -> None:
+def test_it_is_quiet_from_three_windows_in_a_row_on(bad, gone, note):
     found = bad_windows(bad)
     assert cut(found) == gone
     words = (
@@ -176,7 +174,7 @@ def test_it_is_quiet_from_three_windows_in_a_row_on(
     assert found.mount_shift is None
 
 
-def test_fewer_in_a_row_are_quiet_where_there_are_no_three() -> None:
+def test_fewer_in_a_row_are_quiet_where_there_are_no_three():
     assert cut(bad_windows([0, 2, 5], 6)) == [0, 1, 2, 5]
     assert cut(bad_windows([0, 2, 4], 6)) == [0, 2, 4]
     found = bad_windows(range(6), 6)
@@ -184,7 +182,7 @@ def test_fewer_in_a_row_are_quiet_where_there_are_no_three() -> None:
     assert found.notes == ('no half second of it was quiet',)
 
 
-def test_what_is_less_than_a_window_goes_with_the_last_one() -> None:
+def test_what_is_less_than_a_window_goes_with_the_last_one():
     assert bad_windows([5], more=20).mask[600:].all()
     assert not bad_windows([11], more=20).mask[600:].any()
     assert bad_windows([], more=20).mask.all()
@@ -213,7 +211,7 @@ def shocked(
 
 
 @pytest.mark.parametrize('axis', [0, 1])
-def test_a_turn_that_tilts_is_a_shift(axis: int) -> None:
+def test_a_turn_that_tilts_is_a_shift(axis):
     found = shocked(0.5, axis).mount_shift
     assert found is not None
     assert (found.start, found.stop) == (750, 800)
@@ -222,19 +220,19 @@ def test_a_turn_that_tilts_is_a_shift(axis: int) -> None:
         assert (shocked(0.5, axis, tilt).mount_shift is not None) is shifted
 
 
-def test_a_turn_about_up_tilts_nothing() -> None:
+def test_a_turn_about_up_tilts_nothing():
     found = shocked(0.5, 2).mount_shift
     assert found is not None
     assert found.angle == pytest.approx(0.5, rel=1e-6)
 
 
-def test_few_windows_beside_it_do_not_tell_a_tilt() -> None:
+def test_few_windows_beside_it_do_not_tell_a_tilt():
     for at, told in ((3, False), (4, True), (25, True), (26, False)):
         # Not told, it counts whatever the accelerometers see.
         assert (shocked(0.5, 0, 0.0, (at,)).mount_shift is None) is told
 
 
-def test_shocks_with_one_quiet_window_between_are_one() -> None:
+def test_shocks_with_one_quiet_window_between_are_one():
     found = shocked(0.6, 0, 1.0, (12, 14)).mount_shift
     assert found is not None
     assert (found.start, found.stop) == (600, 750)
@@ -247,7 +245,7 @@ def test_shocks_with_one_quiet_window_between_are_one() -> None:
 
 
 @pytest.mark.parametrize(('pulse', 'grid'), [(0.0, 0.0), (1e-3, 0.0), (0.0, 1e-4)])
-def test_a_shift_is_more_than_five_of_the_scatter(pulse: float, grid: float) -> None:
+def test_a_shift_is_more_than_five_of_the_scatter(pulse, grid):
     limit = 5 * np.sqrt(4) * WALK[2] * np.sqrt(0.5) + pulse + 50 * grid
     for factor, shifted in ((0.99, False), (1.01, True)):
         sums = np.zeros((30, 6))
@@ -260,13 +258,13 @@ def test_a_shift_is_more_than_five_of_the_scatter(pulse: float, grid: float) -> 
         assert (found.mount_shift is not None) is shifted
 
 
-def test_a_shift_is_more_than_18_arcsec() -> None:
+def test_a_shift_is_more_than_18_arcsec():
     for degrees, shifted in ((0.0049, False), (0.0051, True)):
         found = shocked(degrees * DEG, 2, walk=WALK * 1e-6)
         assert (found.mount_shift is not None) is shifted
 
 
-def test_what_goes_to_and_fro_is_no_turn() -> None:
+def test_what_goes_to_and_fro_is_no_turn():
     """Within a window, samples of one size: five of the root of their squares."""
     for factor, shifted in ((0.99, False), (1.01, True)):
         sums, spreads = one(2, 15, 0.5, 30), one(2, 15, 0.0, 30)
@@ -325,7 +323,7 @@ def largest_by_hand(rows: Floats, walk: float) -> tuple[float, int, float, float
 
 @pytest.mark.parametrize('walk', [0.0, 2.0])
 @pytest.mark.parametrize('seed', range(6))
-def test_the_largest_step_is_that_of_the_best_cut(seed: int, walk: float) -> None:
+def test_the_largest_step_is_that_of_the_best_cut(seed, walk):
     rng = np.random.default_rng(seed)
     rows = blocks_of(rng.normal(0, 1 + seed, 5 + seed))
     rows[:, 1] *= rng.uniform(0.5, 2, len(rows))
@@ -337,7 +335,7 @@ def test_the_largest_step_is_that_of_the_best_cut(seed: int, walk: float) -> Non
     assert got == pytest.approx(largest_by_hand(rows, walk))
 
 
-def test_four_blocks_show_no_step() -> None:
+def test_four_blocks_show_no_step():
     assert _largest_step(blocks_of([0, 1, 0, 99]), 1.0) is None
     assert _largest_step(blocks_of([0, 1, 0, 99, 99]), 1.0) is not None
 
@@ -351,13 +349,13 @@ def test_four_blocks_show_no_step() -> None:
         (5, 'the mean of az steps by 17.8 ug'),
     ],
 )
-def test_a_step_is_said_in_units_of_its_channel(channel: int, words: str) -> None:
+def test_a_step_is_said_in_units_of_its_channel(channel, words):
     size = 0.01 * DEG  # 17.8 ug, as m/s^2
     found = find_step(statistics(blocks_of([0, 0, 0, 0, size, size, size]), channel), 1e-6 + NONE)
     assert found == (pytest.approx((30.0, 50.0)), words)
 
 
-def test_the_channel_with_the_clearest_step_is_named() -> None:
+def test_the_channel_with_the_clearest_step_is_named():
     step = blocks_of([0, 0, 0, 1, 1, 1])
     rows = list(statistics(step).blocks)
     rows[4] = blocks_of([0, 0, 2, 2, 2, 2])
@@ -368,7 +366,7 @@ def test_the_channel_with_the_clearest_step_is_named() -> None:
     assert found[1].startswith('the mean of ay')
 
 
-def test_a_step_is_eight_deviations_and_explains_four_times_a_drift() -> None:
+def test_a_step_is_eight_deviations_and_explains_four_times_a_drift():
     # Levels of n blocks each, walk 1, gain 0.1: size over sqrt(0.1 (1 / 4 + 1 / 4)).
     for factor, stepped in ((7.99, False), (8.01, True)):
         size = factor * np.sqrt(0.1 * 0.5)
@@ -401,7 +399,7 @@ def shaken(count: int, size: float, turned: float, drift: float = 0.0) -> tuple[
 
 
 @pytest.mark.parametrize('drift', [0.0, 0.7])
-def test_a_turn_stands_out_of_the_root_of_squares_by_five(drift: float) -> None:
+def test_a_turn_stands_out_of_the_root_of_squares_by_five(drift):
     # A hundred samples of 0.01 and of a hundredth of the turn: the squares are 0.01 + t^2 / 100.
     limit = sqrt(25 * 0.01 / (1 - 25 / 100))
     for factor, one_way in ((0.99, False), (1.01, True), (-0.99, False), (-1.01, True)):
@@ -410,7 +408,7 @@ def test_a_turn_stands_out_of_the_root_of_squares_by_five(drift: float) -> None:
         assert _one_way(samples, total, turned, STILL).tolist() == [one_way] * 3
 
 
-def test_gyros_are_judged_each_by_itself() -> None:
+def test_gyros_are_judged_each_by_itself():
     samples, total = shaken(100, 0.01, 0.4)
     samples[:, 1] = 0.004
     total[1] = 0.4
@@ -418,12 +416,12 @@ def test_gyros_are_judged_each_by_itself() -> None:
 
 
 @pytest.mark.parametrize(('count', 'told'), [(24, True), (26, False)])
-def test_fewer_than_25_samples_of_one_size_tell_nothing(count: int, told: bool) -> None:
+def test_fewer_than_25_samples_of_one_size_tell_nothing(count, told):
     samples, total = shaken(count, 0.01, 0.0)
     assert _one_way(samples, total, STILL, STILL).all() == told
 
 
-def test_a_counter_may_flip_by_half_a_pulse_about_its_mean() -> None:
+def test_a_counter_may_flip_by_half_a_pulse_about_its_mean():
     # 100 samples of 0.01 beyond the flips of 0.02, of which a quarter of a square is each one's.
     samples, total = shaken(100, sqrt(0.01**2 + 0.02**2), 0.0)
     pulses = np.array([0.04, 0.0, 0.08])
@@ -466,12 +464,12 @@ def tilted(share: float, scatter: Floats | None = None, count: int = 12) -> bool
     return means(sums, scatter)._tilted(TURNED, bad, before, after)
 
 
-def test_half_of_a_tilt_is_seen_at_least() -> None:
+def test_half_of_a_tilt_is_seen_at_least():
     shares = [0.49, 0.51, 1.0, 0.0, -1.0]
     assert [tilted(share) for share in shares] == [False, True, True, False, False]
 
 
-def test_a_tilt_is_told_from_five_deviations_on() -> None:
+def test_a_tilt_is_told_from_five_deviations_on():
     # -a x f, of size (0.08^2 + 0.07^2 + 0.06^2)^(1/2).
     change = np.array([-0.08, 0.07, 0.06])
     size = sqrt(change @ change)
@@ -484,11 +482,11 @@ def test_a_tilt_is_told_from_five_deviations_on() -> None:
 
 
 @pytest.mark.parametrize(('count', 'told'), [(5, None), (6, True)])
-def test_four_sound_windows_on_either_side_tell_a_tilt(count: int, told: bool | None) -> None:
+def test_four_sound_windows_on_either_side_tell_a_tilt(count, told):
     assert tilted(1.0, None, count) is told
 
 
-def test_what_no_accelerometer_sees_is_about_up() -> None:
+def test_what_no_accelerometer_sees_is_about_up():
     sums = windows(FORCE, FORCE)
     sums[3, 3:] = -99.0
     # Up is (0.6, 0, 0.8): of the turn 0.6 * 0.01 - 0.8 * 0.01.
@@ -520,7 +518,7 @@ def shift(
 ABOUT_UP = np.array([0.0, 0.0, 0.01])
 
 
-def test_the_first_run_that_turned_the_unit_is_it() -> None:
+def test_the_first_run_that_turned_the_unit_is_it():
     assert shift({10: ABOUT_UP, 11: ABOUT_UP}) == ShiftingDisturbance(100, 120, 0.02)
     # One sound window between is of the run, two are not.
     assert shift({10: ABOUT_UP, 12: ABOUT_UP}) == ShiftingDisturbance(100, 130, 0.02)
@@ -534,7 +532,7 @@ def test_the_first_run_that_turned_the_unit_is_it() -> None:
     assert shift({37: ABOUT_UP}) == ShiftingDisturbance(370, 380, 0.01)
 
 
-def test_of_a_turn_without_its_tilt_what_is_about_up_counts() -> None:
+def test_of_a_turn_without_its_tilt_what_is_about_up_counts():
     both = np.array([0.0, 0.04, 0.03])
     # a x f is (0.04, 0, 0): the force tilts by -0.04 along x.
     whole = shift({20: both}, -0.04)
@@ -545,7 +543,7 @@ def test_of_a_turn_without_its_tilt_what_is_about_up_counts() -> None:
     assert part.angle == pytest.approx(0.03)
 
 
-def test_a_shift_passes_five_deviations_of_its_windows_and_the_floor() -> None:
+def test_a_shift_passes_five_deviations_of_its_windows_and_the_floor():
     # Two windows of 0.01: 5 * sqrt(2) of the scatter, and what rounding may do.
     for floor in (0.0, 0.004):
         limit = (0.02 - floor) / (5 * sqrt(2))

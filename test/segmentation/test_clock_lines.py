@@ -38,7 +38,7 @@ TIMES = np.array([0.0, 50, 130, 200, 260, 350, 400, 470])
 OFF = 1e-3 * np.array([0.3, -0.2, 0.1, 0.4, -0.3, 0.0, 0.2, -0.1])
 
 
-def test_offsets_lie_on_a_line() -> None:
+def test_offsets_lie_on_a_line():
     found = fit_clock(motions(TIMES, 0.02 + 2e-5 * TIMES + OFF))
     # The stamps of today resolve 256 ns as doubles.
     assert found.epoch == pytest.approx(START + 1e9 * TIMES.mean(), abs=300)
@@ -54,7 +54,7 @@ def test_offsets_lie_on_a_line() -> None:
     assert (found.jumps, found.least_jumps) == ((), ())
 
 
-def test_where_offsets_jump_the_pieces_are_parallel() -> None:
+def test_where_offsets_jump_the_pieces_are_parallel():
     piece = np.array([0, 0, 0, 1, 1, 1, 2, 2])
     offsets = 0.02 + 2e-5 * TIMES + OFF + np.array([0.0, 0.5, 0.1])[piece]
     found = fit_clock(motions(TIMES, offsets))
@@ -77,7 +77,7 @@ def test_where_offsets_jump_the_pieces_are_parallel() -> None:
     assert found.least_jumps == pytest.approx(np.abs(np.diff(levels)) - within, rel=1e-4)
 
 
-def test_a_jump_that_may_be_none_is_zero_at_least() -> None:
+def test_a_jump_that_may_be_none_is_zero_at_least():
     # An interruption parts the line where nothing jumps.
     found = fit_clock(motions(TIMES, 0.02 + OFF), [START + 230 * 10**9])
     (jump,) = found.jumps
@@ -88,7 +88,7 @@ def test_a_jump_that_may_be_none_is_zero_at_least() -> None:
     assert fit_clock(motions(TIMES, 0.02 + OFF), [START - 1, START + 471 * 10**9]).jumps == ()
 
 
-def test_as_many_motions_as_a_line_and_its_jumps_have_leave_no_rate() -> None:
+def test_as_many_motions_as_a_line_and_its_jumps_have_leave_no_rate():
     two = fit_clock(motions(TIMES[:2], np.array([0.01, 0.03])), [START + 20 * 10**9])
     assert (two.motions, two.rate) == (2, 0.0)
     assert np.isnan(two.rate_std)
@@ -116,16 +116,14 @@ def test_as_many_motions_as_a_line_and_its_jumps_have_leave_no_rate() -> None:
         ([0, 1, 0, -1, -1, 0, -1, 0, -1], 0.0229, 1),
     ],
 )
-def test_a_jump_is_twelve_deviations_and_five_milliseconds(
-    offsets: list[float], jump: float, jumps: int
-) -> None:
+def test_a_jump_is_twelve_deviations_and_five_milliseconds(offsets, jump, jumps):
     times = 100.0 * np.arange(len(offsets))
     behind = np.where(np.arange(len(offsets)) >= 4, jump, 0.0)
     found = fit_clock(motions(times, 1e-3 * np.array(offsets) + behind))
     assert len(found.jumps) == jumps
 
 
-def test_the_rate_between_motions_is_that_of_far_ones() -> None:
+def test_the_rate_between_motions_is_that_of_far_ones():
     # A rate of 1e-4 goes on by 10 ms in 100 s; of motions a second apart scatter makes what it may.
     times = np.array([0.0, 100, 101, 200, 201, 300, 301, 400])
     offsets = 1e-4 * times
@@ -138,10 +136,10 @@ def test_the_rate_between_motions_is_that_of_far_ones() -> None:
 # Which samples of a motion tell the offset
 
 
-def test_of_a_long_motion_two_seconds_at_either_end_are_used() -> None:
+def test_of_a_long_motion_two_seconds_at_either_end_are_used():
     time = np.arange(-3000, 13_000) / 1000
 
-    def used(duration: float) -> list[tuple[float, float]]:
+    def used(duration):
         return [(time[index[0]], time[index[-1]]) for index in _windows(time, duration)]
 
     assert used(5.599) == [(-0.8, 6.399)]
@@ -157,13 +155,13 @@ def test_of_a_long_motion_two_seconds_at_either_end_are_used() -> None:
     assert len(_windows(np.arange(-3, 10) * 0.8, 8.0)) == 1
 
 
-def test_gyros_may_leave_a_fiftieth_of_a_motion() -> None:
+def test_gyros_may_leave_a_fiftieth_of_a_motion():
     time = np.arange(-1.0, 3.0, 0.01)
     stamp = START + np.rint(time * 1e9).astype(np.int64)
     joint = np.arange(0.0, 2.001, 0.02)
     joint_stamp = START + np.rint(joint * 1e9).astype(np.int64)
 
-    def smooth(t: Floats) -> Floats:
+    def smooth(t):
         part = np.clip(t / 2, 0, 1)
         return np.asarray(part - np.sin(2 * np.pi * part) / (2 * np.pi))
 
@@ -196,7 +194,7 @@ def share_of_motion(
     return measured_share(samples, joint_stamp, attitudes)
 
 
-def test_shares_are_by_angle_and_by_cells() -> None:
+def test_shares_are_by_angle_and_by_cells():
     found = share_of_motion([1.0] * 20, [1.0] * 5 + [0.0] * 5 + [1.0] * 10)
     assert found is not None
     # Gyros are read at the ends of cells that begin with their first sample.
@@ -214,7 +212,7 @@ def test_shares_are_by_angle_and_by_cells() -> None:
         (0.3, 0.080, True),
     ],
 )
-def test_gyros_see_a_cell_where_they_turn(way: float, seen_of_it: float, moving: bool) -> None:
+def test_gyros_see_a_cell_where_they_turn(way, seen_of_it, moving):
     found = share_of_motion([way] * 40, [seen_of_it] * 40)
     assert found is not None
     assert found.angle == pytest.approx(seen_of_it / way, abs=0.01)
@@ -223,20 +221,20 @@ def test_gyros_see_a_cell_where_they_turn(way: float, seen_of_it: float, moving:
 
 
 @pytest.mark.parametrize(('slow', 'share'), [(0.23, 1.0), (0.27, 0.5)])
-def test_cells_with_a_quarter_of_the_largest_way_count(slow: float, share: float) -> None:
+def test_cells_with_a_quarter_of_the_largest_way_count(slow, share):
     found = share_of_motion([1.0] * 10 + [slow] * 10, [1.0] * 10 + [0.0] * 10)
     assert found is not None
     assert found.time == pytest.approx(share, abs=0.06)
 
 
 @pytest.mark.parametrize(('late', 'share'), [(1.0, 1.0), (-1.0, 1.0), (1.6, 0.7), (-1.6, 0.7)])
-def test_clocks_may_be_a_second_apart(late: float, share: float) -> None:
+def test_clocks_may_be_a_second_apart(late, share):
     found = share_of_motion([1.0] * 20, [1.0] * 20, late)
     assert found is not None
     assert found.angle == pytest.approx(share, abs=0.01)
 
 
-def test_a_motion_of_a_tenth_of_a_radian_is_the_least() -> None:
+def test_a_motion_of_a_tenth_of_a_radian_is_the_least():
     assert share_of_motion([0.57] * 10, [0.57] * 10) is None
     assert share_of_motion([0.58] * 10, [0.58] * 10) is not None
 
@@ -287,9 +285,7 @@ def both(
 
 @pytest.mark.parametrize('ahead', [0.0, 0.0137, -0.2, 0.75])
 @pytest.mark.parametrize(('factor', 'bias'), [(1.0, 0.0), (0.97, 2e-3), (-1.02, -1e-3)])
-def test_the_offset_is_found_whatever_scale_factor_and_bias(
-    ahead: float, factor: float, bias: float
-) -> None:
+def test_the_offset_is_found_whatever_scale_factor_and_bias(ahead, factor, bias):
     # A gyro may look down the axis: its factor is negative.
     found = clock_sample(*both(ahead=ahead, factor=factor, bias=bias))
     assert found is not None
@@ -298,7 +294,7 @@ def test_the_offset_is_found_whatever_scale_factor_and_bias(
     assert found.time == pytest.approx(START + 1e9, abs=1e3)
 
 
-def test_of_a_long_turn_its_ends_tell_and_not_what_lies_between() -> None:
+def test_of_a_long_turn_its_ends_tell_and_not_what_lies_between():
     """An angle that random walk takes elsewhere half way would pass for seconds in between."""
     wander = np.where(np.arange(20000) * PERIOD < 60.0, 0.0, 2e-3)
     found = clock_sample(*both(long_turn, lasts=121.0, ahead=0.05, wander=wander))
@@ -306,7 +302,7 @@ def test_of_a_long_turn_its_ends_tell_and_not_what_lies_between() -> None:
     assert found.offset == pytest.approx(0.05, abs=1e-4)
 
 
-def test_what_tells_nothing_gives_nothing() -> None:
+def test_what_tells_nothing_gives_nothing():
     imu, turned, joint, angle = both()
     assert clock_sample(imu, turned, joint[:3], angle[:3]) is None
     assert clock_sample(*both(lambda t: quarter(t, angle=0.09))) is None
@@ -321,7 +317,7 @@ def test_what_tells_nothing_gives_nothing() -> None:
     assert clock_sample(imu[few], turned[few], joint, angle) is None
 
 
-def test_states_must_tell_the_shape_of_the_motion() -> None:
+def test_states_must_tell_the_shape_of_the_motion():
     imu, turned, joint, angle = both(ahead=0.01)
     for count, told in ((3, False), (4, False), (6, True), (11, True)):
         few = np.linspace(0, len(joint) - 1, count).astype(int)
@@ -332,7 +328,7 @@ def test_states_must_tell_the_shape_of_the_motion() -> None:
             assert found.offset == pytest.approx(0.01, abs=2e-4)
 
 
-def test_a_motion_that_stands_alone_between_two_jumps_is_an_outlier() -> None:
+def test_a_motion_that_stands_alone_between_two_jumps_is_an_outlier():
     offsets = [0.01, 0.01, 0.01, 0.3, 0.01, 0.01, 0.01, 0.01]
     found = fit_clock([ClockSample(1e10 * k, offset) for k, offset in enumerate(offsets)])
     assert found.motions == 7
@@ -341,7 +337,7 @@ def test_a_motion_that_stands_alone_between_two_jumps_is_an_outlier() -> None:
 
 
 @pytest.mark.parametrize('motions', [1, 2])
-def test_few_motions_tell_an_offset_and_no_rate(motions: int) -> None:
+def test_few_motions_tell_an_offset_and_no_rate(motions):
     found = fit_clock([ClockSample(1e10 * k, 0.01 + 0.002 * k) for k in range(motions)])
     assert (found.rate, found.motions) == (0.0, motions)
     assert np.isnan(found.rate_std)
@@ -376,14 +372,14 @@ def seen_share(factor: Callable[[Floats], Floats], *, late: float = 0.0) -> tupl
 
 
 @pytest.mark.parametrize('late', [0.0, 0.4, -0.7])
-def test_what_gyros_see_of_a_motion_is_all_of_it(late: float) -> None:
+def test_what_gyros_see_of_a_motion_is_all_of_it(late):
     """Whatever the clocks, within a second."""
     angle, time = seen_share(lambda t: np.ones(len(t)), late=late)
     assert angle == pytest.approx(1.0, abs=0.02)
     assert time == 1.0
 
 
-def test_what_gyros_do_not_see_is_missing_by_angle_and_by_time() -> None:
+def test_what_gyros_do_not_see_is_missing_by_angle_and_by_time():
     assert seen_share(lambda t: np.zeros(len(t))) == (0.0, 0.0)
     # Half of the rate is half of the angle, at every moment.
     angle, time = seen_share(lambda t: np.full(len(t), 0.5))
@@ -396,7 +392,7 @@ def test_what_gyros_do_not_see_is_missing_by_angle_and_by_time() -> None:
     assert 0.45 < time < 0.85
 
 
-def test_a_motion_that_cannot_be_compared_is_not() -> None:
+def test_a_motion_that_cannot_be_compared_is_not():
     time = np.arange(-BEFORE, 2.0 + BEFORE, PERIOD)
     joint = np.arange(0.0, 2.0 + STATES / 2, STATES)
     stamp = START + np.round(joint * 1e9).astype(np.int64)

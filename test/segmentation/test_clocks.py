@@ -11,7 +11,7 @@ import pytest
 from evidence import evidence_of
 from extent import ALL, again
 from other_sessions import MEDIUM, NAVIGATION, errors, fed, recorded
-from other_world import Unit, World
+from other_world import World
 from sessions import gathered, truth
 
 from imu_calib.calibration.calibration import Calibration
@@ -20,7 +20,7 @@ from imu_calib.calibration.exports import EXPORTS, ExportSource
 from imu_calib.calibration.thermal import combine
 from imu_calib.calibration.verify import Verdict, verify
 from imu_calib.common.errors import InputError
-from imu_calib.common.stream import ImuBlock, JointBlock, Units
+from imu_calib.common.stream import Units
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.methods import method
 from imu_calib.estimation.system import observe
@@ -52,7 +52,7 @@ def by_a_clock(evidence: Evidence, faster: float) -> Evidence:
 
 @pytest.mark.parametrize('faster', [50 * PPM, -50 * PPM])
 @pytest.mark.parametrize('name', ['twelve_position', 'six_position', 'joint'])
-def test_the_clocks_rate_is_no_scale_factor(name: str, faster: float) -> None:
+def test_the_clocks_rate_is_no_scale_factor(name, faster):
     plan = 'twelve_position' if name == 'joint' else name
     evidence = by_a_clock(evidence_of(plan, truth().model, known=True), faster)
     found = method(name)(evidence).model
@@ -63,7 +63,7 @@ def test_the_clocks_rate_is_no_scale_factor(name: str, faster: float) -> None:
 
 
 @pytest.mark.parametrize('jump', [0.0, 0.2])
-def test_the_deviations_of_offset_and_rate_are_those_of_their_errors(jump: float) -> None:
+def test_the_deviations_of_offset_and_rate_are_those_of_their_errors(jump):
     rng = np.random.default_rng(4)
     motions, runs, scatter, rate = 14, 1000, 1e-4, 20 * PPM
     seconds = 50.0 * np.arange(motions)
@@ -88,7 +88,7 @@ def test_the_deviations_of_offset_and_rate_are_those_of_their_errors(jump: float
     ('jump', 'words'),
     [(0.0, ''), (2e-5, ''), (1e-3, 'jump by +0.0010 s'), (-0.2, 'jump by -0.2000 s')],
 )
-def test_a_jump_is_said_where_the_stamps_resolve_it(jump: float, words: str) -> None:
+def test_a_jump_is_said_where_the_stamps_resolve_it(jump, words):
     """A stream that was interrupted may have been stamped anew, or only have frozen."""
     rng = np.random.default_rng(6)
     seconds = 50.0 * np.arange(12)
@@ -120,7 +120,7 @@ SOME = list(NAMED)[:: 1 if ALL else 2]
 
 
 @pytest.mark.parametrize('name', SOME)
-def test_parameters_are_by_the_clock_of_the_table(name: str) -> None:
+def test_parameters_are_by_the_clock_of_the_table(name):
     unit, faster = NAMED[name]
     world = World(dwell=15.0, clock=faster, offset=0.02)
     calibrator = fed(world, unit)
@@ -148,14 +148,14 @@ def test_parameters_are_by_the_clock_of_the_table(name: str) -> None:
     assert abs(size - world.gravity) < 4.5 * np.hypot(noise, world.gravity * found.std[12:15].max())
 
 
-def test_numbers_that_no_clock_has_are_refused() -> None:
+def test_numbers_that_no_clock_has_are_refused():
     for faster, std, words in ((0.2, 1e-6, 'faster: found 0.2'), (1e-6, -1.0, 'faster_std: found')):
         wrong = replace(truth(), clock=StampingClock('stamps', 'table', faster, std))
         with pytest.raises(InputError, match=words):
             Calibration.from_yaml(wrong.to_yaml(), 'calibration.yaml')
 
 
-def test_firmware_is_told_by_which_clock_its_interval_is() -> None:
+def test_firmware_is_told_by_which_clock_its_interval_is():
     known = replace(truth(), clock=StampingClock('stamps of A', 'clock of B', 40 * PPM, PPM))
     exported = EXPORTS['c'](ExportSource(known, Path('calibration.yaml')))
     assert 'divide an interval between them by 1.000040000' in exported.text
@@ -174,7 +174,7 @@ def test_firmware_is_told_by_which_clock_its_interval_is() -> None:
     assert 'fast' not in ' '.join([exported.text, *exported.findings])
 
 
-def test_intervals_of_sessions_that_are_combined_are_those_of_each() -> None:
+def test_intervals_of_sessions_that_are_combined_are_those_of_each():
     # One by the table's clock, 40 ppm slower than the stamps', one by the stamps' own.
     points = [
         replace(
@@ -193,7 +193,7 @@ def test_intervals_of_sessions_that_are_combined_are_those_of_each() -> None:
     assert clock.std == pytest.approx(0.75 * PPM)
 
 
-def test_a_recording_by_another_clock_bears_a_calibration_out() -> None:
+def test_a_recording_by_another_clock_bears_a_calibration_out():
     made, seen = World(dwell=15.0, clock=500 * PPM), World(dwell=15.0, clock=-300 * PPM)
     calibrator = fed(made, NAVIGATION)
     found = calibrator.finish().calibration
@@ -216,10 +216,10 @@ WARMING = 150.0  #: s.
 
 @pytest.mark.parametrize('ppm', [5, 20])
 @pytest.mark.parametrize('grade', ['navigation', again('medium'), again('rates')])
-def test_seconds_follow_the_curve(grade: str, ppm: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_seconds_follow_the_curve(grade, ppm, monkeypatch):
     """Of 5 ppm nothing was said, and K_g was off by six deviations; 20 ppm were a warm-up."""
 
-    def blocks(world: World, unit: Unit, seed: int) -> tuple[JointBlock, ImuBlock]:
+    def blocks(world, unit, seed):
         of_table, of_imu = recorded(world, unit, seed)
         passed = (of_imu.stamp - of_imu.stamp[0]) * 1e-9
         ahead = ppm * PPM * WARMING * (1 - np.exp(-passed / WARMING))
@@ -240,7 +240,7 @@ def offsets(scatter: float, bend: float, seed: int) -> tuple[np.ndarray, np.ndar
     return time, 0.1 + 30e-6 * time + bend * np.exp(-time / 150) + noise
 
 
-def test_the_rate_of_each_part_is_that_of_the_curve_there() -> None:
+def test_the_rate_of_each_part_is_that_of_the_curve_there():
     time, offset = offsets(2e-6, 1e-3, 0)
     fit = fit_clock([ClockSample(1e9 * t, o) for t, o in zip(time, offset, strict=True)])
     assert fit.bend is not None
@@ -252,7 +252,7 @@ def test_the_rate_of_each_part_is_that_of_the_curve_there() -> None:
     assert fit.bend.rate_std < 0.2 * PPM
 
 
-def test_even_clocks_do_not_bend_by_chance() -> None:
+def test_even_clocks_do_not_bend_by_chance():
     for seed in range(500):
         time, offset = offsets(1e-5, 0.0, seed)
         samples = [ClockSample(1e9 * t, o) for t, o in zip(time, offset, strict=True)]

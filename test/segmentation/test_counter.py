@@ -43,7 +43,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(('rate', 'walk'), CASES)
-def test_the_stated_variance_is_the_true_one(rate: float, walk: float) -> None:
+def test_the_stated_variance_is_the_true_one(rate, walk):
     rng = np.random.default_rng(7)
     runs = 300
     estimates = [mean_rate(counter(rng, rate, walk), PERIOD, walk) for _ in range(runs)]
@@ -54,7 +54,7 @@ def test_the_stated_variance_is_the_true_one(rate: float, walk: float) -> None:
     )
 
 
-def test_the_end_points_of_a_noise_free_counter_err_by_a_sixth_of_a_pulse_squared() -> None:
+def test_the_end_points_of_a_noise_free_counter_err_by_a_sixth_of_a_pulse_squared():
     # c (1 - c) averaged over the fraction c is 1/6 (docs/mathematics.md, 'Noise of a mean').
     rng = np.random.default_rng(3)
     rates = rng.uniform(0, 1000, 4000)
@@ -63,7 +63,7 @@ def test_the_end_points_of_a_noise_free_counter_err_by_a_sixth_of_a_pulse_square
     assert np.var(errors) == pytest.approx(1 / 6, rel=0.08)
 
 
-def test_the_accelerometer_of_table_1_reaches_the_walk() -> None:
+def test_the_accelerometer_of_table_1_reaches_the_walk():
     # docs/mathematics.md, 'Noise of a mean': 120 s, ends 3.9 micro-g, optimum 1.9, 1.86 of it walk.
     rng = np.random.default_rng(5)
     best = mean_rate(counter(rng, 890.6, 0.02), PERIOD, 0.02)
@@ -74,7 +74,7 @@ def test_the_accelerometer_of_table_1_reaches_the_walk() -> None:
 
 
 @pytest.mark.parametrize('levels', [4.5, 5.85, 6.5])
-def test_what_is_chosen_does_not_follow_the_phase(levels: float) -> None:
+def test_what_is_chosen_does_not_follow_the_phase(levels):
     # Six levels are passed or five, by the phase: to do otherwise with five errs by 0.3.
     runs, samples, period, walk = 1600, 1200, 0.05, 0.02
     rate = -levels / (samples * period)
@@ -88,7 +88,7 @@ def test_what_is_chosen_does_not_follow_the_phase(levels: float) -> None:
     assert abs(np.mean(errors)) < 4 / np.sqrt(runs)
 
 
-def test_white_weights_are_those_of_generalised_least_squares() -> None:
+def test_white_weights_are_those_of_generalised_least_squares():
     # The tridiagonal covariance written out and inverted is the independent truth.
     rng = np.random.default_rng(2)
     walk, n = 3.0, 40
@@ -106,7 +106,7 @@ def test_white_weights_are_those_of_generalised_least_squares() -> None:
 
 
 @given(st.integers(-100, 100), st.integers(0, 2**31))
-def test_whole_pulses_per_sample_shift_the_rate_and_nothing_else(whole: int, seed: int) -> None:
+def test_whole_pulses_per_sample_shift_the_rate_and_nothing_else(whole, seed):
     pulses = counter(np.random.default_rng(seed), 12.3, 0.1, 2000)
     base = mean_rate(pulses, PERIOD, 0.1)
     shifted = mean_rate(pulses + whole, PERIOD, 0.1)
@@ -121,7 +121,7 @@ FIRST, LAST = 150.37, 750.37
 
 
 @pytest.mark.parametrize(('rate', 'walk'), TURNING)
-def test_the_stated_variance_between_two_instants_is_the_true_one(rate: float, walk: float) -> None:
+def test_the_stated_variance_between_two_instants_is_the_true_one(rate, walk):
     rng = np.random.default_rng(11)
     runs = 600
     found = [
@@ -133,7 +133,7 @@ def test_the_stated_variance_between_two_instants_is_the_true_one(rate: float, w
     )
 
 
-def test_between_two_instants_next_to_nothing_is_lost_to_the_bound() -> None:
+def test_between_two_instants_next_to_nothing_is_lost_to_the_bound():
     # Two bare readings, a sixth of a pulse squared together, would cost 9 % of the variance.
     rate, walk = 27692.3, 0.386
     floor = variance_between(6.0, 1.5, walk, 1.0, PERIOD)
@@ -146,7 +146,7 @@ def test_between_two_instants_next_to_nothing_is_lost_to_the_bound() -> None:
     assert np.mean(np.square(errors)) < 1.01 * floor * chi2.isf(1e-3, len(errors)) / len(errors)
 
 
-def test_what_swings_once_between_the_instants_averages_to_nothing() -> None:
+def test_what_swings_once_between_the_instants_averages_to_nothing():
     # The horizontal Earth rate on a turning axis, 12 deg/h in pulses of 7.8 arcsec, at any phase.
     time = (np.arange(900) + 0.5 - FIRST) * PERIOD
     for phase in (0.0, 1.0, 2.0):
@@ -156,7 +156,7 @@ def test_what_swings_once_between_the_instants_averages_to_nothing() -> None:
         assert found.rate == pytest.approx(4.0, abs=0.005 * np.sqrt(found.variance(0.386)))
 
 
-def test_without_spare_samples_a_cut_shares_the_one_that_straddles_it() -> None:
+def test_without_spare_samples_a_cut_shares_the_one_that_straddles_it():
     found = rate_between(np.array([1.0, 2, 3, 4]), 1.0, 0.5, 2.25, 0.0)
     assert found.rate == pytest.approx((0.5 + 2 + 0.75) / 1.75)
     # Half of the first, the second and a quarter of the third, squared.

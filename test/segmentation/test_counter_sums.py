@@ -62,7 +62,7 @@ def variance_of(weights: Floats, covariance: Floats) -> float:
 # A whole segment
 
 
-def test_end_points_are_the_sum_over_the_time() -> None:
+def test_end_points_are_the_sum_over_the_time():
     found = end_points(np.array([3.0, 4.0, 2.0, 1.0]), 0.5)
     assert found.rate == 5.0
     assert found.walk_gain == 0.5
@@ -71,7 +71,7 @@ def test_end_points_are_the_sum_over_the_time() -> None:
 
 
 @pytest.mark.parametrize(('samples', 'walk'), [(40, 0.3), (40, 3.0), (200, 20.0), (3, 0.5)])
-def test_ends_fade_out_as_they_say(samples: int, walk: float) -> None:
+def test_ends_fade_out_as_they_say(samples, walk):
     pulses = counted(3.37, samples)
     growth = walk**2 * PERIOD
     kappa = math.acosh(1 + 6 * growth)
@@ -96,7 +96,7 @@ def test_ends_fade_out_as_they_say(samples: int, walk: float) -> None:
     assert smoothed_ends(pulses, PERIOD, 0.0) is None
 
 
-def test_the_smallest_variance_is_taken() -> None:
+def test_the_smallest_variance_is_taken():
     pulses = counted(3.4, 100)
     for walk in (0.0, 1e-3, 0.3, 5.0):
         plain = end_points(pulses - 3, PERIOD)
@@ -114,7 +114,7 @@ def test_the_smallest_variance_is_taken() -> None:
 # Passages
 
 
-def test_passages_are_the_first_of_each_new_count() -> None:
+def test_passages_are_the_first_of_each_new_count():
     pulses = np.array([0.0, -1, 0, 1, -1, -2, 0, -1, 1, 0, -1, -1])
     # -0, -1, -1, 0, -1, -3, -3, -4, -3, -3, -4, -5
     found = passages(pulses, 1.0, 0.1)
@@ -128,7 +128,7 @@ def test_passages_are_the_first_of_each_new_count() -> None:
     assert rate.quantisation_variance == pytest.approx(2 * (5 / 12) ** 2 / 12 / 100)
 
 
-def test_a_drift_leads_by_six_deviations_over_three_levels() -> None:
+def test_a_drift_leads_by_six_deviations_over_three_levels():
     pulses = np.tile([0.0, 1.0], 8)
     # 8 pulses in 16 samples of 2 s: drift sqrt(n) against the walk in a sample.
     limit = 0.5 * 4 / 6 / math.sqrt(2.0)
@@ -138,7 +138,7 @@ def test_a_drift_leads_by_six_deviations_over_three_levels() -> None:
     assert passages(np.array([0.0, 1, 0, 1, 1]), 1.0, 1e-6) is not None
 
 
-def test_passages_are_taken_where_they_are_better_and_enough() -> None:
+def test_passages_are_taken_where_they_are_better_and_enough():
     walk = 1e-4
     for rate, wanted in ((0.0101, True), (0.02, True), (0.0045, False)):
         # 500 samples: five levels, ten, and two.
@@ -157,7 +157,7 @@ def test_passages_are_taken_where_they_are_better_and_enough() -> None:
         assert (found is not None) is bool(own < other)
 
 
-def test_what_rings_is_not_read_by_its_passages() -> None:
+def test_what_rings_is_not_read_by_its_passages():
     rising = counted(0.1, 200, 0.05)
     assert best_of(rising, 1e-4) is not None
     # Ten pulses on the way that are counted back at the end.
@@ -181,9 +181,7 @@ def test_what_rings_is_not_read_by_its_passages() -> None:
         (20.5, 24.7, 60, 1.0),
     ],
 )
-def test_counts_at_both_instants_are_read_from_those_around(
-    first: float, last: float, samples: int, walk: float
-) -> None:
+def test_counts_at_both_instants_are_read_from_those_around(first, last, samples, walk):
     pulses = counted(2.83, samples)
     growth = walk**2 * PERIOD
     kappa = math.acosh(1 + 6 * growth)
@@ -216,7 +214,7 @@ def test_counts_at_both_instants_are_read_from_those_around(
 # Blocks
 
 
-def test_blocks_are_equal_and_long_enough() -> None:
+def test_blocks_are_equal_and_long_enough():
     assert block_edges(10, 1.0, 3.0) == [(0, 3), (3, 6), (6, 10)]
     assert block_edges(10, 0.5, 5.0) == [(0, 10)]
     assert block_edges(10, 0.5, 6.0) == [(0, 10)]
@@ -224,7 +222,7 @@ def test_blocks_are_equal_and_long_enough() -> None:
     assert block_edges(9, 2.0, 6.0) == [(0, 3), (3, 6), (6, 9)]
 
 
-def test_a_quick_counter_is_cut_into_equal_times() -> None:
+def test_a_quick_counter_is_cut_into_equal_times():
     pulses = counted(40.37, 100)
     mean, found = mean_and_blocks(pulses, PERIOD, 1.0, 0.5)
     assert mean == mean_rate(pulses, PERIOD, 1.0)
@@ -234,7 +232,7 @@ def test_a_quick_counter_is_cut_into_equal_times() -> None:
 
 
 @pytest.mark.parametrize('whole', [0.0, 7.0])
-def test_a_slow_counter_is_cut_where_it_passes_a_new_count(whole: float) -> None:
+def test_a_slow_counter_is_cut_where_it_passes_a_new_count(whole):
     pulses = counted(0.0501, 1000, 0.96)
     walk, seconds = 1e-4, 3.0
     mean, found = mean_and_blocks(pulses + whole, PERIOD, walk, seconds)
@@ -261,14 +259,14 @@ def test_a_slow_counter_is_cut_where_it_passes_a_new_count(whole: float) -> None
 
 @pytest.mark.parametrize('columns', [1, 3, 6])
 @pytest.mark.parametrize('rows', [0, 1, 200])
-def test_column_by_column_rows_are_what_they_are(rows: int, columns: int) -> None:
+def test_column_by_column_rows_are_what_they_are(rows, columns):
     flags = np.random.default_rng(0).random((rows, columns)) < 0.5
     assert any_in_row(flags).tolist() == flags.any(axis=1).tolist()
     assert all_in_row(flags).tolist() == flags.all(axis=1).tolist()
 
 
 @pytest.mark.parametrize('rows', [1, 63, 64, 200])
-def test_columns_reduced_abreast_are_what_they_are(rows: int) -> None:
+def test_columns_reduced_abreast_are_what_they_are(rows):
     values = np.random.default_rng(0).normal(size=(rows, 6))
     flags = values > 1.0
     assert by_columns(np.maximum, values).tolist() == values.max(axis=0).tolist()

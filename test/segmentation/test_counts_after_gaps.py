@@ -18,7 +18,7 @@ DIFFERENCED = World(damage=Damage(lost=1e-3, differenced=True))
 
 
 @pytest.mark.parametrize('grade', GRADES)
-def test_counts_of_lost_messages_in_the_next_one_put_nothing_off(grade: str) -> None:
+def test_counts_of_lost_messages_in_the_next_one_put_nothing_off(grade):
     unit = GRADES[grade]
     found = fed(DIFFERENCED, unit, find_terms=True).finish().calibration
     whole = fed(World(), unit, find_terms=True).finish().calibration
@@ -31,7 +31,7 @@ def test_counts_of_lost_messages_in_the_next_one_put_nothing_off(grade: str) -> 
     assert len(said) == 1 and 'differences a counter over lost messages' in said[0]
 
 
-def test_messages_lost_with_their_counts_are_not_said_to_be_in_the_next() -> None:
+def test_messages_lost_with_their_counts_are_not_said_to_be_in_the_next():
     lossy = World(damage=Damage(lost=1e-3))
     found = fed(lossy, NAVIGATION).finish().calibration
     assert any('samples are missing' in f for f in found.findings)
@@ -57,7 +57,7 @@ def of(unit: Unit, world: World) -> tuple[Stamps, Floats, Floats]:
     return imu.stamp, np.hstack([imu.gyro, imu.accel]), scale
 
 
-def test_counts_are_divided_over_the_lost_ones_and_none_is_lost() -> None:
+def test_counts_are_divided_over_the_lost_ones_and_none_is_lost():
     stamp, values, scale = of(MEDIUM, DIFFERENCED)
     every, _, _ = of(MEDIUM, World())
     stamps, columns, counts = passed(stamp, values, scale, [])
@@ -68,7 +68,7 @@ def test_counts_are_divided_over_the_lost_ones_and_none_is_lost() -> None:
     assert counts.found.lost == len(every) - len(stamp)
 
 
-def test_the_result_does_not_depend_on_how_the_stream_is_cut() -> None:
+def test_the_result_does_not_depend_on_how_the_stream_is_cut():
     stamp, values, scale = of(MEDIUM, DIFFERENCED)
     stamp, values = stamp[:9000], values[:9000]
     whole = passed(stamp, values, scale, [])
@@ -79,7 +79,7 @@ def test_the_result_does_not_depend_on_how_the_stream_is_cut() -> None:
         assert other[2].found == whole[2].found
 
 
-def test_a_count_over_a_longer_silence_is_left_out() -> None:
+def test_a_count_over_a_longer_silence_is_left_out():
     stamp, values, scale = of(NAVIGATION, World())
     silent = round(3 * LONGEST * NAVIGATION.rate)
     stamp = np.delete(stamp, np.s_[1000 : 1000 + silent])
@@ -91,7 +91,7 @@ def test_a_count_over_a_longer_silence_is_left_out() -> None:
     assert (counts.found.lost, counts.found.dropped) == (silent, 1)
 
 
-def test_rates_pass_unchanged_and_at_once() -> None:
+def test_rates_pass_unchanged_and_at_once():
     stamp, values, scale = of(MEDIUM, DIFFERENCED)
     counts = CountsAfterGaps(Units.COUNTS, scale)
     rows = counts.divide(stamp, values)

@@ -50,7 +50,7 @@ def rejected(found: list[Segment | Rejected | MountShift]) -> Rejected:
     return one
 
 
-def test_a_dwell_is_a_segment() -> None:
+def test_a_dwell_is_a_segment():
     rows = rates(1000)
     found = segment(read(rows))
     assert (found.start, found.end) == (10_000_000, 10_000_000_000)
@@ -64,11 +64,11 @@ def test_a_dwell_is_a_segment() -> None:
 
 
 @pytest.mark.parametrize(('count', 'counts'), [(1, False), (100, False), (101, True)])
-def test_less_than_a_second_tells_nothing(count: int, counts: bool) -> None:
+def test_less_than_a_second_tells_nothing(count, counts):
     assert bool(read(rates(count))) is counts
 
 
-def test_what_is_saturated_for_most_of_its_time_is_none() -> None:
+def test_what_is_saturated_for_most_of_its_time_is_none():
     rows = rates(1000)
     rows[:501, 1] = 1.0
     gone = rejected(read(rows))
@@ -86,7 +86,7 @@ def test_what_is_saturated_for_most_of_its_time_is_none() -> None:
     assert found.start == 5_010_000_000
 
 
-def test_too_little_that_is_sound_is_said() -> None:
+def test_too_little_that_is_sound_is_said():
     rows = rates(400)
     rows[::50, 0] = 1.0
     assert rejected(read(rows)).reason == 'no half second of it was quiet; 8 samples are saturated'
@@ -95,14 +95,14 @@ def test_too_little_that_is_sound_is_said() -> None:
     assert rejected(read(few)).reason == '60 samples are saturated'
 
 
-def test_gaps_are_counted() -> None:
+def test_gaps_are_counted():
     kept = np.array([k for k in range(2000) if not (300 <= k < 307 or k == 1500)])
     found = segment(read(rates(2000)[kept], kept))
     assert found.notes == ('8 samples missing in 2 gaps',)
     assert found.statistics.missing == 8
 
 
-def test_frozen_samples_are_left_out() -> None:
+def test_frozen_samples_are_left_out():
     rows = rates(2000)
     rows[500:1000] = rows[499]
     found = segment(read(rows))
@@ -130,7 +130,7 @@ def test_frozen_samples_are_left_out() -> None:
     )
 
 
-def test_the_end_of_a_range_repeats_itself() -> None:
+def test_the_end_of_a_range_repeats_itself():
     rows = rates(2000)
     rows[500:700] = 1.0
     notes = segment(read(rows, by_table=False)).notes
@@ -139,7 +139,7 @@ def test_the_end_of_a_range_repeats_itself() -> None:
 
 
 @pytest.mark.parametrize('first', [2000, 6000])
-def test_a_step_leaves_the_longer_part(first: int) -> None:
+def test_a_step_leaves_the_longer_part(first):
     rows = rates(8000)
     rows[first:, 0] += 0.01
     found = segment(read(rows))
@@ -155,7 +155,7 @@ def test_a_step_leaves_the_longer_part(first: int) -> None:
 
 
 @pytest.mark.parametrize(('burst', 'enough'), [(19, False), (20, True)])
-def test_a_second_is_left_beside_a_step(burst: int, enough: bool) -> None:
+def test_a_second_is_left_beside_a_step(burst, enough):
     # Eight bursts, a quarter of a second apart: five lie before those beside the step.
     kept = np.concatenate([k * (burst + 25) + np.arange(burst) for k in range(8)])
     rows = rates(8 * burst)
@@ -169,7 +169,7 @@ def test_a_second_is_left_beside_a_step(burst: int, enough: bool) -> None:
         assert found.reason.startswith('the unit was moved: the mean of gx steps by ')
 
 
-def test_a_shift_in_the_mount_parts_a_dwell() -> None:
+def test_a_shift_in_the_mount_parts_a_dwell():
     rows = rates(4000)
     rows[2000:2010, 2] += 0.5 * DEG / 0.1
     first, shift, second = read(rows)

@@ -123,7 +123,7 @@ def said(findings: Iterable[str]) -> list[str]:
         (spikes, 7e-4, True),
     ],
 )
-def test_in_the_hand_false_samples_are_missing_ones(spoil: Spoil, share: float, si: bool) -> None:
+def test_in_the_hand_false_samples_are_missing_ones(spoil, share, si):
     stamp, values = in_hand()
     rows, values = some(len(stamp), share), values.copy()
     spoil(values, rows)
@@ -155,7 +155,7 @@ def exchanged(blocks: Iterable[Block], imu: ImuBlock) -> list[Block]:
 @pytest.mark.parametrize(
     ('pulses', 'spoil'), [(True, zeros), (True, spikes), (False, minus_one), (False, spikes)]
 )
-def test_on_a_table_they_are_what_missing_ones_are(pulses: bool, spoil: Spoil) -> None:
+def test_on_a_table_they_are_what_missing_ones_are(pulses, spoil):
     blocks, spec = on_table(pulses), FOG if pulses else MEMS
     stamp, values = columns(blocks)
     rows, values = some(len(stamp), 0.003), values.copy()
@@ -179,7 +179,7 @@ def test_on_a_table_they_are_what_missing_ones_are(pulses: bool, spoil: Spoil) -
     assert not said(lost.calibration.findings)
 
 
-def test_many_are_named_first_where_a_session_is_refused() -> None:
+def test_many_are_named_first_where_a_session_is_refused():
     stamp, values = in_hand()
     rows, values = some(len(stamp), 0.3), values.copy()
     zeros(values, rows)
@@ -188,7 +188,7 @@ def test_many_are_named_first_where_a_session_is_refused() -> None:
     assert str(one.value).count('are false') == 1
 
 
-def test_info_says_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_says_them(tmp_path, capsys):
     stamp, values = in_hand()
     rows, values = some(len(stamp), 0.00304), values.copy()
     zeros(values, rows)
@@ -208,9 +208,7 @@ def test_info_says_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         (Units.INCREMENTS, (100.0 * DEG, 100.0)),
     ],
 )
-def test_values_in_any_unit_have_those_that_si_has(
-    units: Units, value: tuple[float, float]
-) -> None:
+def test_values_in_any_unit_have_those_that_si_has(units, value):
     """A value stands for so many rad/s and m/s^2; increments are of samples of 100 Hz."""
     stamp, values = in_hand()
     values = values * np.repeat([MEMS.gyro.scale_factor, MEMS.accel.scale_factor], 3)
@@ -249,7 +247,7 @@ def passed(
 
 
 @pytest.mark.parametrize('units', [Units.COUNTS, Units.SI])
-def test_the_result_does_not_depend_on_blocks(units: Units) -> None:
+def test_the_result_does_not_depend_on_blocks(units):
     stamp, values = in_hand()
     stamp, values, rng = stamp[:4000], values[:4000].copy(), np.random.default_rng(5)
     for spoil in (zeros, minus_one, spikes):
@@ -269,7 +267,7 @@ def test_the_result_does_not_depend_on_blocks(units: Units) -> None:
     assert min(cut.found.on_all_axes, cut.found.spikes) > 100
 
 
-def test_runs_of_up_to_eight_are_false_and_longer_ones_frozen() -> None:
+def test_runs_of_up_to_eight_are_false_and_longer_ones_frozen():
     for length, count in ((1, 1), (2, 2), (8, 8), (9, 0), (50, 0)):
         values = np.random.default_rng(length).normal([0, 0, 0, 10, 500, 2000], 3.0, (400, 6))
         values = np.rint(values)
@@ -277,20 +275,20 @@ def test_runs_of_up_to_eight_are_false_and_longer_ones_frozen() -> None:
         assert passed(values, Units.COUNTS).on_all_axes == count
 
 
-def test_a_driver_that_changes_signs_hides_none() -> None:
+def test_a_driver_that_changes_signs_hides_none():
     values = np.random.default_rng(1).normal([0, 0, 0, 0.1, 5, 8], 0.02, (400, 6))
     values[200] = [-0.001, 0.001, 0.001, -0.005, 0.005, 0.005]
     assert passed(values, Units.SI).on_all_axes == 1
 
 
-def test_a_spike_beside_another_is_seen() -> None:
+def test_a_spike_beside_another_is_seen():
     values = np.random.default_rng(1).normal(0, 3.0, (400, 6)).round()
     values[[200, 206], 1] = 5000.0
     values[[203, 210], 4] = -5000.0
     assert passed(values, Units.COUNTS).spikes == 4
 
 
-def test_a_sensor_that_reads_nothing_at_rest_has_spikes_all_the_same() -> None:
+def test_a_sensor_that_reads_nothing_at_rest_has_spikes_all_the_same():
     values = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 9.8], (400, 1))
     values[200, 1] = 2000 * DEG
     assert passed(values, Units.SI).spikes == 1
@@ -298,7 +296,7 @@ def test_a_sensor_that_reads_nothing_at_rest_has_spikes_all_the_same() -> None:
 
 @pytest.mark.parametrize('units', [Units.COUNTS, Units.SI])
 @pytest.mark.parametrize('pattern', [(0, 1), (0, 1, 2), (0, 2)])
-def test_spikes_in_succession_are_seen(units: Units, pattern: tuple[int, ...]) -> None:
+def test_spikes_in_succession_are_seen(units, pattern):
     stamp, values = in_hand()
     values = values.copy()
     starts = np.arange(60, len(stamp) - 60, 97)
@@ -313,7 +311,7 @@ def test_spikes_in_succession_are_seen(units: Units, pattern: tuple[int, ...]) -
     assert found.spikes == len(starts) * len(pattern)
 
 
-def test_zeros_of_a_sparse_counter_are_seen_by_gravity() -> None:
+def test_zeros_of_a_sparse_counter_are_seen_by_gravity():
     """At 300 Hz gravity is 3.3 pulses a sample, and no axis gets to six."""
     spec = replace(FOG, sample_rate=300.0)
     held = as_planned(HAND, np.random.default_rng([3, 1]))
@@ -410,7 +408,7 @@ def outliers() -> Floats:
     ],
 )
 @pytest.mark.parametrize('units', [Units.COUNTS, Units.SI])
-def test_sound_samples_are_kept(values: Floats, units: Units) -> None:
+def test_sound_samples_are_kept(values, units):
     scale = np.repeat([0.06 * DEG, 0.005], 3)
     if units is Units.SI:
         assert passed(values * scale, units).count == 0
@@ -418,7 +416,7 @@ def test_sound_samples_are_kept(values: Floats, units: Units) -> None:
         assert passed(values, units, scale=scale).count == 0
 
 
-def test_real_and_simulated_sessions_lose_none() -> None:
+def test_real_and_simulated_sessions_lose_none():
     with open_recording(Path(__file__).parents[1] / 'data' / 'hand_session') as recording:
         real = columns(one for _, one in recording.read({'/imu/raw': Kind.IMU}))
     sessions = [(real, MEMS), (in_hand(), MEMS)]
@@ -428,7 +426,7 @@ def test_real_and_simulated_sessions_lose_none() -> None:
 
 
 @pytest.mark.parametrize('imu', shipped('imus').split(', '))
-def test_sound_sessions_of_every_unit_lose_none(imu: str) -> None:
+def test_sound_sessions_of_every_unit_lose_none(imu):
     spec = load_imu(imu)
     held = as_planned(HAND, np.random.default_rng([7, 1]))
     in_a_hand = held.blocks(spec, TRUTH, HAND_SITE, ImuOptions(), 7)
@@ -438,7 +436,7 @@ def test_sound_sessions_of_every_unit_lose_none(imu: str) -> None:
         assert passed(values, spec.units, stamp, spec.scale).count == 0
 
 
-def test_a_stream_in_one_sample_blocks_ends_whole() -> None:
+def test_a_stream_in_one_sample_blocks_ends_whole():
     stamp, values = (one[:300] for one in in_hand())
     segmenter = Segmenter(MEMS, None)
     for k in range(len(stamp)):

@@ -34,7 +34,7 @@ INSTANTS = {
 
 
 @pytest.fixture
-def freeze(monkeypatch: pytest.MonkeyPatch):
+def freeze(monkeypatch):
     """Freeze the unit at an instant, s from the start, in the sessions that `fed` feeds."""
 
     def apply(instant: float) -> None:
@@ -52,7 +52,7 @@ def freeze(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.parametrize('grade', ['medium', again('navigation'), again('rates'), 'without noise'])
 @pytest.mark.parametrize('within', ['a turn', 'a move', 'a dwell'])
-def test_a_session_that_lacks_the_rest_is_refused_with_the_instant(grade, within, freeze) -> None:
+def test_a_session_that_lacks_the_rest_is_refused_with_the_instant(grade, within, freeze):
     freeze(INSTANTS[within])
     with pytest.raises(NotObservable, match=r'repeats one sample from .* to the end') as refused:
         fed(SHORT, UNITS[grade], find_terms=True).finish()
@@ -64,7 +64,7 @@ def test_a_session_that_lacks_the_rest_is_refused_with_the_instant(grade, within
 
 @pytest.mark.parametrize('grade', [again('medium'), 'navigation', again('rates')])
 @pytest.mark.parametrize('within', ['the last turn', 'the last dwell'])
-def test_where_enough_came_before_that_is_calibrated(grade, within, freeze) -> None:
+def test_where_enough_came_before_that_is_calibrated(grade, within, freeze):
     freeze(INSTANTS[within])
     found = fed(SHORT, UNITS[grade], find_terms=True).finish().calibration
     off = errors(found, UNITS[grade])
@@ -77,7 +77,7 @@ def test_where_enough_came_before_that_is_calibrated(grade, within, freeze) -> N
 
 
 @pytest.mark.parametrize('offset', [0.0, again(20.0)])
-def test_a_unit_without_noise_that_rests_is_not_frozen(offset) -> None:
+def test_a_unit_without_noise_that_rests_is_not_frozen(offset):
     world = replace(SHORT, offset=offset)
     findings = fed(world, UNITS['without noise']).finish().calibration.findings
     assert not [one for one in findings if 'froze' in one]

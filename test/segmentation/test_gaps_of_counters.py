@@ -75,9 +75,7 @@ def filled(
         (2.37, 0.3, 4),
     ],
 )
-def test_gaps_are_read_one_after_the_other_until_they_settle(
-    rate: float, noise: float, reach: int | None, pulse: float
-) -> None:
+def test_gaps_are_read_one_after_the_other_until_they_settle(rate, noise, reach, pulse):
     rng = np.random.default_rng(7)
     total = np.cumsum(rate + noise * rng.standard_normal(601)) + 0.4
     counts = np.diff(np.floor(total))
@@ -91,7 +89,7 @@ def test_gaps_are_read_one_after_the_other_until_they_settle(
     assert whole.bridged[0] == pytest.approx(left / len(gaps) * pulse**2)
 
 
-def test_what_comes_after_a_long_gap_tells_nothing_of_one_before_it() -> None:
+def test_what_comes_after_a_long_gap_tells_nothing_of_one_before_it():
     # 2 pulses a sample before 40 that are missing, 3 after them.
     counts = np.where(np.arange(200) < 100, 2.0, 3.0)
     rows = [k for k in range(200) if k not in (95, 144) and not 100 <= k < 140]
@@ -122,7 +120,7 @@ def criterion(square: float, dwells: list[Floats]) -> float:
     return total
 
 
-def test_a_walk_is_the_likeliest_beside_what_quantisation_leaves() -> None:
+def test_a_walk_is_the_likeliest_beside_what_quantisation_leaves():
     rng = np.random.default_rng(9)
     dwells = [
         dwell(rng, rng.uniform(0.05, 0.2, n), rng.uniform(0.0, 1.0, n)) for n in (6, 9, 14, 2)

@@ -38,7 +38,7 @@ def rows(*stamps: int) -> tuple[Any, Floats]:
 # Rows in memory
 
 
-def test_rows_are_first_in_first_out() -> None:
+def test_rows_are_first_in_first_out():
     buffer = RowBuffer(1)
     assert len(buffer) == 0
     for k in range(0, 5000, 7):
@@ -50,7 +50,7 @@ def test_rows_are_first_in_first_out() -> None:
         assert buffer.values[:, 0].tolist() == list(range(first, k + 7))
 
 
-def test_rows_between_are_after_the_first_and_up_to_the_last() -> None:
+def test_rows_between_are_after_the_first_and_up_to_the_last():
     buffer = RowBuffer(1)
     buffer.append(*rows(1, 3, 5, 7))
     stamp, values = buffer.between(3, 7)
@@ -67,7 +67,7 @@ def test_rows_between_are_after_the_first_and_up_to_the_last() -> None:
     assert buffer.stamp.tolist() == [7]
 
 
-def test_a_copy_goes_on_by_itself() -> None:
+def test_a_copy_goes_on_by_itself():
     buffer = RowBuffer(1)
     buffer.append(*rows(*range(3000)))
     buffer.remove_first(2990)
@@ -79,7 +79,7 @@ def test_a_copy_goes_on_by_itself() -> None:
     assert other.values[-1].tolist() == [5000.0]
 
 
-def test_memory_is_twice_what_is_needed() -> None:
+def test_memory_is_twice_what_is_needed():
     buffer = RowBuffer(1)
     assert len(buffer._stamp) == 1024
     buffer.append(*rows(*range(1000)))
@@ -102,7 +102,7 @@ def test_memory_is_twice_what_is_needed() -> None:
 # Their order
 
 
-def test_what_is_dropped_is_told_by_its_stamp() -> None:
+def test_what_is_dropped_is_told_by_its_stamp():
     order = StampOrder(1)
     one = order.drop_disordered(*rows(5, 6, 900, 7, 8))
     assert one.stamp.tolist() == [5, 6, 7]
@@ -138,7 +138,7 @@ def joints(seconds: list[float], names: tuple[str, ...] = ('a', 'b')) -> JointBl
     ('first', 'ahead', 'apart'),
     [(7, 0, True), (7, -1, True), (7, -3, False), (-7, 0, True), (-7, 1, True), (-7, 3, False)],
 )
-def test_streams_that_do_not_overlap_are_of_two_clocks(first: int, ahead: int, apart: bool) -> None:
+def test_streams_that_do_not_overlap_are_of_two_clocks(first, ahead, apart):
     """The IMU's clock is known to be ahead by some seconds: by these the streams may meet."""
     intake = StreamBuffer(TABLE, skewed=False)
     intake.add_imu(imu(10, 11, 12, 13, 14, 15))
@@ -146,7 +146,7 @@ def test_streams_that_do_not_overlap_are_of_two_clocks(first: int, ahead: int, a
     assert any('two clocks' in said for said in intake.losses(ahead * NS)) is apart
 
 
-def test_samples_wait_until_they_are_dropped() -> None:
+def test_samples_wait_until_they_are_dropped():
     intake = StreamBuffer(TABLE, skewed=False)
     assert (intake.duration, intake.first_stamp, intake.last_stamp) == (0.0, None, None)
     assert not intake.is_complete_until(0)
@@ -170,7 +170,7 @@ def test_samples_wait_until_they_are_dropped() -> None:
     assert intake.losses() == []
 
 
-def test_a_skewed_gyro_is_awaited() -> None:
+def test_a_skewed_gyro_is_awaited():
     intake = StreamBuffer(TABLE, skewed=True)
     assert intake.skew is not None
     intake.add_imu(imu(*range(1, 301)))
@@ -198,7 +198,7 @@ def test_a_skewed_gyro_is_awaited() -> None:
     assert plain.skew is None
 
 
-def test_rows_that_came_twice_are_counted_across_blocks() -> None:
+def test_rows_that_came_twice_are_counted_across_blocks():
     intake = StreamBuffer(None, skewed=False)
     intake.add_imu(imu(1, 2, value=5.0))
     intake.add_imu(imu(2, 3, 3, value=5.0))
@@ -215,7 +215,7 @@ def test_rows_that_came_twice_are_counted_across_blocks() -> None:
     assert intake.samples == 8 - 1
 
 
-def test_joints_come_in_the_order_of_the_table() -> None:
+def test_joints_come_in_the_order_of_the_table():
     intake = StreamBuffer(TABLE, skewed=False)
     found = intake.add_joints(joints([1, 2, 3], ('b', 'q', 'a')))
     assert found.stamp.tolist() == [NS, 2 * NS]
@@ -250,7 +250,7 @@ def test_joints_come_in_the_order_of_the_table() -> None:
         ([0.5, 1.0], ''),
     ],
 )
-def test_table_and_unit_are_heard_at_the_same_time(states: list[float], words: str) -> None:
+def test_table_and_unit_are_heard_at_the_same_time(states, words):
     intake = StreamBuffer(TABLE, skewed=False)
     intake.add_imu(imu(1, 5, 9))
     intake.add_joints(joints(states))
@@ -258,8 +258,8 @@ def test_table_and_unit_are_heard_at_the_same_time(states: list[float], words: s
     assert [line.startswith(words) for line in intake.losses()] == ([True] if words else [])
 
 
-def test_the_first_of_equal_setpoints_is_kept() -> None:
-    def requested(stamp: int, step: int, position: str = 'a', mode: Mode = Mode.RATE) -> Setpoint:
+def test_the_first_of_equal_setpoints_is_kept():
+    def requested(stamp, step, position='a', mode=Mode.RATE):
         return Setpoint(stamp, 'p', step, position, mode, (), (), (), 1, 0.0)
 
     intake = StreamBuffer(TABLE, skewed=False)
@@ -279,7 +279,7 @@ def shown(*points: tuple[float, float]) -> TemperatureBlock:
     return TemperatureBlock(stamp, np.array([c for _, c in points]))
 
 
-def test_a_course_has_the_means_of_ten_seconds() -> None:
+def test_a_course_has_the_means_of_ten_seconds():
     thermometer = Thermometer()
     assert thermometer.temperature is None
     thermometer.add_temperatures(shown((31, 30.0), (2, 20.0), (8, 21.0), (9.5, 25.0)))
@@ -299,7 +299,7 @@ def test_a_course_has_the_means_of_ten_seconds() -> None:
     assert (cold.temperature.lowest, cold.temperature.highest) == (-273.15, 1000.0)
 
 
-def test_between_its_points_a_course_is_linear() -> None:
+def test_between_its_points_a_course_is_linear():
     course = np.array([[100.0 * NS, 20.0], [110.0 * NS, 30.0], [130.0 * NS, 10.0]])
     found = Temperature(1.0, 10.0, 30.0, course)
     spans = [
@@ -332,14 +332,14 @@ def spec(units: Units, **more: float) -> ImuSpec:
     return ImuSpec('any', units, None, TriadSpec(0.5, **more), TriadSpec(0.25, **more))
 
 
-def test_the_walk_is_the_data_sheets_or_a_twentieth_of_a_pulse() -> None:
+def test_the_walk_is_the_data_sheets_or_a_twentieth_of_a_pulse():
     walk = Sensor.from_spec(spec(Units.PULSES)).walk
     assert walk.tolist() == [pytest.approx(0.05 * s) for s in (0.5, 0.5, 0.5, 0.25, 0.25, 0.25)]
     assert Sensor.from_spec(spec(Units.SI)).walk.tolist() == [0.0] * 6
     assert Sensor.from_spec(spec(Units.PULSES, random_walk=0.7)).walk.tolist() == [0.7] * 6
 
 
-def test_a_mean_goes_on_by_a_count() -> None:
+def test_a_mean_goes_on_by_a_count():
     assert Sensor.from_spec(spec(Units.PULSES)).step(0.1, ONES) == pytest.approx([5.0, 2.5])
     assert Sensor.from_spec(spec(Units.COUNTS)).step(0.1, ONES) == pytest.approx([0.5, 0.25])
     assert Sensor.from_spec(spec(Units.SI)).step(0.1, ONES) == pytest.approx([0.0, 0.0])
@@ -358,7 +358,7 @@ def held(increments: Floats, pulse: float = 0.0, period: float = 0.01) -> Sample
 
 
 @pytest.mark.parametrize('channel', range(6))
-def test_a_reading_within_a_thousandth_of_the_range_is_at_its_end(channel: int) -> None:
+def test_a_reading_within_a_thousandth_of_the_range_is_at_its_end(channel):
     sensor = Sensor.from_spec(
         ImuSpec('r', Units.SI, None, TriadSpec(range=4.0), TriadSpec(range=40.0))
     )
@@ -369,7 +369,7 @@ def test_a_reading_within_a_thousandth_of_the_range_is_at_its_end(channel: int) 
     assert found.tolist() == [False, False, True, True, True]
 
 
-def test_the_largest_count_is_the_end_of_a_range() -> None:
+def test_the_largest_count_is_the_end_of_a_range():
     values = np.zeros((8, 6))
     values[range(7), 2] = [32767, -32768, 32766, 8388607, -2147483648, 32769, 2147483647]
     found = Sensor.from_spec(spec(Units.COUNTS)).saturated(values, held(values))
@@ -378,7 +378,7 @@ def test_the_largest_count_is_the_end_of_a_range() -> None:
 
 
 @pytest.mark.parametrize('name', ['adis16470', 'epson_g370', 'stim300'])
-def test_a_word_of_32_bits_passes_the_largest_counts_of_shorter_ones(name: str) -> None:
+def test_a_word_of_32_bits_passes_the_largest_counts_of_shorter_ones(name):
     """They are rates that any motion passes: turns and moves were left out as saturated."""
     sensor = Sensor.from_spec(load_imu(name))
     stamp = np.arange(1, 401) * 5_000_000
@@ -394,7 +394,7 @@ def test_a_word_of_32_bits_passes_the_largest_counts_of_shorter_ones(name: str) 
     assert sensor.saturated(own, sensor.samples(stamp, own)).sum() == 200
 
 
-def test_few_pulses_at_the_end_of_a_range_are_added_up() -> None:
+def test_few_pulses_at_the_end_of_a_range_are_added_up():
     # 0.999 of the range is 2.5 pulses a sample: forty samples make a hundred.
     limit = 2.5 / 0.999 / 0.01
     sensor = Sensor.from_spec(ImuSpec('r', Units.PULSES, None, TriadSpec(range=limit), TriadSpec()))
@@ -419,7 +419,7 @@ def noisy(count: int, seed: int = 0) -> Floats:
 
 
 @pytest.mark.parametrize(('times', 'frozen'), [(7, False), (8, True)])
-def test_eight_repetitions_are_frozen(times: int, frozen: bool) -> None:
+def test_eight_repetitions_are_frozen(times, frozen):
     values = noisy(1000)
     values[500 : 501 + times] = values[500]
     for counted in (False, True):
@@ -428,7 +428,7 @@ def test_eight_repetitions_are_frozen(times: int, frozen: bool) -> None:
         assert found == (list(range(501, 501 + times)) if frozen else [])
 
 
-def test_of_few_samples_and_of_many_repetitions_nothing_tells() -> None:
+def test_of_few_samples_and_of_many_repetitions_nothing_tells():
     values = noisy(40)
     values[20:29] = values[20]
     assert repeating_samples(values, counted=True).sum() == 8
@@ -437,7 +437,7 @@ def test_of_few_samples_and_of_many_repetitions_nothing_tells() -> None:
     assert not repeating_samples(values, counted=True).any()
 
 
-def test_what_repeats_itself_often_does_so_by_chance() -> None:
+def test_what_repeats_itself_often_does_so_by_chance():
     values = np.zeros((1000, 6))
     values[::3] = 1.0  # a third of all steps is none
     values[500:512] = 0.0
@@ -460,7 +460,7 @@ def repeating(count: int, pairs: int, *runs: int) -> Floats:
 
 
 @pytest.mark.parametrize(('pairs', 'times'), [(0, 8), (5, 8), (6, 9)])
-def test_by_chance_samples_repeat_themselves_once_in_1e9_segments(pairs: int, times: int) -> None:
+def test_by_chance_samples_repeat_themselves_once_in_1e9_segments(pairs, times):
     messages = []
     for count in range(24, 400):
         found = repeating_samples(repeating(count, pairs, times), counted=True)
@@ -472,7 +472,7 @@ def test_by_chance_samples_repeat_themselves_once_in_1e9_segments(pairs: int, ti
     assert set(messages) == {True, False}
 
 
-def test_runs_are_judged_without_those_that_are_longer() -> None:
+def test_runs_are_judged_without_those_that_are_longer():
     # Nine beside forty might be chance; without these they are not.
     for runs in ((9, 40), (40, 9)):
         assert repeating_samples(repeating(100, 0, *runs), counted=True).sum() == 49
@@ -482,7 +482,7 @@ def test_runs_are_judged_without_those_that_are_longer() -> None:
 
 
 @pytest.mark.parametrize(('away', 'noisy'), [(32, True), (33, False)])
-def test_noise_is_looked_for_in_32_samples_before_and_after(away: int, noisy: bool) -> None:
+def test_noise_is_looked_for_in_32_samples_before_and_after(away, noisy):
     for side in (-1, 1):
         values = np.zeros((400, 6))
         values[:, 0] = np.arange(400) % 2
@@ -494,7 +494,7 @@ def test_noise_is_looked_for_in_32_samples_before_and_after(away: int, noisy: bo
         assert bool(repeating_samples(values, counted=False).any()) is noisy
 
 
-def test_codes_between_two_edges_are_not_frozen() -> None:
+def test_codes_between_two_edges_are_not_frozen():
     for codes, frozen in ((3, False), (4, True)):
         values = np.zeros((400, 6))
         values[:, 0] = np.arange(400) % codes
@@ -503,7 +503,7 @@ def test_codes_between_two_edges_are_not_frozen() -> None:
         assert repeating_samples(values, counted=True).any()
 
 
-def test_a_dwell_does_not_repeat_a_turn() -> None:
+def test_a_dwell_does_not_repeat_a_turn():
     values = noisy(20)
     values[5:8] = values[5]
     rates = np.zeros((20, 3))

@@ -77,7 +77,7 @@ def course(seed: int, noise: float) -> tuple[Stamps, Floats]:
 
 @pytest.mark.parametrize('noise', [0.0, 1e-3, 0.02])
 @pytest.mark.parametrize('seed', [1, 2])
-def test_rests_and_motions_are_those_of_a_loop(seed: int, noise: float) -> None:
+def test_rests_and_motions_are_those_of_a_loop(seed, noise):
     stamp, position = course(seed, noise)
     wanted = by_hand(stamp, position)
     assert len(wanted) >= 7
@@ -85,7 +85,7 @@ def test_rests_and_motions_are_those_of_a_loop(seed: int, noise: float) -> None:
         assert words(tracked(stamp, position, cut)) == wanted
 
 
-def test_a_rest_has_the_mean_of_its_readings_and_a_motion_all_of_its_own() -> None:
+def test_a_rest_has_the_mean_of_its_readings_and_a_motion_all_of_its_own():
     stamp, position = course(3, 0.02)
     for one in tracked(stamp, position):
         inside = (stamp >= one.start) & (stamp <= one.end)
@@ -99,7 +99,7 @@ def test_a_rest_has_the_mean_of_its_readings_and_a_motion_all_of_its_own() -> No
         assert one.angle_error == pytest.approx(np.sqrt(np.mean(scatter)))
 
 
-def test_forty_seconds_of_a_rest_tell_its_angles() -> None:
+def test_forty_seconds_of_a_rest_tell_its_angles():
     stamp = np.arange(1, 2401) * 25_000_000
     position = np.random.default_rng(1).normal(0, 1e-6, (2400, 1))
     for cut in (10**6, 100):
@@ -114,7 +114,7 @@ def test_forty_seconds_of_a_rest_tell_its_angles() -> None:
     assert rest.angles == pytest.approx([position[:4096].mean()], rel=1e-9, abs=0)
 
 
-def test_noise_falls_with_the_root_and_is_shared() -> None:
+def test_noise_falls_with_the_root_and_is_shared():
     readings = np.array([[1.0, 5.0], [3.0, 5.0], [2.0, 8.0]])
     mean, error = averaged(readings)
     assert mean.tolist() == [2.0, 6.0]
@@ -123,7 +123,7 @@ def test_noise_falls_with_the_root_and_is_shared() -> None:
     assert averaged(readings[:1])[1] == 0.0
 
 
-def test_a_rest_is_parted_once_its_angles_are_known() -> None:
+def test_a_rest_is_parted_once_its_angles_are_known():
     tracker = JointTracker()
     assert tracker.silent
     assert (tracker.known_until, tracker.rest_since) == (None, None)
@@ -149,7 +149,7 @@ def test_a_rest_is_parted_once_its_angles_are_known() -> None:
     assert (rest.start, rest.end) == (30 * NS, 60 * NS)
 
 
-def test_memory_holds_half_a_second_of_a_rest() -> None:
+def test_memory_holds_half_a_second_of_a_rest():
     tracker = JointTracker()
     for k in range(100):
         stamp = np.arange(1 + 100 * k, 101 + 100 * k) * 25_000_000
@@ -159,7 +159,7 @@ def test_memory_holds_half_a_second_of_a_rest() -> None:
     assert len(held) <= 34 + 20
 
 
-def test_turns_are_counted_from_the_first_reading() -> None:
+def test_turns_are_counted_from_the_first_reading():
     true = 3.0 + np.linspace(0, -30, 400)
     wrapped = np.mod(true + np.pi, 2 * np.pi) - np.pi
     stamp = np.arange(1, 401) * 25_000_000

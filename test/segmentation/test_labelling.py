@@ -95,7 +95,7 @@ def names(found: Any) -> list[str | None]:
 # By joint angles
 
 
-def test_rests_have_the_names_of_the_attitudes_that_they_are_near() -> None:
+def test_rests_have_the_names_of_the_attitudes_that_they_are_near():
     rests = [rest(k * 20, UPS[n]) for k, n in enumerate('bca')]
     found = label(session(*rests), plan(), TABLE)
     assert names(found) == ['b', 'c', 'a']
@@ -105,18 +105,18 @@ def test_rests_have_the_names_of_the_attitudes_that_they_are_near() -> None:
 
 
 @pytest.mark.parametrize(('degrees', 'name'), [(0.99, 'c'), (1.01, 'Z up, heading 1 deg')])
-def test_near_is_within_a_degree(degrees: float, name: str) -> None:
+def test_near_is_within_a_degree(degrees, name):
     turned = rotation(Z, degrees * DEG)
     assert names(label(session(rest(0, turned)), plan(), TABLE)) == [name]
 
 
 @pytest.mark.parametrize(('seconds', 'named'), [(2.5, True), (2.4, False)])
-def test_a_quarter_of_a_dwell_is_enough_for_its_name(seconds: float, named: bool) -> None:
+def test_a_quarter_of_a_dwell_is_enough_for_its_name(seconds, named):
     found = label(session(rest(0, UPS['c'], seconds)), plan(), TABLE)
     assert names(found) == (['c'] if named else ['Z up, heading 0 deg'])
 
 
-def test_what_no_position_names_is_named_by_its_attitude() -> None:
+def test_what_no_position_names_is_named_by_its_attitude():
     leaning = rotation(X, 45 * DEG)
     rests = [rest(0, leaning), rest(20, UPS['a']), rest(40, leaning), rest(60, leaning)]
     found = label(session(*rests), plan(), TABLE)
@@ -126,14 +126,14 @@ def test_what_no_position_names_is_named_by_its_attitude() -> None:
     assert names(found) == [first, 'a', f'{first} (2)', f'{first} (3)']
 
 
-def test_a_name_of_the_plan_is_taken() -> None:
+def test_a_name_of_the_plan_is_taken():
     known = plan()
     taken = replace(known.positions[0], id='Z up, heading 0 deg')
     found = label(session(rest(0, np.eye(3))), replace(known, positions=(taken,)), TABLE)
     assert names(found) == ['Z up, heading 0 deg (2)']
 
 
-def test_stops_on_the_way_are_passed() -> None:
+def test_stops_on_the_way_are_passed():
     """Half of the time at rest, no rest counting beyond ten seconds, tells the usual one."""
     leaning = rotation(X, 45 * DEG)
     # 4 * 8 s and stops of 1 s: a quarter of 8 s is brief.
@@ -152,7 +152,7 @@ def test_stops_on_the_way_are_passed() -> None:
     assert len(label(session(*nine, rest(90, leaning, 1000.0)), plan(), TABLE).passing) == 0
 
 
-def test_a_unit_that_is_not_in_its_mount_is_told_by_its_accelerometers() -> None:
+def test_a_unit_that_is_not_in_its_mount_is_told_by_its_accelerometers():
     leaning = rotation(X, 45 * DEG)
     sound = [rest(20 * k, UPS['a']) for k in range(2)]
     other = rest(60, leaning, up=rotation(X, 21 * DEG) @ leaning[2])
@@ -170,7 +170,7 @@ def test_a_unit_that_is_not_in_its_mount_is_told_by_its_accelerometers() -> None
     assert len(half.segments) == 2
 
 
-def test_the_angle_off_is_said() -> None:
+def test_the_angle_off_is_said():
     leaning = rotation(X, 45 * DEG)
     up = rotation(np.array([1.0, 0, 0]), 30 * DEG) @ leaning[2]
     rests = [rest(0, UPS['a']), rest(20, UPS['b']), rest(60, leaning, up=up)]
@@ -180,14 +180,14 @@ def test_the_angle_off_is_said() -> None:
     )
 
 
-def test_without_a_plan_attitudes_are_all_there_is() -> None:
+def test_without_a_plan_attitudes_are_all_there_is():
     none = replace(plan(), positions=())
     found = label(session(rest(0, UPS['c']), setpoints=(setpoint_at(-1, 'a'),)), none, TABLE)
     assert names(found) == ['Z up, heading 0 deg']
     assert len(label(session(rest(0)), none, None).segments) == 1
 
 
-def test_rests_of_nobodys_attitude_are_named_by_the_order_of_the_plan() -> None:
+def test_rests_of_nobodys_attitude_are_named_by_the_order_of_the_plan():
     rests = [rest(0, up=X), rest(20, up=-Z), rest(40, up=Y)]
     assert names(label(session(*rests), plan(), None)) == ['a', 'b']
 
@@ -195,7 +195,7 @@ def test_rests_of_nobodys_attitude_are_named_by_the_order_of_the_plan() -> None:
 # Turns
 
 
-def test_turns_have_the_name_of_the_position_whose_axis_is_up() -> None:
+def test_turns_have_the_name_of_the_position_whose_axis_is_up():
     turns = (turn(0, Z), turn(10, Y), turn(20, rotation(X, 2.5 * DEG) @ Y))
     found = label(session(rest(30, UPS['a']), turns=turns), plan(turns='ab'), TABLE)
     # Less than 2.56 deg is along it: 1 - cos is a thousandth.
@@ -205,7 +205,7 @@ def test_turns_have_the_name_of_the_position_whose_axis_is_up() -> None:
     assert [t.position for t in found.turns] != ['b']
 
 
-def test_turns_have_the_name_of_the_setpoint_in_their_middle() -> None:
+def test_turns_have_the_name_of_the_setpoint_in_their_middle():
     # Each lasts two seconds.
     setpoints = tuple(setpoint_at(t, n, Mode.RATE) for t, n in ((1, 'a'), (20.5, 'c'), (30.5, 'b')))
     turns = tuple(turn(t, Y) for t in (18.0, 19.4, 19.6, 29.6))
@@ -213,13 +213,13 @@ def test_turns_have_the_name_of_the_setpoint_in_their_middle() -> None:
     assert [t.position for t in found.turns] == ['a', 'a', 'c', 'b']
 
 
-def test_turns_at_one_rate_about_one_axis_are_numbered() -> None:
+def test_turns_at_one_rate_about_one_axis_are_numbered():
     turns = (turn(0, Z), turn(5, Z, 2.0), turn(9, Z), turn(12, -Z), turn(15, Z, -1.0))
     found = label(session(turns=turns), plan(), TABLE)
     assert [t.position for t in found.turns] == ['Z up', 'Z up', 'Z up (2)', 'Z down', 'Z up']
 
 
-def test_only_what_the_plan_names_is_of_it() -> None:
+def test_only_what_the_plan_names_is_of_it():
     turns = (turn(0, Z), turn(5, Y))
     rests = [rest(20, UPS['a']), rest(40, rotation(X, 45 * DEG))]
     found = label(session(*rests, turns=turns), plan(turns='b'), TABLE).of_plan(plan())
@@ -230,7 +230,7 @@ def test_only_what_the_plan_names_is_of_it() -> None:
 # By setpoint
 
 
-def test_a_rest_is_where_the_last_setpoint_brought_it() -> None:
+def test_a_rest_is_where_the_last_setpoint_brought_it():
     setpoints = (
         setpoint_at(0, 'c'),
         setpoint_at(20, 'a'),
@@ -243,7 +243,7 @@ def test_a_rest_is_where_the_last_setpoint_brought_it() -> None:
     assert [(s.start // NS, s.position) for s in found.segments] == [(5, 'c'), (29, 'a'), (37, 'b')]
 
 
-def test_setpoints_are_by_the_clock_of_the_table() -> None:
+def test_setpoints_are_by_the_clock_of_the_table():
     setpoints = (setpoint_at(0, 'c'), setpoint_at(20, 'a'))
     rests = [rest(17, UPS['c'], 10.0)]  # its middle is at 22 s
     assert names(label(session(*rests, setpoints=setpoints), plan(), TABLE)) == ['a']
@@ -251,7 +251,7 @@ def test_setpoints_are_by_the_clock_of_the_table() -> None:
     assert names(label(late, plan(), TABLE)) == ['c']
 
 
-def test_a_rest_whose_joints_are_off_is_no_rest_of_the_position() -> None:
+def test_a_rest_whose_joints_are_off_is_no_rest_of_the_position():
     setpoints = (setpoint_at(0, 'c', angles=(10.0, 350.0)),)
     for outer, off in ((10.19, False), (9.81, False), (370.0, False), (10.21, True)):
         held = rest(5, UPS['a'], angles=(outer, -10.0))
@@ -269,9 +269,7 @@ def test_a_rest_whose_joints_are_off_is_no_rest_of_the_position() -> None:
 
 @pytest.mark.parametrize('mode', [Mode.POSITION, Mode.RATE])
 @pytest.mark.parametrize(('seconds', 'used'), [(9.9, True), (10.1, False)])
-def test_where_a_stand_is_switched_on_again_is_no_rest_of_the_setpoint_before(
-    mode: Mode, seconds: float, used: bool
-) -> None:
+def test_where_a_stand_is_switched_on_again_is_no_rest_of_the_setpoint_before(mode, seconds, used):
     setpoints = (
         setpoint_at(0, 'c', mode, angles=(10.0, 0.0)),
         setpoint_at(60, 'a', angles=(0.0, 0.0)),
@@ -284,14 +282,14 @@ def test_where_a_stand_is_switched_on_again_is_no_rest_of_the_setpoint_before(
     assert names(found)[-1] == 'a'
 
 
-def test_a_table_that_kept_its_place_goes_on_with_its_rest() -> None:
+def test_a_table_that_kept_its_place_goes_on_with_its_rest():
     held = rest(30, UPS['c'], angles=(10.0, 0.0))
     resumed = session(held, setpoints=(setpoint_at(0, 'c', angles=(10.0, 0.0)),))
     resumed = replace(resumed, interruptions=((5 * NS, 25 * NS),))
     assert names(label(resumed, plan(), TABLE)) == ['c']
 
 
-def test_without_an_attitude_it_is_rejected_or_has_that_of_the_plan() -> None:
+def test_without_an_attitude_it_is_rejected_or_has_that_of_the_plan():
     setpoints = (setpoint_at(0, 'c'), setpoint_at(20, 'x'))
     found = label(session(rest(5), rest(25), setpoints=setpoints), plan(), None)
     (held,) = found.segments
@@ -301,7 +299,7 @@ def test_without_an_attitude_it_is_rejected_or_has_that_of_the_plan() -> None:
     assert gone.reason == 'plan any has no position x'
 
 
-def test_rests_between_turns_have_no_name_of_the_plan() -> None:
+def test_rests_between_turns_have_no_name_of_the_plan():
     leaning = rotation(X, 45 * DEG)
     setpoints = (setpoint_at(0, 'c', Mode.RATE), setpoint_at(30, 'a', dwell=0.0))
     rests = [rest(5, leaning), rest(35, leaning)]
@@ -311,7 +309,7 @@ def test_rests_between_turns_have_no_name_of_the_plan() -> None:
     assert [t.position for t in turned.turns] == ['c']
 
 
-def test_what_was_rejected_while_passing_through_is_not_told() -> None:
+def test_what_was_rejected_while_passing_through_is_not_told():
     setpoints = (
         setpoint_at(0, 'c', dwell=0.0),
         setpoint_at(20, 'a'),
@@ -323,7 +321,7 @@ def test_what_was_rejected_while_passing_through_is_not_told() -> None:
     assert told == [(-5, None), (21, 'a'), (50, 'b')]
 
 
-def test_setpoints_of_another_plan_are_refused() -> None:
+def test_setpoints_of_another_plan_are_refused():
     setpoints = (
         setpoint_at(0, 'x', ran='other'),
         setpoint_at(9, 'y', ran='one'),
@@ -351,9 +349,7 @@ def test_setpoints_of_another_plan_are_refused() -> None:
         ([15, 55], [20, 40], 'what lies between is'),
     ],
 )
-def test_one_way_of_sitting_in_the_mount_is_kept(
-    instants: list[int], kept: list[int], words: str
-) -> None:
+def test_one_way_of_sitting_in_the_mount_is_kept(instants, kept, words):
     rests = [rest(20 * k, UPS[n]) for k, n in enumerate('abca')]
     slips = tuple(MountShift(t * NS, 0.1 * DEG) for t in instants)
     found = label(session(*rests, slips=slips), plan(), TABLE)
@@ -365,7 +361,7 @@ def test_one_way_of_sitting_in_the_mount_is_kept(
     )
 
 
-def test_turns_and_positions_count_for_a_mount() -> None:
+def test_turns_and_positions_count_for_a_mount():
     slips = (MountShift(50 * NS, 0.25 * DEG),)
     rests = [rest(0, UPS['a']), rest(20, UPS['a']), rest(60, UPS['b'])]
     turns = (turn(80, Z), turn(90, Z))
@@ -383,7 +379,7 @@ def test_turns_and_positions_count_for_a_mount() -> None:
     assert len(before.turns) == 1
 
 
-def test_rests_too_short_for_their_position_say_so_where_it_has_no_other() -> None:
+def test_rests_too_short_for_their_position_say_so_where_it_has_no_other():
     rests = [rest(0, UPS['a'], 2.0), rest(20, UPS['b'], 2.0), rest(40, UPS['b'], 2.6)]
     found = label(session(*rests), plan('a', 'b'), TABLE).segments
     assert [segment.notes for segment in found] == [

@@ -36,7 +36,7 @@ def without(count: int, *lost: int) -> list[int]:
 # Values that are no pulses
 
 
-def test_eight_on_either_side_are_averaged() -> None:
+def test_eight_on_either_side_are_averaged():
     values = np.random.default_rng(1).normal(0, 1, (60, 6))
     rows = without(60, 3, 30, 31, 55)
     whole = bridged(samples(rows, values[rows]), WALK)
@@ -61,7 +61,7 @@ def test_eight_on_either_side_are_averaged() -> None:
     assert np.array_equal(filled.increments[rows], values[rows])
 
 
-def test_others_that_are_lost_are_not_averaged() -> None:
+def test_others_that_are_lost_are_not_averaged():
     values = np.arange(40.0) ** 2
     rows = without(40, 20, 22)
     found = bridged(samples(rows, values[rows]), WALK).samples.increments[:, 0]
@@ -74,7 +74,7 @@ def test_others_that_are_lost_are_not_averaged() -> None:
     )
 
 
-def test_a_long_gap_is_a_wall() -> None:
+def test_a_long_gap_is_a_wall():
     rows = [*range(20), *range(50, 70)]
     rows = [k for k in rows if k not in (18, 52)]
     values = np.array([1.0 if k < 30 else 5.0 for k in rows])
@@ -85,7 +85,7 @@ def test_a_long_gap_is_a_wall() -> None:
     assert whole.rows.tolist() == [*range(18), -1, 18, 19, 20, -1, *range(21, 38)]
 
 
-def test_one_on_either_side_may_be_asked_for() -> None:
+def test_one_on_either_side_may_be_asked_for():
     values = np.arange(40.0) ** 2
     rows = without(40, 20)
     found = bridged(samples(rows, values[rows]), WALK, 1).samples
@@ -94,7 +94,7 @@ def test_one_on_either_side_may_be_asked_for() -> None:
 
 
 @pytest.mark.parametrize(('length', 'filled'), [(1, True), (10, True), (11, False)])
-def test_a_tenth_of_a_second_is_the_longest_gap(length: int, filled: bool) -> None:
+def test_a_tenth_of_a_second_is_the_longest_gap(length, filled):
     rows = without(400, *range(100, 100 + length))
     whole = bridged(samples(rows, np.ones(len(rows))), WALK)
     assert whole.lost == (length if filled else 0)
@@ -102,13 +102,13 @@ def test_a_tenth_of_a_second_is_the_longest_gap(length: int, filled: bool) -> No
 
 
 @pytest.mark.parametrize(('lost', 'filled'), [(10, True), (11, False)])
-def test_a_tenth_of_all_is_the_most(lost: int, filled: bool) -> None:
+def test_a_tenth_of_all_is_the_most(lost, filled):
     rows = without(100, *range(4, 4 + 8 * lost, 8))
     assert len(rows) == 100 - lost
     assert bridged(samples(rows, np.ones(len(rows))), WALK).lost == (lost if filled else 0)
 
 
-def test_what_was_delivered_is_no_number_where_it_was_lost() -> None:
+def test_what_was_delivered_is_no_number_where_it_was_lost():
     values = np.arange(12.0).reshape(4, 3)
     found = Bridged(samples([0], np.ones(1)), np.array([0, -1, 1, 2, 3])).values(values)
     assert found[[0, 2, 3, 4]].tolist() == values.tolist()
@@ -116,7 +116,7 @@ def test_what_was_delivered_is_no_number_where_it_was_lost() -> None:
     assert Bridged(samples([0], np.ones(1)), np.arange(4)).values(values) is values
 
 
-def test_gaps_are_filled_anew_from_as_many_as_help() -> None:
+def test_gaps_are_filled_anew_from_as_many_as_help():
     values = np.arange(60.0) ** 2
     rows = without(60, 30)
     near = bridged(samples(rows, values[rows]), WALK, 1).samples
@@ -146,7 +146,7 @@ def fitted(a: Floats, b: Floats, missing: int) -> float:
 
 
 @pytest.mark.parametrize(('before', 'after', 'missing'), [(1, 1, 1), (4, 4, 1), (8, 3, 5)])
-def test_lines_of_one_slope_tell_what_lies_between(before: int, after: int, missing: int) -> None:
+def test_lines_of_one_slope_tell_what_lies_between(before, after, missing):
     rng = np.random.default_rng(before)
     a, b = rng.normal(3, 1, before), rng.normal(3, 1, after)
     gain = _gain(before, after, missing)
@@ -176,7 +176,7 @@ def stated(reach: int, rate: float, noise: float, missing: int = 1) -> float:
 
 @pytest.mark.parametrize('rate', [3.0, 3.25, -0.4, 0.001, 9.797])
 @pytest.mark.parametrize('noise', [0.0, 0.002, 0.3, 1.5])
-def test_a_gap_is_read_from_no_further_than_it_takes(rate: float, noise: float) -> None:
+def test_a_gap_is_read_from_no_further_than_it_takes(rate, noise):
     reaches = [2**k for k in range(14)]
     for reach in (1, 8, 64):
         found = _gain(reach, reach, 2).variance(rate, noise, reach)
@@ -206,14 +206,14 @@ def chances(pulses: float, variance: float, expected: float, walked: float) -> t
 @pytest.mark.parametrize('pulses', [4.1, 4.6, 7.0])
 @pytest.mark.parametrize('variance', [0.0, 0.02, 0.24, 0.26])
 @pytest.mark.parametrize('walked', [0.0, 0.3])
-def test_a_gap_holds_a_whole_number(pulses: float, variance: float, walked: float) -> None:
+def test_a_gap_holds_a_whole_number(pulses, variance, walked):
     found = _likely(pulses, variance, 4.3, walked)
     wanted = chances(pulses, max(variance, 1e-4), 4.3, walked)
     assert found == pytest.approx(wanted, rel=1e-6, abs=1e-9)
 
 
 @pytest.mark.parametrize(('variance', 'walked'), [(4.1, 0.0), (1.0, 3.2), (9.0, 20.0)])
-def test_wide_ones_are_averaged_by_their_variances(variance: float, walked: float) -> None:
+def test_wide_ones_are_averaged_by_their_variances(variance, walked):
     own, other = 1 / variance, 1 / (walked + 1 / 6)
     mean, left = _likely(10.0, variance, 4.0, walked)
     assert mean == pytest.approx((own * 10 + other * 4) / (own + other))
@@ -221,7 +221,7 @@ def test_wide_ones_are_averaged_by_their_variances(variance: float, walked: floa
 
 
 @pytest.mark.parametrize('pulse', [1.0, 0.25])
-def test_a_counter_gives_back_what_it_counted(pulse: float) -> None:
+def test_a_counter_gives_back_what_it_counted(pulse):
     counts = np.diff(np.floor(0.3 + 2.37 * np.arange(401)))
     rows = without(400, 100, 101, 102, 250, 390)
     quiet = np.full(6, 1e-6)
@@ -235,7 +235,7 @@ def test_a_counter_gives_back_what_it_counted(pulse: float) -> None:
     assert (whole.samples.bridged < 0.01 * pulse**2).all()
 
 
-def test_from_one_on_either_side_a_ramp_is_read() -> None:
+def test_from_one_on_either_side_a_ramp_is_read():
     ramp = 10.0 * np.arange(60)
     rows = without(60, 30, 31)
     whole = bridged(samples(rows, ramp[rows], 1.0), WALK, 1)

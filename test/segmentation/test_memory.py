@@ -53,7 +53,7 @@ def rested(segmenter: Segmenter, samples: int) -> None:
         segmenter.add_block(ImuBlock(stamp, pulses[:, :3], pulses[:, 3:], 'imu'))
 
 
-def test_a_rest_is_read_without_copies_of_it() -> None:
+def test_a_rest_is_read_without_copies_of_it():
     """What waits is a stamp and six numbers a sample, with as much room again for more of them.
 
     Reading adds the instants and the increments of the samples, and of one channel at a time what
@@ -76,7 +76,7 @@ def test_a_rest_is_read_without_copies_of_it() -> None:
     assert most - waits < (ROW + 10 * 8) * samples
 
 
-def test_a_snapshot_takes_the_rows_that_wait_and_no_more() -> None:
+def test_a_snapshot_takes_the_rows_that_wait_and_no_more():
     """The room for rows to come is not copied."""
     samples = 60_000
     segmenter = Segmenter(paper_imu(), load_table('three_axis'))
@@ -96,7 +96,7 @@ def later(block: Block, ns: int) -> Block:
     return replace(block, stamp=block.stamp + ns)
 
 
-def test_a_session_ten_times_as_long_holds_no_more() -> None:
+def test_a_session_ten_times_as_long_holds_no_more():
     """What rests and moves leave is statistics: a few kilobytes each, whatever their samples."""
     plan = quick_plan('static_six', 4.0)
     once = [

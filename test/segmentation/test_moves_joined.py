@@ -44,7 +44,7 @@ def groups(rows: Floats) -> list[list[int]]:
     return list(found.values())
 
 
-def test_steps_are_a_degree_or_a_tenth_of_a_second() -> None:
+def test_steps_are_a_degree_or_a_tenth_of_a_second():
     assert (STEP_ANGLE, STEP_SECONDS) == (DEG, 0.1)
     slow = joined(samples(np.zeros((45, 6))))
     assert slow.counts.tolist() == [10, 10, 10, 10, 5]
@@ -58,7 +58,7 @@ def test_steps_are_a_degree_or_a_tenth_of_a_second() -> None:
 
 
 @pytest.mark.parametrize('seed', [0, 1])
-def test_a_step_is_the_sum_of_its_samples_and_of_how_their_axes_change(seed: int) -> None:
+def test_a_step_is_the_sum_of_its_samples_and_of_how_their_axes_change(seed):
     rows = motion(60, seed)
     angle, velocity = rows[:, :3], rows[:, 3:]
     found = joined(samples(rows))
@@ -86,7 +86,7 @@ def test_a_step_is_the_sum_of_its_samples_and_of_how_their_axes_change(seed: int
         assert found.velocity[k] == pytest.approx(total)
 
 
-def test_pulses_are_those_of_counters_or_carried_on() -> None:
+def test_pulses_are_those_of_counters_or_carried_on():
     pulse = np.array([1.0, 0, 2, 0, 3, 0])
     carried = np.array([5.0, 6, 7, 8, 9, 0])
     found = joined(samples(np.zeros((20, 6)), pulse=pulse, carried=carried))
@@ -105,7 +105,7 @@ def bend(rows: Floats) -> float:
 
 @pytest.mark.parametrize('gaps', [[(20, 21)], [(20, 23)], [(5, 6), (30, 32)], [(58, 60)], [(1, 2)]])
 @pytest.mark.parametrize('bent', [0.0, 0.05])
-def test_gaps_leave_what_the_samples_beside_tell(gaps: list[tuple[int, int]], bent: float) -> None:
+def test_gaps_leave_what_the_samples_beside_tell(gaps, bent):
     rows = motion(60, 3, 0.01) if bent else np.outer(np.arange(60.0), np.arange(1.0, 7.0)) * 1e-3
     # A corner of the rates and a jump of the forces.
     rows[gaps[0][1] :, :3] += 1e-3 * np.arange(60 - gaps[0][1])[:, None]
@@ -162,7 +162,7 @@ def read(
     return reader.timed_moves(lambda _: period)
 
 
-def test_a_move_is_what_lies_between_two_rests() -> None:
+def test_a_move_is_what_lies_between_two_rests():
     rows = motion(100)
     (move,) = read(rows)
     assert (move.start, move.end) == (150_000_000, 840_000_000)
@@ -179,7 +179,7 @@ def test_a_move_is_what_lies_between_two_rests() -> None:
     assert by_hand.velocity_steps is None
 
 
-def test_rates_become_angles_by_the_interval_of_the_session() -> None:
+def test_rates_become_angles_by_the_interval_of_the_session():
     rows = motion(100)
     (plain,), (longer,) = read(rows), read(rows, period=0.012)
     assert longer.seconds == pytest.approx(plain.seconds * 1.2)
@@ -191,7 +191,7 @@ def test_rates_become_angles_by_the_interval_of_the_session() -> None:
     assert counted.seconds == pytest.approx(plain.seconds * 1.2)
 
 
-def test_what_cannot_be_joined_is_no_move() -> None:
+def test_what_cannot_be_joined_is_no_move():
     rows = motion(100)
     coarse = rows.copy()
     coarse[50, 2] = -5.1 * DEG
@@ -205,7 +205,7 @@ def test_what_cannot_be_joined_is_no_move() -> None:
     assert read(rows, found=[Rejected(0, 1, 'any')]) == ()
 
 
-def test_a_hand_may_turn_by_twenty_degrees_a_sample() -> None:
+def test_a_hand_may_turn_by_twenty_degrees_a_sample():
     wide = Sensor.from_spec(ImuSpec('any', Units.SI, None, TriadSpec(), TriadSpec()))
     for degrees, moves in ((19.0, 1), (21.0, 0)):
         rows = motion(100)
@@ -213,7 +213,7 @@ def test_a_hand_may_turn_by_twenty_degrees_a_sample() -> None:
         assert len(read(rows, sensor=wide, by_hand=True)) == moves
 
 
-def test_a_gap_ends_a_move() -> None:
+def test_a_gap_ends_a_move():
     rows = motion(100)
     reader = MoveReader(SENSOR)
     reader.dwell(samples(rows[:20]), rows[:20], [rest(1, 15)])
@@ -228,7 +228,7 @@ def test_a_gap_ends_a_move() -> None:
     assert (move.start, move.end) == (1_000_000_000, 1_440_000_000)
 
 
-def test_a_jerk_of_three_steps_is_no_move() -> None:
+def test_a_jerk_of_three_steps_is_no_move():
     for steps, moves in ((3, 0), (4, 1)):
         reader = MoveReader(SENSOR)
         rows = np.zeros((20 + 10 * steps + 20, 6))
@@ -239,7 +239,7 @@ def test_a_jerk_of_three_steps_is_no_move() -> None:
         assert len(reader.timed_moves(lambda _: PERIOD)) == moves
 
 
-def test_samples_that_a_rest_has_had_are_passed_over() -> None:
+def test_samples_that_a_rest_has_had_are_passed_over():
     rows = motion(100)
     reader = MoveReader(SENSOR)
     reader.dwell(samples(rows[:20]), rows[:20], [rest(1, 15)])

@@ -52,12 +52,12 @@ def names(rests: list[Segment], of: Plan) -> list[tuple[int, str | None]]:
 # Rests
 
 
-def test_up_is_the_direction_of_the_force() -> None:
+def test_up_is_the_direction_of_the_force():
     found = up_by_accelerometers(rest(0, np.array([0.0, 3.0, 4.0])))
     assert found == pytest.approx([0.0, 0.6, 0.8])
 
 
-def test_rests_are_named_in_the_order_of_the_plan() -> None:
+def test_rests_are_named_in_the_order_of_the_plan():
     ran = plan(at('a', X), at('b', Y), at('c', -X))
     rests = [rest(0, X), rest(10, Y), rest(20, -X)]
     named, rejected = label_by_order(rests, ran)
@@ -67,7 +67,7 @@ def test_rests_are_named_in_the_order_of_the_plan() -> None:
         assert segment.attitude is position.attitude
 
 
-def test_what_the_plan_does_not_have_next_is_passed_over() -> None:
+def test_what_the_plan_does_not_have_next_is_passed_over():
     ran = plan(at('a', X), at('b', Y), at('c', -X))
     # A rest that no position has, and a position that no rest has.
     assert names([rest(0, X), rest(5, Z), rest(20, -X)], ran) == [(0, 'a'), (20, 'c')]
@@ -80,23 +80,23 @@ def test_what_the_plan_does_not_have_next_is_passed_over() -> None:
     assert names([], ran) == []
 
 
-def test_positions_without_a_dwell_have_no_rest() -> None:
+def test_positions_without_a_dwell_have_no_rest():
     ran = plan(at('a', X), at('turns', Y, 0.0, 1), at('c', -X))
     assert names([rest(0, X), rest(10, Y), rest(20, -X)], ran) == [(0, 'a'), (20, 'c')]
 
 
 @pytest.mark.parametrize(('lean', 'near'), [(0.0, True), (19.9, True), (20.1, False)])
-def test_up_may_be_twenty_degrees_off(lean: float, near: bool) -> None:
+def test_up_may_be_twenty_degrees_off(lean, near):
     off = rotation(Y, lean * DEG) @ X
     assert names([rest(0, off)], plan(at('a', X))) == ([(0, 'a')] if near else [])
 
 
 @pytest.mark.parametrize(('seconds', 'enough'), [(2.4, False), (2.5, True), (40.0, True)])
-def test_a_rest_is_a_quarter_of_its_dwell_at_least(seconds: float, enough: bool) -> None:
+def test_a_rest_is_a_quarter_of_its_dwell_at_least(seconds, enough):
     assert names([rest(0, X, seconds)], plan(at('a', X))) == ([(0, 'a')] if enough else [])
 
 
-def test_of_rests_that_fit_the_longer_one_counts() -> None:
+def test_of_rests_that_fit_the_longer_one_counts():
     ran = plan(at('a', X), at('b', Y))
     assert names([rest(0, X, 3.0), rest(5, X, 9.0), rest(20, Y)], ran) == [(5, 'a'), (20, 'b')]
     assert names([rest(0, X, 9.0), rest(5, X, 3.0), rest(20, Y)], ran) == [(0, 'a'), (20, 'b')]
@@ -108,7 +108,7 @@ def test_of_rests_that_fit_the_longer_one_counts() -> None:
     assert names(rests, both) == [(0, 'a'), (5, 'b'), (9, 'c')]
 
 
-def test_neighbours_with_one_axis_up_are_known_all_or_none() -> None:
+def test_neighbours_with_one_axis_up_are_known_all_or_none():
     ran = plan(at('a', X), at('1', Z), at('2', Z, heading=1.0), at('3', Z, heading=2.0), at('b', Y))
     whole = [rest(0, X), rest(1, Z), rest(2, Z), rest(3, Z), rest(4, Y)]
     assert names(whole, ran) == [(0, 'a'), (1, '1'), (2, '2'), (3, '3'), (4, 'b')]
@@ -137,7 +137,7 @@ def motion(
     return FreeMotion(start, start + 10, statistics, np.asarray(turned, float), mean_phase)
 
 
-def test_pieces_of_a_turn_are_one() -> None:
+def test_pieces_of_a_turn_are_one():
     one, other = motion(0, 4.0 * X, 6.0, 0.2, 1.0), motion(20, 2.0 * X, 2.0, 0.5j, 3.0)
     (found,) = join_motions([one, other], [rest(-5, X), rest(31, X)])
     assert (found.start, found.end) == (0, 30)
@@ -158,7 +158,7 @@ def test_pieces_of_a_turn_are_one() -> None:
     assert [m.turned[0] for m in again] == [7.0]
 
 
-def test_a_piece_is_joined_to_the_last_turn() -> None:
+def test_a_piece_is_joined_to_the_last_turn():
     pieces = [motion(0, 4.0 * X), motion(20, 2.0 * Y), motion(40, 1.0 * Y), motion(60, 3.0 * X)]
     turned = [m.turned.tolist() for m in join_motions(pieces, [])]
     assert turned == [[4.0, 0.0, 0.0], [0.0, 3.0, 0.0], [3.0, 0.0, 0.0]]
@@ -167,19 +167,19 @@ def test_a_piece_is_joined_to_the_last_turn() -> None:
 @pytest.mark.parametrize(
     ('start', 'parted'), [(9, False), (10, True), (15, True), (20, True), (21, False)]
 )
-def test_a_rest_between_parts_them(start: int, parted: bool) -> None:
+def test_a_rest_between_parts_them(start, parted):
     found = join_motions([motion(0, X), motion(20, X)], [rest(start, X)])
     assert len(found) == (2 if parted else 1)
 
 
 @pytest.mark.parametrize(('degrees', 'one'), [(0, True), (36, True), (38, False), (180, False)])
-def test_pieces_turn_about_one_axis(degrees: float, one: bool) -> None:
+def test_pieces_turn_about_one_axis(degrees, one):
     other = 3.0 * (rotation(Z, degrees * DEG) @ X)
     found = join_motions([motion(0, 2.0 * X), motion(20, other)], [])
     assert len(found) == (1 if one else 2)
 
 
-def test_a_motion_is_the_whole_turns_that_it_comes_near() -> None:
+def test_a_motion_is_the_whole_turns_that_it_comes_near():
     ran = plan(at('rest', Y), at('z', Z, 10.0, 2), at('x', X, 10.0, 1))
     seen = motion(3, -2.1 * TURN * X, mean_phase=0.3 + 0.4j)
     turn = turn_without_encoder(seen, ran)
@@ -197,7 +197,7 @@ def test_a_motion_is_the_whole_turns_that_it_comes_near() -> None:
     ('turns', 'wanted'),
     [(0.1, 0), (0.84, 0), (0.86, 1), (1.14, 1), (1.16, 0), (1.86, 2), (2.14, 2), (-1.1, -1)],
 )
-def test_gyros_come_within_a_seventh_of_whole_turns(turns: float, wanted: int) -> None:
+def test_gyros_come_within_a_seventh_of_whole_turns(turns, wanted):
     turn = turn_without_encoder(motion(0, turns * TURN * Z), plan(at('z', Z, 10.0, 1)))
     assert (0 if turn is None else turn.angle / TURN) == pytest.approx(wanted)
 
@@ -205,14 +205,14 @@ def test_gyros_come_within_a_seventh_of_whole_turns(turns: float, wanted: int) -
 @pytest.mark.parametrize(
     ('turns', 'wanted'), [(0.69, 0), (0.71, 1), (1.29, 1), (1.31, 0), (2.0, 0), (-0.75, -1)]
 )
-def test_a_hand_turns_as_often_as_the_plan_says_within_a_third(turns: float, wanted: int) -> None:
+def test_a_hand_turns_as_often_as_the_plan_says_within_a_third(turns, wanted):
     ran = plan(at('z', Z, 10.0, 1), by_hand=True)
     turn = turn_without_encoder(motion(0, turns * TURN * Z), ran)
     assert (0 if turn is None else turn.angle / TURN) == pytest.approx(wanted)
 
 
 @pytest.mark.parametrize(('degrees', 'along'), [(0, True), (36, True), (38, False), (90, False)])
-def test_a_turn_is_about_what_is_up(degrees: float, along: bool) -> None:
+def test_a_turn_is_about_what_is_up(degrees, along):
     axis = rotation(X, degrees * DEG) @ Z
     # What it has along up is one turn whatever it leans.
     turned = TURN * axis / max(np.cos(degrees * DEG), 0.1)

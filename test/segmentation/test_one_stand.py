@@ -92,7 +92,7 @@ RESTS = [(0.01, 4.76), (20.19, 24.76), (28.18, 32.75), (36.18, 39.99)]
 
 
 @pytest.mark.parametrize('cut', [4000, 700, 33])
-def test_rests_turns_and_moves_are_found_however_they_come_in(cut: int) -> None:
+def test_rests_turns_and_moves_are_found_however_they_come_in(cut):
     imu, states = unit(), joint()
     blocks: list[Block] = []
     for k in range(0, 4000, cut):
@@ -135,7 +135,7 @@ def test_rests_turns_and_moves_are_found_however_they_come_in(cut: int) -> None:
     assert (session.temperature, session.foreign_joints) == (None, '')
 
 
-def test_a_clock_that_is_ahead_shifts_all_and_what_came_before_its_first_motion() -> None:
+def test_a_clock_that_is_ahead_shifts_all_and_what_came_before_its_first_motion():
     session = found(unit(ahead=0.03), joint())
     assert session.clock.offset == pytest.approx(0.03, abs=1e-5)
     assert rests(session)[0] == (0.04, 4.79)
@@ -147,7 +147,7 @@ def test_a_clock_that_is_ahead_shifts_all_and_what_came_before_its_first_motion(
 # Samples that are missing
 
 
-def test_a_few_lost_samples_are_read_from_those_around_them() -> None:
+def test_a_few_lost_samples_are_read_from_those_around_them():
     imu = unit()
     time = when(imu)
     session = found(only(imu, (time < 10) | (time > 10.055)), joint())
@@ -166,7 +166,7 @@ def test_a_few_lost_samples_are_read_from_those_around_them() -> None:
     assert beside.losses[0].startswith('2 IMU samples are missing')
 
 
-def test_many_lost_samples_end_a_turn_and_a_move() -> None:
+def test_many_lost_samples_end_a_turn_and_a_move():
     imu = unit()
     time = when(imu)
     session = found(only(imu, (time < 10) | (time > 10.2)), joint())
@@ -178,7 +178,7 @@ def test_many_lost_samples_end_a_turn_and_a_move() -> None:
     assert len(session.moves) == 2
 
 
-def test_a_second_without_samples_is_an_interruption() -> None:
+def test_a_second_without_samples_is_an_interruption():
     imu = unit()
     time = when(imu)
     session = found(only(imu, (time < 22.005) | (time > 23.995)), joint())
@@ -196,7 +196,7 @@ def test_a_second_without_samples_is_an_interruption() -> None:
 
 
 @pytest.mark.parametrize('count', [3, 4])
-def test_many_interruptions_are_counted(count: int) -> None:
+def test_many_interruptions_are_counted(count):
     imu = unit()
     time = when(imu)
     lost = np.zeros(len(time), bool)
@@ -212,7 +212,7 @@ def test_many_interruptions_are_counted(count: int) -> None:
     )
 
 
-def test_a_clock_that_was_set_parts_a_rest() -> None:
+def test_a_clock_that_was_set_parts_a_rest():
     imu = unit()
     later = imu.stamp + 4_000_000 * (when(imu) > 22)
     session = found(replace(imu, stamp=later), joint())
@@ -227,7 +227,7 @@ def test_a_clock_that_was_set_parts_a_rest() -> None:
     assert turning.rejected[0].reason == 'IMU samples are missing within it'
 
 
-def test_what_is_no_sample_is_counted() -> None:
+def test_what_is_no_sample_is_counted():
     imu = unit()
     broken = imu.gyro.copy()
     broken[[100, 101]] = np.nan
@@ -258,7 +258,7 @@ def test_what_is_no_sample_is_counted() -> None:
 # Turns that do not count
 
 
-def test_ramps_alone_are_no_turn() -> None:
+def test_ramps_alone_are_no_turn():
     motions = ((5.0, 60.0, 5.0, 4.0),)
     session = found(unit(motions), joint(motions))
     assert session.turns == ()
@@ -274,8 +274,8 @@ def test_ramps_alone_are_no_turn() -> None:
     assert found(unit(small), joint(small)).rejected == ()
 
 
-def test_rests_beside_a_motion_that_gyros_do_not_see_are_left_out() -> None:
-    def blind(rates: Floats, time: Floats) -> None:
+def test_rests_beside_a_motion_that_gyros_do_not_see_are_left_out():
+    def blind(rates, time):
         rates[(time > 24) & (time < 29)] = 0.0
 
     session = found(gyros(blind), joint())
@@ -286,7 +286,7 @@ def test_rests_beside_a_motion_that_gyros_do_not_see_are_left_out() -> None:
         'or are about a second apart)'
     }
 
-    def dull(rates: Floats, time: Floats) -> None:
+    def dull(rates, time):
         rates[:] = rates / 3
 
     # Where all motions are smaller, it is the scale factor.
@@ -296,8 +296,8 @@ def test_rests_beside_a_motion_that_gyros_do_not_see_are_left_out() -> None:
 # Shocks
 
 
-def test_a_shock_that_leaves_the_unit_turned_parts_a_rest() -> None:
-    def struck(rates: Floats, time: Floats) -> None:
+def test_a_shock_that_leaves_the_unit_turned_parts_a_rest():
+    def struck(rates, time):
         # Noise of one sign and the other: the smallest step between values is taken for a code.
         rates[::2, 2] += 1e-6
         rates[(time > 22.005) & (time < 22.105), 2] += 5 * DEG
@@ -314,7 +314,7 @@ def test_a_shock_that_leaves_the_unit_turned_parts_a_rest() -> None:
 # The unit alone
 
 
-def test_without_a_table_gyros_tell_rests_from_motions() -> None:
+def test_without_a_table_gyros_tell_rests_from_motions():
     session = found(unit(), table=None)
     # Windows of a tenth of a second: the second still one begins a rest.
     assert rests(session) == [(0.12, 5.0), (20.12, 25.0), (28.12, 33.0), (36.12, 40.0)]
@@ -336,7 +336,7 @@ def test_without_a_table_gyros_tell_rests_from_motions() -> None:
     ]
 
 
-def test_how_still_it_stands_is_known_as_it_comes_in() -> None:
+def test_how_still_it_stands_is_known_as_it_comes_in():
     reader = Segmenter(IDEAL, None)
     assert (reader.still, reader.quietest) == (None, None)
     imu = unit(())
@@ -351,7 +351,7 @@ def test_how_still_it_stands_is_known_as_it_comes_in() -> None:
     assert Segmenter(IDEAL, BENCH).still is None
 
 
-def test_a_long_rest_is_cut_so_that_memory_stays_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_rest_is_cut_so_that_memory_stays_bounded(monkeypatch):
     monkeypatch.setattr(segmenter, '_LONGEST_REST', 1500)
     for table, blocks in ((BENCH, [unit(()), joint(())]), (None, [unit(())])):
         session = found(*blocks, table=table)
@@ -376,7 +376,7 @@ def skew(scale: float = 0.5) -> SkewBlock:
     return SkewBlock(imu.stamp, scale * imu.gyro[:, 2])
 
 
-def test_a_skewed_gyro_is_read_in_turns() -> None:
+def test_a_skewed_gyro_is_read_in_turns():
     session = found(unit(), skew(), joint(), spec=SKEWED)
     (turn,) = session.turns
     assert turn.skewed is not None

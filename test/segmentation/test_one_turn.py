@@ -68,7 +68,7 @@ def gained(samples: Samples, begin: float, end: float) -> Floats:
 
 
 @pytest.mark.parametrize('ahead', [0, 7_300_000])
-def test_a_turn_is_what_was_gained_between_its_cuts(ahead: int) -> None:
+def test_a_turn_is_what_was_gained_between_its_cuts(ahead):
     motion, samples = turned(), delivered(ahead)
     (cuts,) = find_turns(motion)
     (turn,) = read_turns(around(samples), motion, TABLE, ahead)
@@ -94,7 +94,7 @@ def test_a_turn_is_what_was_gained_between_its_cuts(ahead: int) -> None:
     assert turn.skewed is None
 
 
-def test_one_turn_has_no_single_ones() -> None:
+def test_one_turn_has_no_single_ones():
     (turn,) = read_turns(around(delivered()), turned(rate=20.0), TABLE, 0)
     assert isinstance(turn, Turn)
     assert (turn.angle, turn.each) == (pytest.approx(2 * np.pi), None)
@@ -102,7 +102,7 @@ def test_one_turn_has_no_single_ones() -> None:
 
 @pytest.mark.parametrize(('outer', 'up', 'sense'), [(0.0, 1.0, 1), (180.0, -1.0, -1)])
 @pytest.mark.parametrize('noise', [0.0, 2e-5])
-def test_the_angle_is_about_up(outer: float, up: float, sense: int, noise: float) -> None:
+def test_the_angle_is_about_up(outer, up, sense, noise):
     motion = turned(outer, noise)
     (turn,) = read_turns(around(delivered()), motion, TABLE, 0)
     assert isinstance(turn, Turn)
@@ -117,7 +117,7 @@ def test_the_angle_is_about_up(outer: float, up: float, sense: int, noise: float
     assert turn.up_error == pytest.approx(wanted)
 
 
-def test_of_a_single_joint_none_is_held() -> None:
+def test_of_a_single_joint_none_is_held():
     motion = turned()
     alone = replace(motion, position=motion.position[:, 1:])
     (turn,) = read_turns(around(delivered()), alone, replace(TABLE, joints=TABLE.joints[1:]), 0)
@@ -126,7 +126,7 @@ def test_of_a_single_joint_none_is_held() -> None:
 
 
 @pytest.mark.parametrize(('lean', 'counts'), [(0.80, True), (0.82, False), (179.18, False)])
-def test_an_axis_leans_by_less_than_0_81_degrees(lean: float, counts: bool) -> None:
+def test_an_axis_leans_by_less_than_0_81_degrees(lean, counts):
     (found,) = read_turns(around(delivered()), turned(lean), TABLE, 5_000_000)
     if counts:
         assert isinstance(found, Turn)
@@ -154,7 +154,7 @@ def reason(samples: Samples, sensor: Sensor = RATES) -> str:
     return found.reason if isinstance(found, Rejected) else ''
 
 
-def test_samples_must_be_sound_between_the_cuts_alone() -> None:
+def test_samples_must_be_sound_between_the_cuts_alone():
     assert reason(without(delivered(), (12.0, 12.5))) == 'IMU samples are missing within it'
     for beside in ((3.4, 3.6), (22.4, 22.6)):
         assert reason(without(delivered(), beside)) == ''
@@ -162,7 +162,7 @@ def test_samples_must_be_sound_between_the_cuts_alone() -> None:
     assert reason(without(delivered(), (21.9, 99.0))) == 'the IMU stream does not span it'
     assert reason(without(delivered(), (0.0, 99.0))) == 'the IMU stream does not span it'
 
-    def change(a: float, b: float, value: float) -> Samples:
+    def change(a, b, value):
         samples = delivered()
         time = (samples.stamp - START) * 1e-9
         rows = samples.increments.copy()
@@ -181,7 +181,7 @@ def test_samples_must_be_sound_between_the_cuts_alone() -> None:
     assert reason(replace(fast, increments=rows)) == unsteady
 
 
-def test_counts_at_the_cuts_are_read_from_all_that_turns_as_fast() -> None:
+def test_counts_at_the_cuts_are_read_from_all_that_turns_as_fast():
     spec = ImuSpec('any', Units.PULSES, None, TriadSpec(1e-4, random_walk=1e-3), TriadSpec(1e-4))
     sensor = Sensor.from_spec(spec)
     plain = delivered()
@@ -190,7 +190,7 @@ def test_counts_at_the_cuts_are_read_from_all_that_turns_as_fast() -> None:
     (cuts,) = find_turns(turned())
     assert cuts.spare == pytest.approx(0.75, abs=0.05)
 
-    def between(begin: float, end: float, gap: tuple[float, float] | None = None) -> None:
+    def between(begin, end, gap=None):
         """Read from the samples whose stamps lie between two instants."""
         part = without(samples, (0.0, begin), (end, 99.0))
         first = (cuts.start - part.stamp[0]) * 1e-9 / PERIOD + 1
@@ -211,9 +211,7 @@ def test_counts_at_the_cuts_are_read_from_all_that_turns_as_fast() -> None:
 @pytest.mark.parametrize(
     ('spare', 'first', 'last'), [(0.0, 97, 202), (0.025, 97, 202), (0.5, 49, 249)]
 )
-def test_samples_around_two_instants_are_two_and_three_or_more(
-    spare: float, first: int, last: int
-) -> None:
+def test_samples_around_two_instants_are_two_and_three_or_more(spare, first, last):
     # Stamps at 10 ms and on: from 1.0 to 2.0 s less 1 ms.
     stamp = START + 10_000_000 * np.arange(1, 400)
     samples = Samples(stamp, np.zeros((399, 6)), NONE, PERIOD, NONE)
@@ -237,7 +235,7 @@ def free(degrees: float, *gaps: tuple[float, float]) -> list[FreeMotion | Reject
     return read_free_motion(neighbours, motion)
 
 
-def test_a_motion_is_what_the_gyros_gained() -> None:
+def test_a_motion_is_what_the_gyros_gained():
     (found,) = free(90.0)
     assert isinstance(found, FreeMotion)
     assert (found.start, found.end) == (START + 10**9, START + 2 * 10**9)
@@ -249,7 +247,7 @@ def test_a_motion_is_what_the_gyros_gained() -> None:
     assert [len(free(degrees)) for degrees in (4.9, 5.1)] == [0, 1]
 
 
-def test_a_motion_that_is_not_sound_is_left_out() -> None:
+def test_a_motion_that_is_not_sound_is_left_out():
     # 8 rad/s about an axis of which one gyro sees eight tenths.
     for degrees, gaps, reason in (
         (90.0, ((1.3, 1.5),), 'IMU samples are missing within it'),
@@ -265,8 +263,8 @@ def test_a_motion_that_is_not_sound_is_left_out() -> None:
     assert len(free(900.0, (1.0, 1.985))) == 1
 
 
-def test_gyros_beyond_their_range_that_the_table_does_not_turn_by_are_in_other_units() -> None:
-    def times(factor: float) -> str:
+def test_gyros_beyond_their_range_that_the_table_does_not_turn_by_are_in_other_units():
+    def times(factor):
         samples = delivered()
         rows = samples.increments.copy()
         rows[:, :3] *= factor
@@ -324,7 +322,7 @@ def whole_way(seed: int, walk: float, bias: float, sense: float = 1.0, outer: fl
 
 @pytest.mark.parametrize('outer', [0.0, 180.0])
 @pytest.mark.parametrize('sense', [1.0, -1.0])
-def test_a_whole_way_has_the_sense_of_its_turn_about_up(sense: float, outer: float) -> None:
+def test_a_whole_way_has_the_sense_of_its_turn_about_up(sense, outer):
     turn = whole_way(1, 0.0, 0.02 * DEG, sense, outer)
     assert turn.whole_way is not None
     # Z is up or down. Of 20 deg/s the gyro shows a thousandth more, and its bias.
@@ -334,7 +332,7 @@ def test_a_whole_way_has_the_sense_of_its_turn_about_up(sense: float, outer: flo
 
 
 @pytest.mark.parametrize('walk', [0.0, 3 * ARCSEC])
-def test_the_rate_of_a_whole_way_is_as_sure_as_what_the_gyros_read_at_rest(walk: float) -> None:
+def test_the_rate_of_a_whole_way_is_as_sure_as_what_the_gyros_read_at_rest(walk):
     # Of many a size, so that pulses fall anywhere.
     biases = np.random.default_rng(5).uniform(0.01, 0.03, 60) * DEG
     turns = [whole_way(seed, walk, bias) for seed, bias in enumerate(biases)]

@@ -106,7 +106,7 @@ def without_plan() -> Result:
     return calibrate(recorded(program(random_angles(), (0, 1, 2), RATES), seed=2), UNPLANNED)
 
 
-def test_a_program_of_any_attitudes_is_calibrated_without_a_plan() -> None:
+def test_a_program_of_any_attitudes_is_calibrated_without_a_plan():
     result = without_plan()
     assert len(result.labelled.segments) == 20
     assert len(result.labelled.turns) == 3 * len(RATES.rates)
@@ -116,7 +116,7 @@ def test_a_program_of_any_attitudes_is_calibrated_without_a_plan() -> None:
     assert (errors(result) ** 2).sum() > 4.3
 
 
-def test_rests_and_turns_have_readable_names_of_their_own() -> None:
+def test_rests_and_turns_have_readable_names_of_their_own():
     labelled = without_plan().labelled
     names = [str(s.position) for s in labelled.segments]
     assert names[:3] == ['X up, heading 10 deg', 'Y up, heading 200 deg', 'Z up, heading 75 deg']
@@ -124,14 +124,14 @@ def test_rests_and_turns_have_readable_names_of_their_own() -> None:
     assert [t.position for t in labelled.turns] == ['X up'] * 4 + ['Y up'] * 4 + ['Z up'] * 4
 
 
-def test_the_file_says_that_there_was_no_plan() -> None:
+def test_the_file_says_that_there_was_no_plan():
     calibration = without_plan().calibration
     assert calibration.provenance['plan'] is None
     assert 'missing_positions' not in calibration.provenance
     assert not any('plan' in finding for finding in calibration.findings)
 
 
-def test_the_twelve_positions_need_no_plan() -> None:
+def test_the_twelve_positions_need_no_plan():
     plan = at_one_rate(quick_plan('twelve_position', 20.0))
     blocks = [b for b in session(plan, seed=5) if not isinstance(b[1], SetpointBlock)]
     # The same rests and turns under other names: the same equations.
@@ -140,7 +140,7 @@ def test_the_twelve_positions_need_no_plan() -> None:
     assert np.array_equal(planned.calibration.covariance, unplanned.calibration.covariance)
 
 
-def test_rests_at_other_headings_than_the_plan_has_count() -> None:
+def test_rests_at_other_headings_than_the_plan_has_count():
     result = calibrate(turned_about_y(), 'twelve_position')
     assert np.abs(errors(result)).max() < 4.5
     findings = ' '.join(result.calibration.findings)
@@ -152,7 +152,7 @@ def test_rests_at_other_headings_than_the_plan_has_count() -> None:
     assert np.array_equal(result.calibration.values, again.calibration.values)
 
 
-def test_a_closed_form_knows_the_positions_of_the_plan_alone() -> None:
+def test_a_closed_form_knows_the_positions_of_the_plan_alone():
     plan = at_one_rate(quick_plan('six_position', 20.0))
     table = replace(TABLE, azimuth=0.0)
     other = replace(plan.positions[0], id='other', attitude=at(45, 45, 45))
@@ -174,7 +174,7 @@ def test_a_closed_form_knows_the_positions_of_the_plan_alone() -> None:
     assert beside.calibration.provenance['segments'] == 7
 
 
-def test_a_program_without_a_turn_about_x_is_refused_and_told_what_it_lacks() -> None:
+def test_a_program_without_a_turn_about_x_is_refused_and_told_what_it_lacks():
     blocks = recorded(program(random_angles(), (1, 2)), seed=2)
     with pytest.raises(NotObservable) as refused:
         calibrate(blocks, UNPLANNED)
@@ -183,7 +183,7 @@ def test_a_program_without_a_turn_about_x_is_refused_and_told_what_it_lacks() ->
     assert 'whole turns at a steady rate with X up (K_gx, E_gyx, E_gzx)' in message
 
 
-def test_attitudes_that_leave_an_axis_level_are_refused_and_told_what_they_lack() -> None:
+def test_attitudes_that_leave_an_axis_level_are_refused_and_told_what_they_lack():
     angles = [(o, *UPRIGHT['Z']) for o in (0.0, 90.0)] + [(o, 180.0, 0.0) for o in (0.0, 90.0)]
     angles += [(o, *UPRIGHT['Y']) for o in (0.0, 90.0)] + [(o, 90.0, 180.0) for o in (0.0, 90.0)]
     blocks = recorded(program(angles, (0, 4)), seed=2)
@@ -194,7 +194,7 @@ def test_attitudes_that_leave_an_axis_level_are_refused_and_told_what_they_lack(
     assert 'a static dwell with X ' in message.split('It would take', 1)[1]
 
 
-def test_one_axis_of_turns_tells_no_three_responses_however_oblique_it_is() -> None:
+def test_one_axis_of_turns_tells_no_three_responses_however_oblique_it_is():
     # Up along (1, 1, 1): each axis has its share of the turns, and all the same one direction.
     oblique = (0.0, float(np.degrees(np.arccos(1 / np.sqrt(3)))), 45.0)
     angles = [*random_angles(), oblique]
@@ -202,7 +202,7 @@ def test_one_axis_of_turns_tells_no_three_responses_however_oblique_it_is() -> N
         calibrate(recorded(program(angles, (20,)), seed=2), UNPLANNED)
 
 
-def test_turns_about_oblique_axes_do_if_there_are_three() -> None:
+def test_turns_about_oblique_axes_do_if_there_are_three():
     middle = float(np.degrees(np.arccos(1 / np.sqrt(3))))
     oblique = [(0.0, middle, inner) for inner in (45.0, 135.0, 225.0)]
     angles = [*oblique, *random_angles()]
@@ -210,13 +210,13 @@ def test_turns_about_oblique_axes_do_if_there_are_three() -> None:
     assert np.abs(errors(result)).max() < 4.5
 
 
-def test_a_rest_out_of_the_mount_is_left_out() -> None:
+def test_a_rest_out_of_the_mount_is_left_out():
     """While one rest lasts the unit lies beside the table: its accelerometers say so."""
     plan = program(random_angles(), (0, 1, 2), RATES)
     spans = [(s.start, s.end) for s in without_plan().session.segments]
     first, last = spans[7]
 
-    def lies(named: Named) -> Named:
+    def lies(named):
         topic, block = named
         if not isinstance(block, ImuBlock):
             return named
@@ -231,7 +231,7 @@ def test_a_rest_out_of_the_mount_is_left_out() -> None:
     assert np.abs(errors(result)).max() < 4.5
 
 
-def test_another_mount_than_the_table_states_is_refused() -> None:
+def test_another_mount_than_the_table_states_is_refused():
     """All accelerometers contradict the encoders, and the gyros too: it is the description."""
     turned = replace(TABLE, mount=np.roll(np.eye(3), 1, axis=0))
     blocks = recorded(program(random_angles(), (0, 1, 2)), seed=2)
@@ -240,12 +240,12 @@ def test_another_mount_than_the_table_states_is_refused() -> None:
 
 
 @pytest.mark.parametrize('method', ['twelve_position', 'skewed', 'free_positions'])
-def test_a_method_of_a_plan_is_refused_without_one(method: str) -> None:
+def test_a_method_of_a_plan_is_refused_without_one(method):
     with pytest.raises(InputError, match=f'Method {method} needs the plan .* joint, joint_33'):
         Calibrator(Setup(paper_imu(), UNPLANNED, TABLE, SITE, method))
 
 
-def test_setpoints_that_the_plan_does_not_name_lead_to_rests_that_count() -> None:
+def test_setpoints_that_the_plan_does_not_name_lead_to_rests_that_count():
     plan = y_at_other_headings()
     known = tuple(p for p in plan.positions if p.id != '7')
     result = calibrate(session(plan, stand(azimuth=17 * DEG)), replace(plan, positions=known))
@@ -257,11 +257,11 @@ def test_setpoints_that_the_plan_does_not_name_lead_to_rests_that_count() -> Non
     assert np.abs(errors(result)).max() < 4.5
 
 
-def test_a_rest_off_its_setpoint_counts_where_the_encoders_have_it() -> None:
+def test_a_rest_off_its_setpoint_counts_where_the_encoders_have_it():
     """The table was told to go two degrees further at position 10, and stopped before."""
     plan = y_at_other_headings()
 
-    def with_setpoints(named: Named) -> Named:
+    def with_setpoints(named):
         topic, block = named
         if not isinstance(block, SetpointBlock):
             return named
@@ -292,14 +292,14 @@ def test_a_rest_off_its_setpoint_counts_where_the_encoders_have_it() -> None:
         ((40, 45, 45), 'X +30 Y +30 Z +45, heading 40 deg'),
     ],
 )
-def test_attitudes_in_words(angles: tuple[float, float, float], words: str) -> None:
+def test_attitudes_in_words(angles, words):
     # On the shipped table the heading is the angle of the outer joint, by its kinematics.
     assert attitude_words(at(*angles)) == words
     assert heading(at(*angles)) == pytest.approx(angles[0] * DEG % TURN)
 
 
 @pytest.fixture(scope='module')
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(tmp_path_factory):
     """The random program as any recorder writes it, and a calibration of it."""
     folder = tmp_path_factory.mktemp('planless')
     write(folder / 'bag', recorded(program(random_angles(), (0, 1, 2), RATES), seed=2))
@@ -318,16 +318,14 @@ def write(path: Path, blocks: Iterable[Named], data: dict[str, str] | None = Non
             writer.write(f'/{topic}', kind.type_name, messages, stamp)
 
 
-def test_calibrate_needs_no_plan(bag: Path) -> None:
+def test_calibrate_needs_no_plan(bag):
     made = Calibration.load(bag.parent / 'calibration.yaml')
     assert made.provenance['plan'] is None
     error = (made.values - truth().values) / made.std
     assert np.abs(error).max() < 4.5
 
 
-def test_report_and_verify_take_a_calibration_without_a_plan(
-    bag: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_report_and_verify_take_a_calibration_without_a_plan(bag, capsys):
     made = str(bag.parent / 'calibration.yaml')
     page = bag.parent / 'report.html'
     # The paper's unit is outside the limits that the IMU's file has for an example.
@@ -342,9 +340,7 @@ def test_report_and_verify_take_a_calibration_without_a_plan(
     assert re.search(r'^X up,.*\s+heading 10\b.*\s+deg\b', out, re.MULTILINE)
 
 
-def test_info_lists_every_rest_and_every_turn(
-    bag: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_lists_every_rest_and_every_turn(bag, capsys):
     assert main(['info', str(bag), *SAID]) == 0
     out = capsys.readouterr().out
     rests = rows_below(out, 'dwell', 'position')
@@ -366,7 +362,7 @@ def test_info_lists_every_rest_and_every_turn(
     assert 'no plan: the attitudes and turns determine all 24 parameters' in out
 
 
-def test_info_fits_eighty_columns(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_fits_eighty_columns(bag, capsys):
     main(['info', str(bag), *SAID])
     out = capsys.readouterr().out
     tables = [*rows_below(out, 'dwell', 'position'), *rows_below(out, 'turn', 'position')]
@@ -375,9 +371,7 @@ def test_info_fits_eighty_columns(bag: Path, capsys: pytest.CaptureFixture[str])
     assert max(len(row.rstrip()) for row in tables) <= 80
 
 
-def test_info_says_which_rests_a_plan_names(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_says_which_rests_a_plan_names(tmp_path, capsys):
     write(tmp_path / 'bag', turned_about_y())
     assert main(['info', str(tmp_path / 'bag'), '--plan', 'twelve_position', *SAID]) == 0
     out = capsys.readouterr().out
@@ -386,9 +380,7 @@ def test_info_says_which_rests_a_plan_names(
     assert 'missing of plan twelve_position: 5, 6, 7, 8' in out
 
 
-def test_the_plan_of_a_recording_can_be_left_out(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_plan_of_a_recording_can_be_left_out(tmp_path, capsys):
     text = named_file('plans', 'twelve_position').read_text(encoding='utf-8')
     write(tmp_path / 'bag', turned_about_y(), {'imu_calib.plan': text})
     result = ['-o', str(tmp_path / 'calibration.yaml')]
@@ -397,9 +389,7 @@ def test_the_plan_of_a_recording_can_be_left_out(
     assert Calibration.load(tmp_path / 'calibration.yaml').provenance['plan'] is None
 
 
-def test_without_joint_states_a_plan_is_asked_for(
-    bag: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_joint_states_a_plan_is_asked_for(bag, capsys):
     assert main(['calibrate', str(bag), '--imu-only', *SAID]) == 2
     error_text = capsys.readouterr().err
     assert 'does not say which plan was run: give --plan' in error_text

@@ -11,9 +11,9 @@ import other_sessions
 import pytest
 from extent import again
 from other_sessions import EPOCH, MEDIUM, NAVIGATION, errors, fed, recorded
-from other_world import DEG, Unit, World, schedule
+from other_world import DEG, World, schedule
 
-from imu_calib.common.stream import Floats, ImuBlock, JointBlock, Stamps
+from imu_calib.common.stream import Floats, Stamps
 from imu_calib.segmentation.reading_jumps import ReadingJumps
 from imu_calib.session.table import load_table
 
@@ -27,12 +27,10 @@ TABLE = load_table('three_axis')
 @pytest.mark.parametrize(
     'unit', [replace(MEDIUM, counts=True), again(MEDIUM), NAVIGATION], ids=['rates', 'm', 'n']
 )
-def test_an_encoder_that_is_homed_anew_is_named_and_puts_nothing_off(
-    joint: int, unit: Unit, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_encoder_that_is_homed_anew_is_named_and_puts_nothing_off(joint, unit, monkeypatch):
     """Parameters were off by hundreds of deviations, or the least squares did not converge."""
 
-    def blocks(world: World, unit: Unit, seed: int) -> tuple[JointBlock, ImuBlock]:
+    def blocks(world, unit, seed):
         of_table, of_imu = recorded(world, unit, seed)
         position = of_table.position.copy()
         position[(of_table.stamp - EPOCH * 10**9) * 1e-9 > INSTANT, joint] += 5 * DEG
@@ -66,7 +64,7 @@ def course(rate: float) -> tuple[Stamps, Floats]:
 
 
 @pytest.mark.parametrize('rate', [10.0, 50.0, 100.0, 1000.0])
-def test_fast_turns_and_readings_within_one_turn_have_no_jumps(rate: float) -> None:
+def test_fast_turns_and_readings_within_one_turn_have_no_jumps(rate):
     stamp, position = course(rate)
     rng = np.random.default_rng(1)
     kept = np.sort(rng.choice(len(stamp), len(stamp) * 9 // 10, replace=False))
@@ -78,7 +76,7 @@ def test_fast_turns_and_readings_within_one_turn_have_no_jumps(rate: float) -> N
     assert not taken_out(np.maximum.accumulate(bunched), position)[1]
 
 
-def test_a_jump_is_taken_out_however_the_stream_is_cut() -> None:
+def test_a_jump_is_taken_out_however_the_stream_is_cut():
     stamp, true = course(100.0)
     for at in (300, 700, 1000):
         position = true.copy()

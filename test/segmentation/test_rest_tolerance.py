@@ -43,7 +43,7 @@ def by_hand(rows: Floats) -> tuple[float, float]:
 # The tolerance
 
 
-def test_three_times_what_nine_of_ten_keep_to_is_added() -> None:
+def test_three_times_what_nine_of_ten_keep_to_is_added():
     rows = windows(200, 0.4, 0.05)
     shaken, pushed = by_hand(rows)
     found = RestTolerance.estimate(rows, OFFSET, 0.2 * DEG)
@@ -52,7 +52,7 @@ def test_three_times_what_nine_of_ten_keep_to_is_added() -> None:
     assert found.usual == pytest.approx(shaken)
 
 
-def test_a_count_is_the_least_that_is_added() -> None:
+def test_a_count_is_the_least_that_is_added():
     step = np.array([0.1 * DEG, 0.02])
     found = RestTolerance.estimate(windows(200), OFFSET, ASSUMED_SPREAD, step)
     assert found.rate == pytest.approx(ASSUMED_SPREAD + 0.1 * DEG)
@@ -60,13 +60,13 @@ def test_a_count_is_the_least_that_is_added() -> None:
     assert found.usual == pytest.approx(0.1 * DEG / 3)
 
 
-def test_what_is_not_held_has_no_larger_tolerance() -> None:
+def test_what_is_not_held_has_no_larger_tolerance():
     found = RestTolerance.estimate(windows(200, 9.0, 3.0), OFFSET)
     assert found.rate == pytest.approx(20 * DEG)
     assert found.force == pytest.approx(0.3 * STANDARD_GRAVITY)
 
 
-def test_few_windows_tell_nothing() -> None:
+def test_few_windows_tell_nothing():
     step = np.array([0.1 * DEG, 0.02])
     plain = RestTolerance(0.2 * DEG + step[0], LEAN + step[1], step[0])
     noisy = windows(20, 0.4, 0.05)
@@ -78,7 +78,7 @@ def test_few_windows_tell_nothing() -> None:
 
 
 @pytest.mark.parametrize(('rate', 'turns'), [(4.9, False), (5.1, True), (-5.1, True)])
-def test_a_turn_tells_nothing_of_rests_nor_the_second_beside_it(rate: float, turns: bool) -> None:
+def test_a_turn_tells_nothing_of_rests_nor_the_second_beside_it(rate, turns):
     quiet = windows(100, 0.1, 0.01, 1)
     turning = windows(100, 0.1, 0.01, 2)
     turning[:, 1] += rate * DEG
@@ -112,7 +112,7 @@ def feed(offset: GyroOffset, rate: Floats, up: Floats, seconds: float) -> None:
         offset.add_window(np.append(rate, 9.8 * up))
 
 
-def test_nothing_is_known_before_a_second_is_steady() -> None:
+def test_nothing_is_known_before_a_second_is_steady():
     offset = GyroOffset()
     assert offset.value.tolist() == [0.0] * 3
     assert offset.spread == ASSUMED_SPREAD
@@ -123,7 +123,7 @@ def test_nothing_is_known_before_a_second_is_steady() -> None:
     assert offset.spread == ASSUMED_SPREAD
 
 
-def test_two_half_seconds_are_averaged() -> None:
+def test_two_half_seconds_are_averaged():
     offset = GyroOffset()
     for k in range(10):
         offset.add_window(np.append(OFFSET + 0.09 * k * DEG * X, 9.8 * Z))
@@ -134,9 +134,7 @@ def test_two_half_seconds_are_averaged() -> None:
     ('rate', 'force', 'steady'),
     [(0.99, 0.0, True), (1.01, 0.0, False), (0.0, 0.049, True), (0.0, 0.051, False)],
 )
-def test_steady_is_within_a_degree_a_second_and_a_twentieth_of_gravity(
-    rate: float, force: float, steady: bool
-) -> None:
+def test_steady_is_within_a_degree_a_second_and_a_twentieth_of_gravity(rate, force, steady):
     offset = GyroOffset()
     feed(offset, OFFSET, Z, 0.5)
     for _ in range(5):
@@ -146,7 +144,7 @@ def test_steady_is_within_a_degree_a_second_and_a_twentieth_of_gravity(
     assert bool(offset.value.any()) is steady
 
 
-def test_the_rate_of_most_attitudes_is_the_offset() -> None:
+def test_the_rate_of_most_attitudes_is_the_offset():
     offset = GyroOffset()
     turning = OFFSET + 10 * DEG * Z
     feed(offset, turning, Z, 30.0)
@@ -158,7 +156,7 @@ def test_the_rate_of_most_attitudes_is_the_offset() -> None:
     assert offset.value == pytest.approx(OFFSET)
 
 
-def test_of_equals_the_one_below_a_degree_a_second_is_it() -> None:
+def test_of_equals_the_one_below_a_degree_a_second_is_it():
     offset = GyroOffset()
     feed(offset, 10 * DEG * Z, Z, 5.0)
     feed(offset, 0.9 * DEG * Z, Z, 1.0)
@@ -174,7 +172,7 @@ def leaning(degrees: float) -> Floats:
 
 
 @pytest.mark.parametrize(('lean', 'other'), [(19.0, False), (21.0, True)])
-def test_ways_up_are_twenty_degrees_apart(lean: float, other: bool) -> None:
+def test_ways_up_are_twenty_degrees_apart(lean, other):
     offset = GyroOffset()
     feed(offset, 10 * DEG * Z, X, 2.0)
     feed(offset, 30 * DEG * Z, Z, 2.0)
@@ -182,7 +180,7 @@ def test_ways_up_are_twenty_degrees_apart(lean: float, other: bool) -> None:
     assert offset.value == pytest.approx((30 if other else 10) * DEG * Z)
 
 
-def test_a_rate_is_averaged_over_what_was_read_in_one_way_up() -> None:
+def test_a_rate_is_averaged_over_what_was_read_in_one_way_up():
     offset = GyroOffset()
     feed(offset, 0.0 * Z, Z, 1.0)
     # Halves of seconds: (0 + 0.5) / 2, then 0.5 twice.
@@ -206,7 +204,7 @@ def rates_in(offset: GyroOffset, rates: list[float]) -> None:
         feed(offset, rate * DEG * Z, up, 1.0)
 
 
-def test_ways_up_tell_by_how_much_rates_differ() -> None:
+def test_ways_up_tell_by_how_much_rates_differ():
     offset = GyroOffset()
     rates_in(offset, [0.0, 0.1, 0.3, 0.2])
     assert offset.spread == ASSUMED_SPREAD
@@ -220,14 +218,14 @@ def test_ways_up_tell_by_how_much_rates_differ() -> None:
     assert alike.spread == pytest.approx(2 * EARTH_RATE)
 
 
-def test_the_last_five_ways_up_are_the_rate() -> None:
+def test_the_last_five_ways_up_are_the_rate():
     offset = GyroOffset()
     rates_in(offset, [0.0, 0.0, 0.0, 0.4, 0.5, 0.6])
     # 0, 0, 0.4, 0.5 and 0.6.
     assert offset.value == pytest.approx(0.4 * DEG * Z)
 
 
-def test_of_many_rates_the_least_supported_makes_room() -> None:
+def test_of_many_rates_the_least_supported_makes_room():
     offset = GyroOffset()
     for k in range(1, 33):
         feed(offset, 10.0 * k * DEG * Z, Z, 1.0)
@@ -263,7 +261,7 @@ def spans(found: list[Rest | Motion]) -> list[tuple[str, float, float]]:
     return [(type(f).__name__, f.start * 1e-9, f.end * 1e-9) for f in found]
 
 
-def test_rests_begin_with_the_second_quiet_window_and_end_with_the_last() -> None:
+def test_rests_begin_with_the_second_quiet_window_and_end_with_the_last():
     rows = np.vstack([held(3, Z), held(1, Z, 50.0), held(3, Y)])
     wanted = [
         ('Motion', 0.01, 0.11),
@@ -277,7 +275,7 @@ def test_rests_begin_with_the_second_quiet_window_and_end_with_the_last() -> Non
         assert [f[1:] for f in found] == [pytest.approx(w[1:]) for w in wanted]
 
 
-def test_what_ends_in_a_turn_ends_with_a_motion() -> None:
+def test_what_ends_in_a_turn_ends_with_a_motion():
     found = spans(tracked(np.vstack([held(3, Z), held(1.05, Z, 50.0)])))
     assert [f[0] for f in found] == ['Motion', 'Rest', 'Motion']
     # A window that is not whole is not judged.
@@ -285,13 +283,13 @@ def test_what_ends_in_a_turn_ends_with_a_motion() -> None:
     assert tracked(held(0.05, Z)) == []
 
 
-def test_another_attitude_is_another_rest() -> None:
+def test_another_attitude_is_another_rest():
     for lean, rests in ((0.9, 1), (1.2, 2)):
         found = spans(tracked(np.vstack([held(3, Z), held(3, leaning(lean))])))
         assert [f[0] for f in found].count('Rest') == rests
 
 
-def test_the_quietest_two_seconds_are_told() -> None:
+def test_the_quietest_two_seconds_are_told():
     rng = np.random.default_rng(2)
     rows = np.vstack([held(5, Z), held(5, Z), held(5, Z)])
     noise = np.repeat([0.5, 0.1, 0.4], 500)[:, None] * DEG
@@ -319,7 +317,7 @@ def test_the_quietest_two_seconds_are_told() -> None:
     assert brief.quietest is not None
 
 
-def test_a_rest_that_goes_on_can_be_parted() -> None:
+def test_a_rest_that_goes_on_can_be_parted():
     tracker = StillnessTracker(0.01)
     assert (tracker.known_until, tracker.rest_since) == (None, None)
     assert tracker.split_rest(5) is None

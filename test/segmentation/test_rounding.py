@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from math import erf, exp, pi, sqrt
 
 import numpy as np
 import pytest
-from sessions import Named, calibrate, paper_imu, quick_plan, session
+from sessions import calibrate, paper_imu, quick_plan, session
 
 from imu_calib.common.stream import Floats, ImuBlock
 from imu_calib.segmentation.statistics import Rounding, Sensor
@@ -36,11 +35,11 @@ def sentences(dwells: Floats, spec: object = SI) -> list[str]:
 
 
 @pytest.mark.parametrize(('ratio', 'most'), [(0.1, 0.286), (0.2, 0.144), (0.3, 0.054)])
-def test_the_mean_of_rounded_noise_is_off_by_what_is_stated(ratio: float, most: float) -> None:
+def test_the_mean_of_rounded_noise_is_off_by_what_is_stated(ratio, most):
     """Each whole number is as likely as the noise from half a step below to half a step above."""
 
-    def mean(centre: float) -> float:
-        def below(x: float) -> float:
+    def mean(centre):
+        def below(x):
             return 0.5 * (1 + erf((x - centre) / (ratio * sqrt(2))))
 
         return sum(k * (below(k + 0.5) - below(k - 0.5)) for k in range(-4, 6))
@@ -51,24 +50,24 @@ def test_the_mean_of_rounded_noise_is_off_by_what_is_stated(ratio: float, most: 
     assert worst == pytest.approx(exp(-2 * (pi * ratio) ** 2) / pi, rel=0.1)
 
 
-def test_few_values_are_named_with_their_step() -> None:
+def test_few_values_are_named_with_their_step():
     (said,) = sentences(rounded(0.05, 0.005))
     words = 'The accelerometers x, y, z read two values in a static dwell, 0.05 m/s^2 apart: '
     assert said.startswith(words)
 
 
-def test_one_value_in_each_dwell_shows_no_step() -> None:
+def test_one_value_in_each_dwell_shows_no_step():
     assert not sentences(rounded(0.2, 1e-9, np.array([0.2, 9.8, -9.8])[:, None, None]))
 
 
-def test_samples_without_noise_are_not_rounded() -> None:
+def test_samples_without_noise_are_not_rounded():
     """Of double precision two values are left."""
     dwells = rounded(1e-15, 1e-30)
     dwells[:, ::2] *= 1 + 1e-15
     assert not sentences(dwells)
 
 
-def test_of_one_channel_that_one_is_named() -> None:
+def test_of_one_channel_that_one_is_named():
     dwells = rounded(0.05, 0.005)
     dwells[..., (3, 5)] = dwells[..., :2]
     (said,) = sentences(dwells)
@@ -76,17 +75,17 @@ def test_of_one_channel_that_one_is_named() -> None:
 
 
 @pytest.mark.parametrize('noise', [0.025, 0.05])
-def test_noise_of_half_a_step_averages_the_rounding(noise: float) -> None:
+def test_noise_of_half_a_step_averages_the_rounding(noise):
     assert not sentences(rounded(0.05, noise))
 
 
-def test_a_channel_that_never_changes_is_not_called_rounded() -> None:
+def test_a_channel_that_never_changes_is_not_called_rounded():
     dwells = rounded(0.05, 0.05)
     dwells[..., 4] = 1.0
     assert not sentences(dwells)
 
 
-def test_too_few_samples_and_lost_ones_show_nothing() -> None:
+def test_too_few_samples_and_lost_ones_show_nothing():
     dwells = rounded(0.05, 0.005)
     assert not sentences(dwells[:, :99])
     dwells[:, ::2] = np.nan
@@ -97,7 +96,7 @@ def test_too_few_samples_and_lost_ones_show_nothing() -> None:
     assert not sentences(dwells)
 
 
-def test_pulses_counts_and_values_made_of_pulses_are_not_looked_at() -> None:
+def test_pulses_counts_and_values_made_of_pulses_are_not_looked_at():
     dwells = rounded(0.05, 0.005)
     whole = np.rint(dwells / 0.005)
     assert not sentences(whole, load_imu('fog_medium'))
@@ -106,14 +105,14 @@ def test_pulses_counts_and_values_made_of_pulses_are_not_looked_at() -> None:
     assert not sentences(dwells, replace(SI, accel=pulsed))
 
 
-def test_a_session_of_rounded_samples_says_so() -> None:
-    def steps(step: float) -> Iterator[Named]:
+def test_a_session_of_rounded_samples_says_so():
+    def steps(step):
         for topic, block in session(PLAN, spec=XSENS):
             if isinstance(block, ImuBlock):
                 block = replace(block, accel=step * np.round(block.accel / step))  # noqa: PLW2901
             yield topic, block
 
-    def findings(step: float) -> list[str]:
+    def findings(step):
         found = calibrate(steps(step), PLAN, spec=XSENS).calibration.findings
         return [one for one in found if 'rounded more coarsely' in one]
 
@@ -148,14 +147,14 @@ def still(rate_hz: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize('rate_hz', [100.0, 1000.0, 4000.0, FAST])
-def test_a_single_pulse_is_no_end_of_a_range(rate_hz: float) -> None:
+def test_a_single_pulse_is_no_end_of_a_range(rate_hz):
     """At 20 kHz one pulse is 200 m/s^2 for the length of an interval, and gravity makes such."""
     assert not clipped(still(rate_hz), rate_hz).any()
 
 
 @pytest.mark.parametrize('channel', range(6))
 @pytest.mark.parametrize('rate_hz', [1000.0, FAST])
-def test_a_channel_at_the_end_of_its_range_is_found(rate_hz: float, channel: int) -> None:
+def test_a_channel_at_the_end_of_its_range_is_found(rate_hz, channel):
     """All of it but a hundred pulses' time at most, and little beside it."""
     spec = paper_imu()
     end, pulse = (
@@ -174,7 +173,7 @@ def test_a_channel_at_the_end_of_its_range_is_found(rate_hz: float, channel: int
     assert not found[stop + beside :].any()
 
 
-def test_what_turns_below_its_range_is_within_it() -> None:
+def test_what_turns_below_its_range_is_within_it():
     """At 95 % of the range one reading in two is a whole pulse that only the end would fill."""
     rates = still(FAST)
     rates[:, 0] = 0.95 * paper_imu().gyro.range

@@ -86,9 +86,7 @@ LINES: list[Callable[[Floats, np.random.Generator], Floats]] = [
         *((line, 0.01) for line in LINES if line not in {in_bunches, in_fives}),
     ],
 )
-def test_samples_are_found_on_their_grid(
-    line: Callable[[Floats, np.random.Generator], Floats], share: float
-) -> None:
+def test_samples_are_found_on_their_grid(line, share):
     rng = np.random.default_rng(3)
     index = kept(4000, share, rng)
     grid = read_grid(stamps(line(index * PERIOD, rng)))
@@ -102,9 +100,7 @@ def test_samples_are_found_on_their_grid(
 
 @pytest.mark.parametrize('share', [0.0, 0.01])
 @pytest.mark.parametrize('line', LINES)
-def test_a_clock_that_was_set_is_told_from_what_lines_do(
-    line: Callable[[Floats, np.random.Generator], Floats], share: float
-) -> None:
+def test_a_clock_that_was_set_is_told_from_what_lines_do(line, share):
     rng = np.random.default_rng(7)
     index = kept(4000, share, rng)
     came = line(index * PERIOD, rng)
@@ -122,14 +118,14 @@ def test_a_clock_that_was_set_is_told_from_what_lines_do(
     assert clock_steps(stamps(came + 0.03 * (np.arange(len(came)) >= step))) == []
 
 
-def test_a_clock_that_was_set_back_is_found_where_its_stamps_go_on() -> None:
+def test_a_clock_that_was_set_back_is_found_where_its_stamps_go_on():
     made = np.arange(2000) * PERIOD
     made[1000:] -= 0.0241
     sound = np.append(True, made[1:] > np.maximum.accumulate(made)[:-1])
     assert clock_steps(stamps(made[sound])) == [1000]
 
 
-def test_of_a_short_view_of_a_queue_nothing_tells_that_a_clock_was_set() -> None:
+def test_of_a_short_view_of_a_queue_nothing_tells_that_a_clock_was_set():
     made = np.arange(44) * PERIOD
     wait = np.zeros(44)
     wait[[3, 18]] = 0.24, 0.0098
@@ -139,7 +135,7 @@ def test_of_a_short_view_of_a_queue_nothing_tells_that_a_clock_was_set() -> None
     assert clock_steps(short, PERIOD) == clock_steps(came, PERIOD) == []
 
 
-def test_stamps_without_a_grid_have_no_steps_off_it() -> None:
+def test_stamps_without_a_grid_have_no_steps_off_it():
     rng = np.random.default_rng(8)
     assert clock_steps(stamps(np.cumsum(rng.uniform(0.005, 0.015, 3000)))) == []
     often = np.arange(3000) * PERIOD + 0.004 * (np.arange(3000) // 100)
@@ -147,7 +143,7 @@ def test_stamps_without_a_grid_have_no_steps_off_it() -> None:
 
 
 @pytest.mark.parametrize('start', [0, 700, 970])
-def test_ticks_of_a_coarse_clock_are_no_setting(start: int) -> None:
+def test_ticks_of_a_coarse_clock_are_no_setting(start):
     # Milliseconds of samples that are 100 ppm faster than 100 Hz: every ten seconds one of 9 ms.
     made = np.round(np.arange(3000) * PERIOD * (1 - 1e-4) + 4e-4, 3)[start:]
     assert (np.diff(made) < 0.0095).sum() in {2, 3}
@@ -158,9 +154,7 @@ def test_ticks_of_a_coarse_clock_are_no_setting(start: int) -> None:
 
 @pytest.mark.parametrize('count', [60, 189, 500])
 @pytest.mark.parametrize('line', [in_bunches, in_fives])
-def test_short_stretches_in_bunches_lack_nothing(
-    line: Callable[[Floats, np.random.Generator], Floats], count: int
-) -> None:
+def test_short_stretches_in_bunches_lack_nothing(line, count):
     rng = np.random.default_rng(3)
     grid = read_grid(stamps(line(np.arange(count) * PERIOD, rng)))
     assert (grid.index == np.arange(count)).all()
@@ -176,9 +170,7 @@ def packets(made: Floats, size: int, first: int, apart: float) -> Floats:
 
 @pytest.mark.parametrize('rate', [100, 400, 1000])
 @pytest.mark.parametrize('size', [2, 8, 10, 16, 20, 50])
-def test_samples_of_a_bunch_are_spread_over_the_time_that_it_was_made_in(
-    size: int, rate: int
-) -> None:
+def test_samples_of_a_bunch_are_spread_over_the_time_that_it_was_made_in(size, rate):
     for apart, first, seconds in ((1e-6, 0, 3.0), (20e-6, 1, 3.0), (1e-6, size - 1, 20.0)):
         made = np.arange(round(seconds * rate)) / rate
         came = stamps(packets(made, size, first, apart))
@@ -191,7 +183,7 @@ def test_samples_of_a_bunch_are_spread_over_the_time_that_it_was_made_in(
 
 
 @pytest.mark.parametrize('end', [1002, 1003, 1020])
-def test_of_what_is_held_up_at_the_end_nothing_is_missing(end: int) -> None:
+def test_of_what_is_held_up_at_the_end_nothing_is_missing(end):
     """A queue that goes on beyond the end, as of a view or of a recording."""
     made = np.arange(4000) * PERIOD
     wait = np.zeros(4000)
@@ -203,7 +195,7 @@ def test_of_what_is_held_up_at_the_end_nothing_is_missing(end: int) -> None:
     assert read_grid(lost).index[-1] == 1001
 
 
-def test_a_sample_that_a_packet_lacks_and_a_packet_that_never_came_are_missing() -> None:
+def test_a_sample_that_a_packet_lacks_and_a_packet_that_never_came_are_missing():
     made = np.arange(4000) * PERIOD
     came = packets(made, 20, 0, 20e-6)
     kept = np.ones(4000, dtype=bool)
@@ -216,7 +208,7 @@ def test_a_sample_that_a_packet_lacks_and_a_packet_that_never_came_are_missing()
     assert grid.period == pytest.approx(PERIOD, rel=1e-6)
 
 
-def test_a_reader_that_polls_loses_nothing() -> None:
+def test_a_reader_that_polls_loses_nothing():
     # 400 Hz, every 16 ms: six or seven at a time.
     made = np.arange(8000) / 400
     came = queue(np.ceil(made / 0.016 - 1e-9) * 0.016)
@@ -226,14 +218,12 @@ def test_a_reader_that_polls_loses_nothing() -> None:
 
 
 @pytest.mark.parametrize('line', [on_time, jittered, late, stalled])
-def test_what_comes_one_by_one_is_left_as_it_came(
-    line: Callable[[Floats, np.random.Generator], Floats],
-) -> None:
+def test_what_comes_one_by_one_is_left_as_it_came(line):
     came = stamps(line(np.arange(4000) * PERIOD, np.random.default_rng(3)))
     assert sampling_times(came)[0] is came
 
 
-def test_the_stated_error_of_the_interval_is_meant() -> None:
+def test_the_stated_error_of_the_interval_is_meant():
     off = []
     for seed in range(100):
         rng = np.random.default_rng(seed)
@@ -243,7 +233,7 @@ def test_the_stated_error_of_the_interval_is_meant() -> None:
     assert 0.7 < np.sqrt(np.mean(np.square(off))) < 1.25
 
 
-def test_clean_stamps_stay_as_they_are() -> None:
+def test_clean_stamps_stay_as_they_are():
     clean = stamps(np.arange(4000) * PERIOD + 1e-6 * np.sin(np.arange(4000)))
     assert read_grid(clean).stamps(clean) is clean
     rough = stamps(jittered(np.arange(4000) * PERIOD, np.random.default_rng(1)))
@@ -251,7 +241,7 @@ def test_clean_stamps_stay_as_they_are() -> None:
     assert np.ptp(steps) <= 1
 
 
-def test_a_session_tells_the_interval_better_than_a_stretch() -> None:
+def test_a_session_tells_the_interval_better_than_a_stretch():
     rng = np.random.default_rng(5)
     pace, timings = Pace(), []
     for start in 3000.0 * np.arange(12):
@@ -265,7 +255,7 @@ def test_a_session_tells_the_interval_better_than_a_stretch() -> None:
     assert abs(period - truth) < 4 * std
 
 
-def test_stretches_of_a_wandering_clock_are_timed_by_their_own_stamps() -> None:
+def test_stretches_of_a_wandering_clock_are_timed_by_their_own_stamps():
     rng = np.random.default_rng(6)
     pace, timings = Pace(), []
     for k in range(12):
@@ -290,7 +280,7 @@ def counter(count: int, rate: float, noise: float, rng: np.random.Generator) -> 
 
 
 @pytest.mark.parametrize('rate', [0.003, 0.085, 9.797, 277.8])
-def test_a_quiet_counter_gives_back_what_was_lost(rate: float) -> None:
+def test_a_quiet_counter_gives_back_what_was_lost(rate):
     errors, stated = [], []
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -311,7 +301,7 @@ def test_a_quiet_counter_gives_back_what_was_lost(rate: float) -> None:
     assert np.sqrt(np.mean(stated)) < 0.6
 
 
-def test_what_walks_by_pulses_is_filled_without_a_bias() -> None:
+def test_what_walks_by_pulses_is_filled_without_a_bias():
     errors, stated = [], []
     for seed in range(16):
         rng = np.random.default_rng(seed)
@@ -330,7 +320,7 @@ def test_what_walks_by_pulses_is_filled_without_a_bias() -> None:
     assert np.std(errors) == pytest.approx(scatter, rel=0.7)
 
 
-def test_a_rest_with_lost_samples_is_as_good_as_one_without() -> None:
+def test_a_rest_with_lost_samples_is_as_good_as_one_without():
     rng = np.random.default_rng(8)
     pulses = np.column_stack([counter(4000, 9.797, 0.002, rng) for _ in range(6)])
     index = kept(4000, 0.005, rng)
@@ -351,7 +341,7 @@ def codes(count: int, noise: float, seed: int = 0) -> Floats:
     return np.rint(0.4 + noise * np.random.default_rng(seed).standard_normal((count, 6)))
 
 
-def test_a_counter_that_stands_still_is_found() -> None:
+def test_a_counter_that_stands_still_is_found():
     rng = np.random.default_rng(4)
     values = np.column_stack([counter(4000, r, 0.05, rng) for r in (0.3, 0.2, 0.4, 9.8, 0.01, 0.0)])
     assert not repeating_samples(values, counted=True).any()
@@ -360,7 +350,7 @@ def test_a_counter_that_stands_still_is_found() -> None:
 
 
 @pytest.mark.parametrize('noise', [0.0, 0.01, 0.1, 0.3, 1.0, 20.0])
-def test_codes_of_little_noise_are_not_frozen(noise: float) -> None:
+def test_codes_of_little_noise_are_not_frozen(noise):
     values = codes(4000, noise)
     assert not repeating_samples(values, counted=False).any()
     # A level that drifts over the edge between two codes toggles there and stands still beyond.

@@ -42,12 +42,12 @@ def own(walk: Floats = WALK, time_error: float = 0.0) -> list[float]:
 # Statistics
 
 
-def test_a_variance_is_noise_rounding_and_the_clock() -> None:
+def test_a_variance_is_noise_rounding_and_the_clock():
     assert statistics().variance(WALK) == pytest.approx(own())
     assert statistics(time_error=0.01).variance(WALK) == pytest.approx(own(time_error=0.01))
 
 
-def test_a_scale_goes_on_the_mean_and_on_what_rounding_leaves() -> None:
+def test_a_scale_goes_on_the_mean_and_on_what_rounding_leaves():
     factors = np.array([2.0, 1.0, 3.0, 0.5, 1.0, -1.0])
     found = statistics().scaled(factors)
     assert found.mean == pytest.approx([factors[c] * MEAN[c] for c in range(6)])
@@ -57,7 +57,7 @@ def test_a_scale_goes_on_the_mean_and_on_what_rounding_leaves() -> None:
     assert found.duration == 20.0
 
 
-def test_another_interval_makes_rates_larger_and_times_shorter() -> None:
+def test_another_interval_makes_rates_larger_and_times_shorter():
     timed = statistics(timing=Timing(0.01, 0.011, 1e-6))
     found = timed.retimed(pace(0.008, 4e-6))
     assert found.duration == pytest.approx(20.0 * 0.8)
@@ -75,7 +75,7 @@ def test_another_interval_makes_rates_larger_and_times_shorter() -> None:
 # Rests
 
 
-def test_what_encoders_do_not_tell_leans_the_force() -> None:
+def test_what_encoders_do_not_tell_leans_the_force():
     rest = Segment(0, 1, statistics(), LEANING, attitude_error=0.1)
     wanted = [(9.8 * 0.1) ** 2 * (1 - LEANING[2, axis] ** 2) for axis in range(3)]
     assert rest.encoder_variance(9.8) == pytest.approx([0.0, 0.0, 0.0, *wanted])
@@ -95,22 +95,22 @@ def turn(**more: Any) -> Turn:
     return Turn(0, 1, statistics(), -12.0, 4.0, UP, level_share=0.5, up_error=0.1, **more)
 
 
-def test_what_lies_across_the_axis_of_a_turn_counts() -> None:
+def test_what_lies_across_the_axis_of_a_turn_counts():
     assert turn().rate() == -3.0
     wanted = [(0.1 * 3.0) ** 2 * (1 - u * u) for u in UP]
     assert turn().encoder_variance() == pytest.approx(wanted)
 
 
-def test_a_leaning_axis_shows_in_the_force() -> None:
+def test_a_leaning_axis_shows_in_the_force():
     wanted = [(0.1 * 9.8) ** 2 * (1 - u * u) for u in UP]
     assert turn().lean_variance(9.8) == pytest.approx(wanted)
 
 
-def test_without_a_table_the_clock_of_the_unit_counts() -> None:
+def test_without_a_table_the_clock_of_the_unit_counts():
     assert replace(turn(), seconds=None).rate() == pytest.approx(-12.0 / 20.0)
 
 
-def test_a_turn_is_retimed_in_all_its_parts() -> None:
+def test_a_turn_is_retimed_in_all_its_parts():
     timed = statistics(timing=Timing(0.01, 0.01, 1e-6))
     whole = replace(turn(), statistics=timed, skewed=timed, each=np.ones((2, 4)))
     found = whole.retimed(pace(0.008, 4e-6))
@@ -132,14 +132,14 @@ def move(**more: Any) -> Move:
     return Move(0, 1, turned, np.array([0.5, 0.25]), np.array([1e-5, 2e-5, 3e-5]), 1e-9, **more)
 
 
-def test_a_move_is_as_long_as_its_steps_and_as_fast_as_the_fastest() -> None:
+def test_a_move_is_as_long_as_its_steps_and_as_fast_as_the_fastest():
     assert move().duration == 0.75
     assert move().fastest == pytest.approx(0.3 / 0.25)
     empty = replace(move(), turned=np.empty((0, 3)), seconds=np.empty(0))
     assert (empty.duration, empty.fastest) == (0.0, 0.0)
 
 
-def test_a_scale_goes_on_each_triad_of_a_move() -> None:
+def test_a_scale_goes_on_each_triad_of_a_move():
     gained = VelocitySteps(np.full((2, 3), 2.0), np.full((2, 3), 0.1), np.full(3, 1e-3), 1e-8)
     factors = np.array([2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
     found = move(velocity_steps=gained).scaled(factors)

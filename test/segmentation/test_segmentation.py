@@ -53,7 +53,7 @@ def samples(increments: Floats, period: float, quantum: float = 0.0, grid: float
 # Stamps.
 
 
-def test_the_period_is_that_of_the_line_through_the_longest_run() -> None:
+def test_the_period_is_that_of_the_line_through_the_longest_run():
     # The end points of the long run err by +-0.2 s; a line by a fraction: 0.4 * 6 / 100 / 100.
     stamp = np.arange(100.0)
     stamp[0], stamp[-1] = -0.2, 99.2
@@ -63,7 +63,7 @@ def test_the_period_is_that_of_the_line_through_the_longest_run() -> None:
 
 
 @given(st.lists(st.floats(0, 3), min_size=12, max_size=40))
-def test_samples_that_are_a_few_places_late_are_sorted(late: list[float]) -> None:
+def test_samples_that_are_a_few_places_late_are_sorted(late):
     # One sample is dropped before it is known that they come out of order.
     places = np.argsort(np.arange(len(late)) + late, kind='stable')
     order = StampOrder(1, 8)
@@ -76,7 +76,7 @@ def test_samples_that_are_a_few_places_late_are_sorted(late: list[float]) -> Non
     assert len([k for k in lost if k < len(late) - 8]) <= 1
 
 
-def test_wild_stamps_among_samples_out_of_order_are_dropped() -> None:
+def test_wild_stamps_among_samples_out_of_order_are_dropped():
     order = StampOrder(1, 8)
     stamps = np.array([0, 2, 1, *range(3, 20), 900, 901, -900, *range(20, 40)])
     parts = [order.drop_disordered(stamps, stamps[:, None].astype(float)), order.finish()]
@@ -86,10 +86,8 @@ def test_wild_stamps_among_samples_out_of_order_are_dropped() -> None:
 
 @pytest.mark.parametrize('places', [1, 8])
 @given(st.lists(st.integers(0, 30), max_size=20), st.lists(st.integers(0, 20), max_size=3))
-def test_the_order_of_stamps_does_not_depend_on_block_boundaries(
-    places: int, stamps: list[int], cuts: list[int]
-) -> None:
-    def kept(edges: list[int]) -> list[int]:
+def test_the_order_of_stamps_does_not_depend_on_block_boundaries(places, stamps, cuts):
+    def kept(edges):
         order, result = StampOrder(1, places), []
         for a, b in pairwise(edges):
             part = np.array(stamps[a:b], dtype=np.int64)
@@ -112,9 +110,7 @@ def ramp(rate: float, before: float, turning: float, after: float, step: float) 
 
 
 @pytest.mark.parametrize(('silence', 'turned'), [(10.0, 90.0), (10_000.0, 180.0), (100.0, 0.1)])
-def test_a_table_that_stands_elsewhere_after_a_silence_has_moved(
-    silence: float, turned: float
-) -> None:
+def test_a_table_that_stands_elsewhere_after_a_silence_has_moved(silence, turned):
     standing = np.arange(0.0, 3.0, 0.05)
     stamp = seconds(np.concatenate([standing, standing + 3.0 + silence]))
     position = np.repeat([0.0, turned * DEG], len(standing))[:, None]
@@ -129,7 +125,7 @@ def test_a_table_that_stands_elsewhere_after_a_silence_has_moved(
     assert last.angles == pytest.approx([turned * DEG])
 
 
-def test_whole_turns_lie_in_the_middle_of_the_constant_rate() -> None:
+def test_whole_turns_lie_in_the_middle_of_the_constant_rate():
     # 40 deg/s from 2 s to 22 s is 800 deg: two turns of 9 s each, 1 s to spare at either end.
     (turns,) = find_turns(ramp(40 * DEG, 2.0, 20.0, 2.0, 0.01))
     assert turns.angle == pytest.approx(4 * np.pi)
@@ -142,7 +138,7 @@ def test_whole_turns_lie_in_the_middle_of_the_constant_rate() -> None:
 
 
 @pytest.mark.parametrize('jitter', [0.0005, 0.002, 0.004])
-def test_turns_are_found_under_jitter_of_the_stamps(jitter: float) -> None:
+def test_turns_are_found_under_jitter_of_the_stamps(jitter):
     exact = ramp(30 * DEG, 2.0, 23.0, 2.0, 0.01)
     noise = np.random.default_rng(1).normal(0, jitter, len(exact.stamp)).clip(-0.0045, 0.0045)
     (turns,) = find_turns(replace(exact, stamp=exact.stamp + seconds(noise)))
@@ -152,7 +148,7 @@ def test_turns_are_found_under_jitter_of_the_stamps(jitter: float) -> None:
     assert turns.rate_error == pytest.approx(deviation, rel=0.3)
 
 
-def test_a_turn_is_not_read_from_samples_that_froze_just_before_it() -> None:
+def test_a_turn_is_not_read_from_samples_that_froze_just_before_it():
     # A repeated sample beside the cut is no count: 2 s of it end a tenth of a second before.
     plan = quick_plan('twelve_position', 20.0)
     plan = replace(plan, positions=plan.positions[:1])
@@ -162,7 +158,7 @@ def test_a_turn_is_not_read_from_samples_that_froze_just_before_it() -> None:
     end = sound.start - 10**8
     held: list[ImuBlock] = []
 
-    def frozen(block: Any) -> Any:
+    def frozen(block):
         if not isinstance(block, ImuBlock):
             return block
         inside = (block.stamp > end - 2 * 10**9) & (block.stamp < end)
@@ -183,7 +179,7 @@ def test_a_turn_is_not_read_from_samples_that_froze_just_before_it() -> None:
 
 
 @pytest.mark.parametrize('sound', [0, 40])
-def test_a_dwell_that_repeats_a_sample_of_the_turn_before_is_none(sound: int) -> None:
+def test_a_dwell_that_repeats_a_sample_of_the_turn_before_is_none(sound):
     # The device froze in a turn of 57 deg/s and came back, if at all, as the dwell ended.
     spec = load_imu('fog_medium')
     sensor = Sensor.from_spec(spec)
@@ -211,7 +207,7 @@ def still(count: int, rng: np.random.Generator, noise: float = 0.1) -> Floats:
     return rng.normal(0.0, noise, (count, 6)) * PULSE
 
 
-def test_settling_is_cut_as_long_as_the_data_shows_it() -> None:
+def test_settling_is_cut_as_long_as_the_data_shows_it():
     rng = np.random.default_rng(0)
     time = np.arange(2000) * 0.01
     for decay in (0.3, 1.0):
@@ -227,7 +223,7 @@ def test_settling_is_cut_as_long_as_the_data_shows_it() -> None:
 
 
 @pytest.mark.parametrize('rate', [1.0, 3.0])
-def test_somebody_who_walks_by_is_no_mount_shift(rate: float) -> None:
+def test_somebody_who_walks_by_is_no_mount_shift(rate):
     """Two footfalls a second for eight seconds, each sampled as noise that dies away in 0.1 s."""
     period, count, steps = 0.01, 6000, slice(2000, 2800)
     walk = np.repeat([0.3 * DEG / 60, 0.1 / 60], 3)
@@ -243,7 +239,7 @@ def test_somebody_who_walks_by_is_no_mount_shift(rate: float) -> None:
         assert not sound.mask[2000:2100].all()
 
 
-def test_a_mount_shift_among_footfalls_is_found() -> None:
+def test_a_mount_shift_among_footfalls_is_found():
     """About a level axis, by ten times what the footfalls leave in the sum of the gyros."""
     period, rate, angle = 0.01, 0.2 * DEG, 0.2 * DEG
     walk = np.repeat([0.3 * DEG / 60, 0.1 / 60], 3)
@@ -269,7 +265,7 @@ def blocks(means: list[float], middles: list[float], gain: float = 0.1) -> Stati
 
 
 @pytest.mark.parametrize('count', [2, 3, 12])
-def test_the_walk_of_short_rests_is_no_smaller_than_it_is(count: int) -> None:
+def test_the_walk_of_short_rests_is_no_smaller_than_it_is(count):
     # Two blocks scatter about the mean of both by half of their variance.
     rng = np.random.default_rng(7)
     gain, walk, rests = 0.1, 3.0, 400
@@ -280,7 +276,7 @@ def test_the_walk_of_short_rests_is_no_smaller_than_it_is(count: int) -> None:
     assert found.square / walk**2 == pytest.approx(np.ones(6), abs=3 * relative)
 
 
-def test_short_blocks_after_a_gap_are_no_step() -> None:
+def test_short_blocks_after_a_gap_are_no_step():
     # A block's mean of a counter errs by up to a pulse over its length: 0.5 s against 10 s.
     rng = np.random.default_rng(4)
     rows = np.diff(np.floor(np.cumsum(np.full(2000, 9.7) + rng.normal(0, 0.02, 2000))), prepend=0)
@@ -305,7 +301,7 @@ def offsets(values: list[float]) -> list[ClockSample]:
     return [ClockSample(k * 50e9, v) for k, v in enumerate(values)]
 
 
-def test_an_interruption_parts_the_line_however_little_it_jumps() -> None:
+def test_an_interruption_parts_the_line_however_little_it_jumps():
     line = [0.01 + 50e-6 * 50 * k for k in range(8)]
     jumped = offsets([*line[:4], *(v + 0.001 for v in line[4:])])
     assert fit_clock(jumped, [175_000_000_000]).rate == pytest.approx(50e-6)
@@ -314,13 +310,13 @@ def test_an_interruption_parts_the_line_however_little_it_jumps() -> None:
     assert abs(fit_clock(jumped).rate - 50e-6) > 1e-6
 
 
-def test_a_gap_beside_few_samples_is_one() -> None:
+def test_a_gap_beside_few_samples_is_one():
     # Half of two steps is the gap: it is no jitter.
     stamps = np.array([0, 14_310_000_000, 14_320_000_000])
     assert gap_free(stamps, 0.01) == [(0, 1), (1, 3)]
 
 
-def test_a_snapshot_holds_what_was_found_and_goes_on_by_itself() -> None:
+def test_a_snapshot_holds_what_was_found_and_goes_on_by_itself():
     setup = Setup(paper_imu(), quick_plan('six_position', 20.0), load_table('three_axis'), SITE)
     blocks = list(session(setup.plan))
     half = len(blocks) // 2

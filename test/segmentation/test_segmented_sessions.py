@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -68,9 +67,7 @@ def normalised(result: Result) -> Floats:
         ({}, mems(0.01), 300, 30.0),
     ],
 )
-def test_what_tables_and_units_send(
-    options: dict[str, Any], spec: ImuSpec | None, scale_ppm: float, bias_deg_h: float
-) -> None:
+def test_what_tables_and_units_send(options, spec, scale_ppm, bias_deg_h):
     result = calibrate(
         session(PLAN, stand(azimuth=0.3, **options), seed=1, spec=spec), PLAN, spec=spec
     )
@@ -81,7 +78,7 @@ def test_what_tables_and_units_send(
     assert result.calibration.std[9:12].max() < bias_deg_h * DEG_H
 
 
-def test_two_codes_of_an_adc_tell_no_noise() -> None:
+def test_two_codes_of_an_adc_tell_no_noise():
     # The joint estimate trusts every deviation: a mean between two codes may be half a step off.
     coarse = mems(0.01)
     blocks = session(PLAN, stand(azimuth=0.3), seed=1, spec=coarse)
@@ -89,7 +86,7 @@ def test_two_codes_of_an_adc_tell_no_noise() -> None:
     assert np.abs(normalised(result)).max() < 4.5
 
 
-def test_si_units_need_no_noise_figures() -> None:
+def test_si_units_need_no_noise_figures():
     result = calibrate(
         session(PLAN, stand(azimuth=0.3), seed=1, spec=si()), PLAN, spec=load_imu('si')
     )
@@ -97,14 +94,14 @@ def test_si_units_need_no_noise_figures() -> None:
     assert result.calibration.std[9:12].max() < 0.5 * DEG_H
 
 
-def test_clocks_that_are_not_compared_are_no_secret() -> None:
+def test_clocks_that_are_not_compared_are_no_secret():
     options = stand(azimuth=0.3, joint_state_rate=1.0, clock_rate_error=100e-6)
     result = calibrate(session(PLAN, options, seed=1), PLAN)
     assert np.abs(normalised(result)[:9]).max() < 4.5
     assert any('compared to 50 ppm only' in finding for finding in result.calibration.findings)
 
 
-def test_turns_that_leave_their_line_widen_what_rests_on_them() -> None:
+def test_turns_that_leave_their_line_widen_what_rests_on_them():
     # Nobody stated that the range ends just below the fastest turn.
     narrow = replace(paper_imu(), gyro=replace(paper_imu().gyro, range=59.99 * DEG))
     plan = quick_plan('twelve_position', 20.0)
@@ -119,7 +116,7 @@ def without_7() -> Plan:
     return replace(PLAN, positions=tuple(p for p in PLAN.positions if p.id != '7'))
 
 
-def test_the_imu_alone_does_not_guess_which_of_two_positions_is_missing() -> None:
+def test_the_imu_alone_does_not_guess_which_of_two_positions_is_missing():
     kept = [
         b
         for b in session(without_7(), stand(azimuth=0.3), seed=2)
@@ -133,7 +130,7 @@ def test_the_imu_alone_does_not_guess_which_of_two_positions_is_missing() -> Non
     assert np.abs(normalised(result)).max() < 4.5
 
 
-def test_joint_states_tell_which_position_is_missing() -> None:
+def test_joint_states_tell_which_position_is_missing():
     kept = [
         b
         for b in session(without_7(), stand(azimuth=0.3), seed=2)
@@ -144,13 +141,13 @@ def test_joint_states_tell_which_position_is_missing() -> None:
     assert np.abs(normalised(result)).max() < 4.5
 
 
-def test_a_table_without_joint_states_is_named() -> None:
+def test_a_table_without_joint_states_is_named():
     kept = [b for b in session(PLAN, stand(), seed=2) if not isinstance(b[1], JointBlock)]
     with pytest.raises(NotObservable, match='There are no joint states of table three_axis'):
         calibrate(kept, PLAN, table=load_table('three_axis'))
 
 
-def test_an_imu_of_another_clock_than_the_tables_is_said_to_be_that() -> None:
+def test_an_imu_of_another_clock_than_the_tables_is_said_to_be_that():
     blocks = list(session(PLAN, stand(), seed=2))
     hour = 3600 * 10**9
     begin = next(b.stamp[0] for _, b in blocks if isinstance(b, ImuBlock))

@@ -58,7 +58,7 @@ def set_back(stamp: Stamps, since: int, seconds: float) -> Stamps:
 
 @pytest.mark.parametrize('size', [1, 7, 5000])
 @pytest.mark.parametrize('seconds', [0.0312, 0.1, 0.317, 5.0, 59.0])
-def test_stamps_go_on_an_interval_after_the_last(seconds: float, size: int) -> None:
+def test_stamps_go_on_an_interval_after_the_last(seconds, size):
     true, values = rows(7000)
     twice = set_back(set_back(true, 6200, seconds), 6400, seconds)
     stamp, passed, clock = followed(twice, values, size)
@@ -71,7 +71,7 @@ def test_stamps_go_on_an_interval_after_the_last(seconds: float, size: int) -> N
 
 
 @pytest.mark.parametrize('size', [1, 7, 5000])
-def test_a_clock_that_was_set_back_and_on_again_is_as_before(size: int) -> None:
+def test_a_clock_that_was_set_back_and_on_again_is_as_before(size):
     true, values = rows(3000)
     stamp = true.copy()
     stamp[1500:1600] -= 5 * NS
@@ -86,7 +86,7 @@ def test_a_clock_that_was_set_back_and_on_again_is_as_before(size: int) -> None:
 
 
 @pytest.mark.parametrize('size', [1, 7, 5000])
-def test_packets_go_on_where_the_next_one_would_have_come(size: int) -> None:
+def test_packets_go_on_where_the_next_one_would_have_come(size):
     true, values = rows(3000)
     # Ten at a time, a nanosecond apart, stamped as the last one is made.
     packets = true + T * (9 - np.arange(3000) % 10) + np.arange(3000) % 10
@@ -116,7 +116,7 @@ def out_of_order(what: str) -> list[int]:
 @pytest.mark.parametrize(
     'what', ['one late', 'one early', 'twenty early', 'ten again', 'fifty again']
 )
-def test_samples_out_of_order_or_twice_are_no_clock(what: str, size: int) -> None:
+def test_samples_out_of_order_or_twice_are_no_clock(what, size):
     true, values = rows(4000)
     order = out_of_order(what)
     stamp, passed, clock = followed(true[order], values[order], size)
@@ -125,7 +125,7 @@ def test_samples_out_of_order_or_twice_are_no_clock(what: str, size: int) -> Non
     assert (passed == values[order]).all()
 
 
-def test_wild_stamps_are_no_clock() -> None:
+def test_wild_stamps_are_no_clock():
     true, values = rows(4000)
     for wild in (7 * NS, -7 * NS, 10**18):
         stamp = true.copy()
@@ -135,7 +135,7 @@ def test_wild_stamps_are_no_clock() -> None:
         assert (passed == stamp).all()
 
 
-def test_more_than_a_minute_is_another_session() -> None:
+def test_more_than_a_minute_is_another_session():
     true, values = rows(9000)
     stamp = set_back(true, 8000, 61.0)
     passed, _, clock = followed(stamp, values, 100)
@@ -143,7 +143,7 @@ def test_more_than_a_minute_is_another_session() -> None:
     assert (passed == stamp).all()
 
 
-def test_what_stands_still_is_no_repetition() -> None:
+def test_what_stands_still_is_no_repetition():
     """Joint states at rest are alike, and by whole intervals they have stamps of before."""
     true, _ = rows(1000)
     stamp, _, clock = followed(set_back(true, 600, 0.5), np.zeros((1000, 3)), 10)
@@ -151,7 +151,7 @@ def test_what_stands_still_is_no_repetition() -> None:
     assert len(clock.found) == 1
 
 
-def test_sentences_say_when_and_by_how_much() -> None:
+def test_sentences_say_when_and_by_how_much():
     true, values = rows(3000)
     *_, clock = followed(set_back(true, 2000, 2.0), values, 100)
     (once,) = set_back_sentences(clock.found, 'the IMU', 'then')
@@ -163,7 +163,7 @@ def test_sentences_say_when_and_by_how_much() -> None:
     assert 'go back 2 times, by 2.00 s at most and first at 2023-11-14 22:13:38.000 UTC' in twice
 
 
-def test_setpoints_are_moved_on_with_the_joint_states() -> None:
+def test_setpoints_are_moved_on_with_the_joint_states():
     table = load_table('three_axis')
     intake = StreamBuffer(table, skewed=False)
     true, values = rows(3000)
@@ -243,9 +243,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(('times', 'seconds', 'turns', 'whose', 'grade'), CASES)
-def test_the_parameters_hold_and_the_clock_is_said(
-    times: tuple[float, ...], seconds: float, turns: int, whose: str, grade: str
-) -> None:
+def test_the_parameters_hold_and_the_clock_is_said(times, seconds, turns, whose, grade):
     unit = GRADES[grade]
     found = session(unit, times, seconds, whose).calibration
     off = errors(found, unit)
@@ -259,7 +257,7 @@ def test_the_parameters_hold_and_the_clock_is_said(
         assert false not in said
 
 
-def test_a_rest_is_cut_in_two_and_its_move_goes_on() -> None:
+def test_a_rest_is_cut_in_two_and_its_move_goes_on():
     whole = session(MEDIUM, (), 0.0, '').session
     cut = session(MEDIUM, (REST,), 2.0, 'IMU').session
     assert len(cut.segments) == len(whole.segments) + 1
@@ -272,7 +270,7 @@ def test_a_rest_is_cut_in_two_and_its_move_goes_on() -> None:
     ]
 
 
-def test_blocks_of_any_length_give_the_same_bits() -> None:
+def test_blocks_of_any_length_give_the_same_bits():
     times = (TURN, REST, MOVE)
     whole = session(MEDIUM, times, 0.47, 'IMU')
     cut = session(MEDIUM, times, 0.47, 'IMU', 997)
@@ -281,7 +279,7 @@ def test_blocks_of_any_length_give_the_same_bits() -> None:
     assert whole.calibration.findings == cut.calibration.findings
 
 
-def test_a_clock_that_is_set_on_is_told_from_lost_samples() -> None:
+def test_a_clock_that_is_set_on_is_told_from_lost_samples():
     found = session(MEDIUM, (REST,), -3.7, 'IMU', 997).calibration
     assert np.abs(errors(found, MEDIUM)).max() < 4.5
     said = ' '.join(found.findings)
@@ -293,7 +291,7 @@ def test_a_clock_that_is_set_on_is_told_from_lost_samples() -> None:
     assert found.findings == whole.findings
 
 
-def test_after_a_clock_that_nothing_tells_nothing_is_used() -> None:
+def test_after_a_clock_that_nothing_tells_nothing_is_used():
     """Set on twice before a motion is compared, and then motions that the gyros do not show."""
     joints, imu = recorded(WORLD, MEDIUM, 0)
     passed = (imu.stamp - START) * 1e-9

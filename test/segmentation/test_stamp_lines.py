@@ -37,7 +37,7 @@ def alternating(short: float, long: float, count: int = 41) -> Floats:
     return np.append(0.0, np.cumsum(steps))
 
 
-def test_eight_samples_tell_the_interval_where_single_ones_agree() -> None:
+def test_eight_samples_tell_the_interval_where_single_ones_agree():
     # The middle one of 41 steps is a long one; eight of them are eight times the mean.
     assert _first_period(alternating(9.7, 10.3)) == (pytest.approx(10.0), False)
     assert _first_period(alternating(9.4, 10.6)) == (pytest.approx(10.6), False)
@@ -56,7 +56,7 @@ def bunches(of: int, count: int, waits: Floats | None = None) -> Floats:
 
 
 @pytest.mark.parametrize(('count', 'lag'), [(105, 25), (505, 125), (1500, 240)])
-def test_of_bunches_the_lower_lags_tell_the_interval(count: int, lag: int) -> None:
+def test_of_bunches_the_lower_lags_tell_the_interval(count, lag):
     waits = 50.0 + np.random.default_rng(2).uniform(-1, 1, count // 5)
     time = bunches(5, count, waits)
     lasting = sorted(time[k + lag] - time[k] for k in range(count - lag))
@@ -67,7 +67,7 @@ def test_of_bunches_the_lower_lags_tell_the_interval(count: int, lag: int) -> No
     assert _first_period(time) == (pytest.approx(wanted / lag), True)
 
 
-def test_samples_are_in_bunches_where_a_quarter_of_the_steps_is_short() -> None:
+def test_samples_are_in_bunches_where_a_quarter_of_the_steps_is_short():
     # Pairs: 0.49 and 1.51 of the interval, 0.51 and 1.49.
     assert _first_period(alternating(4.9, 15.1))[1]
     assert not _first_period(alternating(5.1, 14.9))[1]
@@ -97,16 +97,14 @@ def test_samples_are_in_bunches_where_a_quarter_of_the_steps_is_short() -> None:
         ([0, 2, 3, 4.2, 7.6, 8.6], 3, [0, 1, 1, 1, 4, 4]),
     ],
 )
-def test_stamps_that_stay_late_lack_a_sample(
-    time: list[float], window: int, missing: list[int]
-) -> None:
+def test_stamps_that_stay_late_lack_a_sample(time, window, missing):
     for period in (1.0, 0.01):
         found = _missing_before(period * np.array(time), period, window, bunched=False)
         assert found.tolist() == missing
 
 
-def test_the_last_32_in_bunches_are_not_asked() -> None:
-    def gap(at: int, *, bunched: bool) -> int:
+def test_the_last_32_in_bunches_are_not_asked():
+    def gap(at, *, bunched):
         time = np.arange(100.0) + 2 * (np.arange(100) >= at)
         return int(_missing_before(time, 1.0, 128, bunched=bunched)[-1])
 
@@ -117,7 +115,7 @@ def test_the_last_32_in_bunches_are_not_asked() -> None:
 # A line through the stamps of a segment
 
 
-def test_two_stamps_are_a_line_of_unknown_error() -> None:
+def test_two_stamps_are_a_line_of_unknown_error():
     for index, step in ((np.array([0, 1]), 0.03), (np.array([0, 3]), 0.01)):
         grid = _laid(np.array([0.0, 0.03]), index, 0.01)
         assert (grid.origin, grid.period) == (0.0, pytest.approx(step))
@@ -126,7 +124,7 @@ def test_two_stamps_are_a_line_of_unknown_error() -> None:
         assert grid.kept.tolist() == [True, True]
 
 
-def test_a_line_rests_on_the_stamps_that_are_not_late() -> None:
+def test_a_line_rests_on_the_stamps_that_are_not_late():
     index = np.delete(np.arange(31), [7, 8, 20])
     late = 1e-4 * np.resize([1.0, -1.0, 0.6, -0.4, 0.2], 28)
     late[[4, 15]] += [5e-3, 2e-3]
@@ -143,12 +141,12 @@ def test_a_line_rests_on_the_stamps_that_are_not_late() -> None:
     assert grid.period_std == pytest.approx(sqrt((residuals**2).mean() / spread))
 
 
-def test_stamps_without_scatter_are_known_to_a_twelfth_of_a_square_nanosecond() -> None:
+def test_stamps_without_scatter_are_known_to_a_twelfth_of_a_square_nanosecond():
     grid = _laid(0.01 * np.arange(5), np.arange(5), 0.01)
     assert grid.period_std == pytest.approx(1e-9 / sqrt(12) / sqrt(10), rel=1e-6)
 
 
-def test_outliers_are_four_robust_deviations_off() -> None:
+def test_outliers_are_four_robust_deviations_off():
     # The median of what they are off by is 1.
     for off, near in ((4 * 1.4826 - 0.001, True), (4 * 1.4826 + 0.001, False)):
         assert _near(5.0 + np.array([-1.0, -1.0, -1.0, 0.0, 1.0, 1.0, off]))[-1] == near
@@ -156,7 +154,7 @@ def test_outliers_are_four_robust_deviations_off() -> None:
     assert _near(np.array([0.0, 0.0, 0.0, 1.9e-9, 2.1e-9])).tolist() == [True] * 4 + [False]
 
 
-def test_what_is_late_together_counts_by_its_blocks() -> None:
+def test_what_is_late_together_counts_by_its_blocks():
     # 16 blocks of 3, 0.5 early and late by turns; to and fro by 1, 0, -1 within.
     residuals = np.tile([1.0, 0.0, -1.0], 17)[:50] + np.resize([0.5] * 3 + [-0.5] * 3, 50)
     own = float((residuals**2).mean())
@@ -168,7 +166,7 @@ def test_what_is_late_together_counts_by_its_blocks() -> None:
     assert _in_common(pairs) == pytest.approx(2 * 0.25)
 
 
-def test_stamps_within_a_thousandth_of_an_interval_stay() -> None:
+def test_stamps_within_a_thousandth_of_an_interval_stay():
     every = np.ones(3, dtype=bool)
     grid = SampleGrid(np.array([0, 1, 3]), 1e-3, 0.01, 0.0, 0.0, every)
     for off, stays in ((9.9e-3, True), (-9.9e-3, True), (10.1e-3, False), (-10.1e-3, False)):
@@ -183,9 +181,7 @@ def test_stamps_within_a_thousandth_of_an_interval_stay() -> None:
     ('hint', 'index'),
     [(None, [0, 1, 2]), (0.0119, [0, 1, 2]), (0.0121, [0, 1, 3]), (0.0181, [0, 1, 2])],
 )
-def test_an_interval_that_is_known_counts_within_a_fifth(
-    hint: float | None, index: list[int]
-) -> None:
+def test_an_interval_that_is_known_counts_within_a_fifth(hint, index):
     # Of 10 and 20 ms the median is 15: none is missing; beside 12.1 ms one is.
     assert read_grid(stamps(np.array([0.0, 10.0, 30.0])), hint).index.tolist() == index
 
@@ -204,17 +200,17 @@ def set_by(jump: float, at: int = 50, count: int = 100, jitter: float = 0.0) -> 
     ('jump', 'found'),
     [(0.029, []), (0.031, [50]), (0.5, [50]), (-0.4, [50]), (3.0, []), (3.1, [50])],
 )
-def test_a_step_is_off_the_grid_by_three_hundredths(jump: float, found: list[int]) -> None:
+def test_a_step_is_off_the_grid_by_three_hundredths(jump, found):
     assert set_by(jump) == found
 
 
-def test_a_step_has_three_stamps_before_and_after_it() -> None:
+def test_a_step_has_three_stamps_before_and_after_it():
     # Its own stamp says nothing.
     assert [set_by(0.4, at) for at in (2, 3, 96, 97)] == [[], [3], [96], []]
     assert [set_by(0.4, 16, count) for count in (31, 32)] == [[], [16]]
 
 
-def test_a_step_is_more_than_six_deviations_of_stamps_that_jitter() -> None:
+def test_a_step_is_more_than_six_deviations_of_stamps_that_jitter():
     # To and fro by a fifth of an interval: steps count that are off by 6 * 1.4826 * 0.2 = 1.78.
     jitter = 0.2
     assert set_by(1.57, 10_001, 20_001, jitter) == []
@@ -222,7 +218,7 @@ def test_a_step_is_more_than_six_deviations_of_stamps_that_jitter() -> None:
 
 
 @pytest.mark.parametrize('count', [40, 63, 120, 1000])
-def test_a_late_sample_of_a_short_motion_is_no_clock_that_was_set(count: int) -> None:
+def test_a_late_sample_of_a_short_motion_is_no_clock_that_was_set(count):
     """Stamps jitter by a fiftieth of an interval, and a median step is off by up to 0.4 % of it.
 
     The phases of 16 stamps scatter by 0.02 / 4, their difference by 0.007: six of that are 0.042.
@@ -241,12 +237,12 @@ def test_a_late_sample_of_a_short_motion_is_no_clock_that_was_set(count: int) ->
 
 
 @pytest.mark.parametrize(('steps', 'count', 'told'), [(2, 400, 2), (3, 1400, 0), (3, 1500, 3)])
-def test_stamps_with_many_steps_have_no_grid(steps: int, count: int, told: int) -> None:
+def test_stamps_with_many_steps_have_no_grid(steps, count, told):
     late = sum(0.3 * (np.arange(count) >= (k + 1) * count // (steps + 1)) for k in range(steps))
     assert len(clock_steps(stamps(10.0 * (np.arange(count) + late)))) == told
 
 
-def test_stamps_in_bunches_have_no_steps() -> None:
+def test_stamps_in_bunches_have_no_steps():
     pairs = alternating(4.9, 10.0, 98)
     assert clock_steps(stamps(pairs)) == []
 
@@ -275,7 +271,7 @@ LATE = [0.0, 2e-4, -1e-4, 3e-4]
 FIRSTS = [0, 300, 700, 1000]
 
 
-def test_the_interval_is_that_of_a_line_through_the_segments() -> None:
+def test_the_interval_is_that_of_a_line_through_the_segments():
     pace = session(LATE, FIRSTS)
     slope, level = np.polyfit(FIRSTS, LATE, 1)
     assert pace.interval == pytest.approx(0.01 + slope, rel=1e-12)
@@ -293,7 +289,7 @@ def test_the_interval_is_that_of_a_line_through_the_segments() -> None:
     assert quiet == pytest.approx(own / sqrt(spread))
 
 
-def test_segments_count_by_their_own_errors() -> None:
+def test_segments_count_by_their_own_errors():
     pace = Pace()
     pace._reference = 0.01
     stds = [1e-7, 4e-7, 1e-7, 8e-7]
@@ -304,7 +300,7 @@ def test_segments_count_by_their_own_errors() -> None:
     assert pace.interval == pytest.approx(0.01 + slope, rel=1e-12)
 
 
-def test_a_segment_is_timed_by_its_own_stamps_and_by_all() -> None:
+def test_a_segment_is_timed_by_its_own_stamps_and_by_all():
     pace = session(LATE, FIRSTS)
     long, long_std = pace._long()
     own, own_std = 0.0100004, 3e-7
@@ -318,7 +314,7 @@ def test_a_segment_is_timed_by_its_own_stamps_and_by_all() -> None:
     assert few.interval == 0.01
 
 
-def test_a_segment_off_the_line_begins_another_piece() -> None:
+def test_a_segment_off_the_line_begins_another_piece():
     # By 0.3 of an interval; a quarter would do no harm.
     late = [0.0, 0.0, 0.0, 0.003, 0.003, 0.003, 0.003]
     firsts = [0, 300, 700, 1000, 1400, 1500, 1900]
@@ -336,12 +332,12 @@ def test_a_segment_off_the_line_begins_another_piece() -> None:
 
 
 @pytest.mark.parametrize(('first', 'knots'), [(990, 2), (1010, 1)])
-def test_how_many_lie_between_is_sure_to_a_tenth(first: int, knots: int) -> None:
+def test_how_many_lie_between_is_sure_to_a_tenth(first, knots):
     # Known to a ten-thousandth: after 1000 intervals to a tenth of one.
     assert len(session([0.0, 0.0], [0, first], std=1e-6)._knots) == knots
 
 
-def test_the_first_segment_is_where_counting_begins() -> None:
+def test_the_first_segment_is_where_counting_begins():
     pace = Pace()
     grid, timing = pace.read(stamps(10.0 * np.arange(50)))
     assert timing == Timing(grid.period, grid.period, grid.period_std)

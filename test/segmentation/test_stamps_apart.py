@@ -41,9 +41,7 @@ def queue(seed: int, late: float, delay: float, jitter: float = 0.0) -> tuple[St
 
 @pytest.mark.parametrize('seed', range(5))
 @pytest.mark.parametrize(('late', 'delay'), [(0.05, 0.1), (0.05, 0.05), (0.02, 0.2)])
-def test_a_queue_goes_back_to_when_its_samples_were_made(
-    late: float, delay: float, seed: int
-) -> None:
+def test_a_queue_goes_back_to_when_its_samples_were_made(late, delay, seed):
     stamp, made = queue(seed, late, delay)
     off = (sampling_times(stamp)[0] - START) * 1e-9 - made
     assert ((stamp - START) * 1e-9 - made).max() > 20 * INTERVAL
@@ -51,7 +49,7 @@ def test_a_queue_goes_back_to_when_its_samples_were_made(
     assert np.abs(off[:-512]).max() < 1e-4
 
 
-def test_what_is_missing_is_no_queue() -> None:
+def test_what_is_missing_is_no_queue():
     stamp, made = queue(1, 0.05, 0.1)
     kept = np.delete(np.arange(4000), np.r_[700:703, 2000:2020])
     off = (sampling_times(stamp[kept])[0] - START) * 1e-9 - made[kept]
@@ -59,7 +57,7 @@ def test_what_is_missing_is_no_queue() -> None:
 
 
 @pytest.mark.parametrize('seed', range(5))
-def test_of_a_queue_that_goes_on_beyond_what_is_looked_at_no_sample_is_missing(seed: int) -> None:
+def test_of_a_queue_that_goes_on_beyond_what_is_looked_at_no_sample_is_missing(seed):
     """Those in it come late, be it by no whole number of intervals."""
     stamp, made = queue(seed, 0.05, 0.1)
     late = (stamp - START) * 1e-9 - made
@@ -89,7 +87,7 @@ def silences(*, missing: int, held: int, jitter: float = 0.0, rate: int = 100) -
 
 
 @pytest.mark.parametrize('jitter', [0.0, 1e-3, 2e-3])
-def test_what_comes_late_is_no_interruption(jitter: float) -> None:
+def test_what_comes_late_is_no_interruption(jitter):
     for held in (90, 110, 150, 500):
         assert silences(missing=0, held=held, jitter=jitter) == []
     assert silences(missing=0, held=1500, rate=1000) == []
@@ -101,7 +99,7 @@ def test_what_comes_late_is_no_interruption(jitter: float) -> None:
 
 @pytest.mark.parametrize('jitter', [1.5e-3, 2e-3, 3e-3, 5e-3])
 @pytest.mark.parametrize('late', [0.0, 0.05])
-def test_jittering_stamps_stay(late: float, jitter: float) -> None:
+def test_jittering_stamps_stay(late, jitter):
     """Their interval is known too badly to say what was made when."""
     for seed in range(20):
         jittery, _ = queue(seed, late, 0.1, jitter)
@@ -109,7 +107,7 @@ def test_jittering_stamps_stay(late: float, jitter: float) -> None:
 
 
 @pytest.mark.parametrize('share', [0.005, 0.05])
-def test_what_is_late_is_said_and_nothing_else(share: float) -> None:
+def test_what_is_late_is_said_and_nothing_else(share):
     """By how much, and that it counts when it was made; no clock was set, nothing is missing."""
     late = Delivery(late=share, delay=0.1)
     for seed in (2, 3):
@@ -125,7 +123,7 @@ def test_what_is_late_is_said_and_nothing_else(share: float) -> None:
         assert float(found[2]) == pytest.approx(100 * (1 - np.exp(-share * 10)), rel=0.25)
 
 
-def test_a_few_late_samples_are_not_worth_a_sentence() -> None:
+def test_a_few_late_samples_are_not_worth_a_sentence():
     few = Lateness()
     stamp = START + 10**7 * np.arange(2000)
     few.count_late(stamp, np.where(np.arange(2000) == 7, 2 * 10**7, 0), INTERVAL)
@@ -171,12 +169,12 @@ DIFFERENT = [motion(70, 30, 4), motion(90, 20, 12), motion(120, 60, 7), motion(1
 
 @pytest.mark.parametrize('ahead', [-57.3, -20.0, 0.0, 2.0, 20.0, 57.3])
 @pytest.mark.parametrize('factor', [1.0, 1.01])
-def test_motions_tell_how_far_clocks_are_apart(ahead: float, factor: float) -> None:
+def test_motions_tell_how_far_clocks_are_apart(ahead, factor):
     found = offset_by_pattern(DIFFERENT, TABLE, START, *by_gyros(DIFFERENT, ahead, factor))
     assert found == pytest.approx(ahead, abs=0.1)
 
 
-def test_nothing_tells_where_no_offset_or_more_than_one_makes_motions_alike() -> None:
+def test_nothing_tells_where_no_offset_or_more_than_one_makes_motions_alike():
     # Beyond a minute, of gyros that answer half, of other motions.
     for ahead, factor in ((75.0, 1.0), (2.0, 0.5)):
         gyros = by_gyros(DIFFERENT, ahead, factor)
@@ -213,7 +211,7 @@ def bunched() -> list[Named]:
 
 
 @pytest.mark.parametrize('of', [held_up, apart, again(bunched)])
-def test_cuts_and_interleaving_do_not_change_a_bit(of: object) -> None:
+def test_cuts_and_interleaving_do_not_change_a_bit(of):
     assert callable(of)
     blocks = of()
     whole = calibrate(blocks, plan()).calibration.to_yaml()
@@ -223,9 +221,7 @@ def test_cuts_and_interleaving_do_not_change_a_bit(of: object) -> None:
 
 @pytest.mark.parametrize('name', ['optimised_twelve', 'full_model'])
 @pytest.mark.parametrize('ahead', [-1.7, 20.0])
-def test_sessions_that_begin_with_turns_of_minutes_tell_how_far_clocks_are_apart(
-    name: str, ahead: float
-) -> None:
+def test_sessions_that_begin_with_turns_of_minutes_tell_how_far_clocks_are_apart(name, ahead):
     """Turns are as alike seconds apart, and their rate was taken for the gyros' offset."""
     whole = quick_plan(name, 8.0)
     first = replace(whole, positions=whole.positions[:3])
@@ -237,7 +233,7 @@ def test_sessions_that_begin_with_turns_of_minutes_tell_how_far_clocks_are_apart
     assert found.clock.offset == pytest.approx(ahead, abs=0.01)
 
 
-def test_counts_that_freeze_within_a_motion_leave_it_out_and_are_named() -> None:
+def test_counts_that_freeze_within_a_motion_leave_it_out_and_are_named():
     blocks = list(session(plan(), seed=1))
     joints = [b for _, b in blocks if isinstance(b, JointBlock)]
     stamp = np.concatenate([b.stamp for b in joints])

@@ -18,7 +18,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.files import named_file
-from imu_calib.common.stream import Block, Floats, ImuBlock, JointBlock, Stamps, Units
+from imu_calib.common.stream import Floats, ImuBlock, JointBlock, Stamps, Units
 from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
@@ -42,7 +42,7 @@ def set_apart(stamp: Stamps) -> Stamps:
 
 
 @pytest.mark.parametrize('grade', GRADES)
-def test_a_session_is_as_good_as_with_stamps_that_do_not_step(grade: str) -> None:
+def test_a_session_is_as_good_as_with_stamps_that_do_not_step(grade):
     unit = GRADES[grade]
     found = fed(IN_STEPS, unit, find_terms=True).finish().calibration
     whole = fed(World(), unit, find_terms=True).finish().calibration
@@ -55,7 +55,7 @@ def test_a_session_is_as_good_as_with_stamps_that_do_not_step(grade: str) -> Non
 
 
 @pytest.mark.parametrize('lost', [0.1, 0.4])
-def test_samples_missing_between_such_stamps_are_not_guessed(lost: float) -> None:
+def test_samples_missing_between_such_stamps_are_not_guessed(lost):
     """With 40 % missing all scale factors were off by 35 %."""
     world = World(damage=Damage(tick=TICK, lost=lost))
     words = r'^\d+ of \d+ .* left out: .* stamps in steps of .* ms do not show how many'
@@ -65,7 +65,7 @@ def test_samples_missing_between_such_stamps_are_not_guessed(lost: float) -> Non
 
 @pytest.mark.parametrize('rate', [50.0, 64.5, 100.0, 200.0, 400.0])
 @pytest.mark.parametrize('digits', [9, 3])
-def test_the_line_through_them_has_the_interval_of_the_samples(rate: float, digits: int) -> None:
+def test_the_line_through_them_has_the_interval_of_the_samples(rate, digits):
     made = np.arange(round(60 * rate)) / rate + 0.0123
     came = np.floor(np.floor(made / TICK) * TICK * 10**digits) * 10 ** (9 - digits)
     stamp = set_apart(came.astype(np.int64))
@@ -79,7 +79,7 @@ def test_the_line_through_them_has_the_interval_of_the_samples(rate: float, digi
 
 @pytest.mark.parametrize('rate', [100.0, 200.0, 400.0])
 @pytest.mark.parametrize('lost', [0.02, 0.05, 0.1, 0.2, 0.4])
-def test_no_count_is_read_from_them_however_many_are_missing(rate: float, lost: float) -> None:
+def test_no_count_is_read_from_them_however_many_are_missing(rate, lost):
     kept = np.flatnonzero(np.random.default_rng(2).random(round(60 * rate)) >= lost)
     came = np.rint(np.floor((kept / rate + 0.0123) / TICK) * TICK * 1e9).astype(np.int64)
     assert not read_grid(set_apart(came)).is_counted
@@ -87,7 +87,7 @@ def test_no_count_is_read_from_them_however_many_are_missing(rate: float, lost: 
 
 @pytest.mark.parametrize('rate', [100.0, 200.0, 400.0])
 @pytest.mark.parametrize('tick', [TICK, 0.04])
-def test_a_reader_that_misses_some_polls_misses_no_samples(rate: float, tick: float) -> None:
+def test_a_reader_that_misses_some_polls_misses_no_samples(rate, tick):
     rng = np.random.default_rng(1)
     made = np.arange(round(60 * rate)) / rate + 0.0123
     polls = np.arange(1, 60 / tick + 20) * tick
@@ -99,7 +99,7 @@ def test_a_reader_that_misses_some_polls_misses_no_samples(rate: float, tick: fl
     assert grid.period * rate == pytest.approx(1, abs=1e-5)
 
 
-def test_stamps_that_are_late_one_by_one_are_no_steps() -> None:
+def test_stamps_that_are_late_one_by_one_are_no_steps():
     rng = np.random.default_rng(3)
     stamp = np.arange(12_000) * 10_000_000 + np.rint(rng.normal(size=12_000) * 2e5).astype(int)
     stamp[rng.choice(12_000, 40, replace=False)] += rng.integers(4_000_000, 9_000_000, 40)
@@ -109,7 +109,7 @@ def test_stamps_that_are_late_one_by_one_are_no_steps() -> None:
     assert (grid.index == np.arange(12_000)).all()
 
 
-def test_lost_samples_of_regular_stamps_are_no_steps() -> None:
+def test_lost_samples_of_regular_stamps_are_no_steps():
     rng = np.random.default_rng(1)
     for share in (0.02, 0.05, 0.1, 0.3):
         kept = np.flatnonzero(rng.random(3000) >= share)
@@ -133,7 +133,7 @@ def slewed(stamp: Stamps, ppm: float, span: tuple[float, float]) -> Stamps:
 
 
 @pytest.fixture
-def slew(monkeypatch: pytest.MonkeyPatch):
+def slew(monkeypatch):
     """Slew the clock of the IMU, or of both streams, in the sessions that `fed` feeds."""
 
     def apply(ppm: float, span: tuple[float, float], *, joints: bool) -> None:
@@ -152,7 +152,7 @@ def slew(monkeypatch: pytest.MonkeyPatch):
 @pytest.mark.parametrize(
     ('grade', 'ppm'), [('medium', 50), ('rates', 50), ('navigation', 50), ('navigation', 4)]
 )
-def test_what_it_stamps_meanwhile_is_left_out(grade, ppm, joints, slew) -> None:
+def test_what_it_stamps_meanwhile_is_left_out(grade, ppm, joints, slew):
     slew(ppm, MIDDLE, joints=joints)
     found = fed(World(), UNITS[grade], find_terms=True).finish().calibration
     off = errors(found, UNITS[grade])
@@ -161,7 +161,7 @@ def test_what_it_stamps_meanwhile_is_left_out(grade, ppm, joints, slew) -> None:
     assert any(f'by up to {ppm} ppm: their clock was slewed' in f for f in found.findings)
 
 
-def test_where_no_pace_prevails_long_enough_the_session_is_refused(slew) -> None:
+def test_where_no_pace_prevails_long_enough_the_session_is_refused(slew):
     slew(50, (0.5, 1.0), joints=True)
     words = r'^\d+ of \d+ static dwells and turns are left out: the stamps run at another pace'
     with pytest.raises(NotObservable, match=words):
@@ -169,10 +169,10 @@ def test_where_no_pace_prevails_long_enough_the_session_is_refused(slew) -> None
 
 
 @pytest.mark.parametrize('percent', [1, again(-30)])
-def test_a_sample_rate_that_changes_is_named_and_puts_nothing_off(percent, monkeypatch) -> None:
+def test_a_sample_rate_that_changes_is_named_and_puts_nothing_off(percent, monkeypatch):
     """Nothing was said, and moves were timed by the mean interval, half a percent off."""
 
-    def blocks(world: World, unit: Unit, seed: int) -> tuple[JointBlock, ImuBlock]:
+    def blocks(world, unit, seed):
         of_table, of_imu = recorded(world, unit, seed)
         count = len(of_imu.stamp)
         change = round(0.62 * count)
@@ -230,9 +230,7 @@ PULSES = np.random.default_rng(2).poisson(0.2, (2000, 6)).astype(float)
 @pytest.mark.parametrize('stated', [True, False])
 @pytest.mark.parametrize('values', [NOISE, PULSES])
 @pytest.mark.parametrize(('size', 'rate'), [(2, 100.0), (10, 100.0), (10, 1000.0), (50, 400.0)])
-def test_samples_of_one_transfer_are_set_apart(
-    size: int, rate: float, values: Floats, stated: bool
-) -> None:
+def test_samples_of_one_transfer_are_set_apart(size, rate, values, stated):
     """Also where coarse values of neighbours are often alike."""
     stamp = stamps(transfers(2000, size, rate, 0.3))
     apart, kept, repeats, shared = taken(stamp, values, rate if stated else None)
@@ -244,7 +242,7 @@ def test_samples_of_one_transfer_are_set_apart(
     assert ' samples came with the stamp of the previous one, up to ' in shared.words()[0]
 
 
-def test_what_comes_twice_is_dropped_and_what_is_too_much_is_not_set_apart() -> None:
+def test_what_comes_twice_is_dropped_and_what_is_too_much_is_not_set_apart():
     made = stamps(0.01 * np.arange(2000))
     for values in (NOISE, PULSES, np.zeros((2000, 6))):
         twice = np.sort(np.append(np.arange(2000), [7, 300, 301, 1500]))
@@ -261,7 +259,7 @@ def test_what_comes_twice_is_dropped_and_what_is_too_much_is_not_set_apart() -> 
     assert taken(made[one], NOISE)[3].count == 0
 
 
-def test_how_a_stream_was_cut_does_not_matter() -> None:
+def test_how_a_stream_was_cut_does_not_matter():
     rng = np.random.default_rng(3)
     for trial in range(60):
         rate = float(rng.choice([50, 100, 400, 1000]))
@@ -287,12 +285,10 @@ def sharing(block: ImuBlock, size: int) -> ImuBlock:
 
 
 @pytest.mark.parametrize('size', [5, 20])
-def test_a_session_of_a_second_simulation_is_as_good_as_without(
-    monkeypatch: pytest.MonkeyPatch, size: int
-) -> None:
+def test_a_session_of_a_second_simulation_is_as_good_as_without(monkeypatch, size):
     feed = Calibrator.add_block
 
-    def share(self: Calibrator, block: Block) -> None:
+    def share(self, block):
         feed(self, sharing(block, size) if isinstance(block, ImuBlock) else block)
 
     monkeypatch.setattr(Calibrator, 'add_block', share)
@@ -321,8 +317,8 @@ HELD = ImuSpec('held', Units.SI, 100.0, *WALKS)
 TRUTH = Calibration.load(named_file('truths', 'mems_counts')).model
 
 
-def test_a_session_in_the_hand_is_as_good_as_without() -> None:
-    def solved(blocks: list[ImuBlock]) -> Calibration:
+def test_a_session_in_the_hand_is_as_good_as_without():
+    def solved(blocks):
         calibrator = Calibrator(Setup(HELD, load_plan('six_position_by_hand'), None, SITE))
         for block in blocks:
             calibrator.add_block(block)

@@ -47,7 +47,7 @@ def noise(count: int, seed: int = 1) -> Floats:
 # Static dwells
 
 
-def test_of_real_numbers_it_is_the_sum_over_the_time() -> None:
+def test_of_real_numbers_it_is_the_sum_over_the_time():
     increments = noise(1000)
     found = statistics_at_rest(samples(increments), WALK)
     assert found.samples == 1000
@@ -59,7 +59,7 @@ def test_of_real_numbers_it_is_the_sum_over_the_time() -> None:
     assert not found.quantisation_variance.any()
 
 
-def test_blocks_of_ten_seconds_lie_about_their_middles() -> None:
+def test_blocks_of_ten_seconds_lie_about_their_middles():
     increments = noise(1000)
     found = statistics_at_rest(samples(increments), WALK)
     assert BLOCK_SECONDS == 10.0
@@ -71,7 +71,7 @@ def test_blocks_of_ten_seconds_lie_about_their_middles() -> None:
         assert blocks[:, 3] == pytest.approx([5.0, 15.0, 25.0, 35.0, 45.0])
 
 
-def test_a_short_dwell_has_four_blocks() -> None:
+def test_a_short_dwell_has_four_blocks():
     found = statistics_at_rest(samples(noise(400)), WALK)  # 20 s
     assert [len(blocks) for blocks in found.blocks] == [4] * 6
     assert found.blocks[0][:, 3] == pytest.approx([2.5, 7.5, 12.5, 17.5])
@@ -80,7 +80,7 @@ def test_a_short_dwell_has_four_blocks() -> None:
     assert len(statistics_at_rest(samples(noise(1200)), WALK).blocks[0]) == 6
 
 
-def test_a_line_through_the_blocks_is_the_drift() -> None:
+def test_a_line_through_the_blocks_is_the_drift():
     increments = noise(1000)
     increments += 1e-4 * np.arange(1000)[:, None] * PERIOD
     found = statistics_at_rest(samples(increments), WALK)
@@ -92,7 +92,7 @@ def test_a_line_through_the_blocks_is_the_drift() -> None:
     assert np.isnan(brief.drift).all()
 
 
-def test_runs_between_gaps_count_by_their_variances() -> None:
+def test_runs_between_gaps_count_by_their_variances():
     increments = noise(900)
     rows = np.concatenate([np.arange(300), np.arange(400, 1000)])
     found = statistics_at_rest(samples(increments, rows), WALK)
@@ -110,7 +110,7 @@ def test_runs_between_gaps_count_by_their_variances() -> None:
     )
 
 
-def test_a_run_counts_by_its_noise_and_by_what_its_ends_leave() -> None:
+def test_a_run_counts_by_its_noise_and_by_what_its_ends_leave():
     increments, carried = noise(900), np.full(6, 2e-3)
     rows = np.concatenate([np.arange(300), np.arange(400, 1000)])
     found = statistics_at_rest(samples(increments, rows, carried=carried), WALK)
@@ -124,7 +124,7 @@ def test_a_run_counts_by_its_noise_and_by_what_its_ends_leave() -> None:
     assert found.quantisation_variance == pytest.approx(weights**2 @ ends)
 
 
-def test_runs_shorter_than_half_a_block_say_nothing_of_the_noise() -> None:
+def test_runs_shorter_than_half_a_block_say_nothing_of_the_noise():
     rows = np.concatenate([np.arange(900), np.arange(1000, 1099)])
     found = statistics_at_rest(samples(noise(999), rows), WALK)
     assert found.blocks[0][:, 3].max() < 45.0
@@ -133,7 +133,7 @@ def test_runs_shorter_than_half_a_block_say_nothing_of_the_noise() -> None:
     assert found.blocks[0][:, 3].max() == pytest.approx(50.0 + 2.5)
 
 
-def test_filled_samples_are_missing_and_leave_what_their_gaps_leave() -> None:
+def test_filled_samples_are_missing_and_leave_what_their_gaps_leave():
     filled = np.zeros(1000, bool)
     filled[[100, 101, 500]] = True
     held = samples(noise(1000), filled=filled, bridged=np.full(6, 0.09))
@@ -148,7 +148,7 @@ def test_filled_samples_are_missing_and_leave_what_their_gaps_leave() -> None:
     assert held.at(np.ones(1000, bool)) is held
 
 
-def test_what_a_counter_lacks_the_next_sample_has() -> None:
+def test_what_a_counter_lacks_the_next_sample_has():
     carried = np.array([0.0, 0.01, 0.02, 0.0, 0.1, 0.2])
     found = statistics_at_rest(samples(noise(1000), carried=carried), WALK)
     # Two ends of which each is off by up to a pulse: uniform, 1 / 12 of its square each.
@@ -156,7 +156,7 @@ def test_what_a_counter_lacks_the_next_sample_has() -> None:
 
 
 @pytest.mark.parametrize('step', [0.5, 1.0, 2.0, 3.0])
-def test_noise_of_a_step_averages_rounding_out(step: float) -> None:
+def test_noise_of_a_step_averages_rounding_out(step):
     """Widrow and Kollar 2008: q^2 / 12 exp(-4 pi^2 (noise / q)^2), of the noise that is seen."""
     grid = step * 0.1 * PERIOD
     rounded = np.rint(noise(4000) / grid) * grid
@@ -168,7 +168,7 @@ def test_noise_of_a_step_averages_rounding_out(step: float) -> None:
         assert variance == pytest.approx(grid**2 / 12 / PERIOD**2 * np.exp(-39.4784176 * seen))
 
 
-def test_a_value_between_two_codes_toggles_with_next_to_no_noise() -> None:
+def test_a_value_between_two_codes_toggles_with_next_to_no_noise():
     grid = 0.01
     toggling = np.tile(np.array([[0.0], [grid]]), (500, 6))
     found = statistics_at_rest(samples(toggling, grid=np.full(6, grid)), WALK)
@@ -182,7 +182,7 @@ def test_a_value_between_two_codes_toggles_with_next_to_no_noise() -> None:
 # Between two instants
 
 
-def test_between_instants_samples_are_shared_in_proportion() -> None:
+def test_between_instants_samples_are_shared_in_proportion():
     increments = noise(50)
     found = statistics_between(samples(increments), 3.25, 40.75, WALK)
     wanted = 0.75 * increments[3] + increments[4:40].sum(axis=0) + 0.75 * increments[40]
@@ -202,7 +202,7 @@ def spec(units: Units, **more: float) -> ImuSpec:
     return ImuSpec('any', units, None, TriadSpec(0.5, **more), TriadSpec(0.25, **more))
 
 
-def test_pulses_are_increments_and_rates_are_times_the_period() -> None:
+def test_pulses_are_increments_and_rates_are_times_the_period():
     values = np.array([[1.0, 2, 3, 4, 5, 6], [2, 2, 2, 2, 2, 2.5]])
     stamp = START + PERIOD_NS * np.arange(2)
     pulses = to_samples(stamp, values, spec(Units.PULSES), PERIOD)
@@ -220,8 +220,8 @@ def test_pulses_are_increments_and_rates_are_times_the_period() -> None:
     assert counts.grid == pytest.approx(np.repeat([0.5, 0.25], 3) * PERIOD)
 
 
-def test_steps_longer_than_one_and_a_half_are_gaps() -> None:
-    def runs(*steps: float) -> list[tuple[int, int]]:
+def test_steps_longer_than_one_and_a_half_are_gaps():
+    def runs(*steps):
         stamp = START + np.rint(np.cumsum([0, *steps]) * PERIOD_NS).astype(np.int64)
         return gap_free(stamp, PERIOD)
 
@@ -240,7 +240,7 @@ def blocks(rates: Floats, gain: float, pulse: float) -> Any:
     return SimpleNamespace(blocks=tuple(rows for _ in range(6)))
 
 
-def test_a_walk_is_the_scatter_of_blocks_about_their_own_dwell() -> None:
+def test_a_walk_is_the_scatter_of_blocks_about_their_own_dwell():
     rng = np.random.default_rng(6)
     first, second = rng.standard_normal(7), 5.0 + rng.standard_normal(12)
     found = pooled_walk([blocks(first, 0.1, 0.0), blocks(second, 0.1, 0.0)])
@@ -261,7 +261,7 @@ def test_a_walk_is_the_scatter_of_blocks_about_their_own_dwell() -> None:
 # Turns
 
 
-def test_gyros_turn_steadily_where_both_ends_are_as_fast_as_the_whole() -> None:
+def test_gyros_turn_steadily_where_both_ends_are_as_fast_as_the_whole():
     steady = np.tile([0.0, 0.6, 0.8, 0, 0, 0], (400, 1))
     assert _steady(samples(steady))
     for ends in (slice(0, 20), slice(380, 400)):
@@ -273,7 +273,7 @@ def test_gyros_turn_steadily_where_both_ends_are_as_fast_as_the_whole() -> None:
     assert _steady(samples(middle))
 
 
-def test_a_line_through_all_stamps_says_when_the_first_was() -> None:
+def test_a_line_through_all_stamps_says_when_the_first_was():
     held = samples(noise(101))
     late = replace(held, stamp=held.stamp.copy())
     late.stamp[0] += 10_000_000
@@ -284,7 +284,7 @@ def test_a_line_through_all_stamps_says_when_the_first_was() -> None:
 
 
 @pytest.mark.parametrize(('first', 'length'), [(0.25, 10.0), (0.3, 10.45), (0.0, 10.5)])
-def test_cuts_within_samples_leave_a_level_rate(first: float, length: float) -> None:
+def test_cuts_within_samples_leave_a_level_rate(first, length):
     """By sums over a thousandth of a sample of what goes round once in ten samples."""
     held = samples(noise(40))
     start = float(START + PERIOD_NS * (1 + first))
@@ -309,7 +309,7 @@ def test_cuts_within_samples_leave_a_level_rate(first: float, length: float) -> 
         ([0.5, -0.5, np.sqrt(0.5)], 'X +30 Y -30 Z +45'),
     ],
 )
-def test_up_is_told_by_the_axis_or_by_how_much_each_rises(up: list[float], words: str) -> None:
+def test_up_is_told_by_the_axis_or_by_how_much_each_rises(up, words):
     assert up_words(np.array(up)) == words
 
 
@@ -318,7 +318,7 @@ def upright(degrees: float, z: float = 1.0) -> Floats:
     return np.array([[c, -s * z, 0], [s, c * z, 0], [0, 0, z]])
 
 
-def test_a_heading_is_that_of_x_where_z_is_vertical_and_of_z_elsewhere() -> None:
+def test_a_heading_is_that_of_x_where_z_is_vertical_and_of_z_elsewhere():
     for degrees in (0, 45, 180, 300):
         assert np.degrees(heading(upright(degrees))) == pytest.approx(degrees)
         assert np.degrees(heading(upright(degrees, -1.0))) == pytest.approx(degrees)
@@ -332,13 +332,13 @@ def test_a_heading_is_that_of_x_where_z_is_vertical_and_of_z_elsewhere() -> None
     assert attitude_words(upright(359.7, -1.0)) == 'Z down, heading 0 deg'
 
 
-def test_names_that_come_again_are_numbered() -> None:
+def test_names_that_come_again_are_numbered():
     assert unique(['a', 'b', 'a', 'a']) == ['a', 'b', 'a (2)', 'a (3)']
     assert unique(['a', 'b'], ['a', 'a']) == ['a (3)', 'b']
     assert unique([]) == []
 
 
-def test_a_turn_is_as_fast_as_its_angle_over_its_time() -> None:
+def test_a_turn_is_as_fast_as_its_angle_over_its_time():
     found = statistics_at_rest(samples(noise(40)), WALK)
     turn = Turn(START, START + 1, found, -np.pi, 4.0, np.array([0.0, 0.0, 1.0]))
     assert turn.rate() == pytest.approx(-np.pi / 4)

@@ -82,9 +82,7 @@ def motion(
         {'resolution': 20 * ARCSEC},
     ],
 )
-def test_a_plateau_shorter_than_its_ramps_is_found_alone(
-    rate: float, encoder: dict[str, float]
-) -> None:
+def test_a_plateau_shorter_than_its_ramps_is_found_alone(rate, encoder):
     (turns,) = find_turns(motion(rate, RAMPS, PLATEAU, **encoder))
     assert turns.angle == pytest.approx(TURN)
     assert turns.joint == 1
@@ -106,14 +104,14 @@ def test_a_plateau_shorter_than_its_ramps_is_found_alone(
 
 @pytest.mark.parametrize('ramps', [2.0, 5.0, 200.0, 1e4])
 @pytest.mark.parametrize('plateau', [375.0, 3650.0])
-def test_ramps_may_be_as_slow_or_as_fast_as_they_like(ramps: float, plateau: float) -> None:
+def test_ramps_may_be_as_slow_or_as_fast_as_they_like(ramps, plateau):
     (turns,) = find_turns(motion(90.0, ramps, plateau, noise=1.0))
     assert turns.angle == pytest.approx(TURN * (plateau // 360))
     assert turns.seconds == pytest.approx(plateau // 360 * 4.0, rel=4.5 * turns.rate_error)
     assert turns.rate_error < 2e-6
 
 
-def test_a_line_that_rests_on_the_ends_of_a_gap_alone_is_no_plateau() -> None:
+def test_a_line_that_rests_on_the_ends_of_a_gap_alone_is_no_plateau():
     # Joint states fail from 20 % to 80 % of the plateau: 114 deg, which no whole turn hides in.
     whole = motion(18.0, 0.2, 190.0, hz=1.0)
     since = (whole.stamp - whole.stamp[0]) * 1e-9 - 2 - 18.0 / 0.2
@@ -123,7 +121,7 @@ def test_a_line_that_rests_on_the_ends_of_a_gap_alone_is_no_plateau() -> None:
     assert no_turn_reason(seen) == 'the joint states show no constant rate'
 
 
-def test_one_motion_may_hold_several_rates() -> None:
+def test_one_motion_may_hold_several_rates():
     # 60 deg/s for two turns and a bit, then, without a stop, 30 deg/s back for one and a bit.
     there, back = motion(60.0, RAMPS, 750.0), motion(30.0, RAMPS, 400.0)
     stamp = np.concatenate([there.stamp[:-400], back.stamp + there.stamp[-400]])
@@ -136,7 +134,7 @@ def test_one_motion_may_hold_several_rates() -> None:
 
 @pytest.mark.parametrize('noise', [0.0, 7.0])
 @pytest.mark.parametrize('plateau', [0.0, 100.0, 315.0, 350.0])
-def test_ramps_are_no_turns(plateau: float, noise: float) -> None:
+def test_ramps_are_no_turns(plateau, noise):
     seen = motion(90.0, RAMPS, plateau, noise=noise)
     assert find_turns(seen) == []
     if plateau < 180:
@@ -213,7 +211,7 @@ class SlowTable(SimulatedTable):
 
 
 @pytest.fixture
-def slow_table(monkeypatch: pytest.MonkeyPatch) -> type[SlowTable]:
+def slow_table(monkeypatch):
     """Have the stand simulated with slow ramps."""
 
     def slowly(*args: Any) -> Track:
@@ -236,9 +234,7 @@ def slow_table(monkeypatch: pytest.MonkeyPatch) -> type[SlowTable]:
         again((20.0, 50.0, 90.0), 200.0, 7.0),
     ],
 )
-def test_sessions_on_slow_ramps_are_as_good_as_they_say(
-    name: str, rates: tuple[float, ...], joint_state_rate: float, noise: float
-) -> None:
+def test_sessions_on_slow_ramps_are_as_good_as_they_say(name, rates, joint_state_rate, noise):
     options = stand(azimuth=0.5, joint_state_rate=joint_state_rate)
     result, error = run(grade(name), plan_at(rates), options, 1, noise=noise)
     assert len(result.labelled.turns) == 6 * len(rates)
@@ -249,7 +245,7 @@ def test_sessions_on_slow_ramps_are_as_good_as_they_say(
     assert beside_exactness(result.calibration.findings) == []
 
 
-def test_a_session_that_is_all_ramp_is_refused_and_says_why(slow_table: type[SlowTable]) -> None:
+def test_a_session_that_is_all_ramp_is_refused_and_says_why(slow_table):
     slow_table.plateau = 315.0
     try:
         with pytest.raises(NotObservable) as refused:

@@ -80,7 +80,7 @@ SHAKIER = [Hand(50, 4.0, 20.0), Hand(100, 4.0, 40.0)]
 @pytest.mark.parametrize(
     'hand', [again(hand) if hand.rate == 100 else hand for hand in HANDS], ids=str
 )
-def test_every_hold_is_found_once_whatever_bias_tremble_and_rate(hand: Hand) -> None:
+def test_every_hold_is_found_once_whatever_bias_tremble_and_rate(hand):
     sensors, held = hand.session()
     found = calibrated(held)
     rests = np.array([(s.start, s.end) for s in found.session.segments])
@@ -100,7 +100,7 @@ def test_every_hold_is_found_once_whatever_bias_tremble_and_rate(hand: Hand) -> 
 
 
 @pytest.mark.parametrize('hand', SHAKIER, ids=str)
-def test_hands_that_shake_by_tens_of_degrees_a_second_hold_all_the_same(hand: Hand) -> None:
+def test_hands_that_shake_by_tens_of_degrees_a_second_hold_all_the_same(hand):
     sensors, held = hand.session()
     found = calibrated(held)
     rests = np.array([(s.start + s.end) / 2 for s in found.session.segments])
@@ -113,7 +113,7 @@ def test_hands_that_shake_by_tens_of_degrees_a_second_hold_all_the_same(hand: Ha
     assert square < chi2.isf(1e-4, FREE.sum())
 
 
-def test_stamps_that_jitter_and_samples_that_are_lost_cost_no_turn() -> None:
+def test_stamps_that_jitter_and_samples_that_are_lost_cost_no_turn():
     sensors = unit(3.0 * DEG)
     noise = 0.05 * DEG, 0.03
     held = shaky(sensors, rate=100, scales=SCALES, noise=noise, jitter=0.004, lost=0.01)
@@ -125,7 +125,7 @@ def test_stamps_that_jitter_and_samples_that_are_lost_cost_no_turn() -> None:
     assert square < chi2.isf(1e-4, FREE.sum())
 
 
-def test_a_clock_of_milliseconds_costs_no_turn() -> None:
+def test_a_clock_of_milliseconds_costs_no_turn():
     sensors = unit(3.0 * DEG)
     held = shaky(sensors, rate=100, scales=SCALES, noise=(0.05 * DEG, 0.03))
     # A second per hour fast: a millisecond is left out every 3.6 s, within dwells and turns.
@@ -139,7 +139,7 @@ def test_a_clock_of_milliseconds_costs_no_turn() -> None:
 
 
 @pytest.mark.parametrize('sizes', [(5, 16), (1, 21)], ids=str)
-def test_a_reader_that_is_kept_waiting_costs_no_turn(sizes: tuple[int, int]) -> None:
+def test_a_reader_that_is_kept_waiting_costs_no_turn(sizes):
     sensors, held = Hand(100, 3.0, 0.3, (0.05, 0.05)).session()
     # It reads what has come since, 0.1 ms from one sample to the next.
     ends = np.cumsum(np.random.default_rng(1).integers(*sizes, len(held.block.stamp)))
@@ -157,7 +157,7 @@ def test_a_reader_that_is_kept_waiting_costs_no_turn(sizes: tuple[int, int]) -> 
     assert square < 2 * chi2.isf(1e-4, FREE.sum())
 
 
-def test_accelerations_that_are_none_of_the_stated_units_are_named() -> None:
+def test_accelerations_that_are_none_of_the_stated_units_are_named():
     held = shaky(unit(3.0 * DEG), rate=100, scales=SCALES, noise=(0.05 * DEG, 0.03))
     block = held.block
     with pytest.raises(
@@ -169,13 +169,13 @@ def test_accelerations_that_are_none_of_the_stated_units_are_named() -> None:
         calibrated(replace(held, block=replace(block, gyro=block.accel, accel=block.gyro / 100)))
 
 
-def test_rates_of_another_unit_are_named_where_all_turns_are_lost_by_them() -> None:
+def test_rates_of_another_unit_are_named_where_all_turns_are_lost_by_them():
     held = shaky(unit(3.0 * DEG), rate=100, scales=SCALES, noise=(0.05 * DEG, 0.03))
     with pytest.raises(NotObservable, match=r'turns are not used.* or check the unit of the gyros'):
         calibrated(replace(held, block=replace(held.block, gyro=held.block.gyro / DEG)))
 
 
-def test_turns_beyond_the_range_are_left_out_and_said() -> None:
+def test_turns_beyond_the_range_are_left_out_and_said():
     sensors, limit = unit(3.0 * DEG), 150 * DEG
     held = shaky(sensors, rate=100, scales=SCALES, noise=(0.05 * DEG, 0.03), limit=limit)
     read = held.block.gyro * SCALES[0]
@@ -199,7 +199,7 @@ def test_turns_beyond_the_range_are_left_out_and_said() -> None:
 
 
 @pytest.mark.parametrize(('step', 'said'), [(2.0, True), (0.0, False)])
-def test_gyros_whose_bias_stepped_are_said_to_stand_at_two_rates(step: float, said: bool) -> None:
+def test_gyros_whose_bias_stepped_are_said_to_stand_at_two_rates(step, said):
     sensors = Hand(100, 1.0, 0.0).session()[1]
     block = sensors.block
     gyro = block.gyro.copy()
@@ -220,7 +220,7 @@ def g_sensitive_session(size: float) -> tuple[SensorModel, Result]:
     return sensors, calibrated(held)
 
 
-def test_gyros_that_feel_gravity_are_found_and_named() -> None:
+def test_gyros_that_feel_gravity_are_found_and_named():
     sensors, result = g_sensitive_session(0.15)
     found, truth = result.calibration, in_frame_of_accelerometers(sensors)
     assert any('g_sensitivity' in finding for finding in found.findings)
@@ -235,12 +235,12 @@ def test_gyros_that_feel_gravity_are_found_and_named() -> None:
     assert largest < 0.05 * DEG / np.sqrt(100 * 4) * np.sqrt(12 / 20) * 3
 
 
-def test_gyros_that_feel_none_are_not_said_to() -> None:
+def test_gyros_that_feel_none_are_not_said_to():
     _, result = g_sensitive_session(0.0)
     assert len(result.calibration.parameters) == 24
 
 
-def test_a_session_without_holds_says_how_still_it_was_and_what_to_do() -> None:
+def test_a_session_without_holds_says_how_still_it_was_and_what_to_do():
     rng = np.random.default_rng(2)
     rows = 6000
     # Half a minute of waving about: a second this way and a second that.
@@ -255,7 +255,7 @@ def test_a_session_without_holds_says_how_still_it_was_and_what_to_do() -> None:
         calibrator.finish()
 
 
-def test_a_session_is_solved_alike_however_it_is_cut_and_whenever_it_is_looked_at() -> None:
+def test_a_session_is_solved_alike_however_it_is_cut_and_whenever_it_is_looked_at():
     _, held = HANDS[2].session(1)
     whole = calibrated(held)
     setup = Setup(COUNTS, load_plan('free_positions'), None, SITE)
@@ -282,7 +282,7 @@ def _part(block: ImuBlock, first: int, last: int) -> ImuBlock:
     return replace(block, stamp=block.stamp[rows], gyro=block.gyro[rows], accel=block.accel[rows])
 
 
-def test_what_waits_for_a_judgement_is_bounded() -> None:
+def test_what_waits_for_a_judgement_is_bounded():
     segmenter = Segmenter(COUNTS, None)
     _, held = Hand(100, 3.0, 2.0).session()
     longest = 0
@@ -313,7 +313,7 @@ def turn(seconds: float = 1.5) -> np.ndarray:
 
 
 @pytest.mark.parametrize('bias', [0.0, 3.0])
-def test_even_turns_about_the_vertical_are_no_rests_though_they_last_longer(bias: float) -> None:
+def test_even_turns_about_the_vertical_are_no_rests_though_they_last_longer(bias):
     at_rest = (bias, -bias, 0.0)
     rows = [
         turn(),
@@ -333,7 +333,7 @@ def test_even_turns_about_the_vertical_are_no_rests_though_they_last_longer(bias
         assert rest.end * 1e-9 == pytest.approx(ends[k], abs=0.3)
 
 
-def test_what_is_too_fast_for_a_rest_is_told_by_the_noise_of_the_session() -> None:
+def test_what_is_too_fast_for_a_rest_is_told_by_the_noise_of_the_session():
     """0.3 deg/s about the vertical: fifteen times the noise of one unit, about that of another."""
     rng = np.random.default_rng(6)
     ups = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
@@ -352,7 +352,7 @@ def test_what_is_too_fast_for_a_rest_is_told_by_the_noise_of_the_session() -> No
 
 
 @pytest.mark.parametrize('windows', range(11, 26))
-def test_the_first_seconds_of_a_session_are_judged_too(windows: int) -> None:
+def test_the_first_seconds_of_a_session_are_judged_too(windows):
     rng = np.random.default_rng(windows)
     rows = still(windows / 10, (2.0, 1.0, 0.0), (0, 0, 1))
     rows[:, :3] += rng.normal(0, 0.05 * DEG, (len(rows), 3))
@@ -360,7 +360,7 @@ def test_the_first_seconds_of_a_session_are_judged_too(windows: int) -> None:
     assert rest.end - rest.start > (windows - 3) * 0.1e9
 
 
-def test_a_hand_that_trembles_after_a_minute_on_the_table_is_judged_by_itself() -> None:
+def test_a_hand_that_trembles_after_a_minute_on_the_table_is_judged_by_itself():
     rng = np.random.default_rng(3)
     # White noise of 4 deg/s at 100 Hz leaves 1.3 deg/s in a tenth of a second.
     hand = [
@@ -403,20 +403,20 @@ def trembling_counts(rows: int) -> np.ndarray:
 
 
 @pytest.mark.filterwarnings('error')
-def test_counts_without_noise_beside_noisy_ones_are_averaged_by_their_lengths() -> None:
+def test_counts_without_noise_beside_noisy_ones_are_averaged_by_their_lengths():
     counts = trembling_counts(3 * 480) + 3
     statistics = statistics_at_rest(at_rest(counts), np.zeros(6))
     assert statistics.mean == pytest.approx(np.full(6, counts.mean() * 1e-3), abs=1e-12)
 
 
 @pytest.mark.filterwarnings('error')
-def test_counts_without_noise_beside_noisy_ones_are_no_step() -> None:
+def test_counts_without_noise_beside_noisy_ones_are_no_step():
     # Five blocks of ten seconds and more.
     statistics = statistics_at_rest(at_rest(trembling_counts(3 * 62 * 48)), np.zeros(6))
     assert find_step(statistics, np.zeros(6)) is None
 
 
-def test_a_rest_does_not_reach_over_an_interruption() -> None:
+def test_a_rest_does_not_reach_over_an_interruption():
     # Ten seconds at rest, fourteen that nobody saw, ten seconds on another side: the first sample
     # after the interruption begins a window.
     rng = np.random.default_rng(3)
@@ -431,7 +431,7 @@ def test_a_rest_does_not_reach_over_an_interruption() -> None:
 
 
 @pytest.mark.parametrize('early', range(0, 10, 3))
-def test_no_sample_of_a_turn_is_in_the_rest_before_it(early: int) -> None:
+def test_no_sample_of_a_turn_is_in_the_rest_before_it(early):
     """A sample of 60 deg/s, 36 arcmin, is lost to the turn if the rest before has it."""
     rng = np.random.default_rng(early)
     at_rest = (2.0, 1.0, 0.0)

@@ -36,7 +36,7 @@ LEAST = 1e-3 * DEG
 # A line
 
 
-def test_a_line_is_the_one_of_least_squares() -> None:
+def test_a_line_is_the_one_of_least_squares():
     time, angle = np.array([1.0, 2.0, 4.0, 5.0]), np.array([10.0, 13.0, 17.0, 20.0])
     # About 3 s and 15 rad: -2, -1, 1, 2 s and -5, -2, 2, 5 rad; 24 rad s over 10 s^2.
     line = Line.through(time, angle, 0.0)
@@ -47,7 +47,7 @@ def test_a_line_is_the_one_of_least_squares() -> None:
     assert line.slope_std == pytest.approx(sqrt(0.4 / 2 / 10))
 
 
-def test_two_angles_leave_nothing() -> None:
+def test_two_angles_leave_nothing():
     line = Line.through(np.array([0.0, 2.0]), np.array([1.0, 2.0]), 0.0)
     assert (line.slope, line.noise, line.slope_std, line.smoothed) == (0.5, 0.0, 0.0, 1)
 
@@ -71,9 +71,7 @@ def zigzag(count: int, hz: float, noise: float) -> tuple[Floats, Floats]:
         (5.0, 3.0, 0.0, 1),
     ],
 )
-def test_departures_are_averaged_until_the_noise_is_small(
-    hz: float, departures: float, step: float, smoothed: int
-) -> None:
+def test_departures_are_averaged_until_the_noise_is_small(hz, departures, step, smoothed):
     line = Line.through(*zigzag(10_000, hz, 1.0001 * departures * LEAST), step)
     assert line.smoothed == smoothed
 
@@ -82,7 +80,7 @@ def hidden(time: Floats, angle: Floats, step: float) -> float:
     return hidden_by_steps(Line.through(time, angle, step), time, angle)
 
 
-def test_readings_in_time_with_the_steps_hide_a_slope_of_a_step_over_them() -> None:
+def test_readings_in_time_with_the_steps_hide_a_slope_of_a_step_over_them():
     """They scatter by nothing, and any line within half a step of them may be the true one."""
     time, step = np.arange(1001) / 100.0, 1e-3
     assert hidden(time, 20 * step * time, step) == pytest.approx(step / 10 / sqrt(6))
@@ -95,7 +93,7 @@ def test_readings_in_time_with_the_steps_hide_a_slope_of_a_step_over_them() -> N
 
 
 @pytest.mark.parametrize('step', [0.005, 0.05, 360 / 2**12])
-def test_the_rate_by_coarse_angles_is_as_far_off_as_is_said(step: float) -> None:
+def test_the_rate_by_coarse_angles_is_as_far_off_as_is_said(step):
     """At 100 Hz 10, 30 and 60 deg/s are 2, 6 and 12 steps of 0.05 deg, but for 10 ppm."""
     rng = np.random.default_rng(20)
     off = []
@@ -117,9 +115,7 @@ LINE = Line(9, 10.0, 50.0, 1.0, 0.5, 0.0, 0.0, 2e-3, 1)
 
 @pytest.mark.parametrize(('step', 'least'), [(0.0, LEAST), (LEAST / 2, LEAST), (1e-3, 1e-3)])
 @pytest.mark.parametrize('smoothed', [1, 4])
-def test_what_may_lie_off_by_chance_is_six_deviations_and_a_step(
-    step: float, least: float, smoothed: int
-) -> None:
+def test_what_may_lie_off_by_chance_is_six_deviations_and_a_step(step, least, smoothed):
     line = replace(LINE, step=step, smoothed=smoothed)
     found = line.limit(np.array([10.0, 15.0]))
     # Noise of the angles, of the line's level, and of its slope 5 s away.
@@ -127,7 +123,7 @@ def test_what_may_lie_off_by_chance_is_six_deviations_and_a_step(
     assert found == pytest.approx([0.012 * sqrt(part) + least for part in (here, there)])
 
 
-def test_a_departure_is_counted_in_limits() -> None:
+def test_a_departure_is_counted_in_limits():
     time = np.array([8.0, 10.0, 12.0, 14.0])
     off = np.array([0.03, -0.02, 0.0, 0.08])
     found = LINE.departure(time, 1.0 + 0.5 * (time - 10.0) + off)
@@ -139,9 +135,9 @@ def test_a_departure_is_counted_in_limits() -> None:
     assert found == pytest.approx(means / three.limit(time))
 
 
-def test_angles_whose_blocks_scatter_together_count_by_their_blocks() -> None:
+def test_angles_whose_blocks_scatter_together_count_by_their_blocks():
     # 16 blocks of 10: to and fro by 1 within, and their means to and fro by `common`.
-    def common_residuals(common: float, count: int = 165) -> Floats:
+    def common_residuals(common, count=165):
         return np.resize([1.0, -1.0], count) + common * np.resize([1.0] * 10 + [-1.0] * 10, count)
 
     # Ten times the mean square of 16 means, over 14 degrees of freedom.
@@ -181,14 +177,12 @@ def test_angles_whose_blocks_scatter_together_count_by_their_blocks() -> None:
         ([0, 1, 1 + 1.3e-5, 2, 4, 7, 8, 10], 0.0),
     ],
 )
-def test_the_step_of_an_encoder_is_what_close_readings_differ_by(
-    angles: list[float], step: float
-) -> None:
+def test_the_step_of_an_encoder_is_what_close_readings_differ_by(angles, step):
     found = _step(0.005 * DEG * np.array(angles)[::-1])
     assert found == pytest.approx(0.005 * DEG * step, rel=2e-5)
 
 
-def test_angles_that_are_far_apart_or_alike_have_no_step() -> None:
+def test_angles_that_are_far_apart_or_alike_have_no_step():
     assert _step(0.19 * DEG * np.arange(9)) == pytest.approx(0.19 * DEG)
     assert _step(0.21 * DEG * np.arange(9)) == 0.0
     assert _step(np.zeros(9)) == 0.0
@@ -214,9 +208,7 @@ def ramped(
 @pytest.mark.parametrize('lost', [0, 7])
 @pytest.mark.parametrize('phase', [0.0, 0.002, 0.1, 0.5, 0.8, 0.998])
 @pytest.mark.parametrize(('rate', 'ramps'), [(60, 100), (60, 200), (60, 50), (20, 20), (80, 200)])
-def test_round_ramps_are_no_steps_of_an_encoder(
-    rate: float, ramps: float, phase: float, lost: int
-) -> None:
+def test_round_ramps_are_no_steps_of_an_encoder(rate, ramps, phase, lost):
     """At 100 Hz ramps of 200 deg/s^2 gain 0.02 deg more each time: 0.01, 0.03, 0.05."""
     time, angle = ramped(rate, ramps, 100.0, phase, 0.0)
     kept = np.ones(len(time), dtype=bool)
@@ -224,14 +216,14 @@ def test_round_ramps_are_no_steps_of_an_encoder(
     assert encoder_step(time[kept], angle[kept]) == 0.0
 
 
-def test_readings_of_a_rate_alone_have_no_step() -> None:
+def test_readings_of_a_rate_alone_have_no_step():
     """One that sets in between two of them: all differ alike."""
     angle = np.clip(0.05 * DEG * (np.arange(900) - 100), 0, 30 * DEG)
     assert encoder_step(np.arange(900) / 100, angle) == 0.0
     assert _step(angle) == pytest.approx(0.05 * DEG)
 
 
-def test_round_ramps_look_coarse() -> None:
+def test_round_ramps_look_coarse():
     """So that the test above means something: what close readings differ by is no proof."""
     assert _step(ramped(60, 200, 100.0, 0.998, 0.0)[1]) == pytest.approx(0.01 * DEG, rel=0.01)
 
@@ -242,9 +234,7 @@ def test_round_ramps_look_coarse() -> None:
     ('rate', 'ramps', 'hz'),
     [(60, 100, 100), (10, 100, 100), (5, 20, 50), (90, 20, 50), (60, 400, 500)],
 )
-def test_steps_of_an_encoder_show_where_the_table_speeds_up(
-    rate: float, ramps: float, hz: float, phase: float, step: float
-) -> None:
+def test_steps_of_an_encoder_show_where_the_table_speeds_up(rate, ramps, hz, phase, step):
     """At the rate itself readings may be as many whole steps apart, one like the other."""
     time, angle = ramped(rate, ramps, hz, phase, step)
     assert encoder_step(time, angle) == pytest.approx(step * DEG, rel=1e-9)
@@ -256,7 +246,7 @@ def test_steps_of_an_encoder_show_where_the_table_speeds_up(
 # Half turns
 
 
-def test_half_a_turn_is_looked_at_from_150_instants() -> None:
+def test_half_a_turn_is_looked_at_from_150_instants():
     # A degree each: half a turn is 180 of them, from as many places as there are.
     few = _half_turns(np.arange(301.0) * DEG * (1 + 1e-9))
     first = np.unique((np.arange(150) * 300 / 149).astype(int))
@@ -266,7 +256,7 @@ def test_half_a_turn_is_looked_at_from_150_instants() -> None:
     assert _half_turns(-np.arange(301.0) * DEG * (1 + 1e-9)).tolist() == few.tolist()
 
 
-def test_where_angles_come_slowly_it_is_six_of_them() -> None:
+def test_where_angles_come_slowly_it_is_six_of_them():
     found = _half_turns(np.arange(9.0) * 90.0 * DEG)
     assert found.tolist() == [[0, 6], [1, 7], [2, 8], [3, 9]]
     assert _half_turns(np.zeros(50)).shape == (0, 2)
@@ -277,7 +267,7 @@ def legendre(x: Floats) -> Floats:
     return np.column_stack([x**0, x, (3 * x**2 - 1) / 2, (5 * x**3 - 3 * x) / 2])
 
 
-def test_a_bend_is_what_a_square_and_a_cube_have() -> None:
+def test_a_bend_is_what_a_square_and_a_cube_have():
     # Nine angles in as many cells, at times from 5 to 7 s; both parts of a polynomial.
     x = np.linspace(-1.0, 1.0, 9)
     angle = legendre(x) @ [3.0, 1.6, 0.03, 0.04]
@@ -298,7 +288,7 @@ def test_a_bend_is_what_a_square_and_a_cube_have() -> None:
     assert limit == pytest.approx([5 * std + 1e-4 * np.pi])
 
 
-def test_angles_are_averaged_in_cells() -> None:
+def test_angles_are_averaged_in_cells():
     # 20 angles in 8 cells, which begin at 0, 2, 5, 7, 10, 12, 15 and 17 of them.
     rng = np.random.default_rng(4)
     time, angle = np.arange(30.0) + rng.uniform(0, 0.5, 30), rng.uniform(0, 1, 30)
@@ -315,7 +305,7 @@ def test_angles_are_averaged_in_cells() -> None:
     assert found[1] == pytest.approx([both[0][1][0], both[1][1][0]])
 
 
-def test_straight_half_turns_come_first_the_straightest_before_all() -> None:
+def test_straight_half_turns_come_first_the_straightest_before_all():
     # A degree at each instant, then slower and slower: the straight ones are listed by their bend.
     time = np.arange(400.0)
     angle = (time - np.where(time > 200, (time - 200) ** 2 / 1e3, 0.0)) * DEG
@@ -344,7 +334,7 @@ def trapezoid(rate: float, ramp: float, steady: float, hz: float = 100.0) -> Mot
     return Motion(0, 0, stamp, np.column_stack([0.1 * angle, angle]))
 
 
-def test_a_plateau_is_cut_where_a_ramp_would_not_show() -> None:
+def test_a_plateau_is_cut_where_a_ramp_would_not_show():
     motion = trapezoid(30.0, 1.5, 20.0)
     (found,) = find_plateaus(motion)
     assert found.rate == pytest.approx(30.0 * DEG, rel=1e-7)
@@ -360,7 +350,7 @@ def test_a_plateau_is_cut_where_a_ramp_would_not_show() -> None:
     )
 
 
-def test_what_leaves_a_line_is_cut_back_as_far_as_from_there_to_eight_limits() -> None:
+def test_what_leaves_a_line_is_cut_back_as_far_as_from_there_to_eight_limits():
     # Off a line of rate 1 by more than one limit up to 4 s, and by more than eight up to 3 s;
     # likewise from 16 s on and from 18 s on.
     time = np.arange(0.0, 20.25, 0.5)
@@ -385,7 +375,7 @@ def test_what_leaves_a_line_is_cut_back_as_far_as_from_there_to_eight_limits() -
 
 
 @pytest.mark.parametrize('sense', [1, -1])
-def test_turns_lie_in_the_middle_of_what_is_sure(sense: int) -> None:
+def test_turns_lie_in_the_middle_of_what_is_sure(sense):
     plateau = Plateau(4.0, 25.0, sense * 40 * DEG, 1e-6 * DEG, 0.5, 0.25, 1e-5)
     found = _whole_turns(plateau, 2, 7e9)
     assert found is not None
@@ -399,7 +389,7 @@ def test_turns_lie_in_the_middle_of_what_is_sure(sense: int) -> None:
     assert found.spare == pytest.approx(0.8 * 1.5 - 0.05)
 
 
-def test_a_turn_that_fits_only_with_what_may_be_hidden_counts_by_it() -> None:
+def test_a_turn_that_fits_only_with_what_may_be_hidden_counts_by_it():
     plateau = Plateau(4.0, 12.4, 40 * DEG, 3e-6 * DEG, 0.6, 0.4, 1e-4)
     found = _whole_turns(plateau, 0, 0.0)
     assert found is not None
@@ -416,7 +406,7 @@ def test_a_turn_that_fits_only_with_what_may_be_hidden_counts_by_it() -> None:
 # Motions
 
 
-def test_turns_are_those_of_the_joint_that_turns_most() -> None:
+def test_turns_are_those_of_the_joint_that_turns_most():
     motion = trapezoid(40.0, 1.0, 20.0)
     (found,) = find_turns(motion)
     assert (found.joint, found.angle) == (1, pytest.approx(4 * np.pi))
@@ -427,7 +417,7 @@ def test_turns_are_those_of_the_joint_that_turns_most() -> None:
     assert find_turns(replace(motion, stamp=motion.stamp[:0], position=motion.position[:0])) == []
 
 
-def test_a_plateau_may_fill_the_motion() -> None:
+def test_a_plateau_may_fill_the_motion():
     whole = trapezoid(40.0, 1.0, 20.0)
     within = slice(310, 2290)
     found = find_plateaus(
@@ -450,13 +440,13 @@ def joined(*motions: Motion) -> Motion:
     return Motion(0, 0, np.concatenate(stamp), np.vstack(position))
 
 
-def test_plateaus_are_listed_as_they_follow_each_other() -> None:
+def test_plateaus_are_listed_as_they_follow_each_other():
     both = joined(trapezoid(20.0, 1.0, 20.0), trapezoid(-60.0, 1.0, 8.0))
     rates = [plateau.rate / DEG for plateau in find_plateaus(both)]
     assert rates == pytest.approx([20.0, -60.0], rel=1e-6)
 
 
-def test_a_motion_without_a_turn_says_what_it_shows() -> None:
+def test_a_motion_without_a_turn_says_what_it_shows():
     assert no_turn_reason(trapezoid(40.0, 5.0, 0.0)) == 'the joint states show no constant rate'
     # Of two plateaus the one that turned further, however short it was: 250 deg and what of its
     # ramps cannot be told from it.

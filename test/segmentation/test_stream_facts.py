@@ -27,7 +27,7 @@ Session = tuple[NDArray[np.int64], Floats, Floats]
 
 
 @pytest.fixture(scope='module')
-def hand(tmp_path_factory: pytest.TempPathFactory) -> Session:
+def hand(tmp_path_factory):
     """A session in the hand, SI, 100 Hz."""
     return recorded_in_si(tmp_path_factory.mktemp('hand') / 'bag')
 
@@ -51,7 +51,7 @@ STAMP = 10**18 + np.arange(1, 2001) * 10_000_000
 NOISE = np.random.default_rng(5).normal(size=(2000, 6))
 
 
-def test_a_sound_stream_is_said_to_be_sound() -> None:
+def test_a_sound_stream_is_said_to_be_sound():
     assert facts(STAMP, NOISE) == (
         'The stream: 2000 samples in 19.99 s, 100 Hz; none missing, in order.'
     )
@@ -59,7 +59,7 @@ def test_a_sound_stream_is_said_to_be_sound() -> None:
     assert facts(STAMP[:1], NOISE[:1]).startswith('The stream: 1 sample in 0 s')
 
 
-def test_what_is_unusual_is_counted_however_the_stream_is_cut() -> None:
+def test_what_is_unusual_is_counted_however_the_stream_is_cut():
     rng = np.random.default_rng(1)
     kept = np.sort(rng.permutation(2000)[:1200])
     places = np.argsort(np.arange(1200) + 3 * (np.arange(1200) % 10 == 0) + 0.5)
@@ -78,12 +78,12 @@ def test_what_is_unusual_is_counted_however_the_stream_is_cut() -> None:
     assert 'accelerometers of exactly 0' not in whole
 
 
-def test_stamps_of_few_digits_are_counted() -> None:
+def test_stamps_of_few_digits_are_counted():
     rounded = (STAMP - STAMP[0]) // 40_000_000 * 40_000_000 + STAMP[0]
     assert '75% have the stamp of the one before' in facts(rounded, NOISE)
 
 
-def test_a_refusal_ends_with_the_facts(hand: Session, tmp_path: Path) -> None:
+def test_a_refusal_ends_with_the_facts(hand, tmp_path):
     stamp, gyro, accel = hand
     kept = np.random.default_rng(2).random(len(stamp)) > 0.4
     path = bag(tmp_path / 'lossy', stamp[kept], gyro[kept], accel[kept])
@@ -98,9 +98,7 @@ def test_a_refusal_ends_with_the_facts(hand: Session, tmp_path: Path) -> None:
     assert '% have gyros of exactly 0' in no.value.cause
 
 
-def test_infinite_samples_are_left_out_without_a_word_of_numpy(
-    hand: Session, tmp_path: Path
-) -> None:
+def test_infinite_samples_are_left_out_without_a_word_of_numpy(hand, tmp_path):
     stamp, gyro, accel = hand
     gyro, accel = gyro.copy(), accel.copy()
     gyro[::500, 2], accel[7::500, 1] = np.inf, -np.inf
@@ -108,7 +106,7 @@ def test_infinite_samples_are_left_out_without_a_word_of_numpy(
     assert any('not numbers (NaN or infinite)' in text for text in found.calibration.findings)
 
 
-def test_samples_out_of_order_give_what_they_give_in_order(hand: Session, tmp_path: Path) -> None:
+def test_samples_out_of_order_give_what_they_give_in_order(hand, tmp_path):
     stamp, gyro, accel = hand
     rng = np.random.default_rng(4)
     late = rng.uniform(0, 8, len(stamp)) * (rng.random(len(stamp)) < 0.3)
@@ -130,7 +128,7 @@ def without_gravity(hand: Session) -> Floats:
     return accel - slow + [0.05, -0.02, 0.03]
 
 
-def test_gravity_that_was_removed_is_named(hand: Session, tmp_path: Path) -> None:
+def test_gravity_that_was_removed_is_named(hand, tmp_path):
     stamp, gyro, _ = hand
     force = without_gravity(hand)
     path = bag(tmp_path / 'linear', stamp, gyro, force)
@@ -150,7 +148,7 @@ def test_gravity_that_was_removed_is_named(hand: Session, tmp_path: Path) -> Non
     assert any('Gravity was removed' in text for text in done.findings)
 
 
-def test_gravity_removed_on_a_table_is_named(tmp_path: Path) -> None:
+def test_gravity_removed_on_a_table_is_named(tmp_path):
     imu_calib.simulate(
         'six_position_by_hand', tmp_path / 'bag', imu='si', truth='mems_counts', seed=1
     )
@@ -163,7 +161,7 @@ def test_gravity_removed_on_a_table_is_named(tmp_path: Path) -> None:
         imu_calib.calibrate(path, latitude=LATITUDE, imu='si', plan='six_position_by_hand')
 
 
-def test_quiet_parts_show_gravity_in_any_unit(hand: Session) -> None:
+def test_quiet_parts_show_gravity_in_any_unit(hand):
     _, _, accel = hand
     for unit in (1.0, STANDARD_GRAVITY, 100.0, 1000.0):
         means = quiet_means(accel / unit)
@@ -175,7 +173,7 @@ def test_quiet_parts_show_gravity_in_any_unit(hand: Session) -> None:
     assert gravity_removed(np.zeros((9, 3))) == gravity_removed(quiet_means(accel[:10])) == ''
 
 
-def test_a_live_session_that_is_refused_at_its_end_says_the_facts_too() -> None:
+def test_a_live_session_that_is_refused_at_its_end_says_the_facts_too():
     site = Site.at(LATITUDE * DEG, gravity=9.8, latitude_std=0.0)
     setup = Setup(load_imu('si'), load_plan('free_positions'), None, site)
     calibrator = HandCalibrator(setup)

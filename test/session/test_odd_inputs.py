@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from extent import again
@@ -29,7 +28,7 @@ def rows(count: int = 200) -> list[str]:
     return still
 
 
-def test_a_long_field_of_a_text_file_costs_its_row(tmp_path: Path) -> None:
+def test_a_long_field_of_a_text_file_costs_its_row(tmp_path):
     table = rows()
     table[100] = f'"{"x" * LONG}"' + table[100]
     (tmp_path / 'a.csv').write_text('\n'.join(table))
@@ -40,7 +39,7 @@ def test_a_long_field_of_a_text_file_costs_its_row(tmp_path: Path) -> None:
         imu_calib.convert(tmp_path / 'b.csv', tmp_path / 'other', **SI)  # type: ignore[arg-type]
 
 
-def test_a_long_field_of_a_manifest_is_named(tmp_path: Path) -> None:
+def test_a_long_field_of_a_manifest_is_named(tmp_path):
     pytest.importorskip('distributed')
     (tmp_path / 'm.csv').write_text(f'recording,serial\nbag,"{"x" * LONG}"')
     with pytest.raises(InputError, match=r'm\.csv: not a table of recordings \(field larger'):
@@ -50,14 +49,14 @@ def test_a_long_field_of_a_manifest_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     'url', ['zip://a.zip', 'github://owner/name', 'reference://a', 'dir://a', 'jupyter://a']
 )
-def test_a_protocol_that_fails_is_no_traceback(url: str) -> None:
+def test_a_protocol_that_fails_is_no_traceback(url):
     pytest.importorskip('fsspec')
     with pytest.raises(InputError, match=f'{url}: cannot be opened'):
         imu_calib.calibrate(url)
 
 
 @pytest.mark.parametrize('size', ['-1GiB', '1e400GiB', '0', '1MiB', 'much'])
-def test_a_size_of_memory_that_no_worker_can_have_is_refused(size: str, tmp_path: Path) -> None:
+def test_a_size_of_memory_that_no_worker_can_have_is_refused(size, tmp_path):
     pytest.importorskip('distributed')
     (tmp_path / 'm.csv').write_text('recording\nbag')
     with pytest.raises(InputError, match=r'`memory`: found .* expected a size of 256 MiB or more'):
@@ -65,7 +64,7 @@ def test_a_size_of_memory_that_no_worker_can_have_is_refused(size: str, tmp_path
 
 
 @pytest.mark.parametrize('word', ['--latitude=--', '--plan=--', '-p--'])
-def test_two_dashes_are_no_value(word: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_dashes_are_no_value(word, capsys):
     assert main(['calibrate', 'bag', word]) == 2
     option = word.removesuffix('--').rstrip('=')
     assert (
@@ -82,14 +81,12 @@ def test_two_dashes_are_no_value(word: str, capsys: pytest.CaptureFixture[str]) 
         ('compensate|bag|--calibration|c.yaml|-o|', '-o: '),
     ],
 )
-def test_an_empty_word_is_neither_the_present_folder_nor_a_default(
-    words: str, place: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_empty_word_is_neither_the_present_folder_nor_a_default(words, place, capsys):
     assert main(words.split('|')) == 2
     assert f": {place}found '', expected a value" in capsys.readouterr().err
 
 
-def test_an_unknown_option_is_said_of_its_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_option_is_said_of_its_command(capsys):
     assert main(['calibrate', 'bag', '--lattitude', '3']) == 2
     said = ' '.join(capsys.readouterr().err.split())
     assert said == (
@@ -98,7 +95,7 @@ def test_an_unknown_option_is_said_of_its_command(capsys: pytest.CaptureFixture[
     )
 
 
-def test_a_catalogue_is_not_written_into_a_recording(tmp_path: Path) -> None:
+def test_a_catalogue_is_not_written_into_a_recording(tmp_path):
     pytest.importorskip('pyarrow')
     (tmp_path / 'metadata.yaml').write_text('')
     with pytest.raises(InputError, match='is a recording, expected a folder for the catalogue'):
@@ -107,7 +104,7 @@ def test_a_catalogue_is_not_written_into_a_recording(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('size', ['1e300', again('1e160'), '1.7e308'])
-def test_a_huge_sample_is_left_out_without_a_word_of_numpy(size: str, tmp_path: Path) -> None:
+def test_a_huge_sample_is_left_out_without_a_word_of_numpy(size, tmp_path):
     table = rows(6000)
     table[3000] = table[3000].replace('0.001', size)
     table[4000] = table[4000].replace('0.1,', f'-{size},')

@@ -26,7 +26,7 @@ def odd_table() -> Table:
     return read_table(Section.parse(JOINTS, 'odd.yaml'))
 
 
-def test_the_shipped_table_stands_as_its_description_says() -> None:
+def test_the_shipped_table_stands_as_its_description_says():
     table = load_table('three_axis')
     attitude = table.attitude(np.array([0, 90, 90]) * DEG)
     assert attitude[:, 0] == pytest.approx([0, 0, 1], abs=1e-12)  # X up
@@ -35,7 +35,7 @@ def test_the_shipped_table_stands_as_its_description_says() -> None:
     assert table.attitude(np.zeros(3)) == pytest.approx(np.eye(3))
 
 
-def test_attitude_is_the_product_of_the_joints_rotations() -> None:
+def test_attitude_is_the_product_of_the_joints_rotations():
     # scipy's rotations are the independent truth here.
     angles = np.array([0.3, -1.1, 2.0])
     expected = (
@@ -50,39 +50,39 @@ def test_attitude_is_the_product_of_the_joints_rotations() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_joint_angles_reach_any_attitude_of_a_three_axis_table(seed: int) -> None:
+def test_joint_angles_reach_any_attitude_of_a_three_axis_table(seed):
     attitude = Rotation.random(random_state=seed).as_matrix()
     table = load_table('three_axis')
     assert table.attitude(table.angles(attitude)) == pytest.approx(attitude, abs=1e-6)
 
 
 @given(st.lists(st.floats(-3, 3), min_size=3, max_size=3))
-def test_joint_angles_come_back_from_their_own_attitude(angles: list[float]) -> None:
+def test_joint_angles_come_back_from_their_own_attitude(angles):
     table = odd_table()
     attitude = table.attitude(np.array(angles))
     assert table.attitude(table.angles(attitude)) == pytest.approx(attitude, abs=1e-6)
 
 
 @pytest.mark.parametrize('name', ['one_axis', 'two_axis'])
-def test_fewer_joints_are_the_same_thing(name: str) -> None:
+def test_fewer_joints_are_the_same_thing(name):
     table = load_table(name)
     angles = np.array([0.7, -2.0])[: len(table.joints)]
     assert table.angles(table.attitude(angles)) == pytest.approx(angles)
 
 
-def test_an_attitude_out_of_reach_is_refused_with_the_miss() -> None:
+def test_an_attitude_out_of_reach_is_refused_with_the_miss():
     with pytest.raises(InputError, match=r'\(joints: outer, inner\) cannot reach .* deg away'):
         load_plan('twelve_position').steps(load_table('two_axis'))
 
 
-def test_the_nearest_of_several_solutions_is_taken() -> None:
+def test_the_nearest_of_several_solutions_is_taken():
     table = load_table('three_axis')
     near = np.array([7.0, 0.1, -6.0])
     angles = table.angles(table.attitude(np.array([0.9, 0.2, 0.4])), near)
     assert np.abs(angles - near).max() < np.pi
 
 
-def test_the_axis_of_a_joint_in_the_body_is_what_the_body_turns_about() -> None:
+def test_the_axis_of_a_joint_in_the_body_is_what_the_body_turns_about():
     table, angles, step = odd_table(), np.array([0.3, -1.1, 2.0]), 1e-6
     for k in range(3):
         moved = angles.copy()
@@ -103,9 +103,7 @@ def test_the_axis_of_a_joint_in_the_body_is_what_the_body_turns_about() -> None:
         ),
     ],
 )
-def test_a_plan_beyond_the_limits_is_refused_before_it_starts(
-    rate: int, limits: str, sentence: str
-) -> None:
+def test_a_plan_beyond_the_limits_is_refused_before_it_starts(rate, limits, sentence):
     text = JOINTS.replace('axis: [0, 1, 1]', f'{limits}axis: z').replace('axis: y', 'axis: z')
     text = text.replace('max_rate: 100', f'max_rate: {rate}').replace('mount', '# mount')
     table = read_table(Section.parse(text, 't.yaml'))
@@ -114,7 +112,7 @@ def test_a_plan_beyond_the_limits_is_refused_before_it_starts(
 
 
 @pytest.mark.parametrize('name', ['twelve_position', 'six_position'])
-def test_every_step_of_a_plan_stands_where_its_position_says(name: str) -> None:
+def test_every_step_of_a_plan_stands_where_its_position_says(name):
     plan, table = load_plan(name), load_table('three_axis')
     for step in plan.steps(table):
         wanted = plan.position(step.position).attitude
@@ -124,7 +122,7 @@ def test_every_step_of_a_plan_stands_where_its_position_says(name: str) -> None:
             assert abs(table.joint_axis(joint, step.angles) @ wanted[2]) == pytest.approx(1)
 
 
-def test_twelve_positions_cancel_the_earth_rate_in_every_group() -> None:
+def test_twelve_positions_cancel_the_earth_rate_in_every_group():
     # docs/mathematics.md, 'Twelve positions': for any azimuth, within each group of four.
     positions = load_plan('twelve_position').positions
     for group in (positions[:4], positions[4:8], positions[8:]):
@@ -133,7 +131,7 @@ def test_twelve_positions_cancel_the_earth_rate_in_every_group() -> None:
         assert [round(p.up[axis]) for p in group] == [1, 1, -1, -1]
 
 
-def test_the_horizontal_pair_has_the_signs_of_the_paper() -> None:
+def test_the_horizontal_pair_has_the_signs_of_the_paper():
     # docs/mathematics.md, 'Twelve positions': signs of (y, z) in the X group, azimuth 0 to 90 deg.
     horizontal = np.array([np.sin(0.3), np.cos(0.3), 0.0])  # north seen from the table's zero
     positions = load_plan('twelve_position').positions[:4]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -92,7 +91,7 @@ def flawed(joint: int) -> tuple[TrueJoint, Flaw]:
 
 
 @pytest.fixture(scope='module')
-def crooked() -> tuple[SimulatedStand, World]:
+def crooked():
     """One table with all flaws, large ones, in both simulations."""
     pairs = [flawed(j) for j in range(3)]
     options = replace(EXACT, true=TrueTable(tuple(t for t, _ in pairs)), tilt=(2e-4, 0.0))
@@ -105,9 +104,7 @@ def crooked() -> tuple[SimulatedStand, World]:
     return stand(options), world
 
 
-def test_a_crooked_table_stands_as_the_plain_loops_say(
-    crooked: tuple[SimulatedStand, World],
-) -> None:
+def test_a_crooked_table_stands_as_the_plain_loops_say(crooked):
     session, world = crooked
     instants = np.linspace(0.0, session.duration, 200)
     readings, _ = session._table.read(instants)
@@ -121,9 +118,7 @@ def test_a_crooked_table_stands_as_the_plain_loops_say(
     assert np.abs(found - square).max() > 1e-3
 
 
-def test_the_gyros_of_a_crooked_table_feel_the_turn_of_its_attitudes(
-    crooked: tuple[SimulatedStand, World],
-) -> None:
+def test_the_gyros_of_a_crooked_table_feel_the_turn_of_its_attitudes(crooked):
     session, _ = crooked
     turning = next(v for v in session.visits if v.step.rates.any())
     edges = turning.begin + 1.5 + 0.01 * np.arange(400)
@@ -142,7 +137,7 @@ def test_the_gyros_of_a_crooked_table_feel_the_turn_of_its_attitudes(
         assert np.abs(velocity[k] / 0.01 - applied(middle, tuple(up))).max() < 1e-4
 
 
-def test_sizes_are_standard_deviations() -> None:
+def test_sizes_are_standard_deviations():
     sizes = TableSizes(zeros=1e-4, orthogonality=2e-4, wobble=(3e-4, 4e-4), encoder=(5e-4, 6e-4))
     drawn = [TrueTable.drawn(TABLE, sizes, seed) for seed in range(400)]
     zeros = np.array([[j.zero for j in t.joints] for t in drawn])
@@ -161,7 +156,7 @@ def test_sizes_are_standard_deviations() -> None:
     assert TrueTable.drawn(TABLE, sizes, 3) == drawn[3]
 
 
-def test_joints_arrive_wrong_until_they_move_again() -> None:
+def test_joints_arrive_wrong_until_they_move_again():
     session = stand(replace(EXACT, stop_error=10 * ARCSEC))
     missed = []
     for visit in session.visits:
@@ -179,7 +174,7 @@ def test_joints_arrive_wrong_until_they_move_again() -> None:
     assert drawn.std() == pytest.approx(10 * ARCSEC, rel=4 / math.sqrt(2 * len(drawn)))
 
 
-def test_the_table_leans_anew_at_every_stop() -> None:
+def test_the_table_leans_anew_at_every_stop():
     session = stand(replace(EXACT, stop_tilt=20 * ARCSEC, stop_heading=5 * ARCSEC))
     exact = stand(EXACT)
     off = []
@@ -198,7 +193,7 @@ def test_the_table_leans_anew_at_every_stop() -> None:
     assert up.std() == pytest.approx(5 * ARCSEC, rel=tolerance)
 
 
-def test_encoders_are_noisy_and_ramps_are_long() -> None:
+def test_encoders_are_noisy_and_ramps_are_long():
     session = stand(replace(EXACT, encoder_noise=7 * ARCSEC, acceleration=20 * DEG))
     instants, readings = joints(session)
     visit = session.visits[1]
@@ -212,7 +207,7 @@ def test_encoders_are_noisy_and_ramps_are_long() -> None:
 # Samples on their way.
 
 
-def test_what_is_delivered_does_not_depend_on_how_blocks_are_cut() -> None:
+def test_what_is_delivered_does_not_depend_on_how_blocks_are_cut():
     delivery = Delivery(
         bunch=3, late=0.02, delay=0.03, lost=0.02, twice=0.02, frozen_every=20.0, frozen_for=2.0
     )
@@ -224,7 +219,7 @@ def test_what_is_delivered_does_not_depend_on_how_blocks_are_cut() -> None:
     assert (whole[1] == cut[1]).mean() > 0.999
 
 
-def test_other_imperfections_leave_noise_and_counts_as_they_were() -> None:
+def test_other_imperfections_leave_noise_and_counts_as_they_were():
     stamps, counts = imu(EXACT)
     late, same = imu(replace(EXACT, delivery=Delivery(late=0.01, delay=0.02, bunch=4)))
     assert (same == counts).all()
@@ -234,7 +229,7 @@ def test_other_imperfections_leave_noise_and_counts_as_they_were() -> None:
     assert (counts[kept] == fewer).all()
 
 
-def test_samples_are_lost_and_sent_twice_by_their_shares() -> None:
+def test_samples_are_lost_and_sent_twice_by_their_shares():
     stamps, counts = imu(EXACT)
     after, _ = imu(replace(EXACT, delivery=Delivery(lost=0.02)))
     lost, n = len(stamps) - len(after), len(stamps)
@@ -246,7 +241,7 @@ def test_samples_are_lost_and_sent_twice_by_their_shares() -> None:
     assert (np.delete(values, again, axis=0) == counts).all()
 
 
-def test_bunches_are_stamped_when_their_last_sample_is_there() -> None:
+def test_bunches_are_stamped_when_their_last_sample_is_there():
     stamps, _ = imu(EXACT)
     bunched, _ = imu(replace(EXACT, delivery=Delivery(bunch=4)))
     whole = len(stamps) // 4 * 4
@@ -255,7 +250,7 @@ def test_bunches_are_stamped_when_their_last_sample_is_there() -> None:
     assert np.abs(wait - [30_000_000, 20_020_000, 10_040_000, 60_000]).max() <= 1
 
 
-def test_a_late_sample_holds_up_those_behind() -> None:
+def test_a_late_sample_holds_up_those_behind():
     stamps, _ = imu(EXACT)
     late, _ = imu(replace(EXACT, delivery=Delivery(late=0.01, delay=0.05)))
     wait = (late - stamps) * 1e-9
@@ -270,7 +265,7 @@ def test_a_late_sample_holds_up_those_behind() -> None:
     assert np.isclose(falling[queued], -0.01 + 20e-6, atol=2e-9).mean() > 0.98
 
 
-def test_a_frozen_device_repeats_one_sample_and_loses_what_it_counted() -> None:
+def test_a_frozen_device_repeats_one_sample_and_loses_what_it_counted():
     stamps, counts = imu(EXACT)
     delivery = Delivery(frozen_every=60.0, frozen_for=3.0)
     same_stamps, frozen = imu(replace(EXACT, delivery=delivery))
@@ -289,7 +284,7 @@ def test_a_frozen_device_repeats_one_sample_and_loses_what_it_counted() -> None:
 # What warms up, and what shakes.
 
 
-def test_biases_fade_step_and_follow_the_temperature_as_stated() -> None:
+def test_biases_fade_step_and_follow_the_temperature_as_stated():
     quiet = replace(EXACT, noise=False, quantise=False)
     stamps, still = imu(quiet, perfect=True)
     seconds = (stamps - stamps[0]) * 1e-9
@@ -314,7 +309,7 @@ def test_biases_fade_step_and_follow_the_temperature_as_stated() -> None:
     assert np.abs(hot - still - rise).max() < 2e-4 * np.abs(rise).max()
 
 
-def test_a_floor_shakes_as_hard_as_stated_and_goes_nowhere() -> None:
+def test_a_floor_shakes_as_hard_as_stated_and_goes_nowhere():
     shake = Shake(rate=1e-3, force=0.02, lowest=5.0, highest=40.0)
     shaken, still = (stand(o).motion for o in (replace(EXACT, shake=shake), EXACT))
     edges = 1e-3 * np.arange(60_001)
@@ -334,16 +329,16 @@ def read(text: str) -> StandOptions:
     return read_imperfections(Section.parse(text, 'wrong.yaml'), EXACT, TABLE, 7)
 
 
-def test_a_file_that_says_nothing_changes_nothing() -> None:
+def test_a_file_that_says_nothing_changes_nothing():
     assert read('{}') == EXACT
 
 
-def test_a_file_of_the_first_version_is_read() -> None:
+def test_a_file_of_the_first_version_is_read():
     text = 'table: {positioning: {joints: 1 arcsec, tilt: 2 arcsec, heading: 3 arcsec}}'
     assert read(text.replace('positioning', 'arrivals')) == read(text) != EXACT
 
 
-def test_the_shipped_file_holds_every_key() -> None:
+def test_the_shipped_file_holds_every_key():
     options = load_imperfections('laboratory', EXACT, TABLE, 7)
     assert options.true == TrueTable.drawn(
         TABLE,
@@ -383,19 +378,19 @@ WRONG = {
 
 
 @pytest.mark.parametrize('text', WRONG)
-def test_a_wrong_key_is_named(text: str) -> None:
+def test_a_wrong_key_is_named(text):
     with pytest.raises(InputError) as refused:
         read(text)
     assert WRONG[text] in str(refused.value)
 
 
-def test_a_hand_has_no_table() -> None:
+def test_a_hand_has_no_table():
     section = Section.parse('table: {zeros: 3 arcsec}', 'wrong.yaml')
     with pytest.raises(InputError, match='held by hand'):
         read_imperfections(section, EXACT, None, 0)
 
 
-def test_the_true_table_is_written_beside_the_described_one(tmp_path: Path) -> None:
+def test_the_true_table_is_written_beside_the_described_one(tmp_path):
     true = TrueTable.drawn(TABLE, TableSizes(zeros=1e-3, wobble=(1e-5, 0.0)), 5)
     true.save(tmp_path / 'true_table.yaml', TABLE)
     written = Section.load(tmp_path / 'true_table.yaml')
@@ -408,9 +403,7 @@ def test_the_true_table_is_written_beside_the_described_one(tmp_path: Path) -> N
     assert float(wobble['cos_1'].split()[0]) * ARCSEC == pytest.approx(cosine)
 
 
-def test_the_command_writes_both_truths_and_refuses_what_it_cannot_simulate(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_both_truths_and_refuses_what_it_cannot_simulate(tmp_path, capsys):
     wrong = tmp_path / 'wrong.yaml'
     wrong.write_text('table: {zeros: 30 arcsec}\nsamples: {lost: 1 %}\n', encoding='utf-8')
     stated = ('--imperfections', str(wrong), '--seed', '4')

@@ -2,7 +2,6 @@
 
 import sys
 from importlib.metadata import requires
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from imu_calib.model.parameters import PARAMETERS
 from imu_calib.simulation.repetition import Run, RunStatistics, repeat
 
 
-def test_the_outcome_depends_on_seeds_and_not_on_processes() -> None:
+def test_the_outcome_depends_on_seeds_and_not_on_processes():
     shown: list[tuple[int, int]] = []
     alone = repeat(study(), 4, seed=7, jobs=1, show=lambda *at: shown.append(at))
     together = repeat(study(), 4, seed=7, jobs=2)
@@ -25,13 +24,13 @@ def test_the_outcome_depends_on_seeds_and_not_on_processes() -> None:
     assert len(np.unique(alone.errors[:, 0])) == 4
 
 
-def test_what_is_refused_is_counted_and_left_out() -> None:
+def test_what_is_refused_is_counted_and_left_out():
     outcome = repeat(study('six_position'), 1, jobs=1)
     assert 'north' in outcome.refused[0].refusal
     assert len(outcome.errors) == 0
 
 
-def test_figures_are_those_of_the_errors() -> None:
+def test_figures_are_those_of_the_errors():
     rng = np.random.default_rng(1)
     errors = 2.0 + 3.0 * rng.standard_normal((2000, 24))
     runs = tuple(Run(k, PARAMETERS, row, np.full(24, 6.0)) for k, row in enumerate(errors))
@@ -43,7 +42,7 @@ def test_figures_are_those_of_the_errors() -> None:
     assert outcome.normalised == pytest.approx(errors / 6)
 
 
-def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_command_line(capsys, tmp_path):
     target = tmp_path / 'study.png'
     arguments = ['montecarlo', 'twelve_position', '--runs', '2', '--jobs', '1', '-o', str(target)]
     assert main(arguments) == 0
@@ -65,13 +64,8 @@ def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Non
     ],
 )
 def test_a_plot_that_cannot_be_drawn_is_refused_before_the_first_run(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    installed: bool,
-    name: str,
-    words: list[str],
-) -> None:
+    monkeypatch, capsys, tmp_path, installed, name, words
+):
     if not installed:
         monkeypatch.setitem(sys.modules, 'matplotlib', None)
     monkeypatch.setattr(repeating, 'repeat', lambda *_: pytest.fail('it runs'))
@@ -82,13 +76,13 @@ def test_a_plot_that_cannot_be_drawn_is_refused_before_the_first_run(
     assert not list(tmp_path.iterdir())
 
 
-def test_what_draws_is_an_extra_of_its_own() -> None:
+def test_what_draws_is_an_extra_of_its_own():
     extras = [r for r in requires('imu_calib') or [] if r.startswith('matplotlib')]
     assert {r.split('extra ==')[1].strip(' "\'') for r in extras} == {'plot', 'test', 'dev'}
 
 
 @pytest.mark.parametrize('plan', ['free_positions', 'six_position_by_hand'])
-def test_a_plan_in_the_hand_is_repeated(plan: str) -> None:
+def test_a_plan_in_the_hand_is_repeated(plan):
     found = imu_calib.montecarlo(plan, 'mems_counts', runs=4, seed=5)
     outcome = found.outcome
     assert not outcome.refused

@@ -44,11 +44,11 @@ def at_rest(rate: Floats, force: Floats, seconds: float) -> Floats:
     )
 
 
-def test_at_rest_it_stays_where_it_is() -> None:
+def test_at_rest_it_stays_where_it_is():
     assert np.abs(at_rest(np.zeros(3), np.zeros(3), 3600.0)).max() < 0.01
 
 
-def test_an_accelerometer_bias_swings_with_schuler_and_foucault() -> None:
+def test_an_accelerometer_bias_swings_with_schuler_and_foucault():
     # Britting 1971, section 8: z'' + 2 i W z' + w^2 z = b with W the vertical Earth rate.
     bias, w, vertical = 100 * MICRO_G, 2 * np.pi / SCHULER, EARTH_RATE * np.sin(LATITUDE)
     course = at_rest(np.zeros(3), np.array([bias, 0.0, 0.0]), 3600.0)
@@ -62,7 +62,7 @@ def test_an_accelerometer_bias_swings_with_schuler_and_foucault() -> None:
     assert np.abs(expected).max() > 1200.0
 
 
-def test_a_gyro_bias_runs_away_as_schuler_says() -> None:
+def test_a_gyro_bias_runs_away_as_schuler_says():
     # Titterton and Weston 2004, section 12.3: R e (t - sin(w t) / w), by a drift about north.
     drift, w = 0.01 * DEG_H, 2 * np.pi / SCHULER
     course = at_rest(np.array([0.0, drift, 0.0]), np.zeros(3), 2400.0)
@@ -77,7 +77,7 @@ def test_a_gyro_bias_runs_away_as_schuler_says() -> None:
 FLIGHT = Flight(seconds=480.0, straight=30.0, swinging=60.0)
 
 
-def test_from_sensors_without_error_it_comes_out_where_the_flight_did() -> None:
+def test_from_sensors_without_error_it_comes_out_where_the_flight_did():
     imu = replace(load_imu('fog_navigation'), units=Units.SI)
     block = flown(FLIGHT, imu, SensorModel(), 0, noise=False, bias_instability=False)
     errors = off(FLIGHT, block, [(block.gyro, block.accel)])[1]
@@ -88,7 +88,7 @@ def test_from_sensors_without_error_it_comes_out_where_the_flight_did() -> None:
     assert wrong.max() > 1.0
 
 
-def test_rates_and_forces_of_the_flight_are_those_of_its_course() -> None:
+def test_rates_and_forces_of_the_flight_are_those_of_its_course():
     t, h = np.array([20.0, 75.0, 100.0, 234.5, 350.0, 420.0]), 1e-3
     rate, force = FLIGHT.inputs(t)
     before, now, after = (FLIGHT.attitude(t + d) for d in (-h, 0.0, h))

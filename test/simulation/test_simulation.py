@@ -431,7 +431,7 @@ def test_specific_force_through_a_move_agrees_with_adaptive_quadrature():
     edges = np.array([0.2, 0.9, end])
     _, velocity = motion.increments(edges, SITE, np.zeros(3))
 
-    def force(time: float) -> Floats:
+    def force(time):
         angles = table.angles(np.array([time]))[0] + [0.4, 0, 0]
         chain = Rotation.from_euler('ZXZ', angles)
         return (Rotation.from_rotvec([0.01, -0.02, 0]) * chain).inv().apply([0, 0, 9.8])
@@ -517,7 +517,7 @@ def test_switching_one_noise_off_leaves_the_others_as_they_were():
     spec = ImuSpec('n', Units.SI, 100.0, TriadSpec(1.0, 1e-4, 1e-3), TriadSpec(1.0, 1e-3, 1e-2))
     motion = ideal_table().motion(10.0)
 
-    def gyro(**options) -> Floats:
+    def gyro(**options):
         imu = SimulatedImu(spec, SensorModel(), SITE, replace(IDEAL_IMU, **options), rng(5))
         return imu.advance(motion, 10.0).gyro - SITE.earth_rate
 
@@ -776,7 +776,7 @@ def test_hold_is_obeyed_however_old_its_stamp_is(age):
     assert table.advance(5.0).angles[0] < 90 * DEG
 
 
-def test_hardware_rests_until_a_setpoint_moves_it() -> None:
+def test_hardware_rests_until_a_setpoint_moves_it():
     unit = SimulatedUnit('', PULSES, SensorModel(), np.eye(3), (0.0, 0.0, 0.0), None)
     hardware = SimulatedHardware(THREE_AXIS, [unit], SITE, StandOptions(start_time=0), 0)
     rested = []

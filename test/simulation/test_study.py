@@ -39,7 +39,7 @@ def off(name: str) -> list[float]:
     return [5.0 * (name == other) for other in PARAMETER_NAMES]
 
 
-def test_each_cause_is_known_by_words_that_the_package_says() -> None:
+def test_each_cause_is_known_by_words_that_the_package_says():
     """A sentence that changes would else make right names silent."""
     package = (CHECKOUT / imu_calib.__name__).rglob('*.py')
     # Sentences of several lines as one.
@@ -51,7 +51,7 @@ def test_each_cause_is_known_by_words_that_the_package_says() -> None:
     assert re.search(CAUSES['accel_quadratic'], TERM)
 
 
-def test_the_causes_of_conditions_are_known() -> None:
+def test_the_causes_of_conditions_are_known():
     assert {c for one in CONDITIONS.values() for c in one.causes} <= set(CAUSES)
 
 
@@ -72,11 +72,11 @@ def test_the_causes_of_conditions_are_known() -> None:
         ({'condition': 'perfect', 'refused': 'Nothing.'}, 'refused'),
     ],
 )
-def test_an_error_is_named_by_its_own_cause_alone(session: dict[str, Any], word: str) -> None:
+def test_an_error_is_named_by_its_own_cause_alone(session, word):
     assert outcome(session) == word
 
 
-def test_a_wrong_name_counts_unless_the_right_one_stands_beside_it() -> None:
+def test_a_wrong_name_counts_unless_the_right_one_stands_beside_it():
     assert misnamed(row('accel_asymmetry', findings=[TERM])) == {'accel_quadratic'}
     assert misnamed(row('stamps late', findings=['At 3 s: its clock was set.'])) == {'clock set'}
     both = f'{TERM} accel_asymmetry would explain it as well.'
@@ -108,7 +108,7 @@ def test_a_wrong_name_counts_unless_the_right_one_stands_beside_it() -> None:
         pytest.param('lost 0.5 %', 'fog_navigation', 1, marks=pytest.mark.repeats),
     ],
 )
-def test_sessions_that_named_what_was_not_there(condition: str, grade: str, seed: int) -> None:
+def test_sessions_that_named_what_was_not_there(condition, grade, seed):
     found = session(grade, seed, condition)
     assert outcome(found) == 'honest'
     assert not misnamed(found), found['findings']
@@ -122,7 +122,7 @@ def off_by_60_arcsec() -> tuple[Setup, list[Block]]:
 
 
 @pytest.mark.parametrize('stated', [again(3), 10])
-def test_axes_further_off_than_is_stated_are_named_and_nothing_else(stated: int) -> None:
+def test_axes_further_off_than_is_stated_are_named_and_nothing_else(stated):
     """What was found could not be fitted, or was not looked for, and wobble was named instead."""
     setup, recorded = off_by_60_arcsec()
     assert setup.table is not None
@@ -137,7 +137,7 @@ def test_axes_further_off_than_is_stated_are_named_and_nothing_else(stated: int)
     assert f'the description of the table states {stated} arcsec' in finding
 
 
-def test_steps_of_encoders_do_not_limit_what_counters_know_of_turns() -> None:
+def test_steps_of_encoders_do_not_limit_what_counters_know_of_turns():
     """By lines through the readings K_gx came out 3.4 times as uncertain as with a fine encoder."""
     coarse, fine = (
         session('fog_navigation', 0, condition)

@@ -105,7 +105,7 @@ def chromium() -> Iterator[Any]:
 
 
 @pytest.fixture(scope='module')
-def browser() -> Iterator[Any]:
+def browser():
     """A browser for all tests of a file: to start one takes longer than to look at a page."""
     with ExitStack() as started:
         with processes.kept():
