@@ -1,7 +1,5 @@
 """Frames and arrays in place of recordings: the same bits, and refusals that say what to do."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`imu_calib.noise` and `imu-calib noise`: inputs, files, and the way there from `calibrate`."""
 
-from __future__ import annotations
-
 import csv
 import json
 import time

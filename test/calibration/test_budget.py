@@ -1,7 +1,5 @@
 """The uncertainty budget: what it adds up to, and each source against what it truly does."""
 
-from __future__ import annotations
-
 import copy
 import io
 from dataclasses import replace

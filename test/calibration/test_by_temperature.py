@@ -1,7 +1,5 @@
 """Calibrations by temperature: weights, doubts and refusals of a unit with few numbers, by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

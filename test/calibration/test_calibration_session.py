@@ -1,7 +1,5 @@
 """Whole sessions on the simulated stand: blocks in, 24 parameters out, against the truth put in."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

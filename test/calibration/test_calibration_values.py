@@ -1,7 +1,5 @@
 """A calibration file with one value changed: refused by its key, or sound in everything after."""
 
-from __future__ import annotations
-
 import copy
 import random
 import warnings

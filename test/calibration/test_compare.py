@@ -1,7 +1,5 @@
 """imu-calib compare: the same unit is the same, whatever its file says it in."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

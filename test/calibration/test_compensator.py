@@ -1,7 +1,5 @@
 """The stateful compensator: the same bits however its topics are cut and interleaved."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from typing import Any

@@ -3,8 +3,6 @@
 The formulas are written out once more here, in plain loops: nothing of the package predicts for it.
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """Exports: the consumer's own formula, on the file it reads, gives our compensated values."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

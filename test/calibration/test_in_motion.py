@@ -1,7 +1,5 @@
 """What motion adds to samples is taken off them, and what that leaves unknown is stated."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import cycle

@@ -1,7 +1,5 @@
 """A joint that turns opposite to its axis in the table's file, told from mirrored gyros."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """When samples go out, and at which temperature: the compensator's queues sample by sample."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """Noise of a unit at rest: coefficients, intervals and notes against noise made here."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -3,8 +3,6 @@
 When each was made is what the second simulator says; lines and readers are plain loops.
 """
 
-from __future__ import annotations
-
 import random
 from itertools import pairwise
 from typing import Any

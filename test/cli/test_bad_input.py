@@ -4,8 +4,6 @@ One good session is simulated; each test damages it and says what must come of i
 comes out, it is held to the truth: a damage that is not stated must not show in the numbers.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """I have a bag: an Imu topic of somebody's driver in the hand, and nobody says anything of it."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from datetime import datetime, timezone

@@ -14,8 +14,6 @@ with the recording, run for one of each kind of stream and one of each method; `
 compensated for one of each kind of stream.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

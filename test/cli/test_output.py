@@ -1,7 +1,5 @@
 """What programs get: one JSON document on stdout, whatever happens, and exit codes that say it."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

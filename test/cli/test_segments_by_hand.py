@@ -1,7 +1,5 @@
 """Holds and turns chosen by a person: `info` writes what was found, `calibrate` obeys the edit."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 docs/interoperability.md says what was seen, with the versions.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -17,7 +17,7 @@ import processes
 import pytest
 from ascii_controller import Controller, Servo
 from extent import again
-from loopback import environment, patience, start, until
+from loopback import isolate, patience, start, until
 from turntable_bench import PLAN
 from turntable_bench import TABLE as NIMBLE
 
@@ -232,8 +232,7 @@ class Bench:
 
 @pytest.fixture
 def bench(monkeypatch, request):
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    isolate(monkeypatch)
     bench = Bench()
     bench.open(*getattr(request, 'param', ()))
     yield bench
@@ -485,8 +484,7 @@ ros.run(Cut)
 
 
 def test_the_table_stops_when_the_context_is_gone_before_the_node(monkeypatch):
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    isolate(monkeypatch)
     controller = Controller()
     process = start(UNHEARD, '--ros-args', '-p', f'port:={controller.url}')
     assert until(lambda: controller.count('STATE') > 2), process.poll()
@@ -594,8 +592,7 @@ def test_what_was_wanted_before_the_line_was_open_moves_nothing(follower):
 
 @pytest.mark.parametrize('seconds', [3.0, again(30.0)])
 def test_a_node_that_hangs_moves_nothing_when_it_goes_on(monkeypatch, request, seconds):
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    isolate(monkeypatch)
     controller = Controller()
     words = ['--ros-args', '-p', f'port:={controller.url}', '-p', 'reply_timeout:=0.4']
     node = processes.start([sys.executable, '-m', 'imu_calib.live.nodes.ascii_table_node', *words])
@@ -630,8 +627,7 @@ def test_a_node_that_hangs_moves_nothing_when_it_goes_on(monkeypatch, request, s
 
 @pytest.mark.parametrize('port', ["''", 'socket://nowhere', 'http://127.0.0.1:80'])
 def test_a_port_that_cannot_be_is_refused_in_a_sentence(monkeypatch, port):
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    isolate(monkeypatch)
     ros.init(args=['--ros-args', '-p', f'port:={port}'])
     with pytest.raises(InputError, match='socket://host:port'):
         AsciiTableNode()
@@ -639,8 +635,7 @@ def test_a_port_that_cannot_be_is_refused_in_a_sentence(monkeypatch, port):
 
 
 def test_turntable_node_leads_a_plan_with_turns_through_lines_of_text(monkeypatch, tmp_path):
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    isolate(monkeypatch)
     (tmp_path / 'nimble.yaml').write_text(NIMBLE)
     (tmp_path / 'tiny.yaml').write_text(PLAN.replace('RATE deg/s', '700 deg/s, -700 deg/s'))
     # The servo goes by the clock, whose replies a busy machine lets lie. How well rates are held is

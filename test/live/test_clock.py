@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from loopback import environment, patience, start, until
+from loopback import environment, isolate, patience, start, until
 
 from imu_calib.common.stream import ImuBlock
 from imu_calib.live import middleware as ros
@@ -34,8 +34,7 @@ class Bench:
     """A calibrator_node and whoever keeps the time, in one thread."""
 
     def __init__(self, monkeypatch, folder):
-        for name, value in environment().items():
-            monkeypatch.setenv(name, value)
+        isolate(monkeypatch)
         given = {
             'use_sim_time': 'true',
             'latitude': '34.65',

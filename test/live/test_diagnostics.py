@@ -4,7 +4,7 @@ import ast
 
 import pytest
 import yaml
-from loopback import CHECKOUT, environment, until
+from loopback import CHECKOUT, isolate, until
 
 from imu_calib.cli.processes import free_port
 from imu_calib.live import middleware as ros
@@ -66,8 +66,7 @@ def test_the_aggregator_puts_every_part_into_one_group():
 
 @pytest.fixture
 def wire(monkeypatch, tmp_path):
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    isolate(monkeypatch)
     monkeypatch.chdir(tmp_path)
     heard = {}
 

@@ -1,7 +1,5 @@
 """Joint states as a table reports them: in its order, continuous, with rates; what is refused."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

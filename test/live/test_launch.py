@@ -8,7 +8,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 import yaml
-from loopback import CHECKOUT, environment
+from loopback import CHECKOUT, isolate
 
 from imu_calib.cli import dispatch, stand_session
 from imu_calib.common.files import version
@@ -27,8 +27,7 @@ NODES = [n for n in parameters.NODES if n != 'web_node' or find_spec('nicegui')]
 def declared(tmp_path_factory):
     """Start each node; return (default, description) of what it declares, by node and name."""
     with pytest.MonkeyPatch.context() as patched:
-        for name, value in environment().items():
-            patched.setenv(name, value)
+        isolate(patched)
         patched.chdir(tmp_path_factory.mktemp('nodes'))
         if find_spec('nicegui'):
             patched.setattr('imu_calib.live.web.page.Server', Unserved)

@@ -4,7 +4,7 @@ import compensator_bench
 import imu_bench
 import pytest
 from compensator_bench import block
-from loopback import CHECKOUT, environment, patience, start
+from loopback import CHECKOUT, environment, isolate, patience, start
 
 from imu_calib.live import middleware as ros
 from imu_calib.recordings.cdr_codec import encode_imu
@@ -151,8 +151,7 @@ def test_without_ros_a_node_that_nobody_can_activate_is_refused(name):
 
 
 def opened(monkeypatch, **parameters):
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    isolate(monkeypatch)
     bench = imu_bench.Bench()
     bench.open(**parameters)
     return bench

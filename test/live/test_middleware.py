@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from installed import missing
-from loopback import environment, patience, start, until
+from loopback import isolate, patience, start, until
 
 from imu_calib.common.errors import ImuCalibError
 from imu_calib.common.stream import ImuBlock
@@ -32,8 +32,7 @@ STEADY = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
 
 @pytest.fixture
 def domain(monkeypatch):
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    isolate(monkeypatch)
 
 
 @pytest.fixture

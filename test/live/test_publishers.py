@@ -6,7 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from loopback import environment, until
+from loopback import isolate, until
 
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.common.stream import Mode, Setpoint
@@ -95,8 +95,7 @@ def test_two_devices_end_a_session_whatever_their_topic_is_called(monkeypatch, t
     except ImuCalibError as error:
         pytest.skip(str(error))
     monkeypatch.setattr(ros, 'LEASE', 0.2)
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    isolate(monkeypatch)
     given = {
         'latitude': '34.65',
         'journal': tmp_path / 'journal',

@@ -8,7 +8,7 @@ from importlib.util import find_spec
 
 import pytest
 from installed import ROS, has_package, needs
-from loopback import CHECKOUT, environment, patience
+from loopback import CHECKOUT, environment, isolate, patience
 from ros_stands import LAUNCHABLE, Network, launch, nothing_left
 
 from imu_calib.cli.processes import free_port
@@ -105,8 +105,7 @@ def created(monkeypatch, tmp_path):
         from imu_calib.live import middleware as ros
     except ImuCalibError as error:
         pytest.skip(str(error))
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    isolate(monkeypatch)
     monkeypatch.chdir(tmp_path)
     seen = {}
     for kind, method in (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from live import Stand as Nodes
 from live import State, short_plan
-from loopback import environment, patience, until
+from loopback import isolate, patience, until
 
 import imu_calib
 from imu_calib.live import middleware as ros
@@ -71,8 +71,7 @@ def test_ctrl_c_before_the_stand_answers_stops_the_table(nodes, monkeypatch):
 
 
 def test_where_no_stand_answers_a_sentence_says_so(monkeypatch):
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    isolate(monkeypatch)
     with pytest.raises(imu_calib.InputError, match=r'No stand answers .* Check that it runs'):
         imu_calib.Stand(timeout=0.5)
 

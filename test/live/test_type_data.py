@@ -3,7 +3,7 @@
 import sys
 
 import pytest
-from loopback import environment, until
+from loopback import isolate, until
 
 from imu_calib.live import middleware as ros
 
@@ -84,8 +84,7 @@ def test_nothing_is_kept_where_bytecode_is_not(folder, monkeypatch, tmp_path):
 
 
 def test_messages_arrive_by_what_is_made_and_by_what_is_kept(folder, monkeypatch):
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    isolate(monkeypatch)
     topic_type.cache_clear()
     idl_type.cache_clear()
     got = []

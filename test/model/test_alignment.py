@@ -1,7 +1,5 @@
 """The angles between input axes, against a unit that is turned as a whole in plain loops."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The notebooks of docs/notebooks: they run, and print what is committed."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from contextlib import ExitStack

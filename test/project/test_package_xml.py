@@ -1,7 +1,5 @@
 """What the package needs is declared where rosdep reads it, in package.xml."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Recordings in all their forms give the same columns."""
 
-from __future__ import annotations
-
 import random
 import sqlite3
 import struct

@@ -1,7 +1,5 @@
 """The bulk decoder and encoder hold to what rosbags does message by message."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Chunks by what the summary of an mcap file says of them: exactly, or not at all."""
 
-from __future__ import annotations
-
 import pytest
 
 from imu_calib.recordings.mcap_records import (

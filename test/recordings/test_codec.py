@@ -1,7 +1,5 @@
 """Any of the zstd packages will do; none is missed before it is needed, or unpacks too much."""
 
-from __future__ import annotations
-
 import struct
 import tracemalloc
 

@@ -1,7 +1,5 @@
 """Input that cannot work gets a sentence; what is sound of a damaged recording is used."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

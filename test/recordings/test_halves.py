@@ -1,7 +1,5 @@
 """Gyros and accelerometers in rows or messages of their own, and rows out of their order."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

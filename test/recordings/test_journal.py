@@ -1,7 +1,5 @@
 """The journal of a session: what is written when, what is left of it, and what it goes on with."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The records of an mcap file: what is taken in of each kind, and what is refused."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

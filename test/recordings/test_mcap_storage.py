@@ -1,7 +1,5 @@
 """Where the messages of a chunk lie: by the index where it is sound, record by record elsewhere."""
 
-from __future__ import annotations
-
 import io
 import struct
 import tracemalloc

@@ -1,7 +1,5 @@
 """Topics in step with each other: which samples come when, block by block."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

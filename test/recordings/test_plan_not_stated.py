@@ -1,7 +1,5 @@
 """A recording that does not state its plan: what a refusal names, and what a report takes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -3,8 +3,6 @@
 docs/interoperability.md says what was seen, with the versions.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

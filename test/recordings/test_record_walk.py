@@ -1,7 +1,5 @@
 """Where the records of a chunk lie: one by one, and in runs of equal length."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The copy of a file that lies elsewhere: which bytes are asked for, and what lost answers do."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

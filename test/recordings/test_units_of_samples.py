@@ -1,7 +1,5 @@
 """Numbers that are neither whole nor SI: g, deg/s, and angles and velocities per sample."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

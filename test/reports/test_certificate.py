@@ -1,7 +1,5 @@
 """The certificate: what ISO/IEC 17025 asks for, printed with page numbers, and as a DCC."""
 
-from __future__ import annotations
-
 import base64
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Names that people state are text in every page, certificate and header that is written."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """The report: one file whose numbers are the calibration's, that asks nobody for anything."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

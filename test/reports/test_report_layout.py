@@ -1,7 +1,5 @@
 """The report as people look at it: on a phone, in the dark, on paper; a cube for each position."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The signals in the report: few means of any session, dwells and turns on them, enlarged."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The Allan variance against published values, and its fit against streams of known noise."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace

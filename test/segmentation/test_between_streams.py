@@ -1,7 +1,5 @@
 """What a session makes of motions, clocks and lost samples, one decision at a time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ideal import mean_of

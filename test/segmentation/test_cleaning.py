@@ -1,7 +1,5 @@
 """What of a dwell is sound, by windows whose sums and scatter are written down."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import sqrt
 from typing import Any

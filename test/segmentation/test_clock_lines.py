@@ -1,7 +1,5 @@
 """Offsets of two clocks by motions: lines with jumps, windows, and what gyros saw by cells."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from math import sqrt
 

@@ -1,7 +1,5 @@
 """Two clocks: turns that the table's has timed, and how well the two are compared."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

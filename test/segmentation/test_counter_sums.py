@@ -1,7 +1,5 @@
 """The weights on a counter's increments and the variances that they leave, by sums term by term."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

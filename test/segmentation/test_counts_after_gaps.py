@@ -1,7 +1,5 @@
 """Samples after gaps that hold the counts of lost ones: of drivers that difference a counter."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A dwell that is read: how long it is, what is left out of it, and why it is none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

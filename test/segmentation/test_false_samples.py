@@ -1,7 +1,5 @@
 """Single false samples, of failed reads and of flipped bits: they are missing ones, and said."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache

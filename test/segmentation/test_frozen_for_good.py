@@ -1,7 +1,5 @@
 """A unit that repeats one sample to the end of a recording: its bus or its driver froze."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

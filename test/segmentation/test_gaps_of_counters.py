@@ -1,7 +1,5 @@
 """Gaps of a counter filled one by one in a plain loop; walks by the likelihood of blocks."""
 
-from __future__ import annotations
-
 from math import inf, sqrt
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Streams as they come in: rows in order, what is dropped, temperatures and the ends of ranges."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Rests and motions of joints, by a loop over their readings."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Names of rests and turns by setpoint and by joint angles, and what has no name."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

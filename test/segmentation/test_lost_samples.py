@@ -1,7 +1,5 @@
 """What lost samples counted, by least squares and chances written out."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

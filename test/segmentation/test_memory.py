@@ -1,7 +1,5 @@
 """A live session is held in the memory of its longest rest, however long it goes on."""
 
-from __future__ import annotations
-
 import copy
 import gc
 import tracemalloc

@@ -1,7 +1,5 @@
 """Steps of a motion by sums over its samples, and which samples are of which move."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Names for what the IMU alone saw: rests by the order of the plan, whole turns by the gyros."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

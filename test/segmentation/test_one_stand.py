@@ -1,7 +1,5 @@
 """A table of one joint with a unit on it, sample by sample: what of it is found, and when."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """What is read of whole turns: each figure against the samples and the angles around their cuts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import sqrt
 from typing import Any

@@ -1,7 +1,5 @@
 """Sessions without a plan, and rests that a plan does not name: joint states tell the attitudes."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Readings of a joint that jump: its encoder is homed anew, or slips by degrees."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from itertools import pairwise

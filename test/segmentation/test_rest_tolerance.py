@@ -1,7 +1,5 @@
 """How far a rest may stray and what gyros read in it, window by window."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

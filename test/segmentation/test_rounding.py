@@ -1,7 +1,5 @@
 """Samples in SI units that are rounded more coarsely than their noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import erf, exp, pi, sqrt
 

@@ -1,7 +1,5 @@
 """When samples were made, what lost ones counted, and which were none."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Segments, turns and moves as values: variances, scale and time, worked out channel by channel."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """The pieces of segmentation on hand-made arrays."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Whole sessions at the edge of what tables and units send."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Clocks that are set back within a session: stamps that go on, and stamps that stay."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

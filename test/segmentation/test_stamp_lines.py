@@ -1,7 +1,5 @@
 """Lines through stamps: of one segment, and through the segments of a session; figures by hand."""
 
-from __future__ import annotations
-
 from math import inf, isinf, sqrt
 
 import numpy as np

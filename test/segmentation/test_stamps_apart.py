@@ -1,7 +1,5 @@
 """Stamps far from when samples were made: queues, clocks seconds apart; samples that freeze."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from functools import cache

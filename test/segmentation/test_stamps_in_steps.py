@@ -1,7 +1,5 @@
 """Stamps of a clock that advances in steps as long as a sample interval: 15.6 ms on Windows."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise

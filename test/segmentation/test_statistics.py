@@ -1,7 +1,5 @@
 """The statistics of a static dwell, by plain sums over its samples."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

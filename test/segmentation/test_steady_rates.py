@@ -1,7 +1,5 @@
 """Whole turns at constant rate, found from encoders of all kinds on ramps of all kinds."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import replace

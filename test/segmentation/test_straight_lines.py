@@ -1,7 +1,5 @@
 """Plateaus by lines through encoder angles: each figure of a line against sums over its angles."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import sqrt
 from typing import Any

@@ -1,7 +1,5 @@
 """What a refusal says of the stream; samples out of order; accelerations without gravity."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Values that no user means, from files and on the command line: one sentence, no traceback."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

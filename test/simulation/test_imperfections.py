@@ -1,7 +1,5 @@
 """The imperfect simulator: against plain loops that share no code with it, and closed forms."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

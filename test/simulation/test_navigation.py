@@ -1,7 +1,5 @@
 """The navigator of benchmarks/navigation.py against what is known of inertial navigation."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

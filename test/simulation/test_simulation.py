@@ -1,7 +1,5 @@
 """The simulated hardware against hand-worked cases and independent numerical integration."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

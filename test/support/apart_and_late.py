@@ -1,7 +1,5 @@
 """A unit of `other_world` whose accelerometers are apart and answer late."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

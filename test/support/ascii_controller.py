@@ -1,7 +1,5 @@
 """Controllers of a table on a socket, which speak the protocol of docs/tables.md."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import threading

@@ -1,7 +1,5 @@
 """Recordings for tests, written by rosbags, and small tools to damage them."""
 
-from __future__ import annotations
-
 from itertools import chain
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Messages of a running stand as its pages and terminals take them."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from types import SimpleNamespace
 

@@ -11,8 +11,6 @@ elsewhere at each position; each accelerometer is somewhere within centimetres o
 all answer some milliseconds late.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property

@@ -1,7 +1,5 @@
 """What a browser makes of a page: measured in Chromium, where there is one."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A program in C around the exported header: samples in, compensated ones out."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Calibrations that no session gave: of known units, with skew, at a temperature."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

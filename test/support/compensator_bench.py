@@ -1,10 +1,8 @@
 """compensator_node between a source and a sink."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from loopback import environment, until
+from loopback import isolate, until
 from sessions import truth
 
 from imu_calib.common.stream import ImuBlock
@@ -27,8 +25,7 @@ class Bench:
     """A compensator_node between a source and a sink, in one thread."""
 
     def __init__(self, monkeypatch, reliable=True, topic='imu/pulses', **parameters):
-        for name, value in environment().items():
-            monkeypatch.setenv(name, value)
+        isolate(monkeypatch)
         words = [w for k, v in parameters.items() for w in ('-p', f'{k}:={v}')]
         # A recorder that is to miss nothing.
         overrides = 'qos_overrides./imu/data_raw.publisher'

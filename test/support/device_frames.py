@@ -1,7 +1,5 @@
 """Frames of IMUs as bytes: of the simulated one, and by the makers' documents."""
 
-from __future__ import annotations
-
 import binascii
 import itertools
 import os

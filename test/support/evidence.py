@@ -1,7 +1,5 @@
 """Sessions on an ideal table as the segmentation gives them, by the sensor model alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -6,8 +6,6 @@ is worked out here in the simplest way: a large catalogue is there at once, and 
 is known.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Sessions by hand for tests and benchmarks: holds spread evenly, or by the shortest turns."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 

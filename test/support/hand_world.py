@@ -3,8 +3,6 @@
 Attitudes are matrices that body axes turn by; every sample is worked out from its middle.
 """
 
-from __future__ import annotations
-
 import math
 import random
 from dataclasses import dataclass

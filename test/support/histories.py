@@ -1,7 +1,5 @@
 """Made-up sessions of units for the tests of histories: plain loops over a model of scatter."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sessions as a method sees them, from outputs that a test computes itself: no streams."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

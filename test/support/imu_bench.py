@@ -1,14 +1,12 @@
 """imu_node between a device on a socket and a listener on the wire."""
 
-from __future__ import annotations
-
 import socket
 import threading
 import time
 
 import pytest
 from device_frames import frame
-from loopback import environment, patience, until
+from loopback import isolate, patience, until
 
 from imu_calib.live import middleware as ros
 from imu_calib.live.nodes import qos
@@ -127,8 +125,7 @@ class Bench:
 
 @pytest.fixture
 def bench(monkeypatch):
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    isolate(monkeypatch)
     bench = Bench()
     yield bench
     if bench.node is not None:

@@ -1,7 +1,5 @@
 """A running stand for the tests: real processes, simulated hardware, and ears on the loopback."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

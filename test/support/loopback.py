@@ -1,7 +1,5 @@
 """Every test of the middleware on the loopback interface and on a domain of its own."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -30,6 +28,12 @@ def environment(**more: str) -> dict[str, str]:
         'XDG_STATE_HOME': tempfile.mkdtemp(dir=_state.name),
         **more,
     }
+
+
+def isolate(monkeypatch):
+    """Keep a test of nodes in this process to itself."""
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
 
 
 def start(code: str, *arguments: str, **environ: str) -> subprocess.Popen[str]:

@@ -1,7 +1,5 @@
 """A MEMS unit in the hand: thirty holds, and holds as the segmentation gives them."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A cheap unit without a data sheet in the hand, whose holds may sway."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sessions of `other_world`, fed to the package: two units, and what is true of them."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

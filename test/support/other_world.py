@@ -5,8 +5,6 @@ once more, sample by sample, so that a mistake that the package makes twice show
 seconds from the start. East, north, up; R = Rz(azimuth + outer) Rx(middle) Rz(inner).
 """
 
-from __future__ import annotations
-
 import math
 import random
 from collections.abc import Iterator

@@ -6,8 +6,6 @@ waits for this one to end, however it ends (`kill -9` too), and ends what is mar
 elsewhere nothing is found and nothing is said.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

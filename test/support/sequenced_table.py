@@ -1,7 +1,5 @@
 """The sequencer and the simulated table, joined as by the node."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

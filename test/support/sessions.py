@@ -1,7 +1,5 @@
 """Simulated sessions for the tests: the hardware-level simulation straight into the calibrator."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator

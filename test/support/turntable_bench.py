@@ -1,7 +1,5 @@
 """turntable_node with a simulated table and a person, on one executor or two processes."""
 
-from __future__ import annotations
-
 import math
 import os
 import time
@@ -9,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from loopback import environment, start, until
+from loopback import isolate, start, until
 
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import JointBlock, Mode, Setpoint
@@ -290,8 +288,7 @@ class Session:
 
 @pytest.fixture
 def session(tmp_path, monkeypatch):
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
+    isolate(monkeypatch)
     session = Session(tmp_path)
     yield session
     for process in session.processes:

@@ -1,7 +1,5 @@
 """Sessions of `units_world`, solved by the package: each unit by itself."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

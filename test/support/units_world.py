@@ -4,8 +4,6 @@ R = Rz(azimuth + outer) Rx(middle) Rz(inner) in east, north, up, on a base that 
 that has moved stands off what its encoder reads until it moves again. SI units.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
