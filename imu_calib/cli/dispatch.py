@@ -8,7 +8,6 @@ import io
 import re
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from copy import copy
 from importlib import import_module
 from itertools import pairwise
@@ -79,7 +78,7 @@ _NEGATIVE = re.compile(r'-\.?\d')  #: Start of a negative value; no option begin
 
 
 class _WrongUsage(Exception):
-    """A command line that its parser refuses, with the message; its usage was printed."""
+    """A command line that its parser refuses, with the message."""
 
     def __init__(self, command: str, text: str) -> None:
         super().__init__(text)
@@ -144,13 +143,23 @@ class _Parser(argparse.ArgumentParser):
         return super().format_help()
 
     def error(self, message: str) -> NoReturn:
-        """Print the usage, unless one option's value is wrong, and raise the error."""
-        of_one = message.removeprefix('argument ')
-        if of_one == message:
-            # Of Python 3.10: later ones do not miss it on a full disk.
-            with suppress(OSError):
-                self.print_usage(sys.stderr)
-        raise _WrongUsage(self.prog.removeprefix('imu-calib').strip(), of_one)
+        """Raise the error; where words are missing, with the shortest line that has them."""
+        text = message.removeprefix('argument ')
+        missing = message.removeprefix(_MISSING)
+        if missing != message:
+            required = [
+                f'{action.option_strings[-1]} {name}' if action.option_strings else name
+                for action in self._actions
+                if action.required
+                for name in [str(action.metavar or action.dest.upper())]
+            ]
+            are = 'are' if ', ' in missing else 'is'
+            usage = f'{self.prog} {" ".join(required)} [options]; --help lists all'
+            text = f'{missing} {are} missing: {usage}'
+        raise _WrongUsage(self.prog.removeprefix('imu-calib').strip(), text)
+
+
+_MISSING = 'the following arguments are required: '  #: As argparse begins its message.
 
 
 def _in_a_line(action: argparse.Action, formatter: argparse.HelpFormatter) -> argparse.Action:

@@ -94,5 +94,7 @@ def add_scheduler_option(parser: argparse._ActionsContainer) -> None:
 def add_bag(parser: argparse.ArgumentParser) -> None:
     """Add the recording that a command reads."""
     parser.add_argument(
-        'bag', help='folder of rosbag2, one .mcap or .db3 file, or a URL of one (s3://...)'
+        'bag',
+        metavar='BAG',
+        help='folder of rosbag2, one .mcap or .db3 file, or a URL of one (s3://...)',
     )

@@ -506,8 +506,15 @@ def test_wrong_usage_ends_with_2():
         command, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[2]
     )
     assert done.returncode == 2
-    assert 'usage: imu-calib calibrate' in done.stderr
+    assert 'BAG is missing: imu-calib calibrate BAG [options]' in done.stderr
     assert 'Traceback' not in done.stderr
+
+
+def test_verify_without_calibration_names_the_option(cli: CommandLine) -> None:
+    code, text = cli('verify', 'bag', 'calibration.yaml')
+    assert code == 2
+    assert '--calibration is missing: imu-calib verify BAG --calibration FILE [options]' in text
+    assert len(text.splitlines()) <= 2
 
 
 @pytest.mark.parametrize(
