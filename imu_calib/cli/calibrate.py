@@ -20,7 +20,7 @@ from ..common.files import require, write_by, write_whole
 from ..common.units import HOUR
 from ..recordings.remote import located
 from ..reports.assessment import summary
-from ..reports.budget import budget_tables
+from ..reports.budget import budget_sources, budget_tables
 from ..reports.noise import COLUMNS, noise_page, noise_rows, noise_tables
 from ..reports.provenance import verdict_line
 from ..reports.side_by_side import comparison_tables, table_estimate
@@ -81,7 +81,7 @@ def run_several(arguments: argparse.Namespace) -> CommandResult:
     judged = _judged(found) if arguments.specification else {}
     _show_units(found, judged, verbose=arguments.verbose)
     if arguments.budget:
-        _show_budgets(found)
+        _show_budgets(found, verbose=arguments.verbose)
     OUTPUT.print(f'\n{len(files)} of {len(found.units)} units written to {folder}')
     return _outcome(found, judged, files)
 
@@ -145,11 +145,13 @@ def _state(unit: UnitResult) -> str:
     )
 
 
-def _show_budgets(found: UnitResults) -> None:
+def _show_budgets(found: UnitResults, *, verbose: bool) -> None:
     for unit in found.units:
         if unit.result is not None:
             OUTPUT.print(f'\nUncertainty budget of {unit.serial_number}', style='bold')
             print_parts(budget_tables(unit.result.calibration))
+            if verbose:
+                print_parts(['', *budget_sources(unit.result.calibration)])
 
 
 def _outcome(
@@ -248,10 +250,9 @@ def run_calibrate(arguments: argparse.Namespace) -> CommandResult:
     judged = arguments.specification
     result = calibrated(arguments.bag, options.stated(arguments), progress_bar, to_be_judged=judged)
     result.calibration.save(path)
-    show_calibration(result.calibration, verbose=arguments.verbose)
-    if arguments.budget:
-        OUTPUT.print('\nUncertainty budget', style='bold')
-        print_parts(budget_tables(result.calibration))
+    show_calibration(result.calibration, verbose=arguments.verbose, budget=arguments.budget)
+    if arguments.budget and arguments.verbose:
+        print_parts(['', *budget_sources(result.calibration)])
     found = conformity(result) if judged else None
     if found is not None:
         print_text(summary(found.assessed))

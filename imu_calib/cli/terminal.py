@@ -231,13 +231,17 @@ _NOTES = 5
 
 
 def show_calibration(
-    calibration: Calibration, truth: Calibration | None = None, *, verbose: bool
+    calibration: Calibration,
+    truth: Calibration | None = None,
+    *,
+    verbose: bool,
+    budget: bool = False,
 ) -> None:
     """Print the parameters, the data and the verdict; with `verbose` all that the file holds."""
     # Loaded here: most commands show no calibration.
     from ..reports.provenance import details, overview
 
-    print_parts(overview(calibration, truth))
+    print_parts(overview(calibration, truth, budget=budget))
     if verbose:
         print_parts(details(calibration, truth))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 from textwrap import fill
@@ -23,7 +23,7 @@ from .plain_table import plain_table
 _LEAST = 0.005
 """A source below half a percent of every variance has no column: it would be shown as zero."""
 
-_COLUMNS = 80
+_COLUMNS = 100
 """Characters of a line on a terminal."""
 _NAME = 9
 """Characters of the longest name of a parameter."""
@@ -80,6 +80,7 @@ class _Shown:
     rows: NDArray[np.intp]  #: (p,) their indices in the calibration.
     budget: Budget  #: Of all parameters, by the sources that concern the shown ones.
     wide: NDArray[np.bool_]  #: (k,) which sources have a separate column.
+    values: Floats  #: Of all parameters.
     by_hand: bool  #: Whether the unit was held by hand, for the units shown.
 
     @classmethod
@@ -90,7 +91,7 @@ class _Shown:
         concerned = [line for line in budget.lines if np.any(line.std[rows] > 0)]
         budget = Budget(tuple(concerned))
         wide = np.any(budget.fractions[:, rows] > _LEAST, axis=1)
-        return cls(parameters, rows, budget, wide, calibration.by_hand)
+        return cls(parameters, rows, budget, wide, calibration.values, calibration.by_hand)
 
     @property
     def sources(self) -> list[ErrorSource]:
@@ -111,18 +112,22 @@ class _Shown:
         return np.array(columns).T
 
     def expanded_rows(self) -> Iterator[list[str]]:
-        """Yield parameter, std, degrees of freedom, k, expanded uncertainty, unit."""
+        """Yield parameter, value, std, degrees of freedom, k, expanded uncertainty, unit."""
         budget = self.budget
-        columns = (budget.std, budget.freedom, budget.coverage_factor, budget.expanded)
+        columns = (
+            *(self.values, budget.std, budget.freedom),
+            *(budget.coverage_factor, budget.expanded),
+        )
         for parameter, *values in zip(
             self.parameters, *(c[self.rows] for c in columns), strict=True
         ):
-            std, freedom, factor, expanded = (float(v) for v in values)
+            value, std, freedom, factor, expanded = (float(v) for v in values)
             shown = engineering(parameter, by_hand=self.by_hand)
             std, expanded = std / shown.scale, expanded / shown.scale
             places = decimals(std)
             yield [
                 parameter.name,
+                f'{value / shown.scale:.{places}f}',
                 f'{std:.{places}f}',
                 freedom_words(freedom),
                 f'{factor:.2f}',
@@ -131,7 +136,7 @@ class _Shown:
             ]
 
 
-_EXPANDED = ('parameter', 'std', 'dof', 'k', f'U {PROBABILITY:.0%}', 'unit')
+_EXPANDED = ('parameter', 'value', 'std', 'dof', 'k', f'U {PROBABILITY:.0%}', 'unit')
 
 
 def freedom_words(value: float) -> str:
@@ -153,22 +158,24 @@ def _percent(fraction: float) -> str:
 
 
 def budget_tables(calibration: Calibration) -> list[Table | str]:
-    """Return the tables and lines of a budget for a terminal of 80 columns.
-
-    The expanded uncertainties, then the shares of the variances, then the meaning of the columns.
-    """
+    """Return the parameters with their expanded uncertainties and the shares of the sources."""
     if calibration.budget is None:
         return [_NONE]
     shown = _Shown.select(calibration, calibration.budget)
-    parts: list[Table | str] = [
-        plain_table(_EXPANDED, 'lrrrrl', shown.expanded_rows()),
-        f"U {PROBABILITY:.0%}: std times k, Student's t for dof degrees of freedom",
-        '\nShare of each source in the variance, percent',
-        *_share_tables(shown),
-        '',
+    return [
+        *_share_tables(shown, [[*r[:3], *r[-2:]] for r in (_EXPANDED, *shown.expanded_rows())]),
+        f"U {PROBABILITY:.0%}: std times k, Student's t. Other columns: share of each source in "
+        'the variance in percent (`verbose` lists the sources).',
     ]
+
+
+def budget_sources(calibration: Calibration) -> list[str]:
+    """Return the meaning of the columns of a budget, a source each."""
+    if calibration.budget is None:
+        return []
+    shown = _Shown.select(calibration, calibration.budget)
     width = max(len(h) for h in ('source', *shown.headings))
-    parts.append(f'{"source":{width}} type  dof')
+    parts = [f'{"source":{width}} type  dof']
     for line, wide in zip(shown.budget.lines, shown.wide, strict=True):
         heading = line.source.heading if wide else 'other'
         freedom = _range(line.freedom[shown.rows], line.std[shown.rows])
@@ -177,19 +184,26 @@ def budget_tables(calibration: Calibration) -> list[Table | str]:
     return parts
 
 
-def _share_tables(shown: _Shown) -> list[Table | str]:
-    """Return the shares, in as many tables as 80 columns require."""
+def _share_tables(shown: _Shown, first: Sequence[Sequence[str]]) -> list[Table | str]:
+    """Return the first columns and the shares, in as many tables as a screen's columns require."""
     headings, fractions = shown.headings, shown.fractions
-    ends = np.cumsum([max(4, len(h)) + 2 for h in headings])
+    taken = sum(2 + max(map(len, column)) for column in zip(*first, strict=True))
     found: list[Table | str] = []
-    first = before = 0
-    while first < len(headings):
-        last = int(np.searchsorted(ends, before + _COLUMNS - _NAME, side='right'))
-        some, first, before = slice(first, last), last, int(ends[last - 1])
-        part = plain_table(['parameter', *headings[some]], 'l' + 'r' * len(headings[some]))
-        for parameter, row in zip(shown.parameters, fractions, strict=True):
-            part.add_row(parameter.name, *(_percent(float(f)) for f in row[some]))
+    begin = 0
+    while begin < len(headings):
+        ends = taken + np.cumsum([max(4, len(h)) + 2 for h in headings[begin:]])
+        some = slice(begin, begin + int(np.searchsorted(ends, _COLUMNS, side='right')))
+        names, *rest = zip(*first, strict=True)
+        part = plain_table(
+            [names[0], *(c[0] for c in rest), *headings[some]],
+            'l' + 'rrrl'[: len(rest)] + 'r' * len(headings[some]),
+            no_wrap=True,
+        )
+        for cells, row in zip(first[1:], fractions, strict=True):
+            part.add_row(*cells, *(_percent(float(f)) for f in row[some]))
         found.append(part)
+        begin, first = some.stop, [cells[:1] for cells in first]
+        taken = _NAME
     return found
 
 
@@ -221,7 +235,7 @@ def budget_parts(calibration: Calibration, budget: Budget, words: str) -> list[s
         [
             escape(expanded[0]),
             *(_percent(float(f)) for f in shares),
-            *(escape(typeset(cell)) for cell in expanded[1:]),
+            *(escape(typeset(cell)) for cell in expanded[2:]),
         ]
         for expanded, shares in zip(shown.expanded_rows(), shown.fractions, strict=True)
     ]
@@ -240,7 +254,7 @@ def budget_parts(calibration: Calibration, budget: Budget, words: str) -> list[s
         'effective degrees of freedom (JCGM 100:2008, G.4). Type A is evaluated from the scatter '
         'of the session, type B from what is stated.'
     )
-    headings = ['', *(f'{h}, %' for h in shown.headings), *_EXPANDED[1:]]
+    headings = ['', *(f'{h}, %' for h in shown.headings), *_EXPANDED[2:]]
     return [
         paragraph(note, 'note'),
         table(['source', 'type', 'dof', 'what it is'], sources, 'budget numbers stacked', 'llrl'),

@@ -13,6 +13,7 @@ from ..common.finding import is_warning
 from ..common.units import DEG, DEG_H, MICRO_G, PPM, counted, decimals, significant
 from ..model.earth import MEASURED, VAGUE
 from ..session.imu import TRIAD_NAMES, Coefficient
+from .budget import budget_tables
 from .charts import tag
 from .html import named_rows, table
 from .plain_table import plain_table
@@ -432,12 +433,17 @@ _LETTERS = (
 """Explanation of the symbols to people who calibrate a unit in the hand."""
 
 
-def overview(calibration: Calibration, truth: Calibration | None = None) -> Iterator[Table | str]:
+def overview(
+    calibration: Calibration, truth: Calibration | None = None, *, budget: bool = False
+) -> Iterator[Table | str]:
     """Yield the parameters, what they mean in the hand, the data used and the verdict.
 
-    The truth of a simulation adds the errors in standard deviations.
+    The truth of a simulation adds the errors in standard deviations, `budget` the sources of them.
     """
-    yield parameter_table(calibration, truth)
+    if not budget or calibration.budget is None:
+        yield parameter_table(calibration, truth)
+    if budget:
+        yield from budget_tables(calibration)
     if calibration.by_hand:
         yield _LETTERS
     if changes := change_rows(calibration):

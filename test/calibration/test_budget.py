@@ -35,7 +35,7 @@ from imu_calib.estimation.solution import Solution
 from imu_calib.model.earth import Site
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel
-from imu_calib.reports.budget import _share_tables, budget_section, budget_tables
+from imu_calib.reports.budget import _share_tables, budget_section, budget_sources, budget_tables
 from imu_calib.session.metadata import describe, described_site
 from imu_calib.session.table import load_table
 from imu_calib.session.table_errors import LEVELLED, clock_share
@@ -500,37 +500,40 @@ def recording(tmp_path, monkeypatch):
     return 'bag'
 
 
-def test_the_screen_shows_the_budget_in_80_columns(recording, tmp_path, capsys):
+def test_the_screen_shows_the_budget_in_40_lines(recording, tmp_path, capsys):
     options = ['--height', '520', '--latitude-std', '0.1']
     assert main(['calibrate', recording, '--budget', '-o', 'c.yaml', *options]) == 0
-    budget = capsys.readouterr().out.partition('Uncertainty budget')[2].partition('\nNotes\n')[0]
-    shown = budget.splitlines()
-    assert max(map(len, shown)) <= 80
+    shown = capsys.readouterr().out.splitlines()
+    assert len(shown) <= 40
+    assert max(map(len, shown)) <= 100
     found = Calibration.load(tmp_path / 'c.yaml')
     assert found.provenance['latitude_std_deg'] == pytest.approx(0.1)
-    k_ax = [line.split() for line in shown if line.startswith('K_ax')]
-    expanded, shares = k_ax
-    assert float(expanded[4]) == pytest.approx(found.budget.expanded[K_A[0]] / PPM, abs=0.5)
-    headings = next(line for line in shown if line.startswith('parameter  noise')).split()
-    percent = dict(zip(headings[1:], shares[1:], strict=True))
-    assert float(percent['gravity']) > 90
-    assert any(line.split()[:3] == ['gravity', 'B', 'inf'] for line in shown)
+    (k_ax,) = [line.split() for line in shown if line.startswith('K_ax')]
+    row = dict(zip(shown[0].replace('U 95%', 'U').split(), k_ax, strict=True))
+    assert float(row['U']) == pytest.approx(found.budget.expanded[K_A[0]] / PPM, abs=0.5)
+    assert float(row['value']) == pytest.approx(found.values[K_A[0]] / PPM, abs=0.5)
+    assert float(row['gravity']) > 90
     assert any(line.startswith('U 95%: std times k') for line in shown)
+    assert main(['calibrate', recording, '--budget', '--verbose', '-o', 'c.yaml']) == 0
+    whole = capsys.readouterr().out.splitlines()
+    assert any(line.split()[:3] == ['gravity', 'B', 'inf'] for line in whole)
     assert main(['calibrate', recording, '-o', 'c.yaml']) == 0
-    assert 'Uncertainty budget' not in capsys.readouterr().out
+    assert 'U 95%' not in capsys.readouterr().out
 
 
-def test_columns_of_all_sources_keep_to_80_letters():
+def test_columns_of_all_sources_keep_to_100_letters():
     names = [source.heading for source in ErrorSource]
     shares = np.full((2, len(names)), 0.01)
-    shown: Any = SimpleNamespace(headings=names, fractions=shares, parameters=PARAMETERS[:2])
-    tables = _share_tables(shown)
-    seen = [str(column.header) for table in tables for column in table.columns[1:]]
-    assert seen == names
+    shown: Any = SimpleNamespace(headings=names, fractions=shares)
+    first = [['parameter', 'value'], ['K_gx', '12345.6'], ['K_gy', '0.1']]
+    tables = _share_tables(shown, first)
+    seen = [str(column.header) for table in tables for column in table.columns]
+    assert [name for name in seen if name not in first[0]] == names
+    assert seen.count('value') == 1
     for table in tables:
         written = io.StringIO()
         Console(width=200, file=written).print(table)
-        assert max(map(len, written.getvalue().splitlines())) <= 80
+        assert max(map(len, written.getvalue().splitlines())) <= 100
 
 
 def test_free_positions_tell_noise_pulses_and_what_trembles():
@@ -549,12 +552,13 @@ def test_what_concerns_no_estimated_parameter_has_no_row_and_no_column():
     whole = made('six_position', 'six_position')
     of_gyros = [p.triad == 'g' for p in whole.parameters]
     covariance = np.where(np.outer(of_gyros, of_gyros), whole.covariance, np.nan)
-    tables = budget_tables(replace(whole, covariance=covariance))
+    gyros_alone = replace(whole, covariance=covariance)
+    tables = budget_tables(gyros_alone)
     headings = [
         str(c.header) for table in tables if isinstance(table, Table) for c in table.columns
     ]
     assert 'noise' in headings and 'gravity' not in headings
-    assert not any('gravity at the site' in line for line in tables if isinstance(line, str))
+    assert not any('gravity at the site' in line for line in budget_sources(gyros_alone))
 
 
 def test_a_method_that_does_not_tell_says_so():
