@@ -227,7 +227,7 @@ def add_calibrate_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--budget',
         action='store_true',
-        help='show the sources of the uncertainty of each parameter',
+        help='show the sources of the uncertainty of each parameter; with --verbose what they are',
     )
     parser.add_argument(
         '--specification',

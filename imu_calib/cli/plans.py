@@ -43,10 +43,7 @@ if TYPE_CHECKING:
 # Prediction of a plan on the terminal: standard deviations, terms, and the shortest dwells.
 
 
-_ON_A_TABLE = (
-    'Predicted standard deviations; those of the joint estimate are the smallest possible '
-    '(Cramer-Rao bound).'
-)
+_ON_A_TABLE = 'Predicted standard deviations. No estimate has smaller ones than joint (Cramer-Rao).'
 _IN_THE_HAND = (
     'Predicted standard deviations by the noise, for turns of two seconds, each about one axis.'
 )
@@ -101,13 +98,13 @@ def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel)
     wanted = dict(_parted(text) for text in arguments.reach)
     reached = shortest(setup, truth, wanted, arguments.scheduler)
     _show_forecast(reached.forecast, reached.wanted)
-    rows = plain_table(('position', 'dwell, s', 'instead of'), 'lrr')
-    for position in reached.plan.positions:
-        before = setup.plan.position(position.id).dwell
-        if before:
-            rows.add_row(position.id, f'{position.dwell:.0f}', f'{before:.0f}')
+    dwells = [
+        f'{position.id}: {position.dwell:.0f} ({before:.0f})'
+        for position in reached.plan.positions
+        if (before := setup.plan.position(position.id).dwell)
+    ]
     OUTPUT.print()
-    OUTPUT.print(rows)
+    print_text(f'Dwell in s at each position (that of the plan): {", ".join(dwells)}.')
     if setup.table is not None:
         show_time(reached.plan, setup.table)
 

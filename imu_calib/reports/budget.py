@@ -165,7 +165,7 @@ def budget_tables(calibration: Calibration) -> list[Table | str]:
     return [
         *_share_tables(shown, [[*r[:3], *r[-2:]] for r in (_EXPANDED, *shown.expanded_rows())]),
         f"U {PROBABILITY:.0%}: std times k, Student's t. Other columns: share of each source in "
-        'the variance in percent (`verbose` lists the sources).',
+        'the variance, percent.',
     ]
 
 

@@ -325,7 +325,9 @@ def test_command_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert '0.079' in shown  # D_gx, deg/h: 0.05 deg/sqrt(h) over 12 stretches of two minutes
     assert '35.8 min' in shown
     assert main([*arguments, '--method', 'joint', '--reach', 'D_gx=0.1 deg/h']) == 0
-    assert 'dwell, s' in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert 'Dwell in s at each position (that of the plan): 1: ' in shown
+    assert len(shown.splitlines()) <= 40
     assert main([*arguments, '--reach', 'D_gx=1 ppm']) == 2
     assert main([*arguments, '--reach', 'Q_gx=1 ppm']) == 2
     assert main(['plans', '--reach', 'D_gx=0.1 deg/h']) == 2
