@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.table import Table as Rows
 
-from ..api.files import output_path
+from ..api.files import new_folder, output_path, removed_on_failure
 from ..api.session import Drifting
 from ..api.simulate import (
     TRUTH,
@@ -25,7 +25,7 @@ from ..api.simulate import (
 from ..calibration.views import empty_figure
 from ..common.errors import InputError
 from ..common.files import write_by
-from ..common.units import decimals
+from ..common.units import counted, decimals
 from ..model.parameters import engineering
 from ..reports.plain_table import plain_table
 from ..session.keywords import AtSite, Numbered, Solved
@@ -46,6 +46,12 @@ def add_simulate_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('-o', '--output', required=True, metavar='DIR', help='folder to create')
     parser.add_argument('--imu', metavar='NAME|FILE', help=f'default: {_IMU}')
     options.add_imus_option(parser)
+    parser.add_argument(
+        '--units',
+        type=int,
+        metavar='N',
+        help='write N recordings, each of a unit of its own, with the next seed',
+    )
     options.add_statements(parser, Simulation)
     options.add_statements(parser, Numbered)
     options.add_statements(parser, AtSite)
@@ -57,6 +63,9 @@ def run_simulate(arguments: argparse.Namespace) -> None:
         _run_several(arguments)
         return
     arguments.imu = arguments.imu or _IMU
+    if arguments.units is not None:
+        _run_each(arguments)
+        return
     done = simulate(
         arguments.plan,
         arguments.output,
@@ -66,8 +75,32 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     _say(done, f'the true parameters to {done.path / TRUTH}')
 
 
+def _run_each(arguments: argparse.Namespace) -> None:
+    """Write a recording for each of --units: serial numbers make the units differ."""
+    count, first, folder = arguments.units, arguments.seed, new_folder(arguments.output)
+    if count < 1:
+        raise InputError(f'--units: found {count}, expected 1 or more.')
+    if arguments.serial is not None:
+        raise InputError('--serial names one unit, and --units numbers several: leave one out.')
+    with removed_on_failure(folder):
+        folder.mkdir()
+        for k in range(count):
+            arguments.serial = f'unit_{k + 1:0{len(str(count))}d}'
+            arguments.seed = first + k
+            simulate(
+                arguments.plan,
+                folder / arguments.serial,
+                **options.keywords(simulate, arguments),
+                progress=progress_bar,
+            )
+    OUTPUT.print(
+        f'{counted(count, "recording")} written to {folder}, each of another unit, with its true '
+        f'parameters in {TRUTH}'
+    )
+
+
 def _run_several(arguments: argparse.Namespace) -> None:
-    options.refuse_with_imus(arguments, 'imu', 'serial')
+    options.refuse_with_imus(arguments, 'imu', 'serial', 'units')
     done = simulate_units(
         arguments.plan,
         arguments.output,

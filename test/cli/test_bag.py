@@ -285,6 +285,20 @@ def test_a_simulated_session_has_the_date_and_the_temperature_that_are_stated(tm
     assert not (tmp_path / 'b').exists()
 
 
+def test_several_simulated_units_differ(tmp_path, capsys):
+    words = ['simulate', 'free_positions', '-o', str(tmp_path / 'a'), '--units', '2']
+    assert main(words) == 0
+    made = sorted((tmp_path / 'a').iterdir())
+    assert [folder.name for folder in made] == ['unit_1', 'unit_2']
+    first, second = (Calibration.load(folder / 'truth.yaml').values for folder in made)
+    assert np.any(np.abs(first - second) > 0.01 * np.abs(first))
+    assert imu_calib.calibrate(made[1]).calibration.serial_number == 'unit_2'
+    for other in (['--serial', '7'], ['--imus', 'units.yaml'], ['--units', '0']):
+        assert main([*words[:3], str(tmp_path / 'b'), *words[4:], *other]) == 2
+    capsys.readouterr()
+    assert not (tmp_path / 'b').exists()
+
+
 def test_an_interrupted_simulation_leaves_nothing_behind(tmp_path, monkeypatch):
     written = RecordingWriter.write
     calls = []
