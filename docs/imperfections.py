@@ -380,12 +380,6 @@ What happens once in a session, or to samples and clocks, was tried with a secon
 (`test/support/other_world`): twelve positions of 12 to 30 s, one to three seeds each, which is no
 study; units of consumer, industrial and navigation grade. Not honest yet:
 
-- a consumer unit (0.3 deg/√h) that moves by 100 arcsec in its mount, or an encoder that slips by as
-  much: this is called positioning errors of 26 arcsec, or a step of 36 arcsec at another time, and
-  E is off by up to 8 standard deviations; finer units name it
-- a block on isolators that turns with the force, by 10 arcsec/g: it is called attitude errors of
-  the whole table, or a drift of accelerometers; the standard deviations allow for it, and no error
-  is beyond 3.5 of them. By 60 arcsec/g a misalignment of a consumer unit was off by 11
 - single samples that repeat the one before while the table moves, 0.1 % of them: on a
   navigation-grade unit `size_effect` was found, by chance once in 10^6; no parameter is off
 - stamps slewed by 50 ppm for 30 % of a session: what is stamped meanwhile is left out, and a
@@ -400,9 +394,10 @@ beyond 2.5 standard deviations:
 
 - a unit that freezes for good, in a turn, a move or a dwell, also one without noise or of coarse
   counts; what came before is calibrated, or the refusal begins with it
-- a unit of industrial or navigation grade that moves by 100 arcsec in its mount between two
-  positions, or the readings of the middle or inner joint that step by as much; 48 sessions without,
-  on four kinds of tables, name none
+- a unit that moves by 100 arcsec in its mount between two positions, or the readings of the middle
+  or inner joint that step by as much; 48 sessions without, on four kinds of tables, name none
+- a block on isolators that turns with the force, by 60 arcsec/g, and by 10 arcsec/g under a unit of
+  navigation grade; coarser units do not show these 10, and no parameter is off
 - an encoder that is homed anew by 5 deg (parameters were off by hundreds of deviations), and a
   joint whose sign is stated wrongly
 - a crystal that warms by 5 or 20 ppm (K_g was off by 6 deviations), a sample rate that changes by 1

@@ -53,6 +53,11 @@ accelerometers and dwells resolve, and small enough for the covariance to be inv
 _FREE_STEP = 1 * DEG
 """The same of attitudes that step: far more than a unit in its mount moves unseen."""
 
+_LARGEST_STEP = 5 * ARCMIN
+"""Largest useful size of such a step, or turn by 1 g: 0.15 mm across a mount of 100 mm. With an arc
+minute steps of 100 arcsec of consumer units were not tested where accelerometers see them badly,
+but elsewhere: misalignments were off by up to 27 deviations."""
+
 _SHARE = 0.5
 """Largest share of the degrees of freedom of its outputs that a family may take. A judgement: at
 least as many remain to show their scatter."""
@@ -202,10 +207,10 @@ def _stepping(ideal: Equations, state: Floats) -> tuple[Pattern, ...]:
     evidence, steps = ideal.evidence, steps_of(ideal)
     assert evidence.table is not None
     errors = step_errors(steps, evidence.segments, evidence.turns, evidence.table)
-    columns = ideal.attitude_error_effects(state, *errors) * _LARGEST_TABLE_ERROR
-    ends = np.cumsum([3 if step.joint is None else 1 for step in steps])[:-1]
+    columns = ideal.attitude_error_effects(state, *errors) * _LARGEST_STEP
+    ends = np.cumsum([step.columns for step in steps])[:-1]
     parts = np.split(columns, ends, axis=1)
-    return tuple((part, np.full(part.shape[1], _LARGEST_TABLE_ERROR)) for part in parts)
+    return tuple((part, np.full(part.shape[1], _LARGEST_STEP)) for part in parts)
 
 
 def _changing(ideal: Equations, family: Family, derivatives: Floats, shape: float) -> Pattern:

@@ -430,8 +430,10 @@ def _significant(
             )
         )
         if family.of_attitudes:
-            seen = float(np.linalg.norm(score.estimate))
             steps = _likely_steps(*views[k], found[-1], score)
+            # By force, a matrix: the largest turn by any direction of it.
+            turned = score.estimate.reshape(3, 3) if steps[0].by_force else score.estimate
+            seen = float(np.linalg.norm(turned, 2))
             found[-1] = replace(found[-1], seen=seen, steps=steps)
         model = start.with_found(found)
         try:

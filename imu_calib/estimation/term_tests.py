@@ -321,8 +321,14 @@ def _step_sentence(found: SignificantFamily, chance: str, search: SearchResult) 
     """Return a sentence on attitudes that step against the joints' readings."""
     evidence = search.estimate.equations.evidence
     step, parts = found.steps[0], in_time(evidence.segments, evidence.turns)
-    before, after = parts[step.before - 1 : step.before + 1]
     size = f'{significant(found.seen / ARCSEC, 3)} arcsec'
+    if step.by_force:
+        return (
+            f'The unit turns in its mount with the force on it, by {size} per g, {chance}: this is '
+            'estimated, and the misalignments are those without force. Take it off its isolators, '
+            'or fasten it, and record again.'
+        )
+    before, after = parts[step.before - 1 : step.before + 1]
     where = (
         f'between {at(before.end)} and {at(after.start)} (position {before.position} to '
         f'{after.position}), {chance}'

@@ -1,4 +1,4 @@
-"""Attitudes that step once in a session: a unit loose in its mount, an encoder that slipped."""
+"""Attitudes against the readings: a unit loose in its mount or on isolators, a slipping encoder."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import other_sessions
 import pytest
 import yaml
 from extent import again
-from other_sessions import EPOCH, MEDIUM, NAVIGATION, errors, fed, recorded
-from other_world import DEG, Unit, Vector, World, schedule
+from other_sessions import EPOCH, MEDIUM, MICRO_G, NAVIGATION, errors, fed, recorded
+from other_world import DEG, Unit, Vector, World, sample_integrals, schedule
 
 from imu_calib.common.config import Section
 from imu_calib.common.files import named_file
@@ -23,7 +23,15 @@ MOTIONS = [motion for motion in schedule(SHORT) if motion.way]
 INSTANT = MOTIONS[15].start + 0.5  #: In a move between two dwells.
 ARCSEC = DEG / 3600
 TURNED = 100 * ARCSEC * np.array([0.56, -0.37, 0.74])
-UNITS = {'medium': MEDIUM, 'navigation': NAVIGATION, 'rates': replace(MEDIUM, counts=True)}
+CONSUMER = replace(
+    MEDIUM,
+    gyro_walk=0.3 * DEG / 60,
+    accel_walk=80 * MICRO_G,
+    gyro_pulse=0.004 * DEG,
+    accel_pulse=100 * MICRO_G,
+    counts=True,
+)
+UNITS = {'consumer': CONSUMER, 'medium': MEDIUM, 'navigation': NAVIGATION}
 
 
 @pytest.fixture(scope='module')
@@ -40,14 +48,26 @@ def seconds_of(stamp: Floats) -> Floats:
 
 def loose(imu: ImuBlock, unit: Unit, turned: Vector | Floats) -> ImuBlock:
     """A unit that turns in its mount by small angles within a tenth of a second."""
-    time = seconds_of(imu.stamp)
-    later, during = time > INSTANT, (time > INSTANT) & (time <= INSTANT + 0.1)
+    done = np.clip((seconds_of(imu.stamp) - INSTANT) / 0.1, 0.0, 1.0)
+    return moving(imu, unit, done[:, None] * turned)
+
+
+def on_isolators(imu: ImuBlock, unit: Unit, by: float) -> ImuBlock:
+    """A unit whose weight is beside its isolators: it turns about across that and gravity."""
+    forces = [pushed for _, pushed, *_ in sample_integrals(SHORT, unit.rate, 0.0)]
+    up = np.array(forces) * unit.rate / SHORT.gravity
+    return moving(imu, unit, np.cross(by * np.array([0.7, -0.5, 0.51]), up))
+
+
+def moving(imu: ImuBlock, unit: Unit, turned: Floats) -> ImuBlock:
+    """A unit that is turned in its mount by small angles (n, 3)."""
     new = []
     for values, pulse in ((imu.gyro, unit.gyro_pulse), (imu.accel, unit.accel_pulse)):
-        true = values - np.cross(turned, values) * later[:, None]
+        true = values - np.cross(turned, values)
         if values is imu.gyro:
             # Of counts, which are rates, each sample is a hundredth of a second.
-            true[during] += np.asarray(turned) / pulse / during.sum() * (100 if unit.counts else 1)
+            per_sample = 100 / pulse if unit.counts else 1 / pulse
+            true += np.diff(turned, axis=0, prepend=turned[:1]) * per_sample
         # A counter goes on from the part of a pulse that it holds; rates are rounded one by one.
         total = np.floor(np.cumsum(true, axis=0) + 0.5)
         new.append(np.rint(true) if unit.counts else np.diff(total, axis=0, prepend=0))
@@ -61,7 +81,7 @@ def slipped(joints: JointBlock, joint: int, angle: float) -> JointBlock:
 
 
 @pytest.mark.parametrize('exact', [True, again(False)])
-@pytest.mark.parametrize('grade', ['medium', again('navigation')])
+@pytest.mark.parametrize('grade', ['consumer', again('medium'), again('navigation')])
 @pytest.mark.parametrize(
     ('joint', 'words'),
     [
@@ -92,3 +112,25 @@ def test_it_is_named_with_the_time_and_estimated(
     (sentence,) = [one for one in found.findings if 'the misalignments are those before it' in one]
     assert re.search(words, sentence)
     assert not [one for one in found.findings if 'positioning errors of' in one]
+
+
+@pytest.mark.parametrize(
+    ('grade', 'by'),
+    [('consumer', 60 * ARCSEC), ('navigation', 10 * ARCSEC), again('medium', 60 * ARCSEC)],
+)
+def test_a_unit_that_turns_with_the_force_is_named(grade, by, undescribed, monkeypatch) -> None:
+    """It was called a quadratic term, with D_a off by 26 deviations, or attitude errors."""
+    unit = UNITS[grade]
+
+    def blocks(world: World, unit: Unit, seed: int) -> tuple[JointBlock, ImuBlock]:
+        of_table, of_imu = recorded(world, unit, seed)
+        return of_table, on_isolators(of_imu, unit, by)
+
+    monkeypatch.setattr(other_sessions, 'recorded', blocks)
+    found = fed(SHORT, unit, find_terms=True, table=undescribed).finish().calibration
+    assert np.abs(errors(found, unit)).max() < 4.5
+    assert not found.parameters[24:]
+    (sentence,) = [f for f in found.findings if 'turns in its mount with the force on it' in f]
+    said = re.search('by ([0-9.]+) arcsec per g', sentence)
+    assert said and float(said[1]) * ARCSEC == pytest.approx(by, rel=0.15)
+    assert not [f for f in found.findings if 'errors of' in f]
