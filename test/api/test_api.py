@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from loopback import CHECKOUT
+from sessions import brief_plan
 
 import imu_calib
 from imu_calib.api import simulate as repeating
@@ -38,11 +38,7 @@ SITE = ('--latitude', '34.65')
 def folder(tmp_path_factory):
     """A plan of short dwells, its recording and its result."""
     folder = tmp_path_factory.mktemp('api')
-    text = Path(CHECKOUT, 'config/plans/twelve_position.yaml').read_text(encoding='utf-8')
-    text = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[')
-    lines = ['dwell: 3.0 s\n' if row.startswith('dwell:') else row for row in text.splitlines(True)]
-    (folder / 'brief.yaml').write_text(''.join(lines), encoding='utf-8')
-    imu_calib.simulate(folder / 'brief.yaml', folder / 'bag', seed=3, latitude=34.65)
+    imu_calib.simulate(brief_plan(folder / 'brief.yaml'), folder / 'bag', seed=3, latitude=34.65)
     return folder
 
 

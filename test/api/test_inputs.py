@@ -1,11 +1,11 @@
 """Frames and arrays in place of recordings: the same bits, and refusals that say what to do."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from sessions import brief_plan
 
 import imu_calib
 from imu_calib.api.files import recording_at
@@ -122,11 +122,9 @@ def test_a_calibration_knows_the_frame_it_was_made_of(frame):
 
 
 def test_a_frame_joined_of_several_topics_gives_the_bits_of_a_table(tmp_path):
-    text = Path('config/plans/twelve_position.yaml').read_text(encoding='utf-8')
-    rows = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[').splitlines(True)
-    plan = tmp_path / 'brief.yaml'
-    plan.write_text(''.join('dwell: 3.0 s\n' if r.startswith('dwell:') else r for r in rows))
-    imu_calib.simulate(plan, tmp_path / 'bag', seed=3, latitude=34.65)
+    imu_calib.simulate(
+        brief_plan(tmp_path / 'brief.yaml'), tmp_path / 'bag', seed=3, latitude=34.65
+    )
     held = {name: topic.to_dataframe() for name, topic in imu_calib.read(tmp_path / 'bag').items()}
     joined = held['/imu/pulses'].join(held['/turntable/joint_states'], how='outer')
     found = imu_calib.calibrate(joined, imu='fog_medium', latitude=34.65)

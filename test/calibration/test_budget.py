@@ -15,7 +15,7 @@ from mems_by_hand import result as by_hand
 from rich.console import Console
 from rich.table import Table
 from scipy.signal import lfilter
-from sessions import LATITUDE, at_one_rate, calibrate, quick_plan, session, stand, truth
+from sessions import LATITUDE, at_one_rate, brief_plan, calibrate, quick_plan, session, stand, truth
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.thermal import read_calibration
@@ -493,9 +493,7 @@ def written() -> dict[str, Any]:
 @pytest.fixture
 def recording(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    text = named_file('plans', 'twelve_position').read_text()
-    text = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[')
-    (tmp_path / 'short.yaml').write_text(text.replace('dwell: 120 s', 'dwell: 6 s'))
+    brief_plan(tmp_path / 'short.yaml', 6.0)
     assert main(['simulate', './short.yaml', '-o', 'bag', '--latitude', '34.65']) == 0
     return 'bag'
 

@@ -9,14 +9,13 @@ import pytest
 from bag_files import IMU, STORE, TEMPERATURES, session, timeline, write_with_rosbags
 from calibrations import point
 from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin
-from sessions import truth
+from sessions import brief_plan, truth
 
 import imu_calib
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.compensator import Compensator
 from imu_calib.calibration.thermal import combine
 from imu_calib.cli.main import main
-from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, Units
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import Kind, encode_imu, encode_rates
@@ -229,9 +228,7 @@ def test_the_calibration_of_another_serial_number_is_refused(tmp_path, capsys):
 
 def test_a_compensated_recording_is_read_as_what_it_is(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    text = named_file('plans', 'twelve_position').read_text()
-    text = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[')
-    (tmp_path / 'short.yaml').write_text(text.replace('dwell: 120 s', 'dwell: 5 s'))
+    brief_plan(tmp_path / 'short.yaml', 5.0)
     site = ['--latitude', '34.65', '--gravity', '9.797']
     assert main(['simulate', './short.yaml', '-o', 'bag', '--seed', '3', *site]) == 0
     assert main(['compensate', 'bag', '--calibration', 'bag/truth.yaml', '-o', 'out']) == 0

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 from loopback import CHECKOUT
+from sessions import brief_plan
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.dispatch import COMMANDS as COMMANDS_OF_ALL
 from imu_calib.cli.main import main
-from imu_calib.common.files import named_file
 from imu_calib.common.finding import is_warning, without_label
 
 LINES, COLUMNS = 40, 100
@@ -23,11 +23,9 @@ LINES, COLUMNS = 40, 100
 def folder(tmp_path_factory):
     """Two sessions of one unit on a table, one in the hand, and their calibrations."""
     folder = tmp_path_factory.mktemp('sessions')
-    text = named_file('plans', 'twelve_position').read_text().replace('dwell: 120', 'dwell: 20')
-    # The fastest turns alone.
-    (folder / 'short.yaml').write_text(re.sub(r'rates: \[.*, (.*, .*)\]', r'rates: [\1]', text))
-    for name, plan in (('a', folder / 'short.yaml'), ('b', folder / 'short.yaml')):
-        words = [str(plan), '-o', str(folder / name), '--seed', str(ord(name))]
+    plan = str(brief_plan(folder / 'short.yaml', 20.0))
+    for name in 'ab':
+        words = [plan, '-o', str(folder / name), '--seed', str(ord(name))]
         assert main(['simulate', *words]) == 0
         file = str(folder / f'{name}.yaml')
         assert main(['calibrate', str(folder / name), '-o', file]) == 0

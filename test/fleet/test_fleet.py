@@ -20,6 +20,7 @@ from buckets import put, served
 from dask_cluster import Cluster
 from installed import needs_modules
 from loopback import CHECKOUT, SUPPORT, patience, until
+from sessions import brief_plan
 
 import imu_calib
 from imu_calib.cli.main import main
@@ -43,11 +44,7 @@ NOW = datetime(2026, 3, 1, 12, tzinfo=timezone.utc)
 def recordings(tmp_path_factory):
     """Two short sessions of two units, the first twice under two names, and one that is none."""
     folder = tmp_path_factory.mktemp('recordings')
-    plan = folder / 'brief.yaml'
-    text = Path(named_file('plans', 'twelve_position')).read_text('utf-8')
-    text = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[')
-    lines = ['dwell: 3.0 s\n' if row.startswith('dwell:') else row for row in text.splitlines(True)]
-    plan.write_text(''.join(lines), encoding='utf-8')
+    plan = brief_plan(folder / 'brief.yaml')
     for name, seed in (('a', 1), ('b', 2)):
         imu_calib.simulate(plan, folder / name, seed=seed, latitude=34.65, serial=f'S{seed}')
     shutil.copytree(folder / 'a', folder / 'deeper' / 'again')

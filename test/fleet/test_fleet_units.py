@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from installed import needs_modules
+from sessions import brief_plan
 
 import imu_calib
 from imu_calib.cli.main import main
@@ -31,11 +32,7 @@ NOBODY = '  - {serial_number: A3, imu: my_imu.yaml, topic: top/imu/pulses}\n'
 def folder(tmp_path_factory):
     """A short session of two units, and files that list them: the second with one more."""
     folder = tmp_path_factory.mktemp('several')
-    plan = folder / 'brief.yaml'
-    text = named_file('plans', 'twelve_position').read_text('utf-8')
-    text = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[')
-    lines = ['dwell: 3.0 s\n' if row.startswith('dwell:') else row for row in text.splitlines(True)]
-    plan.write_text(''.join(lines), encoding='utf-8')
+    plan = brief_plan(folder / 'brief.yaml')
     of_type = named_file('imus', 'fog_medium').read_text('utf-8')
     (folder / 'my_imu.yaml').write_text(of_type)
     (folder / 'units.yaml').write_text(SIMULATED)

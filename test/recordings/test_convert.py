@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bag_files import T0, bag_of_ros_1, imu_recording
-from loopback import CHECKOUT
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
+from sessions import brief_plan
 
 import imu_calib
 from imu_calib.cli.main import main
@@ -37,11 +37,8 @@ def converted(path: Path, **stated: str) -> imu_calib.Columns:
 
 
 def test_a_session_as_a_text_file_gives_what_its_recording_gives(tmp_path):
-    text = Path(CHECKOUT, 'config/plans/twelve_position.yaml').read_text(encoding='utf-8')
-    text = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[')
-    write(tmp_path / 'brief.yaml', text.replace('dwell: 120 s', 'dwell: 3 s'))
     words = {'imu': 'si', 'truth': 'mems_counts', 'seed': 5, 'latitude': 34.65}
-    imu_calib.simulate(tmp_path / 'brief.yaml', tmp_path / 'bag', **words)  # type: ignore[arg-type]
+    imu_calib.simulate(brief_plan(tmp_path / 'brief.yaml'), tmp_path / 'bag', **words)
     topics = imu_calib.read(tmp_path / 'bag')
     imu = next(t for t in topics.values() if 'angular_velocity.x' in t.columns)
     joints = topics['/turntable/joint_states']

@@ -15,12 +15,12 @@ from bag_files import KINDS, assert_same, read, session, storage_file, timeline,
 from buckets import put, served
 from installed import needs_modules
 from rosbags.rosbag2 import StoragePlugin
+from sessions import brief_plan
 
 import imu_calib
 from imu_calib.api.inspect import topics
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
-from imu_calib.common.files import named_file
 from imu_calib.fleet.recordings import Job, find_jobs
 from imu_calib.recordings import remote as remote_copy
 from imu_calib.recordings import remote as retries
@@ -30,19 +30,14 @@ from imu_calib.session.keywords import Stated
 
 needs_modules('s3fs')
 
-BRIEF = {'dwell: 120 s': 'dwell: 2 s', '[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ': '['}
-"""Of the twelve positions: a session of two minutes."""
-
 
 @pytest.fixture(scope='module')
 def lab(tmp_path_factory):
     """A session here, in all storages, and a bucket with the same."""
     here = tmp_path_factory.mktemp('here')
-    text = named_file('plans', 'twelve_position').read_text('utf-8')
-    for whole, brief in BRIEF.items():
-        text = text.replace(whole, brief)
-    (here / 'brief.yaml').write_text(text, encoding='utf-8')
-    imu_calib.simulate(here / 'brief.yaml', here / 'rec', seed=1, latitude=34.65, serial='S1')
+    imu_calib.simulate(
+        brief_plan(here / 'brief.yaml', 2.0), here / 'rec', seed=1, latitude=34.65, serial='S1'
+    )
     shutil.copy(storage_file(here / 'rec'), here / 'one.mcap')
     rows = timeline(session())
     write_with_rosbags(here / 'lite', rows, StoragePlugin.SQLITE3)

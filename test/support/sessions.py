@@ -62,6 +62,14 @@ def quick_plan(name: str, dwell: float) -> Plan:
     return replace(plan, positions=tuple(replace(p, dwell=dwell) for p in plan.positions))
 
 
+def brief_plan(path: Path, dwell: float = 3.0) -> Path:
+    """Write the twelve positions with short dwells and the fastest pair of rates to a file."""
+    text = named_file('plans', 'twelve_position').read_text('utf-8')
+    text = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[')
+    path.write_text(text.replace('dwell: 120 s', f'dwell: {dwell} s'), 'utf-8')
+    return path
+
+
 def at_one_rate(plan: Plan) -> Plan:
     """The plan with the last pair of its rates alone: the fastest, a third of the time or less."""
 
