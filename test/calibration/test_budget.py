@@ -150,7 +150,6 @@ def loaded(plan: str = 'twelve_position', heading: float = 0.0) -> Evidence:
 
 
 def std_of(solution: Solution, source: ErrorSource) -> Floats:
-    assert solution.shares is not None
     return np.sqrt(np.diag(solution.shares[source].covariance))
 
 

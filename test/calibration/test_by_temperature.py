@@ -79,7 +79,6 @@ def test_between_two_what_is_known_of_both_is_kept():
 def test_a_session_without_a_clock_goes_by_the_stamps_own():
     clock = StampingClock('imu', 'table', 4e-5, 3e-6)
     found = combine([replace(brick_at(0.0), clock=clock), brick_at(10.0)], ['a', 'b']).at(2.5).clock
-    assert found is not None
     assert found.faster == pytest.approx(0.75 * 4e-5)
     assert found.std == pytest.approx(0.75 * 3e-6)
 

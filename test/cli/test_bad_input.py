@@ -889,7 +889,6 @@ def test_another_table(cli, recorded, table):
 def others(columns: Columns, names: tuple[str, ...], every: int = 50) -> Columns:
     """Put joint states of something else between those of the table."""
     joints = columns[JOINTS]
-    assert isinstance(joints, JointBlock)
     stamp = joints.stamp[::every] + 1_000_000
     nonsense = np.full((len(stamp), len(names)), 7.0)
     return {**columns, f'{JOINTS}+': JointBlock(stamp, names, nonsense, nonsense)}
@@ -906,7 +905,6 @@ def test_joint_states_of_others_on_the_tables_topic(cli, of_good, names):
 
 def test_further_joints_in_another_order(cli, of_good):
     joints = good().columns[JOINTS]
-    assert isinstance(joints, JointBlock)
     names = ('gripper', *reversed(joints.names))
     columns = [
         np.column_stack([np.full(len(joints), 3.0), part[:, ::-1]])

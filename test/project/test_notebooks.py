@@ -24,8 +24,6 @@ SHOWN = 2
 
 def script() -> ModuleType:
     spec = importlib.util.spec_from_file_location('run_notebooks', FOLDER / 'run.py')
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

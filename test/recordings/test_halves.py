@@ -37,7 +37,6 @@ def apart(nothing: float) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize('nothing', [0.0, np.nan])
 def test_rows_of_one_sensor_are_told_from_those_of_both(nothing):
     found = halves(*apart(nothing))
-    assert found is not None
     assert (
         found[0].tolist() == (AT % 2 == 0).tolist() and found[1].tolist() == (AT % 2 == 1).tolist()
     )

@@ -120,10 +120,8 @@ def test_log_times_that_scatter_do_not_change_the_order_of_stamps(kind, tmp_path
 def test_parts_in_order_are_read_in_the_order_of_the_file():
     starts = np.array([10, 20, 20, 35])
     found = time_order(starts, starts + 12)
-    assert found is not None
     assert found.tolist() == [0, 1, 2, 3]
     found = time_order(np.array([50, 60, 10, 20]), np.array([60, 70, 20, 30]))
-    assert found is not None
     assert found.tolist() == [2, 3, 0, 1]
 
 

@@ -201,7 +201,6 @@ def test_a_session_shows_the_noise_that_was_put_in_and_no_other():
         assert channel.timed is (name[0] == 'a')
         assert channel.document() == document[name]
     table = noise_table(result.calibration)
-    assert table is not None
     stated = ' '.join(str(cell) for column in table.columns for cell in column.cells)
     assert '0.05 deg/sqrt(h)' in stated and '0.012 (m/s)/sqrt(h)' in stated
 

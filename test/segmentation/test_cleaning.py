@@ -211,7 +211,6 @@ def shocked(
 @pytest.mark.parametrize('axis', [0, 1])
 def test_a_turn_that_tilts_is_a_shift(axis):
     found = shocked(0.5, axis).mount_shift
-    assert found is not None
     assert (found.start, found.stop) == (750, 800)
     assert found.angle == pytest.approx(0.5, rel=1e-6)
     for tilt, shifted in ((0.51, True), (0.49, False), (0.0, False), (-1.0, False)):
@@ -220,7 +219,6 @@ def test_a_turn_that_tilts_is_a_shift(axis):
 
 def test_a_turn_about_up_tilts_nothing():
     found = shocked(0.5, 2).mount_shift
-    assert found is not None
     assert found.angle == pytest.approx(0.5, rel=1e-6)
 
 
@@ -232,12 +230,10 @@ def test_few_windows_beside_it_do_not_tell_a_tilt():
 
 def test_shocks_with_one_quiet_window_between_are_one():
     found = shocked(0.6, 0, 1.0, (12, 14)).mount_shift
-    assert found is not None
     assert (found.start, found.stop) == (600, 750)
     assert found.angle == pytest.approx(0.6, rel=1e-6)
     # With two between the first one is it.
     found = shocked(0.6, 2, 1.0, (12, 15)).mount_shift
-    assert found is not None
     assert (found.start, found.stop) == (600, 650)
     assert found.angle == pytest.approx(0.3, rel=1e-6)
 
@@ -328,7 +324,6 @@ def test_the_largest_step_is_that_of_the_best_cut(seed, walk):
     rows[:, 2] = rng.uniform(0.0, 0.3, len(rows))
     rows[2 + seed // 2 :, 0] += 3.0 * (-1) ** seed
     found = _largest_step(rows, walk)
-    assert found is not None
     got = (found.score, found.cut, found.size, found.square_about_levels, found.square_about_line)
     assert got == pytest.approx(largest_by_hand(rows, walk))
 
@@ -359,7 +354,6 @@ def test_the_channel_with_the_clearest_step_is_named():
     rows[4] = blocks_of([0, 0, 2, 2, 2, 2])
     many = Statistics(1, 0, 1.0, NONE, NONE, NONE, NONE, tuple(rows), NONE, NONE)
     found = find_step(many, np.full(6, 0.01))
-    assert found is not None
     assert found[0] == pytest.approx((10.0, 30.0))
     assert found[1].startswith('the mean of ay')
 
@@ -534,10 +528,8 @@ def test_of_a_turn_without_its_tilt_what_is_about_up_counts():
     both = np.array([0.0, 0.04, 0.03])
     # a x f is (0.04, 0, 0): the force tilts by -0.04 along x.
     whole = shift({20: both}, -0.04)
-    assert whole is not None
     assert whole.angle == pytest.approx(0.05)
     part = shift({20: both}, 0.0)
-    assert part is not None
     assert part.angle == pytest.approx(0.03)
 
 

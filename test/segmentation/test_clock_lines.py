@@ -194,7 +194,6 @@ def share_of_motion(
 
 def test_shares_are_by_angle_and_by_cells():
     found = share_of_motion([1.0] * 20, [1.0] * 5 + [0.0] * 5 + [1.0] * 10)
-    assert found is not None
     # Gyros are read at the ends of cells that begin with their first sample.
     assert found.angle == pytest.approx(0.75, abs=0.01)
     assert found.time == pytest.approx(0.75, abs=0.051)
@@ -212,7 +211,6 @@ def test_shares_are_by_angle_and_by_cells():
 )
 def test_gyros_see_a_cell_where_they_turn(way, seen_of_it, moving):
     found = share_of_motion([way] * 40, [seen_of_it] * 40)
-    assert found is not None
     assert found.angle == pytest.approx(seen_of_it / way, abs=0.01)
     # Where cells begin with the first sample, one lies at the end.
     assert found.time == (pytest.approx(1.0, abs=0.051) if moving else 0.0)
@@ -221,14 +219,12 @@ def test_gyros_see_a_cell_where_they_turn(way, seen_of_it, moving):
 @pytest.mark.parametrize(('slow', 'share'), [(0.23, 1.0), (0.27, 0.5)])
 def test_cells_with_a_quarter_of_the_largest_way_count(slow, share):
     found = share_of_motion([1.0] * 10 + [slow] * 10, [1.0] * 10 + [0.0] * 10)
-    assert found is not None
     assert found.time == pytest.approx(share, abs=0.06)
 
 
 @pytest.mark.parametrize(('late', 'share'), [(1.0, 1.0), (-1.0, 1.0), (1.6, 0.7), (-1.6, 0.7)])
 def test_clocks_may_be_a_second_apart(late, share):
     found = share_of_motion([1.0] * 20, [1.0] * 20, late)
-    assert found is not None
     assert found.angle == pytest.approx(share, abs=0.01)
 
 
@@ -286,7 +282,6 @@ def both(
 def test_the_offset_is_found_whatever_scale_factor_and_bias(ahead, factor, bias):
     # A gyro may look down the axis: its factor is negative.
     found = clock_sample(*both(ahead=ahead, factor=factor, bias=bias))
-    assert found is not None
     # Encoder angles between states are read off lines: 2 deg in 20 ms leave some 10 microseconds.
     assert found.offset == pytest.approx(ahead, abs=3e-5)
     assert found.time == pytest.approx(START + 1e9, abs=1e3)
@@ -296,7 +291,6 @@ def test_of_a_long_turn_its_ends_tell_and_not_what_lies_between():
     """An angle that random walk takes elsewhere half way would pass for seconds in between."""
     wander = np.where(np.arange(20000) * PERIOD < 60.0, 0.0, 2e-3)
     found = clock_sample(*both(long_turn, lasts=121.0, ahead=0.05, wander=wander))
-    assert found is not None
     assert found.offset == pytest.approx(0.05, abs=1e-4)
 
 
@@ -365,7 +359,6 @@ def seen_share(factor: Callable[[Floats], Floats], *, late: float = 0.0) -> tupl
     joint = np.arange(0.0, 2.0 + STATES / 2, STATES)
     stamp = START + np.round(joint * 1e9).astype(np.int64)
     found = measured_share(samples(np.cumsum(rate) * PERIOD), stamp, attitudes(quarter(joint)))
-    assert found is not None
     return found.angle, found.time
 
 

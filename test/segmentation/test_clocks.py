@@ -129,7 +129,6 @@ def test_parameters_are_by_the_clock_of_the_table(name):
     of_clock = found.std[:3] if unit.counts else found.std[12:15]
     assert of_clock.max() < 0.1 * faster
     clock = found.clock
-    assert clock is not None
     assert clock.name == 'stamps of other'
     assert abs(clock.faster - faster) < 4.5 * clock.std < 2 * PPM
     read = Calibration.from_yaml(found.to_yaml(), 'calibration.yaml')
@@ -186,7 +185,6 @@ def test_intervals_of_sessions_that_are_combined_are_those_of_each():
         )
     ]
     clock = combine(points, ['a', 'b']).at(2.5).clock
-    assert clock is not None
     assert clock.faster == pytest.approx(30 * PPM)
     assert clock.std == pytest.approx(0.75 * PPM)
 
@@ -241,7 +239,6 @@ def offsets(scatter: float, bend: float, seed: int) -> tuple[np.ndarray, np.ndar
 def test_the_rate_of_each_part_is_that_of_the_curve_there():
     time, offset = offsets(2e-6, 1e-3, 0)
     fit = fit_clock([ClockSample(1e9 * t, o) for t, o in zip(time, offset, strict=True)])
-    assert fit.bend is not None
     for start in range(50, 500, 50):
         end = start + 40
         found = fit.rate + fit.rate_over((start + 0.1) * 1e9, (end + 0.1) * 1e9)

@@ -98,7 +98,6 @@ def test_white_weights_are_those_of_generalised_least_squares():
     )
     weights = np.linalg.solve(covariance, np.ones(n))
     found = smoothed_ends(pulses, PERIOD, walk)
-    assert found is not None
     assert found.rate == pytest.approx(weights @ pulses / weights.sum() / PERIOD, rel=1e-12)
     # 23 pulses and a quarter of one pass in a sample: no harmonic of the error stays in phase, and
     # with a walk of 0.3 pulses a sample the error is white indeed.

@@ -82,7 +82,6 @@ def test_ends_fade_out_as_they_say(samples, walk):
     )
     time = weights.sum() * PERIOD
     found = smoothed_ends(pulses, PERIOD, walk)
-    assert found is not None
     assert found.rate == pytest.approx(weights @ pulses / time)
     assert found.walk_gain == pytest.approx(PERIOD * (weights**2).sum() / time**2, rel=1e-9)
     # Both ends, each averaged with weights (1 - f) f^k that go on without end.
@@ -116,7 +115,6 @@ def test_passages_are_the_first_of_each_new_count():
     pulses = np.array([0.0, -1, 0, 1, -1, -2, 0, -1, 1, 0, -1, -1])
     # -0, -1, -1, 0, -1, -3, -3, -4, -3, -3, -4, -5
     found = passages(pulses, 1.0, 0.1)
-    assert found is not None
     assert found.index.tolist() == [1, 5, 7, 11]
     assert found.level.tolist() == [1.0, 3.0, 4.0, 5.0]
     assert found.drift == pytest.approx(-5 / 12)
@@ -143,7 +141,6 @@ def test_passages_are_taken_where_they_are_better_and_enough():
         assert (best_of(counted(rate, 500), walk) is not None) is wanted
     quick = counted(0.41, 500)
     passed = passages(quick, PERIOD, walk)
-    assert passed is not None
     alone = passed.rate(PERIOD)
     for loud in (1e-4, 0.1, 1.0, 3.0):
         found = best_of(quick, loud)

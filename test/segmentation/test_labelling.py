@@ -119,7 +119,6 @@ def test_what_no_position_names_is_named_by_its_attitude():
     rests = [rest(0, leaning), rest(20, UPS['a']), rest(40, leaning), rest(60, leaning)]
     found = label(session(*rests), plan(), TABLE)
     first = names(found)[0]
-    assert first is not None
     assert first.startswith('Y +45 Z +45, heading ')
     assert names(found) == [first, 'a', f'{first} (2)', f'{first} (3)']
 

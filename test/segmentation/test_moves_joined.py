@@ -170,7 +170,6 @@ def test_a_move_is_what_lies_between_two_rests():
     wanted = np.vstack([part.turned for part in (*steps, last)])
     assert move.turned == pytest.approx(wanted)
     assert move.duration == pytest.approx(0.68)
-    assert move.velocity_steps is not None
     gained = np.vstack([part.velocity for part in (*steps, last)])
     assert move.velocity_steps.velocity == pytest.approx(gained)
     (by_hand,) = read(rows, by_hand=True)

@@ -181,7 +181,6 @@ def test_a_motion_is_the_whole_turns_that_it_comes_near():
     ran = plan(at('rest', Y), at('z', Z, 10.0, 2), at('x', X, 10.0, 1))
     seen = motion(3, -2.1 * TURN * X, mean_phase=0.3 + 0.4j)
     turn = turn_without_encoder(seen, ran)
-    assert turn is not None
     assert (turn.start, turn.end, turn.position) == (3, 13, 'x')
     assert turn.angle == pytest.approx(-2 * TURN)
     assert turn.seconds is None

@@ -167,7 +167,6 @@ def test_a_closed_form_knows_the_positions_of_the_plan_alone():
     apart = found.calibration.values - alone.calibration.values
     assert np.abs(apart / alone.calibration.std).max() < 0.5
     beside = calibrate(blocks, plan, table=table)
-    assert beside.comparison is not None
     assert not beside.comparison.refusal
     assert beside.calibration.provenance['segments'] == 7
 

@@ -113,7 +113,6 @@ def test_a_turn_is_retimed_in_all_its_parts():
     whole = replace(turn(), statistics=timed, skewed=timed, each=np.ones((2, 4)))
     found = whole.retimed(pace(0.008, 4e-6))
     assert found.statistics.duration == pytest.approx(16.0)
-    assert found.skewed is not None
     assert found.skewed.duration == pytest.approx(16.0)
     assert found.each is not None
     assert found.each == pytest.approx(np.full((2, 4), 1.25))
@@ -148,7 +147,6 @@ def test_a_scale_goes_on_each_triad_of_a_move():
     assert found.pulse == pytest.approx([2e-5, 6e-5, 12e-5])
     assert found.seconds.tolist() == [0.5, 0.25]
     steps = found.velocity_steps
-    assert steps is not None
     assert steps.velocity.tolist() == [[10.0, 12.0, 14.0]] * 2
     assert steps.mean == pytest.approx(np.array([[0.2, 0.3, 0.4]] * 2))
     assert steps.pulse == pytest.approx([5e-3, 6e-3, 7e-3])

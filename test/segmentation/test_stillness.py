@@ -273,7 +273,6 @@ def test_a_session_is_solved_alike_however_it_is_cut_and_whenever_it_is_looked_a
     seen, review = halfway
     ended = HandCalibrator(setup)
     ended.add_block(_part(block, 0, seen))
-    assert review.result is not None
     assert np.array_equal(review.result.calibration.values, ended.finish().calibration.values)
 
 

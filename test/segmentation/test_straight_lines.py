@@ -357,7 +357,6 @@ def test_what_leaves_a_line_is_cut_back_as_far_as_from_there_to_eight_limits():
     angle = time + off * LEAST
     first, last = int(np.searchsorted(time, 4.5)), int(np.searchsorted(time, 16.0))
     found = _trimmed(line, time, angle, first, last)
-    assert found is not None
     # From 4.5 s 1.5 s back to 3 s, from 15.5 s 2.5 s on to 18 s.
     assert (found.before, found.after) == (1.5, 2.5)
     assert (found.start, found.end) == (6.0, 13.0)
@@ -365,7 +364,6 @@ def test_what_leaves_a_line_is_cut_back_as_far_as_from_there_to_eight_limits():
     assert found.unseen == pytest.approx(LEAST)
     # No more than a quarter of it, where nothing near is so far off.
     near = _trimmed(line, time, time, first, last)
-    assert near is not None
     assert (near.before, near.after) == (11 / 4, 11 / 4)
     # Six angles at least are left of it.
     for count, told in ((10, False), (11, False), (12, True)):
@@ -376,7 +374,6 @@ def test_what_leaves_a_line_is_cut_back_as_far_as_from_there_to_eight_limits():
 def test_turns_lie_in_the_middle_of_what_is_sure(sense):
     plateau = Plateau(4.0, 25.0, sense * 40 * DEG, 1e-6 * DEG, 0.5, 0.25, 1e-5)
     found = _whole_turns(plateau, 2, 7e9)
-    assert found is not None
     # 21 s at 40 deg/s are 840 deg: two turns of 9 s each, 1.5 s after it begins.
     assert found.joint == 2
     assert found.start == pytest.approx(12.5e9, abs=1.0)
@@ -390,7 +387,6 @@ def test_turns_lie_in_the_middle_of_what_is_sure(sense):
 def test_a_turn_that_fits_only_with_what_may_be_hidden_counts_by_it():
     plateau = Plateau(4.0, 12.4, 40 * DEG, 3e-6 * DEG, 0.6, 0.4, 1e-4)
     found = _whole_turns(plateau, 0, 0.0)
-    assert found is not None
     # 8.4 of the 9 s: 0.6 of the second beside it, which is hidden by the square of that.
     assert found.seconds == pytest.approx(9.0)
     assert found.start == pytest.approx((4.0 - 0.6 * 0.6) * 1e9)

@@ -125,7 +125,6 @@ def off_by_60_arcsec() -> tuple[Setup, list[Block]]:
 def test_axes_further_off_than_is_stated_are_named_and_nothing_else(stated):
     """What was found could not be fitted, or was not looked for, and wobble was named instead."""
     setup, recorded = off_by_60_arcsec()
-    assert setup.table is not None
     errors = replace(setup.table.errors, orthogonality=stated * ARCSEC)
     calibrator = Calibrator(replace(setup, table=replace(setup.table, errors=errors, assumed=())))
     for block in recorded:

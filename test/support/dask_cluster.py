@@ -41,7 +41,6 @@ class Cluster:
             cwd=self.folder,
             text=True,
         )
-        assert self._process.stdout is not None
         self.address = self._process.stdout.readline().strip()
         assert self.address, 'the cluster has not started'
 
