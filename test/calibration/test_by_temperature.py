@@ -216,10 +216,6 @@ def unknown(celsius: float) -> Calibration:
     return replace(brick_at(celsius), covariance=square)
 
 
-MORE = replace(unknown(10.0), covariance=np.diag([*[np.nan] * 9, *[0.0] * 15]))
-"""One of which fifteen are known."""
-
-
 def warm(**temperature: Any) -> Calibration:
     return replace(brick_at(10.0), provenance={'temperature': temperature})
 

@@ -91,26 +91,6 @@ def test_the_file_alone_is_enough_to_apply_it():
     assert force == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ('text', 'message'),
-    [
-        ('hello', 'found a text, expected keys'),
-        ('format: 2', 'found 2, expected 1'),
-        ('{}', "the key 'format' is missing"),
-        ('format: 1\nunits: volts', "found 'volts'"),
-    ],
-)
-def test_what_is_no_calibration_is_refused_in_words(text, message):
-    with pytest.raises(InputError, match=message):
-        Calibration.from_yaml(text, 'my.yaml')
-
-
-def test_a_matrix_of_the_wrong_size_is_named():
-    text = example().to_yaml().replace('  bias: [', '  bias: [1.0, ', 1)
-    with pytest.raises(InputError, match=r'gyro: bias: found 4 numbers, expected 3'):
-        Calibration.from_yaml(text, 'my.yaml')
-
-
 def rendered(table: object) -> list[list[str]]:
     columns = [list(column.cells) for column in table.columns]  # type: ignore[attr-defined]
     return [[str(cell) for cell in row] for row in zip(*columns, strict=True)]

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from device_frames import NANOSECONDS, NS, SIMULATED, cut, described, frame, pseudo_terminal
+from device_frames import NANOSECONDS, NS, SIMULATED, cut, frame, pseudo_terminal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from loopback import until
@@ -366,38 +366,6 @@ def test_a_frame_of_registers_with_a_skewed_channel_in_some_bits():
     assert samples.celsius[0] == 20
     assert samples.skew[0] == 0xBC
     assert samples.faults[0] == 1
-
-
-@pytest.mark.parametrize(
-    ('changes', 'words'),
-    [
-        ({'length': 43}, 'device.yaml: checksum: offset: found 42'),
-        ({'length': 'long'}, "device.yaml: length: found 'long', expected a whole number"),
-        ({'sync': [300]}, 'device.yaml: sync: found 300'),
-        ({'byte_order': 'middle'}, "found 'middle', expected one of little, big"),
-        ({'fields__gyro__type': 'i12'}, "fields: gyro: type: found 'i12', expected one of u8"),
-        ({'fields__gyro__offset': [14, 18]}, 'offset: found 2 values, expected 3'),
-        ({'fields__gyro__scale': 0}, 'gyro: scale: found 0, expected a number other than 0'),
-        ({'fields__gyro__offset': [14, 18, 42]}, 'reach beyond'),
-        ({'fields__gyro__offset': [14, 18, 40]}, 'byte 42 of the frame is part of the checksum'),
-        ({'fields__gyro': None}, "device.yaml: fields: the key 'gyro' is missing"),
-        ({'fields__gyros': {}}, "unknown key 'gyros'"),
-        ({'fields__counter__modulus': 2**33}, 'modulus: found 8589934592'),
-        ({'fields__counter__type': 'f32'}, 'a counter is a whole number'),
-        ({'fields__time__unit': 'days'}, "found 'days', expected one of ns, us, ms, s"),
-        ({'fields__time__ticks': '10 kHz'}, "found both of 'unit' and 'ticks'"),
-        ({'fields__status__type': 'i16'}, 'a status is unsigned'),
-        ({'fields__status__faults': [{'bit': 16, 'says': 'x'}]}, 'bit: found 16'),
-        ({'checksum__kind': 'CRC-17'}, "kind: found 'CRC-17', expected one of sum, xor, crc"),
-        ({'checksum__covers': [0, 43]}, 'the checksum cannot cover itself'),
-        ({'checksum': 'none', 'sync': [0xAA]}, 'without a checksum a frame needs two'),
-        ({'checksum': {'kind': 'crc', 'width': 12}}, 'width: found 12, expected 8, 16, 24 or 32'),
-    ],
-)
-def test_a_description_that_cannot_be_is_refused_with_file_key_and_found(changes, words):
-    with pytest.raises(InputError) as refusal:
-        read_format(described(**changes))
-    assert words in str(refusal.value)
 
 
 # --- the clock ---------------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 import random
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,6 @@ NS = 1_000_000_000
 T0 = 1_700_000_000 * NS
 COUNT = 20_000
 TOPIC, TYPE = '/imu', Kind.IMU.type_name
-Order = Callable[[np.ndarray], np.ndarray]
 
 
 def samples(stamp: Stamps) -> Messages:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,9 +48,6 @@ def scanned(tmp_path):
         return scan(tmp_path / 'a.mcap', losses), losses.sentences
 
     return of
-
-
-Scanned = Callable[[bytes], tuple[Scan, list[str]]]
 
 
 def two() -> Chunked:

@@ -382,20 +382,6 @@ def test_a_specification_is_read_in_si():
     )
 
 
-@pytest.mark.parametrize(
-    ('entry', 'message'),
-    [
-        ('bias: 1 deg/h', r"my\.yaml: specification: accelerometer: bias: found '1 deg/h'"),
-        ('bias: 0 ug', 'expected above 0'),
-        ('biass: 1 ug', "unknown key 'biass'; known are .*bias, .*misalignment"),
-        ('g_sensitivity: 1 (deg/h)/g', "unknown key 'g_sensitivity'"),
-    ],
-)
-def test_a_wrong_specification_is_refused_in_words(entry, message):
-    with pytest.raises(InputError, match=message):
-        read_imu(Section.parse(SPECIFIED % entry, 'my.yaml'))
-
-
 def test_axes_stand_at_round_numbers():
     assert [t for _, t in Axis(-1.1, 2.2).ticks()] == [
         '−1.0',

@@ -1,6 +1,6 @@
 """Single false samples, of failed reads and of flipped bits: they are missing ones, and said."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -75,9 +75,6 @@ def some(count: int, share: float, seed: int = 1) -> np.ndarray:
     """Which of so many samples are false."""
     chosen = np.random.default_rng(seed).choice(count - 100, round(share * count), replace=False)
     return np.sort(chosen) + 50
-
-
-Spoil = Callable[[Floats, np.ndarray], None]
 
 
 def zeros(values: Floats, rows: np.ndarray) -> None:

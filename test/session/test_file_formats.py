@@ -471,6 +471,11 @@ OF_CALIBRATIONS = [
         {'uncertainty_budget__sources__0__standard_uncertainty__0': 1.0},
         'sources: their squares do not add up',
     ),
+    (
+        0,
+        {'uncertainty_budget__sources__0__standard_uncertainty__0': float('inf')},
+        'expected finite numbers',
+    ),
     (0, {'gyro__std__bias__0': -1e-9}, 'gyro: std: bias: not the square roots'),
     (0, {'gyro__std__bias__0': float('nan')}, 'std: bias: found 3 numbers that are not all finite'),
     (0, {'session_terms__coefficients__0__std': 2e-9}, 'coefficients: std: not the square roots'),

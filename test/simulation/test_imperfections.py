@@ -360,28 +360,6 @@ def test_the_shipped_file_holds_every_key():
     assert options.warm_up.time_constant == 600.0
 
 
-WRONG = {
-    'table: {wobbel: 1}': 'wrong.yaml: table: unknown key',
-    'table: {zeros: -3 arcsec}': 'zeros: found -3 arcsec, expected 0 or more',
-    'table: {wobble: 3 arcsec}': 'wobble: found',
-    'samples: {lost: 150 %}': 'lost: found 150 %, expected 100 % or less',
-    'samples: {frozen: {every: 3 min}}': "frozen: the key 'for' is missing",
-    'stamps: {bunch: 2.5}': 'bunch: found 2.5, expected a whole number',
-    'stamps: {jitter: 3}': 'jitter: found 3',
-    'bias_step: {gyro: 3 deg/h}': "bias_step: the key 'time' is missing",
-    'bias_step: {time: -3 s}': 'time: found -3 s, expected 0 or more',
-    'temperature: {gyro: {bias: [1 (deg/h)/K, 2 (deg/h)/K]}}': 'bias: found 2 figures, expected 3',
-    'noise: 1': 'unknown key',
-}
-
-
-@pytest.mark.parametrize('text', WRONG)
-def test_a_wrong_key_is_named(text):
-    with pytest.raises(InputError) as refused:
-        read(text)
-    assert WRONG[text] in str(refused.value)
-
-
 def test_a_hand_has_no_table():
     section = Section.parse('table: {zeros: 3 arcsec}', 'wrong.yaml')
     with pytest.raises(InputError, match='held by hand'):

@@ -39,7 +39,6 @@ from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS, ParameterKin
 from imu_calib.session.imu import Verdict, judge
 
 TODAY = np.datetime64('2026-11-22', 's')
-LATELY = TODAY - np.timedelta64(1, 'h')
 TYPES = ('fog_medium', 'mems_counts', 'stim300')
 STANDS = ('east', 'west', 'north')
 OFF = 'west'
