@@ -125,7 +125,7 @@ def test_progress_is_shown_and_terms_are_left_out_where_that_is_asked(folder):
 )
 def test_errors_are_the_sentences_of_the_command(folder, stated, error, sentence):
     with pytest.raises(error, match=sentence):
-        imu_calib.calibrate(folder / 'bag', **stated)  # type: ignore[arg-type]
+        imu_calib.calibrate(folder / 'bag', **stated)
 
 
 def test_read_gives_columns_with_stamps_and_units(folder):
@@ -195,7 +195,7 @@ def test_a_simulation_takes_values_and_its_recording_asks_for_them(folder, resul
     again = imu_calib.calibrate(bag, plan=plan, imu=imu, table=table)
     assert again.calibration.values.tolist() == result.calibration.values.tolist()
     with pytest.raises(InputError, match='`imu`: found a value of the type ImuSpec, expected a te'):
-        imu_calib.stand('six_position', tmp_path / 'stand', imu=imu)  # type: ignore[arg-type]
+        imu_calib.stand('six_position', tmp_path / 'stand', imu=imu)
 
 
 def test_one_calibration_is_a_list_of_one(result, tmp_path):
@@ -427,7 +427,7 @@ def test_keywords_that_functions_share_are_in_their_signatures_and_others_are_re
     assert verify['plan'].default is None
     assert verify['imu_only'].default is False
     with pytest.raises(TypeError, match=r"^verify\(\) got an unexpected keyword argument 'method'"):
-        imu_calib.verify('bag', 'calibration.yaml', method='joint')  # type: ignore[call-arg]
+        imu_calib.verify('bag', 'calibration.yaml', method='joint')
 
 
 def test_two_calibrations_are_compared_in_any_form(folder, result, tmp_path, capsys):

@@ -66,9 +66,9 @@ def test_a_result_shows_what_its_calibration_shows(result):
 def test_wrong_calls_are_refused_in_words(result):
     gyro, accel = np.zeros((6000, 3)), np.tile([0.0, 0.0, 9.81], (6000, 1))
     with pytest.raises(imu_calib.InputError, match=r'calibrate\(\(gyro, accel\), rate=200\)'):
-        imu_calib.calibrate(gyro, accel)  # type: ignore[misc]
+        imu_calib.calibrate(gyro, accel)
     with pytest.raises(imu_calib.InputError, match="`rate`: found '100'"):
-        result.calibration.apply(gyro, accel, rate='100')  # type: ignore[arg-type]
+        result.calibration.apply(gyro, accel, rate='100')
     with pytest.raises(imu_calib.InputError, match=r'`imu_calib\.noise` estimates its noise'):
         imu_calib.calibrate((gyro, accel), rate=100.0, latitude=48.1)
 

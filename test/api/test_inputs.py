@@ -67,7 +67,7 @@ def imu_stamps(bag: Any, rate: float | None = None) -> np.ndarray[Any, Any]:
     from imu_calib.recordings.cdr_codec import Kind
 
     blocks = recording_at(bag, rate).read({'/imu/data_raw': Kind.IMU})
-    return np.concatenate([block.stamp for _, block in blocks])  # type: ignore[union-attr]
+    return np.concatenate([block.stamp for _, block in blocks])
 
 
 def test_arrays_give_the_bits_of_a_frame_of_their_rate(frame):

@@ -92,7 +92,7 @@ def test_the_file_alone_is_enough_to_apply_it():
 
 
 def rendered(table: object) -> list[list[str]]:
-    columns = [list(column.cells) for column in table.columns]  # type: ignore[attr-defined]
+    columns = [list(column.cells) for column in table.columns]
     return [[str(cell) for cell in row] for row in zip(*columns, strict=True)]
 
 

@@ -88,7 +88,7 @@ def test_the_six_position_bias_moves_as_its_formula_says(azimuth):
 @pytest.mark.parametrize('seed', [0, 1, again(2), again(3)])
 def test_without_noise_the_scale_factor_is_exact_at_any_start_phase(seed):
     plan = load_plan('twelve_position')
-    ten = replace(plan.positions[0].rate_test, rates=(10 * DEG, -10 * DEG))  # type: ignore[type-var]
+    ten = replace(plan.positions[0].rate_test, rates=(10 * DEG, -10 * DEG))
     positions = tuple(
         replace(p, dwell=10.0, rate_test=ten if p.rate_test else None) for p in plan.positions
     )

@@ -26,8 +26,8 @@ CONSUMER = Unit(
 
 
 def fed_with(joint_signs: tuple[int, ...], gyro_signs: tuple[int, ...], unit: object) -> Calibrator:
-    calibrator = Calibrator(fed(World(), unit)._setup)  # type: ignore[arg-type]
-    joints, imu = recorded(World(), unit, 0)  # type: ignore[arg-type]
+    calibrator = Calibrator(fed(World(), unit)._setup)
+    joints, imu = recorded(World(), unit, 0)
     calibrator.add_block(
         JointBlock(joints.stamp, joints.names, joints.position * joint_signs, joints.velocity)
     )

@@ -306,7 +306,7 @@ def test_an_interrupted_simulation_leaves_nothing_behind(tmp_path, monkeypatch):
         calls.append(self.path.exists())
         if len(calls) > 3:
             raise KeyboardInterrupt
-        written(self, *rest, **named)  # type: ignore[arg-type]
+        written(self, *rest, **named)
 
     monkeypatch.setattr(RecordingWriter, 'write', interrupted)
     words = ['--imu', 'mems_counts', '--truth', 'mems_counts']

@@ -65,7 +65,7 @@ class Program:
         assert out.count('\n') == 1
         assert [e.message for e in SCHEMA.iter_errors(document)] == []
         assert found == code == document['exit_code'], self.told
-        return document  # type: ignore[no-any-return]
+        return document
 
 
 @pytest.fixture

@@ -140,14 +140,14 @@ def test_what_numpy_and_python_call_a_number_is_one():
     assert both(2) == 2
     for wrong in (2.0, True, np.float64(2)):
         with pytest.raises(InputError, match='`runs`: found'):
-            both(1.0, wrong)  # type: ignore[arg-type]
+            both(1.0, wrong)
 
 
 def test_missing_and_unknown_arguments_are_those_of_python():
     with pytest.raises(TypeError, match=r'calibrate.. missing 1 required positional'):
-        imu_calib.calibrate()  # type: ignore[call-arg]
+        imu_calib.calibrate()
     with pytest.raises(TypeError, match=r"export.. got an unexpected keyword argument 'nothing'"):
-        imu_calib.export('c.yaml', 'c', nothing=1)  # type: ignore[call-arg]
+        imu_calib.export('c.yaml', 'c', nothing=1)
 
 
 @pytest.mark.parametrize('name', ['x' * 300, 'a\0b'])

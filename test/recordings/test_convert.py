@@ -32,7 +32,7 @@ WORDS = {'gyro': 'wx,wy,wz:deg/s', 'accel': 'ax,ay,az:g', 'stamp': 't:s'}
 
 def converted(path: Path, **stated: str) -> imu_calib.Columns:
     out = path.with_suffix('.out')
-    imu_calib.convert(path, out, **WORDS | stated)  # type: ignore[arg-type]
+    imu_calib.convert(path, out, **WORDS | stated)
     return imu_calib.read(out, '/imu/data_raw')
 
 
@@ -101,7 +101,7 @@ def test_labels_before_several_numbers_are_no_names_of_columns(tmp_path):
 
 def test_a_time_before_a_trigger_is_shifted_to_begin_at_0(tmp_path):
     path = write(tmp_path / 'log.csv', ROW + '-0.1,90,0,0,0,0,1\n0.0,90,0,0,0,0,1\n')
-    done = imu_calib.convert(path, tmp_path / 'bag', **WORDS)  # type: ignore[arg-type]
+    done = imu_calib.convert(path, tmp_path / 'bag', **WORDS)
     assert imu_calib.read(done.path, '/imu/data_raw').stamp.tolist() == [0, 100_000_000]
     assert any('begins at -0.1 s' in text for text in done.findings)
 
@@ -117,12 +117,12 @@ def test_a_recording_that_cannot_be_completed_leaves_nothing_behind(tmp_path, mo
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     path = write(tmp_path / 'log.csv', ROW + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n')
-    imu_calib.convert(path, tmp_path / 'bag', **WORDS)  # type: ignore[arg-type]
+    imu_calib.convert(path, tmp_path / 'bag', **WORDS)
     monkeypatch.setattr(RecordingWriter, 'write', full)
     topics = {'gyro_topic': '/imu/data_raw', 'accel_topic': '/imu/data_raw'}
     for source, words in ((path, WORDS), (tmp_path / 'bag', topics)):
         with pytest.raises(OSError, match='No space left'):
-            imu_calib.convert(source, tmp_path / 'out', **words)  # type: ignore[arg-type]
+            imu_calib.convert(source, tmp_path / 'out', **words)
         assert not (tmp_path / 'out').exists()
 
 
@@ -206,7 +206,7 @@ def test_what_is_no_time_of_an_imu_is_refused(times, stamp, sentence, tmp_path):
 def test_a_counter_that_begins_anew_goes_on(unit, ticks, tmp_path):
     times = [str((2**32 - 500 * ticks + k * ticks) % 2**32) for k in range(1000)]
     path = write(tmp_path / 'log.csv', logged(times))
-    done = imu_calib.convert(path, tmp_path / 'out', **WORDS | {'stamp': f't:{unit}'})  # type: ignore[arg-type]
+    done = imu_calib.convert(path, tmp_path / 'out', **WORDS | {'stamp': f't:{unit}'})
     stamps = imu_calib.read(tmp_path / 'out', '/imu/data_raw').stamp
     assert np.diff(stamps) == pytest.approx(10_000_000, abs=1000)
     (said,) = done.findings
@@ -222,14 +222,14 @@ def test_a_time_in_two_columns_is_their_sum(tmp_path):
     stamps = converted(path, stamp='sec:s,nanosec:ns').stamp
     assert (np.diff(stamps) == 10_000_000).all()
     with pytest.raises(InputError, match='two columns: sec:s,nanosec:ns'):
-        imu_calib.convert(path, tmp_path / 'no', **WORDS | {'stamp': 'sec:s'})  # type: ignore[arg-type]
+        imu_calib.convert(path, tmp_path / 'no', **WORDS | {'stamp': 'sec:s'})
 
 
 def test_rows_with_labels_of_two_kinds_are_no_table(tmp_path):
     rows = 'G: 1.0, 2.0, 3.0\nA: 1.0, 2.0, 3.0\n' * 20
     words = {'rate': '100 Hz', 'gyro': '1,2,3:deg/s', 'accel': '1,2,3:g'}
     with pytest.raises(InputError, match=r'column 1 of .* holds no number'):
-        imu_calib.convert(write(tmp_path / 'log.csv', rows), tmp_path / 'out', **words)  # type: ignore[arg-type]
+        imu_calib.convert(write(tmp_path / 'log.csv', rows), tmp_path / 'out', **words)
 
 
 def test_temperatures_in_thousandths_of_a_degree_have_a_unit(tmp_path):
@@ -263,8 +263,8 @@ def test_pulses_stay_pulses_and_need_a_description(tmp_path):
     path = write(tmp_path / 'log.csv', ROW + '1,3,0,-1,0,0,9\n1.01,4,0,-1,0,0,8\n')
     words = {'stamp': 't:s', 'gyro': 'wx,wy,wz:pulse', 'accel': 'ax,ay,az:pulse'}
     with pytest.raises(InputError, match='in pulses: give `imu`'):
-        imu_calib.convert(path, tmp_path / 'out', **words)  # type: ignore[arg-type]
-    imu_calib.convert(path, tmp_path / 'out', imu='fog_medium', **words)  # type: ignore[arg-type]
+        imu_calib.convert(path, tmp_path / 'out', **words)
+    imu_calib.convert(path, tmp_path / 'out', imu='fog_medium', **words)
     columns = imu_calib.read(tmp_path / 'out', '/imu/pulses')
     assert columns['angular_velocity.x'].tolist() == [3.0, 4.0]
     assert columns.units['linear_acceleration.x'] == 'pulse'
@@ -325,7 +325,7 @@ def test_other_commands_name_the_way(tmp_path, capsys):
 def test_numbers_of_other_units_than_stated_are_said(stated, sentence, tmp_path):
     path = write(tmp_path / 'log.csv', ROW + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n')
     words = {'gyro': 'wx,wy,wz:deg/s', 'accel': 'ax,ay,az:g', 'stamp': 't:s'} | stated
-    (finding,) = imu_calib.convert(path, tmp_path / 'out', **words).findings  # type: ignore[arg-type]
+    (finding,) = imu_calib.convert(path, tmp_path / 'out', **words).findings
     assert finding.startswith('The stated units may be wrong: ') and sentence in finding
 
 
@@ -389,7 +389,7 @@ def test_counts_in_two_files_are_joined_at_shared_times_alone(tmp_path):
         gyro,
         tmp_path / 'out',
         accel_file=tmp_path / 'same.txt',
-        **words,  # type: ignore[arg-type]
+        **words,
     )
     assert done.counts == {'/imu/pulses': 3} and done.findings == ()
     columns = imu_calib.read(tmp_path / 'out', '/imu/pulses')
@@ -399,7 +399,7 @@ def test_counts_in_two_files_are_joined_at_shared_times_alone(tmp_path):
             gyro,
             tmp_path / 'no',
             accel_file=tmp_path / 'other.txt',
-            **words,  # type: ignore[arg-type]
+            **words,
         )
     words |= {'gyro': '2,3,4:rad/s', 'accel': '2,3,4:g', 'imu': 'si'}
     with pytest.raises(InputError, match='do not overlap'):
@@ -407,7 +407,7 @@ def test_counts_in_two_files_are_joined_at_shared_times_alone(tmp_path):
             gyro,
             tmp_path / 'no',
             accel_file=tmp_path / 'later.txt',
-            **words,  # type: ignore[arg-type]
+            **words,
         )
     assert not (tmp_path / 'no').exists()
 
@@ -497,10 +497,10 @@ def test_a_wrong_option_leaves_nothing_behind(stated, sentence, tmp_path):
 
 def test_rates_that_are_not_si_are_not_said_to_lie_on_no_line(tmp_path):
     path = write(tmp_path / 'log.csv', ROW + '1,3,0,-1,0,0,1\n1.01,4,0,-1,0,0,1\n')
-    imu_calib.convert(path, tmp_path / 'bag', imu='rates', **WORDS)  # type: ignore[arg-type]
+    imu_calib.convert(path, tmp_path / 'bag', imu='rates', **WORDS)
     topics = {'gyro_topic': '/imu/pulses', 'accel_topic': '/imu/pulses'}
     with pytest.raises(InputError, match='holds rates, in other units: expected rad/s and m/s'):
-        imu_calib.convert(tmp_path / 'bag', tmp_path / 'out', **topics)  # type: ignore[arg-type]
+        imu_calib.convert(tmp_path / 'bag', tmp_path / 'out', **topics)
 
 
 def test_names_of_joints_may_stand_apart(tmp_path):
@@ -513,10 +513,10 @@ def test_names_of_joints_may_stand_apart(tmp_path):
 def test_pulses_on_two_topics_lie_on_no_line(tmp_path):
     path = write(tmp_path / 'log.csv', ROW + '1,3,0,-1,0,0,9\n1.01,4,0,-1,0,0,8\n')
     words = {'stamp': 't:s', 'gyro': 'wx,wy,wz:pulse', 'accel': 'ax,ay,az:pulse'}
-    imu_calib.convert(path, tmp_path / 'bag', imu='fog_medium', **words)  # type: ignore[arg-type]
+    imu_calib.convert(path, tmp_path / 'bag', imu='fog_medium', **words)
     topics = {'gyro_topic': '/imu/pulses', 'accel_topic': '/imu/pulses'}
     with pytest.raises(InputError, match='/imu/pulses holds pulses, which cannot be interpolated'):
-        imu_calib.convert(tmp_path / 'bag', tmp_path / 'out', **topics)  # type: ignore[arg-type]
+        imu_calib.convert(tmp_path / 'bag', tmp_path / 'out', **topics)
     assert not (tmp_path / 'out').exists()
 
 

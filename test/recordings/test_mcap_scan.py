@@ -350,7 +350,7 @@ def ranges_read(
     path.write_bytes(content)
     monkeypatch.setattr(mcap_scan, 'RemotePath', File)
     losses = Losses()
-    return scan(File(), losses), read, losses.sentences  # type: ignore[arg-type]
+    return scan(File(), losses), read, losses.sentences
 
 
 def test_of_a_file_elsewhere_the_summary_alone_is_read(tmp_path, monkeypatch):

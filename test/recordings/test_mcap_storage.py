@@ -219,7 +219,7 @@ class Asked(Cache):
         self.keys: list[tuple[int, int]] = []
 
     def get(self, key: Hashable, load: Any, users: int) -> Any:
-        self.keys.append((key[1], users))  # type: ignore[index]
+        self.keys.append((key[1], users))
         return super().get(key, load, users)
 
 

@@ -19,7 +19,7 @@ def piece(position: int, *seconds: float, log: float = 0.0) -> Piece:
 
 def merged(**topics: list[Piece]) -> list[tuple[str, list[float], int]]:
     found = merge((name, iter(pieces)) for name, pieces in topics.items())
-    return [(topic, block.celsius.tolist(), done) for topic, block, done in found]  # type: ignore[union-attr]
+    return [(topic, block.celsius.tolist(), done) for topic, block, done in found]
 
 
 def test_a_topic_alone_comes_piece_by_piece():

@@ -78,7 +78,7 @@ def test_a_run_costs_no_step_for_each():
     def counted(*arguments):
         nonlocal calls
         calls += 1
-        return unpack(*arguments)  # type: ignore[arg-type]
+        return unpack(*arguments)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr('imu_calib.recordings.mcap_records.struct.unpack_from', counted)

@@ -286,7 +286,7 @@ def test_a_server_that_knows_no_ranges_serves_as_well(lab):
     here, _ = lab
     server = ThreadingHTTPServer(
         ('127.0.0.1', 0),
-        lambda *a: WithoutRanges(*a, directory=str(here)),  # type: ignore[arg-type]
+        lambda *a: WithoutRanges(*a, directory=str(here)),
     )
     serving = Thread(target=server.serve_forever)
     serving.start()

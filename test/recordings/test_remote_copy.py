@@ -122,7 +122,7 @@ def test_a_server_that_says_no_size_sends_all(files):
 
 def test_a_server_that_knows_no_ranges_is_asked_once(files):
     whole = Files()
-    whole.cat_file = lambda path, start, end: files.cat_file(path, None, None)  # type: ignore[method-assign]
+    whole.cat_file = lambda path, start, end: files.cat_file(path, None, None)
     held = copy(whole)
     assert held.read(40 * BLOCK, 41 * BLOCK) == CONTENT[40 * BLOCK : 41 * BLOCK]
     assert held.read(0, 9) == CONTENT[:9]
@@ -203,7 +203,7 @@ def test_a_server_that_is_gone_is_no_missing_file(files, pauses):
     assert pauses == [PAUSE]
     # What S3 does not find is not there: the server has answered.
     answered = ConnectionError('404')
-    answered.response = {}  # type: ignore[attr-defined]
+    answered.response = {}
     files.errors = [missing(answered)]
     with pytest.raises(InputError, match='no longer there'):
         copy(files).read(0, 4)
@@ -237,7 +237,7 @@ def test_the_copy_goes_with_who_holds_it(files):
     assert path.exists()
     del held
     assert not path.parent.exists()
-    nameless = FetchedFile(URL, files, 'lab/', 5)  # type: ignore[arg-type]
+    nameless = FetchedFile(URL, files, 'lab/', 5)
     assert nameless.path.name == 'recording'
 
 

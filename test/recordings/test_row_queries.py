@@ -52,7 +52,7 @@ class File:
 @pytest.fixture(scope='module')
 def long(tmp_path_factory):
     rows = [(k, RARE if k % EVERY == 0 else COMMON, 10 * k, b'') for k in range(1, ROWS + 1)]
-    return File(tmp_path_factory.mktemp('long') / 'bag.db3', rows)  # type: ignore[arg-type]
+    return File(tmp_path_factory.mktemp('long') / 'bag.db3', rows)
 
 
 def test_a_topic_that_is_everywhere_is_read_in_narrow_windows(long):
@@ -75,7 +75,7 @@ def test_a_rare_one_is_read_in_windows_that_grow_up_to_the_widest(long):
 
 def test_windows_shrink_again_where_a_topic_is_no_longer_rare(tmp_path):
     rows = [(k, RARE if k > 20_000 or k % EVERY == 0 else COMMON, k, b'') for k in range(1, 50_001)]
-    file = File(tmp_path / 'bag.db3', rows)  # type: ignore[arg-type]
+    file = File(tmp_path / 'bag.db3', rows)
     file.read((RARE,), 1)
     widths = [last - first + 1 for first, last in file.ranges]
     # At 14337 a wide window meets what is everywhere: each one after is half as wide.
@@ -84,7 +84,7 @@ def test_windows_shrink_again_where_a_topic_is_no_longer_rare(tmp_path):
 
 def test_a_window_without_a_row_is_passed_over(tmp_path):
     rows = [(5, COMMON, 50, b''), (1_000_000, COMMON, 60, b'abc'), (1_000_001, RARE, 70, b'')]
-    file = File(tmp_path / 'bag.db3', rows)  # type: ignore[arg-type]
+    file = File(tmp_path / 'bag.db3', rows)
     found = file.read((COMMON,), 5)
     assert [(log, count) for log, count, _ in found] == [(50, 1), (60, 1)]
     # After the first window of 2048 comes an empty one of 4096: the next begins at a row.
@@ -101,7 +101,7 @@ def test_the_last_row_id_of_all_is_read(tmp_path):
 
 def test_foreign_values_are_a_message_of_no_bytes_at_the_time_of_the_first(tmp_path):
     rows = [(1, COMMON, 'soon', b'a'), (2, COMMON, 8, 'text'), (3, COMMON, None, b'bc')]
-    file = File(tmp_path / 'bag.db3', rows)  # type: ignore[arg-type]
+    file = File(tmp_path / 'bag.db3', rows)
     ((messages, log, following),) = RowQueries('bag.db3', file.connect, 3, file.losses).read(
         (COMMON,), 1
     )
@@ -123,7 +123,7 @@ def loaded_chunks(limit: int, requests: str, users: int = 2, nbytes: int = 10) -
     loaded: list[str] = []
     cache = Cache(limit)
     for name in requests:
-        cache.get(name, lambda name=name: Held(name, nbytes, loaded), users)  # type: ignore[misc]
+        cache.get(name, lambda name=name: Held(name, nbytes, loaded), users)
     return ''.join(loaded)
 
 
@@ -151,9 +151,9 @@ def test_what_was_read_by_all_no_longer_counts():
     loaded: list[str] = []
     cache = Cache(20)
     for name in 'aabbccdd':
-        cache.get(name, lambda name=name: Held(name, 10, loaded), 2)  # type: ignore[misc]
+        cache.get(name, lambda name=name: Held(name, 10, loaded), 2)
     for name in 'efef':
-        cache.get(name, lambda name=name: Held(name, 10, loaded), 2)  # type: ignore[misc]
+        cache.get(name, lambda name=name: Held(name, 10, loaded), 2)
     assert loaded == list('abcdef')
 
 
@@ -184,7 +184,7 @@ class Damaged:
 def past(*damaged: int) -> tuple[list[tuple[int, int, int | None]], list[str]]:
     """First log time, number of messages and what follows of each window; what is said."""
     losses = Losses()
-    queries = RowQueries('bag.db3', lambda: Damaged(*damaged), 5000, losses)  # type: ignore[arg-type,return-value]
+    queries = RowQueries('bag.db3', lambda: Damaged(*damaged), 5000, losses)
     found = [(int(log[0]), len(log), then) for _, log, then in queries.read((COMMON,), 1)]
     return found, losses.sentences
 
@@ -204,14 +204,14 @@ def test_where_nothing_follows_that_can_be_read_it_is_said_once():
 
 def test_before_damage_rows_come_in_windows_too():
     losses = Losses()
-    queries = RowQueries('bag.db3', Damaged, None, losses)  # type: ignore[arg-type,return-value]
+    queries = RowQueries('bag.db3', Damaged, None, losses)
     error = sqlite3.DatabaseError('malformed')
-    rows, following = queries._load_damaged(Damaged(4000), (COMMON,), 2, error)  # type: ignore[arg-type]
+    rows, following = queries._load_damaged(Damaged(4000), (COMMON,), 2, error)
     assert (len(rows), rows[-1][0], following) == (2048, 20490, 2050)
-    rows, following = queries._load_damaged(Damaged(), (COMMON,), 4001, error)  # type: ignore[arg-type]
+    rows, following = queries._load_damaged(Damaged(), (COMMON,), 4001, error)
     assert (len(rows), following) == (1000, None)
     assert losses.sentences == []
     # Of a file whose last row nobody knows nothing is looked for behind damage.
-    rows, following = queries._load_damaged(Damaged(4000), (RARE,), 3001, error)  # type: ignore[arg-type]
+    rows, following = queries._load_damaged(Damaged(4000), (RARE,), 3001, error)
     assert (rows, following) == ([], None)
     assert losses.sentences == ['bag.db3: the rows after 3999 cannot be read (malformed).']

@@ -30,11 +30,11 @@ def test_a_long_field_of_a_text_file_costs_its_row(tmp_path):
     table = rows()
     table[100] = f'"{"x" * LONG}"' + table[100]
     (tmp_path / 'a.csv').write_text('\n'.join(table))
-    converted = imu_calib.convert(tmp_path / 'a.csv', tmp_path / 'bag', **SI)  # type: ignore[arg-type]
+    converted = imu_calib.convert(tmp_path / 'a.csv', tmp_path / 'bag', **SI)
     assert sum(converted.counts.values()) == len(table) - 2
     (tmp_path / 'b.csv').write_text('\n'.join(f'"{"x" * LONG}"' for _ in range(3)))
     with pytest.raises(InputError, match=r'b\.csv: no row of numbers found'):
-        imu_calib.convert(tmp_path / 'b.csv', tmp_path / 'other', **SI)  # type: ignore[arg-type]
+        imu_calib.convert(tmp_path / 'b.csv', tmp_path / 'other', **SI)
 
 
 def test_a_long_field_of_a_manifest_is_named(tmp_path):

@@ -78,11 +78,11 @@ def flawed(joint: int) -> tuple[TrueJoint, Flaw]:
     encoder = tuple((scale * c, scale * s) for c, s in ENCODER)
     lean = (0.0, 0.0) if joint == 0 else LEAN
     axis = TABLE.joints[joint].axis
-    true = TrueJoint(axis, 1e-3 * scale, encoder, wobble, lean)  # type: ignore[arg-type]
+    true = TrueJoint(axis, 1e-3 * scale, encoder, wobble, lean)
     flaw = Flaw(
         1e-3 * scale,
         lean,
-        tuple((*w[0], *w[1]) for w in wobble),  # type: ignore[arg-type]
+        tuple((*w[0], *w[1]) for w in wobble),
         (*encoder[0], *encoder[1]),
     )
     return true, flaw
@@ -97,7 +97,7 @@ def crooked():
         latitude=SITE.latitude,
         gravity=SITE.gravity,
         tilt=(2e-4, 0.0),
-        flaws=tuple(f for _, f in pairs),  # type: ignore[arg-type]
+        flaws=tuple(f for _, f in pairs),
     )
     return stand(options), world
 

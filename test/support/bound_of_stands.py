@@ -386,7 +386,7 @@ def _flaws() -> Iterator[tuple[str, tuple[Flaw, ...]]]:
 
 def _lean(part: Part, flaws: tuple[Flaw, ...]) -> Floats:
     """By how much errors turn the unit about its axes, in a turn in the mean: per `_STEP`."""
-    erring = World(flaws=flaws)  # type: ignore[arg-type]
+    erring = World(flaws=flaws)
     eighths = range(8) if part.kind == 'turn' else (0,)
     found = []
     for k in eighths:

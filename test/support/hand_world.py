@@ -137,6 +137,6 @@ def _read(
         (unit.accel, force, unit.accel_bias, unit.accel_walk),
     ):
         noise = walk / math.sqrt(STEP)
-        clean = applied(answer, given)  # type: ignore[arg-type]
+        clean = applied(answer, given)
         read.append(tuple(v + b + draw.gauss(0, noise) for v, b in zip(clean, bias, strict=True)))
-    samples.append(((len(samples) + 1) * STEP, read[0], read[1]))  # type: ignore[arg-type]
+    samples.append(((len(samples) + 1) * STEP, read[0], read[1]))

@@ -374,7 +374,7 @@ class Motion:
             done = self.rate * (t - 0.5 * self.ramp)
         moved = list(self.before)
         moved[self.joint] += math.copysign(done, self.way)
-        return tuple(moved)  # type: ignore[return-value]
+        return tuple(moved)
 
     def off(self, angles: Vector) -> tuple[Vector, Vector]:
         """By how much joints, and the table about east, north and up, are off at these angles.
@@ -391,7 +391,7 @@ class Motion:
             for share, errors in zip((old, new), self.missing, strict=True)
         )
         leaning = tuple(old * a + new * b for a, b in zip(*self.leaning, strict=True))
-        return tuple(missing), leaning  # type: ignore[return-value]
+        return tuple(missing), leaning
 
 
 def joints_of(axes: str) -> Vector:
@@ -517,7 +517,7 @@ def _miss(motions: list[Motion], stops: Stops) -> None:
         after[motion.joint] = stops.joints * next(noise)
         leans = tuple(size * next(noise) for size in (stops.tilt, stops.tilt, stops.heading))
         motion.missing = missing, (after[0], after[1], after[2])
-        motion.leaning = leaning, leans  # type: ignore[assignment]
+        motion.leaning = leaning, leans
         missing, leaning = motion.missing[1], motion.leaning[1]
 
 
@@ -610,10 +610,10 @@ def _record_joints(
         jitter = world.joint_jitter * next(noise) if world.joint_jitter else 0.0
         recording.joint_stamps.append(time + jitter)
         if not exact:
-            angles = tuple(a + world.encoder_noise * next(noise) for a in true)  # type: ignore[assignment]
+            angles = tuple(a + world.encoder_noise * next(noise) for a in true)
         if world.encoder_step:
             step = world.encoder_step
-            angles = tuple(math.floor(a / step + 0.5) * step for a in angles)  # type: ignore[assignment]
+            angles = tuple(math.floor(a / step + 0.5) * step for a in angles)
         recording.angles.append(angles)
 
 
@@ -730,7 +730,7 @@ class Moved:
                 speeds.append(NOTHING)
                 continue
             a, b = (place(angles, self.world, arm) for angles in (early, late))
-            speeds.append(tuple((v - u) / (2 * step) for u, v in zip(a, b, strict=True)))  # type: ignore[arg-type]
+            speeds.append(tuple((v - u) / (2 * step) for u, v in zip(a, b, strict=True)))
         return (places * 3, speeds * 3) if self.together else (places, speeds)
 
     def on(self, middle: Matrix, earth: Vector, motion: Motion, time: float) -> list[Vector]:
@@ -742,8 +742,8 @@ class Moved:
         for c in range(3):
             way = tuple(b - a for a, b in zip(self.places[c], places[c], strict=True))
             faster = tuple(b - a for a, b in zip(self.speeds[c], speeds[c], strict=True))
-            coriolis = tuple(2 * v for v in _cross(earth, way))  # type: ignore[arg-type]
-            sample_integrals.append(turned_into(middle, _sum(faster, coriolis)))  # type: ignore[arg-type]
+            coriolis = tuple(2 * v for v in _cross(earth, way))
+            sample_integrals.append(turned_into(middle, _sum(faster, coriolis)))
         self.places, self.speeds = places, speeds
         return sample_integrals
 
