@@ -1,4 +1,4 @@
-"""What ruff does not know of this package: circles of imports, options, constants, pages.
+"""What ruff does not know of this package: circles, options, constants, pages, package.xml.
 
     .venv/bin/python .ci/lint.py
 
@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+import declared
 import documents
 
 import imu_calib
@@ -230,7 +231,7 @@ def constants() -> Iterator[str]:
 
 def main() -> int:
     """Print all findings; return whether there are any."""
-    checks = (circles, option_names, docstrings, constants, *documents.CHECKS)
+    checks = (circles, option_names, docstrings, constants, *documents.CHECKS, *declared.CHECKS)
     found = [line for check in checks for line in check()]
     print(*found, sep='\n', end='\n' if found else '')
     return bool(found or doctest.testmod().failed or doctest.testmod(documents).failed)
