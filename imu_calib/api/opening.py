@@ -91,8 +91,9 @@ def assumed_si_imu(recording: Recording, topic: str) -> ImuSpec:
         raise InputError(f'{recording.path}: {topic}: {removed}')
     if seen := against_si(force, rate):
         raise NotStated(
-            f"{recording.path} does not say what the IMU's numbers mean: give `imu` "
-            f'({shipped("imus")}, or a file). They are not rad/s and m/s^2: {seen}.'
+            f'{recording.path}: the numbers of the IMU are not rad/s and m/s^2: {seen}. '
+            'Say what they are: give `imu`, the name of a type or a file of your own.',
+            f'The types are {shipped("imus")}; docs/files/imu.md explains the file.',
         )
     return load_imu(GENERIC)
 
@@ -128,8 +129,8 @@ def is_hand_held(session: Segmented) -> bool:
 def ask_for_plan(path: object) -> str:
     """Return the request to state the plan."""
     return (
-        f'{path} does not say which plan was run: give `plan` ({shipped("plans")}). It has no '
-        'joint states of a table, which would give the attitudes without one.'
+        f'{path} does not say which plan was run, and has no joint states of a table, which would '
+        'give the attitudes: give `plan`, a name of those that imu-calib plans lists.'
     )
 
 
@@ -206,7 +207,7 @@ def _also_missing(stated: Stated, recording: Recording, streams: Streams) -> str
         missing.append('`latitude` in degrees')
     if stated_plan(stated, recording) is None and streams.joints is None:
         missing.append('`plan` if one was run')
-    return f' Give also {" and ".join(missing)}.' if missing else ''
+    return f'Give also {" and ".join(missing)}.' if missing else ''
 
 
 def session_of(recording: Recording, stated: Stated) -> Opened:
@@ -218,7 +219,8 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
     try:
         imu = assumed_si_imu(recording, streams.imu) if known is None else known[0]
     except NotStated as error:
-        raise NotStated(f'{error}{_also_missing(stated, recording, streams)}') from None
+        also = _also_missing(stated, recording, streams)
+        raise (error.followed_by(also) if also else error) from None
     plan = stated_plan(stated, recording)
     if plan is None and streams.joints is not None:
         # Joint states give the attitudes.

@@ -118,8 +118,9 @@ def _verify(
         site = site_of(stated, recording, by_hand=by_hand)
     except NotStated as error:
         own = origin.get('latitude_deg')
-        same = '' if own is None else f' {name} was made at latitude {own:g}.'
-        raise NotStated(f'{error}{same}') from None
+        if own is None:
+            raise
+        raise error.followed_by(f'{name} was made at latitude {own:g}.') from None
     table = table_of(stated, recording) if streams.joints is not None else None
     segmenter = Segmenter(imu, table)
     kinds = {t: kind for t, kind in streams.kinds().items() if t != streams.skew}

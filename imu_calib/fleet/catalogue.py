@@ -17,6 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timezone
+from difflib import get_close_matches
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -204,8 +205,13 @@ class Catalogue:
         except duckdb.BinderException as error:
             if (missing := _NO_COLUMN.search(str(error))) is None:
                 raise InputError(f'{sql}: {" ".join(str(error).split())}') from None
-            names = ', '.join(table.column_names)
-            raise InputError(f'There is no column {missing[1]!r}; there are: {names}.') from None
+            names = {name.lower(): name for name in table.column_names}
+            near = [names[name] for name in get_close_matches(missing[1].lower(), names)]
+            meant = f'did you mean {" or ".join(near)}? ' if near else ''
+            raise InputError(
+                f'There is no column {missing[1]!r}; {meant}docs/fleet.md lists the '
+                f'{len(names)} columns.'
+            ) from None
         except duckdb.Error as error:
             raise InputError(f'{sql}: {" ".join(str(error).split())}') from None
         finally:

@@ -174,9 +174,9 @@ def described_site(data: Mapping[str, str], where: str) -> Site:
     if not states_site(data):
         raise NotStated(
             f'{where} does not say where it was taken: give `latitude` in degrees, negative in the '
-            'south. Gravity follows from it, which scales the accelerometers, and the Earth rate. '
+            'south. Gravity follows from it, which scales the accelerometers, and the Earth rate.',
             'For a unit in the hand a tenth of a degree is enough, or `gravity` with the measured '
-            'value in m/s^2 instead.'
+            'value in m/s^2 instead.',
         )
     try:
         latitude = float(data[_LATITUDE]) * DEG

@@ -912,11 +912,11 @@ def test_a_table_with_other_names(cli, recorded, tmp_path):
     [
         (
             'imu_calib.plan',
-            r'does not say which plan was run: give --plan \(.*six_position',
+            r'not say which plan was run, .*: give --plan, a name of those that imu-calib plans',
         ),
         (
             'imu_calib.imu',
-            r"does not say what the IMU's numbers mean: give --imu \(.*fog_medium",
+            r'numbers of the IMU are not rad/s and m/s\^2: .*\. Say what they are: give --imu, the',
         ),
         ('imu_calib.latitude_deg', 'does not say where it was taken: give --latitude'),
     ],

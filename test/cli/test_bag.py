@@ -113,7 +113,7 @@ def test_holds_too_short_for_an_allan_deviation_have_no_picture_of_it(made):
 
 
 def test_latitude_is_asked_for_with_why_and_what_else_would_do(bag, tmp_path, capsys):
-    assert main(['calibrate', bag]) == 2
+    assert main(['calibrate', bag, '--verbose']) == 2
     text = capsys.readouterr().err.replace('\n', ' ')
     assert re.search(
         'give --latitude .* Gravity follows from it, .* --gravity with the measured value', text
@@ -142,7 +142,8 @@ def test_what_is_not_in_si_is_not_taken_for_it(tmp_path, capsys, scale, sentence
     hand = recorded(tmp_path / 'hand', '/imu', 4, scale)
     assert main(['calibrate', hand, '--latitude', '48', '-o', str(tmp_path / 'c.yaml')]) == 2
     text = capsys.readouterr().err.replace('\n', ' ')
-    assert re.search(f"does not say what the IMU's numbers mean.* {sentence}", text), text
+    assert re.search(f'the numbers of the IMU are not rad/s and m/s.2: .*{sentence}', text), text
+    assert 'vectornav' not in text and 'more sentence: --verbose' in text
 
 
 @pytest.mark.parametrize(
@@ -248,7 +249,7 @@ def test_all_that_a_recording_does_not_state_is_asked_for_at_once(capsys):
     session = Path(__file__).parents[1] / 'data' / 'hand_session'
     assert main(['calibrate', str(session)]) == 2
     message = ' '.join(capsys.readouterr().err.split())
-    assert all(option in message for option in ('--imu (', '--latitude', '--plan'))
+    assert all(option in message for option in ('--imu,', '--latitude', '--plan'))
 
 
 def test_info_says_that_another_latitude_is_contradicted(tmp_path, capsys):

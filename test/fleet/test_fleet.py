@@ -315,6 +315,9 @@ def test_catalogue_lists_filters_and_exports(done, tmp_path, capsys):
     assert out.startswith('3 rows of 79 columns: key, recording,') and 'K_gx [1], ' in out
     assert main(['catalogue', str(done), '--sql', 'select nothing']) == 2
     assert 'nothing' in capsys.readouterr().err
+    assert main(['catalogue', str(done), '--columns', 'kgx']) == 2
+    said = capsys.readouterr().err
+    assert "no column 'kgx'; did you mean K_gx?" in said and 'std_' not in said
     assert main(['catalogue', str(done), '--sql', f"select * from '{csv}'"]) == 2
     assert main(['catalogue', str(tmp_path)]) == 2
 

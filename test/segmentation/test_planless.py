@@ -389,7 +389,7 @@ def test_the_plan_of_a_recording_can_be_left_out(tmp_path, capsys):
 def test_without_joint_states_a_plan_is_asked_for(bag, capsys):
     assert main(['calibrate', str(bag), '--imu-only', *SAID]) == 2
     error_text = capsys.readouterr().err
-    assert 'does not say which plan was run: give --plan' in error_text
+    assert 'does not say which plan was run, and has no joint states' in error_text
     assert 'joint states of a table, which would give the attitudes' in error_text
 
 
