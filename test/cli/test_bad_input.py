@@ -7,7 +7,6 @@ comes out, it is held to the truth: a damage that is not stated must not show in
 import os
 import re
 import shutil
-import sqlite3
 import struct
 import subprocess
 import sys
@@ -412,24 +411,6 @@ def test_a_corrupt_chunk(cli, recorded, tmp_path, share):
     assert not re.search('moved|disturbed|turned', ' '.join(found.findings))
 
 
-def test_a_foreign_sqlite_file(cli, tmp_path):
-    database = sqlite3.connect(tmp_path / 'people.db3')
-    database.execute('CREATE TABLE people(name TEXT)')
-    database.commit()
-    database.close()
-    sentence = r'people.db3 is a sqlite3 file, but not a recording .* expected table topics'
-    cli.refuses(2, sentence, tmp_path / 'people.db3')
-
-
-def test_a_text_file_by_the_name_of_a_recording(cli, tmp_path):
-    (tmp_path / 'notes.mcap').write_text('hello\n' * 100)
-    cli.refuses(
-        2,
-        r"notes.mcap is not a recording of rosbag2 \(mcap or sqlite3\): it starts with b'hello",
-        tmp_path / 'notes.mcap',
-    )
-
-
 def test_a_folder_that_does_not_exist(cli, tmp_path):
     cli.refuses(2, 'nowhere: no such recording; expected a rosbag2 folder', tmp_path / 'nowhere')
 
@@ -487,7 +468,6 @@ def test_an_input_is_not_written_over(cli, of_good, tmp_path):
     [
         (None, r'calibration.yaml: cannot be read|no such file'),
         ('- 1\n- 2\n', 'calibration.yaml: found a list, expected keys'),
-        (PLAN_TEXT, "calibration.yaml is not a calibration file .the key 'format' is missing"),
         ('format: 1\nunits: pulses\nimu: [', 'calibration.yaml: not YAML'),
     ],
 )

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG
 from imu_calib.segmentation.dwells import (
     ShiftingDisturbance,
     Sound,
-    _largest_step,
     _Means,
     _one_way,
     _robust_line,
@@ -322,15 +322,24 @@ def test_the_largest_step_is_that_of_the_best_cut(seed, walk):
     rows = blocks_of(rng.normal(0, 1 + seed, 5 + seed))
     rows[:, 1] *= rng.uniform(0.5, 2, len(rows))
     rows[:, 2] = rng.uniform(0.0, 0.3, len(rows))
-    rows[2 + seed // 2 :, 0] += 3.0 * (-1) ** seed
-    found = _largest_step(rows, walk)
-    got = (found.score, found.cut, found.size, found.square_about_levels, found.square_about_line)
-    assert got == pytest.approx(largest_by_hand(rows, walk))
+
+    def by_hand(step):
+        stepped = rows + step * np.outer(np.arange(len(rows)) >= 2 + seed // 2, [1, 0, 0, 0])
+        return largest_by_hand(stepped, walk), stepped
+
+    limit = brentq(lambda step: by_hand(step)[0][0] - 8.0, 3.0, 300.0)
+    for step in (0.999 * limit, 1.001 * limit, -3 * limit):
+        (score, after, size, left, by_drift), stepped = by_hand(step)
+        found = find_step(statistics(stepped), np.full(6, walk))
+        assert (found is not None) == (score >= 8 and left <= 0.25 * by_drift)
+        if found is not None:
+            assert found[0] == pytest.approx((10.0 * after - 10, 10.0 * after + 10))
+            assert float(found[1].split()[-2]) == pytest.approx(size / DEG * 3600, rel=5e-3)
 
 
 def test_four_blocks_show_no_step():
-    assert _largest_step(blocks_of([0, 1, 0, 99]), 1.0) is None
-    assert _largest_step(blocks_of([0, 1, 0, 99, 99]), 1.0) is not None
+    assert find_step(statistics(blocks_of([0, 1, 0, 99])), np.ones(6)) is None
+    assert find_step(statistics(blocks_of([0, 1, 0, 99, 99])), np.ones(6)) is not None
 
 
 @pytest.mark.parametrize(
