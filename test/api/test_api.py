@@ -5,7 +5,6 @@ import enum
 import inspect
 import json
 import re
-import subprocess
 import sys
 from dataclasses import replace
 from importlib import import_module
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from loopback import completed
 from sessions import brief_plan
 
 import imu_calib
@@ -49,7 +49,7 @@ def result(folder):
 
 def test_it_loads_what_is_asked_for_alone():
     code = 'import imu_calib, json, sys; print(json.dumps(sorted(sys.modules)))'
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    done = completed([sys.executable, '-c', code], check=True)
     assert 'numpy' not in json.loads(done.stdout)
 
 

@@ -8,7 +8,6 @@ import os
 import re
 import shutil
 import struct
-import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from extent import again
+from loopback import completed
 from sessions import SITE, paper_imu, stand, truth
 
 from imu_calib.api.simulate import serialised
@@ -482,9 +482,7 @@ def test_comparing_what_is_no_calibration(cli, content, sentence):
 def test_wrong_usage_ends_with_2():
     # In a process of its own: what a shell sees.
     command = [sys.executable, '-m', 'imu_calib.cli.main', 'calibrate']
-    done = subprocess.run(
-        command, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[2]
-    )
+    done = completed(command, cwd=Path(__file__).parents[2])
     assert done.returncode == 2
     assert 'BAG is missing: imu-calib calibrate BAG [options]' in done.stderr
     assert 'Traceback' not in done.stderr

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import yaml
 from jsonschema import Draft202012Validator
-from loopback import CHECKOUT
+from loopback import CHECKOUT, completed
 
 import imu_calib
 from imu_calib.calibration.calibration import Calibration
@@ -169,7 +169,7 @@ sys.exit(main.main(sys.argv[1:]))
 """)
     words = [sys.executable, '-m', 'interrupted_one', 'info', str(folder / 'one')]
     places = {**os.environ, 'PYTHONPATH': os.pathsep.join(map(str, (tmp_path, CHECKOUT)))}
-    ended = subprocess.run(words, env=places, capture_output=True, text=True, check=False)
+    ended = completed(words, env=places)
     assert (ended.returncode, ended.stderr) == (130, '\nimu-calib info: interrupted\n')
 
 
@@ -257,7 +257,7 @@ sys.meta_path.insert(0, Interrupting)
 """)
     places = {**os.environ, 'PYTHONPATH': os.pathsep.join(map(str, (tmp_path, CHECKOUT)))}
     command = [sys.executable, *words, 'info', 'x', '--json']
-    ended = subprocess.run(command, env=places, capture_output=True, text=True, check=False)
+    ended = completed(command, env=places)
     assert (ended.returncode, ended.stderr) == (130, 'imu-calib: interrupted\n')
     assert json.loads(ended.stdout)['error'] == {'kind': 'interrupted', 'message': 'interrupted'}
 

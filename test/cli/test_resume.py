@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from live import LIMIT, short_plan
-from loopback import CHECKOUT, patience, until
+from loopback import CHECKOUT, completed, patience, until
 from sequenced_table import Stand as Simulated
 
 from imu_calib.api.calibrate import calibrate
@@ -77,9 +77,7 @@ def comes_to(process, folder, step, *, word='', run=1):
 
 def numbers(folder, node=''):
     """Return the process numbers of the nodes, or one, whose parameters are in a folder."""
-    listed = subprocess.run(
-        ['ps', '-eww', '-o', 'pid,args'], capture_output=True, text=True, check=True
-    )
+    listed = completed(['ps', '-eww', '-o', 'pid,args'], check=True)
     rows = [line.split(maxsplit=1) for line in listed.stdout.splitlines()]
     return [int(row[0]) for row in rows if len(row) == 2 and f'{folder}/nodes/{node}' in row[1]]
 

@@ -3,7 +3,6 @@
 import json
 import os
 import select
-import subprocess
 import sys
 import termios
 import threading
@@ -13,7 +12,7 @@ from dataclasses import replace
 import pytest
 import yaml
 from device_frames import NS, frame, pseudo_terminal
-from loopback import CHECKOUT, until
+from loopback import CHECKOUT, completed, until
 
 from imu_calib.cli import dispatch, main, stand, stand_session
 from imu_calib.cli.terminal import OUTPUT, NodeReports, NothingComes
@@ -41,13 +40,7 @@ SUBJECTS = {subject for subject, _ in dispatch.COMMANDS.values()}
 def loaded(code, *arguments):
     """Run code in a Python of its own; return the modules that it has loaded."""
     text = 'import json, sys\n' + code + '\nprint("\\n" + json.dumps(sorted(sys.modules)))'
-    done = subprocess.run(
-        [sys.executable, '-c', text, *map(str, arguments)],
-        cwd=CHECKOUT,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = completed([sys.executable, '-c', text, *map(str, arguments)], cwd=CHECKOUT, check=True)
     return set(json.loads(done.stdout.splitlines()[-1]))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from dask_cluster import Cluster, first_last, refused
 from extent import again as repeated
-from loopback import CHECKOUT, SUPPORT, patience, until
+from loopback import CHECKOUT, SUPPORT, completed, patience, until
 from sessions import study
 
 from imu_calib.cli.main import main
@@ -211,7 +211,7 @@ def test_what_is_no_address_ends_at_once():
     addresses = ['nonsense', 'foo://host:8786', 'tcp://host:port']
     words = ['montecarlo', 'six_position', '--runs', '2', '--scheduler']
     code = f'from imu_calib.cli.main import main; print([main([*{words}, a]) for a in {addresses}])'
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    done = completed([sys.executable, '-c', code], check=True)
     assert done.stdout.strip() == '[2, 2, 2]'
     for address, said in zip(addresses, done.stderr.strip().splitlines(), strict=True):
         assert f'found {address!r}, expected an address as tcp://host:8786' in said

@@ -2,7 +2,6 @@
 
 import os
 import stat
-import subprocess
 import sys
 import threading
 from dataclasses import replace
@@ -11,7 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 import yaml
-from loopback import CHECKOUT
+from loopback import CHECKOUT, completed
 from sessions import truth
 
 import imu_calib
@@ -112,7 +111,7 @@ def test_a_full_disk_leaves_every_file_as_it_was(tmp_path):
         (tmp_path / name).write_text(before[name])
     fields = CHECKOUT / 'config' / 'certificates' / 'example.yaml'
     command = [sys.executable, '-c', FULL_DISK, str(tmp_path), str(fields)]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    ended = completed(command)
     assert ended.stderr == ''
     written = [f'{tmp_path / name}: cannot be written (File too large).' for name in before]
     assert sorted(ended.stdout.splitlines()) == sorted(written)
@@ -159,7 +158,7 @@ def test_on_a_full_disk_a_stand_leaves_no_half_settings(tmp_path):
     units = [{'serial_number': name, 'imu': str(imu)} for name in 'ab']
     imus.write_text(yaml.safe_dump({'units': units}))
     command = [sys.executable, '-c', STAND_ON_A_FULL_DISK, *map(str, (folder, imu, imus))]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    ended = completed(command)
     assert ended.stderr == ''
     files = ('settings/imu.yaml', 'two/settings/options.yaml', 'several/units/unit_a_imu.yaml')
     written = [folder / name for name in (*files, 'nodes/imu_node.yaml')]

@@ -1,12 +1,11 @@
 """Commands and nodes leave the cores to each other: small matrices gain nothing by threads."""
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from loopback import CHECKOUT
+from loopback import CHECKOUT, completed
 
 from imu_calib.api.calibrate import calibrate_units, calibrated
 from imu_calib.api.predict import optimise, predicted, shortest
@@ -29,7 +28,7 @@ def test_a_product_of_matrices_takes_one_thread(module):
     environ = {k: v for k, v in os.environ.items() if not k.endswith('_NUM_THREADS')}
     environ['PYTHONPATH'] = os.pathsep.join([str(CHECKOUT), os.environ.get('PYTHONPATH', '')])
     run = [sys.executable, '-c', _COUNT.format(module=module)]
-    counted = subprocess.run(run, env=environ, capture_output=True, text=True, check=True)
+    counted = completed(run, env=environ, check=True)
     assert int(counted.stdout) == 1
 
 
@@ -54,7 +53,7 @@ def test_what_is_called_from_python_takes_one_thread_and_gives_the_others_back(a
     environ = {**os.environ, 'OMP_NUM_THREADS': allowed}
     environ['PYTHONPATH'] = os.pathsep.join([str(CHECKOUT), os.environ.get('PYTHONPATH', '')])
     run = [sys.executable, '-c', _DEEP, allowed]
-    output = subprocess.run(run, env=environ, capture_output=True, text=True, check=True).stdout
+    output = completed(run, env=environ, check=True).stdout
     before, within, after = (part.strip('[ ]\n') for part in output.split(']')[:3])
     assert (before, within, after) == (allowed, '1', allowed)
 

@@ -19,7 +19,7 @@ import pytest
 from buckets import put, served
 from dask_cluster import Cluster
 from installed import needs_modules
-from loopback import CHECKOUT, SUPPORT, patience, until
+from loopback import CHECKOUT, SUPPORT, completed, patience, until
 from sessions import brief_plan
 
 import imu_calib
@@ -664,6 +664,6 @@ def test_a_client_that_is_killed_goes_on_where_it_was(recordings, tmp_path):
         first.wait()
     before = len(rows(folder))
     assert before > 0
-    done = subprocess.run([*command, '--workers', '1'], capture_output=True, text=True, check=True)
+    done = completed([*command, '--workers', '1'], check=True)
     assert f'{before} done before' in done.stdout
     assert sorted(row['operator'] for row in rows(folder)) == [f'o{k}' for k in range(4)]

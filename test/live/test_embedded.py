@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from ascii_controller import Servo
 from live import NODES, Stand, State, finishes, short_plan
-from loopback import environment, patience, until
+from loopback import completed, environment, patience, until
 from processes import start
 from turntable_bench import TABLE as NIMBLE
 
@@ -107,12 +107,9 @@ def test_processes_of_their_own_measure_the_same_unit(finished):
 def test_a_node_may_rely_on_the_same_as_on_the_wire():
     """Of test_middleware all that is not about several processes, on this runtime."""
     file = Path(__file__).with_name('test_middleware.py')
-    done = subprocess.run(
+    done = completed(
         [sys.executable, '-m', 'pytest', '-p', 'no:cacheprovider', str(file)],
         env={**os.environ, 'IMU_CALIB_MIDDLEWARE': 'embedded'},
-        capture_output=True,
-        text=True,
-        check=False,
     )
     assert done.returncode == 0, done.stdout
     passed = int(re.search(r'(\d+) passed', done.stdout)[1])

@@ -1,11 +1,10 @@
 """How every node's program begins."""
 
-import subprocess
 import sys
 
 import pytest
 from installed import needs_nodes
-from loopback import CHECKOUT
+from loopback import CHECKOUT, completed
 
 from imu_calib.live.nodes import programs
 
@@ -46,10 +45,7 @@ sys.exit(entry.entry_point(main) if how == 'node' else main())
 
 
 def heaps(how):
-    done = subprocess.run(
-        [sys.executable, '-c', THREADS, how], capture_output=True, text=True, check=True,
-        cwd=CHECKOUT,
-    )  # fmt: skip
+    done = completed([sys.executable, '-c', THREADS, how], check=True, cwd=CHECKOUT)
     return int(done.stdout)
 
 
@@ -66,7 +62,7 @@ def test_a_program_says_how_it_is_called_and_refuses_stray_words(program):
     def answer(*words):
         module = f'imu_calib.live.nodes.{program}'
         command = [sys.executable, '-m', module, *words]
-        return subprocess.run(command, capture_output=True, text=True, check=False, cwd=CHECKOUT)
+        return completed(command, cwd=CHECKOUT)
 
     needs_nodes()
     asked = answer('--help')

@@ -15,7 +15,7 @@ import processes
 import pytest
 from device_frames import frame
 from imu_bench import NS, RATE
-from loopback import CHECKOUT, patience, until
+from loopback import CHECKOUT, completed, patience, until
 
 from imu_calib.common.errors import InputError
 from imu_calib.live import middleware as ros
@@ -280,13 +280,10 @@ def test_a_port_that_is_missing_is_refused_in_a_sentence(bench):
 
 def test_the_program_ends_clean_and_says_what_is_wrong(bench, tmp_path):
     command = [sys.executable, '-m', 'imu_calib.live.nodes.imu_node', '--ros-args', '-p']
-    wrong = subprocess.run(
+    wrong = completed(
         [*command, 'device:=no_such_device', '-p', f'port:={bench.device.url}'],
-        capture_output=True,
-        text=True,
         timeout=patience(),
         cwd=CHECKOUT,
-        check=False,
     )
     assert wrong.returncode == 2
     assert "imu_node: No device is called 'no_such_device'; there are: " in wrong.stderr

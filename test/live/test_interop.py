@@ -12,7 +12,7 @@ import numpy as np
 import processes
 import pytest
 from installed import ROS, SETUP, has_wheel, needs, without_ros
-from loopback import CHECKOUT, SUPPORT, environment, patience, until
+from loopback import CHECKOUT, SUPPORT, completed, environment, patience, until
 from ros_stands import LOOK, LOSSLESS, seen
 
 from imu_calib.recordings.cdr_codec import Kind
@@ -88,14 +88,7 @@ def interrupted(process):
 
 def run(runtime, domain, *words, seconds=60):
     """Run a command to its end."""
-    return subprocess.run(
-        command(runtime, *words),
-        capture_output=True,
-        text=True,
-        timeout=patience(seconds),
-        env=side(runtime, domain),
-        check=False,
-    )
+    return completed(command(runtime, *words), timeout=patience(seconds), env=side(runtime, domain))
 
 
 def ask(runtime, domain, *words, seconds=60):

@@ -2,12 +2,11 @@
 
 import json
 import struct
-import subprocess
 import sys
 
 import numpy as np
 import pytest
-from loopback import CHECKOUT
+from loopback import CHECKOUT, completed
 from rosbags.typesys import Stores, get_typestore
 
 from imu_calib.common.errors import ImuCalibError, InputError
@@ -141,10 +140,7 @@ print(json.dumps(sorted(sys.modules)))
 
 
 def test_the_runtime_loads_neither_recordings_nor_the_definitions_of_all_of_ros():
-    done = subprocess.run(
-        [sys.executable, '-c', LOADED],
-        cwd=CHECKOUT, capture_output=True, text=True, check=True,
-    )  # fmt: skip
+    done = completed([sys.executable, '-c', LOADED], cwd=CHECKOUT, check=True)
     modules = json.loads(done.stdout)
     assert 'rosbags.serde.cdr' in modules
     assert not [

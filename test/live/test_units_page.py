@@ -1,7 +1,6 @@
 """The page of a stand with several units in a browser: all are there, and one falls silent."""
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import pytest
 from board_messages import SETUP, diagnostics, progress, state
 from browser import chromium, contrasts, width
 from installed import needs_modules
-from loopback import patience
+from loopback import completed, patience
 
 from imu_calib.live.web.board import units_board
 from imu_calib.live.web.dwells import Dwells
@@ -83,12 +82,9 @@ def test_all_units_are_there_and_one_that_falls_silent_is_named(request):
     if ALONE in os.environ:
         all_units_are_there_and_one_that_falls_silent_is_named(request.getfixturevalue('shown'))
         return
-    done = subprocess.run(
+    done = completed(
         [sys.executable, '-m', 'pytest', '-p', 'no:cacheprovider', f'{__file__}'],
         env={**os.environ, ALONE: '1'},
-        capture_output=True,
-        text=True,
-        check=False,
     )
     assert done.returncode == 0, done.stdout
 

@@ -1,10 +1,9 @@
 """What only Linux has is not needed to import the package, to simulate, or to calibrate."""
 
-import subprocess
 import sys
 
 import yaml
-from loopback import CHECKOUT
+from loopback import CHECKOUT, completed
 
 from imu_calib.common.files import named_file
 
@@ -38,11 +37,5 @@ def test_simulating_and_calibrating_need_nothing_that_linux_alone_has(tmp_path):
     plan = yaml.safe_load(named_file('plans', 'twelve_position').read_text())
     plan['dwell'], plan['rate_test']['rates'] = '3 s', ['120 deg/s', '-120 deg/s']
     (tmp_path / 'plan.yaml').write_text(yaml.safe_dump(plan))
-    done = subprocess.run(
-        [sys.executable, '-c', ELSEWHERE, str(tmp_path)],
-        cwd=CHECKOUT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = completed([sys.executable, '-c', ELSEWHERE, str(tmp_path)], cwd=CHECKOUT)
     assert done.returncode == 0, done.stderr

@@ -2,13 +2,12 @@
 
 import re
 import shutil
-import subprocess
 import sys
 import xml.etree.ElementTree as ET
 
 import pytest
 from installed import ROS, needs, without_ros
-from loopback import CHECKOUT, environment, patience, start
+from loopback import CHECKOUT, completed, environment, patience, start
 
 COLCON = shutil.which('colcon')
 in_ros = [
@@ -50,14 +49,11 @@ def workspace(tmp_path):
 
 def run(folder, command):
     """Run a line of bash where ROS is sourced, and nothing else."""
-    return subprocess.run(
+    return completed(
         ['bash', '-c', f'. {ROS} && {command}'],
         cwd=folder,
         env={**without_ros(), **environment()},
-        capture_output=True,
-        text=True,
         timeout=patience(120),
-        check=False,
     )
 
 

@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-import subprocess
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from datetime import datetime, timezone
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from loopback import completed
 from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand, truth
 
 from imu_calib.api.documents import report
@@ -399,7 +399,7 @@ def test_axes_stand_at_round_numbers():
 def browse(path: Path, folder: Path, *arguments: str) -> tuple[str, set[str]]:
     """Open a page without a network; return what the console says, and what was asked for."""
     log = folder / 'net.json'
-    done = subprocess.run(
+    done = completed(
         [
             str(BROWSER),
             '--headless',
@@ -414,8 +414,6 @@ def browse(path: Path, folder: Path, *arguments: str) -> tuple[str, set[str]]:
             *(arguments or ('--dump-dom',)),
             path.as_uri(),
         ],
-        capture_output=True,
-        text=True,
         timeout=120,
         check=True,
     )

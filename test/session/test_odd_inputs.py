@@ -1,11 +1,10 @@
 """Values that no user means, from files and on the command line: one sentence, no traceback."""
 
-import subprocess
 import sys
 
 import pytest
 from extent import again
-from loopback import CHECKOUT
+from loopback import CHECKOUT, completed
 
 import imu_calib
 from imu_calib.cli.main import main
@@ -109,9 +108,7 @@ def test_a_huge_sample_is_left_out_without_a_word_of_numpy(size, tmp_path):
     (tmp_path / 'a.csv').write_text('\n'.join(table))
     command = [sys.executable, '-m', 'imu_calib.cli.main', 'convert', 'a.csv', '-o', 'bag']
     words = [part for key, value in SI.items() for part in (f'--{key}', value)]
-    made = subprocess.run(
-        [*command, *words], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    made = completed([*command, *words], cwd=tmp_path)
     assert made.returncode == 0
     assert 'Warning' not in made.stderr
     calibration = CHECKOUT / 'config' / 'truths' / 'mems_counts.yaml'
@@ -122,8 +119,6 @@ def test_a_huge_sample_is_left_out_without_a_word_of_numpy(size, tmp_path):
         ['compensate', 'bag', '--calibration', 'c.yaml', '-o', 'out'],
         ['info', 'bag'],
     ):
-        ended = subprocess.run(
-            [*command[:3], *words], cwd=tmp_path, capture_output=True, text=True, check=False
-        )
+        ended = completed([*command[:3], *words], cwd=tmp_path)
         assert 'Warning' not in ended.stderr
         assert 'Traceback' not in ended.stderr

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from loopback import completed
 
 from imu_calib.common.stream import Floats
 
@@ -52,5 +53,5 @@ def compensated_in_c(folder: Path, header: str, read: Floats, define: str | None
     except FileNotFoundError:
         pytest.skip('no C compiler')
     lines = '\n'.join(' '.join(map(repr, row)) for row in read.tolist())
-    run = subprocess.run([folder / 'main'], input=lines, capture_output=True, text=True, check=True)
+    run = completed([folder / 'main'], input=lines, check=True)
     return np.array([line.split() for line in run.stdout.splitlines()], dtype=float)

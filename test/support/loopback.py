@@ -36,6 +36,11 @@ def isolate(monkeypatch):
         monkeypatch.setenv(name, value)
 
 
+def completed(words, check=False, **options):
+    """Run a command to its end, and return its exit code and what it printed."""
+    return subprocess.run(words, capture_output=True, text=True, check=check, **options)
+
+
 def start(code: str, *arguments: str, **environ: str) -> subprocess.Popen[str]:
     """Start Python code in a process of its own, with this process's environment."""
     path = os.pathsep.join([str(CHECKOUT), os.environ.get('PYTHONPATH', '')])

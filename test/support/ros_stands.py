@@ -14,7 +14,7 @@ import pytest
 import rich
 import yaml
 from installed import ROS, SETUP, has_package, needs, without_ros
-from loopback import CHECKOUT, environment, patience, until
+from loopback import CHECKOUT, completed, environment, patience, until
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.processes import free_port, private_network
@@ -93,14 +93,8 @@ class Network:
 
     def run(self, *words, seconds=60):
         """Run a tool of ROS to its end."""
-        return subprocess.run(
-            self.ros('ros2', *words),
-            capture_output=True,
-            text=True,
-            timeout=patience(seconds),
-            env=self.environ(),
-            cwd=self.folder,
-            check=False,
+        return completed(
+            self.ros('ros2', *words), timeout=patience(seconds), env=self.environ(), cwd=self.folder
         )
 
     def ask(self, *words, seconds=60):
