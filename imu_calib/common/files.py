@@ -288,6 +288,20 @@ def bag_of_ros_1(path: AnyFile) -> str:
     return _way(path, '.bag', '')
 
 
+def beginning(head: bytes) -> str:
+    """Return how a file begins, in words that follow its name; empty files have no bytes.
+
+    Examples:
+        >>> beginning(b'id: mine'), beginning(bytes([31, 139, 8]))
+        ("begins with the text 'id: mine'", 'begins with the bytes 1f 8b 08')
+    """
+    if not head:
+        return 'is empty'
+    if head.isascii() and (text := ' '.join(head.decode().split())).isprintable():
+        return f'begins with the text {text!r}'
+    return f'begins with the bytes {head.hex(" ")}'
+
+
 def _way(path: AnyFile, ending: str, wanted: str) -> str:
     what, way = _FORMATS[ending]
     return f'{path} is {what}{wanted}: {way.format(path=path)}.'

@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from ..common.files import beginning
 from ..common.stream import Stamps
 from .cdr import Bytes, Indices
 from .mcap_records import (
@@ -88,7 +89,9 @@ class _Scanner:
     def _check_magic(self) -> None:
         magic = self._read(0, len(MAGIC))
         if magic != MAGIC:
-            what = f'starts with {magic!r}' if magic else 'is empty'
+            what = beginning(magic)
+            if what.startswith('begins with the text'):
+                what += '. imu-calib convert reads tables of numbers'
             raise RecordingError(
                 f'{self.name} is not a recording of rosbag2 (mcap or sqlite3): it {what}.'
             )

@@ -13,6 +13,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from ..common.files import beginning
 from ..common.stream import Stamps
 from .cdr import Indices, Messages
 from .metadata_yaml import custom_data_of
@@ -272,8 +273,7 @@ class SqliteStorage:
             head = file.read(_HEADER)
         magic = head[: len(_MAGIC)]
         if magic != _MAGIC:
-            what = f'starts with {magic!r}' if magic else 'is empty'
-            raise RecordingError(f'{self.path.name} {what}: expected a sqlite3 file.')
+            raise RecordingError(f'{self.path.name} {beginning(magic)}: expected a sqlite3 file.')
         expected = _stated_size(head)
         if self.size < expected:
             # SQLite itself would read zeros if the last page is cut off.

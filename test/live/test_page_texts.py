@@ -20,7 +20,7 @@ from imu_calib.session.units_file import read_units
 
 needs_modules('nicegui')
 
-MARKUP = '<b id="injected">x</b>'
+MARKUP = '<b id="injected">x</b><script>window.ran = 4</script>'
 SERIAL = '<b id="injected">y'
 """Without the slash, which the name of a file cannot hold."""
 UNITS = f"""

@@ -89,7 +89,11 @@ def samples_until(seconds):
     [
         ('a.mcap', b'', 'a.mcap is not a recording of rosbag2 (mcap or sqlite3): it is empty'),
         ('a.db3', b'', 'a.db3 is empty: expected a sqlite3 file'),
-        ('a.mcap', b'just some text\n' * 9, "(mcap or sqlite3): it starts with b'just som'"),
+        (
+            'a.mcap',
+            b'just some text\n' * 9,
+            "(mcap or sqlite3): it begins with the text 'just som'. imu-calib convert",
+        ),
         ('a.mcap', b'\x89MCAP0\r\n', 'no topics'),
         ('a.db3', b'SQLite format 3\0' + bytes(500), 'not a sound sqlite3 file'),
         ('a.mcap.zstd', b'\x28\xb5\x2f\xfdgarbage', '(mcap or sqlite3): it is empty'),

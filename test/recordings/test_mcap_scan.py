@@ -123,13 +123,22 @@ def test_a_file_that_ends_anywhere_gives_what_is_whole_of_it(scanned):
         assert losses == [f'a.mcap {where}: its recorder did not finish{known}.']
 
 
-@pytest.mark.parametrize('content', [b'', b'\x89MCAP', b'SQLite format 3\0', MAGIC[:-1] + b'!'])
-def test_what_is_no_mcap_says_what_it_starts_with(scanned, content):
-    what = f'starts with {content[:8]!r}' if content else 'is empty'
+@pytest.mark.parametrize(
+    ('content', 'what'),
+    [
+        (b'', 'is empty'),
+        (b'\x89MCAP', 'begins with the bytes 89 4d 43 41 50'),
+        (b'SQLite format 3\0', "begins with the text 'SQLite f'"),
+        (MAGIC[:-1] + b'!', 'begins with the bytes 89 4d 43 41 50 30 0d 21'),
+        (b'\x00\x01\x02\x03', 'begins with the bytes 00 01 02 03'),
+    ],
+)
+def test_what_is_no_mcap_says_what_it_starts_with(scanned, content, what):
     with pytest.raises(RecordingError) as refused:
         scanned(content)
-    assert (
-        str(refused.value) == f'a.mcap is not a recording of rosbag2 (mcap or sqlite3): it {what}.'
+    way = ' imu-calib convert reads tables of numbers.' if 'text' in what else ''
+    assert str(refused.value) == (
+        f'a.mcap is not a recording of rosbag2 (mcap or sqlite3): it {what}.{way}'
     )
 
 
