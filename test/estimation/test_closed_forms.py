@@ -51,6 +51,9 @@ def test_a_position_that_is_measured_again_counts_once_in_the_mean(again: tuple[
     off = solution.model.gyro.bias - TRUE.gyro.bias
     # The bias of a group whose shares did not add up to one would be off by a fifth of it.
     assert np.abs(off).max() < 1e-4 * DEG_H
+    # Likewise those that hold an axis up or down.
+    off = solution.model.accel.error_matrix - TRUE.accel.error_matrix
+    assert np.abs(off).max() < 1e-9
 
 
 @pytest.mark.parametrize('azimuth', [0.0, 0.4])
