@@ -135,6 +135,29 @@ def test_in_the_hand_false_samples_are_missing_ones(spoil, share, si):
     assert f'{len(rows)} {kind}' in sentence
 
 
+def test_failed_reads_of_the_gyros_alone_are_seen_at_rest_too() -> None:
+    """There they lie a few deviations of the noise from the biases: no spikes."""
+    stamp, values = in_hand()
+    rows, values = some(len(stamp), 0.01), values.copy()
+    values[rows, :3] = 0.0
+    found = calibrated_in_hand(stamp, values, si=True).calibration
+    true = in_frame_of_accelerometers(TRUTH).vector()[9:12]
+    assert np.abs((found.values[9:12] - true) / found.std[9:12]).max() < 3
+    (sentence,) = said(found.findings)
+    # Where a gyro's bias is within its noise, 0 is no strange number.
+    assert int(sentence.split()[0]) > 0.8 * len(rows)
+
+
+def test_zeros_of_a_dead_band_are_none_where_the_gyros_turn_back() -> None:
+    stamp, rng = np.arange(4000) * NS // 100, np.random.default_rng(3)
+    turning = np.outer(np.sin(np.arange(4000) / 15.0), [80.0, 60.0, -70.0])
+    values = np.hstack([turning, np.tile([0.0, 300.0, 2000.0], (4000, 1))])
+    values = np.rint(values + rng.normal(0, 1.0, values.shape))
+    values[:, :3][np.abs(values[:, :3]) < 8] = 0.0
+    assert (values[:, :3] == 0).all(axis=1).sum() > 100
+    assert passed(values, Units.COUNTS, stamp).count == 0
+
+
 def calibrated_on_table(blocks: Iterable[Block], spec: ImuSpec) -> Result:
     calibrator = Calibrator(Setup(spec, PLAN, TABLE, SITE))
     for one in blocks:
