@@ -331,8 +331,8 @@ def _zeros_of_gyros(rows: _PlacedRows) -> NDArray[np.intp]:
     for asked, window, near in _surrounded(rows, zero[all_in_row(values[zero] == 0)]):
         around = values[window]
         unseen = (around != 0).all(axis=(1, 2)) & near.all(axis=1)
-        one_sign = (around > 0).all(axis=1) | (around < 0).all(axis=1)
-        found.append(asked[unseen & any_in_row(one_sign)])
+        one_sign = (np.sign(around) == np.sign(around[:, :1])).all(axis=1).any(axis=1)
+        found.append(asked[unseen & one_sign])
     return np.concatenate(found)
 
 

@@ -22,7 +22,7 @@ from imu_calib.common.stream import Floats, ImuBlock
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers
 from imu_calib.model.earth import Site
-from imu_calib.recordings.cdr_codec import Kind
+from imu_calib.recordings.cdr_codec import Kind, encode_imu
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.imu import read_imu
@@ -209,6 +209,24 @@ def test_info_shows_the_topics_and_asks_for_what_is_not_stated(bag, capsys):
     assert 'sensor_msgs/msg/Imu' in shown.out
     assert 'does not say where it was taken: give --latitude in degrees' in shown.err
     assert main(['info', bag, '--topics']) == 0
+
+
+@pytest.mark.parametrize('size', [1000.0, 1e308])
+def test_a_false_sample_is_no_other_unit(bag, size, tmp_path):
+    """A unit that nobody stated is judged by what most samples show."""
+    with open_recording(bag) as recording:
+        blocks = [block for _, block in recording.read({'/imu/data_raw': Kind.IMU})]
+    with RecordingWriter(tmp_path / 'bag') as writer:
+        for block in blocks:
+            gyro = block.gyro.copy()
+            gyro[len(gyro) // 2, 1] = size
+            spoilt = replace(block, gyro=gyro)
+            writer.write('/imu', Kind.IMU.type_name, encode_imu(spoilt), block.stamp)
+    found = imu_calib.calibrate(tmp_path / 'bag', latitude=LATITUDE, height=HEIGHT).calibration
+    true = in_frame_of_accelerometers(TRUTH.model)
+    error = (found.values - true.vector())[FREE] / found.std[FREE]
+    # As of the sound recording.
+    assert np.abs(error).max() < 4
 
 
 def test_info_tells_times_from_the_start_and_attitudes_in_the_hand(bag):

@@ -135,7 +135,7 @@ def test_in_the_hand_false_samples_are_missing_ones(spoil, share, si):
     assert f'{len(rows)} {kind}' in sentence
 
 
-def test_failed_reads_of_the_gyros_alone_are_seen_at_rest_too() -> None:
+def test_failed_reads_of_the_gyros_alone_are_seen_at_rest_too():
     """There they lie a few deviations of the noise from the biases: no spikes."""
     stamp, values = in_hand()
     rows, values = some(len(stamp), 0.01), values.copy()
@@ -148,7 +148,7 @@ def test_failed_reads_of_the_gyros_alone_are_seen_at_rest_too() -> None:
     assert int(sentence.split()[0]) > 0.8 * len(rows)
 
 
-def test_zeros_of_a_dead_band_are_none_where_the_gyros_turn_back() -> None:
+def test_zeros_of_a_dead_band_are_none_where_the_gyros_turn_back():
     stamp, rng = np.arange(4000) * NS // 100, np.random.default_rng(3)
     turning = np.outer(np.sin(np.arange(4000) / 15.0), [80.0, 60.0, -70.0])
     values = np.hstack([turning, np.tile([0.0, 300.0, 2000.0], (4000, 1))])
