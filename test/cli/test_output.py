@@ -121,7 +121,7 @@ def test_without_json_people_read_stdout(program, folder, capsys):
     ('words', 'code', 'kind', 'sentence'),
     [
         (['calibrate', 'nowhere'], 2, 'input', 'no such recording'),
-        (['calibrate'], 2, 'input', 'required: bag'),
+        (['calibrate'], 2, 'input', 'BAG is missing'),
         (['calibrate', 'x', '--latitude', 'here'], 2, 'input', 'expected a number'),
         (['verify', 'x', '--calibration', 'none.yaml'], 2, 'input', 'cannot be read'),
         (['compare', 'none.yaml', 'b.yaml'], 2, 'input', 'cannot be read'),
