@@ -45,6 +45,7 @@ from .outcome import (
 )
 from .terminal import (
     OUTPUT,
+    ROOM,
     print_findings,
     print_parts,
     print_text,
@@ -256,7 +257,7 @@ def run_calibrate(arguments: argparse.Namespace) -> CommandResult:
     found = conformity(result) if judged else None
     if found is not None:
         print_text(summary(found.assessed))
-    print_findings(result.calibration.findings, verbose=arguments.verbose)
+    print_findings(result.calibration.findings, verbose=arguments.verbose, room=ROOM)
     OUTPUT.print(f'\nwritten to {path}', markup=False)
     return judged_result(_document(result, found, path), found)
 

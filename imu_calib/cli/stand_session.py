@@ -42,6 +42,7 @@ from .resume import JOURNAL, RESULT, command, unfinished
 from .terminal import (
     ERRORS,
     OUTPUT,
+    ROOM,
     NodeReports,
     NothingComes,
     print_findings,
@@ -160,7 +161,7 @@ def _print_result(
         true.save(folder / 'truth.yaml')
     show_calibration(calibration, true, verbose=arguments.verbose)
     findings = [*_true_table_hint(arguments, folder), *calibration.findings]
-    print_findings(findings, verbose=arguments.verbose)
+    print_findings(findings, verbose=arguments.verbose, room=ROOM)
     print_text(
         f'\n{outcome.duration:.0f} s of the stand in {seconds:.0f} s; recording: '
         f'{folder / JOURNAL}, result: {folder / RESULT}'

@@ -7,6 +7,7 @@ import time
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import accumulate
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from rich.table import Table
 
 from ..common.errors import InputError
 from ..common.progress import Show, silent
+from ..common.units import counted
 from ..live.rules import Severity
 
 if TYPE_CHECKING:
@@ -226,6 +228,9 @@ class NodeReports:
                 part.shown = '' if part.level is Severity.OK else part.text
 
 
+_MARK = '  - '
+ROOM = 7
+"""Lines of warnings and notes with which a result of 24 parameters fits a screen of 40."""
 _NOTES = 5
 """Notes that are shown without --verbose. A choice: the first ones change the numbers most."""
 
@@ -252,22 +257,28 @@ def sentence_list(title: str, sentences: tuple[str, ...] | list[str]) -> None:
         return
     OUTPUT.print(f'\n{title}', style='bold')
     for sentence in sentences:
-        print_text(sentence, '  - ')
+        print_text(sentence, _MARK)
 
 
 def print_text(text: str, mark: str = '') -> None:
     """Print text in lines that fit; lines after the first are set in below the mark."""
-    width = min(OUTPUT.width, WIDEST_LINE)
-    for line in as_options(text).split('\n'):
-        shown = fill(
+    for line in _filled(text, mark):
+        OUTPUT.print(line, markup=False)
+
+
+def _filled(text: str, mark: str) -> list[str]:
+    return [
+        shown
+        for line in as_options(text).split('\n')
+        for shown in fill(
             line,
-            width,
+            min(OUTPUT.width, WIDEST_LINE),
             initial_indent=mark,
             subsequent_indent=' ' * len(mark),
             break_long_words=False,
             break_on_hyphens=False,
-        )
-        OUTPUT.print(shown, markup=False)
+        ).split('\n')
+    ]
 
 
 def print_parts(parts: Iterable[Table | str]) -> None:
@@ -279,17 +290,24 @@ def print_parts(parts: Iterable[Table | str]) -> None:
             OUTPUT.print(part)
 
 
-def print_findings(findings: Sequence[str], *, verbose: bool) -> None:
+def print_findings(findings: Sequence[str], *, verbose: bool, room: int | None = None) -> None:
     """Print warnings and notes, the most important first: without `verbose` the first notes.
 
-    Warnings are never left out.
+    Warnings are never left out. Of notes beside them, or after the first, those are shown that fit
+    with the warnings into `room` lines.
     """
     # Loaded here, with numpy: help and wrong usage need none.
     from ..common.finding import is_warning, without_label
 
-    sentence_list('Warnings', [without_label(text) for text in findings if is_warning(text)])
+    warnings = [without_label(text) for text in findings if is_warning(text)]
     notes = [text for text in findings if not is_warning(text)]
+    sentence_list('Warnings', warnings)
     shown = notes if verbose else notes[:_NOTES]
+    if room is not None and not verbose:
+        taken = accumulate(len(_filled(text, _MARK)) for text in [*warnings, *shown])
+        fitting = sum(lines <= room for lines in taken) - len(warnings)
+        shown = shown[: max(fitting, 0 if warnings else 1)]
     sentence_list('Notes', shown)
     if len(shown) < len(notes):
-        OUTPUT.print(f'  {len(notes) - len(shown)} more: --verbose')
+        rest = len(notes) - len(shown)
+        OUTPUT.print(f'  {f"{rest} more" if shown else counted(rest, "note")}: --verbose')

@@ -29,6 +29,9 @@ def folder(tmp_path_factory):
         assert main(['simulate', *words]) == 0
         file = str(folder / f'{name}.yaml')
         assert main(['calibrate', str(folder / name), '-o', file]) == 0
+    # Two warnings and several notes.
+    worn = ['--imperfections', 'laboratory', '--seed', '3', '-o', str(folder / 'worn')]
+    assert main(['simulate', 'twelve_position', *worn]) == 0
     unit = ['--imu', 'mems_counts', '--truth', 'mems_counts']
     assert main(['simulate', 'free_positions', *unit, '-o', str(folder / 'hand')]) == 0
     return folder
@@ -36,6 +39,8 @@ def folder(tmp_path_factory):
 
 COMMANDS = [
     'calibrate a -o again.yaml',
+    'calibrate a --budget -o budget.yaml',
+    'calibrate worn -o worn.yaml',
     'calibrate hand -o hand.yaml',
     'verify b --calibration a.yaml',
     'compare a.yaml b.yaml',
