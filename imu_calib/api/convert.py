@@ -177,8 +177,7 @@ def _in_time(
             places[known] = known[order]
             late = int(np.count_nonzero(stamps < np.fmax.accumulate(stamps)))
             sentences.append(
-                f'{late} rows of {text.path.name} came out of the order of their times and are '
-                'sorted.'
+                f'{late} rows of {text.path.name} came out of order; they are sorted by time.'
             )
             text, stamps = replace(text, values=text.values[places]), stamps[places]
         _refuse_what_is_no_time(stamps[np.isfinite(stamps)], f'{text.path}: `stamp` {stamp}')

@@ -46,7 +46,7 @@ class Issue:
             parts.append(table(self.headings, self.cases[:MOST], 'plain cases stacked'))
         rest = len(self.cases) - MOST
         if rest > 0:
-            words = f'{count(rest, "more is", "more are")} not written out here.'
+            words = f'{count(rest, "more is", "more are")} not listed here.'
             parts.append(paragraph(words, 'note'))
         if self.flag is not None:
             words = f'Show {count(len(self.cases), "unit")} in the table'
@@ -177,7 +177,8 @@ def _failed(fleet: Fleet) -> Iterator[Issue]:
             'in use, or none, until it is repeated.'
         )
     if alone:
-        sentences.append(f'{count(len(alone), "failed recording")} did not say of which unit.')
+        states = count(len(alone), 'failed recording states', 'failed recordings state')
+        sentences.append(f'{states} no serial number.')
     headings = ['unit', 'date', 'stand', 'recording', 'why']
     kind = 'fail' if units else 'plain'
     yield Issue('Failed recordings', kind, sentences, headings, cells)

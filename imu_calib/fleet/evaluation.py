@@ -316,10 +316,10 @@ def _forecast(due: Due, u: int, newest: np.datetime64, limit: Floats, lines: Lin
     determined = np.isfinite(limit) & ~np.isnan(due.earliest[u])
     reason = ''
     if not np.isfinite(limit).any():
-        reason = 'No specification is known: when it is due cannot be computed.'
+        reason = 'Its type has no specification: the date when it is due cannot be computed.'
     elif not determined.any():
         reason = (
-            'Neither its sessions nor the units of its type are enough to estimate its drift: '
+            'It and its type have too few sessions to estimate the drift: the date '
             'when it is due cannot be computed.'
         )
     elif not np.isfinite(due.unit[u]):

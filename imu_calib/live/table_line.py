@@ -299,7 +299,9 @@ class Follower:
         self._content, self._rejected = content, False
         try:
             if known and setpoint.mode is Mode.RATE:
-                raise InputError(f'{setpoint.where}: an interrupted turn is not resumed.')
+                raise InputError(
+                    f'{setpoint.where}: an interrupted turn is not resumed: start it from rest.'
+                )
             orders = self._moves(setpoint, at)
         except InputError as error:
             # What moved until then is not what its leader wants now.
@@ -334,7 +336,9 @@ class Follower:
         fastest = np.array([joint.max_rate for joint in self._table.joints])
         if setpoint.mode is Mode.RATE:
             if (np.abs(at.rates) > _STANDS).any() or (np.abs(goal - at.angles) > _NEAR).any():
-                raise InputError(f'{setpoint.where}: a turn starts from rest at its angles.')
+                raise InputError(
+                    f'{setpoint.where}: a turn starts only where the table stands at its angles.'
+                )
             # One more turn to start and stop in.
             goal += np.sign(rates) * TURN * (setpoint.turns + 1)
         self._table.check(goal, rates, setpoint.where)

@@ -87,8 +87,8 @@ class Lead:
             return None
         if now > self._covered - _LEAD and self._covered > 0:
             raise Overtaken(
-                f'The trajectory reached to {self._covered:.1f} s and was not continued before '
-                f'{now:.1f} s: the table brakes already.'
+                f'Setpoints came too late: the trajectory ends at {self._covered:.1f} s, and it is '
+                f'{now:.1f} s. The table brakes already.'
             )
         self._covered = max(now, 0.0) + _PIECE
         return Piece(self._start, course.until(self._covered, self._accelerations))

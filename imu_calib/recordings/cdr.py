@@ -493,7 +493,7 @@ def _text_of_file(type_name: str) -> str:
     for path in _candidates(type_name):
         if path.is_file():
             return path.read_text(encoding='utf-8')
-    raise InputError(f'No definition of the message type {type_name!r} is to be found.')
+    raise InputError(f'The message type {type_name!r} is unknown: it has no definition here.')
 
 
 def _candidates(type_name: str) -> list[Path]:

@@ -231,7 +231,7 @@ class StampSorter:
         """What was sorted."""
         if not self.moved:
             return ()
-        return (f'{self.moved} IMU samples came out of the order of their stamps and are sorted.',)
+        return (f'{self.moved} IMU samples came out of order; they are sorted by their stamps.',)
 
     def sorted_blocks(self, blocks: Iterable[tuple[str, Block]], topic: str) -> Iterator[Block]:
         """Pass blocks on, those of a topic of Imu messages in the order of their stamps."""

@@ -335,7 +335,7 @@ class SqliteStorage:
             for key, name, kind, encoding in rows.fetchall():
                 if not isinstance(key, int):
                     self._losses.add_loss(
-                        f'{self.path.name}: topic {name} has no number; its messages are left out.'
+                        f'{self.path.name}: topic {name} has no id; its messages are left out.'
                     )
                     continue
                 self._ids.setdefault(str(name), []).append(key)

@@ -183,7 +183,7 @@ def test_what_is_due_depends_on_the_day(known):
     assert '21 units were to be recalibrated from' in first.sentences[0]
     assert f'{len(soon)} unit' in found['Due for recalibration'].sentences[0]
     # Of many the first are written out, and the others are counted.
-    assert '9 more are not written out here' in first.html()
+    assert '9 more are not listed here' in first.html()
     assert not known.flagged(Flag.OVERDUE)
 
 
@@ -256,7 +256,7 @@ def test_a_catalogue_of_failures_has_a_page(tmp_path, capsys):
     add(folder, 2, serial='', imu='')
     text = imu_calib.fleet_report(folder, path).read_text()
     assert '1 unit: 1 with a failed newest recording, 0 fine.' in text
-    assert '1 failed recording did not say of which unit.' in text
+    assert '1 failed recording states no serial number.' in text
     assert 'It failed: &lt;b&gt;x&lt;/b&gt;.' in text
     # The command says what the page begins with.
     assert main(['fleet', str(folder), '-o', str(path)]) == 0

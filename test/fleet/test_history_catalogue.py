@@ -219,7 +219,7 @@ def test_two_days_make_a_history(tmp_path, run):
     code, out, _ = run(folder, '--serial', 'F000')
     assert code == 0
     for sentence in (
-        'No specification is known: when it is due cannot be computed.',
+        'Its type has no specification: the date when it is due cannot be computed.',
         'Two sessions: a trend of this unit cannot be distinguished from their scatter.',
         'No session of fog states a standard deviation',
         'All sessions were on one stand, east',

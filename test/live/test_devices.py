@@ -179,7 +179,7 @@ def test_what_comes_before_the_first_frame_is_counted_by_itself_too():
         (b''.join([*frames(4), frames(4)[-1]]), 'Frames come twice.'),
         (
             b''.join([*frames(4), frames(5)[-1][:-1] + b'?', *frames(4, first=5)]),
-            'Frames are damaged on the way.',
+            'Frames are damaged: check cable and baud rate.',
         ),
         (
             b''.join([*frames(4), b'????', *frames(4, first=4)]),

@@ -105,7 +105,9 @@ def test_garbage_and_lost_frames_are_said_and_no_damaged_frame_is_published(benc
     missing = sorted(set(range(int(numbers[-1]) + 1)) - set(numbers.astype(int)))
     assert missing == [601, 612, *range(620, 627)]
     assert bench.until(
-        lambda: bench.listener.has_status('stream', 1, 'Frames are damaged on the way.')
+        lambda: bench.listener.has_status(
+            'stream', 1, 'Frames are damaged: check cable and baud rate.'
+        )
     )
     assert bench.until(lambda: bench.listener.statuses['stream'][-1][2]['lost frames'] == '9')
     figures = bench.listener.statuses['stream'][-1][2]

@@ -73,7 +73,7 @@ def test_a_node_that_falls_silent_is_wrong_until_it_speaks_or_the_session_is_ove
     board.on_diagnostics(diagnostics('imu_node: stream', 0, 'Frames come in.'), 1.0)
     board.on_diagnostics(diagnostics('stand_node: table', 1, 'It is late.'), 6.5)
     assert [s.text for s in board.snapshot(7.0).problems] == [
-        'No message has come for 6 s: has it ended?',
+        'No message has come for 6 s: its program may have ended.',
         'It is late.',
     ]
     board.on_diagnostics(diagnostics('imu_node: stream', 2, 'No frame has come.'), 7.0)
@@ -284,7 +284,7 @@ def test_faults_are_readable_without_words_of_ros(expected):
     board.on_diagnostics(diagnostics('calibrator_node: stream', 2, stop), 1.0)
     text = 'There is no message on /turntable/joint_states yet.'
     board.on_diagnostics(diagnostics('calibrator_node: joint states', 1, text), 1.0)
-    text = '/imu/pulses is published best effort: messages can be lost on the way.'
+    text = '/imu/pulses is published best effort: messages can be lost. Publish it reliably.'
     board.on_diagnostics(diagnostics('unit_A1/imu_node: quality of service', 1, text), 1.0)
     text = 'The emergency stop is on. Release it, then call /turntable_node/release and '
     text += '/turntable_node/start. A node still publishes stop on /estop: release it there first.'

@@ -114,9 +114,9 @@ def test_samples_out_of_order_give_what_they_give_in_order(hand, tmp_path):
     sound = imu_calib.calibrate(bag(tmp_path / 'sound', *hand), latitude=LATITUDE).calibration
     assert mixed.values.tolist() == sound.values.tolist()
     count = np.count_nonzero(places < np.maximum.accumulate(places))
-    assert any(f'{count} IMU samples came out of the order' in text for text in mixed.findings)
+    assert any(f'{count} IMU samples came out of order' in text for text in mixed.findings)
     checked = imu_calib.verify(path, mixed, latitude=LATITUDE)
-    assert any('came out of the order' in text for text in checked.findings)
+    assert any('came out of order' in text for text in checked.findings)
 
 
 def without_gravity(hand: Session) -> Floats:

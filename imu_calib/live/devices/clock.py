@@ -323,7 +323,7 @@ _READS = 3
 _PART_OF_A_TURN = 8
 """A delay shows turns of a counter if it is whole turns within an eighth: for a turn of 128 ms
 16 ms, the time for which a USB adapter holds bytes back (latency timer of FTDI's)."""
-_LOST = 'Frames are missing: by the time that passed on the host the counter wrapped in between.'
+_LOST = 'Frames are missing: the pause was longer than a whole round of the frame counter.'
 _NOT_LOST = 'Frames that were counted as missing were only late.'
 _SET = "The host's clock was set; stamps follow it."
 _JUMPED = "The device's clock jumped against the host's."

@@ -265,7 +265,10 @@ class Health:
         seen, self._seen = self._seen, replace(counts)
         happened = {
             'lost': (counts.lost > seen.lost, 'Frames are lost on the way.'),
-            'bad': (counts.later_bad > seen.later_bad, 'Frames are damaged on the way.'),
+            'bad': (
+                counts.later_bad > seen.later_bad,
+                'Frames are damaged: check cable and baud rate.',
+            ),
             'skipped': (
                 counts.later_skipped > seen.later_skipped,
                 'Bytes are received that belong to no frame.',
@@ -273,7 +276,7 @@ class Health:
             'repeated': (counts.repeated > seen.repeated, 'Frames come twice.'),
             'unusable': (
                 counts.unusable > seen.unusable,
-                'Frames are received with channels that are not numbers.',
+                'Frames hold values that are not numbers (NaN or infinite).',
             ),
         }
         for name, (new, text) in happened.items():

@@ -62,7 +62,7 @@ def as_offered(offered: QoSProfile) -> QoSProfile:
 
 def best_effort(topic: str) -> str:
     """Return the warning on a publisher that does not repeat what was lost."""
-    return f'{topic} is published best effort: messages can be lost on the way.'
+    return f'{topic} is published best effort: messages can be lost. Publish it reliably.'
 
 
 def none_yet(topic: str) -> str:

@@ -555,7 +555,7 @@ class UnitsBoard:
 
 def silence(seconds: float) -> str:
     """Return the sentence on a node that was heard before."""
-    return f'No message has come for {in_words(seconds)}: has it ended?'
+    return f'No message has come for {in_words(seconds)}: its program may have ended.'
 
 
 def furthest(rows: tuple[Converging, ...]) -> Converging | None:
