@@ -33,7 +33,7 @@ _RATES: dict[str, float] = {
     f'{angle}/{time}': value / seconds
     for angle, value in _ANGLES.items()
     for time, seconds in {'s': 1.0, 'min': 60.0, 'h': HOUR}.items()
-}
+} | {'dps': DEG, 'mdps': 1e-3 * DEG}  # As data sheets of MEMS units have them.
 _VELOCITIES = {'m/s': 1.0, 'mm/s': 1e-3}  #: m/s per unit of a velocity.
 _ROOT_HOUR = math.sqrt(HOUR)
 
@@ -76,6 +76,8 @@ class Dimension(Enum):
         'arcsec/sqrt(s)': ARCSEC,
         '(deg/s)/sqrt(Hz)': DEG,
         'deg/s/sqrt(Hz)': DEG,
+        'dps/sqrt(Hz)': DEG,
+        'mdps/sqrt(Hz)': 1e-3 * DEG,
         '(deg/h)/sqrt(Hz)': DEG_H,
     }
     G_SENSITIVITY = {
