@@ -33,7 +33,8 @@ _RATES: dict[str, float] = {
     f'{angle}/{time}': value / seconds
     for angle, value in _ANGLES.items()
     for time, seconds in {'s': 1.0, 'min': 60.0, 'h': HOUR}.items()
-} | {'dps': DEG, 'mdps': 1e-3 * DEG}  # As data sheets of MEMS units have them.
+} | {'dps': DEG, 'mdps': 1e-3 * DEG}
+"""rad/s per unit; the last two as data sheets of MEMS units have them."""
 _VELOCITIES = {'m/s': 1.0, 'mm/s': 1e-3}  #: m/s per unit of a velocity.
 _ROOT_HOUR = math.sqrt(HOUR)
 
@@ -190,7 +191,7 @@ def _listed(units: Mapping[str, float]) -> str:
     """Return the units that are accepted, of many the first spellings."""
     if len(units) <= _LISTED:
         return ', '.join(units)
-    return f'{", ".join([unit for unit in units if "(" not in unit][:_LISTED])} and others'
+    return f'{", ".join([unit for unit in units if not unit.startswith("(")][:_LISTED])} and others'
 
 
 def parse(text: object, dimension: Dimension, key: str) -> float:
