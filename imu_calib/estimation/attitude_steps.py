@@ -77,7 +77,8 @@ def step_errors(
     rank = np.argsort(order, kind='stable')
     angles = np.array([part.angles for part in parts]).reshape(len(parts), -1)
     fixed = np.broadcast_to(np.eye(3), (len(parts), 3, 3))
-    ups = np.array([*(s.attitude[2] for s in segments), *(t.up for t in turns)]).reshape(-1, 3)
+    at_rest = np.array([s.attitude for s in segments]).reshape(-1, 3, 3)[:, 2]
+    ups = np.vstack([at_rest, np.array([t.up for t in turns]).reshape(-1, 3)])
     by_force = np.einsum('ki,nj->nikj', np.eye(3), ups).reshape(-1, 3, 9)
     about = {step.joint for step in steps} - {None}
     axes = {j: axes_of(table, j, angles, turns)[:, :, None] for j in about if j is not None}

@@ -50,6 +50,11 @@ class Variance:
     freedom: float = 0.0  #: Degrees of freedom of a former estimate, which is one; 0 without any.
 
     @property
+    def groups(self) -> list[int]:
+        """The groups of residuals that it enters."""
+        return [g for g, kernel in enumerate(self.kernels) if kernel is not None]
+
+    @property
     def trace(self) -> float:
         """Sum of the variances of all residuals for a variance of one."""
         return sum(float(np.trace(kernel)) for kernel in self.kernels if kernel is not None)
@@ -219,7 +224,8 @@ def choose_variances(
     raises the log likelihood by `least` or more. Where any is, the best model is then varied in
     each kind. All models that were tried count by their likelihoods, with odds of exp(`least`)
     against each kind (Hoeting et al. 1999, Statist. Sci. 14, 382): what explains the same residuals
-    cannot be told apart, but affects parameters differently.
+    cannot be told apart, but affects parameters differently. A kind that is not in the best model
+    and enters no group of residuals that one in it enters is not needed: it explains others.
     """
     models = _Models(residuals, known, kinds)
     best: Chosen = frozenset()
@@ -236,7 +242,14 @@ def choose_variances(
             models.vary(last, last, k, _RIVAL)
         same = [one for one in models.found if len(one) == len(last)]
         best = max(same, key=lambda one: models.found[one].log_likelihood)
-    kept = {one: m for one, m in models.found.items() if bool(one) == bool(best)}
+    shown = {k for k, _ in best}
+    groups = {g for k, a in best for g in kinds[k][a].groups}
+    kept = {
+        one: m
+        for one, m in models.found.items()
+        if bool(one) == bool(best)
+        and all(k in shown or groups.intersection(kinds[k][a].groups) for k, a in one)
+    }
     logs = np.array([m.log_likelihood - least * len(one) for one, m in kept.items()])
     shares = np.exp(logs - np.logaddexp.reduce(logs)).tolist()
     means = tuple(np.zeros(len(kind)) for kind in kinds)

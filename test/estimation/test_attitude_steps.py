@@ -10,7 +10,7 @@ import other_sessions
 import pytest
 import yaml
 from extent import again
-from other_sessions import EPOCH, MEDIUM, MICRO_G, NAVIGATION, errors, fed, recorded
+from other_sessions import CONSUMER, EPOCH, MEDIUM, NAVIGATION, errors, fed, recorded
 from other_world import DEG, Unit, Vector, World, sample_integrals, schedule
 
 from imu_calib.common.config import Section
@@ -23,14 +23,6 @@ MOTIONS = [motion for motion in schedule(SHORT) if motion.way]
 INSTANT = MOTIONS[15].start + 0.5  #: In a move between two dwells.
 ARCSEC = DEG / 3600
 TURNED = 100 * ARCSEC * np.array([0.56, -0.37, 0.74])
-CONSUMER = replace(
-    MEDIUM,
-    gyro_walk=0.3 * DEG / 60,
-    accel_walk=80 * MICRO_G,
-    gyro_pulse=0.004 * DEG,
-    accel_pulse=100 * MICRO_G,
-    counts=True,
-)
 UNITS = {'consumer': CONSUMER, 'medium': MEDIUM, 'navigation': NAVIGATION}
 
 

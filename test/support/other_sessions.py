@@ -1,4 +1,4 @@
-"""Sessions of `other_world`, fed to the package: two units, and what is true of them."""
+"""Sessions of `other_world`, fed to the package: three units, and what is true of them."""
 
 from functools import lru_cache
 
@@ -46,6 +46,14 @@ NAVIGATION = Unit(
     accel_walk=5 * MICRO_G,
     gyro_pulse=0.1 / 3600 * DEG,
     accel_pulse=1e-5,
+)
+CONSUMER = Unit(
+    **ERRORS,
+    gyro_walk=0.3 * DEG / 60,
+    accel_walk=80 * MICRO_G,
+    gyro_pulse=0.004 * DEG,
+    accel_pulse=100 * MICRO_G,
+    counts=True,
 )
 
 
