@@ -296,8 +296,8 @@ def losses_of_all_segments(session: Segmented, labelled: Labelled, setup: Setup)
     if not session.samples:
         return ['The IMU stream is empty: nothing can be determined.']
     if not session.duration:
-        losses = (f'{loss}.' for loss in session.losses)
-        return [f'None of {session.samples} IMU samples can be used.', *losses]
+        losses = [f'{loss}.' for loss in session.losses]
+        return [' '.join([f'None of {session.samples} IMU samples can be used.', *losses])]
     looked_for = 'Neither a static dwell nor a whole turn'
     if setup.plan.is_stated:
         looked_for = f'None of the positions of plan {setup.plan.name}'
