@@ -487,7 +487,6 @@ def _under_own_scatter(
         for family, score in scores.items()
         if score.tested and scipy.special.chdtrc(score.rank, score.statistic) < CHANCE
     ]
-    chances: dict[Family, float] = {}
     if suspect:
         screen, limit = Screen.at(equations, state), _SCREENED * _log_chance_limit(open_ones)
         # The covariance that the screen uses allows for the motion terms themselves.
@@ -497,10 +496,9 @@ def _under_own_scatter(
         suspect = [family for family in suspect if family not in excluded]
     suspect.sort(key=lambda family: -scores[family].statistic)
     for k, family in enumerate(suspect):
-        best = min((scores[f].log_p for f in suspect[:k]), default=0.0)
-        # By the screen no other is as significant as the best of those tried.
-        beyond = best < min(chances.get(f, -np.inf) for f in suspect[k:])
-        if best < _log_chance_limit(open_ones) and (k % _AT_ONCE == 0 or beyond):
+        if k % _AT_ONCE == 0 and any(
+            scores[f].log_p < _log_chance_limit(open_ones) for f in suspect[:k]
+        ):
             return scores | {f: replace(scores[f], statistic=0.0) for f in suspect[k:]}
         shape = float(shapes_of(family, equations)[scores[family].chosen])
         scattering = family.with_scatter(equations, family.scatter(equations, state, shape))

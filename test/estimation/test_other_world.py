@@ -182,17 +182,16 @@ def test_shaking_in_motions_alone_widens_no_parameter_of_quiet_dwells() -> None:
     assert 'the velocities of the accelerometers' in findings[0]
 
 
-@pytest.mark.parametrize('unit', [CONSUMER, NAVIGATION])
-def test_shaking_in_motions_alone_is_no_drift_of_gyros(unit: Unit, undescribed: Table) -> None:
-    """D_g were widened by 5 and 35 times: of turns it was scatter, of the consumer unit chance."""
+def test_shaken_accelerometers_leave_the_gyros_of_a_consumer_unit_alone(undescribed: Table) -> None:
+    """D_g were widened five times by a drift of gyros that the session does not show."""
     shaking = Shaking(rate=0.5 * DEG, force=5.0, tones=(7.3, 11.9, 23.1, 38.7), moving=True)
     still, shaken = (
-        fed(world, unit, find_terms=True, table=undescribed).finish().calibration
+        fed(world, CONSUMER, find_terms=True, table=undescribed).finish().calibration
         for world in (World(dwell=12.0), World(dwell=12.0, shaking=shaking))
     )
     wider = shaken.std[:24] / still.std[:24]
     assert max(w for p, w in zip(PARAMETERS, wider, strict=True) if p.name.startswith('D_')) < 2
-    assert np.abs(errors(shaken, unit)).max() < 4.5
+    assert np.abs(errors(shaken, CONSUMER)).max() < 4.5
     assert any('At the ends of motions' in f for f in shaken.findings)
     assert not [f for f in shaken.findings if 'from dwell to dwell' in f or 'drift by' in f]
 
