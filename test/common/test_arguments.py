@@ -133,7 +133,7 @@ def test_nothing_in_place_of_several_is_refused(tmp_path):
 
 def test_what_numpy_and_python_call_a_number_is_one():
     @checked
-    def both(rate, runs=1):
+    def both(rate: 'float', runs: 'int' = 1):
         return rate * runs
 
     assert both(np.float32(2), np.int64(3)) == 6

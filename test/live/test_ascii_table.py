@@ -77,7 +77,7 @@ def test_a_turn_starts_within_half_a_degree_of_its_angles(follower, off, starts)
     for axis in range(3):
         beside = Reading(off * DEG * np.eye(3)[axis], np.zeros(3))
         assert bool(follower.command(turn(step=axis), 0, 0.0, beside)) is starts
-        assert ('from rest at its angles' in follower.refusal) is not starts
+        assert ('stands at its angles' in follower.refusal) is not starts
 
 
 def test_a_stale_setpoint_moves_nothing_and_keeps_nothing_moving(follower):
@@ -133,8 +133,8 @@ def test_hold_stops_and_what_the_controller_refused_is_not_tried_again(follower)
 @pytest.mark.parametrize(
     ('wrong', 'at', 'words'),
     [
-        (turn(), Reading(np.zeros(3), np.array([0, 0, 1.0])), 'from rest'),
-        (turn(), Reading(np.array([0, 0.1, 0]), np.zeros(3)), 'from rest at its angles'),
+        (turn(), Reading(np.zeros(3), np.array([0, 0, 1.0])), 'stands at its angles'),
+        (turn(), Reading(np.array([0, 0.1, 0]), np.zeros(3)), 'stands at its angles'),
         (setpoint(1, Mode.RATE, (0, 0, 0), (0, 5, 5), 1.0), REST, 'whole turns of one joint'),
         (setpoint(1, Mode.RATE, (0, 0, 0), (0, 0, 500), 1.0), REST, '500'),
         (setpoint(1, Mode.RATE, (0, 0, 0), (0, 0, math.nan), 1.0), REST, 'joint inner at nan deg'),

@@ -434,7 +434,7 @@ def test_a_topic_without_a_number_in_a_sqlite_file_is_a_stated_loss(tmp_path):
     )
     blocks, losses = read(path, [IMU])
     assert_same(blocks, {IMU: SESSION[IMU]})
-    assert any(f'topic {JOINTS} has no number' in loss for loss in losses)
+    assert any(f'topic {JOINTS} has no id' in loss for loss in losses)
 
 
 def test_messages_up_to_the_largest_row_number_of_a_sqlite_file_are_read(tmp_path):
