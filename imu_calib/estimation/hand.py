@@ -58,12 +58,11 @@ from .solve import least_squares
 from .term_tests import TermState, TermTest, test_of
 from .variances import Variance, choose_variances, restricted
 
-NAME = 'free_positions'
+NAME = 'free_positions'  #: The method's name in plans.
 _NEEDS = (
     'Free positions need every sample between the holds, which segments of a table session do not '
     'have: run them on a recording with the IMU alone.'
 )
-"""The method's name in plans."""
 
 _KEPT = {('a', 0, 1), ('a', 0, 2), ('a', 1, 2)}
 """Misalignments that are zero by definition of the body axes: triad, row, column."""

@@ -40,7 +40,7 @@ Callers limit BLAS to one thread (`common.processes`), since several would wait 
 _FEW = 1024  #: Integrals from which on products of them are faster than second differences.
 _DIGITS = 1e-7
 """Share of the integrals' squares below which second differences are taken one by one: products
-round to some 1e-15 of those, the sum then to 1e-8. White noise has a share of 12 / n."""
+round to some 1e-15 of those, the sum then to 1e-8. White noise has a share of 12 m / n."""
 _MOST_LENGTHS = 64  #: Of runs: with more, those are taken as equal that nearly are.
 _ALIKE = 0.05
 """Relative: the covariance of a stream that often breaks is known to that, deviations to half."""
@@ -251,10 +251,16 @@ class _Level:
         self._phase[:, : self._summed] = self._phase[:, self._held - self._summed : self._held]
         self._held = self._summed
 
-    def _differenced(self, phase: Floats, before: int) -> Floats:
-        """Return the sums of the second differences that end after the first `before` integrals."""
-        squares = np.zeros_like(self.squares)
-        for i, m in enumerate(self.parts):
+    def _differenced(
+        self, phase: Floats, before: int, which: NDArray[np.bool_] | None = None
+    ) -> Floats:
+        """Return the sums of the second differences that end after the first `before` integrals.
+
+        Of all cluster sizes, or of those in a mask.
+        """
+        sizes = self.parts if which is None else np.array(self.parts)[which].tolist()
+        squares = np.zeros((len(sizes), len(phase)))
+        for i, m in enumerate(sizes):
             start = max(before - 2 * m, 0)
             if phase.shape[1] > max(before, 2 * m):
                 squares[i] = [second_differences(own[start:], m)[0] for own in phase]
@@ -282,8 +288,10 @@ class _Level:
         squares = weights @ products
         for (differences, starts), end in zip(reaching, ends, strict=True):
             squares -= np.add.reduceat(np.square(differences @ end), starts)
-        if np.any(squares < _DIGITS * products[0]):
-            return self._differenced(phase, width)
+        few = np.any(squares < _DIGITS * products[0], axis=1)
+        # Of single samples products cost white noise the most digits.
+        few |= np.array(self.parts) == 1
+        squares[few] = self._differenced(phase, width, few)
         return np.asarray(squares)
 
 
