@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rich.table import Table as Rows
@@ -14,7 +15,13 @@ from ..reports.plain_table import plain_table
 from ..session.keywords import Session
 from ..session.segments_file import write_segments
 from . import options
-from .outcome import WRONG_INPUT, CommandResult, add_json_option, write_text
+from .outcome import (
+    WRONG_INPUT,
+    CommandResult,
+    add_json_option,
+    add_verbose_option,
+    write_text,
+)
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
@@ -40,6 +47,7 @@ def add_info_options(parser: argparse.ArgumentParser) -> None:
         metavar='FILE.csv',
         help='write the holds and turns that were found, to be edited for calibrate --segments',
     )
+    add_verbose_option(parser)
     add_json_option(parser)
 
 
@@ -51,12 +59,12 @@ def run_info(arguments: argparse.Namespace) -> CommandResult:
         sentence_list('Lost', outside.lost)
         return CommandResult(outside.to_dict())
     found = inspect_streams(outside, options.stated(arguments), progress_bar)
-    _show_clocks(found)
+    _show_clocks(found, verbose=arguments.verbose)
     if found.streams is None:
         sentence_list('Lost', outside.lost)
         message = f'{found.missing_input} Until then the topics alone are shown.'
         return CommandResult(found.to_dict(), WRONG_INPUT, message)
-    _show(found.streams)
+    _show(found.streams, verbose=arguments.verbose)
     if arguments.segments_output is not None:
         write_segments(arguments.segments_output, found.streams.segments)
         OUTPUT.print(f'\nsegments written to {arguments.segments_output}', markup=False)
@@ -76,9 +84,15 @@ def _show_topics(found: Inspection) -> None:
         )
 
 
-def _show_clocks(found: Inspection) -> None:
-    """Show durations and rates by header stamps and by log times."""
-    if not found.clocks:
+def _show_clocks(found: Inspection, *, verbose: bool) -> None:
+    """Show durations and rates by header stamps and by log times, where they contradict."""
+    steps = [
+        f'{clock.topic}: log times step by {by:+.1f} s at {at:.1f} s'
+        for clock in found.clocks
+        for at, by in clock.log_steps
+    ]
+    wrong = [f'{c.topic}: {c.contradiction}' for c in found.clocks if c.contradiction]
+    if not found.clocks or not (verbose or wrong or steps):
         return
     headings = ('topic', 'by stamps: s', 'Hz', 'by log: s', 'Hz', 'stamps faster, ppm')
     rows = plain_table(headings, 'lrrrrr')
@@ -96,23 +110,25 @@ def _show_clocks(found: Inspection) -> None:
         )
     OUTPUT.print()
     OUTPUT.print(rows)
-    steps = [
-        f'{clock.topic}: log times step by {by:+.1f} s at {at:.1f} s'
-        for clock in found.clocks
-        for at, by in clock.log_steps
-    ]
-    wrong = [f'{c.topic}: {c.contradiction}' for c in found.clocks if c.contradiction]
     sentence_list('Clocks', [*wrong, *steps])
 
 
-def _show(contents: StreamContents) -> None:
+_ROWS, _TURNS = 20, 8
+"""Dwells and turns, and turns if there are as many dwells, that fit a screen with the rest."""
+
+
+def _show(contents: StreamContents, *, verbose: bool) -> None:
     OUTPUT.print('\ntimes: s from the start of the recording\n')
-    OUTPUT.print(_dwells(contents))
-    OUTPUT.print()
-    OUTPUT.print(_outputs(contents))
-    if contents.turns:
+    rows, turns = _dwells(contents), _turns(contents)
+    room = _ROWS - min(len(turns), _TURNS)
+    _show_rows(_OF_DWELLS, 'rrrrlrl', rows, None if verbose else room)
+    if verbose:
         OUTPUT.print()
-        OUTPUT.print(_turns(contents))
+        OUTPUT.print(_outputs(contents))
+    if turns:
+        OUTPUT.print()
+        room = _ROWS - min(len(rows), room)
+        _show_rows(_OF_TURNS, 'rrrlrrl', turns, None if verbose else room)
     else:
         OUTPUT.print('\nno whole turns')
     plan = f'plan {contents.plan}' if contents.plan else 'no plan'
@@ -129,12 +145,22 @@ def _show(contents: StreamContents) -> None:
     sentence_list('Lost', contents.lost)
 
 
-def _dwells(contents: StreamContents) -> Rows:
+def _show_rows(
+    headings: Sequence[str], sides: str, rows: Sequence[Sequence[str]], most: int | None
+) -> None:
+    OUTPUT.print(plain_table(headings, sides, rows[:most]))
+    if left := len(rows) - len(rows[:most]):
+        OUTPUT.print(f'{left} more: --verbose')
+
+
+_OF_DWELLS = ('dwell', 'at, s', 'for, s', 'left out', 'up', 'heading, deg', 'position')
+_OF_TURNS = ('turn', 'at, s', 'for, s', 'up', 'rate, deg/s', 'turns', 'position')
+
+
+def _dwells(contents: StreamContents) -> list[list[str]]:
     """List every static dwell: start, duration, attitude, and position in the plan."""
-    headings = ('dwell', 'at, s', 'for, s', 'left out', 'up', 'heading, deg', 'position')
-    rows = plain_table(headings, 'rrrrlrl')
-    for k, dwell in enumerate(contents.dwells):
-        rows.add_row(
+    return [
+        [
             str(k + 1),
             f'{dwell.at:.1f}',
             f'{dwell.seconds:.1f}',
@@ -142,8 +168,9 @@ def _dwells(contents: StreamContents) -> Rows:
             dwell.up,
             '-' if dwell.heading is None else f'{dwell.heading:.2f}',
             dwell.position or '-',
-        )
-    return rows
+        ]
+        for k, dwell in enumerate(contents.dwells)
+    ]
 
 
 def _outputs(contents: StreamContents) -> Rows:
@@ -160,13 +187,10 @@ def _outputs(contents: StreamContents) -> Rows:
     return rows
 
 
-def _turns(contents: StreamContents) -> Rows:
+def _turns(contents: StreamContents) -> list[list[str]]:
     """List every measurement of whole turns: start, axis, rate, number of turns."""
-    rows = plain_table(
-        ('turn', 'at, s', 'for, s', 'up', 'rate, deg/s', 'turns', 'position'), 'rrrlrrl'
-    )
-    for k, turn in enumerate(contents.turns):
-        rows.add_row(
+    return [
+        [
             str(k + 1),
             f'{turn.at:.1f}',
             f'{turn.seconds:.1f}',
@@ -174,8 +198,9 @@ def _turns(contents: StreamContents) -> Rows:
             f'{turn.rate / DEG:+.3f}',
             str(turn.turns),
             turn.position or '-',
-        )
-    return rows
+        ]
+        for k, turn in enumerate(contents.turns)
+    ]
 
 
 def add_schema_options(parser: argparse.ArgumentParser) -> None:

@@ -26,13 +26,13 @@ from ..common.finding import by_effect
 from ..common.stream import Mode
 from ..common.units import DEG, PPM, decimals
 from ..model.parameters import engineering
-from ..reports.plain_table import plain_table
+from ..reports.plain_table import folded, plain_table
 from ..session.keywords import AtSite, Solved
 from ..session.plan import METHOD_NAMES, Plan, Position, Step, load_plan
 from ..session.table import Table, load_table
 from . import options
 from .outcome import add_verbose_option
-from .terminal import OUTPUT, print_findings, print_text, progress_bar
+from .terminal import OUTPUT, WIDEST_LINE, print_findings, print_text, progress_bar
 
 if TYPE_CHECKING:
     from ..estimation.forecast import ChangeForecast, Forecast, TermForecast
@@ -51,6 +51,7 @@ _LEANING = (
     'Holds that lean add to this: half of their angle to E_a, the whole lean of a turn to E_g, and '
     'in the closed form a sixth of the angle times g to D_a.'
 )
+_ROOM = 5  #: Lines of notes with which a prediction of 24 parameters fits a screen of 40.
 _TURNS_AND_DWELLS = 'the same dwells and turns early and late'
 
 
@@ -84,7 +85,8 @@ def show_prediction(arguments: argparse.Namespace) -> None:
         _show_forecast(with_best_deviations(own, found), best=found.method)
     if not drifting and imu.gyro.bias_instability + imu.accel.bias_instability:
         notes.append('Biases are taken as constant: with --bias-instability they drift.')
-    print_findings(by_effect([*prediction.notes, *notes]), verbose=arguments.verbose)
+    found_first = by_effect([*prediction.notes, *notes])
+    print_findings(found_first, verbose=arguments.verbose, room=_ROOM)
     if arguments.verbose:
         _show_terms(prediction.terms, prediction.changes)
     OUTPUT.print()
@@ -124,17 +126,13 @@ def _show_forecast(
     if wanted is not None:
         headings.insert(-1, 'wanted')
     rows = plain_table(headings, f'l{"r" * (len(headings) - 2)}l')
-    last: Parameter | None = None
     for parameter, std, least in zip(found.parameters, found.std, found.best, strict=True):
-        if last is not None and parameter.triad != last.triad:
-            rows.add_section()
-        last = parameter
         shown = engineering(parameter, by_hand=not on_a_table)
         cells = [_cell(value / shown.scale) for value in (std, *[least] * bounded)]
         if wanted is not None:
             cells.append(_cell(wanted.get(parameter.name, np.nan) / shown.scale, empty=''))
         rows.add_row(parameter.name, *cells, shown.unit)
-    OUTPUT.print(rows)
+    OUTPUT.print(folded(rows) if OUTPUT.width >= WIDEST_LINE else rows)
     OUTPUT.print()
     print_text(_ON_A_TABLE if on_a_table else _IN_THE_HAND)
     if is_widened_by_leaning_holds(found):
@@ -281,7 +279,7 @@ def run_plans(arguments: argparse.Namespace) -> None:
         _list_plans(table, verbose=arguments.verbose)
     elif arguments.imu is None:
         _refuse_without_imu(arguments)
-        _lay_out(load_plan(arguments.plan), table)
+        _lay_out(load_plan(arguments.plan), table, verbose=arguments.verbose)
     else:
         show_prediction(arguments)
 
@@ -345,14 +343,21 @@ def _minutes(plan: Plan, table: Table) -> str:
         return 'not on this table'
 
 
-def _lay_out(plan: Plan, table: Table) -> None:
+_STEPS = 30  #: Of a plan that fit a screen with its title and its duration.
+
+
+def _lay_out(plan: Plan, table: Table, *, verbose: bool) -> None:
     print_text(f'{plan.title} ({plan.source})\n')
+    steps = () if plan.by_hand else plan.steps(table)
+    every = plan.positions if plan.by_hand else steps
+    shown = len(every) if verbose else _STEPS
     if plan.by_hand:
-        for position in plan.positions:
+        for position in plan.positions[:shown]:
             OUTPUT.print(f'  {position.id}: {_in_words(position)}')
-        return
-    steps = plan.steps(table)
-    OUTPUT.print(_step_rows(steps, table))
+    else:
+        OUTPUT.print(_step_rows(steps[:shown], table))
+    if len(every) > shown:
+        OUTPUT.print(f'{len(every) - shown} more: --verbose')
     OUTPUT.print()
     show_time(plan, table)
 

@@ -197,15 +197,11 @@ def run_montecarlo(arguments: argparse.Namespace) -> None:
 def _table(outcome: RunStatistics, *, by_hand: bool) -> Rows:
     rows = plain_table(_HEADINGS, 'lrrrrrrl')
     normalised, worst = outcome.rms, outcome.worst
-    last = outcome.parameters[0]
     for k, parameter in enumerate(outcome.parameters):
         stated = float(outcome.mean_stated[k])
         # Not estimated, or a zero by the choice of axes.
         if not stated > 0:
             continue
-        if parameter.triad != last.triad:
-            rows.add_section()
-        last = parameter
         shown = engineering(parameter, by_hand=by_hand)
         places = decimals(stated / shown.scale)
         values = [outcome.bias[k], outcome.spread[k], stated]

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import chain, zip_longest
 
 from rich.table import Table
+
+_ROWS = 24  #: With these a table and what stands below it fit a screen of 40 lines.
 
 
 def plain_table(
@@ -28,3 +31,15 @@ def plain_table(
     for row in rows:
         table.add_row(*row)
     return table
+
+
+def folded(table: Table) -> Table:
+    """Return a plain table with its rows after the 24th to the right of the others."""
+    rows = [list(map(str, row)) for row in zip(*(c.cells for c in table.columns), strict=True)]
+    parts = [rows[k : k + _ROWS] for k in range(0, len(rows), _ROWS)]
+    if len(parts) < 2:
+        return table
+    beside = zip_longest(*parts, fillvalue=[''] * len(table.columns))
+    headings = [str(column.header) for column in table.columns] * len(parts)
+    sides = ''.join(column.justify[0] for column in table.columns) * len(parts)
+    return plain_table(headings, sides, (list(chain.from_iterable(row)) for row in beside))

@@ -16,7 +16,7 @@ from ..session.imu import TRIAD_NAMES, Coefficient
 from .budget import budget_tables
 from .charts import tag
 from .html import named_rows, table
-from .plain_table import plain_table
+from .plain_table import folded, plain_table
 from .tables import (
     CHANGE_HEADINGS,
     FREE_OF_FRAME,
@@ -441,7 +441,9 @@ def overview(
     The truth of a simulation adds the errors in standard deviations, `budget` the sources of them.
     """
     if not budget or calibration.budget is None:
-        yield parameter_table(calibration, truth)
+        found = parameter_table(calibration, truth)
+        # Two columns more, beside a truth, do not fit twice into a line.
+        yield found if truth else folded(found)
     if budget:
         yield from budget_tables(calibration)
     if calibration.by_hand:

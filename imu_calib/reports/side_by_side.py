@@ -17,7 +17,6 @@ from ..estimation.common_unknowns import TableEstimate
 from ..model.parameters import AXES, Parameter, ParameterKind, engineering
 from ..model.sensors import OF_MOTION
 from .plain_table import plain_table
-from .tables import section_of
 
 _COARSE = 60 * ARCSEC
 """Standard deviation from which an angle is shown in degrees."""
@@ -118,11 +117,7 @@ def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
     # Columns that do not fit into a line continue in the next: no number and no unit is cut.
     table = plain_table(('parameter', *numbers, 'unit', ''), sides, no_wrap=True)
     places = _places(compared)
-    last = None
     for k, parameter in enumerate(found.parameters):
-        if last is not None and section_of(parameter) != section_of(last):
-            table.add_section()
-        last = parameter
         shown = engineering(parameter, by_hand=compared.by_hand)
         values, digits = _shown(parameter, calibrations), places[_alike(parameter)]
         if not (any(values) or std[:, k].any()):
@@ -158,7 +153,7 @@ def _signed(value: float, digits: int) -> str:
 
 def _alike(parameter: Parameter) -> tuple[object, ...]:
     """Return the key of the rows that have the same decimals: their points are in one column."""
-    return *section_of(parameter), parameter.kind
+    return parameter.triad, parameter.row >= len(AXES), parameter.kind
 
 
 def _places(compared: SideBySide) -> dict[tuple[object, ...], int]:

@@ -12,13 +12,11 @@ from ..calibration.calibration import Calibration
 from ..common.stream import at
 from ..common.units import DEG, decimals, significant
 from ..model.alignment import SCALE, SHOWN
-from ..model.parameters import AXES, Parameter, Shown, engineering
+from ..model.parameters import Parameter, Shown, engineering
 from ..model.sensors import by_name
 from ..model.session_terms import Change, largest
-from ..model.terms import TERMS, coefficients_of
+from ..model.terms import coefficients_of
 from .plain_table import plain_table
-
-_OF_TERMS = {term.kind for term in TERMS}
 
 
 def fixed(value: float, places: int) -> str:
@@ -80,13 +78,9 @@ def parameter_table(calibration: Calibration, truth: Calibration | None = None) 
     parameters, deviations = calibration.parameters, calibration.std
     values = calibration.values
     true_values = truth.model.values(parameters) if truth is not None else values
-    last = parameters[0]
     for k, parameter in enumerate(parameters):
         if not np.isfinite(deviations[k]) or values[k] == deviations[k] == 0:
             continue
-        if section_of(parameter) != section_of(last):
-            table.add_section()
-        last = parameter
         shown = engineering(parameter, by_hand=calibration.by_hand)
         true = None if truth is None else true_values[k] / shown.scale
         value, deviation = values[k] / shown.scale, deviations[k] / shown.scale
@@ -134,14 +128,7 @@ def angle_table(calibration: Calibration, truth: Calibration | None = None) -> T
             there = None if truth is None else right / unit.scale
             cells = _cells(value / unit.scale, std / unit.scale, unit.unit, there)
             table.add_row(f'{angles.group.words} {name}', *cells)
-        table.add_section()
     return table
-
-
-def section_of(parameter: Parameter) -> tuple[object, ...]:
-    """Return the key that parameters of one section of a table have in common."""
-    kind = parameter.kind if parameter.kind in _OF_TERMS else None
-    return parameter.triad, parameter.row >= len(AXES), kind
 
 
 # The tests of terms as rows of text, for the terminal and the report.

@@ -243,7 +243,7 @@ def test_info_tells_times_from_the_start_and_attitudes_in_the_hand(bag):
 
 
 def test_all_commands_speak_of_a_unit_in_the_hand_in_the_same_units(made, bag, capsys):
-    assert main(['info', bag, '--latitude', str(LATITUDE)]) == 0
+    assert main(['info', bag, '--latitude', str(LATITUDE), '--verbose']) == 0
     assert 'wz, deg/s' in capsys.readouterr().out
     main(['verify', bag, '--calibration', made, '--latitude', str(LATITUDE)])
     words = ' '.join(capsys.readouterr().out.split())

@@ -48,6 +48,12 @@ COMMANDS = [
     'plans twelve_position',
     'plans twelve_position --imu fog_medium',
     'plans six_position_by_hand --imu mems_counts',
+    'plans twelve_position_33 --imu fog_medium --latitude 48 --azimuth 0',
+    'plans twelve_position_33 --imu fog_medium --latitude 48 --azimuth 0 --reach D_gx=0.1deg/h',
+    'plans full_model',
+    'info a --latitude 48',
+    'info hand',
+    'info worn',
 ]
 
 

@@ -339,6 +339,8 @@ def test_report_and_verify_take_a_calibration_without_a_plan(bag, capsys):
 
 def test_info_lists_every_rest_and_every_turn(bag, capsys):
     assert main(['info', str(bag), *SAID]) == 0
+    short = capsys.readouterr().out
+    assert main(['info', str(bag), *SAID, '--verbose']) == 0
     out = capsys.readouterr().out
     rests = rows_below(out, 'dwell', 'position')
     session = without_plan().session
@@ -357,10 +359,13 @@ def test_info_lists_every_rest_and_every_turn(bag, capsys):
         ['-60.000', '1'],
     ]
     assert 'no plan: the attitudes and turns determine all 24 parameters' in out
+    shown = rows_below(short, 'dwell', 'position')
+    assert [row.split()[0] for row in shown] == [*(row.split()[0] for row in rests[:12]), '8']
+    assert shown[-1] == '8 more: --verbose'
 
 
 def test_info_fits_eighty_columns(bag, capsys):
-    main(['info', str(bag), *SAID])
+    main(['info', str(bag), *SAID, '--verbose'])
     out = capsys.readouterr().out
     tables = [*rows_below(out, 'dwell', 'position'), *rows_below(out, 'turn', 'position')]
     tables += rows_below(out, 'dwell', 'deg/h')
