@@ -445,6 +445,16 @@ def test_a_host_that_slept_with_a_counter_or_was_busy_is_no_jump(late, counter):
     assert (np.diff(stamps) == NS // 100).all()
 
 
+def test_a_node_that_starts_late_in_a_fast_simulation_delays_no_stamp():
+    """What it reads first waited for a minute of simulated time; what it reads then did not."""
+    made, arrival = host(8000)
+    # A minute of samples is read a second's at a time, in no time.
+    arrival[:6000] = arrival[6000]
+    clock = DeviceClock(NANOSECONDS, COUNTER, None, tolerance=None)
+    stamps = fed(clock, made, np.arange(8000), arrival, batch=100)
+    np.testing.assert_allclose(stamps - made, 2_000_000, atol=1_000_000)
+
+
 def test_clock_and_counter_wrap():
     made, arrival = host(3000)
     ticks = (made // 1000) % 2**16

@@ -313,6 +313,10 @@ _SETTLING = NS // 2
 (16 ms)."""
 _LONGEST_SETTLING = 2 * NS
 """The same by the host's time, for slow samples."""
+_CAUGHT_UP = 2
+"""Reads that no longer shorten the delay before the offset is fixed where the host's clock is that
+of a simulation: it may move on by a minute in the second in which a node that starts reads nothing.
+A judgement."""
 _CATCH_UP = NS // 10
 """ns after which a busy host has read all waiting data, which it reads faster than it arrived. A
 judgement."""
@@ -416,6 +420,7 @@ class DeviceClock:
         self._elapsed = 0.0
         self._arrival = 0
         self._first_arrival: int | None = None
+        self._caught_up = 0
         self._late: _Late | None = None
         self._line = Delays()
         self._host = HostClock()
@@ -492,14 +497,18 @@ class DeviceClock:
                 self._place_by_arrival(elapsed, finding.index, arrival)
             self._note(int(elapsed[finding.index]), finding.seconds, finding.reason)
         known = self._compare(elapsed, arrival, steady is not None)
+        before = self._line.lowest
         self._line.add_delays(elapsed[:known], arrival[:known])
         for index, by in settings:
             self._note(int(elapsed[index]), by / NS, _SET)
         # The fraction of a nanosecond is kept: a thousand roundings a second would add up.
         self._elapsed = float(exact[-1]) + int(elapsed[-1]) - uncorrected
         self._arrival = int(arrival[-1])
+        fell = before is None or before - (self._line.lowest or 0) > _SETTLING
+        self._caught_up = 0 if fell else self._caught_up + 1
+        caught_up = self._tolerance is not None or self._caught_up >= _CAUGHT_UP
         long = arrival[-1] - self._first_arrival >= _LONGEST_SETTLING
-        if elapsed[-1] >= _SETTLING or long:
+        if caught_up and (elapsed[-1] >= _SETTLING or long):
             self.settle()
         return elapsed
 
