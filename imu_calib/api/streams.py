@@ -220,6 +220,7 @@ def _named(recording: Recording, candidates: list[Topic], wanted: str, kind: Kin
 _DIFFERENT = 1000 * PPM
 """From which two clocks differ by more than clocks do: quartz is off by 20 to 100 ppm, and a daemon
 of NTP slews a clock by 500 ppm at most (RFC 5905, appendix A.5.5.6)."""
+_QUARTZ = 200 * PPM  #: From which two clocks differ by more than two sound quartzes do.
 _SURELY = 3.0  #: Standard deviations beyond that.
 _ANOTHER_PACE = 0.1
 """From which two clocks are not of one kind: simulated time, or a recording that was played at
@@ -269,7 +270,9 @@ def contradiction(recording: Recording, topic: str) -> str:
 
 
 def clock_findings(recording: Recording, streams: Streams, units: Units) -> list[str]:
-    """Return a warning of the clock by which a calibration counts seconds, if it is off.
+    """Return what is said of the clock by which a calibration counts seconds, if it is off.
+
+    A warning if no clock of a computer is off by so much, else a note.
 
     Args:
         recording: Read.
@@ -278,8 +281,10 @@ def clock_findings(recording: Recording, streams: Streams, units: Units) -> list
     """
     topic = streams.imu if streams.joints is None else streams.joints
     # docs/mathematics.md, 'Uncertainty budget': pulses per angle do not depend on a clock.
-    found = _differing(recording, topic, 'every K_a' if units.per_interval else 'every K_g')
-    return [warning(sentence) for sentence in found]
+    containing = 'every K_a' if units.per_interval else 'every K_g'
+    if found := _differing(recording, topic, containing):
+        return [warning(sentence) for sentence in found]
+    return _differing(recording, topic, containing, _QUARTZ)
 
 
 def sample_findings(recording: Recording, topic: str, units: Units) -> list[str]:
@@ -297,25 +302,27 @@ def average_findings(recording: Recording, topic: str) -> list[str]:
     return _differing(recording, topic, 'every averaging time')
 
 
-def _differing(recording: Recording, topic: str, containing: str) -> list[str]:
+def _differing(
+    recording: Recording, topic: str, containing: str, usual: float = _DIFFERENT
+) -> list[str]:
     """Return a sentence on stamps that run fast or slow, and on what contains that."""
     clock = recording.clocks.get(topic)
-    if clock is None or not (said := difference(clock)):
+    if clock is None or not (said := difference(clock, usual)):
         return []
     return [
-        f'The header stamps of {topic} run {said}, more than clocks differ ({_DIFFERENT / PPM:g} '
+        f'The header stamps of {topic} run {said}, more than clocks differ ({usual / PPM:g} '
         f"ppm): {containing} contains this difference, unless the recorder's clock is wrong. Let "
         'the driver stamp by a right clock, not by a nominal interval, and record again.'
     ]
 
 
-def difference(clock: RecordedClock) -> str:
+def difference(clock: RecordedClock, usual: float = _DIFFERENT) -> str:
     """Return by how much stamps run fast or slow, in words; empty if that is usual or unknown."""
     ratio = clock.ratio()
     if ratio is None:
         return ''
     faster = abs(ratio.value - 1)
-    if not _DIFFERENT + _SURELY * ratio.std < faster < _ANOTHER_PACE:
+    if not usual + _SURELY * ratio.std < faster < _ANOTHER_PACE:
         return ''
     return (
         f'{faster * 100:.3g} % ({faster / PPM:.0f} +- {max(ratio.std / PPM, 1):.0f} ppm) too '

@@ -119,6 +119,16 @@ def test_stamps_that_run_fast_are_said_with_what_contains_them(in_the_hand, soun
     assert np.abs(contained - 0.015).max() < sound.std[:3].max()
 
 
+@pytest.mark.parametrize(('faster', 'notes'), [(800, 1), (-300, 1), (150, 0)])
+def test_a_clock_that_may_be_either_of_the_two_is_noted(in_the_hand, tmp_path, faster, notes):
+    epoch = 1_700_000_000 * NS
+    bag = restamped(in_the_hand, tmp_path / 'bag', lambda s: s + (s - epoch) * faster // 1_000_000)
+    said = [f for f in calibrate(bag).calibration.findings if 'log times' in f]
+    assert len(said) == notes
+    assert not any(is_warning(f) for f in said)
+    assert all(f'{abs(faster)} +- 1 ppm' in f and 'every K_g contains' in f for f in said)
+
+
 def test_compensation_says_nothing_of_sound_stamps(in_the_hand, sound, tmp_path):
     kept = compensate(in_the_hand, sound, tmp_path / 'kept').findings
     assert not any('header stamps' in finding for finding in kept)
