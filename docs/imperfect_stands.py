@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import yaml
@@ -24,6 +26,9 @@ from imu_calib.session.plan import Plan, load_plan
 from imu_calib.session.table import ASSUMED, Table, load_table, read_table
 from imu_calib.simulation.options import StandOptions, read_imperfections
 from imu_calib.simulation.stand import SimulatedStand
+
+sys.path.insert(0, str(Path(__file__).parents[1] / 'test' / 'support'))
+from other_faults import FAULTS
 
 SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 DWELL = 40.0
@@ -63,6 +68,7 @@ CAUSES = {
     'moved': 'the unit was moved|shifted in its mount',
     'noise': 'noise of the sensors is unknown',
     **{t.name: rf'The session shows .*\b{t.name}\b' for t in TERMS},
+    **{name: one.words for name, one in FAULTS.items() if one.words},
 }
 """Words by which a finding names a cause."""
 
@@ -96,6 +102,7 @@ class Condition:
         bound: What of the stand, beyond the description, the information bound must allow for;
             None where the bound does not know the condition.
         thermometer: Whether the temperature is recorded, where it moves.
+        fault: Of the second simulation, in place of all that; empty for none.
     """
 
     file: str = '{}'
@@ -105,6 +112,7 @@ class Condition:
     term: str = ''
     bound: Mapping[str, float] | None = field(default_factory=dict)
     thermometer: bool = True
+    fault: str = ''
 
 
 _TILTED = 'table: {tilt: {east: 0.1 deg, north: -0.03 deg}}'
@@ -235,6 +243,10 @@ CONDITIONS = {
     **{
         name: Condition(causes=(name, *_SCATTERS.get(name, ())), term=name, bound=None)
         for name in SIZES
+    },
+    **{
+        name: Condition(causes=(name,) if one.words else (), bound=None, fault=name)
+        for name, one in FAULTS.items()
     },
 }
 

@@ -8,6 +8,7 @@ import other_sessions
 import pytest
 from evidence import evidence_of
 from extent import ALL, again
+from other_faults import warmed
 from other_sessions import MEDIUM, NAVIGATION, errors, fed, recorded
 from other_world import World
 from sessions import gathered, truth
@@ -207,7 +208,6 @@ def test_a_recording_by_another_clock_bears_a_calibration_out():
 
 
 UNITS = {'medium': MEDIUM, 'navigation': NAVIGATION, 'rates': replace(MEDIUM, counts=True)}
-WARMING = 150.0  #: s.
 
 
 @pytest.mark.parametrize('ppm', [5, 20])
@@ -217,9 +217,7 @@ def test_seconds_follow_the_curve(grade, ppm, monkeypatch):
 
     def blocks(world, unit, seed):
         of_table, of_imu = recorded(world, unit, seed)
-        passed = (of_imu.stamp - of_imu.stamp[0]) * 1e-9
-        ahead = ppm * PPM * WARMING * (1 - np.exp(-passed / WARMING))
-        return of_table, replace(of_imu, stamp=of_imu.stamp + np.rint(ahead * 1e9).astype(int))
+        return of_table, replace(of_imu, stamp=warmed(of_imu.stamp, ppm))
 
     monkeypatch.setattr(other_sessions, 'recorded', blocks)
     unit = UNITS[grade]

@@ -8,6 +8,7 @@ import numpy as np
 import other_sessions
 import pytest
 from extent import again
+from other_faults import TICK, slewed
 from other_sessions import MEDIUM, NAVIGATION, errors, fed, recorded
 from other_world import Damage, Unit, World
 from sessions import recut
@@ -27,7 +28,6 @@ from imu_calib.session.plan import load_plan
 from imu_calib.simulation.hand import as_planned
 from imu_calib.simulation.options import ImuOptions
 
-TICK = 1 / 64
 IN_STEPS = World(damage=Damage(tick=TICK))
 GRADES = {'medium': MEDIUM, 'navigation': NAVIGATION, 'rates': replace(MEDIUM, counts=True)}
 
@@ -121,13 +121,6 @@ def test_lost_samples_of_regular_stamps_are_no_steps():
 
 UNITS = {'medium': MEDIUM, 'navigation': NAVIGATION, 'rates': replace(MEDIUM, counts=True)}
 MIDDLE = (0.4, 0.6)  #: Shares of the session between which it runs fast.
-
-
-def slewed(stamp: Stamps, ppm: float, span: tuple[float, float]) -> Stamps:
-    """Return stamps, ns, of a clock that runs fast between two shares of the session."""
-    passed = (stamp - stamp[0]).astype(float)
-    first, last = (share * passed[-1] for share in span)
-    return np.asarray(stamp + np.rint(ppm * 1e-6 * np.clip(passed - first, 0, last - first)), int)
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import numpy as np
 from other_world import (
     DEG,
     Matrix,
+    Recording,
     Stop,
     Unit,
     Vector,
@@ -75,7 +76,10 @@ def segmented(world: World, unit: Unit, seed: int = 0) -> Evidence:
 # A session is made once for what solves it in several ways, of one unit or of both by turns.
 @lru_cache(maxsize=4)
 def recorded(world: World, unit: Unit, seed: int) -> tuple[JointBlock, ImuBlock]:
-    recording = record(world, unit, seed)
+    return blocks_of(record(world, unit, seed))
+
+
+def blocks_of(recording: Recording) -> tuple[JointBlock, ImuBlock]:
     stamps = EPOCH * 10**9 + np.rint(np.array(recording.imu_stamps) * 1e9).astype(np.int64)
     joints = EPOCH * 10**9 + np.rint(np.array(recording.joint_stamps) * 1e9).astype(np.int64)
     angles = np.array(recording.angles)
@@ -94,6 +98,7 @@ def fed(
     *,
     find_terms: bool = False,
     table: Table | None = None,
+    blocks: tuple[JointBlock, ImuBlock] | None = None,
 ) -> Calibrator:
     spec = ImuSpec(
         'other',
@@ -107,7 +112,7 @@ def fed(
     table = load_table('three_axis') if table is None else table
     setup = Setup(spec, plan, table, site, search_terms=find_terms)
     calibrator = Calibrator(setup)
-    for block in recorded(world, unit, seed):
+    for block in recorded(world, unit, seed) if blocks is None else blocks:
         calibrator.add_block(block)
     return calibrator
 

@@ -37,6 +37,9 @@ ZERO: Matrix = (NOTHING, NOTHING, NOTHING)
 Given = tuple[Matrix, Vector, Vector]
 """An attitude, and Earth rate and specific force in its body axes."""
 
+Inputs = list[tuple[Vector, Vector]]
+"""What every sample is given: integrals of rate and specific force, body axes."""
+
 
 FAST = 60 * DEG
 """The rate at which coefficients of gyros' terms are stated, rad/s."""
@@ -533,14 +536,14 @@ def angles_at(
         yield current.angles(time), current
 
 
-def record(world: World, unit: Unit, seed: int) -> Recording:
-    """Run the session sample by sample."""
+def record(world: World, unit: Unit, seed: int, given: Inputs | None = None) -> Recording:
+    """Run the session sample by sample, of a unit that is given what the table does or this."""
     motions = schedule(world)
     duration = motions[-1].end + 1.5 + world.dwell
     recording = Recording()
     noise = copy(_drawn(seed))
     _record_joints(recording, world, motions, duration, noise)
-    _record_imu(recording, world, unit, noise)
+    _record_imu(recording, world, unit, noise, given)
     if world.damage is None:
         return recording
     return damaged(recording, world.damage, random.Random(f'damage {seed}'))
@@ -617,7 +620,13 @@ def _record_joints(
         recording.angles.append(angles)
 
 
-def _record_imu(recording: Recording, world: World, unit: Unit, noise: Iterator[float]) -> None:
+def _record_imu(
+    recording: Recording,
+    world: World,
+    unit: Unit,
+    noise: Iterator[float],
+    inputs: Inputs | None,
+) -> None:
     dt = 1.0 / unit.rate
     motions = schedule(world)
     moved = Moved(world, unit, motions[0])
@@ -633,8 +642,11 @@ def _record_imu(recording: Recording, world: World, unit: Unit, noise: Iterator[
     changes = changes or unit.stepping < math.inf
     given: tuple[Vector, Vector] | None = None
     swung = Swung(world.shaking)
-    for k, (turned, _, _, _) in enumerate(sample_integrals(world, unit.rate, 0.0)):
-        _, pushed, middle, motion = afterwards[k]
+    if inputs is None:
+        at_once = sample_integrals(world, unit.rate, 0.0)
+        inputs = [(now[0], later[1]) for now, later in zip(at_once, afterwards, strict=True)]
+    for k, (turned, pushed) in enumerate(inputs):
+        _, _, middle, motion = afterwards[k]
         # Samples at rest are given the same, and answer the same but for what changes with time.
         if middle is not None or given is None or given[0] is not turned or given[1] is not pushed:
             given = (turned, pushed) if middle is None else None
