@@ -163,7 +163,7 @@ def _check_identity(
 ) -> None:
     """Refuse the calibration of another unit, if calibration and recording name their units."""
     try:
-        check_identity(calibration, name, imu.id, where, serial)
+        check_identity(calibration, name, imu, where, serial)
     except InputError as error:
         raise InputError(
             f'{error} Give the calibration of that unit, or compare them with `another_unit`.'

@@ -333,6 +333,7 @@ class Diagnosis:
 
     symptom: str
     moved: tuple[ShiftedParameter, ...] = ()
+    by_biases: bool = False  #: Whether other biases explain everything, and nothing else does.
 
 
 def refitted_parameters(system: TriadSystem) -> Fit:
@@ -449,7 +450,8 @@ def diagnose(system: TriadSystem, values: Floats, factor: Floats, without: float
         text += f' As good: {"; ".join(other.when for other, _ in others[:3])}.'
     parameters = tuple(dict.fromkeys((*system.sensors.parameters, *first.freed)))
     far = _shifted_parameters(parameters, fit, indices_of(first.freed, parameters))
-    return Diagnosis(text, far)
+    biases = bool(first.freed) and all(p.kind is ParameterKind.BIAS for p in first.freed)
+    return Diagnosis(text, far, biases and not others)
 
 
 def _name(system: TriadSystem) -> str:

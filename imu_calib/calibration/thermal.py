@@ -16,7 +16,7 @@ from ..common.errors import InputError
 from ..common.files import user_path, write_whole
 from ..common.stream import Floats
 from ..common.units import counted
-from ..session.imu import ImuSpec, StampingClock
+from ..session.imu import GENERIC, ImuSpec, StampingClock
 from .agreement import gravity_deviation, without_gravity
 from .calibration import Calibration, calibration_section
 
@@ -305,7 +305,7 @@ def check_unit(
 
     Serial numbers are compared where both are stated.
     """
-    check_identity(calibration, name, imu.id, where, serial_number)
+    check_identity(calibration, name, imu, where, serial_number)
     own = first_of(calibration).imu
     compared: dict[str, tuple[str | float, str | float]] = {
         'units': (own.units.value, imu.units.value),
@@ -316,11 +316,14 @@ def check_unit(
 
 
 def check_identity(
-    calibration: AnyCalibration, name: str, imu: str, where: str, serial_number: str = ''
+    calibration: AnyCalibration, name: str, imu: ImuSpec, where: str, serial_number: str = ''
 ) -> None:
     """Refuse a calibration that states another unit."""
     own = first_of(calibration)
-    compared: dict[str, tuple[str | float, str | float]] = {'imu': (own.imu.id, imu)}
+    compared: dict[str, tuple[str | float, str | float]] = {}
+    # The supplied description of SI units names no unit: the calibration may be that of any.
+    if own.imu.id != GENERIC or imu.units is not own.imu.units:
+        compared['imu'] = own.imu.id, imu.id
     if own.serial_number and serial_number:
         compared['serial_number'] = (own.serial_number, serial_number)
     _check_same(compared, name, where)

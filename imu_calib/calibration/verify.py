@@ -21,7 +21,7 @@ from ..common.units import DEG, counted
 from ..estimation.free_dwells import Sensors, Up, noise_at_rest, squares, transformed_covariance
 from ..estimation.system import Fit, Observed, TriadSystem, factor_of
 from ..model.earth import EARTH_RATE, Site
-from ..model.parameters import Parameter, ParameterKind, indices_of
+from ..model.parameters import Parameter, ParameterKind, engineering, indices_of
 from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms, terms_of
 from ..model.session_terms import Course
 from ..segmentation.segmented import Move
@@ -296,7 +296,7 @@ class Verification:
 
     @property
     def outcome(self) -> str:
-        """The verdict in a sentence."""
+        """The verdict in a sentence, or two."""
         if self.own_recording and self.verdict is not Verdict.FAIL:
             return 'NOT TESTED: the calibration was made from this recording. Take a second one.'
         if self.own_recording:
@@ -305,7 +305,32 @@ class Verification:
                 'Something is stated otherwise than then (latitude, gravity, IMU, table, plan), or '
                 'parameters changed during it.'
             )
-        return _OUTCOMES[self.verdict]
+        return self._biases_alone() or _OUTCOMES[self.verdict]
+
+    def _biases_alone(self) -> str:
+        """Return the verdict if other biases explain whatever fails; else an empty text."""
+        failed = [t.diagnosis for t in self.triads if t.verdict is Verdict.FAIL]
+        found = [d for d in failed if d is not None and d.by_biases and d.moved]
+        if not found or len(found) < len(failed):
+            return ''
+        parts = []
+        for diagnosis in found:
+            largest = max(diagnosis.moved, key=lambda m: abs(m.difference))
+            shown = engineering(largest.parameter, by_hand=self.by_hand)
+            name = 'gyros' if largest.parameter.triad == 'g' else 'accelerometers'
+            parts.append(f'{name} by {abs(largest.difference) / shown.scale:.2g} {shown.unit}')
+        why = ', as those of MEMS units do at each switch-on' if self.by_hand else ''
+        others = 'Scale factors and angles agree.'
+        # Lengths at rest hardly depend on scale factors and angles of gyros.
+        if not any(c.quantity is Quantity.DIRECTION for c in self.compared):
+            others = (
+                'Scale factors and angles of the accelerometers agree; those of the gyros show '
+                'only if you calibrate this recording and compare the two (imu-calib compare).'
+            )
+        return (
+            f'REJECTED, but only the biases moved ({", ".join(parts)}){why}: measure them anew. '
+            f'{others}'
+        )
 
     @property
     def accepted(self) -> bool:

@@ -202,10 +202,10 @@ def test_another_unit_is_refused_by_what_differs(imu, sentence):
 def test_serial_numbers_are_compared_where_both_state_one():
     mine = replace(brick_at(0.0), serial_number='7')
     for other in ('', '7'):
-        check_identity(mine, 'a.yaml', 'brick', 'b.yaml', other)
-    check_identity(brick_at(0.0), 'a.yaml', 'brick', 'b.yaml', '8')
+        check_identity(mine, 'a.yaml', BRICK, 'b.yaml', other)
+    check_identity(brick_at(0.0), 'a.yaml', BRICK, 'b.yaml', '8')
     with pytest.raises(InputError) as refused:
-        check_identity(mine, 'a.yaml', 'brick', 'b.yaml', '8')
+        check_identity(mine, 'a.yaml', BRICK, 'b.yaml', '8')
     assert str(refused.value) == 'a.yaml: serial_number: found 7, expected 8 as in b.yaml.'
 
 

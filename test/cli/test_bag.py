@@ -39,14 +39,18 @@ accelerometer: {velocity_random_walk: 300 ug/sqrt(Hz)}
 
 
 def recorded(
-    folder: Path, topic: str, holds: int = 24, scale: tuple[float, float | Floats] = (1, 1)
+    folder: Path,
+    topic: str,
+    holds: int = 24,
+    scale: tuple[float, float | Floats] = (1, 1),
+    seed: int = 1,
 ) -> str:
     """A recording of a driver that publishes SI, times something where it does not."""
     unit = read_imu(Section.parse(UNIT, 'the unit'))
     session = spread_holds(holds, 1)
     site = Site.at(LATITUDE * DEG, HEIGHT)
     with RecordingWriter(folder) as writer:
-        for block in session.blocks(unit, TRUTH.model, site, seed=1):
+        for block in session.blocks(unit, TRUTH.model, site, seed=seed):
             read = ImuBlock(block.stamp, block.gyro * scale[0], block.accel * scale[1], 'imu')
             kind, messages, stamps = serialised(read)
             writer.write(topic, kind.type_name, messages, stamps)
@@ -196,6 +200,31 @@ def test_lengths_find_biases_that_moved_without_a_bias_instability(bag, by_latit
     assert gyros.verdict is Verdict.FAIL and gyros.diagnosis is not None
     assert 'vanish when the biases are others' in gyros.diagnosis.symptom
     assert not any('did not converge' in text for text in found.findings)
+
+
+def test_of_biases_that_moved_alone_the_verdict_says_so(by_latitude, tmp_path):
+    made, bag = by_latitude, recorded(tmp_path / 'hand', '/imu', seed=2)
+    moved = [{'g': 0.05 * DEG, 'a': 0.03}[p.triad] * (p.name[0] == 'D') for p in made.parameters]
+    other = replace(made, model=made.model.with_values(made.parameters, made.values + moved))
+    found = imu_calib.verify(bag, other, latitude=LATITUDE)
+    assert found.verdict is Verdict.FAIL
+    assert found.outcome.startswith('REJECTED, but only the biases moved (gyros by 0.05')
+    assert 'deg/s, accelerometers by 3' in found.outcome
+    # Lengths do not show scale factors and angles of gyros: nothing is said of these.
+    assert 'Scale factors and angles of the accelerometers agree; those of the gyros' in str(found)
+    scaled = made.values + moved + [0.01 * (p.name == 'K_ax') for p in made.parameters]
+    other = replace(made, model=made.model.with_values(made.parameters, scaled))
+    found = imu_calib.verify(bag, other, latitude=LATITUDE)
+    assert found.outcome == 'REJECTED: the recording contradicts the calibration.'
+
+
+def test_a_file_of_an_si_unit_is_that_of_a_calibration_without_a_name(made, bag, tmp_path):
+    file = tmp_path / 'my_imu.yaml'
+    file.write_text(UNIT)
+    imu_calib.verify(bag, made, latitude=LATITUDE, imu=file)
+    imu_calib.compensate(bag, made, tmp_path / 'out', imu=file)
+    with pytest.raises(InputError, match='imu: found si, expected mems_counts'):
+        imu_calib.verify(bag, made, latitude=LATITUDE, imu='mems_counts')
 
 
 def test_info_ends_with_2_where_a_topic_is_not_there(bag, capsys):
