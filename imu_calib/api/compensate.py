@@ -333,16 +333,16 @@ def _findings(stream: _Stream) -> list[str]:
     if not compensator.gravity.is_gravity:
         known.append(compensator.gravity.contradiction(first_of(compensator.calibration).imu))
     if compensator.alone:
-        known.append(f"{compensator.alone} samples lacked the skewed gyro's value.")
+        known.append(f'{compensator.alone} samples have no value of the skewed gyro.')
     if compensator.repeats:
         known.append(f'{compensator.repeats} samples came twice and are written once.')
     if stream.turns.contradict:
         known.append(stream.turns.contradiction(first_of(compensator.calibration).imu))
     if compensator.untimed:
         known.append(
-            f'The stamps of {compensator.untimed} samples show no sample interval. Their '
-            'covariances lack the noise of single samples unless the file of the IMU states a '
-            '`sample_rate`.'
+            f'{compensator.untimed} samples have no neighbours that show the sample interval: '
+            'their covariances lack the noise of single samples. State `sample_rate` in the file '
+            'of the IMU.'
         )
     if compensator.dropped:
         known.append(f'{compensator.dropped} samples could not be timed and are left out.')

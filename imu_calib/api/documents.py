@@ -181,9 +181,9 @@ def _recalibrate(
     again = result.calibration
     if again.parameters != calibration.parameters or _far_apart(again, calibration):
         raise InputError(
-            f'{bag} does not give the numbers of {name}: it is another recording, or give the '
-            '`plan`, `imu`, `table`, `latitude`, `height`, `gravity`, `method`, `terms` and '
-            '`segments` that it was made with.'
+            f'{bag}, calibrated again, does not give the numbers of {name}. It is another '
+            'recording, or something was stated when it was calibrated: state the same `plan`, '
+            '`imu`, `table`, `latitude`, `height`, `gravity`, `method`, `terms` and `segments`.'
         )
     return result
 
@@ -200,7 +200,7 @@ def _solved_again(
     if imus is None and not shared:
         return solve(session_of(recording, stated), progress)
     if stated.serial not in serials_in(recording, imus):
-        raise InputError(f'{recording.path}: none of its units is {stated.serial}.')
+        raise InputError(f'{recording.path} holds no unit of serial number {stated.serial}.')
     found = units_of_recording(recording, imus, stated, progress, separate=not shared)
     return found[str(stated.serial)]
 

@@ -163,9 +163,9 @@ def refuse_rest(recording: Recording, topic: str, imu: ImuSpec) -> None:
         ratio = still.length / STANDARD_GRAVITY
         if not 1 / GRAVITY_FACTOR < ratio < GRAVITY_FACTOR:
             raise InputError(
-                f"{recording.path}: by the IMU's description, {imu.id}, the accelerometers read "
-                f'{ratio:.3g} times gravity, and nothing moves: give the `imu` whose units and '
-                'scale factors are those of the recording.'
+                f'{recording.path}: as {imu.id} describes them, the accelerometers at rest read '
+                f'{ratio:.3g} times gravity. Give the `imu` whose units and scale factors are '
+                'those of the recording.'
             )
         in_memory = isinstance(recording, SamplesInMemory)
         way = '`imu_calib.noise`' if in_memory else f'imu-calib noise {recording.path}'

@@ -310,9 +310,9 @@ def _differing(
     if clock is None or not (said := difference(clock, usual)):
         return []
     return [
-        f'The header stamps of {topic} run {said}, more than clocks differ ({usual / PPM:g} '
-        f"ppm): {containing} contains this difference, unless the recorder's clock is wrong. Let "
-        'the driver stamp by a right clock, not by a nominal interval, and record again.'
+        f'The header stamps of {topic} run {said}, more than two clocks differ '
+        f"({usual / PPM:g} ppm): {containing} is wrong by as much, unless the recorder's clock is. "
+        'Let the driver stamp by a clock, not by the nominal interval, and record again.'
     ]
 
 

@@ -189,8 +189,8 @@ def _at_temperature(
     if isinstance(loaded, ThermalCalibration):
         if seen is None:
             raise InputError(
-                'The calibration depends on the temperature: verify it with a recording that '
-                'holds it.'
+                'This calibration needs the temperature of the unit, and the recording has none: '
+                'verify it with a recording that has one (topic imu/temperature).'
             )
         return loaded.at(seen.mean), []
     made_at = loaded.provenance.get('temperature')

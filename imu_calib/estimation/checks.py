@@ -111,8 +111,8 @@ def check_axes(response: Floats, name: str, what: str) -> None:
     scale = abs(float(np.linalg.det(response))) ** (1 / 3)
     if not 1 / SCALE_LIMIT < scale < SCALE_LIMIT:
         raise InputError(
-            f'The {name} answer {scale:.4g} times what they should to {what}: units or scale '
-            "factor in the IMU's description are not those of the recording."
+            f'The {name} read {scale:.4g} times what they should of {what}: check the units and '
+            "the scale factor of the IMU's description."
             f'{wrong_scale_sentences(scale, name)}'
         )
     largest = np.abs(response).max(axis=1)

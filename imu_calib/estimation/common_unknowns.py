@@ -216,7 +216,8 @@ class _System:
                 self._linearise()
                 return
         raise NotObservable(
-            f'The least squares over all units did not converge in {_ROUNDS} steps.'
+            f'The least squares over all units did not converge in {_ROUNDS} steps. Calibrate each '
+            'unit alone (`serial`) to see which one contradicts its description.'
         )
 
     @property
@@ -346,7 +347,10 @@ class _System:
         basis, triangle = np.linalg.qr(mine * scale)
         diagonal = np.abs(np.diag(triangle))
         if diagonal.min() < _SINGULAR * diagonal.max():
-            raise NotObservable('A unit leaves parameters open even where the table is known.')
+            raise NotObservable(
+                'The data of a unit does not determine all its parameters, not even on a table '
+                'that is known exactly. Calibrate each unit alone (`serial`) to see which ones.'
+            )
         inverse = scale[:, None] * scipy.linalg.solve_triangular(triangle, np.eye(len(own)))
         along = basis.T @ np.column_stack([common, residuals])
         reduced = common - basis @ along[:, :-1]

@@ -149,8 +149,8 @@ def _rejected_moves_finding(found: Estimate) -> list[str]:
     if pushed:
         speed = max(move.misclosure for move in pushed)
         notes.append(
-            f'The accelerometers show {len(pushed)} of {len(pushed) + len(used.with_accels)} moves '
-            f'that do not end at rest ({_names_of_moves(pushed)}; {speed:.3g} m/s at most): their '
+            f'By the accelerometers {len(pushed)} of {len(pushed) + len(used.with_accels)} moves '
+            f'do not end at rest ({_names_of_moves(pushed)}; {speed:.3g} m/s at most): their '
             'velocities are left out. Possible causes: nonlinear accelerometers, samples that '
             'freeze on the way, and a unit that vibrates in its mount.'
         )
@@ -212,17 +212,17 @@ def _positioning_findings(found: Estimate, confounded: Sequence[str]) -> list[st
     if stops > _SIGNIFICANT * max(joints, evidence.positioning) and not evidence.plan.by_hand:
         notes.append(
             Finding(
-                'The residuals scatter by attitude errors of the whole table of '
-                f'{significant(stops / ARCSEC)} arcsec, other ones at each stop: the standard '
+                'The residuals show that the whole table stops with attitude errors of '
+                f'{significant(stops / ARCSEC)} arcsec, different at each stop: the standard '
                 'deviations allow for them.',
                 ErrorSource.STOPS,
             )
         )
     if notes and confounded:
         notes[-1] = notes[-1].followed_by(
-            f'In so few positions they look like {" and ".join(confounded)}. A second session at '
-            'the same positions shows which: equal residuals mean the axes and the encoders, other '
-            'ones the stops.'
+            f'With so few positions they cannot be told from {" and ".join(confounded)}. Run the '
+            'same positions again: equal residuals come from the axes and encoders of the table, '
+            'different ones from how it stops.'
         )
     return [*notes]
 

@@ -499,7 +499,7 @@ def _held(one: TermTest, held: list[tuple[Parameter, tuple[Parameter, float]]]) 
     )
 
 
-_FOLLOW = 'The terms thermal or trend (`terms`) estimate what follows it.'
+_FOLLOW = 'The terms thermal or trend (`terms`) estimate how they follow the temperature.'
 
 _CHEAPEST = 200 * PPM
 """Scale factor per kelvin of the cheapest units (MPU-9150: 0.02 % of the accelerometers). Where
@@ -518,10 +518,7 @@ def temperature_finding(found: Estimate) -> list[str]:
         if stated:
             known.append(f'{significant(stated / PPM, 3)} ppm/K of the {words}s')
         elif (moved := _moved(found, letter))[1] * _CHEAPEST > 1:
-            unknown.append(
-                f'of {words}s that follow it by {significant(1 / moved[1] / PPM)} ppm/K '
-                f'({moved[0]})'
-            )
+            unknown.append(f'of {words}s with {significant(1 / moved[1] / PPM)} ppm/K ({moved[0]})')
             most = max(most, moved[1] * _CHEAPEST)
     if not known and not unknown:
         return []
@@ -535,8 +532,8 @@ def temperature_finding(found: Estimate) -> list[str]:
         return [Finding(f'{text}. {_FOLLOW}', ErrorSource.TEMPERATURE)]
     return [
         warning(
-            f'{text}. Scale factors {" or ".join(unknown)} are wrong by a standard deviation, and '
-            f"the IMU's file states no scale_factor_temperature. {_FOLLOW}",
+            f'{text}; scale factors {" or ".join(unknown)} would be wrong by a standard deviation. '
+            f"State scale_factor_temperature in the IMU's file. {_FOLLOW}",
             ErrorSource.TEMPERATURE,
             effect=most,
         )

@@ -69,7 +69,7 @@ _COLOURS = {
 """Neighbours also differ in lightness, for colour-blind readers."""
 
 _OTHER_COLOUR = '#b8bcc2'
-_NONE = 'The method states no sources of its uncertainty: there is no budget.'
+_NONE = 'This method does not divide its uncertainty among sources: there is no budget.'
 
 
 @dataclass(frozen=True, eq=False)

@@ -175,9 +175,9 @@ def agreement_lines(found: Agreement, count: int) -> list[str]:
     if not found.total_freedom:
         return ['None of them states standard deviations: significance cannot be tested.']
     rule = (
-        f'A parameter is marked where chance gives its chi-square ({count - 1} '
-        f'degree{"s" * (count > 2)} of freedom) less often than once in {1 / found.limit:.0f}: one '
-        'false mark in a hundred comparisons.'
+        f'A parameter is marked if equal ones had such a chi-square ({count - 1} '
+        f'degree{"s" * (count > 2)} of freedom) less often than once in {1 / found.limit:.0f}: '
+        'of a hundred comparisons of equal units one has a false mark.'
     )
     every = (
         f'All parameters together: chi-square {found.total:.1f} with {found.total_freedom} degrees '

@@ -308,8 +308,8 @@ def no_turn_reason(motion: Motion) -> str:
     longest = max(plateaus, key=lambda p: p.turned)
     return (
         f'the joint states show {abs(longest.rate) / DEG:.4g} deg/s for '
-        f'{longest.turned / DEG:.0f} deg, less than a whole turn: ramps take the rest (more '
-        'turns, a slower rate or faster ramps leave one)'
+        f'{longest.turned / DEG:.0f} deg, less than a whole turn: the rest is ramps (run more '
+        'turns, a slower rate or faster ramps)'
     )
 
 

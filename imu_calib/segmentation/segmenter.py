@@ -55,7 +55,7 @@ def reject_untimed(reader: IntervalReader, intake: StreamBuffer) -> None:
     begins += [one.instant + reader.offset_ns for one in intake.joint_clock.found]
     edges = [0, *sorted(begins), np.iinfo(np.int64).max]
     reason = (
-        'no motion after an interruption, or a clock that was set, before it gives the offset '
+        'the stream was interrupted, or a clock set, and no motion since then shows the offset '
         'of the clocks'
     )
     for first, last in pairwise(edges):
@@ -503,9 +503,9 @@ class Segmenter:
             )
         if reader.pace.tick:
             lost.append(
-                f'The stamps of the IMU come in steps of {reader.pace.tick * 1e3:.3g} ms, by their '
-                'clock or by a reader that polls: when samples were made is taken from a line '
-                'through the stamps'
+                f'The stamps of the IMU come in steps of {reader.pace.tick * 1e3:.3g} ms, as of a '
+                'coarse clock or a driver that polls: the times of the samples are taken from a '
+                'line through the stamps'
             )
         lost += [
             f'The sample rate changes from {1 / before:.4g} to {1 / after:.4g} Hz near '
@@ -541,8 +541,8 @@ class Segmenter:
         silences = self._intake.interruptions.found
         lost += interruptions([one for one in silences if one not in reader.set_on])
         lost += [
-            f'The clock of the IMU was set on by {(begins - last) * 1e-9:.1f} s at {at(last)}: by '
-            'the motions of the table no samples are missing'
+            f'The clock of the IMU was set forward by {(begins - last) * 1e-9:.1f} s at '
+            f'{at(last)}: the motions of the table show that no samples are missing'
             for last, begins in reader.set_on
         ]
         if self._table is not None and self._joints is not None and self._joints.silent:
@@ -559,8 +559,8 @@ def clock_jumps(clock: ClockFit) -> list[str]:
     if clock.bend is not None:
         most = float(np.abs(clock.bend.offset).max())
         bent.append(
-            f'The clocks of IMU and table bend by {most * 1e3:.2g} ms against each other, as that '
-            'of a crystal that warms: seconds follow the curve through the motions'
+            f'The clocks of IMU and table drift unevenly, by up to {most * 1e3:.2g} ms, as a '
+            'crystal does that warms up: times follow the curve through the motions'
         )
     return bent + [
         f'The clocks of IMU and table jump by {jump:+.4f} s against each other'

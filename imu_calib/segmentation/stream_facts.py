@@ -19,7 +19,7 @@ _MOST = 0.9
 """Share of rows with one sensor alone. A judgement: a driver writes no or nearly all rows so."""
 
 SEPARATE_ROWS = (
-    'Rows of the gyros have no accelerations and the reverse: they are joined as two sensors.'
+    'Gyros and accelerometers have rows of their own: they are joined by time, as two sensors.'
 )
 
 Halves = tuple[NDArray[np.bool_], NDArray[np.bool_]]

@@ -263,9 +263,8 @@ def _other_units(samples: Samples, rate: float) -> str:
     if shown < SCALE_LIMIT * rate:
         return ''
     return (
-        f'the gyros state {significant(shown / rate)} times the rate of the table, beyond their '
-        "range: units, scale factor or range of the IMU's description are not those of the "
-        'recording'
+        f'the gyros read {significant(shown / rate)} times the rate of the table, beyond the range '
+        "that the IMU's description states: check its units, scale factor and range"
     )
 
 

@@ -133,7 +133,10 @@ def described_mount(data: Mapping[str, str], topic: str, where: str) -> Floats:
     except (ValueError, TypeError):
         mount = np.zeros(0)
     if mount.shape != (3, 3) or not np.allclose(mount.T @ mount, np.eye(3), atol=1e-9):
-        raise InputError(f'{where}: what it says of the mounting of {topic} is broken.')
+        raise InputError(
+            f'{where}: the mounting of {topic} that it states is no rotation, so that its entries '
+            'were changed since it was written: take the original.'
+        )
     return mount
 
 
@@ -159,8 +162,8 @@ def compensated_already(data: Mapping[str, str], topic: str) -> list[str]:
     if (by := data.get(compensated_key(topic))) is None:
         return []
     return [
-        f'The samples of {topic} were compensated by {by}: a calibration made of the raw ones does '
-        'not apply to them, and one made of them not to the raw ones.'
+        f'The samples of {topic} are compensated already (by {by}). A calibration of the raw '
+        'samples does not apply to them, nor does one of these to the raw samples.'
     ]
 
 
@@ -187,7 +190,9 @@ def described_site(data: Mapping[str, str], where: str) -> Site:
         doubt = data.get(_LATITUDE_STD)
         latitude_std = None if doubt is None else float(doubt) * DEG
     except (KeyError, ValueError):
-        raise InputError(f'{where}: what it says of its site is broken; give `latitude`.') from None
+        raise InputError(
+            f'{where}: the site that it states cannot be read: give `latitude`.'
+        ) from None
     source = data.get(_GRAVITY_SOURCE, MEASURED)
     if std is None and source == NORMAL_GRAVITY:
         # Recordings from before heights were recorded: as normal gravity without a height.

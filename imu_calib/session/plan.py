@@ -49,7 +49,7 @@ def read_rates(section: Section, name: str) -> tuple[float, ...]:
     """Read rates, rad/s, none of them zero."""
     rates = tuple(parse(r, Dimension.RATE, section.key(name)) for r in section.items(name))
     if any(rate == 0 for rate in rates):
-        raise InputError(f'{section.key(name)}: a rate of zero turns nothing.')
+        raise InputError(f'{section.key(name)}: found a rate of 0, expected other rates only.')
     return rates
 
 
@@ -186,9 +186,9 @@ class Plan:
         needed = rate**2 / table.joints[joint].max_acceleration
         if needed > TURN:
             raise InputError(
-                f'plan {self.name}, position {position}: to {rate / DEG:g} deg/s and back joint '
-                f'{table.joints[joint].name} of table {table.name} needs {needed / DEG:.0f} deg, '
-                'but only one turn is available for it.'
+                f'plan {self.name}, position {position}: to start and stop at {rate / DEG:g} deg/s '
+                f'takes joint {table.joints[joint].name} of table {table.name} '
+                f'{needed / DEG:.0f} deg, and only one turn is there for it: state a lower rate.'
             )
 
     def _turning_joint(self, table: Table, position: Position, angles: Floats) -> int:

@@ -98,7 +98,7 @@ def read_segments(path: str | Path) -> ListedSegments:
             if any(row[len(headings) :]):
                 raise InputError(
                     f'{file}, line {number}: found {len(row)} cells, expected '
-                    f'{len(headings)}; is a comma a decimal one?'
+                    f'{len(headings)}: write decimals with a point, not with a comma.'
                 )
             cells = dict(zip(headings, map(str.strip, row), strict=False))
             found.append((_segment(f'{file}, line {number}', cells), number))

@@ -246,12 +246,12 @@ def test_a_compensated_recording_is_read_as_what_it_is(tmp_path, monkeypatch, ca
     raw = Calibration.load(tmp_path / 'raw.yaml')
     assert (np.abs(raw.values - truth().values) < 4.5 * raw.std).all()
     # What was compensated is said wherever samples are taken for raw ones, and of those alone.
-    said = 'were compensated by truth.yaml: a calibration made of the raw ones does not apply'
+    said = 'are compensated already (by truth.yaml). A calibration of the raw samples does not'
     assert said in ' '.join(left.findings)
     assert said not in ' '.join(raw.findings)
     assert said in imu_calib.verify('out', left).findings[-1]
     assert (
         imu_calib.compensate('out', left, 'again')
         .findings[0]
-        .endswith('and one made of them not to the raw ones.')
+        .endswith('nor does one of these to the raw samples.')
     )

@@ -582,7 +582,7 @@ def test_a_turn_that_is_saturated(cli):
 
 
 def test_an_imu_in_whose_units_all_turns_are_beyond_the_range(cli):
-    sentence = 'the gyros state [0-9]+ times the rate of the table, beyond their range: units'
+    sentence = 'the gyros read [0-9]+ times the rate of the table, beyond the range that the IMU'
     cli.refuses(
         1,
         sentence,
@@ -642,7 +642,7 @@ def test_an_imu_clock_that_jumps_on_for_good(cli):
     stamp = good().imu.stamp.copy()
     stamp[middle_of_7() :] += 5 * NS
     sentence = (
-        r'The clock of the IMU was set on by 5\.0 s at .*: by the motions of the table no sampl'
+        r'The clock of the IMU was set forward by 5\.0 s at .*: the motions of the table show that'
     )
     found = cli.uses_the_rest(sentence, good().with_imu(stamp=stamp))
     assert not [f for f in found.findings if 'interrupted' in f]
@@ -706,7 +706,7 @@ def test_a_position_is_missing(cli):
     sentence = 'Missing from the recording: position 7'
     cli.uses_the_rest(sentence, without('7'))
     found = cli.uses_the_rest(sentence, cli.folder / 'bag', '--method', 'twelve_position')
-    assert any('rest on 2 of 3 groups' in finding for finding in found.findings)
+    assert any('taken from 2 of 3 groups' in finding for finding in found.findings)
 
 
 def test_the_imu_is_missing_during_a_position(cli):
@@ -806,7 +806,7 @@ def test_joint_states_in_degrees(cli, speeds):
 
 @pytest.mark.parametrize('imu', ['si', 'mems_counts'])
 def test_units_of_another_imu(cli, recorded, imu):
-    sentence = r'The gyros answer [\d.]+ times what they should to whole turns: units or scale fact'
+    sentence = r'The gyros read [\d.]+ times what they should of whole turns: check the units and'
     cli.refuses(2, sentence, recorded, '--imu', imu)
 
 

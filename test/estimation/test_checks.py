@@ -89,7 +89,7 @@ def test_axes_that_are_others_are_named(response: Any, words: str) -> None:
 # Twice the samples a second, or the next range, of a unit that is 3 % off, too.
 @pytest.mark.parametrize('factor', [0.5 * 1.03, 2.0 / 1.03, 2.01, 1000.0])
 def test_a_scale_of_other_units_is_refused(factor: float) -> None:
-    with pytest.raises(InputError, match=f'gyros answer {factor:.4g} times .* to whole turns'):
+    with pytest.raises(InputError, match=f'gyros read {factor:.4g} times .* of whole turns'):
         check_axes(factor * np.eye(3), 'gyros', 'whole turns')
 
 
@@ -477,10 +477,10 @@ def test_positioning_errors_are_told_from_a_tenth_of_what_is_stated() -> None:
     (sentence,) = scattering(joints=4 * ARCSEC, step=0.001 * DEG)
     assert sentence.endswith('the standard deviations allow for them.')
     (sentence,) = scattering(joints=3 * ARCSEC, confounded=('joint axes that wobble (wobble)',))
-    assert 'look like joint axes that wobble (wobble). A second session' in sentence
+    assert 'cannot be told from joint axes that wobble (wobble). Run the same' in sentence
     assert scattering(confounded=('joint axes that wobble (wobble)',)) == []
     (sentence,) = scattering(stops=5 * ARCSEC)
-    assert 'attitude errors of the whole table of 5 arcsec' in sentence
+    assert 'the whole table stops with attitude errors of 5 arcsec' in sentence
     assert scattering(stops=0.19 * ARCSEC, stated=2 * ARCSEC) == []
     assert scattering(joints=3 * ARCSEC, stops=5 * ARCSEC, probability=0.01) == []
 
@@ -543,7 +543,7 @@ def test_moves_left_out_are_counted_and_the_first_are_named() -> None:
     assert 'disagree on the end of 2 of 8 moves' in angles
     assert '(from position 0 to 1, 1 to 2; 115 deg at most)' in angles
     (speeds,) = said(0, 1)
-    assert '1 of 5 moves that do not end at rest (from position 0 to 1; 1 m/s' in speeds
+    assert '1 of 5 moves do not end at rest (from position 0 to 1; 1 m/s' in speeds
     (many,) = said(9, 0)
     assert f' and {9 - joint_findings._NAMED} more; ' in many
 

@@ -328,7 +328,7 @@ def test_an_input_of_half_a_degree_an_hour_is_the_least(
     good: float, bad: float, words: str
 ) -> None:
     gyros_only._off_axis_weights(four(), off_axis(good), 'here')
-    with pytest.raises(NotObservable, match=f'input is too small {words}'):
+    with pytest.raises(NotObservable, match=f'too small {words}'):
         gyros_only._off_axis_weights(four(), off_axis(bad), 'here')
 
 
@@ -426,7 +426,8 @@ def test_a_response_known_to_a_tenth_is_the_least() -> None:
     assert str(refusal.value) == (
         'The Earth rate is too small for the noise of these gyros and these dwells: '
         'K_gx (0.1), K_gy (0.1), K_gz (0.11), E_gxy (0.1), E_gxz (0.11), '
-        'E_gyx (0.1), E_gyz (0.11), E_gzx (0.1), E_gzy (0.1) would be known to a tenth at best.'
+        'E_gyx (0.1), E_gyz (0.11), E_gzx (0.1), E_gzy (0.1) would be wrong by a tenth or more. '
+        'Dwell longer, or take a plan with turns.'
     )
 
 
@@ -452,8 +453,8 @@ def test_an_axis_that_was_never_down_is_named() -> None:
 def test_a_group_that_is_not_whole_is_left_out_of_the_biases() -> None:
     found = positions.solve_twelve_position(lost('twelve_position', '2', '11'))
     assert found.findings[0] == (
-        'The gyro biases rest on 1 of 3 groups: in the group of X, Z vertical the Earth rate does '
-        'not cancel (missing: 2, 11).'
+        'The gyro biases are taken from 1 of 3 groups of positions: with X, Z vertical the '
+        'Earth rate does not cancel (missing: 2, 11).'
     )
     assert found.model.gyro.bias == pytest.approx(TRUE.gyro.bias, abs=1e-6 * DEG_H)
     # Four dwells of 120 s.
@@ -462,8 +463,8 @@ def test_a_group_that_is_not_whole_is_left_out_of_the_biases() -> None:
     with pytest.raises(NotObservable) as refusal:
         positions.solve_twelve_position(lost('twelve_position', '2', '6', '11'))
     assert str(refusal.value) == (
-        'In no group of four positions does the Earth rate cancel (missing: 2, 6, 11): D_gx, D_gy, '
-        'D_gz cannot be determined without north.'
+        'No four positions about one axis were found between which the Earth rate cancels '
+        '(missing: 2, 6, 11): D_gx, D_gy, D_gz cannot be determined without north.'
     )
 
 
@@ -471,7 +472,7 @@ def test_an_axis_that_was_never_vertical_is_no_group() -> None:
     evidence = lost('twelve_position', '9', '10', '11', '12')
     weights, findings = positions._bias_weights(evidence)
     np.testing.assert_allclose(weights, np.full((8, 3), 1 / 8))
-    assert 'rest on 2 of 3 groups: in the group of Z vertical' in findings[0]
+    assert 'taken from 2 of 3 groups of positions: with Z vertical' in findings[0]
 
 
 @pytest.mark.parametrize(('off', 'whole'), [(0.011, True), (0.013, False)])

@@ -379,7 +379,7 @@ def test_a_velocity_that_does_not_fit_is_left_out_and_named() -> None:
     (finding,) = [f for f in solution.findings if 'end at rest' in f]
     names = [evidence().segments[k].position for k in (links[4].first, links[4].second)]
     assert finding.startswith(
-        'The accelerometers show 1 of 9 moves that do not end at rest '
+        'By the accelerometers 1 of 9 moves do not end at rest '
         f'(from position {names[0]} to {names[1]};'
     )
     without = tuple(replace(m, velocity_steps=None) if m is wrong else m for m in evidence().moves)

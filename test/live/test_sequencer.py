@@ -693,7 +693,11 @@ def test_a_start_while_it_runs_or_without_joint_states_is_refused():
     ('change', 'rates', 'words'),
     [
         ({'max_rate': 50 * DEG}, (60 * DEG,), 'outer at 60 deg/s.*allows 50 deg/s'),
-        ({'max_acceleration': 9 * DEG}, (60 * DEG,), 'outer.*needs 400 deg, but only one turn'),
+        (
+            {'max_acceleration': 9 * DEG},
+            (60 * DEG,),
+            'outer of .* 400 deg, and only one',
+        ),
         ({'limits': Limits(-10 * DEG, 170 * DEG)}, (), 'limits'),
     ],
 )

@@ -225,7 +225,7 @@ def test_seconds_follow_the_curve(grade, ppm, monkeypatch):
     off = errors(found, unit)
     assert np.abs(off).max() < 4.5, np.round(off, 1)
     assert not found.parameters[24:]
-    assert any('clocks of IMU and table bend by' in one for one in found.findings)
+    assert any('clocks of IMU and table drift unevenly' in one for one in found.findings)
 
 
 def offsets(scatter: float, bend: float, seed: int) -> tuple[np.ndarray, np.ndarray]:

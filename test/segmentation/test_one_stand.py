@@ -263,8 +263,8 @@ def test_ramps_alone_are_no_turn():
     (gone,) = session.rejected
     # Four seconds: ramps of round numbers are no steps of the encoder, in which they could hide.
     assert gone.reason == (
-        'the joint states show 60 deg/s for 240 deg, less than a whole turn: ramps take the rest '
-        '(more turns, a slower rate or faster ramps leave one)'
+        'the joint states show 60 deg/s for 240 deg, less than a whole turn: the rest is ramps '
+        '(run more turns, a slower rate or faster ramps)'
     )
     assert gone.turn
     # Less than a turn and a quarter was none to begin with.

@@ -274,8 +274,8 @@ def test_gyros_beyond_their_range_that_the_table_does_not_turn_by_are_in_other_u
     # Sensors clip: of the rate of the table they state less than all.
     assert times(1.8) == 'the sensor is saturated during it'
     assert times(20.0) == (
-        'the gyros state 20 times the rate of the table, beyond their range: units, scale factor '
-        "or range of the IMU's description are not those of the recording"
+        'the gyros read 20 times the rate of the table, beyond the range that the '
+        "IMU's description states: check its units, scale factor and range"
     )
 
 

@@ -281,7 +281,7 @@ def test_a_clock_that_is_set_on_is_told_from_lost_samples():
     found = session(MEDIUM, (REST,), -3.7, 'IMU', 997).calibration
     assert np.abs(errors(found, MEDIUM)).max() < 4.5
     said = ' '.join(found.findings)
-    assert 'The clock of the IMU was set on by 3.7 s at 2023-11-14 22:14:45' in said
+    assert 'The clock of the IMU was set forward by 3.7 s at 2023-11-14 22:14:45' in said
     for false in ('interrupted', 'missing: position', 'frozen', 'left out,'):
         assert false not in said
     whole = session(MEDIUM, (REST,), -3.7, 'IMU').calibration
@@ -302,4 +302,4 @@ def test_after_a_clock_that_nothing_tells_nothing_is_used():
     found = segmenter.finish()
     assert found.segments
     assert all((one.start - START) * 1e-9 < 99 for one in (*found.segments, *found.turns))
-    assert any('gives the offset of the clocks' in one.reason for one in found.rejected)
+    assert any('shows the offset of the clocks' in one.reason for one in found.rejected)

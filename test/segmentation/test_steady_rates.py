@@ -251,4 +251,4 @@ def test_a_session_that_is_all_ramp_is_refused_and_says_why(slow_table):
     finally:
         slow_table.plateau = PLATEAU
     assert 'K_gx, E_gyx, E_gzx not observable' in str(refused.value)
-    assert re.search(r'90 deg/s for 31\d deg, less than a whole turn: ramps', str(refused.value))
+    assert re.search(r'for 31\d deg, less than a whole turn: the rest is ramps', str(refused.value))

@@ -448,6 +448,6 @@ def test_a_motion_without_a_turn_says_what_it_shows():
     longest = max(plateau.turned for plateau in find_plateaus(two)) / DEG
     assert longest == pytest.approx(250.0, abs=4.0)
     assert no_turn_reason(two) == (
-        f'the joint states show 50 deg/s for {longest:.0f} deg, less than a whole turn: ramps '
-        'take the rest (more turns, a slower rate or faster ramps leave one)'
+        f'the joint states show 50 deg/s for {longest:.0f} deg, less than a whole turn: the '
+        'rest is ramps (run more turns, a slower rate or faster ramps)'
     )

@@ -77,7 +77,8 @@ def gyros_only(evidence: Evidence, gyro: Floats, condition: float) -> Solution:
     if poor:
         raise NotObservable(
             'The Earth rate is too small for the noise of these gyros and these dwells: '
-            f'{", ".join(poor)} would be known to a tenth at best.'
+            f'{", ".join(poor)} would be wrong by a tenth or more. Dwell longer, or take a plan '
+            'with turns.'
         )
     findings = ['The accelerometers were not calibrated: this method knows the gyros alone.']
     return gains.conclude(at_rest, findings=findings, north_known=True)
@@ -128,7 +129,10 @@ def _off_axis_weights(attitudes: Floats, site: Site, where: str) -> Floats:
         (abs(site.up_rate), response_names('g', 2), 'near the equator'),
     ):
         if rate < _LEAST_RATE:
-            raise NotObservable(f'The input is too small {place}: {lost} cannot be determined.')
+            raise NotObservable(
+                f'The Earth rate that these gyros measure is too small {place}: {lost} cannot be '
+                'determined. Take a plan with turns.'
+            )
     towards = [attitudes[:, 1, 0], -attitudes[:, 1, 0], attitudes[:, 1, 1], -attitudes[:, 1, 1]]
     shares = np.zeros((4, len(attitudes)))
     for share, cosine, words in zip(shares, towards, _WORDS, strict=True):

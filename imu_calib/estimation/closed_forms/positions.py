@@ -172,14 +172,14 @@ def _bias_weights(evidence: Evidence) -> tuple[Floats, list[str]]:
     groups = ', '.join(AXES[axis].upper() for axis in incomplete)
     if not rows:
         raise NotObservable(
-            'In no group of four positions does the Earth rate cancel'
+            'No four positions about one axis were found between which the Earth rate cancels'
             f'{named}: D_gx, D_gy, D_gz cannot be determined without north.'
         )
     findings = []
     if incomplete:
         findings.append(
-            f'The gyro biases rest on {len(rows)} of 3 groups: in the group of {groups} vertical '
-            f'the Earth rate does not cancel{named}.'
+            f'The gyro biases are taken from {len(rows)} of 3 groups of positions: with {groups} '
+            f'vertical the Earth rate does not cancel{named}.'
         )
     return np.mean(rows, axis=0), findings
 
