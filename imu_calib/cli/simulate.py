@@ -32,7 +32,7 @@ from ..session.keywords import AtSite, Numbered, Solved
 from ..session.plan import METHOD_NAMES
 from ..session.units_file import TRUTHS
 from . import options
-from .terminal import OUTPUT, print_findings, progress_bar
+from .terminal import OUTPUT, print_findings, print_text, progress_bar
 
 if TYPE_CHECKING:
     from ..simulation.repetition import RunStatistics
@@ -182,8 +182,9 @@ def run_montecarlo(arguments: argparse.Namespace) -> None:
     )
     outcome, setup = repeated.outcome, repeated.setup
     OUTPUT.print(_table(outcome, by_hand=setup.plan.by_hand))
-    OUTPUT.print(
-        f'\n{len(outcome.errors)} runs of plan {setup.plan.name}, method {setup.method_name}. '
+    OUTPUT.print()
+    print_text(
+        f'{len(outcome.errors)} runs of plan {setup.plan.name}, method {setup.method_name}. '
         'Worst: the largest error. Normalised: root mean square of errors over the standard '
         'deviations stated with them.'
     )
