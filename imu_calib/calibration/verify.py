@@ -217,9 +217,11 @@ class Verdict(IntEnum):
     PASS = 0
     MARGINAL = 1
     FAIL = 2
+    #: The calibration was made from the recording, and agrees with it: it is not accepted.
+    NOT_TESTED = 3
 
     def __str__(self) -> str:
-        return self.name.lower()
+        return self.name.lower().replace('_', ' ')
 
 
 _OUTCOMES = {
@@ -230,6 +232,9 @@ _OUTCOMES = {
         'chance, two in a row are not.'
     ),
     Verdict.FAIL: 'REJECTED: the recording contradicts the calibration.',
+    Verdict.NOT_TESTED: (
+        'NOT TESTED: the calibration was made from this recording. Take a second one.'
+    ),
 }
 
 
@@ -285,8 +290,8 @@ class Verification:
             f'{t.chi_square:.1f} with {t.freedom} degrees of freedom)'
             for t in self.triads
         )
-        outcome = 'not tested' if self.own_recording else self.verdict.name
-        return f'<Verification: {outcome}; {triads}; {counted(len(self.findings), "finding")}>'
+        findings = counted(len(self.findings), 'finding')
+        return f'<Verification: {self.verdict.name}; {triads}; {findings}>'
 
     def __str__(self) -> str:
         """Return the outcome, a line on each triad, symptoms and findings."""
@@ -297,9 +302,7 @@ class Verification:
     @property
     def outcome(self) -> str:
         """The verdict in a sentence, or two."""
-        if self.own_recording and self.verdict is not Verdict.FAIL:
-            return 'NOT TESTED: the calibration was made from this recording. Take a second one.'
-        if self.own_recording:
+        if self.own_recording and self.verdict is Verdict.FAIL:
             return (
                 'REJECTED: the recording contradicts the calibration, which was made from it. '
                 'Something is stated otherwise than then (latitude, gravity, IMU, table, plan), or '
@@ -335,18 +338,23 @@ class Verification:
     @property
     def accepted(self) -> bool:
         """Whether it passes, by a recording other than its own."""
-        return not self.own_recording and self.verdict is not Verdict.FAIL
+        return self.verdict < Verdict.FAIL
 
     @property
     def verdict(self) -> Verdict:
-        """The worse of the two triads' verdicts."""
+        """The worse of the two triads' verdicts, or that they were not tested."""
+        worst = self._worst
+        return Verdict.NOT_TESTED if self.own_recording and worst < Verdict.FAIL else worst
+
+    @property
+    def _worst(self) -> Verdict:
         return max(t.verdict for t in self.triads)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units, by the keys of docs/files/output.md."""
         doubt, rejection = self.limits
         return {
-            'verdict': str(self.verdict),
+            'verdict': str(self._worst),
             'own_recording': self.own_recording,
             'limits': {'doubt': doubt, 'rejection': rejection},
             'triads': [triad.to_dict() for triad in self.triads],

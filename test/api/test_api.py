@@ -300,10 +300,11 @@ def test_results_are_shown_in_a_line(folder, result):
         str(result),
     )
     found = imu_calib.verify(folder / 'bag', result)
-    assert repr(found).startswith('<Verification: not tested; gyros PASS (chi-square ')
+    assert repr(found).startswith('<Verification: NOT_TESTED; gyros PASS (chi-square ')
     first, second, *_ = str(found).splitlines()
     assert first.startswith('NOT TESTED: the calibration was made from this recording.')
-    assert second.startswith('gyros: pass, chi-square ') and f'{found.verdict}' == 'pass'
+    assert second.startswith('gyros: pass, chi-square ') and f'{found.verdict}' == 'not tested'
+    assert found.to_dict()['verdict'] == 'pass' and found.to_dict()['own_recording']
 
 
 @pytest.mark.parametrize(
@@ -325,7 +326,7 @@ def test_verify_judges_values_and_files(folder, result, tmp_path):
     assert verification.verdict is Verdict.PASS
     same = imu_calib.verify(folder / 'bag', result.calibration)
     assert same.findings[0].startswith('The calibration was made from this recording')
-    assert same.verdict is Verdict.PASS and same.own_recording
+    assert same.verdict is Verdict.NOT_TESTED and same.own_recording
     assert verification.accepted and not same.accepted
     with pytest.raises(InputError, match='another'):
         imu_calib.verify(tmp_path / 'other', result.calibration, imu='mems_counts')

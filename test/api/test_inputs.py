@@ -105,7 +105,8 @@ def test_a_latitude_that_the_recording_contradicts_is_a_warning(hand, expected):
 def test_a_frame_is_verified_and_compensated_as_its_recording(hand, frame, expected, tmp_path):
     found = imu_calib.verify(frame, expected, latitude=48.1)
     wanted = imu_calib.verify(hand, expected, latitude=48.1)
-    assert found.verdict is wanted.verdict
+    # Only its own recording is known by its file.
+    assert [str(t) for t in found.triads] == [str(t) for t in wanted.triads] and found.accepted
     mine = imu_calib.compensate(frame, expected, tmp_path / 'mine', imu='mems_counts')
     theirs = imu_calib.compensate(hand, expected, tmp_path / 'theirs')
     one = imu_calib.read(mine.path, mine.target).to_dataframe()
