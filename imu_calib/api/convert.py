@@ -49,7 +49,7 @@ from .converted import (
     resampling,
     write_imu,
 )
-from .files import removed_on_failure
+from .files import BACKWARDS, FASTEST, RATES_OF_IMUS, SLOWEST, removed_on_failure
 from .opening import against_si, units_in_doubt
 
 _GYRO = {**Dimension.RATE.value, **Dimension.ANGLE.value, **RAW_UNITS}
@@ -62,14 +62,6 @@ _COUNTERS = {2**32 * 1e3: 'microseconds', 2**32 * 1e6: 'milliseconds'}
 _LONGEST_LOSS = 10e9
 """ns of rows that may be missing where a counter begins anew. A judgement: a clock that is set back
 by a period of 72 minutes or 50 days does not meet it within seconds by chance."""
-_BACKWARDS = 0.01
-"""Largest share of intervals between rows that may be zero or negative: a logger may write a row
-twice or set its clock; a column that is not a time, or has lost digits, shows this throughout."""
-_SLOWEST, _FASTEST = 2.0, 40e3
-"""Rates of rows that an IMU may have, Hz. The fastest MEMS units have 32 kHz, phones and loggers of
-vehicles 10 to 500 Hz. A unit of time that is a thousand times too small turns 50 Hz into 50 kHz,
-one that is a thousand times too large 1 kHz into 1 Hz."""
-_RATES = f'{_SLOWEST:g} Hz to {_FASTEST / 1e3:g} kHz, the rates of IMUs'
 
 
 def from_text(
@@ -293,8 +285,8 @@ def _stamps(text: Text, stamp: str | None, rate: str | None, sentences: list[str
     if rate is not None:
         # A number alone is in Hz, as in `sample_rate`.
         hertz = parse(f'{rate} Hz' if _is_bare(rate) else rate, Dimension.FREQUENCY, '`rate`')
-        if not _SLOWEST <= hertz <= _FASTEST:
-            raise InputError(f'`rate` {rate}: expected {_RATES}.')
+        if not SLOWEST <= hertz <= FASTEST:
+            raise InputError(f'`rate` {rate}: expected {RATES_OF_IMUS}.')
         return np.asarray(np.rint(np.arange(len(text.values)) * (1e9 / hertz)))
     assert stamp is not None
     times = sum(_columns(text, part, '`stamp`', _STAMP, 1)[0] for part in _parts_of_time(stamp))
@@ -346,7 +338,7 @@ def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
     if not len(intervals):
         return
     wrong = np.flatnonzero(intervals <= 0)
-    if len(wrong) > _BACKWARDS * len(intervals):
+    if len(wrong) > BACKWARDS * len(intervals):
         first = int(wrong[0])
         raise InputError(
             f'{column}: the time does not increase in {len(wrong)} of {len(intervals)} intervals, '
@@ -355,14 +347,15 @@ def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
             '`rate` instead.'
         )
     hertz = 1e9 / float(np.median(intervals))
-    if not _SLOWEST <= hertz <= _FASTEST:
+    if not SLOWEST <= hertz <= FASTEST:
         unit = column.rpartition(':')[2]
         units = ((u, hertz * _STAMP[unit] / _STAMP[u]) for u in _STAMP)
-        others = [f'{u} would be {h:.4g} Hz' for u, h in units if _SLOWEST <= h <= _FASTEST]
+        others = [f'{u} would be {h:.4g} Hz' for u, h in units if SLOWEST <= h <= FASTEST]
         known = f'In another unit, {", ".join(others)}'
         advice = known if others else 'Name the column of the time'
         raise InputError(
-            f'{column}: found {hertz:.4g} Hz by the median interval, expected {_RATES}. {advice}.'
+            f'{column}: found {hertz:.4g} Hz by the median interval, expected {RATES_OF_IMUS}. '
+            f'{advice}.'
         )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -55,6 +54,15 @@ _TOPICS = {
     Kind.TEMPERATURES: '/imu/temperature',
 }
 _JOINT = re.compile(r'(position|velocity)\.(.+)')
+BACKWARDS = 0.01
+"""Largest share of intervals between rows that may be zero or negative: a logger may write a row
+twice or set its clock; a column that is not a time, or has lost digits, shows this throughout."""
+SLOWEST, FASTEST = 2.0, 40e3
+"""Rates of rows that an IMU may have, Hz. The fastest MEMS units have 32 kHz, phones and loggers of
+vehicles 10 to 500 Hz. A unit of time that is a thousand times too small turns 50 Hz into 50 kHz,
+one that is a thousand times too large 1 kHz into 1 Hz."""
+RATES_OF_IMUS = f'{SLOWEST:g} Hz to {FASTEST / 1e3:g} kHz, the rates of IMUs'
+_UNITS = {'ms': 1e3, 'us': 1e6, 'ns': 1e9}  #: Per second.
 
 
 def recording_at(
@@ -67,8 +75,8 @@ def recording_at(
         rate: Samples per second of arrays, or of a frame whose index is no time.
         sha256: Of the storage files, if known already.
     """
-    if rate is not None and not (math.isfinite(rate) and rate > 0):
-        raise InputError(f'`rate`: found {rate:g}, expected samples per second, above 0.')
+    if rate is not None and not SLOWEST <= rate <= FASTEST:
+        raise InputError(f'`rate`: found {rate:g}, expected samples per second: {RATES_OF_IMUS}.')
     if isinstance(bag, np.ndarray | list | tuple):
         return SamplesInMemory('arrays', _samples_of_arrays(bag, rate))
     if not isinstance(bag, str | Path | RemotePath):
@@ -140,7 +148,29 @@ def _samples_of_frame(frame: Any, rate: float | None) -> dict[str, Samples]:
             if not there.all():
                 own, columns = stamp[there], [column[there] for column in columns]
         found[_TOPICS[kind]] = Samples(kind, own, columns, joints if kind is Kind.JOINTS else ())
+    _refuse_what_is_no_time(found[_TOPICS[Kind.IMU]].stamp, frame.index.dtype.kind)
     return found
+
+
+def _refuse_what_is_no_time(stamp: Stamps, kind: str) -> None:
+    """Refuse an index, ns, of a kind of numbers, that is not sorted or not at an IMU's rate."""
+    intervals = np.diff(stamp)
+    if np.sum(intervals < 0) > BACKWARDS * len(intervals):
+        raise InputError('The index is not sorted: give `frame.sort_index()`.')
+    typical = float(np.median(intervals)) if len(intervals) else 0.0
+    # Equal stamps have an answer of their own.
+    if typical <= 0 or kind in 'mM' or SLOWEST <= NS / typical <= FASTEST:
+        return
+    hertz = NS / typical
+    others = '; '.join(
+        f'in {unit} it would be {hertz * per:.4g} Hz: divide it by {per:.0f}'
+        for unit, per in _UNITS.items()
+        if SLOWEST <= hertz * per <= FASTEST
+    )
+    raise InputError(
+        f'The index counts {hertz:.4g} samples per second; '
+        f'{others or f"expected seconds, and {RATES_OF_IMUS}"}.'
+    )
 
 
 def _column(frame: Any, name: str, names: list[str]) -> Floats:

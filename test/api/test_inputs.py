@@ -80,6 +80,11 @@ def test_arrays_give_the_bits_of_a_frame_of_their_rate(frame):
     assert imu_stamps(values, 100.0)[:2].tolist() == [10_000_000, 20_000_000]
 
 
+def every(frame: Any, interval: float) -> Any:
+    """Return a frame with an index of whole intervals."""
+    return frame.set_index(interval * np.arange(1, len(frame) + 1))
+
+
 def test_a_part_of_a_frame_has_the_stamps_of_its_rate(frame):
     part = frame.reset_index(drop=True)[9:]
     assert imu_stamps(part, 100.0)[:2].tolist() == [10_000_000, 20_000_000]
@@ -145,6 +150,11 @@ def test_a_frame_joined_of_several_topics_gives_the_bits_of_a_table(tmp_path):
         (lambda f: f[NAMES].to_numpy(), None, '`rate` is missing'),
         (lambda f: f[NAMES[:5]].to_numpy(), 100.0, r'shape \(\d+, 5\), expected gyro and acc'),
         (lambda f: f[NAMES].to_numpy(), 0.0, '`rate`: found 0, expected samples per second'),
+        (lambda f: f[NAMES].to_numpy(), 0.1, '`rate`: found 0.1, .*: 2 Hz to 40 kHz, the rates'),
+        (lambda f: every(f, 10), None, 'counts 0.1 .* in ms it would be 100 Hz: divide it by 1000'),
+        (lambda f: every(f, 10.0), None, 'counts 0.1 samples per second; in ms it would be 100 Hz'),
+        (lambda f: every(f, 10_000), None, ' in us it would be 100 Hz: divide it by 1000000'),
+        (lambda f: f.sample(frac=1.0, random_state=1), None, r'not sorted: give `frame.sort_index'),
         (lambda f: 'bag', 100.0, '`rate` is that of arrays'),
         (lambda f: 7, None, '`bag`: found 7, expected a text, a path, a DataFrame, an array or'),
     ],
