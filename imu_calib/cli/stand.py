@@ -222,7 +222,8 @@ def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Cal
             baud = choose_baud(unit.baud or None, frames)
             if not arguments.imus and is_serial(unit.port):
                 _say_baud(arguments, frames, imu, baud)
-            listen(unit.port, frames, imu, baud, reports, several.node_of(unit))
+            rate = arguments.sample_rate
+            listen(unit.port, frames, imu, baud, reports, several.node_of(unit), rate)
     # Loading what runs a session takes longer than the check of the IMU.
     from . import stand_session
 
@@ -353,11 +354,12 @@ def listen(
     baud: Baud,
     reports: NodeReports,
     node: str = 'imu_node',
+    sample_rate: float = 0.0,
 ) -> None:
     """Read a port until the device is confirmed, or its silence or another device is reported."""
     # imu_node continues with the present state of the device.
     source = DeviceReader(port, time.time_ns, baud.rate, commands=frames.commands, restarts=False)
-    reception = Reception(frames, imu, live=source.live)
+    reception = Reception(frames, imu, sample_rate, live=source.live)
     source.start()
     deadline = time.monotonic() + _LONGEST_WAIT
     try:

@@ -244,6 +244,23 @@ def test_silence_is_said_before_the_session_is_loaded(tmp_path, port, capsys, mo
         main.main([*words, '--latitude', '48', '-o', str(tmp_path / 'stand')])
 
 
+def test_frames_without_time_are_stamped_by_the_rate_that_is_stated(
+    tmp_path, port, capsys, monkeypatch
+):
+    monkeypatch.setattr(stand_session, 'check', lambda *_: (_ for _ in ()).throw(LoadedHere))
+    monkeypatch.setenv('ROS_DOMAIN_ID', '42')
+    device = tmp_path / 'device.yaml'
+    described = yaml.safe_load(named_file('devices', 'simulated').read_text())
+    del described['fields']['time']
+    device.write_text(yaml.safe_dump(described))
+    words = ['stand', 'twelve_position', '--port', port[1], '--device', str(device)]
+    words += ['--imu', 'si', '--latitude', '48', '-o', str(tmp_path / 'stand')]
+    assert main.main(words) == 2
+    assert 'give the sample rate' in capsys.readouterr().err
+    with pytest.raises(LoadedHere):
+        main.main([*words, '--sample-rate', '100'])
+
+
 def listen(port, words):
     stand.listen(port, SIMULATED, FOG, choose_baud(None, SIMULATED), words)
 
