@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..calibration.calibration import Calibration
-from ..calibration.exports import EXPORTS, Exported, ExportSource
+from ..calibration.exports import EXPORTS, TOPIC, Exported, ExportSource
 from ..calibration.noise_at_rest import NoiseAtRest, export_noise
 from ..calibration.results import Result
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, first_of, load_calibration
@@ -338,7 +338,7 @@ def export(
     output: Named | None = None,
     *,
     sample_rate: float | None = None,
-    topic: str = '/imu/data',
+    topic: str | None = None,
     imu: ImuSpec | Named | None = None,
 ) -> Exported:
     """Write a calibration, or the noise of a unit at rest, for other software.
@@ -351,7 +351,7 @@ def export(
             'imucal': JSON; 'c': a header (docs/exports.md).
         output: File to write, or None.
         sample_rate: Of the stream, Hz: for kalibr, and for imucal of pulses.
-        topic: Of the stream, for kalibr.
+        topic: Of the stream, for kalibr; that of the recording for noise, else /imu/data.
         imu: The data sheet, for kalibr: noise that was not measured, and the sample rate.
 
     Returns:
@@ -385,7 +385,7 @@ def export(
         # The node reads a file, which a calibration from Python need not have.
         path = beside = target.absolute().with_name(f'{target.stem}_calibration.yaml')
     sheet = None if imu is None else as_imu(imu)
-    exported = EXPORTS[format](ExportSource(first_of(loaded), path, sample_rate, topic, sheet))
+    exported = EXPORTS[format](ExportSource(first_of(loaded), path, sample_rate, topic or TOPIC, sheet))
     if beside is not None:
         (loaded if combined else first_of(loaded)).save(beside)
     if target is not None:

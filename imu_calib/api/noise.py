@@ -100,7 +100,7 @@ def noise(
             *recording.losses,
             *order.sentences,
         )
-        return replace(found, findings=tuple(map(printable, findings)))
+        return replace(found, findings=tuple(map(printable, findings)), topic=streams.imu)
 
 
 def _units_in_doubt(found: NoiseAtRest) -> list[str]:

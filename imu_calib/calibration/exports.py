@@ -21,6 +21,8 @@ from ..model.sensors import SensorModel, Triad, terms_of
 from ..session.imu import Coefficient, ImuSpec, TriadSpec
 from .calibration import Calibration
 
+TOPIC = '/imu/data'  #: Of an IMU's stream, where none is stated.
+
 
 @dataclass(frozen=True, eq=False)
 class ExportSource:
@@ -29,7 +31,7 @@ class ExportSource:
     calibration: Calibration  #: The calibration.
     path: Path | None = None  #: Its file, absolute; None without a file.
     sample_rate: float | None = None  #: Of the IMU's stream, Hz; None if not stated.
-    topic: str = '/imu/data'  #: Topic of the IMU's stream.
+    topic: str = TOPIC  #: Of the IMU's stream.
     #: Data sheet of the IMU, for noise that the calibration does not state; or None.
     sheet: ImuSpec | None = None
 
@@ -266,8 +268,9 @@ def _noise(source: ExportSource) -> tuple[dict[str, float], list[str]]:
         ]
         drift, note = _drift(drifts, spec)
         if not (density > 0 and drift > 0):
+            lacking = 'noise' if not density > 0 else "biases' random walk"
             raise InputError(
-                f'The calibration does not hold the noise of the {name} that imu.yaml needs: '
+                f'The calibration does not hold the {lacking} of the {name} that imu.yaml needs: '
                 'give `imu` with its data sheet (random walk and bias instability), or write the '
                 'noise of the unit lying still: imu-calib noise BAG --kalibr FILE.'
             )

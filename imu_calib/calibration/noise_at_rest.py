@@ -26,7 +26,7 @@ from ..segmentation.long_rest import LongRest
 from ..segmentation.noise import AllanPoints, Fitted, fit
 from ..segmentation.segments import CHANNELS
 from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, TriadUnits
-from .exports import Exported
+from .exports import TOPIC, Exported
 from .views import empty_figure
 
 if TYPE_CHECKING:
@@ -145,6 +145,7 @@ class NoiseAtRest:
     start: int  #: First stamp, ns.
     temperature: tuple[float, float] | None  #: Lowest and highest, degrees Celsius.
     findings: tuple[str, ...]  #: What to know about it, in sentences.
+    topic: str = TOPIC  #: Of the recording.
 
     def __repr__(self) -> str:
         return f'<NoiseAtRest of {self.imu}: {self.seconds / HOUR:.3g} h at {self.rate:.4g} Hz>'
@@ -373,7 +374,7 @@ class FilterNoise:
 def export_noise(
     noise: NoiseAtRest,
     format: str,  # noqa: A002
-    topic: str = '/imu/data',
+    topic: str | None = None,
 ) -> Exported:
     """Return the noise as a file of other software."""
     write = NOISE_EXPORTS.get(format)
@@ -382,7 +383,7 @@ def export_noise(
     gyro, accel = filter_noise(noise, GYRO), filter_noise(noise, ACCEL)
     notes = tuple(one.note for one in (gyro, accel) if one.note)
     head = f'# Noise of {noise.imu} at rest for {noise.seconds / 3600:.3g} h, by imu_calib.\n'
-    return Exported(write(noise, gyro, accel, topic).replace('{head}', head), notes)
+    return Exported(write(noise, gyro, accel, topic or noise.topic).replace('{head}', head), notes)
 
 
 def filter_noise(noise: NoiseAtRest, units: TriadUnits) -> FilterNoise:

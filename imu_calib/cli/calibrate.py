@@ -292,8 +292,7 @@ def add_noise_options(parser: argparse.ArgumentParser) -> None:
         files.add_argument(f'--{name.replace("_", "-")}', metavar='FILE', help=words)
     files.add_argument(
         '--topic',
-        default='/imu/data',
-        help='topic of the stream that these files name (default: %(default)s)',
+        help='topic of the stream that these files name (default: that of the recording)',
     )
     text = parser.add_argument_group('text files', 'As of imu-calib convert.')
     text.add_argument('--stamp', metavar='NAME:UNIT', help='time of each row, in s, ms, us or ns')

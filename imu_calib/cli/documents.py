@@ -150,8 +150,7 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--topic',
-        default='/imu/data',
-        help='topic of the stream, for kalibr (default: %(default)s)',
+        help='topic of the stream, for kalibr (default: /imu/data)',
     )
     parser.add_argument(
         '--imu',

@@ -38,7 +38,7 @@ def recorded(path: Path, values: Floats, celsius: Floats | None = None) -> Path:
         for k in range(0, len(values), 10_000):
             rows = slice(k, k + 10_000)
             block = ImuBlock(stamp[rows], values[rows, :3], values[rows, 3:], 'imu')
-            writer.write('/imu/data', Kind.IMU.type_name, encode_imu(block, RATES), stamp[rows])
+            writer.write('/imu/raw', Kind.IMU.type_name, encode_imu(block, RATES), stamp[rows])
         if celsius is not None:
             some = TemperatureBlock(stamp[:: len(stamp) // len(celsius)][: len(celsius)], celsius)
             name = Kind.TEMPERATURES.type_name
@@ -62,7 +62,7 @@ def test_a_recording_arrays_and_a_frame_give_the_same(bag):
         assert walk.value is not None and walk.std is not None
         assert abs(walk.value - WALK[0 if name[0] == 'g' else 3]) < 4.5 * walk.std
     pytest.importorskip('pandas')
-    frame = imu_calib.read(bag, '/imu/data').to_dataframe()
+    frame = imu_calib.read(bag, '/imu/raw').to_dataframe()
     assert imu_calib.noise(frame).to_dict()['channels'] == first.to_dict()['channels']
     table = first.to_dataframe()
     assert table.loc[('gx', 'random_walk'), 'unit'] == 'deg/sqrt(h)'
@@ -152,6 +152,7 @@ def test_the_command_prints_and_writes(bag, tmp_path, capsys):
     assert seen == pytest.approx(one.deviation)
     kalibr = yaml.safe_load(files['kalibr'].read_text(encoding='utf-8'))
     assert kalibr['rostopic'] == '/my/imu'
+    assert 'rostopic: /imu/raw' in imu_calib.export(imu_calib.noise(bag), 'kalibr').text
     assert kalibr['gyroscope_noise_density'] == pytest.approx(2e-4, rel=0.05)
 
 
