@@ -385,7 +385,8 @@ def export(
         # The node reads a file, which a calibration from Python need not have.
         path = beside = target.absolute().with_name(f'{target.stem}_calibration.yaml')
     sheet = None if imu is None else as_imu(imu)
-    exported = EXPORTS[format](ExportSource(first_of(loaded), path, sample_rate, topic or TOPIC, sheet))
+    source = ExportSource(first_of(loaded), path, sample_rate, topic or TOPIC, sheet)
+    exported = EXPORTS[format](source)
     if beside is not None:
         (loaded if combined else first_of(loaded)).save(beside)
     if target is not None:
