@@ -214,7 +214,9 @@ CONDITIONS = {
         'samples: {frozen: {every: 5 min, for: 3 s}}', ('frozen', 'moves', 'velocities'), bound=None
     ),
     'ringing': Condition(
-        'mounting: {ringing: {rate: 0.5 deg/s, force: 50 mg, decay: 0.5 s}}', bound=None
+        'mounting: {ringing: {rate: 0.5 deg/s, force: 50 mg, decay: 0.5 s}}',
+        ('motions',),
+        bound=None,
     ),
     'floor shakes': Condition(
         'mounting: {floor: {rate: 0.05 deg/s, force: 2 mg}}',

@@ -106,17 +106,17 @@ class ExcessScatter:
     #: Of both, whether the excess over the data sheet varies within a thirtieth
     #: of the session, and faster than biases drift by the data sheet.
     fast_drift: tuple[bool, bool] = (False, False)
-    #: Standard deviation of velocities at the ends of motions beyond their noise, m/s. It is in
-    #: `extra`. Of gyros the scatter between turns, channel by channel, stands for it: a variance
-    #: common to all hid one gyro that leaves its range.
-    in_motion: float = 0.0
-    motion_probability: float = 0.0  #: Probability that they do.
+    #: Standard deviations beyond their noise of each gyro's angle, rad, and of velocities, m/s, at
+    #: the ends of motions. They are in `extra`. A variance common to the gyros hid one that leaves
+    #: its range.
+    in_motion: tuple[float, ...] = (0.0,) * 4
+    motion_probability: tuple[float, ...] = (0.0,) * 4  #: Of each.
 
     @property
     def shown(self) -> bool:
         """Whether the session shows scatter that is not known beforehand."""
         drifting = any(c.source is ErrorSource.BIAS_FOUND for c in self.extra)
-        return self.positioning_probability > 0 or drifting or self.in_motion > 0
+        return self.positioning_probability > 0 or drifting or any(self.in_motion)
 
     @property
     def stated(self) -> tuple[Component, ...]:
@@ -142,7 +142,7 @@ def excess(
     plain = replace(equations, extra=(), positioning=NO_POSITIONING_ERRORS)
     if not plain.evidence.segments or plain.own_variances.max() <= SMALLEST_VARIANCE:
         return ExcessScatter(NO_POSITIONING_ERRORS, np.zeros(6))
-    hidden, in_motion = _hidden_variance(plain), _motion_variance(plain)
+    hidden, in_motion = _hidden_variance(plain), _motion_variances(plain)
     triads = _triads(plain, state, hidden, in_motion)
     noise = _noise(triads) if doubted else []
     residuals = [
@@ -155,18 +155,18 @@ def excess(
         )
         for k, triad in enumerate(triads)
     ]
-    chosen = choose_variances(residuals, noise, _beyond(triads), _LEAST_GAIN)
-    *drifting, positioning, (moving,) = chosen.means
+    chosen = choose_variances(residuals, noise, _beyond(triads), _LEAST_GAIN, _GYROS_MOVING)
+    *drifting, positioning = chosen.means[:_MOTIONS]
     drifts = [t.unit_variance * means for t, means in zip(triads, drifting, strict=True)]
     joints, stops = hidden * (1 - _STOP_SHARES) @ positioning, hidden * _STOP_SHARES @ positioning
-    moving *= in_motion
+    shaken = tuple(np.sqrt(in_motion * np.ravel(chosen.means[_MOTIONS:])).tolist())
     kept = [1.0, 1.0]
     if not chosen.probability(*range(len(chosen.means))):
         odds = _ODDS_BESIDE_OUTLIERS if suspecting else _ODDS
         kept = [_kept(triad, odds) for triad in triads]
     parts = [_drift_parts(*of) for of in zip(triads, kept, drifts, strict=True)]
     stated = [share * triad.stated_variance for share, triad in zip(kept, triads, strict=True)]
-    motions = scatter_of_motions(plain.evidence, math.sqrt(moving))
+    motions = scatter_of_motions(plain.evidence, shaken)
     return ExcessScatter(
         PositioningErrors(math.sqrt(joints), math.sqrt(stops)),
         np.repeat(np.sqrt(np.add(stated, [one.sum() for one in drifts])), 3),
@@ -175,22 +175,23 @@ def excess(
         chosen.probability(_POSITIONING),
         (chosen.probability(0), chosen.probability(1)),
         (_is_fast(triads[0], drifts[0]), _is_fast(triads[1], drifts[1])),
-        math.sqrt(moving),
-        chosen.probability(_MOTIONS),
+        shaken,
+        tuple(chosen.probability(_MOTIONS + k) for k in range(len(shaken))),
     )
 
 
-_POSITIONING, _MOTIONS = 2, 3  #: Indices of kinds in `_beyond`.
+_POSITIONING, _MOTIONS = 2, 3  #: Indices of kinds in `_beyond`, the first of several.
+_GYROS_MOVING = range(_MOTIONS, _MOTIONS + 3)  #: The motions of gyros among them.
 
 
 def _beyond(triads: Sequence[_Triad]) -> list[list[Variance]]:
     """Return the variances beyond what is known, by kinds.
 
     Drifts of gyros and of accelerometers, by their times; positioning errors, by the shares of
-    stops; motions.
+    stops; motions of each gyro and of the accelerometers.
     """
     gyros, accels = triads
-    joints, stops, motions = zip(gyros.common, accels.common, strict=True)
+    joints, stops, *motions = zip(gyros.common, accels.common, strict=True)
     return [
         [Variance((kernel, None)) for kernel in gyros.drifts],
         [Variance((None, kernel)) for kernel in accels.drifts],
@@ -198,7 +199,8 @@ def _beyond(triads: Sequence[_Triad]) -> list[list[Variance]]:
             Variance(tuple((1 - s) * j + s * k for j, k in zip(joints, stops, strict=True)))
             for s in _STOP_SHARES.tolist()
         ],
-        [Variance((None, motions[1]))],
+        *([Variance((turning, None))] for turning, _ in motions[:-1]),
+        [Variance((None, motions[-1][1]))],
     ]
 
 
@@ -256,32 +258,41 @@ def _is_fast(triad: _Triad, variances: Floats) -> bool:
     return swift and math.sqrt(_TIMES[0] / 10) * triad.bias_drift.span < STATED_TIME
 
 
-def scatter_of_motions(evidence: Evidence, in_motion: float) -> tuple[Component, ...]:
+def scatter_of_motions(evidence: Evidence, in_motion: Sequence[float]) -> tuple[Component, ...]:
     """Return the covariance of outputs by the scatter of motions, `ExcessScatter.in_motion`."""
-    if not in_motion:
+    if not any(in_motion):
         return ()
-    ends = _ends_of_motions(evidence)
-    variances = Diagonal((ends * in_motion) ** 2)
-    return (Component(ErrorSource.SCATTER, variances, float(np.count_nonzero(ends))),)
+    return tuple(
+        Component(ErrorSource.SCATTER, Diagonal((ends * size) ** 2), float(np.count_nonzero(ends)))
+        for ends, size in zip(_ends_of_motions(evidence), in_motion, strict=True)
+        if size
+    )
 
 
 def _ends_of_motions(evidence: Evidence) -> Floats:
-    """Return how outputs (m,) follow the velocities at the ends of their motions.
+    """Return how outputs follow each gyro's angles, and velocities, at ends of motions, (4, m).
 
     Those of a move are outputs themselves, and the mean over a turn follows by its duration.
     """
-    layout, found = evidence.layout, np.zeros(len(evidence.layout))
+    layout, found = evidence.layout, np.zeros((4, len(evidence.layout)))
     per_second = np.array([1 / turn.statistics.duration for turn in evidence.turns])
-    found[layout.turn_accels] = per_second[list(layout.turns_with_accels), None]
-    found[layout.velocity] = 1.0
+    for axis in range(3):
+        found[axis, layout.move[:, axis]] = 1.0
+        found[axis, layout.turn[:, axis]] = per_second
+    found[3, layout.turn_accels] = per_second[list(layout.turns_with_accels), None]
+    found[3, layout.velocity] = 1.0
     return found
 
 
-def _motion_variance(equations: Equations) -> float:
-    """Return the usual variance of velocities at the ends of motions, (m/s)^2; 0 without any."""
-    ends = _ends_of_motions(equations.evidence)
-    noise = equations.own_variances[ends > 0] / ends[ends > 0] ** 2
-    return float(np.median(noise)) if len(noise) else 0.0
+def _motion_variances(equations: Equations) -> Floats:
+    """Return the usual variances of these angles, rad^2, and velocities, (m/s)^2; 0 without any."""
+    own = equations.own_variances
+    return np.array(
+        [
+            np.median(own[ends > 0] / ends[ends > 0] ** 2) if ends.any() else 0.0
+            for ends in _ends_of_motions(equations.evidence)
+        ]
+    )
 
 
 def _hidden_variance(equations: Equations) -> float:
@@ -296,15 +307,16 @@ def _hidden_variance(equations: Equations) -> float:
     return sharpest
 
 
-def _triads(plain: Equations, state: Floats, hidden: float, in_motion: float) -> list[_Triad]:
+def _triads(plain: Equations, state: Floats, hidden: float, in_motion: Floats) -> list[_Triad]:
     """Return gyros and accelerometers, each with turns and moves.
 
     `hidden` and `in_motion` are the usual variances of positioning errors and of motions.
     """
     jacobian, residuals = plain.jacobian(state), plain.outputs - plain.predict(state)
     positioning = [math.sqrt(hidden) * one for one in plain.positioning_error_effects(state)]
-    motions = np.diag(math.sqrt(in_motion) * _ends_of_motions(plain.evidence))
-    common = (*positioning, motions)
+    ends = _ends_of_motions(plain.evidence)
+    motions = (np.diag(math.sqrt(v) * one) for v, one in zip(in_motion, ends, strict=True))
+    common = (*positioning, *motions)
     parts = (jacobian, residuals, plain.slopes(state), plain.covariance(state), common)
     return [_triad(plain, first, parts, state) for first in (0, 3)]
 

@@ -263,14 +263,22 @@ def _drift_findings(found: Estimate) -> list[str]:
 
 
 def _motion_findings(scatter: ExcessScatter) -> list[str]:
-    """Report velocities that scatter at the ends of motions, and not at rest."""
-    if scatter.motion_probability < _LIKELY:
+    """Report angles and velocities that scatter at the ends of motions, and not at rest."""
+    *turned, pushed = scatter.in_motion
+    sizes = (
+        *(
+            f'the angle of gyro {axis} scatters by {significant(size / ARCSEC)} arcsec'
+            for axis, size in zip('xyz', turned, strict=True)
+        ),
+        f'the velocities of the accelerometers scatter by {significant(pushed)} m/s',
+    )
+    shown = [s for s, p in zip(sizes, scatter.motion_probability, strict=True) if p >= _LIKELY]
+    if not shown:
         return []
     return [
-        'At the ends of motions the velocities of the accelerometers scatter by '
-        f'{significant(scatter.in_motion)} m/s more than their noise at rest: the standard '
+        f'At the ends of motions {" and ".join(shown)} more than the noise at rest: the standard '
         'deviations allow for it. Possible causes: motors or bearings that shake the unit, and '
-        'sensors that are nonlinear in motion.'
+        'sensors that are nonlinear in motion or beyond their range.'
     ]
 
 

@@ -434,7 +434,7 @@ def scattering(
     step: float = 0.0,
     confounded: tuple[str, ...] = (),
     by_hand: bool = False,
-    moved: float = 0.0,
+    moved: tuple[float, ...] = (0.0,) * 4,
     likely: float = 1.0,
 ) -> list[str]:
     """Return what is said of an estimate that found positioning errors and drifts."""
@@ -446,7 +446,7 @@ def scattering(
         drift_probability=(likely, likely),
         fast_drift=fast,
         in_motion=moved,
-        motion_probability=likely * bool(moved),
+        motion_probability=tuple(likely * bool(one) for one in moved),
     )
     instability = none if instability is None else instability
     evidence = SimpleNamespace(
@@ -509,12 +509,14 @@ def test_drifts_are_told_beside_what_the_data_sheet_states() -> None:
 
 
 def test_scatter_of_motions_is_told_with_its_sizes() -> None:
-    (sentence,) = scattering(moved=0.004)
-    assert 'the velocities of the accelerometers scatter by 0.004 m/s more than' in sentence
+    (sentence,) = scattering(moved=(0.0, 0.0, 0.0, 0.004))
+    assert 'motions the velocities of the accelerometers scatter by 0.004 m/s more than' in sentence
+    (sentence,) = scattering(moved=(0.0, 2 * ARCSEC, 0.0, 0.004))
+    assert 'the angle of gyro y scatters by 2 arcsec and the velocities of the' in sentence
 
 
 def test_what_more_likely_is_not_there_is_not_told() -> None:
-    assert scattering(moved=0.004, drift=np.full(6, 1e-4), likely=0.4) == []
+    assert scattering(moved=(1e-5, 0.0, 0.0, 0.004), drift=np.full(6, 1e-4), likely=0.4) == []
 
 
 class Links(list[int]):

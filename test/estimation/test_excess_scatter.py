@@ -23,7 +23,7 @@ from imu_calib.estimation.excess_scatter import (
     _hidden_variance,
     _is_fast,
     _kept,
-    _motion_variance,
+    _motion_variances,
     _slope_variance,
     _Triad,
     _triads,
@@ -39,7 +39,7 @@ def normal(left: Any, covariance: Any) -> float:
 
 
 def triads(equations: Equations, state: Floats) -> list[_Triad]:
-    usual = _hidden_variance(equations), _motion_variance(equations)
+    usual = _hidden_variance(equations), _motion_variances(equations)
     return _triads(equations, state, *usual)
 
 

@@ -106,6 +106,30 @@ def test_noise_that_few_blocks_know_may_be_larger_than_it_seems() -> None:
     assert found.values == pytest.approx(np.exp(best.x), rel=0.1)
 
 
+def test_noise_is_no_larger_than_its_blocks_admit_by_chance() -> None:
+    """Residuals of a thousand deviations are not noise: what else explains them is found."""
+    rng, nu = np.random.default_rng(3), 20.0
+    few = np.diag(np.repeat([1.0, 0.0], [4, 26]))
+    residuals = rng.standard_normal(30) + np.repeat([1000.0, 0.0], [4, 26])
+    noise = Variance((np.eye(30),), nu)
+    alone = find_variances([(residuals, np.zeros((30, 30)))], [noise])
+    assert chi2.cdf(nu / alone.values[0], nu) == pytest.approx(1e-6, rel=0.01)
+    kinds = [[Variance((few,))]]
+    result = choose_variances([(residuals, np.zeros((30, 30)))], [noise], kinds, LEAST)
+    assert result.probability(0) == pytest.approx(1.0)
+
+
+def test_kinds_that_belong_together_are_no_one_of_another() -> None:
+    """One that is common to three of very unlike sizes would leave each too large or too small."""
+    parts = [np.diag(np.repeat(np.eye(4)[k], 15)) for k in range(4)]
+    sizes = np.repeat([10.0, 12.0, 9.0, 1.0], 15)
+    residuals = sizes * np.random.default_rng(2).standard_normal(60)
+    offered = [[Variance((part,))] for part in (sum(parts), *parts[:3])]
+    result = choose_variances([(residuals, np.eye(60))], [], offered, LEAST, (1, 2, 3))
+    assert result.probability(1) == pytest.approx(1.0)
+    assert result.probability(0) < 0.05
+
+
 LEAST = 4.5
 
 

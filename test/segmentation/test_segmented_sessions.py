@@ -58,7 +58,9 @@ def normalised(result: Result) -> Floats:
         ({'imu_stamp_jitter': 0.002, 'joint_stamp_jitter': 0.002}, None, 20, 0.5),
         ({'lead': 1000.0}, None, 6, 0.5),
         ({'servo_error': 0.002 * DEG}, None, 6, 0.5),
-        ({'vibration': Vibration(0.005, 0.05, 3.0, 3.0)}, None, 10, 0.5),
+        # Turns of 360 deg end somewhere in a swing of 0.005 rad/s at 3 Hz, 55 arcsec: with 10 ppm
+        # K_gz was off by 4.2 deviations in another session.
+        ({'vibration': Vibration(0.005, 0.05, 3.0, 3.0)}, None, 30, 0.5),
         again({}, si(), 6, 0.5),
         ({}, mems(1.0), 30, 2.0),
         # Less noise than an ADC's step of 220 deg/h: the mean keeps a part of a step.
@@ -104,7 +106,7 @@ def test_turns_that_leave_their_line_widen_what_rests_on_them():
     narrow = replace(paper_imu(), gyro=replace(paper_imu().gyro, range=59.99 * DEG))
     plan = quick_plan('twelve_position', 20.0)
     result = calibrate(session(plan, stand(azimuth=0.3), seed=1, spec=narrow), plan)
-    assert any('Between turns the gyros scatter' in f for f in result.calibration.findings)
+    assert any('the angle of gyro x scatters by' in f for f in result.calibration.findings)
     assert result.calibration.std[:3].max() > 20 * PPM
     assert np.abs(normalised(result)).max() < 4.5
     assert result.calibration.std[9:12].max() < 0.5 * DEG_H

@@ -43,6 +43,8 @@ Inputs = list[tuple[Vector, Vector]]
 
 FAST = 60 * DEG
 """The rate at which coefficients of gyros' terms are stated, rad/s."""
+KNEE = 58 * DEG
+"""The rate beyond which a gyro may be bent, rad/s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +58,7 @@ class Terms:
         size: To a gyro, times w |w| / FAST.
         cube: To a gyro, times w^3 / FAST^2.
         square: To a gyro, times w^2 / FAST.
+        bent: To a gyro, times what is beyond `KNEE`.
         accel_square: To an accelerometer, times f^2.
         accel_signs: To an accelerometer, times |f|.
         accel_cube: To an accelerometer, times f^3.
@@ -68,6 +71,7 @@ class Terms:
     size: Vector = NOTHING
     cube: Vector = NOTHING
     square: Vector = NOTHING
+    bent: Vector = NOTHING
     accel_square: Vector = NOTHING
     accel_signs: Vector = NOTHING
     accel_cube: Vector = NOTHING
@@ -870,6 +874,7 @@ def _added(terms: Terms, turned: Vector, pushed: Vector, dt: float) -> list[floa
         rate = terms.senses[c] * abs(w[c]) + terms.by_square[c] * f[c] ** 2
         rate += terms.size[c] * w[c] * abs(w[c]) / FAST + terms.square[c] * w[c] ** 2 / FAST
         rate += terms.cube[c] * w[c] ** 3 / FAST**2
+        rate += terms.bent[c] * math.copysign(max(abs(w[c]) - KNEE, 0.0), w[c])
         rate += sum(terms.by_force[c][j] * f[j] for j in range(3))
         added.append(rate * dt)
     for c in range(3):
