@@ -27,6 +27,7 @@ from .solve import (
     ITERATIONS,
     fit,
     least_squares,
+    linear_step,
     with_scatter,
 )
 
@@ -301,13 +302,18 @@ def find_outlier(
     for index in worst:
         name, rows = candidates[index]
         without = downweighted(plain, rows, _LEFT_OUT)
-        others = with_scatter(plain, excess(without, fit(without, state), suspecting=True))
-        here = fit(others, state)
+        others = with_scatter(plain, excess(without, _near(without, state), suspecting=True))
+        here = _near(others, state)
         square, rank, freedom = _mean_shift_test(others, here, rows)
         by_chance = rank == 0 or scipy.special.fdtrc(rank, freedom, square / rank) > _OUTLYING
         if not by_chance and (best is None or square > best.chi_square):
             best = Outlier(name, rows, square)
     return best
+
+
+def _near(equations: Equations, state: Floats) -> Floats:
+    """Return a state after one step, as near to the solution as scatter and tests need."""
+    return np.asarray(state + linear_step(*equations.whitened(state)))
 
 
 def _mean_shift_test(
