@@ -26,6 +26,7 @@ from ..common.errors import InputError, NotObservable
 from ..common.finding import Finding
 from ..common.stream import Floats
 from ..common.units import DEG, STANDARD_GRAVITY, counted, significant
+from ..model.earth import EARTH_RATE
 from ..model.parameters import PARAMETERS, Parameter, ParameterKind, indices_of
 from ..model.sensors import SensorModel, Triad
 from ..model.session_terms import Changes, Course
@@ -758,9 +759,12 @@ def _one_term(found: SignificantFamily, fit: FreeFit) -> str:
     effect = float(np.sqrt(-2 * log_p))
     if term is G_SENSITIVITY:
         largest = np.abs(fit.model.g_sensitivity).max() * STANDARD_GRAVITY / DEG
+        # A vertical Earth rate that is wrong by at most twice its length turns with gravity.
+        latitude = ' A wrong latitude looks the same.' if largest * DEG < 2 * EARTH_RATE else ''
         return Finding(
             f'The gyros respond to specific force, by up to {largest:.2g} deg/s per g '
-            f'(probability of chance {np.exp(log_p):.0e}): {term.name} is estimated, too.',
+            f'(probability of chance {np.exp(log_p):.0e}): {term.name} is estimated, too.'
+            f'{latitude}',
             effect=effect,
         )
     places = indices_of(term.parameters, fit.parameters)

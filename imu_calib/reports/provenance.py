@@ -456,8 +456,18 @@ def overview(
     yield data_line(calibration)
     yield verdict_line(calibration)
     if won := gravity_won(calibration.provenance):
-        dwells = 'holds' if calibration.by_hand else 'static dwells'
-        yield f'Gravity over the {dwells}: {won}.'
+        yield f'Gravity {_gravity_used(calibration.provenance)}: {won}.'
+
+
+def _gravity_used(facts: Facts) -> str:
+    """Return gravity and what it follows from: data of one place cannot show that it is wrong."""
+    used = f'{number(facts, "gravity") or 0.0:.4f} m/s^2'
+    if facts.get('gravity_source') == MEASURED:
+        return f'{used} (as stated)'
+    height = f'height {number(facts, "height") or 0.0:g} m'
+    if facts.get('height_assumed'):
+        height += ' assumed'
+    return f'{used} (latitude {number(facts, "latitude_deg") or 0.0:.4g} deg, {height})'
 
 
 def data_line(calibration: Calibration) -> str:

@@ -118,7 +118,9 @@ def test_a_session_in_the_hand_speaks_of_its_grade(folder, monkeypatch, capsys):
     # Zero by the choice of the axes: no estimates.
     assert 'E_axy' not in units
     assert 'K: scale-factor error' in out
-    (won,) = re.findall(r'Gravity over the holds: off by (\S+) % before, (\S+) % after', out)
+    (won,) = re.findall(r'Gravity .*: off by (\S+) % before, (\S+) % after', out)
+    # Data in the hand cannot show that it is wrong, nor whence.
+    assert 'Gravity 9.7970 m/s^2 (latitude 34.65 deg, height 0 m assumed): off' in out
     found = Calibration.load('units.yaml')
     # The unit's biases of 25 mg and 0.5 % of scale, and what noise leaves of them.
     assert 2.0 < float(won[0]) < 4.0

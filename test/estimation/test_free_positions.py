@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,15 +17,24 @@ from imu_calib.calibration.hand import HandCalibrator, Stage, guide
 from imu_calib.cli.main import main
 from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats
-from imu_calib.common.units import ARCMIN, DEG, PPM
+from imu_calib.common.units import ARCMIN, DEG, PPM, STANDARD_GRAVITY
 from imu_calib.estimation import hand as free_positions
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.forecast import forecast
 from imu_calib.estimation.free_dwells import FreeEquations, at_headings_by_moves
-from imu_calib.estimation.hand import ESTIMATES, FREE, in_frame_of_accelerometers, is_clear, solve
+from imu_calib.estimation.hand import (
+    ESTIMATES,
+    FREE,
+    in_frame_of_accelerometers,
+    is_clear,
+    solve,
+    term_words,
+)
 from imu_calib.estimation.methods import check_plan
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.parameters import PARAMETERS, ParameterKind
+from imu_calib.model.sensors import SensorModel
+from imu_calib.model.terms import G_SENSITIVITY
 from imu_calib.recordings.cdr_codec import RATES, encode_imu
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.imu import load_imu
@@ -382,3 +392,11 @@ def test_recording_on_the_command_line(tmp_path: Path) -> None:
     found = Calibration.load(target)
     assert found.values == pytest.approx(result().calibration.values, abs=1e-9)
     assert found.provenance['method'] == 'free_positions'
+
+
+@pytest.mark.parametrize(('size', 'alike'), [(0.003, True), (0.02, False)])
+def test_a_g_sensitivity_as_small_as_the_earth_rate_may_be_a_wrong_latitude(size, alike) -> None:
+    model = SensorModel(g_sensitivity=np.eye(3) * size * DEG / STANDARD_GRAVITY)
+    found = SimpleNamespace(family=SimpleNamespace(term=G_SENSITIVITY), log_p=-20.0)
+    (said,) = term_words(SimpleNamespace(found=[found], model=model, drifts=[]))
+    assert ('A wrong latitude looks the same.' in said) == alike
