@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 
 from ..common.errors import InputError, NotObservable
-from ..common.finding import warning
+from ..common.finding import Finding, warning
 from ..common.stream import Block, Floats, ImuBlock, TemperatureBlock, Units
 from ..common.units import ARCMIN, DEG, PPM, STANDARD_GRAVITY, counted
 from ..estimation.checks import far_scales
@@ -84,6 +84,12 @@ class Stage(Enum):
     HOLD = 'hold still'
     TURN = 'turn to the next attitude'
     ENOUGH = 'enough'
+
+
+_HOLD_STILL = (
+    f'Hold the unit still for {HOLD_SECONDS:.0f} s in each attitude, the hand propped on something '
+    'firm, and turn it by a quarter turn or more between.'
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,13 +335,15 @@ class HandCalibrator:
             if other := self._other_length():
                 raise InputError(other)
             text = f'The unit never stood still in {session.duration:.0f} s: there is no hold.'
-            raise NotObservable(text, *self._least_motion(), *lost)
+            raise NotObservable(f'{text} {_HOLD_STILL}', *self._least_motion(), *lost)
         evidence = self.evidence(session)
         try:
             fit = solve(evidence)
         except NotObservable as error:
             self._refuse_other_lengths(evidence)
-            few = self._least_motion() if len(evidence.segments) < FEWEST else []
+            few = []
+            if len(evidence.segments) < FEWEST:
+                error, few = error.followed_by(_HOLD_STILL), self._least_motion()
             few += _lost_turns(evidence, session)
             dead = dead_channels(session)
             raise NotObservable(*dead, *error.args, *few, *lost) from None
@@ -375,7 +383,7 @@ class HandCalibrator:
         )
 
     def _least_motion(self) -> list[str]:
-        """Return the least motion of the unit and a remedy, if there are too few holds."""
+        """Return the least motion of the unit, if there are too few holds."""
         if self._setup.segments is not None:
             return []
         seen = self._segmenter.quietest
@@ -385,9 +393,7 @@ class HandCalibrator:
             'In its quietest two seconds the unit moved by '
             f'{seen.rate / DEG:.2g} deg/s and {seen.force / STANDARD_GRAVITY:.2g} g; in a hold it '
             f'moves by less than {seen.tolerance.rate / DEG:.2g} deg/s and '
-            f'{seen.tolerance.force / STANDARD_GRAVITY:.2g} g for a second or more. Hold the unit '
-            f'still for {HOLD_SECONDS:.0f} s in each attitude, the hand propped on something firm, '
-            'and turn it by a quarter turn or more between.'
+            f'{seen.tolerance.force / STANDARD_GRAVITY:.2g} g for a second or more.'
         ]
 
     def _other_offsets(self) -> list[str]:
@@ -500,18 +506,22 @@ class HandCalibrator:
             Residual(str(s.position), s.start, value, deviation)
             for s, value, deviation in zip(segments, fit.residuals, std, strict=True)
         )
-        findings = [_FRAME, *far_scales(fit.model), *term_words(fit), *scatter_words(fit)]
+        findings = [*far_scales(fit.model), *term_words(fit), *scatter_words(fit)]
         if len(segments) < CHECKED:
             findings.append(
-                f'{len(segments)} holds are few. {CHECKED} or more in different attitudes give '
-                'smaller standard deviations, and reveal a false hold.'
+                Finding(
+                    f'{len(segments)} holds are few. {CHECKED} or more in different attitudes give '
+                    'smaller standard deviations, and reveal a false hold.',
+                    # Of as many holds the standard deviations are smaller by the root.
+                    effect=float(np.sqrt(CHECKED / len(segments))) - 1,
+                )
             )
         findings += _lost_turns(evidence, session)
         if fit.rejected_moves:
             names = ', '.join(f'{k + 1} to {k + 2}' for k in fit.rejected_moves)
             findings.append(f'Outliers, left out: turns from hold {names}.')
         findings += [*_noisy_holds(evidence), *self._other_offsets()]
-        findings += [f'{loss}.' for loss in session.losses]
+        findings += [*(f'{loss}.' for loss in session.losses), _FRAME]
         solution = Solution(
             fit.model,
             fit.covariance,

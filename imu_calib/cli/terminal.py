@@ -229,7 +229,8 @@ class NodeReports:
 
 
 _MARK = '  - '
-ROOM = 7
+_HEADING = 2  #: Lines of a title and the empty one above it.
+ROOM = 6
 """Lines of warnings and notes with which a result of 24 parameters fits a screen of 40."""
 _NOTES = 5
 """Notes that are shown without --verbose. A choice: the first ones change the numbers most."""
@@ -304,9 +305,15 @@ def print_findings(findings: Sequence[str], *, verbose: bool, room: int | None =
     sentence_list('Warnings', warnings)
     shown = notes if verbose else notes[:_NOTES]
     if room is not None and not verbose:
-        taken = accumulate(len(_filled(text, _MARK)) for text in [*warnings, *shown])
+        taken = list(accumulate(len(_filled(text, _MARK)) for text in [*warnings, *notes]))
+        room -= _HEADING if warnings else 0
         fitting = sum(lines <= room for lines in taken) - len(warnings)
-        shown = shown[: max(fitting, 0 if warnings else 1)]
+        # All of them need no line that says how many more there are.
+        least = 0 if warnings else 1
+        shown = notes if taken and taken[-1] <= room + 1 else shown[: max(fitting, least)]
+    if len(notes) - len(shown) == 1 and shown:
+        # A line for one more would take the place of a note.
+        shown = notes if room is None or len(shown) == 1 else shown[:-1]
     sentence_list('Notes', shown)
     if len(shown) < len(notes):
         rest = len(notes) - len(shown)

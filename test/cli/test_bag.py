@@ -218,6 +218,17 @@ def test_of_biases_that_moved_alone_the_verdict_says_so(by_latitude, tmp_path):
     assert found.outcome == 'REJECTED: the recording contradicts the calibration.'
 
 
+def test_few_holds_are_said_on_the_screen_with_what_to_do(tmp_path, capsys):
+    few, fewer = (recorded(tmp_path / f'{k}', '/imu', holds=k) for k in (12, 6))
+    words = ['--latitude', str(LATITUDE), '-o', str(tmp_path / 'c.yaml')]
+    assert main(['calibrate', few, *words]) == 0
+    assert '12 holds are few' in capsys.readouterr().out
+    assert main(['calibrate', fewer, *words]) == 1
+    shown = ' '.join(capsys.readouterr().err.split())
+    assert '6 holds were found' in shown
+    assert 'Hold the unit still for 3 s in each attitude' in shown
+
+
 def test_a_file_of_an_si_unit_is_that_of_a_calibration_without_a_name(made, bag, tmp_path):
     file = tmp_path / 'my_imu.yaml'
     file.write_text(UNIT)

@@ -102,6 +102,26 @@ def test_warnings_come_first_and_none_is_cut(folder, monkeypatch, capsys):
     assert '--verbose' not in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ('warnings', 'notes', 'shown', 'more'),
+    [
+        (0, (2, 2, 2, 1), 4, ''),  # The last one takes the line that would say so.
+        (0, (2, 2, 2, 2), 2, '2 more: --verbose'),
+        (0, (2, 2, 2, 2, 1), 3, '2 more: --verbose'),
+        (0, (6, 2), 2, ''),
+        (1, (2, 2, 2), 1, '2 more: --verbose'),
+    ],
+)
+def test_no_line_says_that_one_note_is_left_out(warnings, notes, shown, more, capsys):
+    from imu_calib.cli.terminal import print_findings
+
+    texts = ['Warning: W.'] * warnings + ['\n'.join(['note', *['x'] * (n - 1)]) for n in notes]
+    print_findings(texts, verbose=False, room=6)
+    out = capsys.readouterr().out
+    assert out.count('note') == shown
+    assert more in out and ('--verbose' in out) == bool(more)
+
+
 ADDED = ''.join(
     [f'- Note {k} is a note.\n' for k in range(6)]
     + [f"- 'Warning: Number {k} is off.'\n" for k in range(7)]
