@@ -32,10 +32,10 @@ _ALIKE_HYPOTHESES = 0.01
 """Relative difference from a known factor below. A judgement: scale factors change by less, and the
 factors differ by more."""
 _SHARES = {
-    True: {180 / np.pi: 'degrees taken for radians', np.pi / 180: 'radians taken for degrees'},
+    True: {180 / np.pi: 'radians taken for degrees', np.pi / 180: 'degrees taken for radians'},
     False: {
-        STANDARD_GRAVITY: 'm/s^2 taken for g',
-        1 / STANDARD_GRAVITY: 'g taken for m/s^2',
+        STANDARD_GRAVITY: 'g taken for m/s^2',
+        1 / STANDARD_GRAVITY: 'm/s^2 taken for g',
         1e-3 * STANDARD_GRAVITY: 'milli-g taken for m/s^2',
     },
 }

@@ -16,7 +16,7 @@ from sessions import LATITUDE, SITE, at_one_rate, calibrate, paper_imu, quick_pl
 
 from imu_calib.api.simulate import serialised
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.calibration.diagnosis import diagnose, mistakes
+from imu_calib.calibration.diagnosis import diagnose, mistakes, share_in_words
 from imu_calib.calibration.verify import Quantity, Verdict, Verification, _Trial, verify
 from imu_calib.cli.main import main
 from imu_calib.common.errors import NotObservable
@@ -570,3 +570,18 @@ def test_the_calibration_of_another_unit_is_refused_by_its_name_and_by_its_data(
     far = gyro(bias=g().bias + np.array([1.0, -1.0, 1.0]) * 10 * 0.1 * DEG_H * np.sqrt(3))
     far.save(file)
     assert main(words) == 1
+
+
+@pytest.mark.parametrize(
+    ('share', 'gyros', 'words'),
+    [
+        (DEG, True, 'degrees taken for radians'),
+        (1 / DEG, True, 'radians taken for degrees'),
+        (STANDARD_GRAVITY, False, 'g taken for m/s^2'),
+        (1 / STANDARD_GRAVITY, False, 'm/s^2 taken for g'),
+    ],
+)
+def test_numbers_to_be_multiplied_are_of_the_larger_unit(
+    share: float, gyros: bool, words: str
+) -> None:
+    assert share_in_words(share, gyros=gyros) == words
