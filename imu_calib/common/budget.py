@@ -48,7 +48,20 @@ class ErrorSource(Enum):
         'bias',
         'bias instability, as the IMU description states it',
     )
-    BIAS_FOUND = 'bias_drift', 'A', 'drift', 'bias drift beyond that, as the session shows it'
+    BIAS_CALM = (
+        'bias_drift_below_stated',
+        'A',
+        'bias-',
+        'bias drift, less than the IMU description states, as the session shows it: a mean size, '
+        'without degrees of freedom',
+    )
+    BIAS_FOUND = (
+        'bias_drift',
+        'A',
+        'drift',
+        'bias drift beyond what is stated, as the session shows it: a mean size, without degrees '
+        'of freedom',
+    )
     POSITIONING_STATED = 'positioning', 'B', 'position', 'positioning errors, as stated or assumed'
     POSITIONING_FOUND = (
         'positioning_found',

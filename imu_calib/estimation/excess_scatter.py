@@ -56,6 +56,9 @@ _SHARES = np.linspace(0.0, 1.0, 201) ** 2
 2006, Bayesian Analysis 1, 515). The most likely share understates what a calm session can hide:
 biases of accelerometers that drifted by 8 % of their data sheet were off by 2.0 deviations rms,
 with the mean by 1.3."""
+_AS_STATED = 0.99
+"""Share of the stated drift's variance above which it is as stated: to half a percent of its
+deviation, less than the two digits of an uncertainty show."""
 _ODDS_BESIDE_OUTLIERS = 10.0
 """The same where an outlier is tested against the scatter of the others: a stated drift that is
 absent would hide it. A judgement."""
@@ -120,8 +123,9 @@ class ExcessScatter:
 
     @property
     def stated(self) -> tuple[Component, ...]:
-        """The part of `extra` that the data sheet states."""
-        return tuple(c for c in self.extra if c.source is ErrorSource.BIAS_STATED)
+        """The part of `extra` that the data sheet states, as far as the session has it."""
+        known = ErrorSource.BIAS_STATED, ErrorSource.BIAS_CALM
+        return tuple(c for c in self.extra if c.source in known)
 
 
 def excess(
@@ -237,7 +241,8 @@ def _drift_parts(
     stated = triad.stated_variance * drifting.kernel(drifting.stated_time)[:means, :means]
     parts = []
     if kept * triad.stated_variance:
-        parts.append(Component(ErrorSource.BIAS_STATED, Blocks(rows, kept * stated[None])))
+        source = ErrorSource.BIAS_STATED if kept > _AS_STATED else ErrorSource.BIAS_CALM
+        parts.append(Component(source, Blocks(rows, kept * stated[None])))
     if variances.any():
         found = sum(
             (

@@ -44,6 +44,7 @@ _COLOURS = {
     ErrorSource.NOISE: '#0072b2',
     ErrorSource.QUANTISATION: '#8ecbee',
     ErrorSource.BIAS_STATED: '#00704f',
+    ErrorSource.BIAS_CALM: '#37a37c',
     ErrorSource.BIAS_FOUND: '#86d1b0',
     ErrorSource.POSITIONING_STATED: '#c24e00',
     ErrorSource.POSITIONING_FOUND: '#f7b27a',
