@@ -237,7 +237,8 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
     steps = load_plan('free_positions') if plan is None else plan
     statements = (*([] if known else [ASSUMED_SI]), *([] if plan else [ASSUMED_BY_HAND]))
     statements += contradicted_latitude(stated, recording)
-    statements += gravity_as_exact(stated)
+    site = site_of(stated, recording, by_hand=steps.by_hand)
+    statements += gravity_as_exact(site, stated)
     if stated.segments is not None:
         statements += (f'The holds are those that {Path(stated.segments).name} lists.',)
     if streams.skew is None:
@@ -247,7 +248,7 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
         imu,
         steps,
         table if streams.joints is not None else None,
-        site_of(stated, recording, by_hand=steps.by_hand),
+        site,
         stated.method,
         serial_of(stated, recording, streams.imu),
         stated.sensor_terms,

@@ -292,13 +292,13 @@ def contradicted_latitude(stated: Stated, recording: Recording) -> tuple[str, ..
     )
 
 
-def gravity_as_exact(stated: Stated) -> tuple[str, ...]:
+def gravity_as_exact(site: Site, stated: Stated) -> tuple[str, ...]:
     """Return a note that a measured gravity is taken as exact if no deviation of it is stated."""
-    if stated.gravity is None or stated.gravity_std is not None:
+    if site.gravity_source != MEASURED or site.gravity_std or stated.gravity_std is not None:
         return ()
     return (
         Finding(
-            f'The stated gravity, {stated.gravity:g} m/s^2, is taken as exact: no K_a has an '
+            f'The stated gravity, {site.gravity:g} m/s^2, is taken as exact: no K_a has an '
             'uncertainty of it. State its standard deviation with `gravity_std`.',
             effect=math.inf,
         ),

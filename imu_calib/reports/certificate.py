@@ -130,6 +130,11 @@ def certificate_of(
             'a serial number in the calibration, without which nothing says that it is of this '
             'unit: calibrate again with `serial` (7.8.2.1 g)'
         )
+    if not provenance.number(calibration.provenance, 'gravity_std'):
+        lacking.append(
+            'a standard uncertainty of gravity, which the calibration takes as exact: calibrate '
+            'again with `gravity_std` (7.6.1)'
+        )
     if lacking and not draft:
         raise InputError(
             f'{fields.where}: {len(lacking)} of the entries that a certificate needs '
@@ -161,46 +166,36 @@ def recorded(calibration: Calibration) -> date | None:
 
 
 def _check(fields: Fields, calibration: Calibration) -> None:
-    """Refuse fields of another unit or another session."""
+    """Refuse fields of another unit or another session, and references that were not valid.
+
+    Source: ISO/IEC 17025:2017, 6.4.4 and 6.5.1 for references.
+    """
+    wrong = []
     found, expected = fields.item.serial_number, calibration.serial_number
     if found and expected and found != expected:
-        raise InputError(
-            f'{fields.where}: item: serial_number: found {found}, expected {expected} as in the '
-            'calibration.'
+        wrong.append(
+            f'item: serial_number: found {found}, expected {expected} as in the calibration.'
         )
-    day = recorded(calibration)
+    day, began = recorded(calibration), 'when the recording of the calibration began.'
     if day is not None and fields.calibrated is not None:
         first, last = fields.calibrated
         if not first - _ZONES <= day <= last + _ZONES:
-            raise InputError(
-                f'{fields.where}: calibrated: found {first} to {last}, expected {day}, when the '
-                'recording of the calibration began.'
-            )
+            wrong.append(f'calibrated: found {first} to {last}, expected {day}, {began}')
     if day is not None and fields.received is not None and fields.received > day + _ZONES:
-        raise InputError(
-            f'{fields.where}: received: found {fields.received}, after {day}, when the recording '
-            'of the calibration began.'
-        )
+        wrong.append(f'received: found {fields.received}, after {day}, {began}')
     if day is not None and fields.issued is not None and fields.issued < day - _ZONES:
-        raise InputError(
-            f'{fields.where}: issued: found {fields.issued}, before {day}, when the recording of '
-            'the calibration began.'
-        )
-    _check_references(fields)
-
-
-def _check_references(fields: Fields) -> None:
-    """Refuse references that were no longer valid (ISO/IEC 17025:2017, 6.4.4 and 6.5.1)."""
-    if fields.calibrated is None:
-        return
-    _, last = fields.calibrated
+        wrong.append(f'issued: found {fields.issued}, before {day}, {began}')
     for k, one in enumerate(fields.equipment):
-        if one.valid_until is not None and one.valid_until < last:
-            raise InputError(
-                f'{fields.where}: equipment[{k}]: valid_until: found {one.valid_until}, before the '
-                f'end of the calibration, {last}: the results are not traceable to it. State the '
-                'certificate that was valid then, or calibrate again with a valid reference.'
+        if fields.calibrated is None or one.valid_until is None:
+            continue
+        if one.valid_until < (last := fields.calibrated[1]):
+            wrong.append(
+                f'equipment[{k}]: valid_until: found {one.valid_until}, before the end of the '
+                f'calibration, {last}: the results are not traceable to it. State the certificate '
+                'that was valid then, or calibrate again with a valid reference.'
             )
+    if wrong:
+        raise InputError(f'{fields.where}: {" ".join(wrong)}')
 
 
 def _results(

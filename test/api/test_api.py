@@ -374,13 +374,17 @@ def test_limits_of_another_type_judge_nothing(folder, result, tmp_path):
         imu_calib.report(result, tmp_path / 'a.html', imu='fog_navigation')
 
 
-def test_gravity_without_a_standard_deviation_is_said_to_be_exact(folder):
-    def notes(**stated):
-        return ' '.join(imu_calib.calibrate(folder / 'bag', **stated).calibration.findings)
+def test_gravity_without_a_standard_deviation_is_said_to_be_exact(folder, tmp_path):
+    def notes(bag=folder / 'bag', **stated):
+        return ' '.join(imu_calib.calibrate(bag, **stated).calibration.findings)
 
     words = 'The stated gravity, 9.797 m/s^2, is taken as exact'
     assert words in notes(gravity=9.797)
     assert words not in notes(gravity=9.797, gravity_std=2e-5)
+    # The same from the recording.
+    imu_calib.simulate('six_position', tmp_path / 'bag', latitude=34.65, gravity=9.797, seed=1)
+    assert words in notes(tmp_path / 'bag')
+    assert words not in notes(tmp_path / 'bag', gravity_std=2e-5)
 
 
 def test_a_report_takes_the_site_of_the_calibration_not_of_the_recording(folder, tmp_path):

@@ -44,7 +44,8 @@ PLAN = at_one_rate(quick_plan('twelve_position', 20.0))
 @pytest.fixture(scope='module')
 def calibration():
     found = calibrate(session(PLAN, stand(), 1), PLAN).calibration
-    return replace(found, serial_number='A1234')
+    setup = {**found.provenance, 'gravity_std': 2e-5}
+    return replace(found, serial_number='A1234', provenance=setup)
 
 
 def fields(**changes: Any) -> Any:
@@ -327,6 +328,18 @@ def test_gravity_has_its_uncertainty_and_source(calibration):
 def test_fields_of_another_session_are_refused(calibration, change, message):
     with pytest.raises(InputError, match=message):
         made(calibration, **change)
+
+
+def test_all_contradictions_are_named_at_once(calibration):
+    changes = {'item': {'serial_number': 'B7'}, 'calibrated': None, 'received': '2023-11-16'}
+    with pytest.raises(InputError, match=r'item: serial_number: .*received: .*equipment\[0\]: '):
+        made(calibration, **changes, equipment=referring('2023-11-13'))
+
+
+def test_gravity_taken_as_exact_gives_no_certificate(calibration):
+    exact = replace(calibration, provenance={**calibration.provenance, 'gravity_std': 0.0})
+    with pytest.raises(InputError, match='a standard uncertainty of gravity'):
+        made(exact)
 
 
 def test_a_calibration_without_a_budget_has_no_certificate(calibration, tmp_path):
