@@ -165,7 +165,7 @@ def compare(
 
     Raises:
         InputError: There are fewer than two, a file cannot be read or is of several temperatures,
-            or the streams have different units.
+            or the streams have different units (but SI, deg/s and g).
     """
     own = [_single(one) for one in calibrations]
     if len(calibrations) < _FEWEST:

@@ -93,9 +93,11 @@ def assumed_si_imu(recording: Recording, topic: str) -> ImuSpec:
     if removed := gravity_removed(quiet_means(force)):
         raise InputError(f'{recording.path}: {topic}: {removed}')
     if seen := against_si(force, rate):
+        known = "imu='rates'" if isinstance(recording, SamplesInMemory) else '`imu` rates'
         raise NotStated(
             f'{recording.path}: the numbers of the IMU are not rad/s and m/s^2: {seen}. '
-            'Say what they are: give `imu`, the name of a type or a file of your own.',
+            'Say what they are: give `imu`, the name of a type or a file of your own, for deg/s '
+            f'and g {known}.',
             f'The types are {shipped("imus")}; docs/files/imu.md explains the file.',
         )
     return load_imu(GENERIC)

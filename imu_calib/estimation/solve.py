@@ -176,7 +176,9 @@ def _by_half_steps(
             # Steps that nothing holds back have led beyond all numbers.
             break
         step = linear_step(jacobian, residuals)
-        change, before = float(np.linalg.norm(jacobian @ step)), change
+        # Beyond half of the exponents a square is infinite: the loop ends with the next step.
+        with np.errstate(over='ignore', invalid='ignore'):
+            change, before = float(np.linalg.norm(jacobian @ step)), change
         if change < _ARRIVED or _settled(change, before, 0.5):
             return state
         state = moved(state, step / 2)

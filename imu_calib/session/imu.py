@@ -23,6 +23,7 @@ from ..model.parameters import TRIADS, Parameter, ParameterKind
 
 
 GENERIC = 'si'  #: Id of the supplied description of any unit that publishes SI units.
+UNNAMED = (GENERIC, 'rates')  #: Ids of those of any unit that publishes rates and forces.
 COVERAGE = 2.0
 """Standard deviations on both sides of a value within which the truth is assumed to lie (95 %)."""
 

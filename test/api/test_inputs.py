@@ -9,6 +9,7 @@ from sessions import brief_plan
 
 import imu_calib
 from imu_calib.api.files import recording_at
+from imu_calib.common.units import DEG, STANDARD_GRAVITY
 
 NAMES = [f'{name}.{a}' for name in ('angular_velocity', 'linear_acceleration') for a in 'xyz']
 
@@ -78,6 +79,22 @@ def test_arrays_give_the_bits_of_a_frame_of_their_rate(frame):
     assert same_bits(one, by_rate)
     assert same_bits(two, by_rate)
     assert imu_stamps(values, 100.0)[:2].tolist() == [10_000_000, 20_000_000]
+
+
+def test_degrees_and_g_are_named_and_compare_with_si(frame):
+    imu = imu_calib.load_imu('mems_counts')
+    si = frame[NAMES] * ([imu.gyro.scale_factor] * 3 + [imu.accel.scale_factor] * 3)
+    other = si / ([DEG] * 3 + [STANDARD_GRAVITY] * 3)
+    with pytest.raises(imu_calib.InputError, match="for deg/s and g imu='rates'"):
+        imu_calib.calibrate(other, latitude=48.1)
+    by_si = imu_calib.calibrate(si, latitude=48.1)
+    by_degrees = imu_calib.calibrate(other, latitude=48.1, imu='rates')
+    compared = imu_calib.compare(by_si, by_degrees)
+    assert np.abs(compared.difference).max() < 1e-9
+    for samples, words, made in ((other, 'rates', by_si), (si, 'si', by_degrees)):
+        assert imu_calib.verify(samples, made, latitude=48.1, imu=words).verdict.name == 'PASS'
+    # Read by the calibration's own description they are of another scale; NumPy warns of nothing.
+    assert imu_calib.verify(other, by_si, latitude=48.1).verdict.name == 'FAIL'
 
 
 def every(frame: Any, interval: float) -> Any:
