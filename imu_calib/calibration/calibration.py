@@ -48,7 +48,7 @@ from .provenance import budget_document, check_plausible, read_budget, read_orig
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
     from .views import LabelledValues
 
@@ -117,9 +117,14 @@ class Calibration:
 
     def __repr__(self) -> str:
         """Return one line; `to_dataframe` has the parameters."""
-        count = int(np.isfinite(self.std).sum())
+        count = int((np.isfinite(self.std) & self._not_chosen).sum())
         findings = counted(len(self.findings), 'finding')
         return f'<Calibration of {self.unit_name}: {count} parameters, {findings}>'
+
+    @property
+    def _not_chosen(self) -> NDArray[np.bool_]:
+        """(n,) mask of all but the zeros that are a choice of the axes."""
+        return np.asarray((self.values != 0) | (self.std != 0))
 
     @property
     def unit_name(self) -> str:
@@ -325,11 +330,16 @@ class Calibration:
         return cls.read(Section.parse(text, where))
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return value, std and unit of each parameter as a pandas.DataFrame, by its name."""
+        """Return value, std and unit of each parameter as a pandas.DataFrame, by its name.
+
+        Those that are zero by the choice of the axes have no row.
+        """
         from .views import compared_frame
 
-        shown = {'value': self.values, 'std': self.std}
-        return compared_frame(self.parameters, shown, {}, by_hand=self.by_hand)
+        rows = np.flatnonzero(self._not_chosen)
+        shown = {'value': self.values[rows], 'std': self.std[rows]}
+        parameters = [self.parameters[k] for k in rows]
+        return compared_frame(parameters, shown, {}, by_hand=self.by_hand)
 
     @property
     def labelled(self) -> LabelledValues:
@@ -388,8 +398,10 @@ class Calibration:
         """Draw the parameters with bars of two standard deviations, as a matplotlib Figure."""
         from .views import draw_parameters
 
+        rows = np.flatnonzero(self._not_chosen)
+        parameters = tuple(self.parameters[k] for k in rows)
         return draw_parameters(
-            self.unit_name, self.parameters, self.values, self.std, by_hand=self.by_hand
+            self.unit_name, parameters, self.values[rows], self.std[rows], by_hand=self.by_hand
         )
 
     def plot_residuals(self) -> Figure:

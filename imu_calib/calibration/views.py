@@ -106,7 +106,8 @@ def labelled(
     return LabelledValues(
         named,
         deviations,
-        pd.DataFrame(covariance, index, index),
+        # Two names: `stack` and `reset_index` make columns of them.
+        pd.DataFrame(covariance, index, index.rename('other')),
         pd.DataFrame({**columns, 'unit': [row[3] for row in coefficients]}, index=rows),
     )
 

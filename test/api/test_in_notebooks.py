@@ -32,6 +32,8 @@ def test_numbers_are_found_by_the_names_of_their_parameters(result):
     assert labelled.std['K_ax'] == mine.std[at]
     assert labelled.covariance.loc['K_ax', 'D_ay'] == mine.covariance[at, other]
     assert labelled.values.attrs['units']['D_ay'] == 'm/s^2'
+    rows = labelled.covariance.stack().reset_index()
+    assert list(rows.columns[:2]) == ['parameter', 'other'] and len(rows) == len(names) ** 2
     # In the units of engineers, as before.
     assert mine.to_dataframe()['value']['K_ax'] == mine.values[at] * 1e6
 
@@ -97,7 +99,13 @@ def test_pulses_need_a_rate_and_both_sensors_their_columns(result):
 
 def test_a_notebook_shows_no_zero_that_is_a_choice_of_axes(tmp_path):
     imu_calib.simulate('free_positions', tmp_path / 'bag', imu='mems_counts', latitude=48.1)
-    page = imu_calib.calibrate(tmp_path / 'bag').calibration._repr_html_()
+    calibration = imu_calib.calibrate(tmp_path / 'bag').calibration
+    page = calibration._repr_html_()
+    assert repr(calibration).startswith('<Calibration of mems_counts: 21 parameters, ')
+    frame = calibration.to_dataframe()
+    assert len(frame) == 21 and 'E_ayx' in frame.index and 'E_axy' not in frame.index
+    drawn = [t.get_text() for a in calibration.plot().axes for t in a.get_xticklabels()]
+    assert sorted(drawn) == sorted(frame.index)
     assert '<th>E_ayx</th>' in page
     assert '<th>E_axy</th>' not in page
     # A truth is exact, and its values are shown.
