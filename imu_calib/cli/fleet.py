@@ -119,6 +119,8 @@ def run_batch(arguments: argparse.Namespace) -> CommandResult:
     )
     for names in done.alike:
         OUTPUT.print(f'{listed(names)} are the same recording, which counts once', markup=False)
+    for sentence in done.contradictory:
+        OUTPUT.print(sentence, markup=False)
     if done.convertible:
         count = len(done.convertible)
         endings = ', '.join(sorted({path.suffix.lower() for path in done.convertible}))

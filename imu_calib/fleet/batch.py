@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ..api.session import as_list
 from ..common.errors import InputError
@@ -16,6 +16,7 @@ from ..common.units import counted
 from ..session.keywords import Session, Stated, with_keywords
 from ..session.units_file import load_units
 from .recordings import OF_ONE, Job, convertible, find_jobs
+from .sentences import listed
 from .task import CALIBRATED, FAILED, SUPERSEDED, TaskResult, lost, run
 
 if TYPE_CHECKING:
@@ -50,6 +51,8 @@ class Batch:
     convertible: tuple[Path, ...] = ()
     #: Names of recordings with the same content and statements, which count once.
     alike: tuple[tuple[str, ...], ...] = ()
+    #: Sentences on recordings with the same content and other statements.
+    contradictory: tuple[str, ...] = ()
     known_superseded: int = 0  #: Those of `known` whose recordings were calibrated again since.
     repeated: int = 0  #: Number of units that they would have given again.
 
@@ -142,6 +145,8 @@ def run_batch(
     count = dict.fromkeys(('calibrated', 'failed', 'known', 'repeated'), 0)
     count |= {'known_failed': 0, 'known_superseded': 0}
     names: dict[str, list[str]] = {}
+    contents: dict[str, dict[str, int]] = {}
+    last: dict[tuple[str, str], tuple[int, dict[str, Any]]] = {}
     unsaved: list[TaskResult] = []
     with engine.connected() as client, progress('calibrating') as show:
         connected(client.dashboard_link)
@@ -153,9 +158,11 @@ def run_batch(
             'known_superseded': known & catalogue.keys(status=SUPERSEDED),
         }
         try:
-            for k, (job, ended) in enumerate(_results_of_each(client, jobs, known, task), 1):
+            for k, (number, ended) in enumerate(_results_of_each(client, jobs, known, task), 1):
                 for done in ended:
-                    names.setdefault(done.key, []).append(job.recording)
+                    names.setdefault(done.key, []).append(jobs[number].recording)
+                    content = done.sha256 if done.row is None else done.row['sha256']
+                    contents.setdefault(content, {}).setdefault(done.key, number)
                     if len(names[done.key]) > 1:
                         count['repeated'] += 1
                     elif done.row is None:
@@ -164,6 +171,8 @@ def run_batch(
                             count[name] += done.key in keys
                     else:
                         count['calibrated' if done.row['status'] == CALIBRATED else 'failed'] += 1
+                        if done.row['status'] == CALIBRATED:
+                            _supersede(last, number, done.row)
                         unsaved.append(done)
                 now = time.monotonic()
                 between = max(_FLUSH, min(_FLUSH_SHARE * (now - begun), _LATEST_FLUSH))
@@ -185,13 +194,62 @@ def run_batch(
         seconds=seconds,
         convertible=(),
         alike=tuple(alike),
+        contradictory=tuple(_contradictory(catalogue, jobs, names, contents)),
     )
+
+
+def _supersede(
+    last: dict[tuple[str, str], tuple[int, dict[str, Any]]], number: int, row: dict[str, Any]
+) -> None:
+    """Let the last job on a recording count, in whatever order they end."""
+    content = row['sha256'], row['topic']
+    before, last[content] = sorted(
+        [last.get(content, (-1, {})), (number, row)], key=lambda one: one[0]
+    )
+    before[1]['status'] = SUPERSEDED
+
+
+def _contradictory(
+    catalogue: Catalogue,
+    jobs: Sequence[Job],
+    names: Mapping[str, Sequence[str]],
+    contents: Mapping[str, Mapping[str, int]],
+) -> Iterator[str]:
+    """Yield sentences on recordings for which the jobs state different things.
+
+    Args:
+        catalogue: With the rows of the jobs.
+        jobs: The jobs.
+        names: Of recordings, by the keys of the rows.
+        contents: Number of the job of each key, by the hash of the recording.
+    """
+    several = {key: k for keys in contents.values() if len(keys) > 1 for key, k in keys.items()}
+    if not several:
+        return
+    found: dict[tuple[str, str], list[str]] = {}
+    for row in catalogue.table().select(['key', 'sha256', 'topic']).to_pylist():
+        if row['key'] in several and row['sha256']:
+            found.setdefault((row['sha256'], row['topic']), []).append(row['key'])
+    for keys in found.values():
+        keys.sort(key=several.__getitem__)
+        every = [{**vars(j.stated), **vars(j.labels)} for j in (jobs[several[k]] for k in keys)]
+        differ = [name for name in every[0] if len({str(one[name] or '') for one in every}) > 1]
+        if differ:
+            parts = [
+                f'{listed(sorted(set(names[key])))} '
+                f'({", ".join(f"{name} {one[name] or chr(45)}" for name in differ)})'
+                for key, one in zip(keys, every, strict=True)
+            ]
+            yield (
+                f'{listed(parts)} are the same recording: correct what is stated of them; the last '
+                'of them counts until then'
+            )
 
 
 def _results_of_each(
     client: Client, jobs: Sequence[Job], known: frozenset[str], task: Task
-) -> Iterator[tuple[Job, Sequence[TaskResult]]]:
-    """Yield each job with its results, one for each unit, in the order of completion."""
+) -> Iterator[tuple[int, Sequence[TaskResult]]]:
+    """Yield each job's number with its results, one for each unit, in the order of completion."""
     for number, outcome in outcomes(client, task, jobs, known):
         done = lost(jobs[number]) if isinstance(outcome, WorkerDied) else outcome
-        yield jobs[number], done.results
+        yield number, done.results

@@ -7,7 +7,7 @@ import json
 import math
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from types import MappingProxyType
@@ -51,6 +51,8 @@ class TaskResult:
     row: dict[str, Any] | None = None  #: For the catalogue; None if the catalogue has it.
     calibration: str = ''  #: Text of calibration.yaml; empty without one.
     others: tuple[TaskResult, ...] = ()  #: Results for the other units of the recording.
+    #: Of a known recording's content; a row states it.
+    sha256: str = field(default='', compare=False)
 
     @property
     def results(self) -> tuple[TaskResult, ...]:
@@ -116,7 +118,7 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> TaskResult:
         sha256 = content_of(path)
         key = key_of(job, sha256)
         if key in known:
-            return TaskResult(key)
+            return TaskResult(key, sha256=sha256)
         with recording_at(path, sha256=sha256) as recording:
             if _is_of_several(job, recording):
                 return _several(job, recording, key, known, begun)
@@ -171,7 +173,7 @@ def _several(
     imus = job.imus or None
     keys = [key_of_unit(key, serial) for serial in serials_in(recording, imus)]
     if known.issuperset(keys):
-        return _as_one(TaskResult(one) for one in keys)
+        return _as_one(TaskResult(one, sha256=recording.sha256()) for one in keys)
     found = units_of_recording(recording, imus, job.stated)
     start, sha256 = recording.start_ns, recording.sha256()
     # The common work is done once: each unit gets its share of the time.

@@ -390,6 +390,37 @@ def test_a_recording_with_other_options_counts_once(recordings, tmp_path, capsys
     assert '1 done before (1 superseded)' in out and '--retry goes back to these options' in out
 
 
+@pytest.mark.parametrize('first', [0, 1])
+def test_a_recording_stated_in_two_ways_is_named_and_the_last_counts(first, tmp_path):
+    jobs = [Job(name, labels=Labels(stand=stand)) for name, stand in (('a', 'w'), ('b', 'e'))]
+    kept = Catalogue(tmp_path / 'catalogue', create=True)
+
+    def ended(*_):
+        # The workers end in any order; each row is added before the next one is there.
+        for k in (first, 1 - first):
+            row = failed(jobs[k], f'{k:032x}', 'same', '', 0) | {'status': 'calibrated'}
+            yield k, [TaskResult(row['key'], row, 'K: 1')]
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr('imu_calib.fleet.batch._results_of_each', ended)
+        patched.setattr('imu_calib.fleet.batch._MOST', 1)
+        found = run_batch(jobs, kept, _NoEngine())
+    sentence = 'a (stand w) and b (stand e) are the same recording: correct what is stated'
+    assert [one.startswith(sentence) for one in found.contradictory] == [True]
+    assert {row['recording']: row['status'] for row in rows(kept.folder)} == {
+        'a': 'superseded',
+        'b': 'calibrated',
+    }
+
+
+class _NoEngine:
+    """An engine without workers."""
+
+    @contextmanager
+    def connected(self):
+        yield SimpleNamespace(dashboard_link='')
+
+
 def test_two_clients_and_a_reader_at_a_time(tmp_path):
     folder = tmp_path / 'c'
     Catalogue(folder, create=True)
