@@ -17,6 +17,7 @@ from ..calibration.sample_clock import WholeStream
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_unit, first_of
 from ..common.arguments import checked
 from ..common.errors import InputError, NotObservable
+from ..common.finding import warning
 from ..common.progress import Progress, silent
 from ..common.stream import ImuBlock, Stamps
 from ..common.units import counted
@@ -318,7 +319,7 @@ def _read_ahead(
 def _findings(stream: _Stream) -> list[str]:
     """Return messages for the user about the samples."""
     compensator = stream.compensator
-    sent = stream.samples_in - compensator.repeats
+    sent, imu = stream.samples_in - compensator.repeats, first_of(compensator.calibration).imu
     known = []
     if 0 < stream.samples_out < _MOST * sent:
         known.append(
@@ -326,18 +327,18 @@ def _findings(stream: _Stream) -> list[str]:
             'compensated.'
         )
     known += [
-        f'{compensator.counts[m]} samples: {words}.'
+        f'{compensator.counts[m]} samples show {words}.'
         for m, words in MARK_WORDS.items()
         if compensator.counts[m]
     ]
     if not compensator.gravity.is_gravity:
-        known.append(compensator.gravity.contradiction(first_of(compensator.calibration).imu))
+        known.append(warning(compensator.gravity.contradiction(imu)))
     if compensator.alone:
         known.append(f'{compensator.alone} samples have no value of the skewed gyro.')
     if compensator.repeats:
         known.append(f'{compensator.repeats} samples came twice and are written once.')
     if stream.turns.contradict:
-        known.append(stream.turns.contradiction(first_of(compensator.calibration).imu))
+        known.append(warning(stream.turns.contradiction(imu)))
     if compensator.untimed:
         known.append(
             f'{compensator.untimed} samples have no neighbours that show the sample interval: '

@@ -386,6 +386,8 @@ def export(
         path = beside = target.absolute().with_name(f'{target.stem}_calibration.yaml')
     sheet = None if imu is None else as_imu(imu)
     source = ExportSource(first_of(loaded), path, sample_rate, topic or TOPIC, sheet)
+    if target is not None:
+        source = replace(source, file=target.name)
     exported = EXPORTS[format](source)
     if beside is not None:
         (loaded if combined else first_of(loaded)).save(beside)

@@ -12,7 +12,6 @@ from ..calibration.noise_at_rest import NoiseAtRest, noise_at_rest
 from ..common.arguments import checked
 from ..common.errors import InputError, NotObservable
 from ..common.files import printable
-from ..common.finding import warning
 from ..common.processes import by_one_thread
 from ..common.progress import Progress, silent
 from ..recordings.cdr_codec import Kind
@@ -106,7 +105,7 @@ def noise(
 def _units_in_doubt(found: NoiseAtRest) -> list[str]:
     """Warn of mean outputs that no unit at rest has: all densities are then of wrong units."""
     seen = against_si(found.mean[None, 3:], found.mean[None, :3])
-    return [warning(units_in_doubt(seen))] if seen else []
+    return [units_in_doubt(seen)] if seen else []
 
 
 def _read(

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..common.errors import InputError, NotStated
 from ..common.files import shipped
+from ..common.finding import warning
 from ..common.progress import Progress, silent
 from ..common.stream import Block, Floats, ImuBlock, Units
 from ..common.units import LARGEST, STANDARD_GRAVITY
@@ -122,8 +123,8 @@ def against_si(force: Floats, rate: Floats) -> str:
 
 
 def units_in_doubt(seen: str) -> str:
-    """Return the sentence on stated units, given what `against_si` returned."""
-    return f'The stated units may be wrong: {seen}.'
+    """Return a warning of the stated units, given what `against_si` returned."""
+    return warning(f'The stated units may be wrong: {seen}.')
 
 
 def is_hand_held(session: Segmented) -> bool:

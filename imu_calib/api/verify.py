@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..calibration.calibration import Calibration
+from ..calibration.compensate import TurnsSeen
+from ..calibration.diagnosis import Diagnosis
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_identity, first_of
-from ..calibration.verify import Verification
+from ..calibration.verify import Verdict, Verification
 from ..calibration.verify import verify as judge
 from ..common.errors import InputError, NotObservable, NotStated
 from ..common.processes import by_one_thread
 from ..common.progress import Progress, silent
-from ..common.stream import Floats, iso
+from ..common.stream import Floats, ImuBlock, Units, iso
 from ..estimation.hand import NAME as FREE_POSITIONS
 from ..estimation.system import observe
 from ..recordings.order import StampSorter
@@ -27,6 +29,7 @@ from ..session.keywords import Named, Stated, Verified, with_keywords
 from ..session.metadata import compensated_already
 from ..session.plan import UNPLANNED
 from .files import Recorded, recording_at
+from .opening import against_si
 from .session import (
     as_applied,
     contradicted_latitude,
@@ -122,13 +125,15 @@ def _verify(
             raise
         raise error.followed_by(f'{name} was made at latitude {own:g}.') from None
     table = table_of(stated, recording) if streams.joints is not None else None
-    segmenter = Segmenter(imu, table)
+    segmenter, moving = Segmenter(imu, table), TurnsSeen()
     kinds = {t: kind for t, kind in streams.kinds().items() if t != streams.skew}
     order = StampSorter()
     with refused_by_stamps(recording, streams):
         with progress('reading') as show:
             for block in order.sorted_blocks(recording.read(kinds, show), streams.imu):
                 segmenter.add_block(block)
+                if isinstance(block, ImuBlock) and imu.units is Units.SI:
+                    moving.add_samples(block.stamp, block.gyro, block.accel)
         session = segmenter.finish()
         calibration, notes = _at_temperature(loaded, session.temperature)
         try:
@@ -141,9 +146,35 @@ def _verify(
     found = judge(
         calibration, replace(observed, notes=(*already, *order.sentences, *notes, *observed.notes))
     )
+    found = _with_units(found, moving, session, imu)
     if _made_from(calibration, recording, session, observed.evidence.walk):
         return replace(found, findings=(_THE_SAME, *found.findings), own_recording=True)
     return found
+
+
+def _with_units(
+    found: Verification, moving: TurnsSeen, session: Segmented, imu: ImuSpec
+) -> Verification:
+    """Return a verification whose rejections name other units, where gravity shows them.
+
+    Lengths at rest do not show the scale of gyros, nor dwells alone one that is far off.
+    """
+    if imu.units is not Units.SI:
+        return found
+    at_rest = np.array([s.statistics.mean for s in session.segments]).reshape(-1, 6)
+    wrong = {
+        True: moving.contradiction(imu) if moving.contradict else '',
+        False: against_si(at_rest[:, 3:], np.zeros((0, 3))) if len(at_rest) else '',
+    }
+    if wrong[False]:
+        wrong[False] = f'The samples are not in the units of the calibration (si): {wrong[False]}.'
+    triads = tuple(
+        replace(triad, diagnosis=Diagnosis(text))
+        if (text := wrong[triad.gyros]) and triad.verdict is Verdict.FAIL
+        else triad
+        for triad in found.triads
+    )
+    return replace(found, triads=triads)
 
 
 def _made_from(

@@ -47,7 +47,7 @@ class Mark(IntFlag):
 MARK_WORDS = {
     Mark.GYRO_RANGE: 'a saturated gyro (covariance -1: no estimate)',
     Mark.ACCEL_RANGE: 'a saturated accelerometer (covariance -1: no estimate)',
-    Mark.RATE: 'rotation faster than in the calibration',
+    Mark.RATE: 'rotation faster than in the calibration (its scale factors are extrapolated)',
     Mark.TEMPERATURE: 'temperature outside that of the calibration (the nearest is used)',
     Mark.PARITY: 'four gyros that contradict each other',
     Mark.NO_NUMBER: 'values that are not numbers, or too large to compute with (left out)',

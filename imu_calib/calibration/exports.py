@@ -34,6 +34,7 @@ class ExportSource:
     topic: str = TOPIC  #: Of the IMU's stream.
     #: Data sheet of the IMU, for noise that the calibration does not state; or None.
     sheet: ImuSpec | None = None
+    file: str = 'imu_calib.h'  #: Name of the written header.
 
     def rate_for(self, purpose: str) -> float:
         """Return the sample rate, Hz."""
@@ -373,6 +374,7 @@ def export_c_header(source: ExportSource) -> Exported:
     text = _TEMPLATE.format(
         imu=_comment(calibration.unit_name),
         guard=guard,
+        file=source.file,
         what=what,
         constants=constants,
         per_interval=per_interval,
@@ -484,7 +486,7 @@ _TEMPLATE = """\
 {formula} * Matrices are stored row by row and multiply column vectors from the left. SI units.
  *
  * Usage:
- *   #include "imu_calib.h"       define IMU_CALIB_FLOAT before it for single precision
+ *   #include "{file}"       define IMU_CALIB_FLOAT before it for single precision
  *   imu_calib_real rate[3], force[3];
  *   imu_calib_compensate(raw_gyro, raw_accel, 0.01, rate, force);
  */

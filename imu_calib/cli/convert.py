@@ -122,7 +122,7 @@ def run_compensate(arguments: argparse.Namespace) -> None:
     used = f', with {", ".join(done.further_topics)}' if done.further_topics else ''
     OUTPUT.print(
         f'{done.samples_out} of {done.samples_in} samples of {done.topic}{used} written to '
-        f'{arguments.output}',
+        f'{arguments.output} as {done.target}',
         markup=False,
     )
     print_findings(done.findings, verbose=True)

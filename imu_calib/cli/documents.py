@@ -65,10 +65,9 @@ def run_report(arguments: argparse.Namespace) -> CommandResult:
         found = conformity(arguments.calibration, imu)
         OUTPUT.print(summary(found.assessed))
     else:
-        OUTPUT.print(
-            "no verdicts: the IMU's file has no specification (docs/report.md)"
-            if imu is not None
-            else "no verdicts: give the IMU's file with --imu, or the recording"
+        print_text(
+            'The values are not judged: that takes an IMU file with a specification, given as '
+            '--imu (docs/report.md).'
         )
     document = {
         'file': str(path),

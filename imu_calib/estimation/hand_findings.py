@@ -109,16 +109,16 @@ def wrong_latitude(evidence: Evidence, latitude: float) -> Contradiction:
 
     Accelerometers with the other sign see down where up is: north of the equator turns like south.
     """
-    sign = ''
+    remedy = 'State the latitude of the site.'
     if latitude * evidence.site.latitude < 0:
-        sign = (
-            ' Accelerometers of the opposite sign do the same: at rest the one that points up has '
-            'to read +1 g.'
+        remedy = (
+            'Either the latitude has the wrong sign (it is negative in the south), or all '
+            'accelerometers have: at rest the one that points up has to read +1 g.'
         )
     return Contradiction(
         f'The data contradicts the latitude {evidence.site.latitude / DEG:.2f} deg: the gyros fit '
-        f'a latitude of {latitude / DEG:.2f} deg, with odds of more than a thousand to one. State '
-        f'the latitude of the site, negative in the south.{sign}'
+        f'a latitude of {latitude / DEG:.2f} deg, with odds of more than a thousand to one. '
+        f'{remedy}'
     )
 
 

@@ -75,7 +75,7 @@ def summary(assessed: Sequence[Assessed]) -> str:
     """Return the number of parameters that pass, as text."""
     counts = Counter(a.verdict for a in assessed)
     if not sum(counts[v] for v in Verdict):
-        return 'No specification was given: values without verdicts.'
+        return 'The values are not judged: no file of the IMU with a specification was given.'
     words = [
         f'{counts[Verdict.PASS]} of {len(assessed)} parameters within the specification',
         f'{counts[Verdict.MARGINAL]} marginal',

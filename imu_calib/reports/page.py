@@ -373,7 +373,7 @@ def _thermal_head(
     first, last = combined.calibrations[0], combined.calibrations[-1]
     verdict = worst([a for some in each for a in some])
     if verdict is None:
-        text = 'No specification was given: values without verdicts.'
+        text = 'The values are not judged: no file of the IMU with a specification was given.'
     else:
         passed = sum(all(a.verdict is None or a.verdict.value == 'pass' for a in s) for s in each)
         text = f'Within the specification at {passed} of {len(each)} temperatures.'

@@ -96,11 +96,13 @@ def test_values_beyond_all_measure_are_named_and_left_out(tmp_path, session, cal
         done = compensate(bag, calibration, tmp_path / f'out_{name}')
         assert done.samples_out == len(session) - 3
         assert done.findings == (
-            '3 samples: values that are not numbers, or too large to compute with (left out).',
+            '3 samples show values that are not numbers, or too large to compute with (left out).',
         )
         assert np.isfinite(rates(tmp_path / f'out_{name}')).all()
     bag = written(tmp_path / 'bag', replace(session, accel=np.full_like(session.accel, value)))
-    with pytest.raises(NotObservable, match=f'{len(session)} samples: values that are not') as told:
+    with pytest.raises(
+        NotObservable, match=f'{len(session)} samples show values that are not'
+    ) as told:
         compensate(bag, calibration, tmp_path / 'out')
     assert 'inf' not in str(told.value)
 
@@ -130,7 +132,7 @@ def test_rates_in_degrees_are_named(tmp_path, session, calibration, wrong):
     assert len(named) == (wrong == 'deg/s')
     assert any('turn gravity' in text for text in found) == (wrong == 'deg/s')
     if named:
-        assert named[0].startswith('The gyros turn gravity 57.')
+        assert named[0].startswith('Warning: The gyros turn gravity 57.')
 
 
 def test_the_data_sheet_of_a_unit_calibrated_in_the_hand_gives_the_noise(

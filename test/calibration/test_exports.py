@@ -11,6 +11,7 @@ import yaml
 from c_program import compensated_in_c
 from installed import needs_modules
 
+import imu_calib
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.exports import EXPORTS, ExportSource
 from imu_calib.cli.main import main
@@ -215,6 +216,11 @@ def test_the_c_header_gives_our_values(name, define, tolerance, tmp_path):
         (found[:, 0::2], found[:, 1::2]), ours(calibration, gyro, accel), strict=True
     ):
         assert np.abs(mine - theirs).max() < tolerance * np.abs(theirs).max()
+
+
+def test_the_c_header_is_included_by_its_name(tmp_path):
+    imu_calib.export(unit('si'), 'c', tmp_path / 'imu.h')
+    assert '#include "imu.h"' in (tmp_path / 'imu.h').read_text(encoding='utf-8')
 
 
 @pytest.mark.parametrize('name', EXPORTS)

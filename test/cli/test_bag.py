@@ -218,6 +218,26 @@ def test_of_biases_that_moved_alone_the_verdict_says_so(by_latitude, tmp_path):
     assert found.outcome == 'REJECTED: the recording contradicts the calibration.'
 
 
+@pytest.mark.parametrize(
+    ('scale', 'sensors', 'words'),
+    [
+        ((1 / DEG, 1.0), 0, 'Rates in deg/s, stated as rad/s'),
+        ((1.0, 1 / STANDARD_GRAVITY), 1, 'not 9.8; 1 would be g'),
+    ],
+)
+def test_numbers_in_other_units_than_those_of_the_calibration_are_named(
+    made, scale, sensors, words, tmp_path, capsys
+):
+    other = recorded(tmp_path / 'other', '/imu/data_raw', scale=scale, seed=2)
+    found = imu_calib.verify(other, made, latitude=LATITUDE).triads[sensors]
+    assert found.verdict is Verdict.FAIL and words in found.diagnosis.symptom
+    assert 'another unit' not in found.diagnosis.symptom
+    assert main(['compensate', other, '--calibration', made, '-o', str(tmp_path / 'out')]) == 0
+    shown = capsys.readouterr().out
+    assert 'written to' in shown and 'as /imu/data_calibrated' in ' '.join(shown.split())
+    assert 'Warnings' in shown and 'not in the units of the calibration' in ' '.join(shown.split())
+
+
 def test_few_holds_are_said_on_the_screen_with_what_to_do(tmp_path, capsys):
     few, fewer = (recorded(tmp_path / f'{k}', '/imu', holds=k) for k in (12, 6))
     words = ['--latitude', str(LATITUDE), '-o', str(tmp_path / 'c.yaml')]

@@ -326,7 +326,7 @@ def test_numbers_of_other_units_than_stated_are_said(stated, sentence, tmp_path)
     path = write(tmp_path / 'log.csv', ROW + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n')
     words = {'gyro': 'wx,wy,wz:deg/s', 'accel': 'ax,ay,az:g', 'stamp': 't:s'} | stated
     (finding,) = imu_calib.convert(path, tmp_path / 'out', **words).findings
-    assert finding.startswith('The stated units may be wrong: ') and sentence in finding
+    assert finding.startswith('Warning: The stated units may be wrong: ') and sentence in finding
 
 
 def test_gyros_and_accelerometers_in_two_files_become_one_recording(tmp_path, capsys):

@@ -153,7 +153,7 @@ def test_verdicts_at_the_limit(value, std, verdict):
 
 def test_without_a_specification_no_verdict_is_given(contents):
     bare = replace(contents, imu=paper_imu_without_limits(), others=None)
-    assert 'No specification was given' in page(bare)
+    assert 'no file of the IMU with a specification was given' in page(bare)
     assert list(parameter_rows(page(bare))) == list(PARAMETER_NAMES)
     assert 'class="badge' not in page(bare)
 
