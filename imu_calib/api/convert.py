@@ -385,7 +385,7 @@ def _columns(
 def _parted(stated: str) -> tuple[list[str], str]:
     """Split 'NAME,NAME:UNIT' into names and unit."""
     names, _, unit = stated.rpartition(':')
-    return [name.strip() for name in names.split(',')], unit.strip()
+    return [name.strip() for name in names.split(',')], unit.strip().replace('°', 'deg')
 
 
 # Convert recordings of other software to recordings that every command reads.

@@ -23,7 +23,9 @@ def add_convert_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('-o', '--output', required=True, metavar='DIR', help='folder to create')
     text = parser.add_argument_group(
-        'text files', 'NAME: as in the heading of the file, or the place of a column from 1 on.'
+        'text files',
+        'NAME: as in the heading of the file, or the place of a column from 1 on (simpler where a '
+        'name has blanks, which takes quotes).',
     )
     text.add_argument('--stamp', metavar='NAME:UNIT', help='time of each row, in s, ms, us or ns')
     text.add_argument('--rate', metavar='HZ', help='of the rows, if no column has their time')

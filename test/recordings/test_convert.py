@@ -539,3 +539,9 @@ def test_a_bag_of_ros_1_without_an_imu_leaves_nothing_behind(tmp_path):
     for name in ('talk.bag', 'torn.bag'):
         assert main(['convert', str(tmp_path / name), '-o', str(tmp_path / 'out')]) == 2
         assert not (tmp_path / 'out').exists()
+
+
+def test_degrees_may_be_written_by_their_sign(tmp_path):
+    path = write(tmp_path / 'log.csv', ROW + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n')
+    words = {'gyro': 'wx,wy,wz:°/s', 'accel': 'ax,ay,az:g', 'stamp': 't:s'}
+    assert imu_calib.convert(path, tmp_path / 'out', **words).findings == ()
