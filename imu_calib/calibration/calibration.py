@@ -419,7 +419,8 @@ class Calibration:
                 'recording.'
             )
         columns = [np.array([r.gyro for r in rows]), np.array([r.accel for r in rows])]
-        return draw_residuals(self.unit_name, [r.position for r in rows], columns)
+        positions = [r.position for r in rows]
+        return draw_residuals(self.unit_name, positions, columns, by_hand=self.by_hand)
 
     def plot_noise(self) -> Figure:
         """Draw the Allan deviation of the session; return the matplotlib Figure.

@@ -20,7 +20,7 @@ import yaml
 from ..common.errors import InputError
 from ..common.files import require
 from ..common.stream import Floats, iso
-from ..common.units import ARCSEC, DEG_H, HOUR, MICRO_G, STANDARD_GRAVITY
+from ..common.units import ARCSEC, DEG_H, HOUR, MICRO_G, STANDARD_GRAVITY, lasting
 from ..segmentation.allan import AllanSums, Term, counter_share, own_spread, unit_variances
 from ..segmentation.long_rest import LongRest
 from ..segmentation.noise import AllanPoints, Fitted, fit
@@ -148,7 +148,7 @@ class NoiseAtRest:
     topic: str = TOPIC  #: Of the recording.
 
     def __repr__(self) -> str:
-        return f'<NoiseAtRest of {self.imu}: {self.seconds / HOUR:.3g} h at {self.rate:.4g} Hz>'
+        return f'<NoiseAtRest of {self.imu}: {lasting(self.seconds)} at {self.rate:.4g} Hz>'
 
     def triad(self, units: TriadUnits) -> dict[str, ChannelAllan]:
         """Return the channels of a triad by name."""
@@ -382,7 +382,7 @@ def export_noise(
         raise InputError(f'`format`: found {format!r}, expected one of {", ".join(NOISE_EXPORTS)}.')
     gyro, accel = filter_noise(noise, GYRO), filter_noise(noise, ACCEL)
     notes = tuple(one.note for one in (gyro, accel) if one.note)
-    head = f'# Noise of {noise.imu} at rest for {noise.seconds / 3600:.3g} h, by imu_calib.\n'
+    head = f'# Noise of {noise.imu} at rest for {lasting(noise.seconds)}, by imu_calib.\n'
     return Exported(write(noise, gyro, accel, topic or noise.topic).replace('{head}', head), notes)
 
 

@@ -19,7 +19,7 @@ from ..common.errors import InputError
 from ..common.files import require
 from ..common.stream import Floats, Stamps
 from ..common.units import decimals, significant
-from ..model.parameters import Parameter, engineering
+from ..model.parameters import PARAMETERS, Parameter, engineering
 from ..session.imu import COEFFICIENTS, TRIAD_NAMES, ChannelNoise
 
 if TYPE_CHECKING:
@@ -178,16 +178,20 @@ def draw_parameters(
     return figure
 
 
-def draw_residuals(unit_name: str, positions: Sequence[str], residuals: list[Floats]) -> Figure:
+def draw_residuals(
+    unit_name: str, positions: Sequence[str], residuals: list[Floats], *, by_hand: bool = False
+) -> Figure:
     """Draw the residuals of each static dwell by position: (n, 3) of each triad, SI."""
     figure = empty_figure(2 * _HEIGHT, _HEIGHT)
     for triad, own, axes in zip(TRIAD_NAMES, residuals, figure.subplots(1, 2), strict=True):
+        bias = next(p for p in PARAMETERS if p.name == f'D_{triad.channels[0]}')
+        unit = engineering(bias, by_hand=by_hand)
         axes.axhline(0.0, color='0.7', linewidth=0.8)
-        for channel, column in zip('xyz', own.T / triad.rate_scale, strict=True):
+        for channel, column in zip('xyz', own.T / unit.scale, strict=True):
             axes.plot(column, 'o', markersize=4, label=channel)
-        _name(axes, positions)
+        _name(axes, positions, most=_NAMES // 2)
         axes.set_xlabel('position')
-        axes.set_ylabel(f'residual, {triad.rate}')
+        axes.set_ylabel(f'residual, {unit.unit}')
         axes.set_title(f'{triad.name}s')
         axes.legend()
     figure.suptitle(f'{unit_name}: residuals of the static dwells')
@@ -307,8 +311,8 @@ def _beside_normal(axes: Axes) -> None:
         axes.axhline(level, color='0.6', linewidth=0.8, linestyle='--')
 
 
-def _name(axes: Axes, names: Sequence[str], first: int = 0) -> None:
-    step = -(-len(names) // _NAMES)
+def _name(axes: Axes, names: Sequence[str], first: int = 0, most: int = _NAMES) -> None:
+    step = -(-len(names) // most)
     axes.set_xticks(range(first, first + len(names), step), names[::step], rotation=90)
 
 

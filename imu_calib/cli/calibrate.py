@@ -17,7 +17,7 @@ from ..calibration.noise_at_rest import NOISE_EXPORTS, NoiseAtRest
 from ..calibration.verify import Verdict, Verification
 from ..common.errors import InputError
 from ..common.files import require, write_by, write_whole
-from ..common.units import HOUR
+from ..common.units import lasting
 from ..recordings.remote import located
 from ..reports.assessment import summary
 from ..reports.budget import budget_sources, budget_tables
@@ -353,7 +353,7 @@ def _picture_path(stated: str) -> Path:
 
 def _show_noise(found: NoiseAtRest) -> None:
     OUTPUT.print(
-        f'{found.imu}: {found.seconds / HOUR:.3g} h at rest, {found.samples} samples at '
+        f'{found.imu}: {lasting(found.seconds)} at rest, {found.samples} samples at '
         f'{found.rate:.6g} Hz',
         markup=False,
     )

@@ -140,6 +140,16 @@ def counted(number: int, noun: str, plural: str = '') -> str:
     return f'{number} {noun if number == 1 else plural or f"{noun}s"}'
 
 
+def lasting(seconds: float) -> str:
+    """Return a duration of a rest in hours, below one in minutes.
+
+    Examples:
+        >>> lasting(120.0), lasting(9000.0)
+        ('2 min', '2.5 h')
+    """
+    return f'{seconds / 60:.3g} min' if seconds < HOUR else f'{seconds / HOUR:.3g} h'
+
+
 def significant(value: float, digits: int = 2) -> str:
     """Return a number with so many significant digits, without an exponent.
 

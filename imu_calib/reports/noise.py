@@ -11,7 +11,7 @@ import numpy as np
 
 from ..calibration.noise_at_rest import KINDS, ChannelAllan, Kind, NoiseAtRest
 from ..common.stream import utc
-from ..common.units import HOUR, decimals, typeset
+from ..common.units import HOUR, decimals, lasting, typeset
 from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, ImuSpec, TriadSpec, TriadUnits
 from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, section, table
@@ -80,7 +80,7 @@ def noise_page(noise: NoiseAtRest) -> str:
     date = utc(noise.start)
     pairs = [
         ('recorded', '-' if date is None else f'{date:%Y-%m-%d %H:%M} UTC'),
-        ('duration', f'{noise.seconds / HOUR:.3g} h'),
+        ('duration', lasting(noise.seconds)),
         ('samples', f'{noise.samples} at {noise.rate:.6g} Hz'),
     ]
     if noise.temperature is not None:

@@ -1,6 +1,7 @@
 """A calibration in a notebook: labelled numbers, samples in memory, a table for the eye."""
 
 import re
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -106,6 +107,13 @@ def test_a_notebook_shows_no_zero_that_is_a_choice_of_axes(tmp_path):
     assert len(frame) == 21 and 'E_ayx' in frame.index and 'E_axy' not in frame.index
     drawn = [t.get_text() for a in calibration.plot().axes for t in a.get_xticklabels()]
     assert sorted(drawn) == sorted(frame.index)
+    residuals = calibration.plot_residuals()
+    residuals.canvas.draw()
+    for axes, unit in zip(residuals.axes, ('deg/s', 'mg'), strict=True):
+        assert axes.get_ylabel() == f'residual, {unit}'
+        boxes = [label.get_window_extent() for label in axes.get_xticklabels()]
+        assert len(boxes) > 10
+        assert not any(a.overlaps(b) for a, b in pairwise(boxes))
     assert '<th>E_ayx</th>' in page
     assert '<th>E_axy</th>' not in page
     # A truth is exact, and its values are shown.

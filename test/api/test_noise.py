@@ -141,7 +141,7 @@ def test_the_command_prints_and_writes(bag, tmp_path, capsys):
     assert main(['noise', str(bag), '--topic', '/my/imu', *options]) == 0
     shown = capsys.readouterr().out
     assert len(shown.splitlines()) <= 40
-    for words in ('random walk N', 'deg/sqrt(h)', '95 % limit', 'still: 0.0833 h at rest'):
+    for words in ('random walk N', 'deg/sqrt(h)', '95 % limit', 'still: 5 min at rest'):
         assert words in shown
     page = files['html'].read_text(encoding='utf-8')
     assert page.count('<svg') == 2 and 'Noise of still' in page and '<script' not in page
