@@ -414,10 +414,9 @@ def _show_verification(verification: Verification, *, verbose: bool) -> None:
     print_text(limits_line(verification))
     diagnoses = [t.diagnosis for t in verification.triads if t.diagnosis is not None]
     sentence_list('Symptoms', [d.symptom for d in diagnoses])
-    for diagnosis in diagnoses:
-        if diagnosis.moved:
-            OUTPUT.print()
-            OUTPUT.print(moved_table(diagnosis.moved, by_hand=verification.by_hand))
+    if moved := [m for d in diagnoses for m in d.moved]:
+        OUTPUT.print()
+        OUTPUT.print(moved_table(moved, by_hand=verification.by_hand))
     print_findings(verification.findings, verbose=verbose)
     OUTPUT.print()
     print_text(verification.outcome)

@@ -63,7 +63,7 @@ def worst_of(verification: Verification, most: int | None = None) -> Iterator[Wo
 def moved_table(moved: Sequence[ShiftedParameter], *, by_hand: bool) -> Table:
     """Return the parameters that differ in a session, in the units of `parameter_table`."""
     table = plain_table(('parameter', 'moved by', 'std', 'unit', 'in std'), 'lrrlr')
-    for one in sorted(moved, key=lambda m: -abs(m.difference / m.std)):
+    for one in sorted(moved, key=lambda m: (m.parameter.triad == 'a', -abs(m.difference / m.std))):
         shown = engineering(one.parameter, by_hand=by_hand)
         std = one.std / shown.scale
         table.add_row(

@@ -202,7 +202,7 @@ def test_lengths_find_biases_that_moved_without_a_bias_instability(bag, by_latit
     assert not any('did not converge' in text for text in found.findings)
 
 
-def test_of_biases_that_moved_alone_the_verdict_says_so(by_latitude, tmp_path):
+def test_of_biases_that_moved_alone_the_verdict_says_so(by_latitude, tmp_path, capsys):
     made, bag = by_latitude, recorded(tmp_path / 'hand', '/imu', seed=2)
     moved = [{'g': 0.05 * DEG, 'a': 0.03}[p.triad] * (p.name[0] == 'D') for p in made.parameters]
     other = replace(made, model=made.model.with_values(made.parameters, made.values + moved))
@@ -212,6 +212,12 @@ def test_of_biases_that_moved_alone_the_verdict_says_so(by_latitude, tmp_path):
     assert 'deg/s, accelerometers by 3' in found.outcome
     # Lengths do not show scale factors and angles of gyros: nothing is said of these.
     assert 'Scale factors and angles of the accelerometers agree; those of the gyros' in str(found)
+    other.save(tmp_path / 'other.yaml')
+    words = ['--calibration', str(tmp_path / 'other.yaml'), '--latitude', str(LATITUDE)]
+    assert main(['verify', bag, *words]) == 1
+    # One table for both, on a screen of 40 lines with what standard error has.
+    shown = capsys.readouterr()
+    assert len((shown.out + shown.err).splitlines()) <= 40 and 'D_az' in shown.out
     scaled = made.values + moved + [0.01 * (p.name == 'K_ax') for p in made.parameters]
     other = replace(made, model=made.model.with_values(made.parameters, scaled))
     found = imu_calib.verify(bag, other, latitude=LATITUDE)
