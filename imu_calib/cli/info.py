@@ -22,7 +22,7 @@ from .outcome import (
     add_verbose_option,
     write_text,
 )
-from .terminal import OUTPUT, progress_bar, sentence_list
+from .terminal import OUTPUT, list_lines, progress_bar, sentence_list
 
 if TYPE_CHECKING:
     from ..api.stream_contents import StreamContents
@@ -115,19 +115,27 @@ def _show_clocks(found: Inspection, *, verbose: bool) -> None:
 
 _ROWS, _TURNS = 20, 8
 """Dwells and turns, and turns if there are as many dwells, that fit a screen with the rest."""
+_LISTED = 3  #: Lines of sentences below them that fit, too.
 
 
 def _show(contents: StreamContents, *, verbose: bool) -> None:
     OUTPUT.print('\ntimes: s from the start of the recording\n')
     rows, turns = _dwells(contents), _turns(contents)
-    room = _ROWS - min(len(turns), _TURNS)
+    lists = {
+        'Problems': contents.contradictions,
+        'Left out': contents.left_out,
+        'Lost': contents.lost,
+    }
+    fitting = _ROWS - max(0, sum(map(list_lines, lists.values())) - _LISTED)
+    # Of turns some are mostly left out already: they make room.
+    room = _ROWS - min(len(turns), _TURNS) if turns else max(fitting, 1)
     _show_rows(_OF_DWELLS, 'rrrrlrl', rows, None if verbose else room)
     if verbose:
         OUTPUT.print()
         OUTPUT.print(_outputs(contents))
     if turns:
         OUTPUT.print()
-        room = _ROWS - min(len(rows), room)
+        room = max(fitting - min(len(rows), room), 1)
         _show_rows(_OF_TURNS, 'rrrlrrl', turns, None if verbose else room)
     else:
         OUTPUT.print('\nno whole turns')
@@ -140,9 +148,8 @@ def _show(contents: StreamContents, *, verbose: bool) -> None:
     if contents.latitude is not None:
         seen, std = contents.latitude
         OUTPUT.print(f'the gyros show a latitude of {seen:.1f} +- {std:.1f} deg at rest')
-    sentence_list('Problems', contents.contradictions)
-    sentence_list('Left out', contents.left_out)
-    sentence_list('Lost', contents.lost)
+    for title, sentences in lists.items():
+        sentence_list(title, sentences)
 
 
 def _show_rows(

@@ -261,6 +261,13 @@ def sentence_list(title: str, sentences: tuple[str, ...] | list[str]) -> None:
         print_text(sentence, _MARK)
 
 
+def list_lines(sentences: Sequence[str]) -> int:
+    """Return the number of lines that `sentence_list` prints."""
+    if not sentences:
+        return 0
+    return _HEADING + sum(len(_filled(text, _MARK)) for text in sentences)
+
+
 def print_text(text: str, mark: str = '') -> None:
     """Print text in lines that fit; lines after the first are set in below the mark."""
     for line in _filled(text, mark):
