@@ -28,8 +28,10 @@ from ..fleet.sentences import (
     listed,
     parameter_course_table,
     population_table,
+    quantity,
     unit_table,
 )
+from ..model.parameters import PARAMETER_NAMES
 from ..session.keywords import Session
 from . import options
 from .outcome import OUTSIDE, CommandResult, add_json_option, row_file, write_rows
@@ -371,8 +373,8 @@ def _unit_sentences(found: History, on: np.datetime64) -> list[str]:
     groups = (
         ('Outside the specification', [u.serial for u in found.outside]),
         (f'Due on {on}', [u.serial for u in due]),
-        ('Drift', [u.serial for u in found.units if u.trend.significant.any()]),
-        ('Stepped', [u.serial for u in found.units if u.steps]),
+        ('Drift', [_drift(u) for u in found.units if u.trend.significant.any()]),
+        ('Stepped', [u.serial for u in found.units if u.own_steps]),
         (
             'Out of control at their newest session',
             [
@@ -394,6 +396,18 @@ def _unit_sentences(found: History, on: np.datetime64) -> list[str]:
         ]
     rate = 100 * found.rules.false_alarm
     return [*lines, f'False-alarm rate of each kind of statement: {rate:g} %.']
+
+
+def _drift(unit: UnitHistory) -> str:
+    """Return a unit with its most significant drift."""
+    trend = unit.trend
+    score = np.where(trend.significant, np.abs(trend.slope) / trend.std, 0.0)
+    k = int(np.argmax(score))
+    name, more = PARAMETER_NAMES[k], int(trend.significant.sum()) - 1
+    slope = quantity(trend.slope[k], name, per='month', sign=True, by_hand=unit.by_hand)
+    leaves = unit.forecast.leaves[k]
+    end = '' if np.isnat(leaves) else f', leaves its limit {leaves.astype("M8[M]")}'
+    return f'{unit.serial} ({name} {slope}{end}{f", and {more} more" if more else ""})'
 
 
 def _print_unit(unit: UnitHistory, found: History) -> None:

@@ -80,7 +80,8 @@ def _stands(fleet: Fleet) -> Iterator[Issue]:
             'Check levelling, zeros and alignment before the next unit is calibrated there; the '
             'figures of units below are corrected for the shift.'
         )
-        yield Issue('Stands that are off', 'fail', sentences)
+        off = any(shift.identified for shift in shifts)
+        yield Issue(f'Stands that {"are off" if off else "differ"}', 'fail', sentences)
 
 
 def _outside(fleet: Fleet) -> Iterator[Issue]:

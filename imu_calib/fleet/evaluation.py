@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -67,13 +68,14 @@ _LEAST = 2
 
 
 def steps_of(
-    unit: int, places: StepPlaces, lines: Lines, date: Dates, rules: Rules
+    unit: int, places: StepPlaces, lines: Lines, date: Dates, values: Floats, rules: Rules
 ) -> tuple[Step, ...]:
     """Return the steps of the unit at an index of a block, with dates (n,) of its sessions.
 
-    Parameters that step at the same session are combined.
+    Parameters that step at the same session are combined. Steps to one session and back, by the
+    values (n, 24), are of that session.
     """
-    found = []
+    found: list[Step] = []
     for place, parameters in places.of_unit(unit).items():
         size, std, reach = (np.zeros(len(parameters)) for _ in range(3))
         for k, p in enumerate(parameters):
@@ -97,6 +99,14 @@ def steps_of(
                 rotation=rotation,
             )
         )
+    for k, (to, back) in enumerate(itertools.pairwise(found)):
+        both = [PARAMETER_NAMES.index(name) for name in {*to.parameters, *back.parameters}]
+        if back.index == to.index + 1 and found[k].cause is not Cause.RETURN:
+            before, at, after = values[to.index - 1 : to.index + 2, both]
+            if (np.abs(after - before) < np.abs(at - (before + after) / 2)).all():
+                unknown = np.full(3, np.nan)
+                found[k] = replace(to, cause=Cause.OUTLIER, rotation=unknown)
+                found[k + 1] = replace(back, cause=Cause.RETURN, rotation=unknown)
     return tuple(found)
 
 
@@ -246,7 +256,9 @@ def _units(
             scatter=Scatter(*(one[u] for one in scatter)),
             trend=Trend(*(one[u] for one in trend)),
             forecast=_forecast(due, u, newest, limit, lines),
-            steps=steps_of(u, part.places, lines, recorded.date[rows], rules),
+            steps=steps_of(
+                u, part.places, lines, recorded.date[rows], corrected.values[rows], rules
+            ),
             charts=Charts(part.scores[u], ewma[u], t2, t2_limit, t2_chance, signals),
             findings=(),
             by_hand=recorded.imu[first] in recorded.by_hand,

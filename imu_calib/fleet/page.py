@@ -118,10 +118,20 @@ def summary(fleet: Fleet) -> str:
         for flag in Flag
         if flag.value.kind == kind and numbers[flag]
     ]
-    stands = len({s.stand for s in fleet.history.stands.shifts})
-    off = f' {count(stands, "stand is", "stands are")} off.' if stands else ''
+    off = ''.join(f' {words}.' for words in _stands_off(fleet))
     fine = sum(not unit.flags for unit in fleet.units)
     return f'{count(len(fleet.units), "unit")}: {", ".join([*words, f"{fine} fine"])}.{off}'
+
+
+def _stands_off(fleet: Fleet) -> Iterator[str]:
+    """Yield how many stands are off, and how many differ of which it is not known which is."""
+    shifts = fleet.history.stands.shifts
+    off = {s.stand for s in shifts if s.identified}
+    apart = {stand for s in shifts if not s.identified for stand in (s.stand, *s.others)} - off
+    if off:
+        yield count(len(off), 'stand is', 'stands are') + ' off'
+    if apart:
+        yield f'{len(apart)} stands differ'
 
 
 _COLUMN_TEXTS = {

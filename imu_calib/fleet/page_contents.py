@@ -187,7 +187,7 @@ def _flags(
         flags[Flag.OVERDUE] = bool(known and due < fleet.today)
         flags[Flag.DUE] = bool(known and fleet.today <= due <= fleet.today + days(fleet.ahead))
         flags[Flag.CONTROL] = any(s.index == newest for s in history.charts.signals)
-        flags[Flag.STEP] = any(s.index == newest for s in history.steps)
+        flags[Flag.STEP] = any(s.index == newest for s in history.own_steps)
         flags[Flag.DRIFTS] = bool(history.trend.significant.any())
     elif sessions:
         flags[Flag.OUTSIDE] = rows.verdict[sessions[-1]] == Verdict.FAIL.value

@@ -138,6 +138,10 @@ class Cause(Enum):
     """Gyros and accelerometers are rotated together, and nothing else changed."""
     UNIT = 'unit'
     """In the unit itself, by a repair or a shock."""
+    OUTLIER = 'outlier'
+    """The session after it is unlike those before and after."""
+    RETURN = 'return'
+    """Back after such a session."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,6 +232,11 @@ class UnitHistory:
     charts: Charts  #: Control charts.
     findings: tuple[str, ...]  #: Messages for the user on this unit, sentences.
     by_hand: bool = False  #: Whether its type is held by hand, for the units shown.
+
+    @property
+    def own_steps(self) -> tuple[Step, ...]:
+        """Steps that are not those of one session."""
+        return tuple(s for s in self.steps if s.cause in {Cause.MOUNT, Cause.UNIT})
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -13,6 +14,7 @@ from ..reports.plain_table import plain_table
 from .results import Cause, Chart, Population, Rules, Signal, StandShift, Step, UnitHistory, day
 
 _BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
+_MANY = 3  #: Sessions with signals of one parameter that share a sentence.
 _NAMED = 6  #: Number of parameters that a sentence names; of further ones it states the number.
 
 
@@ -63,7 +65,11 @@ def unit_sentences(unit: UnitHistory, rules: Rules) -> tuple[str, ...]:
         *_outside(unit),
         *_due(unit, rules),
         *_drifts(unit, rules),
-        *(step_sentence(step, by_hand=unit.by_hand) for step in unit.steps),
+        *(
+            step_sentence(step, by_hand=unit.by_hand)
+            for step in unit.steps
+            if step.cause is not Cause.RETURN
+        ),
         *_signals(unit),
         *_few(unit),
     )
@@ -121,6 +127,11 @@ def step_sentence(step: Step, *, by_hand: bool) -> str:
         f'{name} {quantity(size, name, sign=True, by_hand=by_hand)}'
         for name, size in zip(step.parameters, step.size, strict=True)
     ]
+    if step.cause is Cause.OUTLIER:
+        return (
+            f'The session of {day(step.before)} is unlike those before and after '
+            f'({listed(parts)}): repeat it.'
+        )
     looks = (
         'gyros and accelerometers turned by the same angle: a mount shift'
         if step.cause is Cause.MOUNT
@@ -133,12 +144,28 @@ def _signals(unit: UnitHistory) -> Iterator[str]:
     by_session: dict[int, list[Signal]] = {}
     for one in unit.charts.signals:
         by_session.setdefault(one.index, []).append(one)
+    # From the first signal of a parameter on, T^2 and other charts of these sessions have its cause.
+    counts = Counter(name for some in by_session.values() for name in {s.parameter for s in some})
+    del counts['']
+    name, count = max(counts.items(), key=lambda one: one[1], default=('', 0))
+    if count >= _MANY:
+        first = min(i for i, some in by_session.items() if any(s.parameter == name for s in some))
+        since = len(unit.date) - first
+        mine = [i for i, some in by_session.items() if {s.parameter for s in some} & {name, ''}]
+        mine = [i for i in mine if i >= first]
+        others = {s.parameter for i in mine for s in by_session[i]} - {name, ''}
+        also = f', some also by {listed(sorted(others))}' if others else ''
+        yield (
+            f'Out of control at {len(mine)} of {since} sessions since {day(unit.date[first])}, by '
+            f'{name}{also}.'
+        )
+        by_session = {i: some for i, some in by_session.items() if i not in mine}
     for index, signals in by_session.items():
         parts = []
         for chart in Chart:
-            mine = [s for s in signals if s.chart is chart]
-            names = [s.parameter for s in mine if s.parameter]
-            if mine:
+            mine_of = [s for s in signals if s.chart is chart]
+            names = [s.parameter for s in mine_of if s.parameter]
+            if mine_of:
                 parts.append(f'{chart.value} ({listed(names)})' if names else chart.value)
         yield f'Out of control on {day(unit.date[index])}: {"; ".join(parts)}.'
 
@@ -187,7 +214,7 @@ def by_urgency(units: Sequence[UnitHistory]) -> list[UnitHistory]:
 
     def key(unit: UnitHistory) -> tuple[bool, np.datetime64, bool, str, str]:
         due = unit.forecast.recalibrate
-        odd = not (unit.steps or unit.charts.signals)
+        odd = not (unit.own_steps or unit.charts.signals)
         return (not unit.outside, _NEVER if np.isnat(due) else due, odd, unit.imu, unit.serial)
 
     return sorted(units, key=key)
@@ -207,7 +234,7 @@ def unit_table(units: Sequence[UnitHistory]) -> Table:
             day(due.recalibrate) or _UNKNOWN,
             due.parameter or _UNKNOWN,
             str(int(unit.trend.significant.sum())),
-            str(len(unit.steps)),
+            str(len(unit.own_steps)),
             str(len({one.index for one in unit.charts.signals})),
         )
     return table

@@ -212,6 +212,11 @@ def test_a_stand_is_not_counted_among_units(known):
     units, off = summary(known).split('. ')
     assert units.startswith(f'{len(known.units)} units: ') and 'stand' not in units
     assert off == '1 stand is off.'
+    (shift,) = known.history.stands.shifts
+    pair = replace(shift, identified=False, others=('east',))
+    stands = replace(known.history.stands, shifts=(pair,))
+    known = replace(known, history=replace(known.history, stands=stands))
+    assert summary(known).split('. ')[1] == '2 stands differ.'
 
 
 class Elements(HTMLParser):

@@ -267,6 +267,18 @@ def test_a_mount_shift_and_a_repair_are_told_apart():
     assert abs(second.trend.slope[index('K_gz')] / SCALE[index('K_gz')]) < 0.5
 
 
+def test_one_session_unlike_its_neighbours_is_no_step_of_the_unit():
+    def truth(unit, months, k, stand):
+        return of(K_gz=40.0, E_ayz=-30.0) * (unit == 0 and k == 5)
+
+    made = sessions(np.random.default_rng(41), 20, 10, truth=truth)
+    unit = backtest(made, LIMITS).units[0]
+    assert [step.cause for step in unit.steps] == [Cause.OUTLIER, Cause.RETURN]
+    assert unit.own_steps == ()
+    (sentence,) = [s for s in unit.findings if 'Step' in s or 'unlike' in s]
+    assert sentence.startswith(f'The session of {unit.date[5].astype("M8[D]")} is unlike those')
+
+
 def test_a_large_step_is_where_it_is():
     """A million standard deviations leave nothing of the places around it."""
 
@@ -295,6 +307,11 @@ def test_charts_see_a_unit_that_changes():
     assert {name for _, name in signals_of(1, Chart.EWMA)} == {'K_ay'}
     assert (7, '') in signals_of(2, Chart.T2)
     assert any('Out of control on' in s for s in found.units[0].findings)
+    # One cause, one sentence.
+    (sentence,) = [s for s in found.units[1].findings if 'Out of control' in s]
+    of_it = {i for i, _ in signals_of(1, Chart.EWMA)}
+    assert sentence.startswith(f'Out of control at {len(of_it)} of ')
+    assert sentence.endswith('by K_ay.') and len(of_it) >= 3
 
 
 def test_what_is_outside_is_said_with_its_limit():

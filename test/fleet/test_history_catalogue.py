@@ -165,7 +165,9 @@ def test_the_command_says_what_needs_attention(laboratory, run):
     assert first.startswith('F000') and first.index('fail') == head.index('specification')
     assert '5 more, less urgent; -o FILE has all.' in out
     assert 'Stand south is off: it adds +' in out and 'east and west agree' in out
-    assert re.search(r'Drift: .*F001', out) and re.search(r'Stepped: .*F002', out)
+    assert re.search(r'Drift: F001 \(D_gx [+][\d.]+ deg/h/month', out) and re.search(
+        r'Stepped: .*F002', out
+    )
     for unit in ('ppm', 'arcmin', 'deg/h', 'ug'):
         assert sum(line.rstrip().endswith(unit) for line in lines) >= 3
 
