@@ -144,7 +144,7 @@ def _signals(unit: UnitHistory) -> Iterator[str]:
     by_session: dict[int, list[Signal]] = {}
     for one in unit.charts.signals:
         by_session.setdefault(one.index, []).append(one)
-    # From the first signal of a parameter on, T^2 and other charts of these sessions have its cause.
+    # From the first signal of a parameter on, it explains T^2 and other charts of these sessions.
     counts = Counter(name for some in by_session.values() for name in {s.parameter for s in some})
     del counts['']
     name, count = max(counts.items(), key=lambda one: one[1], default=('', 0))
