@@ -40,7 +40,7 @@ _BAR = 2.0  #: Standard deviations of a bar to either side: 95 percent.
 _WHISKERS_95 = (2.5, 97.5)  #: Percentiles that contain 95 %.
 _NORMAL_95 = 1.96  #: Standard deviations that contain 95 % of a normal law.
 _POINTS = 1000  #: Most points of a line: the width of a picture in pixels.
-_NAMES = 30  #: Most names below an axis: more would overlap.
+_NAMES, _FEWER_NAMES = 30, 20  #: Most names below an axis, and one of half the width.
 _DOTS = 72.0  #: Dots per inch in a notebook: legible, and a small file.
 _HEIGHT = 4.2  #: Height of a row of panels, and width of a panel, inches.
 
@@ -189,7 +189,7 @@ def draw_residuals(
         axes.axhline(0.0, color='0.7', linewidth=0.8)
         for channel, column in zip('xyz', own.T / unit.scale, strict=True):
             axes.plot(column, 'o', markersize=4, label=channel)
-        _name(axes, positions, most=_NAMES // 2)
+        _name(axes, positions, most=_FEWER_NAMES)
         axes.set_xlabel('position')
         axes.set_ylabel(f'residual, {unit.unit}')
         axes.set_title(f'{triad.name}s')

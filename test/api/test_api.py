@@ -593,8 +593,8 @@ def test_no_more_names_are_below_an_axis_than_can_be_read(result):
     rows = result.calibration.residuals
     many = replace(result.calibration, residuals=(rows * 9)[:70])
     axes = many.plot_residuals().axes[0]
-    assert axes.get_xticks().tolist() == list(range(0, 70, 3))
-    assert [t.get_text() for t in axes.get_xticklabels()][1] == many.residuals[3].position
+    assert axes.get_xticks().tolist() == list(range(0, 70, 4))
+    assert [t.get_text() for t in axes.get_xticklabels()][1] == many.residuals[4].position
 
 
 def test_a_calibration_that_follows_the_temperature_does_so_as_a_value_too(result):
