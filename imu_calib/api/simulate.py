@@ -237,7 +237,8 @@ def _true_unit(
 ) -> tuple[ImuSpec, Calibration]:
     """Return a unit's description and true parameters, relative to its nominal scale factors."""
     spec = as_imu(imu)
-    return spec, replace(load_truth(truth, spec, serial), imu=spec)
+    known = load_truth(truth, spec, serial)
+    return spec, replace(known, imu=spec, serial_number=serial or known.serial_number)
 
 
 def _options(table: Table | None, given: Simulation) -> StandOptions:
@@ -401,7 +402,7 @@ def simulate_units(
     units, truths = [], {}
     for one, own_seed in zip(listed, spread_seeds(listed, seed), strict=True):
         spec, true = _true_unit(one.imu, one.truth or given['truth'], one.serial_number)
-        truths[one.serial_number] = replace(true, serial_number=one.serial_number)
+        truths[one.serial_number] = true
         unit = SimulatedUnit(one.topic, spec, true.model, one.mount, one.lever, own_seed)
         units.append(unit)
     stand = SeveralOnTable(steps, stands, units, place, options, seed)

@@ -73,9 +73,12 @@ def show_prediction(arguments: argparse.Namespace) -> None:
     found, own = prediction.forecast, prediction.closed_form
     notes = []
     if relative_std := site.gravity_relative_std:
-        notes.append(
-            f'K_a includes {relative_std / PPM:.3g} ppm of gravity: state --height or --gravity.'
-        )
+        todo = 'as --gravity-std states'
+        if arguments.gravity is None:
+            todo = 'measure it for less (--gravity, --gravity-std)'
+            if arguments.height is None:
+                todo = 'state --height or --gravity'
+        notes.append(f'K_a includes {relative_std / PPM:.3g} ppm of gravity: {todo}.')
     if own is None:
         _show_forecast(found)
     elif own.refusal:

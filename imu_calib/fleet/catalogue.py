@@ -212,6 +212,12 @@ class Catalogue:
                 f'There is no column {missing[1]!r}; {meant}docs/fleet.md lists the '
                 f'{len(names)} columns.'
             ) from None
+        except duckdb.ParserException as error:
+            said = str(error).splitlines()[0].removeprefix('Parser Error: ')
+            raise InputError(
+                f'{sql}: {said}. Parameters are numbers in SI units, K_gx > 1e-4 for 100 ppm; '
+                'texts stand in single quotes.'
+            ) from None
         except duckdb.Error as error:
             raise InputError(f'{sql}: {" ".join(str(error).split())}') from None
         finally:

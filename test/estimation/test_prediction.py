@@ -476,6 +476,10 @@ def test_a_prediction_says_what_it_takes_gravity_to_be_known_to(
     for options, sentence in (
         ([], 'K_a includes 160 ppm of gravity'),
         (['--height', '0'], 'K_a includes 30.6 ppm of gravity'),
+        (
+            ['--gravity', '9.81', '--gravity-std', '2e-5'],
+            'K_a includes 2.04 ppm of gravity: as --gravity-std states',
+        ),
     ):
         assert main([*words, *options]) == 0
         assert sentence in ' '.join(capsys.readouterr().out.split())

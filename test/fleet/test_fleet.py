@@ -227,6 +227,7 @@ def test_simulated_units_with_numbers_differ_and_remain_themselves(recordings):
     )
     usual = imu_calib.Calibration.load(named_file('truths', 'cao2022_table1')).values
     assert np.array_equal(first, again)
+    assert imu_calib.Calibration.load(recordings / 'a' / 'truth.yaml').serial_number == 'S1'
     own = [np.std((one / usual)[usual != 0]) for one in (first, second)]
     assert own == pytest.approx([0.1, 0.1], rel=0.5)
     assert np.all((first != second)[usual != 0])
@@ -318,6 +319,9 @@ def test_catalogue_lists_filters_and_exports(done, tmp_path, capsys):
     assert main(['catalogue', str(done), '--columns', 'kgx']) == 2
     said = capsys.readouterr().err
     assert "no column 'kgx'; did you mean K_gx?" in said and 'std_' not in said
+    assert main(['catalogue', str(done), '--where', 'K_gx > 100 ppm']) == 2
+    said = ' '.join(capsys.readouterr().err.split())
+    assert 'at or near "ppm". Parameters are numbers in SI units, K_gx > 1e-4 for 100 ppm' in said
     assert main(['catalogue', str(done), '--sql', f"select * from '{csv}'"]) == 2
     assert main(['catalogue', str(tmp_path)]) == 2
 
