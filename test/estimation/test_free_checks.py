@@ -70,7 +70,7 @@ def test_a_scale_that_no_mistake_explains_is_solved(scale: float) -> None:
 @pytest.mark.parametrize('scale', [1 / 9.81, 9.81])
 def test_accelerometers_in_other_units_are_refused_with_the_factor(scale: float) -> None:
     wrong = seen_by(session(), np.eye(3), scale * np.eye(3))
-    with pytest.raises(InputError, match=r'The accelerometers answer (0\.10|9\.8)\d* times'):
+    with pytest.raises(InputError, match=r'The accelerometers read (0\.10|9\.8)\d* times'):
         solve(wrong)
     assert not is_clear(wrong)
 
