@@ -226,7 +226,29 @@ def budget_section(calibration: Calibration) -> list[str]:
         tag('div', _picture(shown, width), class_=kind)
         for width, kind in ((_WIDTH, 'wide broad'), (_NARROW, 'narrow'))
     ]
-    return [*pictures, *budget_parts(calibration, calibration.budget, words)]
+    parts = budget_parts(calibration, calibration.budget, words)
+    return [*pictures, *parts, paragraph(_correlations(calibration, shown.rows), 'note')]
+
+
+_CORRELATED = 0.1  #: Least correlation that is named: it changes the std of a sum by 5 %.
+_PAIRS = 12  #: Most pairs that are named; the file has the whole covariance.
+
+
+def _correlations(calibration: Calibration, rows: NDArray[np.intp]) -> str:
+    """Return a sentence on the largest correlations between the parameters of some rows."""
+    std = calibration.std[rows]
+    found = np.triu(calibration.covariance[np.ix_(rows, rows)] / np.outer(std, std), 1)
+    pairs = np.argwhere(np.abs(found) > _CORRELATED).tolist()
+    pairs.sort(key=lambda pair: -abs(found[tuple(pair)]))
+    names = [calibration.parameters[k].name for k in rows]
+    words = [f'{names[i]} and {names[j]} {found[i, j]:+.2f}' for i, j in pairs[:_PAIRS]]
+    if len(pairs) > _PAIRS:
+        words.append(f'{len(pairs) - _PAIRS} further pairs')
+    shown = ', '.join(words) or 'none'
+    return (
+        f'Correlations beyond {_CORRELATED:g}, the largest first: {typeset(shown)}. A quantity of '
+        'several parameters needs them: calibration.yaml has the whole covariance.'
+    )
 
 
 def budget_parts(calibration: Calibration, budget: Budget, words: str) -> list[str]:

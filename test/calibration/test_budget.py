@@ -553,11 +553,16 @@ def test_a_method_that_does_not_tell_says_so():
 
 def test_the_picture_shares_out_every_variance():
     calibration = made('twelve_position_33', 'joint_33')
-    picture, *_, table = budget_section(calibration)
+    picture, *_, table, correlations = budget_section(calibration)
     for parameter in calibration.parameters:
         assert f'>{parameter.name}</text>' in picture
         assert f'<td class="l">{parameter.name}</td>' in table
     assert picture.count('<title>K_ax: grav') == 1
+    names = [parameter.name for parameter in calibration.parameters]
+    x, y = names.index('K_ax'), names.index('K_ay')
+    std = calibration.std
+    expected = calibration.covariance[x, y] / std[x] / std[y]
+    assert abs(expected) > 0.1 and f'K_ax and K_ay {expected:+.2f}' in correlations
 
 
 def test_what_is_known_of_a_latitude_goes_with_the_recording():
