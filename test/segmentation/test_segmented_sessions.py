@@ -60,7 +60,7 @@ def normalised(result: Result) -> Floats:
         ({'servo_error': 0.002 * DEG}, None, 6, 0.5),
         # Turns of 360 deg end somewhere in a swing of 0.005 rad/s at 3 Hz, 55 arcsec: with 10 ppm
         # K_gz was off by 4.2 deviations in another session.
-        ({'vibration': Vibration(0.005, 0.05, 3.0, 3.0)}, None, 30, 0.5),
+        ({'vibration': Vibration(0.005, 0.05, 3.0, 3.0)}, None, 20, 0.5),
         again({}, si(), 6, 0.5),
         ({}, mems(1.0), 30, 2.0),
         # Less noise than an ADC's step of 220 deg/h: the mean keeps a part of a step.
