@@ -499,7 +499,9 @@ def test_calibrations_at_several_temperatures_are_combined(result, tmp_path):
 
 @pytest.mark.parametrize('kind', ['ros', 'kalibr', 'imucal', 'c'])
 def test_an_export_is_that_of_the_command(result, tmp_path, kind):
-    file, mine, its = tmp_path / 'c.yaml', tmp_path / 'mine', tmp_path / 'its'
+    file, mine, its = tmp_path / 'c.yaml', tmp_path / 'mine' / 'out', tmp_path / 'its' / 'out'
+    for folder in (mine.parent, its.parent):
+        folder.mkdir()
     result.calibration.save(file)
     done = imu_calib.export(file, kind, mine, sample_rate=100.0, imu='fog_medium')
     words = ['export', str(file), '--format', kind, '--sample-rate', '100', '--imu', 'fog_medium']
