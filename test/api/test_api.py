@@ -499,7 +499,8 @@ def test_calibrations_at_several_temperatures_are_combined(result, tmp_path):
 
 @pytest.mark.parametrize('kind', ['ros', 'kalibr', 'imucal', 'c'])
 def test_an_export_is_that_of_the_command(result, tmp_path, kind):
-    file, mine, its = tmp_path / 'c.yaml', tmp_path / 'a' / 'imu_calib.h', tmp_path / 'b' / 'imu_calib.h'
+    file = tmp_path / 'c.yaml'
+    mine, its = (tmp_path / folder / 'imu_calib.h' for folder in 'ab')
     for folder in (mine.parent, its.parent):
         folder.mkdir()
     result.calibration.save(file)
