@@ -298,10 +298,11 @@ def test_the_good_session_is_good(cli, recorded):
     code, text = cli.calibrate(recorded)
     assert code == 0
     found = Calibration.load(cli.output)
-    # The simulated table is exact: the one finding says what that does, and there is no other.
-    (finding,) = found.findings
-    assert 'better than any real one' in finding
-    assert finding in ' '.join(text.split())
+    # Gravity and table of the simulation are exact: two findings say what that does, no other.
+    gravity, table = found.findings
+    assert 'is taken as exact: no K_a has an uncertainty of it' in gravity
+    assert 'better than any real one' in table
+    assert table in ' '.join(text.split())
     assert_true(found)
 
 

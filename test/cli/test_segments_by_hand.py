@@ -136,7 +136,7 @@ def test_dwells_and_turns_of_a_table_are_chosen(table, tmp_path):
         ('kind,start,end\nhold,1,3\nturn,3,5\n', 'line 3: kind: found turn, expected hold: with'),
         ('kind,start,end\nhold,' + '1' * 200_000, 'found no lines of columns'),
         ('kind,start,end,attitude\nhold,1,3,"up\nhold,4,6,down\n', 'found no lines of columns'),
-        ('kind,start,end\nhold,1,5,3,0\n', 'line 2: found 5 cells, expected 3; is a comma'),
+        ('kind,start,end\nhold,1,5,3,0\n', 'line 2: found 5 cells, expected 3: write decimals'),
         ('kind,start,end\n', 'found no segment, expected a hold in each line'),
     ],
 )

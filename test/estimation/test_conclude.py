@@ -343,11 +343,11 @@ def test_each_triad_is_held_to_its_axes(triad: str) -> None:
     wrong = replace(TRUE, **{triad: Triad(2 * np.eye(3), np.zeros(3))})
     shares = {ErrorSource.NOISE: Share.known(np.diag(VARIANCES))}
     options: Any = {'gain': np.zeros((24, 3)), 'findings': (), 'north_known': False}
-    what = {'gyro': 'gyros answer 3 .* whole turns', 'accel': 'accelerometers answer 3 .* gravity'}
+    what = {'gyro': 'gyros read 3 .* whole turns', 'accel': 'accelerometers read 3 .* gravity'}
     with pytest.raises(InputError, match=what[triad]):
         conclude(CLEAN, wrong, shares, 1.0, **options)
     if triad == 'gyro':
-        with pytest.raises(InputError, match=r'gyros answer 3 .* the Earth rate'):
+        with pytest.raises(InputError, match=r'gyros read 3 .* the Earth rate'):
             conclude(replace(CLEAN, turns=()), wrong, shares, 1.0, **options)
 
 

@@ -236,7 +236,7 @@ def test_axes_and_units_are_held_to_the_world() -> None:
         state = there.state.copy()
         first = 0 if triad == 'gyro' else 12
         state[first : first + 3] += 2.0
-        with pytest.raises(InputError, match=f'3.* to {words}'):
+        with pytest.raises(InputError, match=f'read 3.* times what they should of {words}'):
             joint._checked_solution(replace(there, state=state))
 
 

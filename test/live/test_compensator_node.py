@@ -18,6 +18,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.thermal import combine
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
+from imu_calib.common.finding import without_label
 from imu_calib.common.stream import ImuBlock, TemperatureBlock
 from imu_calib.common.units import DEG
 from imu_calib.live import middleware as ros
@@ -384,7 +385,7 @@ def test_rates_in_degrees_are_named_in_the_words_of_compensate(monkeypatch, tmp_
         writer.write('/imu/data_raw', Kind.IMU.type_name, encode_imu(degrees), degrees.stamp)
     said = compensate(tmp_path / 'bag', file, tmp_path / 'out').findings
     (named,) = [words for words in said if 'turn gravity' in words]
-    start, _, end = named.partition(' times ')
+    start, _, end = without_label(named).partition(' times ')
     assert 'Rates in deg/s, stated as rad/s, have that effect.' in end
     with Bench(monkeypatch, calibration=file) as bench:
         sent = 0

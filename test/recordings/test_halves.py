@@ -134,7 +134,7 @@ def test_rows_of_a_table_are_joined(nothing, tmp_path):
     table[:, 0] = AT * 0.005
     np.savetxt(tmp_path / 'log.csv', table, delimiter=',', header='t,gx,gy,gz,ax,ay,az')
     done = imu_calib.convert(tmp_path / 'log.csv', tmp_path / 'out', **WORDS)
-    assert 'joined as two sensors' in done.findings[0]
+    assert 'joined by time, as two sensors' in done.findings[0]
     seen = imu_calib.read(tmp_path / 'out', '/imu/data_raw')
     at = seen.stamp / 5e6
     assert len(at) == 199
