@@ -331,8 +331,8 @@ class Verification:
                 'only if you calibrate this recording and compare the two (imu-calib compare).'
             )
         return (
-            f'REJECTED, but only the biases moved ({", ".join(parts)}){why}: measure them anew. '
-            f'{others}'
+            f'REJECTED: the biases moved ({", ".join(parts)}){why}, and nothing else is seen: '
+            f'measure them anew. {others}'
         )
 
     @property
