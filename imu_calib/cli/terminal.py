@@ -316,11 +316,8 @@ def print_findings(findings: Sequence[str], *, verbose: bool, room: int | None =
         room -= _HEADING if warnings else 0
         fitting = sum(lines <= room for lines in taken) - len(warnings)
         # All of them need no line that says how many more there are.
-        least = 0 if warnings else 1
-        shown = notes if taken and taken[-1] <= room + 1 else shown[: max(fitting, least)]
-    if len(notes) - len(shown) == 1 and shown:
-        # A line for one more would take the place of a note.
-        shown = notes if room is None or len(shown) == 1 else shown[:-1]
+        all_fit = taken and taken[-1] <= room + 1
+        shown = notes if all_fit else shown[: max(fitting, 0 if warnings else 1)]
     sentence_list('Notes', shown)
     if len(shown) < len(notes):
         rest = len(notes) - len(shown)

@@ -106,13 +106,13 @@ def test_warnings_come_first_and_none_is_cut(folder, monkeypatch, capsys):
     ('warnings', 'notes', 'shown', 'more'),
     [
         (0, (2, 2, 2, 1), 4, ''),  # The last one takes the line that would say so.
-        (0, (2, 2, 2, 2), 2, '2 more: --verbose'),
+        (0, (2, 2, 2, 2), 3, '1 more: --verbose'),
         (0, (2, 2, 2, 2, 1), 3, '2 more: --verbose'),
-        (0, (6, 2), 2, ''),
+        (0, (6, 2), 1, '1 more: --verbose'),
         (1, (2, 2, 2), 1, '2 more: --verbose'),
     ],
 )
-def test_no_line_says_that_one_note_is_left_out(warnings, notes, shown, more, capsys):
+def test_as_many_notes_are_shown_as_fit(warnings, notes, shown, more, capsys):
     from imu_calib.cli.terminal import print_findings
 
     texts = ['Warning: W.'] * warnings + ['\n'.join(['note', *['x'] * (n - 1)]) for n in notes]
