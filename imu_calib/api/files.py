@@ -148,12 +148,12 @@ def _samples_of_frame(frame: Any, rate: float | None) -> dict[str, Samples]:
             if not there.all():
                 own, columns = stamp[there], [column[there] for column in columns]
         found[_TOPICS[kind]] = Samples(kind, own, columns, joints if kind is Kind.JOINTS else ())
-    _refuse_what_is_no_time(found[_TOPICS[Kind.IMU]].stamp, frame.index.dtype.kind)
+    _refuse_index(found[_TOPICS[Kind.IMU]].stamp, frame.index.dtype.kind)
     return found
 
 
-def _refuse_what_is_no_time(stamp: Stamps, kind: str) -> None:
-    """Refuse an index, ns, of a kind of numbers, that is not sorted or not at an IMU's rate."""
+def _refuse_index(stamp: Stamps, kind: str) -> None:
+    """Refuse an index, ns, of a dtype's kind, that is not sorted or not at the rate of an IMU."""
     intervals = np.diff(stamp)
     if np.sum(intervals < 0) > BACKWARDS * len(intervals):
         raise InputError('The index is not sorted: give `frame.sort_index()`.')

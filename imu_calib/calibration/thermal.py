@@ -14,7 +14,7 @@ from ..common.arguments import checked
 from ..common.config import Section, dump, load
 from ..common.errors import InputError
 from ..common.files import user_path, write_whole
-from ..common.stream import Floats, Units
+from ..common.stream import Floats
 from ..common.units import counted
 from ..session.imu import UNNAMED, ImuSpec, StampingClock
 from .agreement import gravity_deviation, without_gravity
@@ -321,9 +321,8 @@ def check_identity(
     """Refuse a calibration that states another unit."""
     own = first_of(calibration)
     compared: dict[str, tuple[str | float, str | float]] = {}
-    # The supplied descriptions of rates name no unit: the calibration may be that of any, and
-    # their units differ by fixed factors.
-    if own.imu.id not in UNNAMED or not {own.imu.units, imu.units} <= {Units.SI, Units.RATES}:
+    # The supplied descriptions of rates name no unit: the calibration may be that of any.
+    if own.imu.id not in UNNAMED or not (own.imu.units.physical and imu.units.physical):
         compared['imu'] = own.imu.id, imu.id
     if own.serial_number and serial_number:
         compared['serial_number'] = (own.serial_number, serial_number)

@@ -84,6 +84,11 @@ class Units(Enum):
         return self in (Units.PULSES, Units.INCREMENTS)
 
     @property
+    def physical(self) -> bool:
+        """Whether values are rates and forces in units of physics: parameters depend on none."""
+        return self in (Units.RATES, Units.SI)
+
+    @property
     def whole(self) -> bool:
         """Whether values are whole numbers, resolved to the nominal scale factor."""
         return self in (Units.PULSES, Units.COUNTS)

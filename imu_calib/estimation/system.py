@@ -68,7 +68,7 @@ class Observed:
         A user of a calibration interprets the stream by the calibration's own description of the
         IMU. The factors are for gyros and accelerometers, dimensionless.
         """
-        if {spec.units, self.imu.units} == {Units.SI, Units.RATES}:
+        if spec.units is not self.imu.units and spec.units.physical and self.imu.units.physical:
             return 1.0, 1.0  # Each states what its own numbers are.
         gyro, accel = self._si_per_number(spec) / self._si_per_number(self.imu)
         return float(gyro), float(accel)

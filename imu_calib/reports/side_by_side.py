@@ -11,7 +11,7 @@ from rich.table import Table
 from ..calibration.agreement import Agreement, agreement
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
-from ..common.stream import Floats, Units
+from ..common.stream import Floats
 from ..common.units import ARCSEC, DEG, decimals
 from ..estimation.common_unknowns import TableEstimate
 from ..model.parameters import AXES, Parameter, ParameterKind, engineering
@@ -195,10 +195,9 @@ def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:
     coefficients of terms double.
     """
     mine, its = calibration.imu, other.imu
-    if {mine.units, its.units} == {Units.SI, Units.RATES}:
-        # Parameters are by what the numbers mean: in both rad/s and m/s^2, after a fixed factor.
-        return calibration
     if mine.units is not its.units:
+        if mine.units.physical and its.units.physical:
+            return calibration
         raise InputError(
             f'Calibrations of {its.units.value} and of {mine.units.value} cannot be compared.'
         )

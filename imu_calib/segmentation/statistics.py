@@ -516,8 +516,8 @@ class Rounding:
 
     def __init__(self, spec: ImuSpec) -> None:
         triads = (spec.gyro, spec.accel)
-        are_rates = spec.units in (Units.SI, Units.RATES)
-        self._channels = [k for k in range(6) if are_rates and triads[k // 3].pulse == 0]
+        physical = spec.units.physical
+        self._channels = [k for k in range(6) if physical and triads[k // 3].pulse == 0]
         self._scale = [triads[k // 3].scale_factor for k in range(6)]
         self._steps = [math.inf] * 6
         self._units = spec.units
