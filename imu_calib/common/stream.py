@@ -85,7 +85,7 @@ class Units(Enum):
 
     @property
     def physical(self) -> bool:
-        """Whether values are rates and forces in units of physics: parameters depend on none."""
+        """Whether values are rates and forces in units of physics; parameters depend on none."""
         return self in (Units.RATES, Units.SI)
 
     @property
