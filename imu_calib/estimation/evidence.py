@@ -286,7 +286,7 @@ class Evidence:
             held = hold_errors(self.segments, self.turns)
             return held, held
         return (
-            joint_errors(self.segments, self.turns, self.table),
+            joint_errors(self.segments, self.turns, self.table, self.interruptions),
             stop_errors(self.segments, self.turns),
         )
 

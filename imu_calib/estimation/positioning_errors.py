@@ -1,8 +1,9 @@
 """Effect of positioning errors of a table on the attitudes of dwells and turns.
 
 The difference of a stopped joint from its encoder reading is constant until it moves again: dwells
-and turns in between share that error, about the joint's axis. In addition each stop has a small
-independent rotation, whichever joint moved. Only the sensors show either.
+and turns in between share that error, about the joint's axis. While the stream is interrupted a
+joint may move and return unseen. In addition each stop has a small independent rotation, whichever
+joint moved. Only the sensors show either.
 
 Source: docs/mathematics.md, 'Positioning errors'.
 """
@@ -57,7 +58,10 @@ class AttitudeErrors:
 
 
 def joint_errors(
-    segments: tuple[Segment, ...], turns: tuple[Turn, ...], table: Table | None
+    segments: tuple[Segment, ...],
+    turns: tuple[Turn, ...],
+    table: Table | None,
+    interruptions: Sequence[tuple[int, int]] = (),
 ) -> AttitudeErrors:
     """Return the effect of positioning errors of joints.
 
@@ -68,13 +72,13 @@ def joint_errors(
     parts: list[Segment | Turn] = [*segments, *turns]
     known = [part.angles for part in parts]
     if table is None or any(angles is None for angles in known):
-        return _by_up(segments, turns)
+        return _by_up(segments, turns, interruptions)
     angles = np.array(known).reshape(len(parts), len(table.joints))
     order = np.argsort([part.start for part in parts], kind='stable')
     columns: list[Floats] = []
     for joint in range(angles.shape[1]):
         about = axes_of(table, joint, angles, turns)
-        for run in stops_of(joint, angles[:, joint], parts, order.tolist()):
+        for run in stops_of(joint, angles[:, joint], parts, order.tolist(), interruptions):
             column = np.zeros((len(parts), 3))
             column[run] = about[run]
             columns.append(column)
@@ -118,28 +122,44 @@ def axes_of(table: Table, joint: int, angles: Floats, turns: tuple[Turn, ...]) -
 
 
 def stops_of(
-    joint: int, readings: Floats, parts: Sequence[Segment | Turn], order: Sequence[int]
+    joint: int,
+    readings: Floats,
+    parts: Sequence[Segment | Turn],
+    order: Sequence[int],
+    interruptions: Sequence[tuple[int, int]] = (),
 ) -> list[list[int]]:
-    """Return the static dwells and turns of each stop of a joint, in time."""
+    """Return the static dwells and turns of each stop of a joint, in time.
+
+    Interruptions of the stream are its last stamp before and the first after each, ns.
+    """
     found: list[list[int]] = []
-    last = None
+    last: tuple[float, int] | None = None
     for k in order:
         part = parts[k]
         if isinstance(part, Turn) and part.joint == joint:
             last = None
             continue
-        if last is None or abs(readings[k] - last) > _MOVED:
+        here = float(readings[k]), _number_before(part.start, interruptions)
+        if last is None or abs(here[0] - last[0]) > _MOVED or here[1] != last[1]:
             found.append([])
         found[-1].append(k)
-        last = readings[k]
+        last = here
     return found
 
 
-def _by_up(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeErrors:
+def _number_before(start: int, interruptions: Sequence[tuple[int, int]]) -> int:
+    return sum(begins <= start for _, begins in interruptions)
+
+
+def _by_up(
+    segments: tuple[Segment, ...],
+    turns: tuple[Turn, ...],
+    interruptions: Sequence[tuple[int, int]],
+) -> AttitudeErrors:
     attitudes = [s.attitude[2] for s in segments if s.attitude is not None]
     ups = np.array([*attitudes, *(t.up for t in turns)]).reshape(-1, 3)
     starts = [s.start for s in segments] + [t.start for t in turns]
-    groups = _groups(ups, starts)
+    groups = _groups(ups, starts, interruptions)
     columns: list[Floats] = []
     for group in range(int(groups.max(initial=-1)) + 1):
         mine = groups == group
@@ -149,12 +169,15 @@ def _by_up(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeEr
     return AttitudeErrors.from_columns(columns, len(segments), len(ups))
 
 
-def _groups(ups: Floats, starts: list[int]) -> NDArray[np.intp]:
+def _groups(
+    ups: Floats, starts: list[int], interruptions: Sequence[tuple[int, int]]
+) -> NDArray[np.intp]:
     """Number static dwells and turns by runs in time with the same direction of up."""
     groups = np.zeros(len(starts), dtype=np.intp)
-    current, last = -1, None
+    current, last, number = -1, ups[:0], 0
     for k in np.argsort(starts, kind='stable').tolist():
-        if last is None or np.linalg.norm(ups[k] - last) > SAME_UP:
-            current, last = current + 1, ups[k]
+        before = _number_before(starts[k], interruptions)
+        if not len(last) or np.linalg.norm(ups[k] - last) > SAME_UP or before != number:
+            current, last, number = current + 1, ups[k], before
         groups[k] = current
     return groups

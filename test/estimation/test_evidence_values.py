@@ -331,6 +331,16 @@ def test_a_joint_stops_anew_where_it_moved_or_turned() -> None:
     assert stops_of(0, readings, parts, [4, 3, 2, 1, 0]) == [[4], [3, 2, 1, 0]]
 
 
+def test_a_joint_stops_anew_where_the_stream_was_interrupted() -> None:
+    angles = np.zeros(3)
+    segments = tuple(replace(CLEAN.segments[k], start=10 * k, angles=angles) for k in range(3))
+    assert stops_of(1, angles, segments, range(3), [(11, 15)]) == [[0, 1], [2]]
+    # In both of its parts the unit stands in one attitude.
+    for table, errors in ((TABLE, 2 * 3), (None, 2 * 2 + 3)):
+        segments = tuple(replace(s, attitude=np.eye(3)) for s in segments)
+        assert joint_errors(segments, (), table, [(11, 15)]).at_rest.shape[2] == errors
+
+
 def test_the_axis_of_a_joint_is_a_mean_over_turns_of_others() -> None:
     angles = np.array([[0.1, 0.4, 0.7], [0.2, 0.5, 0.8], [0.3, 0.6, 0.9]])
     turns = (turn(0, 2, angles[1]), turn(0, None, angles[2]))
