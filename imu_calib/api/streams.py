@@ -156,8 +156,8 @@ def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -
                 numbers = [recording.custom_data[serial_key(topic)] for topic in units]
                 several = f' They are of the units {", ".join(numbers)}: `serial` chooses one.'
         raise NotStated(
-            f'{recording.path}: {len(filled)} topics of type {kind.type_name}: {listed}. '
-            f'Choose with {option}.{several}'
+            f'{recording.path}: {len(filled)} topics of type {kind.type_name}, {listed}: '
+            f'choose with {option}.{several}'
         )
     return filled[0].name
 

@@ -306,7 +306,7 @@ _FREED = {
     ),
 }
 """Condition and cause where freed parameters of a kind explain a session."""
-_ALIKE = ' Where all are off alike, gravity or latitude are other than for the calibration.'
+_ALIKE = '; or, if all are off alike, gravity or latitude are other than for the calibration.'
 
 
 @dataclass(frozen=True, eq=False)
@@ -447,7 +447,8 @@ def diagnose(system: TriadSystem, values: Floats, factor: Floats, without: float
     (first, fit), *others = [(h, f) for e, h, f in good if e > best - _AS_GOOD]
     text = f'The residuals of the {name} vanish when {first.when}. {first.why}'
     if others:
-        text += f' As good: {"; ".join(other.when for other, _ in others[:3])}.'
+        also = '; '.join(other.when for other, _ in others[:3])
+        text = f'{text.removesuffix(".")} (as good: {also}).'
     parameters = tuple(dict.fromkeys((*system.sensors.parameters, *first.freed)))
     far = _shifted_parameters(parameters, fit, indices_of(first.freed, parameters))
     biases = bool(first.freed) and all(p.kind is ParameterKind.BIAS for p in first.freed)
@@ -503,7 +504,7 @@ def _freed(system: TriadSystem, values: Floats) -> Iterator[Hypothesis]:
     for kind in dict.fromkeys((*_FREED, *(p.kind for p in mine))):
         when, why = _words(kind)
         if kind is ParameterKind.SCALE_FACTOR_ERROR and not system.gyros:
-            why += _ALIKE
+            why = why.removesuffix('.') + _ALIKE
         freed = tuple(p for p in mine if p.kind is kind)
         yield Hypothesis(when, why, values, freed=freed)
     for term in _missing_terms(system):

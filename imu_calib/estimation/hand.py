@@ -773,12 +773,12 @@ def _one_term(found: SignificantFamily, fit: FreeFit) -> str:
     text = (
         f'The session shows {term.kind.value.words} ({term.name}, by up to '
         f'{significant(largest)} {unit.shown}, by chance once in '
-        f'10^{max(3, round(-found.log_p / np.log(10)))} sessions): it is estimated.'
+        f'10^{max(3, round(-found.log_p / np.log(10)))} sessions): it is estimated'
     )
     if found.alternatives:
         names = ' or '.join(other.name for other in found.alternatives)
-        text += f' {names} would explain it as well. To tell them apart takes {term.needs}.'
-    return Finding(text, effect=effect)
+        text += f'; {names} would explain it as well. To tell them apart takes {term.needs}'
+    return Finding(f'{text}.', effect=effect)
 
 
 def in_frame_of_accelerometers(model: SensorModel) -> SensorModel:

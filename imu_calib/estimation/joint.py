@@ -200,12 +200,12 @@ def _positioning_findings(found: Estimate, confounded: Sequence[str]) -> list[st
         step, hidden = evidence.encoder_step, ''
         if joints <= step:
             degrees = f'{step / DEG:.2g} deg'
-            hidden = f' The angles of the encoders come in steps of {degrees}, which hide as much.'
+            hidden = f', with angles in steps of {degrees},'
         notes.append(
             Finding(
                 f'The residuals scatter by positioning errors of {significant(joints / ARCSEC)} '
-                f'arcsec that the encoders do not show ({known}): the standard deviations allow '
-                f'for them.{hidden}',
+                f'arcsec that the encoders{hidden} do not show ({known}): the standard deviations '
+                'allow for them.',
                 ErrorSource.POSITIONING_FOUND,
             )
         )
@@ -220,9 +220,9 @@ def _positioning_findings(found: Estimate, confounded: Sequence[str]) -> list[st
         )
     if notes and confounded:
         notes[-1] = notes[-1].followed_by(
-            f'With so few positions they cannot be told from {" and ".join(confounded)}. Run the '
-            'same positions again: equal residuals come from the axes and encoders of the table, '
-            'different ones from how it stops.'
+            f'With so few positions they cannot be told from {" and ".join(confounded)}: run the '
+            'same positions again; residuals that repeat come from the axes and encoders of the '
+            'table, others from how it stops.'
         )
     return [*notes]
 

@@ -54,7 +54,7 @@ _RECORD = (
 
 _STEPPED = (
     'Biases step where a unit is switched off and on, or is struck; if it was neither, one of its '
-    'sensors is not stable. The biases stated are the mean over the session.'
+    'sensors is not stable.'
 )
 """What a step means."""
 
@@ -350,40 +350,40 @@ def _course_sentence(
     found: SignificantFamily, course: Course, chance: str, search: SearchResult
 ) -> str:
     """Return a sentence on a change during the session."""
-    text = f'The session shows {course.words} ({found.family.name}, {chance}): it is estimated.'
+    text = f'The session shows {course.words} ({found.family.name}, {chance})'
     if course is Course.STEP:
         equations = search.estimate.equations
-        text += f' It is at {at(instant_of(equations.evidence, equations.shape))}. {_STEPPED}'
+        text += f' at {at(instant_of(equations.evidence, equations.shape))}'
     if found.alternatives:
-        names = ' or '.join(other.name for other in found.alternatives)
         courses = {course, *(other.course for other in found.alternatives)}
         remedy = _BY_TEMPERATURE if Course.THERMAL in courses else _RECORD
-        text += (
-            f' {names} would explain it as well, and the standard deviations allow for that. '
-            f'To tell, {remedy}.'
-        )
-    return text
+        return f'{text}: it is estimated; {_as_well(found)}. To tell, {remedy}.'
+    if course is Course.STEP:
+        return f'{text}: it is estimated, and the biases are the mean over the session. {_STEPPED}'
+    return f'{text}: it is estimated.'
+
+
+def _as_well(found: SignificantFamily) -> str:
+    names = ' or '.join(other.name for other in found.alternatives)
+    return f'{names} would explain it as well, and the standard deviations allow for that'
 
 
 def _term_sentence(found: SignificantFamily, term: Term, chance: str) -> str:
     """Return a sentence on a term of the sensors."""
     shown = f'The session shows {term.kind.value.words} ({found.family.name}, {chance})'
-    text = f'{shown}: it is estimated.'
+    text, needs = f'{shown}: it is estimated', ''
     if found.considered:
         parameter, deviation = found.considered[0]
         unit = parameter.unit
         text = (
             f'{shown} and does not determine it: the standard deviations allow for coefficients of '
-            f'{significant(deviation / unit.scale)} {unit.shown}. To determine it takes '
-            f'{term.needs}.'
+            f'{significant(deviation / unit.scale)} {unit.shown}'
         )
+        needs = f' To determine it takes {term.needs}.'
     if found.alternatives:
-        names = ' or '.join(other.name for other in found.alternatives)
-        text += (
-            f' {names} would explain it as well, and the standard deviations allow for that. To '
-            f'tell them apart takes {term.needs}.'
-        )
-    return text
+        text += f'; {_as_well(found)}'
+        needs = f' To tell them apart takes {term.needs}.'
+    return f'{text}.{needs}'
 
 
 _TABLE_WORDS = {
@@ -499,7 +499,7 @@ def _held(one: TermTest, held: list[tuple[Parameter, tuple[Parameter, float]]]) 
     )
 
 
-_FOLLOW = 'The terms thermal or trend (`terms`) estimate how they follow the temperature.'
+_FOLLOW = 'use the terms thermal or trend (`terms`)'
 
 _CHEAPEST = 200 * PPM
 """Scale factor per kelvin of the cheapest units (MPU-9150: 0.02 % of the accelerometers). Where
@@ -529,11 +529,11 @@ def temperature_finding(found: Estimate) -> list[str]:
     if known:
         text += f'; the standard deviations allow for {" and ".join(known)} of the scale factors'
     if not unknown:
-        return [Finding(f'{text}. {_FOLLOW}', ErrorSource.TEMPERATURE)]
+        return [Finding(f'{text}. To follow it, {_FOLLOW}.', ErrorSource.TEMPERATURE)]
     return [
         warning(
             f'{text}; scale factors {" or ".join(unknown)} would be wrong by a standard deviation. '
-            f"State scale_factor_temperature in the IMU's file. {_FOLLOW}",
+            f"State scale_factor_temperature in the IMU's file, or {_FOLLOW}.",
             ErrorSource.TEMPERATURE,
             effect=most,
         )

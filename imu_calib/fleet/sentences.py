@@ -94,18 +94,18 @@ def _due(unit: UnitHistory, rules: Rules) -> Iterator[str]:
     name = due.parameter
     k = PARAMETER_NAMES.index(name)
     crossing = unit.forecast.leaves[k]
-    where = '' if np.isnat(crossing) else f' Its line crosses the limit on {crossing}.'
+    where = '' if np.isnat(crossing) else f' (its line crosses the limit on {crossing})'
     borrowed = ' The unit has too few sessions for trends of its own: those of its type are used.'
     if due.recalibrate <= unit.date[-1]:
         yield (
             f'Recalibrate now: the chance that all parameters are inside their specification is '
-            f'below {percent(rules.inside)}; {name} is the one most likely outside.{where}'
+            f'below {percent(rules.inside)}; {name} is the one most likely outside{where}.'
         )
         return
     yield (
         f'Recalibrate by {due.recalibrate}: until then all parameters are inside their '
         f'specification with {percent(rules.inside)}; {name} is the first that may be '
-        f'outside.{where}'
+        f'outside{where}.'
         f'{borrowed if due.borrowed else ""}'
     )
 

@@ -360,10 +360,10 @@ class _Movements:
         turned = ''
         if angles[largest] > _LEANT:
             when = '' if once else f' at {at(int(starts[edges[largest, 0]]))}'
-            turned = f' It was turned by {angles[largest] / DEG:.2g} deg{when}.'
+            turned = f', and turned by {angles[largest] / DEG:.2g} deg{when}'
         return [
-            f'The unit was moved or shaken {times} at {at(first)}, {after:.0f} s after the start.'
-            f'{turned} {seconds} s are left out, and no average spans them.'
+            f'The unit was moved or shaken {times} at {at(first)}, {after:.0f} s after the start'
+            f'{turned}. {seconds} s are left out, and no average spans them.'
         ]
 
 

@@ -336,7 +336,7 @@ def test_no_imu_topic(cli):
 
 def test_two_imu_topics_are_listed_and_can_be_chosen_from(cli):
     columns = {**good().columns, '/other/imu': good().with_imu(halve)[IMU]}
-    sentence = r'2 topics of type sensor_msgs/msg/Imu: /imu/pulses, /other/imu. Choose with --imu-t'
+    sentence = r'2 topics of type sensor_msgs/msg/Imu, /imu/pulses, /other/imu: choose with --imu-t'
     cli.refuses(2, sentence, columns)
     bag = cli.folder / 'bag'
     cli.refuses(2, f'topic {JOINTS}: found sensor_msgs/msg/Joint', bag, '--imu-topic', JOINTS)

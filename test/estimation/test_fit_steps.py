@@ -465,8 +465,8 @@ def test_a_temperature_that_moved_is_said_with_what_it_means() -> None:
     assert text.startswith('The temperature moved by 3.9 K (20.0 to 23.9')
     assert text.endswith(
         'the standard deviations allow for 20 ppm/K of the gyros and 30 ppm/K of the '
-        'accelerometers of the scale factors. The terms thermal or trend (`terms`) estimate how '
-        'they follow the temperature.'
+        'accelerometers of the scale factors. To follow it, use the terms thermal or trend '
+        '(`terms`).'
     )
     asked = replace(stated.equations, changes=session_term('thermal'))
     assert temperature_finding(SimpleNamespace(**{**vars(stated), 'equations': asked})) == []

@@ -255,7 +255,7 @@ def test_what_is_kept_for_the_file_is_applied_at_every_temperature(drifting: Evi
 def test_a_session_that_warms_says_what_that_means(drifting: Evidence, constant: Estimate) -> None:
     findings = [f for f in solve(drifting).findings if 'The temperature moved' in f]
     assert len(findings) == 1
-    assert 'The terms thermal or trend' in findings[0]
+    assert 'use the terms thermal or trend' in findings[0]
     assert 'K_a' in findings[0]
     # What a data sheet states is in the deviations, and takes the error in.
     sheet = replace(drifting, thermal=np.array([[3 * PPM, 0.02 * DEG_H], [6 * PPM, 8 * MICRO_G]]))

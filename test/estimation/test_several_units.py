@@ -208,7 +208,7 @@ def test_topics_that_do_not_say_whose_they_are_are_refused_with_both_ways_on(
         for topic, messages, times in recording.messages():
             if topic.name.endswith('imu/pulses'):
                 writer.write(topic.name, topic.type, messages, times.log)
-    with pytest.raises(InputError, match=r'Choose with `imu_topic`.*`imus` takes all'):
+    with pytest.raises(InputError, match=r'choose with `imu_topic`.*`imus` takes all'):
         imu_calib.calibrate(silent, imu='fog_medium', latitude=34.65)
     with pytest.raises(InputError, match='list the units'):
         imu_calib.calibrate_units(silent, latitude=34.65)

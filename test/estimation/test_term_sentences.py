@@ -91,20 +91,20 @@ def score(statistic: float, deviation: Any, rank: int = 3, freedom: float = 1e9)
             # Never less than a thousand: that is what the search asks for.
             SignificantFamily(TREND, -2 * LN10, alternatives=(WARM_UP, CUBIC)),
             'The session shows parameters that drift evenly with time (trend, by chance once in '
-            '10^3 sessions): it is estimated. warm_up or gyro_cubic would explain it as well, and '
+            '10^3 sessions): it is estimated; warm_up or gyro_cubic would explain it as well, and '
             f'the standard deviations allow for that. {TO_TELL}',
         ),
         (
             SignificantFamily(STEP, -12 * LN10),
             'The session shows biases that step at one instant (step, by chance once in 10^12 '
-            'sessions): it is estimated. It is at 2023-11-14 22:14:20.000 UTC. Biases step where a '
-            'unit is switched off and on, or is struck; if it was neither, one of its sensors is '
-            'not stable. The biases stated are the mean over the session.',
+            'sessions) at 2023-11-14 22:14:20.000 UTC: it is estimated, and the biases are the '
+            'mean over the session. Biases step where a unit is switched off and on, or is struck; '
+            'if it was neither, one of its sensors is not stable.',
         ),
         (
             SignificantFamily(TREND, -5 * LN10, alternatives=(THERMAL,)),
             'The session shows parameters that drift evenly with time (trend, by chance once in '
-            '10^5 sessions): it is estimated. thermal would explain it as well, and the standard '
+            '10^5 sessions): it is estimated; thermal would explain it as well, and the standard '
             f'deviations allow for that. {TO_TELL_HEAT}',
         ),
         (
@@ -126,7 +126,7 @@ def score(statistic: float, deviation: Any, rank: int = 3, freedom: float = 1e9)
                 CUBIC, -6 * LN10, alternatives=(Family('gyro_asymmetry', GYRO_ASYMMETRY), TREND)
             ),
             'The session shows gyro cubic term (gyro_cubic, by chance once in 10^6 sessions): it '
-            'is estimated. gyro_asymmetry or trend would explain it as well, and the standard '
+            'is estimated; gyro_asymmetry or trend would explain it as well, and the standard '
             'deviations allow for that. To tell them apart takes turns about each axis at two '
             'rates or more, four to tell it from gyro_rate_dependence.',
         ),

@@ -321,7 +321,7 @@ def test_a_spoilt_calibration_is_rejected_with_its_symptom(name: str) -> None:
     spoil, gyros, words = DEFECTS[name]
     verification = verify(spoil(), without_moves())
     assert verification.verdict is Verdict.FAIL
-    assert words in symptom(verification, gyros=gyros).split('As good')[0]
+    assert words in symptom(verification, gyros=gyros).split('as good')[0]
 
 
 def test_what_has_moved_is_told_with_its_size() -> None:
@@ -329,7 +329,7 @@ def test_what_has_moved_is_told_with_its_size() -> None:
     diagnosis = verification.triads[0].diagnosis
     assert verification.verdict is Verdict.FAIL
     assert diagnosis is not None
-    assert 'the biases are others' in diagnosis.symptom.split('As good')[0]
+    assert 'the biases are others' in diagnosis.symptom.split('as good')[0]
     (moved,) = diagnosis.moved
     assert moved.parameter.name == 'D_gx'
     assert abs(moved.difference + 2 * DEG_H) < 4 * moved.std < 0.6 * 2 * DEG_H
@@ -339,7 +339,7 @@ def test_by_moves_too_a_mistake_is_told() -> None:
     spoil, _, words = DEFECTS['gyro channel reversed']
     verification = verify(spoil(), observed())
     assert verification.verdict is Verdict.FAIL
-    assert words in symptom(verification, gyros=True).split('As good')[0]
+    assert words in symptom(verification, gyros=True).split('as good')[0]
 
 
 def test_the_calibration_of_another_unit_is_told_from_a_mistake() -> None:
