@@ -472,8 +472,6 @@ honest yet:
   errors are 0.9, 1.3, 1.5 and 1.4 of their standard deviations (root mean square; the worst 4.4)
 - a step of the mount costs 2.4 times the processor time of a session without (median of navigation
   grade), and up to 7 times
-- one gyro of a navigation-grade unit that is compressed by a half beyond 58 deg/s, turned at 30 and
-  60 deg/s, is named `gyro_cubic`, and its K is off by 0.5 %: two rates do not show a course
 
 Readings of the vertical joint that step do not matter and are not named ([limits.md](limits.md));
 those of the others are, but for one of 15. Of 201 sessions in which nothing happens (67 draws of

@@ -91,6 +91,7 @@ class SignificantFamily:
     #: outliers.
     min_saved_outputs: int = 0
     alternatives: tuple[Family, ...] = ()  #: Families that explain the session equally well.
+    scale: float = 1.0  #: Factor on the covariance by which their likelihoods are compared.
     #: Of the attitudes: the likeliest step, and those that explain the session equally well.
     steps: tuple[AttitudeStep, ...] = ()
 
@@ -544,20 +545,35 @@ def _confirmed(
         # An erroneous table has as many patterns as outputs: only terms are alternatives.
         others = [f for f in families(without) if not f.of_table or f == one.family]
         columns = columns_of(others, without, state)
-        residuals = WhitenedResiduals.at(one.family.with_scatter(without, trial.scatter), state)
+        scattering = one.family.with_scatter(without, trial.scatter)
+        residuals = WhitenedResiduals.at(scattering, state)
         scores = {f: residuals.score(f, columns[f]) for f in others}
         here, limit = scores[one.family], _log_chance_limit(families(without))
         if here.log_p >= limit:
             continue
-        alternatives = tuple(
-            f
-            for f, other in scores.items()
-            if f != one.family
-            and other.log_p < limit
-            and here.statistic - other.statistic < _APART * here.scale
-        )
-        kept.append(replace(one, log_p=here.log_p, alternatives=alternatives))
+        alternatives, scale = _alternatives(one.family, scores, limit), here.scale
+        if trial.downweighted_outputs:
+            # What no family fits is set aside, and may show that none is the true one.
+            residuals = WhitenedResiduals.at(replace(scattering, inflation=None), state)
+            scores = {f: residuals.score(f, columns[f]) for f in others}
+            if more := _alternatives(one.family, scores, limit):
+                alternatives = tuple(dict.fromkeys((*alternatives, *more)))
+                scale = max(scale, scores[one.family].scale)
+        kept.append(replace(one, log_p=here.log_p, alternatives=alternatives, scale=scale))
     return tuple(kept)
+
+
+def _alternatives(
+    family: Family, scores: Mapping[Family, Score], limit: float
+) -> tuple[Family, ...]:
+    """Return significant families that explain a session as well as one that is significant."""
+    here = scores[family]
+    least = here.statistic - _APART * here.scale
+    return tuple(
+        f
+        for f, other in scores.items()
+        if f != family and max(here.log_p, other.log_p) < limit and other.statistic > least
+    )
 
 
 def _assigned_sizes(
@@ -660,7 +676,8 @@ def _by_alternatives(current: Estimate, found: SignificantFamily) -> Floats:
         except NotObservable:
             continue
         kept = indices_of([equations.parameters[k] for k in common], other.parameters)
-        weight = 1 / (1 + np.exp(min(50.0, (other.chi_square(state) - chi_square) / 2)))
+        apart = (other.chi_square(state) - chi_square) / found.scale
+        weight = 1 / (1 + np.exp(min(50.0, apart / 2)))
         off = np.zeros(n)
         off[common] = state[kept] - current.state[common]
         off[own] = -current.state[own]

@@ -219,6 +219,15 @@ def test_a_gyro_that_is_compressed_beyond_a_rate_is_named(
     assert any(named in f for f in calibration.findings)
 
 
+def test_a_course_that_sets_a_turn_aside_is_one_of_several() -> None:
+    """K_gy was off by half a percent, 19 thousand deviations: two rates show no course."""
+    unit = replace(NAVIGATION, terms=Terms(bent=(0.0, -0.5, 0.0)))
+    calibration = fed(World(dwell=12.0), unit, find_terms=True).finish().calibration
+    assert np.abs(errors(calibration, unit)).max() < 4.5
+    (shown,) = [f for f in calibration.findings if 'The session shows gyro' in f]
+    assert 'gyro_rate_dependence would explain it as well' in shown
+
+
 @pytest.fixture(scope='module')
 def undescribed() -> Table:
     """Nothing is said of how good it is: what is assumed of a decent one holds."""
