@@ -1,8 +1,9 @@
-"""Single false samples: readings that failed, and spikes. They are removed, as if never received.
+"""Single false samples: failed and stale readings, and spikes: removed, as if never received.
 
-A failed read of a bus gives 0, -1 or the full scale on all axes of a triad, a flipped bit another
-number on one. What a body does shows in the samples around, since it neither turns nor is
-accelerated for one sample alone: a knock rings, a motion goes on.
+A failed read of a bus gives 0, -1 or the full scale on all axes of a triad, one that comes too
+early the sample before once more, a flipped bit another number on one axis. What a body does shows
+in the samples around, since it neither turns nor is accelerated for one sample alone: a knock
+rings, a motion goes on.
 
 Source: docs/mathematics.md, 'Stamps and lost samples'.
 """
@@ -50,6 +51,17 @@ _LONGEST = 8
 """Most samples in a row that read one number on all axes each; longer runs are a device that is
 frozen (`repeating_samples`), or a sensor that reads nothing at rest."""
 
+_BY_CHANCE = 1e-7
+"""Chance that all channels repeat the sample before, by Laplace's rule from the samples around,
+below which none does by chance: at most two of 4 10^7 samples (simulated, of one channel one sample
+in 3 to 30 alike)."""
+
+_AROUND = 32
+"""Samples on either side that show this chance. From 32 a noise of 4 steps is enough; fewer show
+less, and more would have to be waited for."""
+
+_ROUNDING = 1e-6  #: Relative difference of values that are equal but for single precision.
+
 _SUCCESSION = 3
 """Most samples in which spikes come in succession: a knock that halves from one sample to the next
 still rings with an eighth after three."""
@@ -71,10 +83,10 @@ _APART = 2
 
 _NEXT = _APART + 1  #: Rows from a spike to the last one by which it is told from the next.
 
-_RADIUS = 2 * _WITHIN + _SEEN_WITHIN + _LONGEST + _SUCCESSION + 1
+_RADIUS = 2 * _WITHIN + _AROUND + _LONGEST + _SUCCESSION + 1
 """Rows on either side that decide on one. A spike is judged by those around it, which must not be
-spikes themselves, by those around them, nor read one number on all axes, by those around them and
-the length of their runs. Of spikes in succession all are judged."""
+spikes themselves, by those around them, nor repeat or read one number on all axes, by those around
+them and the length of their runs. Of spikes in succession all are judged."""
 
 _AT_ONCE = 32
 """Fewest rows that are judged at once, except at the end: a live stream brings one at a time."""
@@ -101,6 +113,7 @@ class FalseSamples:
     """False samples of a stream."""
 
     on_all_axes: int = 0  #: Number of those that read one number on all axes of a triad.
+    repeats: int = 0  #: Number of those that are the one before once more.
     spikes: int = 0  #: Number of those on which a single sensor stands out.
     first: int = 0  #: Stamp of the first, ns; 0 without one.
     received: int = 0  #: Number of samples of the stream, these included.
@@ -109,7 +122,7 @@ class FalseSamples:
     @property
     def count(self) -> int:
         """Number of false samples."""
-        return self.on_all_axes + self.spikes
+        return self.on_all_axes + self.repeats + self.spikes
 
     @property
     def is_large(self) -> bool:
@@ -124,6 +137,8 @@ class FalseSamples:
         kinds = []
         if self.on_all_axes:
             kinds.append(f'{self.on_all_axes} read one number on all axes (as failed reads do)')
+        if self.repeats:
+            kinds.append(f'{self.repeats} repeat the one before (as reads that come too early do)')
         if self.spikes:
             kinds.append(f'{self.spikes} jump on one sensor and back')
         verb = 'is' if self.count == 1 else 'are'
@@ -220,14 +235,16 @@ class FalseSampleFilter:
         stamp, values = rows.stamp[first:end], rows.values[first:end]
         if self._limits is None:
             self._limits = self._limits_by(rows.stamp[:_RADIUS])
-        on_all_axes, spikes = _false_samples(rows, *self._limits)
-        wrong = (on_all_axes | spikes)[first:end]
+        kinds = [kind[first:end] for kind in _false_samples(rows, *self._limits)]
+        wrong = np.logical_or.reduce(kinds)
         self.found = replace(self.found, received=self.found.received + len(stamp))
         if wrong.any():
+            on_all_axes, repeats, spikes = (int(kind.sum()) for kind in kinds)
             self.found = replace(
                 self.found,
-                on_all_axes=self.found.on_all_axes + int(on_all_axes[first:end].sum()),
-                spikes=self.found.spikes + int(spikes[first:end].sum()),
+                on_all_axes=self.found.on_all_axes + on_all_axes,
+                repeats=self.found.repeats + repeats,
+                spikes=self.found.spikes + spikes,
                 first=self.found.first if self.found.count else int(stamp[np.argmax(wrong)]),
             )
             stamp, values = stamp[~wrong], values[~wrong]
@@ -253,8 +270,8 @@ class FalseSampleFilter:
 
 def _false_samples(
     rows: Rows, on_all_axes: _Limits, of_spikes: _Limits
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which rows (n,) read one number on all axes without cause, and which are spikes."""
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which rows (n,) read one number on all axes without cause, repeat, or are spikes."""
     alike = np.zeros(len(rows.stamp), dtype=bool)
     placed = _PlacedRows(*rows, np.arange(len(alike)))
     with np.errstate(over='ignore', invalid='ignore'):
@@ -262,12 +279,66 @@ def _false_samples(
             alike[_on_all_axes(placed, triad, on_all_axes)] = True
         alike[_without_gravity(placed, on_all_axes)] = True
         alike[_zeros_of_gyros(placed)] = True
-        spikes = np.zeros_like(alike)
-        if alike.any():
-            sound = np.flatnonzero(~alike)
+        repeats, spikes = np.zeros((2, len(alike)), dtype=bool)
+        repeats[_repeats(rows.values, on_all_axes)] = True
+        repeats &= ~alike
+        sound = np.flatnonzero(~(alike | repeats))
+        if len(sound) < len(alike):
             placed = _PlacedRows(rows.stamp[sound], rows.values[sound], sound)
         spikes[placed.places[_spikes(placed, of_spikes)]] = True
-    return alike, spikes
+    return alike, repeats, spikes
+
+
+def _repeats(values: Floats, limits: _Limits) -> NDArray[np.intp]:
+    """Return the rows of values (n, 6) that are the one before once more, and not by chance.
+
+    The limits are those for rows of one number.
+    """
+    same = values[1:] == values[:-1]
+    again = np.flatnonzero(all_in_row(same)) + 1
+    begin = np.flatnonzero(np.diff(again, prepend=-2) > 1)
+    lengths = np.diff(begin, append=len(again))
+    short = lengths < _LONGEST
+    first, last = again[begin[short]], again[begin[short]] + lengths[short]
+    if not len(first):
+        return first
+    if not limits.step:  # Without noise rounding alone differs.
+        same = np.abs(np.diff(values, axis=0)) <= _ROUNDING * np.abs(values[1:])
+    # By running sums: sparse counters repeat one sample in three.
+    sums = np.concatenate([np.zeros((1, 6), dtype=int), np.cumsum(same, axis=0)])
+    lower, upper = np.maximum(first - 1 - _AROUND, 0), np.minimum(last - 1 + _AROUND, len(same))
+    alike = sums[upper] - sums[lower] - (last - first)[:, None]
+    chance = np.prod((alike + 1) / (upper - lower - (last - first) + 2)[:, None], axis=1)
+    false = (chance < _BY_CHANCE) | _halts(values, first, last, limits)
+    return np.asarray(again[np.repeat(short, lengths)][np.repeat(false, last - first)])
+
+
+def _halts(
+    values: Floats, first: NDArray[np.intp], last: NDArray[np.intp], limits: _Limits
+) -> NDArray[np.bool_]:
+    """Return which repeats, from a first row to before a last one, halt a sensor that changes.
+
+    Before them it changes by some amount a sample, and after them by as much for each.
+    """
+    halts = np.zeros(len(first), dtype=bool)
+    inside = np.flatnonzero((first > _FEWEST) & (last < len(values) - _FEWEST))
+    first, last = first[inside], last[inside]
+    slope = values[first - 1] - values[first - 2]
+    caught_up = (values[last] - values[first - 1]) / (last - first + 1)[:, None]
+    change = np.where(slope * caught_up > 0, np.minimum(np.abs(slope), np.abs(caught_up)), 0.0)
+    asked = np.flatnonzero(any_in_row(change > limits.ratio * limits.step))
+    if not len(asked):
+        return halts
+    first, last, change = first[asked], last[asked], change[asked]
+    beside = np.arange(_BESIDE)
+    rows = np.concatenate([first[:, None] - 1 - beside[::-1], last[:, None] + beside], axis=1)
+    near = (rows >= 0) & (rows < len(values))
+    around = values[np.clip(rows, 0, len(values) - 1)]
+    scale = np.maximum(_roughness(around, near), limits.step)
+    if not limits.step:
+        scale = np.maximum(scale, _step(around, near, values[last], limits.coarsest))
+    halts[inside[asked]] = any_in_row(change > limits.ratio * scale)
+    return halts
 
 
 def _on_all_axes(rows: _PlacedRows, triad: int, limits: _Limits) -> NDArray[np.intp]:

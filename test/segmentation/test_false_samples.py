@@ -268,10 +268,12 @@ def passed(
 def test_the_result_does_not_depend_on_blocks(units):
     stamp, values = in_hand()
     stamp, values, rng = stamp[:4000], values[:4000].copy(), np.random.default_rng(5)
+    values += np.rint(rng.normal(0.0, 8.0, values.shape))
     for spoil in (zeros, minus_one, spikes):
         spoil(values, np.flatnonzero(rng.random(len(stamp)) < 0.03))
     first = np.arange(60, len(stamp) - 60, 41)
     values[np.concatenate([first, first + 1, first + 2]), 2] = -32768.0
+    values[first + 10] = values[first + 9]
     if units is Units.SI:
         values *= np.repeat([MEMS.gyro.scale_factor, MEMS.accel.scale_factor], 3)
     whole, cut = FalseSampleFilter(units), FalseSampleFilter(units)
@@ -282,7 +284,7 @@ def test_the_result_does_not_depend_on_blocks(units):
     for k in range(2):
         assert np.array_equal(*(np.concatenate([one[k] for one in of]) for of in (expected, found)))
     assert whole.found == cut.found
-    assert min(cut.found.on_all_axes, cut.found.spikes) > 100
+    assert min(cut.found.on_all_axes, cut.found.repeats, cut.found.spikes) > 50
 
 
 def test_runs_of_up_to_eight_are_false_and_longer_ones_frozen():
@@ -291,6 +293,37 @@ def test_runs_of_up_to_eight_are_false_and_longer_ones_frozen():
         values = np.rint(values)
         values[200 : 200 + length] = 0.0
         assert passed(values, Units.COUNTS).on_all_axes == count
+
+
+@pytest.mark.parametrize('scale', [1.0, 0.001])
+def test_samples_that_repeat_the_one_before_are_seen(scale):
+    values = np.rint(np.random.default_rng(3).normal([0, 0, 0, 10, 500, 2000], 8.0, (4000, 6)))
+    for first, length in ((100, 1), (300, 1), (2000, 3), (3000, 7), (3500, 20)):
+        values[first : first + length] = values[first - 1]
+    units = Units.COUNTS if scale == 1.0 else Units.SI
+    found = passed(values * scale, units)
+    assert (found.repeats, found.count) == (1 + 1 + 3 + 7, 1 + 1 + 3 + 7)
+    assert '12 repeat the one before' in found.sentences[0]
+
+
+def speeding_up() -> Floats:
+    """Counts of a table that speeds up for two seconds, turns, and stops at once."""
+    rate = np.interp(np.arange(1000), [400, 600, 800, 801], [0.0, 2000.0, 2000.0, 0.0])
+    return np.stack([rate, 0 * rate, 0 * rate, 0 * rate, 0 * rate, 0 * rate + 1000], axis=1)
+
+
+def test_a_repeat_of_a_counter_without_noise_is_seen_where_it_halts_a_motion():
+    values = speeding_up()
+    assert passed(values, Units.COUNTS).count == 0
+    values[500] = values[499]
+    values[550:552] = values[549]
+    assert passed(values, Units.COUNTS).repeats == 3
+
+
+@pytest.mark.parametrize('noise', [0.0, 0.3, 0.5, 1.0, 2.0, 3.0])
+def test_sound_samples_repeat_as_their_noise_lets_them(noise):
+    values = np.random.default_rng(4).normal([0.2, 0.5, 3, 10, 500.3, 2000], noise, (200_000, 6))
+    assert passed(np.rint(values), Units.COUNTS).repeats == 0
 
 
 def test_a_driver_that_changes_signs_hides_none():
