@@ -59,7 +59,7 @@ from ..session.plan import Plan
 from ..session.table import Table
 from ..session.units_file import TRUTHS, MountedUnit, spread_seeds
 from ..simulation.hand import as_planned
-from ..simulation.options import StandOptions, load_imperfections
+from ..simulation.options import StandOptions, begin_of, load_imperfections
 from ..simulation.repetition import RunStatistics, Study, economical, repeat
 from ..simulation.stand import (
     IMU_TOPIC,
@@ -128,10 +128,10 @@ class InRecording(TypedDict, total=False):
     start: Annotated[
         str | datetime | None,
         'Date of the first sample, ISO 8601, UTC if it states no zone; None for '
-        '2023-11-14T22:13:20Z.',
+        '2023-11-14T22:13:20Z and a day later with each seed.',
         Option(
             'when the recording begins, for instance 2026-01-31T12:00:00Z (default: '
-            '2023-11-14T22:13:20Z)',
+            '2023-11-14T22:13:20Z, a day later with each seed)',
             'DATE',
         ),
     ]
@@ -251,8 +251,9 @@ def _options(table: Table | None, given: Simulation) -> StandOptions:
     )
     if given['imperfections'] is not None:
         options = load_imperfections(given['imperfections'], options, table, given['seed'])
-    if given['start'] is not None:
-        options = replace(options, start_time=_stamp_of(given['start']))
+    start = given['start']
+    begin = begin_of(given['seed']) if start is None else _stamp_of(start)
+    options = replace(options, start_time=begin)
     temperature = given['temperature']
     if temperature is not None:
         if not COLDEST <= temperature <= HOTTEST:

@@ -28,7 +28,7 @@ from ..session.imu import ImuSpec
 from ..session.keywords import Named, OnStand, Stated, with_keywords
 from ..session.plan import Plan
 from ..session.table import Table
-from ..simulation.options import StandOptions, load_imperfections
+from ..simulation.options import DAY, StandOptions, load_imperfections
 from ..simulation.true_table import TrueTable
 from .session import TRUE_TABLE, SimulatedHardware
 
@@ -185,7 +185,7 @@ def is_finished(journal: Path) -> bool:
 
 
 def end_of_journal(journal: Path) -> float | None:
-    """Return the last whole second of a journal, s after the epoch of simulated hardware.
+    """Return the last whole second of a journal, s after simulated hardware began.
 
     None if it is unreadable or empty.
     """
@@ -197,7 +197,8 @@ def end_of_journal(journal: Path) -> float | None:
         if end is None:
             logged = (times.log for _, _, times in recording.messages())
             end = max((int(log.max()) for log in logged if len(log)), default=None)
-    return None if end is None else float((end - StandOptions.start_time) // NS)
+    # A session lasts less than a day, and seeds begin whole days apart.
+    return None if end is None else float((end - StandOptions.start_time) % DAY // NS)
 
 
 def _opened(journal: Path) -> Recording | None:

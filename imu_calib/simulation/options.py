@@ -12,7 +12,7 @@ import numpy as np
 from ..common.config import Section
 from ..common.errors import InputError
 from ..common.keys import key, part, read_onto, read_part, record
-from ..common.stream import Floats
+from ..common.stream import NS, Floats
 from ..common.units import ARCSEC, Dimension
 from ..session.table import TURN, Table
 from .true_table import TableSizes, TrueTable
@@ -411,6 +411,18 @@ class StandOptions(TableOptions, ImuOptions):
         variants=('mounting',),
     )
     shock: Shock | None = None  #: One shock, or None.
+
+
+DAY = 86400 * NS  #: ns.
+_DAYS = 10_000  #: After which seeds begin at the same dates again: 27 years, as dates have an end.
+
+
+def begin_of(seed: int) -> int:
+    """Return the host stamp at which the session of a seed begins by default, ns.
+
+    Seeds begin days apart: a unit has one session at a time.
+    """
+    return StandOptions.start_time + seed % _DAYS * DAY
 
 
 def switched_on(seed: int, start: float) -> int | tuple[int, int]:

@@ -27,6 +27,7 @@ from imu_calib.common.units import DEG_H, MICRO_G, PPM
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.session_terms import Changes, split_terms
 from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.reports.side_by_side import in_scale_of
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
@@ -332,6 +333,16 @@ def test_verify_judges_values_and_files(folder, result, tmp_path):
         imu_calib.verify(tmp_path / 'other', result.calibration, imu='mems_counts')
 
 
+def test_a_copy_in_another_container_is_the_same_recording(folder, result, tmp_path):
+    with (
+        open_recording(folder / 'bag') as bag,
+        RecordingWriter(tmp_path / 'copy', bag.custom_data, 'zstd') as copy,
+    ):
+        for topic, messages, times in bag.messages():
+            copy.write(topic.name, topic.message_type, messages, times.log)
+    assert imu_calib.verify(tmp_path / 'copy', result.calibration).own_recording
+
+
 def test_compensate_writes_rates_and_forces(folder, result, tmp_path):
     done = imu_calib.compensate(folder / 'bag', result.calibration, tmp_path / 'si')
     assert done.samples_out == done.samples_in
@@ -565,6 +576,14 @@ def test_dwells_are_found_that_reach_what_is_wanted(folder):
     table = imu_calib.load_table('three_axis')
     standing = sum(step.dwell for step in reached.plan.steps(table))
     assert again.duration > standing
+    # Biases that drift need longer dwells, and the plan is a file.
+    drifts = {'bias_instability': True, 'output': folder / 'mine.yaml'}
+    more = imu_calib.reach(folder / 'brief.yaml', 'fog_medium', {'D_gx': '0.05 deg/h'}, **drifts)
+    written = load_plan(folder / 'mine.yaml')
+    assert sum(p.dwell for p in written.positions) > standing
+    known = imu_calib.predict(written, 'fog_medium', bias_instability=True).std['D_gx']
+    assert known / DEG_H == pytest.approx(0.05, rel=5e-3)
+    assert written.text('mine') == more.plan.text('mine')
     with pytest.raises(InputError, match=r'`reach` D_gx=0\.0: a standard deviation is above zero'):
         imu_calib.reach(folder / 'brief.yaml', 'fog_medium', {'D_gx': 0.0})
 

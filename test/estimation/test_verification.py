@@ -37,6 +37,7 @@ from imu_calib.session.metadata import describe
 from imu_calib.session.plan import UNPLANNED, Plan, load_plan
 from imu_calib.session.table import Table, load_table
 from imu_calib.session.table_errors import TableErrors
+from imu_calib.simulation.options import begin_of
 
 PLAN = quick_plan('six_position', 20.0)
 HEADING = 0.7
@@ -522,7 +523,9 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file.write_text(re.sub(r'rates: \[.*, (.*, .*)\]', r'rates: [\1]', text))
     data = describe(str(file), 'fog_medium', 'three_axis', SITE, 'A1')
     with RecordingWriter(bag, data) as writer:
-        for topic, block in session(load_plan(str(file)), stand(azimuth=HEADING), seed=1):
+        # A day after the session of the calibration.
+        later = stand(azimuth=HEADING, start_time=begin_of(1))
+        for topic, block in session(load_plan(str(file)), later, seed=1):
             kind, messages, stamp = serialised(block)
             writer.write(f'/{topic}', kind.type_name, messages, stamp)
     return bag

@@ -22,12 +22,13 @@ from imu_calib.calibration.thermal import read_calibration
 from imu_calib.cli.main import main
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
+from imu_calib.common.files import share_folder
 from imu_calib.common.units import Dimension, parse
 from imu_calib.estimation.methods import METHODS
 from imu_calib.live.devices.format import read_format
 from imu_calib.reports.certificate_fields import read_fields
 from imu_calib.session.imu import read_imu
-from imu_calib.session.plan import METHOD_NAMES, read_plan
+from imu_calib.session.plan import METHOD_NAMES, load_plan, read_plan
 from imu_calib.session.table import load_table, read_table
 from imu_calib.session.units_file import read_units
 from imu_calib.simulation.options import StandOptions, read_imperfections
@@ -739,3 +740,19 @@ def test_the_methods_of_plans_are_those_that_there_are():
 def test_the_command_prints_a_schema(kind, capsys):
     assert main(['schema', kind]) == 0
     assert json.loads(capsys.readouterr().out) == pages.schema(kind)
+
+
+@pytest.mark.parametrize('file', sorted((share_folder() / 'config' / 'plans').glob('*.yaml')))
+def test_the_text_of_a_plan_is_that_plan(file, tmp_path):
+    plan = load_plan(file)
+    (tmp_path / 'again.yaml').write_text(plan.text(plan.name))
+    again = load_plan(tmp_path / 'again.yaml')
+    head = ('name', 'title', 'source', 'method', 'by_hand')
+    assert [getattr(again, key) for key in head] == [getattr(plan, key) for key in head]
+    for one, other in zip(again.positions, plan.positions, strict=True):
+        assert (one.id, one.dwell) == (other.id, other.dwell)
+        np.testing.assert_allclose(one.attitude, other.attitude, atol=1e-9)
+        assert (one.rate_test is None) == (other.rate_test is None)
+        if one.rate_test is not None and other.rate_test is not None:
+            assert one.rate_test.turns == other.rate_test.turns
+            assert one.rate_test.rates == pytest.approx(other.rate_test.rates)

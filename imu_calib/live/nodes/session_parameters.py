@@ -18,7 +18,7 @@ from ...session.metadata import describe, shared_description
 from ...session.plan import UNPLANNED, load_plan
 from ...session.table import load_table
 from ...session.units_file import load_units, remaining
-from ...simulation.options import StandOptions
+from ...simulation.options import StandOptions, begin_of
 from ..devices.simulated import IN_MEMORY
 from ..middleware import Node
 from ..rules import Rules
@@ -191,13 +191,13 @@ def declare_simulation(node: Node, imu: str, truth: str) -> Simulation:
     rate = declare(node, 'sample_rate', 0.0, words, lower=0.0)
     words = 'When the simulated time begins, s; the noise differs from start to start.'
     start = declare(node, 'start', 0.0, words, lower=0.0)
+    words = 'Seed of all random numbers: the same seed gives the same errors.'
+    seed = declare(node, 'seed', 0, words, lower=0)
     options = StandOptions(
         bias_instability=drifting,
         sample_rate=rate or None,
-        start_time=round(start * 1e9) + StandOptions.start_time,
+        start_time=round(start * 1e9) + begin_of(seed),
     )
-    words = 'Seed of all random numbers: the same seed gives the same errors.'
-    seed = declare(node, 'seed', 0, words, lower=0)
     wrong = declare(node, 'imperfections', '', 'Name or file of the imperfections; empty: none.')
     words = 'Highest speed in multiples of real time; 0: as fast as the readers follow.'
     speed = declare(node, 'speed', 0.0, words, lower=0.0)
