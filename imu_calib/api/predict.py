@@ -188,7 +188,9 @@ def reach(
     imu: ImuSpec | Named,
     wanted: Mapping[str, str | float],
     *,
+    output: Named | None = None,
     truth: Calibration | Named = 'cao2022_table1',
+    bias_instability: bool = False,
     scheduler: str | None = None,
     **stated: Unpack[Planned],
 ) -> Reached:
@@ -199,7 +201,9 @@ def reach(
         imu: Its noise and the size of its pulses matter.
         wanted: Standard deviations by the names of parameters: texts with a unit, for instance
             {'D_gx': '0.05 deg/h'}, or numbers in SI units.
+        output: File for the plan, which ends in .yaml; None for none.
         truth: Assumed true parameters of the unit.
+        bias_instability: Let the biases drift by the IMU's figure.
         scheduler: Address of a Dask scheduler whose worker runs the search; None for this process.
 
     Returns:
@@ -210,8 +214,13 @@ def reach(
             or broken.
         NotObservable: No dwell reaches it; the text states the obstacle.
     """
-    session = Stated(plan=plan, imu=imu, **stated)
-    return shortest(setup_of(session), as_truth(truth).model, wanted, scheduler)
+    target = None if output is None else plan_file(output)
+    setup = setup_of(Stated(plan=plan, imu=imu, **stated))
+    model = as_truth(truth).model
+    found = shortest(setup, model, wanted, scheduler, drifting=bias_instability)
+    if target is not None:
+        write_whole(target, found.plan.text(target.stem))
+    return found
 
 
 def setup_of(stated: Stated) -> Setup:
@@ -280,13 +289,15 @@ def shortest(
     truth: SensorModel,
     wanted: Mapping[str, str | float],
     scheduler: str | None = None,
+    *,
+    drifting: bool = False,
 ) -> Reached:
     """Find the shortest dwells that reach standard deviations."""
     if not wanted:
         raise InputError('`reach`: found no parameter, expected NAME=STD of one at least.')
     parameters = {p.name: p for p in listed(setup)}
     read = dict(_wanted(name, value, parameters) for name, value in wanted.items())
-    one = partial(shortest_dwells, setup, truth)
+    one = partial(shortest_dwells, setup, truth, drifting=drifting)
     return run_all(one, [read], scheduler=scheduler)[0]
 
 

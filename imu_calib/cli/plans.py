@@ -21,7 +21,7 @@ from ..api.predict import (
 )
 from ..api.session import Drifting, as_truth
 from ..common.errors import InputError, NotObservable
-from ..common.files import share_folder
+from ..common.files import share_folder, write_whole
 from ..common.finding import by_effect
 from ..common.stream import Mode
 from ..common.units import DEG, PPM, decimals
@@ -101,7 +101,9 @@ def show_prediction(arguments: argparse.Namespace) -> None:
 
 def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel) -> None:
     wanted = dict(_parted(text) for text in arguments.reach)
-    reached = shortest(setup, truth, wanted, arguments.scheduler)
+    target = None if arguments.output is None else plan_file(arguments.output)
+    drifting = arguments.bias_instability
+    reached = shortest(setup, truth, wanted, arguments.scheduler, drifting=drifting)
     _show_forecast(reached.forecast, reached.wanted)
     dwells = [
         f'{position.id}: {position.dwell:.0f} ({before:.0f})'
@@ -112,6 +114,9 @@ def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel)
     print_text(f'Dwell in s at each position (that of the plan): {", ".join(dwells)}.')
     if setup.table is not None:
         show_time(reached.plan, setup.table)
+    if target is not None:
+        write_whole(target, reached.plan.text(target.stem))
+        OUTPUT.print(f'written to {target}', markup=False, highlight=False)
 
 
 def _parted(text: str) -> tuple[str, str]:
@@ -234,7 +239,7 @@ def add_plans_options(parser: argparse.ArgumentParser) -> None:
         help='rate of the turns of --optimise (default: 60, or that of the slowest joint)',
     )
     parser.add_argument(
-        '-o', '--output', metavar='FILE', help='file for the plan that --optimise finds'
+        '-o', '--output', metavar='FILE', help='file for the plan that --optimise or --reach finds'
     )
     parser.add_argument(
         '--truth',
@@ -289,8 +294,10 @@ def run_plans(arguments: argparse.Namespace) -> None:
 
 def _check_optimise(arguments: argparse.Namespace) -> None:
     if arguments.optimise is None:
-        if arguments.output is not None or arguments.rate is not None:
-            raise InputError('--output and --rate are for --optimise MINUTES.')
+        if arguments.rate is not None:
+            raise InputError('--rate is for --optimise MINUTES.')
+        if arguments.output is not None and not arguments.reach:
+            raise InputError('--output is for --optimise MINUTES and --reach NAME=STD.')
         return
     if arguments.plan is not None:
         raise InputError(f'--optimise finds a plan: found {arguments.plan!r}, expected no PLAN.')

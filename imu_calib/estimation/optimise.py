@@ -8,7 +8,7 @@ and the remaining time goes to the dwells.
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
@@ -30,7 +30,7 @@ from .evidence import Evidence
 from .forecast import Forecast, forecast, gravity_variances, information, listed, state_at
 from .information import log_determinant
 from .methods import JOINT, method
-from .predict import duration, expected
+from .predict import bias_drift_covariance, duration, expected
 from .setup import Setup
 
 _SENSORS = len(PARAMETERS)
@@ -55,13 +55,6 @@ class Attitude:
     by: float  #: Angle about it, deg.
     matrix: Floats  #: (3, 3) R_nb.
 
-    def text(self) -> str:
-        """Return it as YAML."""
-        axes = f'axes: [{", ".join(self.letters)}]'
-        return (
-            axes if not self.by else f'{axes}, turned: {{about: {self.about}, by: {self.by:g} deg}}'
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
@@ -80,24 +73,7 @@ class Optimum:
 
     def text(self, name: str) -> str:
         """Return the text of the plan's file, under a name."""
-        test = next(p.rate_test for p in self.plan.positions if p.rate_test is not None)
-        rates = ', '.join(f'{rate / DEG:g} deg/s' for rate in test.rates)
-        count, minutes = len(self.plan.positions), self.seconds / 60
-        lines = [
-            f'name: {json.dumps(name)}',
-            f'title: {count} attitudes chosen to tell most in {minutes:.1f} min, any azimuth',
-            'source: D-optimal exchange, Fedorov 1972; docs/optimised_plan.md',
-            'method: joint',
-            f'dwell: {self.plan.positions[0].dwell:g} s',
-            'rate_test:',
-            f'  rates: [{rates}]',
-            f'  turns: {test.turns}',
-            'positions:',
-        ]
-        for position, attitude in zip(self.plan.positions, self.attitudes, strict=True):
-            turning = ', rate_test: true' if position.rate_test is not None else ''
-            lines.append(f'  - {{id: {position.id}, {attitude.text()}{turning}}}')
-        return '\n'.join([*lines, ''])
+        return self.plan.text(name)
 
 
 def candidates(table: Table) -> list[Attitude]:
@@ -264,12 +240,19 @@ def _timed(
         return None
     # Whole seconds, for a readable file.
     positions = [replace(p, dwell=float(int(dwell))) for p in positions]
-    plan = replace(plan, positions=tuple(positions))
+    lasting = duration(replace(plan, positions=tuple(positions)).steps(table), table)
+    plan = replace(
+        plan,
+        positions=tuple(positions),
+        title=f'{len(positions)} attitudes chosen to tell most in {lasting / 60:.1f} min, '
+        'any azimuth',
+        source='D-optimal exchange, Fedorov 1972; docs/optimised_plan.md',
+    )
     try:
         value = log_information(replace(setup, plan=plan), truth)
     except ImuCalibError:
         return None
-    return Optimum(plan, tuple(ordered), value, duration(plan.steps(table), table))
+    return Optimum(plan, tuple(ordered), value, lasting)
 
 
 def log_information(setup: Setup, truth: SensorModel) -> float:
@@ -330,7 +313,12 @@ class Reached:
 
 
 def reach(
-    setup: Setup, truth: SensorModel, wanted: Mapping[str, float], azimuth: float | None = None
+    setup: Setup,
+    truth: SensorModel,
+    wanted: Mapping[str, float],
+    azimuth: float | None = None,
+    *,
+    drifting: bool = False,
 ) -> Reached:
     """Find one dwell for each position, of least sum, that reach an accuracy.
 
@@ -339,6 +327,7 @@ def reach(
         truth: Assumed sensors.
         wanted: Standard deviations by name of the parameter, SI units.
         azimuth: True heading of the table's zero, rad; None for the table's own, or north.
+        drifting: Whether the biases drift by the IMU's bias instability.
 
     Raises:
         InputError: There is no such parameter.
@@ -350,10 +339,10 @@ def reach(
             raise InputError(f'There is no parameter {name!r}; there are: {", ".join(names)}.')
     rows = np.array([names.index(name) for name in wanted])
     targets = np.array(list(wanted.values()))
-    plan, weights = setup.plan, None
+    plan, weights, step, before = setup.plan, None, 1.0, 0.0
     for _ in range(_LOOKS):
         now = replace(setup, plan=plan)
-        found = forecast(now, truth, azimuth)
+        found = forecast(now, truth, azimuth, drifting=drifting)
         if found.refusal:
             raise NotObservable(found.refusal)
         if not found.evidence.segments:
@@ -363,17 +352,23 @@ def reach(
         _check_observed(found, rows)
         joint = setup.method_name in JOINT
         if weights is None or joint:
-            weights = _weights(now, truth, found.evidence)[rows] ** 2
+            weights = _weights(now, truth, found.evidence, drifting)[rows] ** 2
         gravities = gravity_variances(found, truth)[rows]
         wide = targets / _SLACK
-        before, plan = (
-            plan,
-            _shorter(plan, found, weights, rows, wide, gravities, weights_follow=joint),
-        )
-        pairs = zip(plan.positions, before.positions, strict=True)
-        if max(abs(p.dwell - q.dwell) - _CLOSE * q.dwell for p, q in pairs) <= 0:
+        sought = _shorter(plan, found, weights, rows, wide, gravities, weights_follow=joint)
+        ways = [
+            math.log(q.dwell / p.dwell) if p.dwell else 0.0
+            for p, q in zip(plan.positions, sought.positions, strict=True)
+        ]
+        # What biases drift changes with the dwells, too: whole steps would go to and fro.
+        step = step / 2 if sum(ways) * before < 0 else step
+        before, stays = sum(ways), plan.positions
+        times = {p.id: p.dwell * math.exp(step * way) for p, way in zip(stays, ways, strict=True)}
+        plan = _with_dwells(plan, times)
+        if max(map(abs, ways)) <= _CLOSE:
             break
-    return Reached(plan, forecast(replace(setup, plan=plan), truth, azimuth), wanted)
+    final = forecast(replace(setup, plan=plan), truth, azimuth, drifting=drifting)
+    return Reached(plan, final, wanted)
 
 
 def _shorter(
@@ -416,8 +411,8 @@ def _shorter(
         return _with_dwells(plan, dict(zip(names, longer, strict=True)))
     if short:
         raise NotObservable(
-            f'No dwell reaches it for {", ".join(short)}: the turns, the positioning errors and '
-            'the clocks contribute more than that. Turn more often.'
+            f'No dwell reaches it for {", ".join(short)}: the turns, the positioning errors, the '
+            'clocks and what the biases drift contribute more than that. Turn more often.'
         )
     seconds = dwells[share] + beyond
 
@@ -465,7 +460,7 @@ def _with_dwells(plan: Plan, times: Mapping[str, float]) -> Plan:
     return replace(plan, positions=positions)
 
 
-def _weights(setup: Setup, truth: SensorModel, evidence: Evidence) -> Floats:
+def _weights(setup: Setup, truth: SensorModel, evidence: Evidence, drifting: bool) -> Floats:
     """Return the derivatives of the parameters by the outputs, (n, 6 s + 3 t)."""
     name = setup.method_name
     if name not in JOINT:
@@ -474,9 +469,10 @@ def _weights(setup: Setup, truth: SensorModel, evidence: Evidence) -> Floats:
         return gain
     equations = Equations(evidence, setup.parameters)
     state = state_at(equations, truth)
-    covariance = information(evidence, truth, setup.parameters).covariance
+    extra = bias_drift_covariance(evidence, setup.imu) if drifting else None
+    covariance = information(evidence, truth, setup.parameters, extra=extra).covariance
     jacobian = equations.jacobian(state)
-    inverse = np.linalg.inv(equations.covariance(state))
+    inverse = np.linalg.inv(equations.covariance(state) + (0.0 if extra is None else extra))
     return np.asarray((np.nan_to_num(covariance) @ jacobian.T @ inverse)[: equations.sensors])
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +148,32 @@ class Plan:
                 return position
         raise KeyError(name)
 
+    def text(self, name: str) -> str:
+        """Return the text of the plan's file, under a name.
+
+        Raises:
+            InputError: An attitude is not that of axes along compass directions, turned about one.
+        """
+        head = {'name': name, 'title': self.title, 'source': self.source, 'method': self.method}
+        dwells = {position.dwell for position in self.positions} - {0.0}
+        usual = f'{max(dwells, default=1.0):.6g} s'
+        lines = [f'{key}: {json.dumps(value)}' for key, value in head.items()]
+        lines += [f'dwell: {usual}', *(['by_hand: true'] if self.by_hand else [])]
+        tests = [position.rate_test for position in self.positions if position.rate_test]
+        if tests:
+            rates = ', '.join(f'{rate / DEG:.9g} deg/s' for rate in tests[0].rates)
+            lines += ['rate_test:', *([f'  rates: [{rates}]'] if rates else [])]
+            lines.append(f'  turns: {tests[0].turns}')
+        lines.append('positions:')
+        for position in self.positions:
+            words = [f'id: {json.dumps(position.id)}', _attitude_text(position.attitude)]
+            if (dwell := f'{position.dwell:.6g} s') != usual:
+                words.append(f'dwell: {dwell}')
+            if position.rate_test is not None:
+                words.append('rate_test: true')
+            lines.append(f'  - {{{", ".join(words)}}}')
+        return '\n'.join([*lines, ''])
+
     def steps(self, table: Table, start: Floats | None = None) -> tuple[Step, ...]:
         """Return the setpoints of the plan on a table in order, checked, from (k,) angles, rad.
 
@@ -209,6 +237,25 @@ class Plan:
     def _sense(self, table: Table, joint: int, angles: Floats) -> float:
         up = table.attitude(angles).T @ np.array([0.0, 0.0, 1.0])
         return math.copysign(1.0, float(table.joint_axis(joint, angles) @ up))
+
+
+def _attitude_text(attitude: Floats) -> str:
+    """Return an attitude as the file of a plan states it, turned by the smallest angle."""
+    found = []
+    for letters in permutations(COMPASS, 3):
+        left = np.array([COMPASS[letter] for letter in letters]) @ attitude
+        for k, about in enumerate(BODY_AXES):
+            by = math.atan2(left[k - 1, k - 2], left[k - 2, k - 2]) / DEG
+            if np.allclose(left, rotation(BODY_AXES[about], by * DEG), atol=1e-9):
+                turned = f', turned: {{about: {about}, by: {by:.9g} deg}}'
+                found.append((round(abs(by), 6), by < 0, f'axes: [{", ".join(letters)}]', turned))
+    if not found:
+        raise InputError(
+            f'Attitude {attitude.round(6).tolist()}: a file of a plan states axes along compass '
+            'directions, turned about one of them.'
+        )
+    size, _, axes, turned = min(found)
+    return axes + turned if size else axes
 
 
 UNPLANNED = Plan('', 'whatever the table did', '', 'joint', ())
