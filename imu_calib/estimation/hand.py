@@ -269,7 +269,7 @@ class _State:
             [(left, np.eye(len(left)))], (), [[Variance((e @ e.T,))] for e in entering], _LEAST_GAIN
         )
         sizes = np.concatenate(chosen.means)
-        probability = np.array([chosen.probability(k) for k in range(len(sizes))])
+        probability = np.array([chosen.probability(k) for k in range(len(sizes))]) * chosen.needed
         return Scatter(sizes[:3], sizes[3:] * units, probability)
 
     def scattering(self, scatter: Scatter) -> _State:

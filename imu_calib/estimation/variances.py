@@ -164,9 +164,10 @@ class ChosenVariances:
     #: (k,) means over all models of the variances of a kind, one for each alternative.
     means: tuple[Floats, ...]
     models: tuple[tuple[Chosen, float], ...]  #: Variances in each, and its probability.
+    needed: float  #: Probability of all of them together against none that is not known.
 
     def probability(self, *kinds: int) -> float:
-        """Return the probability that any of some kinds is in the model."""
+        """Return the probability that any of some kinds is in the model, if one is needed."""
         return sum(share for chosen, share in self.models if {k for k, _ in chosen} & set(kinds))
 
 
@@ -283,7 +284,9 @@ def choose_variances(
     for (chosen, found), share in zip(kept.items(), shares, strict=True):
         for (k, a), mean in zip(sorted(chosen), found.means[len(known) :], strict=True):
             means[k][a] += share * mean
-    return ChosenVariances(means, tuple(zip(kept, shares, strict=True)))
+    beyond = float(np.logaddexp.reduce(logs)) - models.log_odds(frozenset())
+    needed = float(scipy.special.expit(beyond)) if best else 0.0
+    return ChosenVariances(means, tuple(zip(kept, shares, strict=True)), needed)
 
 
 @dataclass(frozen=True, eq=False)

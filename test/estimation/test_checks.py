@@ -436,6 +436,7 @@ def scattering(
     by_hand: bool = False,
     moved: tuple[float, ...] = (0.0,) * 4,
     likely: float = 1.0,
+    needed: float = 1.0,
 ) -> list[str]:
     """Return what is said of an estimate that found positioning errors and drifts."""
     none = np.zeros(6)
@@ -447,6 +448,7 @@ def scattering(
         fast_drift=fast,
         in_motion=moved,
         motion_probability=tuple(likely * bool(one) for one in moved),
+        probability=needed,
     )
     instability = none if instability is None else instability
     evidence = SimpleNamespace(
@@ -517,6 +519,8 @@ def test_scatter_of_motions_is_told_with_its_sizes() -> None:
 
 def test_what_more_likely_is_not_there_is_not_told() -> None:
     assert scattering(moved=(1e-5, 0.0, 0.0, 0.004), drift=np.full(6, 1e-4), likely=0.4) == []
+    # What a sound session of a hundred has by chance: the deviations allow for it.
+    assert scattering(3 * ARCSEC, moved=(1e-5, 0.0, 0.0, 0.004), needed=0.89) == []
 
 
 class Links(list[int]):

@@ -163,6 +163,17 @@ def test_a_variance_that_is_there_is_found_with_its_size(size: float) -> None:
     assert np.mean(found) == pytest.approx(1.2 * size**2, rel=0.25)
 
 
+def test_a_kind_with_the_least_gain_is_as_likely_as_none() -> None:
+    one = patterns(40, 8)[0]
+    residuals = np.linalg.cholesky(one + np.eye(40)) @ np.random.default_rng(6).standard_normal(40)
+    sought = [(residuals, np.eye(40))]
+    without, with_it = (find_variances(sought, of) for of in ((), [Variance((one,))]))
+    gain = with_it.log_likelihood - without.log_likelihood
+    needed = [choose_variances(sought, (), [[Variance((one,))]], gain - d).needed for d in (0, 2.2)]
+    assert needed == pytest.approx([0.5, 0.9], abs=1e-2)
+    assert choose_variances(sought, (), [[Variance((one,))]], gain + 0.1).needed == 0
+
+
 def test_explanations_that_cannot_be_told_apart_share_what_is_seen() -> None:
     one = patterns(40, 8)[0]
     root = np.linalg.cholesky(one + 1e-9 * np.eye(40))
