@@ -475,11 +475,11 @@ honest yet:
   grade), and up to 7 times
 
 Readings of the vertical joint that step do not matter and are not named ([limits.md](limits.md));
-those of the others are, but for one of 15. Of 307 sessions in which nothing happens
-(67 draws of the noise by each grade, 66 with a draw of their own, 40 on exact tables or of pulses)
-none names anything. Their errors are 0.80 standard deviations (root mean square; K and D 1.02). Beside these, a unit that
-freezes for good in a turn, a move or a dwell is named, and stamps in steps of 15.6 ms with 40 % of
-the samples lost are refused (one to three seeds each).
+those of the others are, but for one of 15. Of 307 sessions in which nothing happens (67 draws of
+the noise by each grade, 66 with a draw of their own, 40 on exact tables or of pulses) none names
+anything. Their errors are 0.80 standard deviations (root mean square; K and D 1.02). Beside these,
+a unit that freezes for good in a turn, a move or a dwell is named, and stamps in steps of 15.6 ms
+with 40 % of the samples lost are refused (one to three seeds each).
 
 - named: a finding, or the refusal, names it
 - widened: the largest ratio of the 24 standard deviations to those of the session in which nothing
