@@ -51,9 +51,9 @@ _SIGNIFICANT = 0.1
 """Of the stated values: positioning errors below it change no deviation by more than half a
 percent, biases that drift by so much more by no more than a tenth."""
 _SAID = 0.9
-"""Probability from which on scatter is reported: beside the least gain another 2.2. By chance one of
-seven kinds gains as much in three to eleven of ten thousand sound sessions (20 000 draws of noise,
-three grades), and the least in one of a hundred: the deviations allow for it then."""
+"""Probability from which on scatter is reported: beside the least gain another 2.2. One of seven
+kinds gains as much by chance in three to eleven of ten thousand sound sessions (20 000 draws of
+noise, three grades), and the least in one of a hundred: the deviations allow for it then."""
 _LIKELY = 0.5
 """Probability from which on drifts and scatter of motions are reported: below, the deviations allow
 for something that more likely is not there."""
