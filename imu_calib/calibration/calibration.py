@@ -357,16 +357,17 @@ class Calibration:
         accelerometers) are not subtracted: `imu_calib.compensate` does both, for recordings.
 
         Args:
-            gyro: (n, 3) as the sensor delivers them, in the units of `imu`.
-            accel: (n, 3) likewise.
+            gyro: (n, 3) as the sensor delivers them, in the units of `imu`; of a data frame the
+                columns `angular_velocity.x` to `.z`, in whatever order, unless it has no names.
+            accel: (n, 3) likewise; of a data frame `linear_acceleration.x` to `.z`.
             rate: Samples per second; needed for what is counted over the sample interval.
 
         Raises:
-            InputError: The arrays do not have three columns each and as many rows, or `rate` is
-                missing or no number above 0.
+            InputError: The arrays do not have three columns each and as many rows, a data frame has
+                columns of other names, or `rate` is missing or no number above 0.
             NotObservable: The model cannot be inverted.
         """
-        raw = np.asarray(gyro, dtype=np.float64), np.asarray(accel, dtype=np.float64)
+        raw = _by_axis(gyro, 'angular_velocity'), _by_axis(accel, 'linear_acceleration')
         if raw[0].shape != raw[1].shape or raw[0].shape[-1:] != (len(AXES),):
             raise InputError(
                 f'`gyro`, `accel`: found the shapes {raw[0].shape} and {raw[1].shape}, expected '
@@ -629,6 +630,20 @@ def _check_std(section: Section, expected: Mapping[str, Any]) -> None:
                     f'{section.key(key)}: not the square roots of the variances in covariance.'
                 )
     section.refuse_unknown_keys()
+
+
+def _by_axis(samples: Any, field: str) -> Floats:
+    """Return samples (n, 3) as numbers: the columns of a data frame by their names, if any."""
+    names = [name for name in getattr(samples, 'columns', ()) if isinstance(name, str)]
+    if names:
+        wanted = [f'{field}.{axis}' for axis in 'xyz']
+        if any(names.count(name) != 1 for name in wanted):
+            raise InputError(
+                f'The data frame has the columns {", ".join(names)}, expected {", ".join(wanted)}: '
+                'rename them, or give its numbers in this order (`to_numpy()`).'
+            )
+        samples = samples[wanted]
+    return np.asarray(samples, dtype=np.float64)
 
 
 def _is_positive(value: object) -> bool:

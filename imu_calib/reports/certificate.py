@@ -23,6 +23,7 @@ from ..common.errors import InputError
 from ..common.files import version
 from ..common.stream import Units
 from ..common.units import ARCSEC, counted, decimals
+from ..model.earth import MEASURED
 from ..model.parameters import Parameter, engineering
 from ..session.imu import Specification
 from . import provenance
@@ -185,7 +186,14 @@ def _check(fields: Fields, calibration: Calibration) -> None:
         wrong.append(f'received: found {fields.received}, after {day}, {began}')
     if day is not None and fields.issued is not None and fields.issued < day - _ZONES:
         wrong.append(f'issued: found {fields.issued}, before {day}, {began}')
+    source = calibration.provenance.get('gravity_source')
     for k, one in enumerate(fields.equipment):
+        if source not in {None, MEASURED} and 'gravi' in f'{one.name} {one.traceability}'.lower():
+            wrong.append(
+                f'equipment[{k}]: found {one.name}, but the calibration used {source}: '
+                'the results are not traceable to it. Leave it out, or calibrate again with '
+                '`gravity` and `gravity_std`.'
+            )
         if fields.calibrated is None or one.valid_until is None:
             continue
         if one.valid_until < (last := fields.calibrated[1]):

@@ -88,6 +88,15 @@ def test_samples_in_memory_become_what_compensate_writes(bag, result, tmp_path):
     np.testing.assert_allclose(force, written[:, 3:], rtol=1e-6, atol=1e-9)
     frames = result.calibration.apply(raw[NAMES[:3]], raw[NAMES[3:]], rate=1 / seconds)
     np.testing.assert_array_equal(frames[0], rate)
+    # Columns are taken by their names.
+    turned = raw[NAMES[::-1]]
+    by_name = result.calibration.apply(turned, turned, rate=1 / seconds)
+    np.testing.assert_array_equal(by_name, frames)
+    named = raw[NAMES[:3]].set_axis(['x', 'z', 'y'], axis=1)
+    with pytest.raises(
+        imu_calib.InputError, match=r'columns x, z, y, expected angular_velocity\.x'
+    ):
+        result.calibration.apply(named, raw[NAMES[3:]], rate=1 / seconds)
 
 
 def test_pulses_need_a_rate_and_both_sensors_their_columns(result):

@@ -44,7 +44,7 @@ PLAN = at_one_rate(quick_plan('twelve_position', 20.0))
 @pytest.fixture(scope='module')
 def calibration():
     found = calibrate(session(PLAN, stand(), 1), PLAN).calibration
-    setup = {**found.provenance, 'gravity_std': 2e-5}
+    setup = {**found.provenance, 'gravity_std': 2e-5, 'gravity_source': 'measured'}
     return replace(found, serial_number='A1234', provenance=setup)
 
 
@@ -295,7 +295,9 @@ def test_remarks_hold_findings_without_what_they_advise_the_operator(calibration
 
 def test_gravity_has_its_uncertainty_and_source(calibration):
     known = {'gravity': 9.81, 'gravity_std': 0.0015, 'gravity_source': 'normal gravity (WGS 84)'}
-    found = made(replace(calibration, provenance={**calibration.provenance, **known}))
+    table = yaml.safe_load(EXAMPLE.read_text())['equipment'][:1]
+    provenance = {**calibration.provenance, **known}
+    found = made(replace(calibration, provenance=provenance), equipment=table)
     shown = rows(certificate_page(found))['gravity, standard uncertainty'][0]
     assert '9.810000 \u00b1 0.001500' in shown and 'normal gravity (WGS 84)' in shown
     root = validated(dcc(found))
@@ -334,6 +336,12 @@ def test_all_contradictions_are_named_at_once(calibration):
     changes = {'item': {'serial_number': 'B7'}, 'calibrated': None, 'received': '2023-11-16'}
     with pytest.raises(InputError, match=r'item: serial_number: .*received: .*equipment\[0\]: '):
         made(calibration, **changes, equipment=referring('2023-11-13'))
+
+
+def test_a_gravimeter_is_no_reference_of_a_session_that_used_normal_gravity(calibration):
+    normal = {**calibration.provenance, 'gravity_source': 'normal gravity (WGS 84)'}
+    with pytest.raises(InputError, match=r'equipment\[1\]: found Local.* used normal gravity'):
+        made(replace(calibration, provenance=normal))
 
 
 def test_gravity_taken_as_exact_gives_no_certificate(calibration):
