@@ -19,7 +19,7 @@ from ..common.errors import InputError
 from ..common.files import require, write_by, write_whole
 from ..common.units import lasting
 from ..recordings.remote import located
-from ..reports.assessment import summary
+from ..reports.assessment import assess, summary
 from ..reports.budget import budget_sources, budget_tables
 from ..reports.noise import COLUMNS, noise_page, noise_rows, noise_tables
 from ..reports.provenance import verdict_line
@@ -80,7 +80,7 @@ def run_several(arguments: argparse.Namespace) -> CommandResult:
     found = calibrate_units(arguments.bag, arguments.imus, **stated, progress=progress_bar)
     files = found.save(folder)
     judged = _judged(found) if arguments.specification else {}
-    _show_units(found, judged, verbose=arguments.verbose)
+    _show_units(found, verbose=arguments.verbose)
     if arguments.budget:
         _show_budgets(found, verbose=arguments.verbose)
     OUTPUT.print(f'\n{len(files)} of {len(found.units)} units written to {folder}')
@@ -92,7 +92,7 @@ def _judged(found: UnitResults) -> dict[str, Conformity]:
     return {u.serial_number: conformity(u.result) for u in found.units if u.result is not None}
 
 
-def _show_units(found: UnitResults, judged: Mapping[str, Conformity], *, verbose: bool) -> None:
+def _show_units(found: UnitResults, *, verbose: bool) -> None:
     """Print the units side by side, then the findings of each, common ones once."""
     solved = [unit for unit in found.units if unit.result is not None]
     for part in comparison_tables(
@@ -103,9 +103,10 @@ def _show_units(found: UnitResults, judged: Mapping[str, Conformity], *, verbose
     for unit in found.units:
         OUTPUT.print(f'{unit.serial_number}{_place(unit)}: {_state(unit)}', markup=False)
         if unit.result is not None:
-            OUTPUT.print(f'  {verdict_line(unit.result.calibration)}', markup=False)
-        if unit.serial_number in judged:
-            OUTPUT.print(f'  {summary(judged[unit.serial_number].assessed)}', markup=False)
+            calibration = unit.result.calibration
+            OUTPUT.print(f'  {verdict_line(calibration)}', markup=False)
+            if limits := calibration.imu.specification:
+                OUTPUT.print(f'  {summary(assess(calibration, limits))}', markup=False)
     if found.table is not None:
         OUTPUT.print(
             f'\nThe table, estimated once from {len(found.shared)} units '
@@ -233,8 +234,8 @@ def add_calibrate_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--specification',
         action='store_true',
-        help="check the unit against the specification in the IMU's file: exit code 3 where a "
-        'parameter is outside, its uncertainty considered',
+        help="exit code 3 where a parameter is outside the specification in the IMU's file, its "
+        'uncertainty considered; the verdict is printed without it, too',
     )
     add_json_option(parser)
     add_verbose_option(parser)
@@ -251,14 +252,17 @@ def run_calibrate(arguments: argparse.Namespace) -> CommandResult:
     judged = arguments.specification
     result = calibrated(arguments.bag, options.stated(arguments), progress_bar, to_be_judged=judged)
     result.calibration.save(path)
-    show_calibration(result.calibration, verbose=arguments.verbose, budget=arguments.budget)
+    show_calibration(
+        result.calibration,
+        verbose=arguments.verbose,
+        budget=arguments.budget,
+        limits=result.calibration.imu.specification,
+    )
     if arguments.budget and arguments.verbose:
         print_parts(['', *budget_sources(result.calibration)])
     found = conformity(result) if judged else None
-    if found is not None:
-        print_text(summary(found.assessed))
     print_findings(result.calibration.findings, verbose=arguments.verbose, room=ROOM)
-    OUTPUT.print(f'\nwritten to {path}', markup=False)
+    OUTPUT.print(f'written to {path}', markup=False)
     return judged_result(_document(result, found, path), found)
 
 

@@ -98,7 +98,7 @@ def restore(arguments: argparse.Namespace) -> Path:
 def check_unfinished(folder: Path) -> None:
     """Refuse to resume a complete session."""
     if not unfinished(folder):
-        raise InputError(_complete(folder))
+        raise InputError(f'--resume {ended(folder)}')
 
 
 def unfinished(folder: Path) -> bool:
@@ -197,11 +197,12 @@ def _refuse_other_settings(arguments: argparse.Namespace, folder: Path) -> None:
         )
 
 
-def _complete(folder: Path) -> str:
+def ended(folder: Path) -> str:
+    """Return how the session of a folder ended that cannot be resumed, and where its result is."""
     for result in (folder / RESULT, folder / several.CALIBRATIONS):
         if result.is_file() or (result.is_dir() and any(result.iterdir())):
-            return f'--resume {folder}: its session is complete; the result is {result}.'
+            return f'{folder}: its session is complete; the result is {result}.'
     return (
-        f'--resume {folder}: its session has ended without a result and cannot be resumed. '
+        f'{folder}: its session has ended without a result and cannot be resumed. '
         f'imu-calib calibrate {shlex.quote(str(folder / JOURNAL))} says why.'
     )

@@ -22,6 +22,7 @@ from ..live.devices.format import load_format
 from ..live.devices.simulated import SCHEME
 from ..live.devices.source import check_port
 from ..model.parameters import engineering
+from ..reports.assessment import assess, worst
 from ..reports.plain_table import plain_table
 from ..session.imu import load_imu
 from ..session.plan import load_plan
@@ -173,7 +174,8 @@ def print_results(
     arguments: argparse.Namespace, folder: Path, true: Mapping[str, Calibration]
 ) -> list[str]:
     """Print a line for each unit; return the serial numbers of those without a result."""
-    rows = plain_table(('unit', 'type', 'samples', 'least known'), 'llrl', no_wrap=True)
+    headings = ('unit', 'type', 'samples', 'least known', 'specification')
+    rows = plain_table(headings, 'llrll', no_wrap=True)
     if true:
         rows.add_column('largest error/std', justify='right', no_wrap=True)
         (folder / TRUTHS).mkdir(exist_ok=True)
@@ -190,7 +192,9 @@ def print_results(
         found = Calibration.load(file)
         for finding in found.findings:
             findings.setdefault(finding, []).append(serial)
+        verdict = worst(assess(found, load_imu(unit.imu).specification))
         cells = [serial, found.imu.id, str(found.provenance['samples']), _least(found)]
+        cells.append('' if verdict is None else verdict.value)
         if serial in true:
             cells.append(f'{_largest_error(found, true[serial]):.2f}')
         rows.add_row(*cells)

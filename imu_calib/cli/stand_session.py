@@ -12,6 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from rich.console import Group
 from rich.live import Live
 from rich.text import Text
 
@@ -38,7 +39,7 @@ from .processes import (
     network_of_hardware,
     private_network,
 )
-from .resume import JOURNAL, RESULT, command, unfinished
+from .resume import JOURNAL, RESULT, command, ended, unfinished
 from .terminal import (
     ERRORS,
     OUTPUT,
@@ -130,6 +131,9 @@ def run(
             # Nothing was recorded: the same command must work when the device is connected.
             shutil.rmtree(folder)
         raise
+    except KeyboardInterrupt:
+        arguments.closing_line = ended(folder)
+        raise
     finally:
         if unfinished(folder):
             name = arguments.resume or arguments.output
@@ -159,11 +163,12 @@ def _print_result(
     true = truth.get('')
     if true is not None:
         true.save(folder / 'truth.yaml')
-    show_calibration(calibration, true, verbose=arguments.verbose)
+    limits = load_imu(arguments.imu).specification
+    show_calibration(calibration, true, verbose=arguments.verbose, limits=limits)
     findings = [*_true_table_hint(arguments, folder), *calibration.findings]
     print_findings(findings, verbose=arguments.verbose, room=ROOM)
     print_text(
-        f'\n{outcome.duration:.0f} s of the stand in {seconds:.0f} s; recording: '
+        f'{outcome.duration:.0f} s of the stand in {seconds:.0f} s; recording: '
         f'{folder / JOURNAL}, result: {folder / RESULT}'
     )
     return []
@@ -229,7 +234,8 @@ def _session(
         board = units_board(setup, several.units_of(arguments))
     else:
         board = Board(expectation(setup))
-    return _follow(processes, reports, board, control=arguments.control)
+    lead = Text(web_page.how_to_lead(arguments), style='dim')
+    return _follow(processes, reports, board, lead, control=arguments.control)
 
 
 def _in_order(given: Mapping[str, Any]) -> list[str]:
@@ -321,6 +327,7 @@ def _follow(
     processes: Nodes,
     reports: NodeReports,
     board: Board | UnitsBoard,
+    lead: Text,
     *,
     control: bool,
 ) -> SessionEnd:
@@ -341,7 +348,7 @@ def _follow(
             units = board.unit_rows(now) if isinstance(board, UnitsBoard) else ()
             screen = view_table(board.snapshot(now), datetime.now(), ERRORS.width, units)
             reading = '' if monitor.is_running else start.words
-            display.update(Text(reading) if reading else screen)
+            display.update(Text(reading) if reading else Group(screen, lead))
             if monitor.outcome is not None:
                 return SessionEnd(*monitor.outcome, monitor.duration)
             if monitor.stopped and not control:

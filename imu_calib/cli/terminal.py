@@ -21,6 +21,7 @@ from ..live.rules import Severity
 
 if TYPE_CHECKING:
     from ..calibration.calibration import Calibration
+    from ..session.imu import Specification
 
 WIDEST_LINE = 100
 """Characters of a line of text, at most; of tables, too, where the output is a file."""
@@ -242,12 +243,16 @@ def show_calibration(
     *,
     verbose: bool,
     budget: bool = False,
+    limits: Specification | None = None,
 ) -> None:
-    """Print the parameters, the data and the verdict; with `verbose` all that the file holds."""
+    """Print the parameters, the data and the verdicts; with `verbose` all that the file holds."""
     # Loaded here: most commands show no calibration.
+    from ..reports.assessment import assess, summary
     from ..reports.provenance import details, overview
 
     print_parts(overview(calibration, truth, budget=budget))
+    if limits is not None:
+        print_text(summary(assess(calibration, limits)))
     if verbose:
         print_parts(details(calibration, truth))
 

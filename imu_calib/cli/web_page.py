@@ -109,6 +109,13 @@ def start(arguments: argparse.Namespace, processes: Nodes, given: dict[str, Any]
         ERRORS.print(exposed, style='yellow', markup=False)
 
 
+def how_to_lead(arguments: argparse.Namespace) -> str:
+    """Return how to pause, resume and abort a plan, in a line."""
+    if arguments.control:
+        return f'Pause, resume, abort: {_address(arguments)}. Ctrl-C ends the session.'
+    return 'Ctrl-C stops the table; it can be resumed. To pause and abort: --web --control.'
+
+
 def serve_until_interrupted(arguments: argparse.Namespace, processes: Nodes) -> None:
     """Keep the page after the session, until Ctrl-C."""
     if arguments.web is None or not processes.runs(NODE):

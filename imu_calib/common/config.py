@@ -126,6 +126,18 @@ _KINDS = {
     'devices': 'the file of a device',
 }
 """What the files of a folder below config are."""
+_ANY = 'a YAML file'
+_SIGNS = {
+    'the file of a plan': {'positions[]'},
+    'the file of an IMU': {'id', 'units'},
+    'the file of a table': {'joints[]'},
+    'the file of a device': {'fields', 'length'},
+    'the file of several units': {'units[]'},
+    'the fields of a certificate': {'laboratory', 'item'},
+    'the file of imperfections': {'stamps', 'samples'},
+    'a calibration file': {'format', 'imu'},
+}
+"""Keys by which a file is known for what it is, [] at those with a list: no other kind has them."""
 
 
 class Section:
@@ -135,15 +147,16 @@ class Section:
     all known keys: the others are misspelt.
     """
 
-    def __init__(self, data: object, where: str) -> None:
+    def __init__(self, data: object, where: str, *keys: str) -> None:
         if not isinstance(data, dict):
-            raise InputError(f'{where}: found {_kind(data)}, expected keys with values.')
+            named = f' ({", ".join(keys)})' if keys else ''
+            raise InputError(f'{where}: found {_kind(data)}, expected keys with values{named}.')
         self._data: dict[str, Any] = {str(key): value for key, value in data.items()}
         self._known: list[str] = []
         self.where = where
 
     @classmethod
-    def load(cls, path: Path, expected: str = 'a YAML file') -> Section:
+    def load(cls, path: Path, expected: str = _ANY) -> Section:
         """Read the mapping at the top of a YAML file.
 
         If a recording was given in its place, the sentence says what was `expected`.
@@ -154,9 +167,11 @@ class Section:
             sentence = f'{path}: found binary data, expected YAML text.'
             raise InputError(other_format(path, expected) or sentence) from None
         try:
-            return cls.parse(text, str(path))
+            section = cls.parse(text, str(path))
         except InputError as error:
             raise InputError(other_format(path, expected) or str(error)) from None
+        section._refuse_other_kind(expected)
+        return section
 
     @classmethod
     def named(cls, kind: str, name: str | Path) -> Section:
@@ -172,6 +187,13 @@ class Section:
             raise InputError(f'{where}: found binary data, expected YAML text.') from None
         except yaml.YAMLError as error:
             raise InputError(f'{where}: not YAML: {" ".join(str(error).split())}') from None
+
+    def _refuse_other_kind(self, expected: str) -> None:
+        """Refuse a file with the keys of another kind, and without those of what is `expected`."""
+        keys = {f'{k}[]' if isinstance(v, list) else k for k, v in self._data.items()}
+        kinds = [kind for kind, signs in _SIGNS.items() if signs <= keys]
+        if kinds and not expected.startswith((_ANY, *kinds)):
+            raise InputError(f'{self.where} looks like {kinds[0]}, expected {expected}.')
 
     def key(self, name: str) -> str:
         """Return the full name of a key, for a message."""
@@ -304,16 +326,17 @@ class Section:
             raise InputError(f'{self.key(name)}: found {self.raw(name)}, expected {bound}.')
         return value
 
-    def items(self, name: str) -> list[Any]:
-        """Return a list."""
+    def items(self, name: str, of: str = 'values: [..., ...]') -> list[Any]:
+        """Return a list that is not empty."""
         value = self.raw(name)
         if not isinstance(value, list) or not value:
-            raise InputError(f'{self.key(name)}: found {_kind(value)}, expected a list.')
+            found = 'an empty list' if value == [] else _kind(value)
+            raise InputError(f'{self.key(name)}: found {found}, expected a list of {of}.')
         return value
 
-    def section(self, name: str) -> Section:
-        """Return a mapping below this one."""
-        return Section(self.raw(name), self.key(name))
+    def section(self, name: str, *keys: str) -> Section:
+        """Return a mapping below this one, of which some keys are named where it is none."""
+        return Section(self.raw(name), self.key(name), *keys)
 
     def skip(self, *names: str) -> None:
         """Accept mappings that are for people, without reading them."""
@@ -321,9 +344,11 @@ class Section:
             if self.has(name):
                 self.section(name)
 
-    def sections(self, name: str) -> list[Section]:
-        """Return a list of mappings."""
-        return [Section(v, f'{self.key(name)}[{i}]') for i, v in enumerate(self.items(name))]
+    def sections(self, name: str, *keys: str) -> list[Section]:
+        """Return a list of mappings; keys as of `section`."""
+        of = f'keys with values ({", ".join(keys)})' if keys else 'keys with values'
+        items = self.items(name, of)
+        return [Section(v, f'{self.key(name)}[{i}]', *keys) for i, v in enumerate(items)]
 
     def either(self, first: str, second: str) -> str:
         """Return which of two keys is present, after all others were read: refuses unknown ones."""

@@ -178,16 +178,23 @@ def read_key(
     return replace(declared, default=default, bounds={**declared.bounds, **bounds}).value(section)
 
 
+def _needed(kind: type, variant: object) -> list[str]:
+    """Return the names of the keys that must be given, or else of all."""
+    keys = list(_all_keys(kind, variant))
+    return [each.name for each in keys if each.default is REQUIRED] or [k.name for k in keys]
+
+
 def record(section: Section, name: str, kind: type[Record], variant: object = 'key') -> Record:
     """Read the mapping behind a key."""
-    return read_record(section.section(name), kind, variant)
+    return read_record(section.section(name, *_needed(kind, variant)), kind, variant)
 
 
 def records(
     section: Section, name: str, kind: type[Record], most: int | None = None
 ) -> tuple[Record, ...]:
     """Read the list of mappings behind a key."""
-    values = tuple(read_record(each, kind) for each in section.sections(name))
+    rows = section.sections(name, *_needed(kind, 'key'))
+    values = tuple(read_record(each, kind) for each in rows)
     if most is not None and len(values) > most:
         raise InputError(f'{section.key(name)}: found {len(values)} {name}, expected 1 to {most}.')
     return values

@@ -76,10 +76,11 @@ def summary(assessed: Sequence[Assessed]) -> str:
     counts = Counter(a.verdict for a in assessed)
     if not sum(counts[v] for v in Verdict):
         return 'The values are not judged: no file of the IMU with a specification was given.'
+    outside = ', '.join(a.parameter.name for a in assessed if a.verdict is Verdict.FAIL)
     words = [
         f'{counts[Verdict.PASS]} of {len(assessed)} parameters within the specification',
         f'{counts[Verdict.MARGINAL]} marginal',
-        f'{counts[Verdict.FAIL]} outside',
+        f'{counts[Verdict.FAIL]} outside' + (f' ({outside})' if outside else ''),
     ]
     text = ', '.join(words)
     return f'{text}, {counts[None]} without a limit.' if counts[None] else f'{text}.'

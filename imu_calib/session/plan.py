@@ -49,7 +49,10 @@ BY_HAND = 'by hand'  #: Variant of the keys of a rate test.
 
 def read_rates(section: Section, name: str) -> tuple[float, ...]:
     """Read rates, rad/s, none of them zero."""
-    rates = tuple(parse(r, Dimension.RATE, section.key(name)) for r in section.items(name))
+    rates = tuple(
+        parse(r, Dimension.RATE, section.key(name))
+        for r in section.items(name, 'rates: [10 deg/s, -10 deg/s]')
+    )
     if any(rate == 0 for rate in rates):
         raise InputError(f'{section.key(name)}: found a rate of 0, expected other rates only.')
     return rates

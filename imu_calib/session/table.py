@@ -82,7 +82,7 @@ def read_mount(section: Section, name: str) -> Floats:
     columns = [_axis(a, f'{section.key(name)}[{i}]') for i, a in enumerate(axes)]
     mount = np.array(columns).T
     if mount.shape != (3, 3) or not np.allclose(mount.T @ mount, np.eye(3), atol=1e-9):
-        raise InputError(f'{section.key(name)}: expected three perpendicular axes.')
+        raise InputError(f'{section.key(name)}: found {axes}, expected three perpendicular axes.')
     if np.linalg.det(mount) < 0:
         raise InputError(f'{section.key(name)}: the three axes are left-handed.')
     return mount
@@ -100,6 +100,11 @@ def read_limits(section: Section, name: str) -> Limits:
     """Read the limits of a joint: continuous, or lower and upper."""
     if section.raw(name) == 'continuous':
         return Limits(-math.inf, math.inf)
+    if not isinstance(section.raw(name), dict):
+        raise InputError(
+            f'{section.key(name)}: found {section.raw(name)!r}, expected continuous or '
+            '{lower: -90 deg, upper: 90 deg}.'
+        )
     limits = record(section, name, Limits)
     if limits.lower >= limits.upper:
         raise InputError(f'{section.key(name)}: lower is not below upper.')

@@ -176,8 +176,9 @@ sys.exit(main.main(sys.argv[1:]))
 def test_a_unit_outside_its_specification_is_exit_code_3(program, folder, tmp_path):
     words = ['calibrate', folder / 'one', '-o', tmp_path / 'c.yaml', '--imu']
     wide, narrow = folder / 'wide.imu.yaml', folder / 'narrow.imu.yaml'
-    # Without --specification nobody asks.
+    # Without --specification the screen has the verdict, and the exit code is 0.
     assert program(*words, narrow)['result']['specification'] is None
+    assert re.search(r'[123] outside \(K_g[xyz]', program.told)
     assert program(*words, wide, '--specification')['result']['specification']['verdict'] == 'pass'
     document = program(*words, narrow, '--specification', code=3)
     found = document['result']['specification']

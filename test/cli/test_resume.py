@@ -18,8 +18,9 @@ from sequenced_table import Stand as Simulated
 
 from imu_calib.api.calibrate import calibrate
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.cli import dispatch, main, resume
+from imu_calib.cli import dispatch, main, resume, stand_session
 from imu_calib.cli.processes import Processes
+from imu_calib.cli.terminal import NodeReports
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, Mode
@@ -260,6 +261,21 @@ def write(journal, seconds):
         payloads = Messages.join(encode_imu(block).payloads())
         journal.write('/imu/pulses', Kind.IMU.type_name, payloads, int(stamp[-1]))
         journal.flush()
+
+
+@pytest.mark.parametrize(
+    ('finished', 'words'), [(True, 'is complete; the result is'), (False, 'To go on with it: ')]
+)
+def test_ctrl_c_says_where_the_result_is_or_how_to_go_on(tmp_path, monkeypatch, finished, words):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    folder = ended(tmp_path / 'stand', finished=finished, result=finished)
+    arguments = dispatch.build_parser().parse_args(['stand', 'twelve_position', '-o', str(folder)])
+    monkeypatch.setattr(stand_session, '_session', interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        stand_session.run(arguments, folder, {}, 0, NodeReports(real=False))
+    assert words in arguments.closing_line
 
 
 def refusal_text(capsys, *words):

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import pytest
 from device_frames import frame, pseudo_terminal
 from loopback import CHECKOUT, environment, patience, until
+from rich.text import Text
 
 from imu_calib.cli import monitor, stand_session
 from imu_calib.cli.main import main
@@ -340,7 +341,7 @@ def test_a_table_that_stops_ends_the_command_where_nobody_can_have_it_go_on(
     monkeypatch.setattr(monitor, 'watching', watching)
     board = Board(Expected('short', 'fog_medium', 'three_axis', (), (), ()))
     running = SimpleNamespace(check=lambda: None)
-    outcome = stand_session._follow(running, None, board, control=control)
+    outcome = stand_session._follow(running, None, board, Text(''), control=control)
     errors = ' '.join(capsys.readouterr().err.split())
     if control:
         assert outcome == SessionEnd(True, 'Done.', 7.0)

@@ -25,9 +25,9 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.files import share_folder
 from imu_calib.common.units import Dimension, parse
 from imu_calib.estimation.methods import METHODS
-from imu_calib.live.devices.format import read_format
+from imu_calib.live.devices.format import load_format, read_format
 from imu_calib.reports.certificate_fields import read_fields
-from imu_calib.session.imu import read_imu
+from imu_calib.session.imu import load_imu, read_imu
 from imu_calib.session.plan import METHOD_NAMES, load_plan, read_plan
 from imu_calib.session.table import load_table, read_table
 from imu_calib.session.units_file import read_units
@@ -379,7 +379,7 @@ def changed(kind, document, where):
 BEYOND_A_SCHEMA = {
     'table': [
         ({'joints__1__name': 'outer'}, 'joints: two joints have the same name'),
-        ({'mount': ['x', 'x', 'z']}, 'mount: expected three perpendicular axes'),
+        ({'mount': ['x', 'x', 'z']}, r'mount: found .*expected three perpendicular axes'),
         ({'mount': ['x', 'y', '-z']}, 'mount: the three axes are left-handed'),
         ({'joints__1__limits__upper': '-190 deg'}, 'limits: lower is not below upper'),
         ({'wobble': '61 arcmin'}, 'found .* deg, expected 0 to 1 deg'),
@@ -446,7 +446,7 @@ BEYOND_A_SCHEMA = {
         ({'units__1__serial_number': 'A1001'}, 'found serial_number unit_A1001 twice'),
         ({'units__1__topic': 'left/imu/pulses'}, 'found topic /left/imu/pulses twice'),
         ({'units__0__port': '/dev/ttyUSB1'}, 'found port /dev/ttyUSB1 twice'),
-        ({'units__1__mount': ['x', 'x', 'z']}, 'mount: expected three perpendicular axes'),
+        ({'units__1__mount': ['x', 'x', 'z']}, r'mount: found .*expected three perpendicular axes'),
         ({'units__1__mount': ['x', 'y', '-z']}, 'mount: the three axes are left-handed'),
         ({'units__1__lever': [float('inf'), 0, 0]}, 'lever: found 3 numbers that are not all fin'),
     ],
@@ -756,3 +756,41 @@ def test_the_text_of_a_plan_is_that_plan(file, tmp_path):
         if one.rate_test is not None and other.rate_test is not None:
             assert one.rate_test.turns == other.rate_test.turns
             assert one.rate_test.rates == pytest.approx(other.rate_test.rates)
+
+
+LOADERS = {
+    'an IMU': (load_imu, 'imus/si'),
+    'a table': (load_table, 'tables/two_axis'),
+    'a plan': (load_plan, 'plans/six_position'),
+    'a device': (load_format, 'devices/stim300'),
+}
+
+
+@pytest.mark.parametrize('expected', LOADERS)
+def test_a_file_of_another_kind_is_named_with_both_kinds(expected):
+    load, _ = LOADERS[expected]
+    for kind, (_, name) in LOADERS.items():
+        if kind != expected:
+            words = f'looks like the file of {kind}, expected the file of {expected}'
+            with pytest.raises(InputError, match=words):
+                load(CHECKOUT / 'config' / f'{name}.yaml')
+
+
+@pytest.mark.parametrize(
+    ('key', 'value', 'words'),
+    [
+        (
+            'limits',
+            ['-90 deg', '90 deg'],
+            'expected continuous or {lower: -90 deg, upper: 90 deg}.',
+        ),
+        ('mount', 'x', 'expected keys with values (yaw, pitch, roll).'),
+        ('joints', 'x', 'expected a list of keys with values (name, axis, max_rate, '),
+    ],
+)
+def test_a_value_of_another_shape_is_refused_with_that_shape(key, value, words):
+    table = yaml.safe_load((CHECKOUT / 'config' / 'tables' / 'two_axis.yaml').read_text())
+    place = table if key in table else table['joints'][0]
+    place[key] = value
+    with pytest.raises(InputError, match=re.escape(words)):
+        read_table(Section(table, 'my.yaml'))

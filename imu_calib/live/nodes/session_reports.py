@@ -274,7 +274,7 @@ def _state(sessions: Sessions, imu_timeout: float) -> tuple[SessionPhase, str]:
         done = len(sessions.open) - len(failed)
         if sessions.is_over:
             return phase, f'{done} of {len(sessions.open)} units are calibrated. {reasons}'.strip()
-        return phase, f'{reasons} Leave the unit out to go on with the others, or call ~/reset.'
+        return phase, f'{reasons} Exclude the unit (~/leave_out), or call ~/reset.'
     silent = [s for s in sessions.open if not is_fed(s, imu_timeout)]
     if silent and phase is not SessionPhase.FINISHED:
         names = ', '.join(_name(s) for s in silent)
