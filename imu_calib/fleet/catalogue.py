@@ -110,22 +110,27 @@ class Catalogue:
 
     @checked
     def __init__(self, folder: str | Path, *, create: bool = False) -> None:
-        require('pyarrow', 'A catalogue', 'fleet')
         self.folder = user_path(folder)
         self._rows = self.folder / 'rows'
         self._seen: dict[Path, _Part] = {}
+        if not create:
+            self._check_folder()
+        # What is missing is said before what would read it.
+        require('pyarrow', 'A catalogue', 'fleet')
         if create:
             _make_room(self.folder)
             with self._written():
                 self._rows.mkdir(parents=True, exist_ok=True)
-        elif not self._rows.is_dir():
-            sentence = (
-                f'{self.folder}: is not a catalogue (it has no folder rows): imu-calib batch makes '
-                'one.'
-            )
-            meant = 'the folder of a catalogue, which imu-calib batch makes of recordings'
-            other = other_format(self.folder, meant) if self.folder.is_file() else None
-            raise InputError(other or sentence)
+
+    def _check_folder(self) -> None:
+        if self._rows.is_dir():
+            return
+        if not self.folder.exists():
+            raise InputError(f'{self.folder}: there is no such folder.')
+        sentence = f'{self.folder} is not a catalogue (no folder rows): imu-calib batch makes one.'
+        meant = 'the folder of a catalogue, which imu-calib batch makes of recordings'
+        other = other_format(self.folder, meant) if self.folder.is_file() else None
+        raise InputError(other or sentence)
 
     def __repr__(self) -> str:
         return f'<Catalogue in {self.folder}>'

@@ -291,6 +291,10 @@ def test_wrong_usage_gets_a_sentence(catalogue, tmp_path, capsys, monkeypatch):
     )
     with pytest.raises(InputError, match=r'needs bokeh.*\.\[fleet\]'):
         imu_calib.fleet_report(catalogue, tmp_path / 'page.html')
+    # A missing folder comes before what would read it.
+    monkeypatch.setattr('imu_calib.common.files.find_spec', lambda _: None)
+    with pytest.raises(InputError, match='there is no such folder'):
+        imu_calib.fleet_report(tmp_path / 'no', tmp_path / 'page.html')
 
 
 # --- in a browser ---------------------------------------------------------------------------------
