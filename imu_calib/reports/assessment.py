@@ -133,7 +133,7 @@ def angles_table(calibration: Calibration) -> str:
                 ]
             )
     headings = ['', 'value', f'\u00b1 {COVERAGE:g} std', 'unit']
-    inside = tag('h3', 'Free of frame') + table(headings, rows, 'angles', 'lrrl')
+    inside = tag('h3', 'Angles between axes') + table(headings, rows, 'angles', 'lrrl')
     return tag('div', inside, class_='whole')
 
 
