@@ -4,7 +4,7 @@ Scatter and terms compete. A missing term causes apparent positioning errors, dr
 and scatter that is estimated without the term hides it. So every family is tested under the scatter
 that remains with it on, with all moves and no output set aside, and the best significant one is
 switched on, until none is. All is then fitted anew, and every one must still be significant. A
-family replaces outputs that were set aside only where it needs fewer coefficients than they are.
+family replaces outputs that were set aside only where it explains the session better than they do.
 
 Source: docs/mathematics.md, 'Terms that are missing'; Holm 1979, Scand. J. Statist. 6, 65.
 """
@@ -86,10 +86,9 @@ class SignificantFamily:
     considered: tuple[tuple[Parameter, float], ...] = ()
     size: float = 0.0  #: Standard deviation assigned to an error of the table, rad; 0 for a term.
     seen: float = 0.0  #: Root mean square of the observed part of such an error, rad; 0 for a term.
-    #: Its number of coefficients, where it is significant only with no output set aside; else 0.
-    #: With the families of a search on, more outputs than the sum of these must no longer be
-    #: outliers.
-    min_saved_outputs: int = 0
+    #: Its number of coefficients, where it is significant only with no output set aside, and has to
+    #: explain the session better; else 0.
+    against_outliers: int = 0
     alternatives: tuple[Family, ...] = ()  #: Families that explain the session equally well.
     scale: float = 1.0  #: Factor on the covariance by which their likelihoods are compared.
     #: Of the attitudes: the likeliest step, and those that explain the session equally well.
@@ -230,7 +229,7 @@ def search_terms(
     )
     if find_terms and contradictory and not any(one.family == _STEP for one in search.found):
         stepped = _with_a_step(start)
-        if stepped is not None and _akaike_criterion(stepped) < _akaike_criterion(search):
+        if stepped and _akaike_criterion(stepped.estimate) < _akaike_criterion(search.estimate):
             return replace(stepped, before_search=search.before_search)
     return search
 
@@ -361,7 +360,7 @@ def _with_a_step(start: _Model) -> SearchResult | None:
         search = _searched(stepping, first, find_terms=True)
     except NotObservable:
         return None
-    others = [replace(one, min_saved_outputs=0) for one in search.found]
+    others = [replace(one, against_outliers=0) for one in search.found]
     kept = _confirmed(start, search.estimate, search.estimate, [step, *others])
     if not kept or kept[0].family != _STEP:
         return None
@@ -370,20 +369,21 @@ def _with_a_step(start: _Model) -> SearchResult | None:
     return _search_of(search.estimate, (kept[0], *search.found), first, weigh_drifts=True)
 
 
-def _akaike_criterion(search: SearchResult) -> float:
+def _akaike_criterion(current: Estimate, of_table: int = 0) -> float:
     """Return chi-square plus twice the number of coefficients, by the noise known beforehand.
 
     Each output that is set aside has a coefficient of its own, and a step one for its instant.
+    Errors of the table that are on have so many coefficients.
 
     Source: Akaike 1974, IEEE Trans. Automat. Contr. 19, 716.
     """
-    current = search.estimate
     plain = current.without_scatter
     jacobian, residuals = plain.whitened(current.state)
     remains = residuals - jacobian @ linear_step(jacobian, residuals)
     coefficients = len(plain.parameters) + len(plain.changes) + current.downweighted_outputs
     stepping = any(change.course is Course.STEP for change in plain.changes)
-    return float(remains @ remains) + 2 * (coefficients + stepping)
+    moved = any(not step.by_force for step in plain.evidence.attitude_steps)
+    return float(remains @ remains) + 2 * (coefficients + of_table + stepping + moved)
 
 
 def _found_families(
@@ -424,10 +424,10 @@ def _significant(
         family = _likeliest(shown, best)
         k = min(range(len(views)), key=lambda k: scores[k][family].log_p)
         score = scores[k][family]
-        min_saved_outputs = 0 if scores[-1][family].log_p < limit else score.rank
+        against_outliers = 0 if scores[-1][family].log_p < limit else score.rank
         found.append(
             SignificantFamily(
-                family, score.log_p, *_assigned_sizes(model, family, score), min_saved_outputs
+                family, score.log_p, *_assigned_sizes(model, family, score), against_outliers
             )
         )
         if family.of_attitudes:
@@ -531,14 +531,15 @@ def _confirmed(
 ) -> tuple[SignificantFamily, ...]:
     """Return those that remain significant once all are fitted, with their alternatives.
 
-    Those that are insignificant with the first estimate's outliers set aside must save more outputs
-    than they have coefficients.
+    Those that are insignificant with the first estimate's outliers set aside must explain the
+    session better than these do.
     """
     kept = []
-    spared = first.downweighted_outputs - trial.downweighted_outputs
-    needed = sum(one.min_saved_outputs for one in found)
+    of_table = sum(one.against_outliers for one in found if one.family.of_table)
+    competing = any(one.against_outliers for one in found)
+    better = competing and _akaike_criterion(trial, of_table) < _akaike_criterion(first)
     for k, one in enumerate(found):
-        if one.min_saved_outputs and spared <= needed:
+        if one.against_outliers and not better:
             continue
         model = start.with_found((*found[:k], *found[k + 1 :]))
         without, state = model.on(trial.equations, trial.state)
