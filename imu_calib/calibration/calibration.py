@@ -84,7 +84,7 @@ class Calibration:
     imu: ImuSpec  #: Description of the unit's stream (nominal scale factors, units).
     model: SensorModel  #: The parameters.
     #: (n, n) in the order of `parameters`, SI units. Rows and columns of a triad that was not
-    #: estimated are NaN.
+    #: estimated are NaN, those of angles that define the axes of a session in the hand zero.
     covariance: Floats
     residuals: tuple[ResidualRow, ...] = ()  #: One per static dwell.
     #: Sentences for the user: warnings, on which a number depends, then notes, the most important

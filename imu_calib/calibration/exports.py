@@ -212,7 +212,13 @@ def export_kalibr(source: ExportSource) -> Exported:
         },
     }
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=10**6)
-    sentences = [*bounds, *common_omissions(calibration, 'kalibr')]
+    sentences = [
+        *bounds,
+        *common_omissions(calibration, 'kalibr'),
+        f'Matrices and biases are of raw samples: a topic {source.topic} of compensated ones '
+        '(imu-calib compensate, compensator_node) would be corrected twice. For those write '
+        '`model: calibrated`.',
+    ]
     if calibration.imu.units is not Units.SI:
         sentences.append(
             f'The topic has to carry rad/s and m/s^2: {calibration.imu.units.value} times the '

@@ -18,7 +18,7 @@ import numpy as np
 from ..common.errors import InputError
 from ..common.files import require
 from ..common.stream import Floats, Stamps
-from ..common.units import decimals, significant
+from ..common.units import counted, decimals, significant
 from ..model.parameters import PARAMETERS, Parameter, engineering
 from ..session.imu import COEFFICIENTS, TRIAD_NAMES, ChannelNoise
 
@@ -74,6 +74,9 @@ class LabelledValues:
     #: By channel and coefficient: value, std and unit; NaN if not significant. `below` is the limit
     #: that it keeps with 95 %, infinite if none is known.
     noise: pandas.DataFrame
+
+    def __repr__(self) -> str:
+        return f'<LabelledValues: {counted(len(self.values), "parameter")} in SI units>'
 
 
 def labelled(

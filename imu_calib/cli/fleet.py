@@ -362,7 +362,9 @@ def _print_all(found: History, on: np.datetime64) -> None:
         OUTPUT.print(f'{len(units) - _MOST_UNITS} more, less urgent; -o FILE has all.')
     for imu, one in found.populations.items():
         OUTPUT.print(
-            f'\n{imu or "no type"}: {one.units} units, {one.sessions} sessions', markup=False
+            f'\n{imu or "no type"}: {counted(one.units, "unit")}, '
+            f'{counted(one.sessions, "session")}',
+            markup=False,
         )
         print_whole(population_table(one))
 
@@ -411,7 +413,8 @@ def _drift(unit: UnitHistory) -> str:
 
 
 def _print_unit(unit: UnitHistory, found: History) -> None:
-    OUTPUT.print(f'{unit.serial} ({unit.imu}): {len(unit.key)} sessions', markup=False)
+    sessions = counted(len(unit.key), 'session')
+    OUTPUT.print(f'{unit.serial} ({unit.imu}): {sessions}', markup=False)
     sentence_list('Findings', list(unit.findings))
     sentence_list('Stands and catalogue', list(found.findings))
     for table in (parameter_course_table(unit, found.rules.confidence), course_table(unit)):

@@ -233,22 +233,23 @@ def _none_of(
     for unit in units:
         own = key_of_unit(session, unit.serial_number)
         row = failed(job, own, sha256, sentence, code) | {'seconds': seconds / len(units)}
-        row |= {'serial': unit.serial_number, 'imu': _type_of(unit), 'topic': unit.topic}
+        row |= {'serial': unit.serial_number, 'imu': _type_of(unit.imu), 'topic': unit.topic}
         ended.append(TaskResult(own, row))
     return _as_one(ended)
 
 
-def _type_of(unit: MountedUnit) -> str:
-    """Return a unit's type; as stated if its file is unreadable."""
+def _type_of(imu: str) -> str:
+    """Return the type that a name or file of an IMU states; as stated if it is unreadable."""
     try:
-        return load_imu(unit.imu).id
+        return load_imu(imu).id if imu else ''
     except ImuCalibError:
-        return unit.imu
+        return imu
 
 
 def failed(job: Job, key: str, sha256: str, sentence: str, code: int) -> dict[str, Any]:
     """Return the row of a recording without calibration."""
     row = _common(job, key, sha256)
+    row['imu'] = _type_of(row['imu'])
     return {**row, **_when(job, None), 'status': FAILED, 'error': sentence, 'exit_code': code}
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from ..common.errors import InputError
 from ..common.rotations import angle_between
 from ..common.stream import Floats, Mode, Setpoint
-from ..common.units import DEG
+from ..common.units import DEG, counted
 from ..session.plan import Plan, Position
 from ..session.table import TURN, Table
 from .segmented import FreeMotion, MountShift, Rejected, Segmented
@@ -246,6 +246,10 @@ class Labelled:
     rejected: tuple[Rejected, ...]  #: Static dwells that were not used, and why.
     notes: tuple[str, ...] = ()  #: Other data that was left out, in sentences.
     passing: tuple[Segment, ...] = ()  #: Stops between two dwells, which are not used.
+
+    def __repr__(self) -> str:
+        dwells, turns = counted(len(self.segments), 'static dwell'), len(self.turns)
+        return f'<Labelled: {dwells} and {counted(turns, "turn")}>'
 
     def of_plan(self, plan: Plan) -> Labelled:
         """Return the dwells and turns at positions of a plan, the input of a closed form."""

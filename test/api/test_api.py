@@ -300,6 +300,8 @@ def test_results_are_shown_in_a_line(folder, result):
         r'\d+ turns>',
         str(result),
     )
+    assert re.fullmatch(r'<Labelled: \d+ static dwells and \d+ turns>', repr(result.labelled))
+    assert repr(result.calibration.labelled) == '<LabelledValues: 24 parameters in SI units>'
     found = imu_calib.verify(folder / 'bag', result)
     assert repr(found).startswith('<Verification: NOT_TESTED; gyros PASS (chi-square ')
     first, second, *_ = str(found).splitlines()

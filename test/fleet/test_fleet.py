@@ -255,6 +255,15 @@ def test_a_batch_gives_what_calibrate_gives(recordings, done):
     assert np.isnan(lost['K_gx'] or np.nan)
 
 
+def test_a_failed_row_has_the_type_that_the_file_states(recordings, tmp_path):
+    file = tmp_path / 'mine.yaml'
+    file.write_text(named_file('imus', 'fog_medium').read_text())
+    job = Job(str(recordings / 'a'), Stated(imu=str(file), serial='another'))
+    run_batch([job], Catalogue(tmp_path / 'c', create=True), Engine(workers=1))
+    (row,) = rows(tmp_path / 'c')
+    assert (row['status'], row['imu'], row['serial']) == ('failed', 'fog_medium', 'another')
+
+
 def test_what_is_done_is_not_done_again_and_what_failed_is_said(recordings, done, capsys):
     before = rows(done)
     assert main(['batch', str(recordings), '-o', str(done), '--workers', '1']) == 1
