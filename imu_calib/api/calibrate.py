@@ -19,6 +19,7 @@ from ..common.progress import Progress, silent
 from ..common.stream import Block, Floats, ImuBlock
 from ..common.units import counted
 from ..estimation.common_unknowns import TableEstimate
+from ..estimation.hand import NAME as FREE_POSITIONS
 from ..recordings.order import StampSorter
 from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording
@@ -134,6 +135,12 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
                         'down, and a turn about each), not free positions: give `plan` '
                         f'{_HOLDS_AND_TURNS}.'
                     ) from None
+            plan = opened.setup.plan
+            if plan.by_hand and opened.setup.method_name != FREE_POSITIONS:
+                error = error.followed_by(
+                    f'If the session did not follow {plan.name}, leave `plan` out: holds in any '
+                    'attitudes are calibrated without one.'
+                )
             # A contradiction is in what there is.
             cut = '' if isinstance(error, Contradiction) else opened.recording.unfinished
             refusal = error.among(after=(*(s for s in lost if s != cut), *opened.assumed))

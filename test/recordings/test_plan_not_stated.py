@@ -44,6 +44,12 @@ def test_few_holds_in_free_positions_are_not_taken_for_that_plan(tmp_path):
     assert FERRARIS not in str(refused.value)
 
 
+def test_free_positions_under_a_plan_of_turns_by_hand_are_told_to_leave_it_out(tmp_path):
+    bag = without_metadata('free_positions', tmp_path)
+    with pytest.raises(ImuCalibError, match=r'did not follow .*, leave `plan` out'):
+        imu_calib.calibrate(bag, latitude=LATITUDE, plan=FERRARIS)
+
+
 def test_a_report_takes_the_plan_of_the_calibration(tmp_path):
     bag = without_metadata(FERRARIS, tmp_path)
     found = imu_calib.calibrate(bag, latitude=LATITUDE, plan=FERRARIS).calibration
