@@ -264,7 +264,9 @@ _MISSING = 'MISSING'
 _UNCERTAINTY = (
     'U is the expanded uncertainty: the standard uncertainty multiplied by the coverage factor k, '
     f"which for Student's t with \u03bd effective degrees of freedom (Welch-Satterthwaite) gives a "
-    f'coverage probability of {PROBABILITY:.0%}. It was evaluated by JCGM 100:2008 (GUM).'
+    f'coverage probability of {PROBABILITY:.0%}. It was evaluated by JCGM 100:2008 (GUM). '
+    'The results are correlated: their covariance is in the file of the calibration, and is needed '
+    'for the uncertainty of what is computed from several of them (JCGM 100:2008, 7.2.5).'
 )
 _SHARES = 'The shares of the sources in the variance of each parameter, in percent.'
 _DEFINITION = (
