@@ -43,9 +43,9 @@ _MAY_CHANGE = frozenset(
 )
 """A device or a network may have another name after a power failure; the speed of a simulation has
 no effect; a unit may have failed permanently."""
-_OUTAGE = 10
-"""Time without simulated hardware, s of its time: longer than the accepted silence of joint
-states."""
+_OUTAGE = 12
+"""Time without simulated hardware, s of its time: longer than the accepted silence of joint states,
+and by the stamps of the IMU, which differ by tenths of a second, than `labelling.OUTAGE`."""
 _PATIENCE = 30.0
 """Longest wait for the nodes of a killed run, s: they stop the table first, and wait for the
 acknowledgement."""

@@ -15,7 +15,7 @@ from ..common.stream import Floats, Units
 from ..model.earth import Site
 from ..segmentation.clock import ClockFit
 from ..segmentation.course import Temperature
-from ..segmentation.labelling import Labelled
+from ..segmentation.labelling import OUTAGE, Labelled
 from ..segmentation.segmented import Move, Segmented
 from ..segmentation.segments import Segment, Statistics, Turn
 from ..session.imu import ImuSpec
@@ -286,9 +286,14 @@ class Evidence:
             held = hold_errors(self.segments, self.turns)
             return held, held
         return (
-            joint_errors(self.segments, self.turns, self.table, self.interruptions),
+            joint_errors(self.segments, self.turns, self.table, self.restarts),
             stop_errors(self.segments, self.turns),
         )
+
+    @property
+    def restarts(self) -> list[tuple[int, int]]:
+        """Interruptions in which the stand may have been started anew."""
+        return [(last, begins) for last, begins in self.interruptions if begins - last > OUTAGE]
 
     @property
     def levelling(self) -> float:

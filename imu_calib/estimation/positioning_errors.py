@@ -1,7 +1,7 @@
 """Effect of positioning errors of a table on the attitudes of dwells and turns.
 
 The difference of a stopped joint from its encoder reading is constant until it moves again: dwells
-and turns in between share that error, about the joint's axis. While the stream is interrupted a
+and turns in between share that error, about the joint's axis. Before a stand is started anew a
 joint may move and return unseen. In addition each stop has a small independent rotation, whichever
 joint moved. Only the sensors show either.
 
@@ -61,7 +61,7 @@ def joint_errors(
     segments: tuple[Segment, ...],
     turns: tuple[Turn, ...],
     table: Table | None,
-    interruptions: Sequence[tuple[int, int]] = (),
+    restarts: Sequence[tuple[int, int]] = (),
 ) -> AttitudeErrors:
     """Return the effect of positioning errors of joints.
 
@@ -72,13 +72,13 @@ def joint_errors(
     parts: list[Segment | Turn] = [*segments, *turns]
     known = [part.angles for part in parts]
     if table is None or any(angles is None for angles in known):
-        return _by_up(segments, turns, interruptions)
+        return _by_up(segments, turns, restarts)
     angles = np.array(known).reshape(len(parts), len(table.joints))
     order = np.argsort([part.start for part in parts], kind='stable')
     columns: list[Floats] = []
     for joint in range(angles.shape[1]):
         about = axes_of(table, joint, angles, turns)
-        for run in stops_of(joint, angles[:, joint], parts, order.tolist(), interruptions):
+        for run in stops_of(joint, angles[:, joint], parts, order.tolist(), restarts):
             column = np.zeros((len(parts), 3))
             column[run] = about[run]
             columns.append(column)
@@ -126,11 +126,11 @@ def stops_of(
     readings: Floats,
     parts: Sequence[Segment | Turn],
     order: Sequence[int],
-    interruptions: Sequence[tuple[int, int]] = (),
+    restarts: Sequence[tuple[int, int]] = (),
 ) -> list[list[int]]:
     """Return the static dwells and turns of each stop of a joint, in time.
 
-    Interruptions of the stream are its last stamp before and the first after each, ns.
+    Restarts of the stand are the last stamp before and the first after each, ns.
     """
     found: list[list[int]] = []
     last: tuple[float, int] | None = None
@@ -139,7 +139,7 @@ def stops_of(
         if isinstance(part, Turn) and part.joint == joint:
             last = None
             continue
-        here = float(readings[k]), _number_before(part.start, interruptions)
+        here = float(readings[k]), _number_before(part.start, restarts)
         if last is None or abs(here[0] - last[0]) > _MOVED or here[1] != last[1]:
             found.append([])
         found[-1].append(k)
@@ -147,19 +147,19 @@ def stops_of(
     return found
 
 
-def _number_before(start: int, interruptions: Sequence[tuple[int, int]]) -> int:
-    return sum(begins <= start for _, begins in interruptions)
+def _number_before(start: int, restarts: Sequence[tuple[int, int]]) -> int:
+    return sum(begins <= start for _, begins in restarts)
 
 
 def _by_up(
     segments: tuple[Segment, ...],
     turns: tuple[Turn, ...],
-    interruptions: Sequence[tuple[int, int]],
+    restarts: Sequence[tuple[int, int]],
 ) -> AttitudeErrors:
     attitudes = [s.attitude[2] for s in segments if s.attitude is not None]
     ups = np.array([*attitudes, *(t.up for t in turns)]).reshape(-1, 3)
     starts = [s.start for s in segments] + [t.start for t in turns]
-    groups = _groups(ups, starts, interruptions)
+    groups = _groups(ups, starts, restarts)
     columns: list[Floats] = []
     for group in range(int(groups.max(initial=-1)) + 1):
         mine = groups == group
@@ -170,13 +170,13 @@ def _by_up(
 
 
 def _groups(
-    ups: Floats, starts: list[int], interruptions: Sequence[tuple[int, int]]
+    ups: Floats, starts: list[int], restarts: Sequence[tuple[int, int]]
 ) -> NDArray[np.intp]:
     """Number static dwells and turns by runs in time with the same direction of up."""
     groups = np.zeros(len(starts), dtype=np.intp)
     current, last, number = -1, ups[:0], 0
     for k in np.argsort(starts, kind='stable').tolist():
-        before = _number_before(starts[k], interruptions)
+        before = _number_before(starts[k], restarts)
         if not len(last) or np.linalg.norm(ups[k] - last) > SAME_UP or before != number:
             current, last, number = current + 1, ups[k], before
         groups[k] = current

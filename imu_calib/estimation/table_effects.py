@@ -210,14 +210,14 @@ def _joint_effects(evidences: Sequence[Evidence]) -> tuple[list[tuple[Floats, Fl
     assert table is not None
     angles = np.array([part.angles for part in parts])
     counts = [len(e.parts) for e in evidences]
-    interruptions = [one for e in evidences for one in e.interruptions]
+    restarts = [one for e in evidences for one in e.restarts]
     columns: list[list[Floats]] = [[] for _ in evidences]
     names = []
     for joint in range(angles.shape[1]):
         about = [
             axes_of(e.table, joint, _angles(e), e.turns) for e in evidences if e.table is not None
         ]
-        for stop in stops_of(joint, angles[:, joint], parts, order, interruptions):
+        for stop in stops_of(joint, angles[:, joint], parts, order, restarts):
             rows = [np.zeros((count, 3)) for count in counts]
             for k in stop:
                 unit, own = owners[k]

@@ -231,7 +231,7 @@ off."""
 _ATTITUDE_TOLERANCE = 1.0 * DEG  #: rad: positions of plans are further apart.
 _SAME_UP = 1e-3
 """One less the cosine: axes within 2.6 deg are one. A judgement: rate tests are 90 deg apart."""
-_OUTAGE = 10_000_000_000
+OUTAGE = 10_000_000_000
 """ns: a shorter interruption of the IMU's stream may be a cable. A stand that is started anew takes
 longer, and the simulated one at least as long (`cli.resume`)."""
 _PART = ('', 'what lies after it is', 'what lies before it is', 'what lies between is')
@@ -448,7 +448,7 @@ class _Setpoints:
         self._setpoints = setpoints
         self._stamp = np.array([s.stamp for s in setpoints], dtype=np.int64) + round(offset * 1e9)
 
-        self._restarts = [begins for last, begins in interruptions if begins - last > _OUTAGE]
+        self._restarts = [begins for last, begins in interruptions if begins - last > OUTAGE]
 
     def restarted_before(self, segment: Segment) -> bool:
         """Return whether the stand was started anew between the active setpoint and a segment."""

@@ -331,7 +331,7 @@ def test_a_joint_stops_anew_where_it_moved_or_turned() -> None:
     assert stops_of(0, readings, parts, [4, 3, 2, 1, 0]) == [[4], [3, 2, 1, 0]]
 
 
-def test_a_joint_stops_anew_where_the_stream_was_interrupted() -> None:
+def test_a_joint_stops_anew_where_the_stand_was_started_again() -> None:
     angles = np.zeros(3)
     segments = tuple(replace(CLEAN.segments[k], start=10 * k, angles=angles) for k in range(3))
     assert stops_of(1, angles, segments, range(3), [(11, 15)]) == [[0, 1], [2]]
