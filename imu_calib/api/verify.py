@@ -216,14 +216,17 @@ def _check_identity(
 
 
 def _described(calibration: Calibration) -> ImuSpec:
-    """Return the calibration's description of its IMU, with the noise used for it."""
-    imu = calibration.imu
-    walk = np.nan_to_num(np.array(calibration.provenance.get('random_walk', [0.0] * 6), float))
-    gyro, accel = np.sqrt(np.mean(walk.reshape(2, 3) ** 2, axis=1))
+    """Return the calibration's description of its IMU, with the noise and drift used for it."""
+    # A calibration's file has the drift that was used, and no longer the data sheet.
+    imu, origin = calibration.imu, calibration.provenance
+    stated = imu.gyro.bias_instability, imu.accel.bias_instability
+    found = [origin.get(key, [0.0] * 6) for key in ('random_walk', 'bias_drift')]
+    squares = np.nan_to_num(np.array(found, float)).reshape(2, 2, 3) ** 2
+    walk, drift = np.sqrt(squares.mean(axis=2)).tolist()
     return replace(
         imu,
-        gyro=replace(imu.gyro, random_walk=float(gyro)),
-        accel=replace(imu.accel, random_walk=float(accel)),
+        gyro=replace(imu.gyro, random_walk=walk[0], bias_instability=stated[0] or drift[0]),
+        accel=replace(imu.accel, random_walk=walk[1], bias_instability=stated[1] or drift[1]),
     )
 
 

@@ -344,21 +344,25 @@ def refitted_parameters(system: TriadSystem) -> Fit:
     return replace(system, reading=1.0).fit(np.zeros(len(system.sensors.parameters)), _wide(system))
 
 
+def shows_scatter(system: TriadSystem) -> bool:
+    """Return whether the residuals exceed the noise of the system for any parameters."""
+    return refitted_parameters(system).chance <= _NOISE
+
+
 def with_true_noise(system: TriadSystem) -> TriadSystem:
     """Widen the noise to the scatter that remains with all parameters fitted.
 
-    With few dwells, or lengths alone, scatter cannot be estimated: the bias instability of the data
-    sheet is used. Residuals explained by a term that the calibration lacks are not scatter.
+    Biases drift as the data sheet states, as far as the session shows it. Residuals explained by a
+    term that the calibration lacks are not scatter.
 
     Raises:
         NotObservable: The scatter is too large to judge any calibration.
     """
-    with_drift = replace(system, bias_drift=system.spec.bias_instability)
+    if system.spec.bias_instability:
+        system = _with_shown_drift(system)
     if system.up is not None:
-        return with_drift
+        return system
     fit, scatter = _explained(system)
-    if scatter.at_rest < _ENOUGH:
-        system, (fit, scatter) = with_drift, _explained(with_drift)
     system = replace(system, scatter=scatter, seen=fit.unknown)
     spread = system.spread(np.zeros(len(system.sensors.parameters)))
     noise = np.sqrt(np.median(np.diagonal(spread, axis1=1, axis2=2))) / system.reading
@@ -368,6 +372,15 @@ def with_true_noise(system: TriadSystem) -> TriadSystem:
             'mounting or the description of the IMU are not those of the recording.'
         )
     return system
+
+
+def _with_shown_drift(system: TriadSystem) -> TriadSystem:
+    """Let biases drift as stated, as far as the session shows it."""
+    drifting = replace(system, drift=1.0)
+    fit, calm = refitted_parameters(drifting), replace(system, reading=1.0)
+    if not fit.converged:
+        return drifting
+    return replace(system, drift=calm.shown_drift(*_about(calm, fit)))
 
 
 def _explained(system: TriadSystem) -> tuple[Fit, Scatter]:

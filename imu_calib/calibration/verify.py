@@ -27,7 +27,7 @@ from ..model.session_terms import Course
 from ..segmentation.segmented import Move
 from .agreement import same_place, without_gravity
 from .calibration import Calibration
-from .diagnosis import Diagnosis, diagnose, with_true_noise
+from .diagnosis import Diagnosis, diagnose, shows_scatter, with_true_noise
 
 
 class Quantity(Enum):
@@ -387,6 +387,7 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
             *_omissions(calibration, observed),
             *(f for t in trials for f in t.findings()),
             *_without_drift(trials, judged),
+            *_by_drift_alone(calibration, trials, judged),
             *observed.notes,
         ),
         by_hand=calibration.by_hand,
@@ -448,6 +449,33 @@ def _without_drift(trials: Sequence[_Trial], judged: Sequence[Judged]) -> list[s
     ]
 
 
+def _by_drift_alone(
+    calibration: Calibration, trials: Sequence[_Trial], judged: Sequence[Judged]
+) -> Iterator[str]:
+    """Say which triads pass by the bias instability that is stated alone.
+
+    Where the session shows scatter with all parameters fitted, its drift is not merely stated.
+    """
+    for trial, found in zip(trials, judged, strict=True):
+        instability = trial.system.spec.bias_instability
+        if not instability or found.verdict is Verdict.FAIL:
+            continue
+        steady, factor = replace(trial.system, drift=0.0), _factor(calibration, trial.system, 0.0)
+        if steady.fit(trial.values, factor).chance > REJECTION or shows_scatter(steady):
+            continue
+        parameters = trial.system.sensors.parameters
+        biases = [k for k, p in enumerate(parameters) if p.kind is ParameterKind.BIAS]
+        shown = engineering(parameters[biases[0]], by_hand=calibration.by_hand)
+        differ = float(np.abs(trial.fit.delta[biases]).max())
+        yield (
+            f'Without the bias instability of the {trial.name}, '
+            f'{instability / shown.scale:.2g} {shown.unit}, the calibration would be rejected: '
+            f'their biases differ by up to {differ / shown.scale:.2g} {shown.unit}, and the '
+            'recording itself shows no drift. If the unit is steadier than its bias_instability, '
+            'other errors may be hidden.'
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class _Trial:
     """One triad of a calibration, fitted to one session."""
@@ -472,7 +500,7 @@ class _Trial:
         if not observed.with_attitudes:
             system = replace(system, up=_up(calibration, observed))
         system = with_true_noise(system)
-        factor = _factor(calibration, system)
+        factor = _factor(calibration, system, system.spec.bias_instability)
         values = calibration.model.values(sensors.parameters)
         return cls(system, values, factor, system.fit(values, factor))
 
@@ -572,18 +600,18 @@ def _up(calibration: Calibration, observed: Observed) -> Up:
     noise = noise_at_rest(accels.evidence.variances()[:, 3:], gravity)
     factor = np.zeros((len(values), 0))
     if calibration.has_accelerometers:
-        factor = _factor(calibration, accels)
+        factor = _factor(calibration, accels, accels.spec.bias_instability)
     found = accels.sensors.compensated(values, accels.outputs, accels.outputs)
     return Up.from_forces(found, noise, factor, gravity)
 
 
-def _factor(calibration: Calibration, system: TriadSystem) -> Floats:
+def _factor(calibration: Calibration, system: TriadSystem, instability: float) -> Floats:
     """Return a factor of the parameters' covariance with bias instability and gravity."""
     parameters = system.sensors.parameters
     mine = indices_of(parameters, calibration.parameters)
     covariance = _with_both_gravities(calibration, system.evidence.site)[np.ix_(mine, mine)]
     bias = [k for k, p in enumerate(parameters) if p.kind is ParameterKind.BIAS]
-    covariance[bias, bias] += system.spec.bias_instability**2
+    covariance[bias, bias] += instability**2
     return factor_of(covariance)
 
 

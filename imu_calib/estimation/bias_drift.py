@@ -66,7 +66,16 @@ class BiasDrift:
 
         The correlation time is a fraction of the session.
         """
-        alone, rows = self.one_channel(time * self.span), self.responses.reshape(-1, 3)
+        return self._of_outputs(self.one_channel(time * self.span))
+
+    def about_mean(self) -> Floats:
+        """Return `kernel` of a drift as data sheets state it, about its mean over the segments."""
+        alone = self.one_channel(STATED_TIME)
+        centred = alone - alone.mean(axis=0)
+        return self._of_outputs(centred - centred.mean(axis=1)[:, None])
+
+    def _of_outputs(self, alone: Floats) -> Floats:
+        rows = self.responses.reshape(-1, 3)
         return np.asarray(np.kron(alone, np.ones((3, 3))) * (rows @ rows.T))
 
     def entering(self, project: Floats) -> Floats:

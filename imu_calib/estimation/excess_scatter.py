@@ -36,6 +36,7 @@ from .components import Blocks, Component, Diagonal
 from .equations import Equations
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
+from .session_model import SessionModel
 from .variances import Variance, choose_variances, restricted
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
@@ -169,7 +170,7 @@ def excess(
     kept = [1.0, 1.0]
     if not chosen.needed:
         odds = _ODDS_BESIDE_OUTLIERS if suspecting else _ODDS
-        kept = [_kept(triad, odds) for triad in triads]
+        kept = [kept_share(t.residuals, t.stated_covariance, odds) for t in triads]
     parts = [_drift_parts(*of) for of in zip(triads, kept, drifts, strict=True)]
     stated = [share * triad.stated_variance for share, triad in zip(kept, triads, strict=True)]
     motions = scatter_of_motions(plain.evidence, shaken)
@@ -221,16 +222,16 @@ def _noise(triads: Sequence[_Triad]) -> list[Variance]:
     ]
 
 
-def _kept(triad: _Triad, odds: float) -> float:
-    """Return the mean share of the stated drift's variance that a triad has.
+def kept_share(residuals: Floats, stated_covariance: Floats, odds: float = _ODDS) -> float:
+    """Return the mean share of the stated drift's variance that residuals (r,) of noise 1 have.
 
     It is all of it by the odds, or any smaller standard deviation with the same probability.
     """
-    if not triad.stated_variance:
+    if not stated_covariance.any():
         return 1.0
-    sizes, directions = np.linalg.eigh(triad.stated_covariance)
+    sizes, directions = np.linalg.eigh(stated_covariance)
     variances = 1 + np.outer(_SHARES, np.maximum(sizes, 0.0))
-    logs = -0.5 * (np.log(variances) + (triad.residuals @ directions) ** 2 / variances).sum(axis=1)
+    logs = -0.5 * (np.log(variances) + (residuals @ directions) ** 2 / variances).sum(axis=1)
     weights = np.exp(logs - logs.max())
     weights[-1] *= odds * len(_SHARES)
     return float(weights @ _SHARES / weights.sum())
@@ -337,7 +338,7 @@ def _triad(
 ) -> _Triad:
     """Select gyros (first = 0) or accelerometers (first = 3)."""
     evidence = equations.evidence
-    rows, segments, moves = _outputs_of_triad(equations, first)
+    rows, segments, moves = _outputs_of_triad(evidence, first)
     jacobian, residuals, rising, covariance, common = parts
     seen = np.flatnonzero(np.any(jacobian[rows] != 0, axis=0))
     prior = equations.prior_rows(state)
@@ -387,13 +388,13 @@ def _triad(
 
 
 def _outputs_of_triad(
-    equations: Equations, first: int
+    evidence: Evidence, first: int
 ) -> tuple[NDArray[np.intp], list[Segment | Turn], list[Move]]:
     """Return the outputs of a triad, and the dwells and turns and the moves that they belong to.
 
     The rows (k,) of the outputs are those of dwells and turns, then of moves, three for each.
     """
-    evidence, layout = equations.evidence, equations.layout
+    layout = evidence.layout
     turns, moves = list(evidence.turns), [link.move for link in evidence.used_moves.linked]
     if first == 3:
         turns = [turns[k] for k in layout.turns_with_accels]
@@ -414,6 +415,20 @@ def _bias_drift(
     with_slope = np.append(sloped, np.zeros(len(parts) - len(sloped), dtype=bool))
     since = np.asarray((starts - starts.min()) * 1e-9)
     return BiasDrift.over(since, np.array(durations), derivatives.reshape(-1, 3, 3), with_slope)
+
+
+def drift_about_mean(evidence: Evidence, first: int) -> Floats:
+    """Return the covariance (k, k) of a triad's outputs by a drift of variance one about its mean.
+
+    Gyros (first = 0) or accelerometers (first = 3), in the order of `layout`.
+    """
+    rows, segments, moves = _outputs_of_triad(evidence, first)
+    by_biases = np.tile(np.eye(3), (len(segments), 1))
+    if moves:
+        session = SessionModel(evidence)
+        biases = BIASES[first : first + 3]
+        by_biases = session.parameter_derivatives(session.nominal(), biases)[rows]
+    return _bias_drift([*segments, *moves], np.zeros(len(segments), bool), by_biases).about_mean()
 
 
 @dataclass(frozen=True, eq=False)

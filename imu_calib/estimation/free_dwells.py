@@ -235,24 +235,25 @@ def compare_lengths(
 ) -> tuple[Floats, Floats, Floats]:
     """Set up one equation for each dwell, and a second for gyros.
 
-    For values (p,) of the sensors' parameters, outputs (s, 3) at rest, their covariance (s, 3, 3)
-    and up by the accelerometers return (m, p) derivatives, (m,) residuals of squared lengths and of
-    rates along up, and their covariance (m, m).
+    For values (p,) of the sensors' parameters, outputs (s, 3) at rest, their covariance
+    (s, 3, s, 3) and up by the accelerometers return (m, p) derivatives, (m,) residuals of squared
+    lengths and of rates along up, and their covariance (m, m).
     """
     seen, by_outputs, by_parameters = sensors.compensated(values, read, up.forces)
-    noise = transformed_covariance(by_outputs, noise)
-    jacobian = np.einsum('mi,mip->mp', 2 * seen, by_parameters)
-    square, spread = squares(seen, noise)
-    if not sensors.gyros:
-        return jacobian, site.gravity**2 - square, np.diag(spread)
-    ups, count = up.forces / site.gravity, len(seen)
-    covariance = np.diag(np.append(spread, np.einsum('mi,mij,mj->m', ups, noise, ups)))
-    covariance[count:, count:] += np.einsum('mi,minj,nj->mn', seen, up.covariance, seen)
-    return (
-        np.vstack([jacobian, np.einsum('mi,mip->mp', ups, by_parameters)]),
-        np.append(EARTH_RATE**2 - square, site.up_rate - (seen * ups).sum(axis=1)),
-        covariance,
-    )
+    noise = np.einsum('mij,mjnk,nlk->minl', by_outputs, noise, by_outputs)
+    every = np.arange(len(seen))
+    square, _ = squares(seen, noise[every, :, every])
+    along, residuals = 2 * seen[None], site.gravity**2 - square
+    if sensors.gyros:
+        ups = up.forces / site.gravity
+        along = np.stack([2 * seen, ups])
+        residuals = np.append(EARTH_RATE**2 - square, site.up_rate - (seen * ups).sum(axis=1))
+    covariance = np.einsum('ami,minj,bnj->ambn', along, noise, along)
+    covariance[0, :, 0] += 2 * (noise**2).sum(axis=(1, 3))
+    if sensors.gyros:
+        covariance[1, :, 1] += np.einsum('mi,minj,nj->mn', seen, up.covariance, seen)
+    jacobian = np.einsum('ami,mip->amp', along, by_parameters).reshape(len(residuals), -1)
+    return jacobian, residuals, covariance.reshape(len(residuals), -1)
 
 
 def squares(vectors: Floats, covariances: Floats) -> tuple[Floats, Floats]:

@@ -30,9 +30,10 @@ from ..segmentation.segmented import Segmented
 from ..session.imu import ImuSpec, StampingClock, TriadSpec
 from ..session.plan import Plan
 from ..session.table import Table
-from .components import Component, Diagonal, whiten
+from .components import Blocks, Component, whiten
 from .equations import Equations
 from .evidence import Evidence, in_table_time
+from .excess_scatter import drift_about_mean, kept_share
 from .free_dwells import Sensors, Up, compare_lengths, noise_at_rest
 from .information import Information
 from .outputs import Indices
@@ -219,8 +220,7 @@ class TriadSystem:
     reading: float = 1.0  #: Factor by which the outputs are to be multiplied.
     up: Up | None = None  #: Direction of up by the accelerometers; None if attitudes are known.
     scatter: Scatter = field(default_factory=Scatter)  #: That is allowed for.
-    #: Standard deviation of the biases from dwell to dwell, rad/s or m/s^2.
-    bias_drift: float = 0.0
+    drift: float = 0.0  #: Share of the variance of the drift that the data sheet states.
     #: The unknowns fitted with all parameters free, as a start; None before that fit.
     seen: Floats | None = None
     mount_free: bool = False  #: Whether a small rotation of the unit in its mount is estimated.
@@ -268,20 +268,15 @@ class TriadSystem:
     @cached_property
     def equations(self) -> Equations:
         """The equations of the joint estimate, with known attitudes."""
-        rows = self.evidence.layout
-        drifts = np.zeros(len(rows))
-        drifts[rows.dwell] = self.bias_drift * self.reading
-        seconds = np.array([m.move.duration for m in self.evidence.used_moves.linked]).reshape(
-            -1, 1
-        )
-        drifts[rows.move] = self.bias_drift * self.reading * seconds
-        durations = seconds[list(rows.moves_with_accels)]
-        drifts[rows.velocity] = self.bias_drift * self.reading * durations
+        extra: tuple[Component, ...] = ()
+        if self.drift:
+            drifting = Blocks(self._mine[None], self.drift * self._stated_drift[None])
+            extra = (Component(ErrorSource.BIAS_STATED, drifting),)
         return Equations(
             self.evidence,
             self.sensors.parameters,
             levelled=None if self.gyros else _ANY_TILT,
-            extra=(Component(ErrorSource.BIAS_STATED, Diagonal(drifts**2)),),
+            extra=extra,
             considered=self.considered,
             positioning=PositioningErrors(float(np.sqrt(self.scatter.variances[3]))),
         )
@@ -289,7 +284,18 @@ class TriadSystem:
     @cached_property
     def _mine(self) -> Indices:
         """Indices of the triad's equations: at rest, of turns, of moves."""
-        return self.equations.layout.gyros if self.gyros else self.equations.layout.accels
+        return self.evidence.layout.gyros if self.gyros else self.evidence.layout.accels
+
+    @cached_property
+    def _stated_drift(self) -> Floats:
+        """Covariance (m, m) of the outputs by the drift stated, about its mean.
+
+        The mean is part of the parameters' covariance: biases differ between sessions.
+        """
+        known, key = self.evidence.cache, ('drift', self.gyros)
+        if key not in known:
+            known[key] = drift_about_mean(self.evidence, self.sensors.channels.start)
+        return cast('Floats', known[key]) * (self.spec.bias_instability * self.reading) ** 2
 
     @cached_property
     def _kinds(self) -> Indices:
@@ -309,6 +315,18 @@ class TriadSystem:
     def _block(self) -> tuple[Indices, ...]:
         """Indices of the covariance of the triad's equations."""
         return np.ix_(self._mine, self._mine)
+
+    def _lengths(self, values: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return derivatives, residuals and covariance of the equations without attitudes."""
+        assert self.up is not None
+        noise, site = self._noise_at_rest, self.evidence.site
+        return compare_lengths(self.sensors, values, self.outputs, noise, self.up, site)
+
+    def _covariance(self, state: Floats) -> Floats:
+        """Return the covariance (m, m) of the triad's equations."""
+        if self.up is not None:
+            return self._lengths(state)[2]
+        return self.equations.covariance(state)[self._block]
 
     def _root(self, covariance: Floats) -> Floats:
         """Return the lower root of a covariance of the triad's equations, with their scatter."""
@@ -335,19 +353,23 @@ class TriadSystem:
         Unknowns with an uncertain prior are included: clock, heading, tilt.
         """
         if self.up is not None:
-            return self._noise_at_rest
+            every = np.arange(len(self.outputs))
+            return np.asarray(self._noise_at_rest[every, :, every])
         state, deviations = np.append(values, self._known), self.equations.prior[1]
         further = self.equations.jacobian(state)[self._mine, len(values) :] * deviations
         further = further[:, ~self._free[: len(deviations)]]
-        parts = np.hstack([self._root(self.equations.covariance(state)[self._block]), further])
+        parts = np.hstack([self._root(self._covariance(state)), further])
         rows = parts.reshape(-1, 3, parts.shape[1])
         return np.asarray(rows @ np.swapaxes(rows, 1, 2))
 
     @cached_property
     def _noise_at_rest(self) -> Floats:
-        """Covariances of the readings at rest, (s, 3, 3), parameters excluded."""
-        variances = self.evidence.variances()[:, self.sensors.channels]
-        return noise_at_rest(variances + (self.bias_drift * self.reading) ** 2, self.magnitude)
+        """Covariance of the readings at rest, (s, 3, s, 3), parameters excluded."""
+        count = len(self.outputs)
+        found = (self.drift * self._stated_drift).reshape(count, 3, count, 3)
+        own = noise_at_rest(self.evidence.variances()[:, self.sensors.channels], self.magnitude)
+        found[np.arange(count), :, np.arange(count)] += own
+        return found
 
     def predicted(self, values: Floats) -> Floats:
         """Return the predicted outputs (s + t + m, 3), with the table as described."""
@@ -378,10 +400,19 @@ class TriadSystem:
             share += float(slope @ (self.magnitude - length) / (slope @ slope))
         return share
 
+    def shown_drift(self, columns: Floats, residuals: Floats, state: Floats) -> float:
+        """Return the share of the drift stated that whitened equations without it show."""
+        count, own = len(self._kinds), self._covariance(state)
+        prior = np.column_stack([columns, residuals])[count:]
+        project, left = restricted(columns[:count], residuals[:count], np.eye(count), prior)
+        root, by_drift = self._root(own), replace(self, drift=1.0)._covariance(state) - own
+        entering = whiten(root, whiten(root, by_drift).T)
+        return kept_share(left, project.T @ entering @ project)
+
     def likely_scatter(self, columns: Floats, residuals: Floats, state: Floats) -> Scatter:
         """Find the scatter in whitened equations (m + q, n) at a state, priors last."""
         count = len(self._kinds)
-        root = self._root(self.equations.covariance(state)[self._block])
+        root = self._root(self._covariance(state))
         own = [np.eye(count)[:, self._kinds == kind] for kind in range(3)]
         by_joints = self.equations.positioning_error_effects(state)[0]
         effects = [*own, whiten(root, by_joints[self._mine])]
@@ -459,10 +490,7 @@ class TriadSystem:
     def _whitened(self, values: Floats, unknown: Floats) -> Floats:
         """Return derivatives and residuals (m + q, p + u + 1) in deviations, priors last."""
         if self.up is not None:
-            noise, site = self.spread(values), self.evidence.site
-            jacobian, residuals, covariance = compare_lengths(
-                self.sensors, values, self.outputs, noise, self.up, site
-            )
+            jacobian, residuals, covariance = self._lengths(values)
             return whiten(self._root(covariance), np.column_stack([jacobian, residuals]))
         equations, mount = self.equations, unknown[len(self._known) :]
         if mount.any():

@@ -126,7 +126,7 @@ def test_a_latitude_that_the_recording_contradicts_is_a_warning(hand, expected):
 
 
 def test_a_frame_is_verified_and_compensated_as_its_recording(hand, frame, expected, tmp_path):
-    found = imu_calib.verify(frame, expected, latitude=48.1)
+    found = imu_calib.verify(frame, expected, latitude=48.1, imu='mems_counts')
     wanted = imu_calib.verify(hand, expected, latitude=48.1)
     assert [str(t) for t in found.triads] == [str(t) for t in wanted.triads]
     assert found.own_recording and wanted.own_recording

@@ -22,12 +22,12 @@ from imu_calib.estimation.excess_scatter import (
     ExcessScatter,
     _hidden_variance,
     _is_fast,
-    _kept,
     _motion_variances,
     _slope_variance,
     _Triad,
     _triads,
     excess,
+    kept_share,
 )
 from imu_calib.estimation.positioning_errors import NO_POSITIONING_ERRORS
 from imu_calib.estimation.variances import restricted
@@ -85,14 +85,13 @@ def test_a_unit_keeps_the_mean_share_of_the_drift_that_its_data_sheet_states(
     rng = np.random.default_rng(0)
     root = rng.standard_normal((12, 12))
     stated, residuals = size * root @ root.T, rng.standard_normal(12)
-    there: Any = SimpleNamespace(residuals=residuals, stated_covariance=stated, stated_variance=1.0)
 
     def likelihood(share: float) -> float:
         return float(np.exp(normal(residuals, np.eye(12) + share * stated)))
 
     weight = quad(lambda s: likelihood(s * s), 0, 1)[0] + odds * likelihood(1.0)
     mean = quad(lambda s: s * s * likelihood(s * s), 0, 1)[0] + odds * likelihood(1.0)
-    assert _kept(there, odds) == pytest.approx(mean / weight, rel=0.01)
+    assert kept_share(residuals, stated, odds) == pytest.approx(mean / weight, rel=0.01)
     assert 0.02 < mean / weight < 0.98 or odds == 1000.0
 
 

@@ -15,6 +15,7 @@ from scipy.stats import chi2, norm
 from sessions import LATITUDE, SITE, at_one_rate, calibrate, paper_imu, quick_plan, session, stand
 
 from imu_calib.api.simulate import serialised
+from imu_calib.api.verify import _described
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.diagnosis import diagnose, mistakes, share_in_words
 from imu_calib.calibration.verify import Quantity, Verdict, Verification, _Trial, verify
@@ -23,7 +24,15 @@ from imu_calib.common.errors import NotObservable
 from imu_calib.common.files import named_file
 from imu_calib.common.rotations import rotation
 from imu_calib.common.stream import Floats, ImuBlock, Units
-from imu_calib.common.units import ARCMIN, ARCSEC, DEG, DEG_H, PPM, STANDARD_GRAVITY
+from imu_calib.common.units import (
+    ARCMIN,
+    ARCSEC,
+    DEG,
+    DEG_H,
+    MICRO_G,
+    PPM,
+    STANDARD_GRAVITY,
+)
 from imu_calib.estimation import system
 from imu_calib.estimation.free_dwells import Sensors
 from imu_calib.estimation.system import Observed, observe
@@ -33,6 +42,7 @@ from imu_calib.model.terms import G_SENSITIVITY
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.segmented import Segmented
 from imu_calib.segmentation.segmenter import Segmenter
+from imu_calib.session.imu import load_imu
 from imu_calib.session.metadata import describe
 from imu_calib.session.plan import UNPLANNED, Plan, load_plan
 from imu_calib.session.table import Table, load_table
@@ -211,6 +221,50 @@ def test_biases_that_moved_as_the_data_sheet_allows_are_no_fault(gyros: bool, si
         square += np.mean(np.square(along)) * 3
     # The three biases of each run, each seen up and down.
     assert chi2.ppf(1e-3, 3 * runs) < square < chi2.isf(1e-3, 3 * runs)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_biases_that_drift_as_the_data_sheet_states_are_no_fault(seed: int) -> None:
+    spec, table = load_imu('fog_medium'), load_table('three_axis')
+    segmenter, drifting = Segmenter(spec, table), stand(azimuth=HEADING, bias_instability=True)
+    for _, block in session(PLAN, drifting, seed, spec=spec):
+        segmenter.add_block(block)
+    seen = observe(segmenter.finish(), spec, SITE, PLAN, table)
+    verification = verify(calibration(), seen)
+    assert verification.verdict is Verdict.PASS
+    assert not verification.findings
+    # By 20 ug, four times the noise of a rest.
+    wrong = accel(a().error_matrix + 100 * PPM * np.diag([1.0, 0.0, 0.0]))
+    assert verify(wrong, seen).triads[1].verdict is Verdict.FAIL
+
+
+def stating(seen: Observed, **instability: float) -> Observed:
+    triads = {k: replace(getattr(seen.imu, k), bias_instability=v) for k, v in instability.items()}
+    return replace(seen, imu=replace(seen.imu, **triads))
+
+
+def test_a_drift_that_the_session_does_not_have_hides_nothing() -> None:
+    generous = stating(observed(), accel=200 * MICRO_G)
+    wrong = accel(a().error_matrix + 50 * PPM * np.diag([1.0, 0.0, 0.0]))
+    assert verify(calibration(), generous).verdict is Verdict.PASS
+    assert verify(wrong, generous).triads[1].verdict is Verdict.FAIL
+
+
+def test_the_drift_that_the_calibration_found_is_expected_where_none_is_stated() -> None:
+    found = replace(calibration(), provenance={'bias_drift': [1e-7] * 3 + [2e-4] * 3})
+    spec = _described(found)
+    assert (spec.gyro.bias_instability, spec.accel.bias_instability) == pytest.approx((1e-7, 2e-4))
+    assert _described(replace(found, provenance={})).accel.bias_instability == 0.0
+
+
+def test_what_passes_by_the_drift_stated_alone_is_said() -> None:
+    # Lengths do not tell half of the Earth rate from biases that may be as large.
+    generous = stating(by_the_imu_alone(), gyro=10 * DEG_H)
+    wrong = verify(gyro(g().error_matrix + 0.5 * np.diag([1.0, 0.0, 0.0])), generous)
+    assert wrong.triads[0].verdict is not Verdict.FAIL
+    words = 'Without the bias instability of the gyros, 10 deg/h, the calibration would be rejected'
+    assert [f for f in wrong.findings if words in f]
+    assert not [f for f in verify(calibration(), generous).findings if 'Without' in f]
 
 
 def gyro(matrix: Floats | None = None, bias: Floats | None = None) -> Calibration:
