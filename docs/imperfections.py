@@ -461,10 +461,6 @@ honest yet:
   a joint speeds up or slows down: those that a counter of a medium unit repeats at rest are not,
   and its K_a is known up to 15 times worse, with a scatter named that is none. No parameter is off
   by more than 4.2 standard deviations
-- a sample rate that changes is named, but within a dwell the pulses of a sample, 1 % fewer, are
-  taken for noise: in 6 of 10 sessions of a medium unit and in one of navigation grade one K_a is
-  known to 300 ppm alone (2 ppm without); 5 of 10 of navigation grade find `size_effect`, and hint
-  at `accel_cubic`
 - stamps slewed by 50 ppm for a fifth of the session are named, and what is stamped meanwhile is
   left out: 24 of 60 sessions are refused for it, and others know E or D_a up to 680 times worse
 - a driver that differences a counter and delivers rates: its double samples are called false ones

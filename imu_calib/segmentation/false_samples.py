@@ -11,7 +11,7 @@ Source: docs/mathematics.md, 'Stamps and lost samples'.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -204,11 +204,18 @@ class FalseSampleFilter:
         units: Of the values.
         scale: (6,) nominal scale factors of the values, SI.
         of: The sensor in sentences; empty for the IMU.
+        parts: Stamps of samples that may be alike, ns: `CountsAfterGaps.parts`.
     """
 
-    def __init__(self, units: Units, scale: Floats = SCALE_OF_SI, of: str = '') -> None:
+    def __init__(
+        self,
+        units: Units,
+        scale: Floats = SCALE_OF_SI,
+        of: str = '',
+        parts: Collection[int] = frozenset(),
+    ) -> None:
         self.found = FalseSamples(of=of)  #: What was removed.
-        self._units, self._scale = units, scale
+        self._units, self._scale, self._parts = units, scale, parts
         self._limits: tuple[_Limits, _Limits] | None = None
         """For rows of one number, and for spikes; None before the first rows."""
         self._rows = Rows(np.empty(0, dtype=np.int64), np.empty((0, 6)))
@@ -235,7 +242,7 @@ class FalseSampleFilter:
         stamp, values = rows.stamp[first:end], rows.values[first:end]
         if self._limits is None:
             self._limits = self._limits_by(rows.stamp[:_RADIUS])
-        kinds = [kind[first:end] for kind in _false_samples(rows, *self._limits)]
+        kinds = [kind[first:end] for kind in _false_samples(rows, *self._limits, self._parts)]
         wrong = np.logical_or.reduce(kinds)
         self.found = replace(self.found, received=self.found.received + len(stamp))
         if wrong.any():
@@ -269,7 +276,7 @@ class FalseSampleFilter:
 
 
 def _false_samples(
-    rows: Rows, on_all_axes: _Limits, of_spikes: _Limits
+    rows: Rows, on_all_axes: _Limits, of_spikes: _Limits, parts: Collection[int]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which rows (n,) read one number on all axes without cause, repeat, or are spikes."""
     alike = np.zeros(len(rows.stamp), dtype=bool)
@@ -280,7 +287,8 @@ def _false_samples(
         alike[_without_gravity(placed, on_all_axes)] = True
         alike[_zeros_of_gyros(placed)] = True
         repeats, spikes = np.zeros((2, len(alike)), dtype=bool)
-        repeats[_repeats(rows.values, on_all_axes)] = True
+        again = _repeats(rows.values, on_all_axes).tolist()
+        repeats[[k for k in again if int(rows.stamp[k]) not in parts]] = True
         repeats &= ~alike
         sound = np.flatnonzero(~(alike | repeats))
         if len(sound) < len(alike):

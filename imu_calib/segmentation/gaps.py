@@ -356,6 +356,7 @@ class CountsAfterGaps:
 
     def __init__(self, units: Units, scale: Floats, of: str = '') -> None:
         self.found = DifferencedCounts(of=of)  #: What was divided.
+        self.parts: set[int] = set()  #: Stamps of what came of it, ns: these samples are alike.
         self._units, self._scale = units, scale
         self._rows = Rows(np.empty(0, dtype=np.int64), np.empty((0, 6)))
         self._judged = 0
@@ -458,6 +459,7 @@ class CountsAfterGaps:
                 reached = np.rint(shares[1:] * (int(rows.stamp[k]) - before)).astype(np.int64)
                 sums = shares[:, None] * rows.values[k]
                 stamps.append(before + reached)
+                self.parts.update(stamps[-1].tolist())
                 values.append(np.diff(np.rint(sums) if self._units.whole else sums, axis=0))
         stamps.append(rows.stamp[done:end])
         values.append(rows.values[done:end])

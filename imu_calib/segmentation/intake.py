@@ -173,7 +173,7 @@ class _Samples:
         self.clock = SetBackClock(6)  #: It has the samples first.
         self.shared = SharedStamps(rate)
         self.after_gaps = CountsAfterGaps(units, scale, of)
-        self.false = FalseSampleFilter(units, scale, of)
+        self.false = FalseSampleFilter(units, scale, of, self.after_gaps.parts)
         self.last_run = LastRun()
         self.first: int | None = None  #: Stamp of the first sample, ns; None before it.
         self.last: int | None = None  #: Stamp of the last one, likewise.

@@ -24,7 +24,7 @@ from .moves import MoveReader
 from .segmented import FreeMotion, MountShift, Rejected
 from .segments import Pace, Segment, Turn
 from .stamp_faults import Lateness
-from .stamps import RowBuffer, clock_steps, sampling_times
+from .stamps import RowBuffer, clock_steps, rate_changes, sampling_times
 from .statistics import Rounding, Samples, Sensor
 from .stream_facts import Repetition
 from .table_motion import Motion, Rest
@@ -285,17 +285,18 @@ class IntervalReader:
             steps = clock_steps(stamp, self.pace.interval)
             self.off_grid.update(stamp[steps].tolist())
         set_back = np.searchsorted(stamp, self._set_back(start, end)).tolist()
+        changes = rate_changes(stamp)
         chosen: tuple[int, ...] = ()
         if self.choice is not None:
             self.choice.note_rest(start, end)
             chosen = self.choice.edges(stamp)
         others = set_back if self._table is not None else ()
-        edges = sorted({0, *steps, *others, *chosen, len(stamp)})
+        edges = sorted({0, *steps, *others, *chosen, *changes, len(stamp)})
         cuts = [k for a, b in pairwise(edges) for k in range(a, b, longest)]
         for piece in map(slice, cuts, [*cuts[1:], len(stamp)]):
             if len(stamp[piece]) < 2:
                 continue
-            if piece.start in set_back:
+            if piece.start in (*set_back, *changes):
                 self.pace.begin_line()
             came = self.sensor.samples(stamp[piece], values[piece], self.pace)
             self.late.count_late(came.stamp, late[piece] + (stamp[piece] - came.stamp), came.period)
@@ -354,10 +355,7 @@ class IntervalReader:
         end = motion.end + self.offset_ns + MARGIN_NS
         begins, ends_at = motion.start + self.offset_ns, motion.end + self.offset_ns
         if reason := self._set_back_within(motion):
-            self.moves.lose(reason)
-            self.pace.begin_line()
-            if self._table is None or float(motion.travel.max(initial=0.0)) > TURN:
-                self.found.rejected.append(Rejected(begins, ends_at, reason, turn=True))
+            self._lose(motion, reason)
             return
         set_back = self._set_back(start, end)
         # Of the rest beside the motion what is timed by the same line is read.
@@ -365,6 +363,9 @@ class IntervalReader:
         end = min([end, *(one - 1 for one in set_back if one > ends_at)])
         stamp, values, late = self._without_clock_steps(*made_between(self._intake.imu, start, end))
         if len(stamp) < 2:
+            return
+        if any(begins < one <= ends_at for one in stamp[rate_changes(stamp)].tolist()):
+            self._lose(motion, 'the sample rate changes within it')
             return
         came = self.sensor.samples(stamp, values, self.pace)
         inside = slice(*np.searchsorted(came.stamp, [begins, ends_at], side='right').tolist())
@@ -430,6 +431,14 @@ class IntervalReader:
         if any(motion.start < instant <= motion.end for instant in of_table):
             return 'the clock of the joint states was set back within it'
         return ''
+
+    def _lose(self, motion: Motion, reason: str) -> None:
+        """Leave out a motion, and begin another line through the stamps."""
+        self.moves.lose(reason)
+        self.pace.begin_line()
+        if self._table is None or float(motion.travel.max(initial=0.0)) > TURN:
+            start, end = motion.start + self.offset_ns, motion.end + self.offset_ns
+            self.found.rejected.append(Rejected(start, end, reason, turn=True))
 
     def _note_seen(self, motion: Motion, values: Floats, samples: Samples, table: Table) -> None:
         """Note how much of a motion within the range the gyros saw, and its repeated samples."""

@@ -229,9 +229,10 @@ class Segmenter:
         """Moves between these static dwells so far."""
         pace = self._reader.pace
         changes = pace.rate_changes
+        interval_at = pace.interval_at if changes else lambda _: pace.interval
         return tuple(
             move
-            for move in self._reader.moves.timed_moves(pace.interval_at)
+            for move in self._reader.moves.timed_moves(interval_at)
             if not any(move.start < last and move.end > first for first, last, _, _ in changes)
         )
 

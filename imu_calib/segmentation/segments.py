@@ -15,7 +15,7 @@ import numpy as np
 
 from ..common.stream import Floats, Stamps
 from .allan import AllanSums
-from .stamps import SampleGrid, read_grid
+from .stamps import LARGEST_SLEW, SampleGrid, read_grid
 
 _NEAR_WHOLE = 0.25
 """Of an interval: tolerance of the distance of segments about a whole number of intervals; beyond
@@ -27,9 +27,6 @@ _FEWEST_FREE = 2
 _SUDDEN = 3e-6
 """Relative change of the interval within a minute that no quartz makes: three times what one does
 that warms by a degree. Clocks are slewed by tens of ppm and more."""
-_LARGEST_SLEW = 1e-3
-"""Relative: twice what kernels slew a clock by. Intervals further apart are of segments in which
-jitter hides how many samples are missing."""
 _SAME_RATE = 1e-4
 """Relative: intervals of three segments in a row that are this close are those of one sample rate;
 jitter that hides missing samples scatters them by more."""
@@ -121,13 +118,13 @@ class Pace:
         error = np.hypot(std[1:], std[:-1]) / period[1:]
         minutes = np.diff(first + last) / 2 * 1e-9 / 60
         sudden = apart > np.maximum(_SUDDEN * np.maximum(1.0, minutes), _SURELY * error)
-        if not np.any(sudden & (apart < _LARGEST_SLEW)):
+        if not np.any(sudden & (apart < LARGEST_SLEW)):
             return [], 0.0
         off = np.abs(period[:, None] / period - 1)
         alike = off <= np.maximum(_SAME_PACE, _SURELY * np.hypot(std[:, None], std) / period)
         usual = int(np.argmax(alike @ (last - first)))
         kept = alike[:, usual]
-        rows = np.flatnonzero(~kept & (off[:, usual] < _LARGEST_SLEW))
+        rows = np.flatnonzero(~kept & (off[:, usual] < LARGEST_SLEW))
         weight = std[kept] ** -2
         self._known = float(weight @ period[kept] / weight.sum()), float(weight.sum() ** -0.5)
         spans = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
@@ -135,7 +132,7 @@ class Pace:
         return where, float(off[rows, usual].max(initial=0.0))
 
     def interval_at(self, instant: float) -> float:
-        """Return the interval around an instant, ns, s: that of all, unless the rate changed."""
+        """Return the interval around an instant, ns, s, by itself where the rate changes."""
         if not self._read:
             return self.interval
         first, last, period, _ = np.array(self._read).T
@@ -143,8 +140,7 @@ class Pace:
         for begin in (k - 2, k - 1, k):
             some = period[max(begin, 0) : begin + 3]
             if len(some) == 3 and np.ptp(some) < _SAME_RATE * some[1]:
-                local = float(np.median(some))
-                return local if abs(local / self.interval - 1) > _LARGEST_SLEW else self.interval
+                return float(np.median(some))
         return self.interval
 
     @property
@@ -159,9 +155,9 @@ class Pace:
             # A segment may lie across the change.
             before, after = period[k - 3 : k], period[k + 1 : k + 4]
             even = max(np.ptp(before) / before[1], np.ptp(after) / after[1]) < _SAME_RATE
-            changed = even and abs(after[1] / before[1] - 1) > _LARGEST_SLEW
+            changed = even and abs(after[1] / before[1] - 1) > LARGEST_SLEW
             # Two segments in a row may have even ones on either side.
-            if changed and (not found or abs(found[-1][3] / after[1] - 1) > _LARGEST_SLEW):
+            if changed and (not found or abs(found[-1][3] / after[1] - 1) > LARGEST_SLEW):
                 around = self._read[k - 1][0], self._read[k + 1][0]
                 found.append((*around, float(before[1]), float(after[1])))
         return found

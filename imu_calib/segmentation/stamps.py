@@ -265,6 +265,13 @@ thousandth off."""
 _ALONGSIDE = 16
 """Samples on either side of a step by which it is tested: few, as their interval is not known."""
 
+_SINGLE = 0.4
+"""Of the interval: steps within this of it are of samples in a row. A judgement: nearer to one than
+to two, and to none."""
+_NEARLY_ALL = 0.9  #: Share of the steps that are such where a change of the rate is looked for.
+LARGEST_SLEW = 1e-3
+"""Relative: twice what kernels slew a clock by. Intervals further apart are of other sample rates,
+or of segments in which jitter hides how many samples are missing."""
 _SURELY = 6.0
 """Standard deviations of stamps about their grid beyond which a step is off it: exceeded once in
 10^9 by chance."""
@@ -453,6 +460,32 @@ def clock_steps(stamp: Stamps, hint: float = 0.0) -> list[int]:
         if not _is_tick(abs(step - count) * period, stamp, period):
             found.append(int(on_grid[place - 1]) + 1)
     return found if len(found) * _SELDOM <= max(len(stamp), 2 * _SELDOM) else []
+
+
+def rate_changes(stamp: Stamps) -> list[int]:
+    """Return where the sample rate changes for good within stamps (n,), ns.
+
+    Returns:
+        The first sample whose interval is another, if there is one; of several changes the largest.
+    """
+    steps = np.diff(stamp) * 1e-9
+    if len(steps) < 2 * _ALONGSIDE:
+        return []
+    off = steps / float(np.median(steps)) - 1
+    single = np.flatnonzero(np.abs(off) < _SINGLE)
+    off, n = off[single], len(single)
+    if n < _NEARLY_ALL * len(steps) or n < 2 * _ALONGSIDE or float(np.ptp(off)) < LARGEST_SLEW:
+        return []
+    count = np.arange(_ALONGSIDE, n - _ALONGSIDE + 1)
+    sums = np.cumsum(off)[count - 1]
+    apart = np.abs(sums / count - (off.sum() - sums) / (n - count))
+    k = int(count[np.argmax(apart * np.sqrt(count * (n - count)))])
+    # One late stamp moves a mean, but no median.
+    levels = np.median(off[:k]), np.median(off[k:])
+    scatter = math.hypot(*(float(np.std(one)) / math.sqrt(len(one)) for one in (off[:k], off[k:])))
+    if abs(levels[1] - levels[0]) <= max(LARGEST_SLEW, _SURELY * MEDIAN_ERROR * scatter):
+        return []
+    return [int(single[k]) + 1]
 
 
 def _is_tick(step: float, stamp: Stamps, period: float) -> bool:

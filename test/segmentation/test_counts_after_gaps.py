@@ -7,8 +7,10 @@ import pytest
 from other_sessions import MEDIUM, NAVIGATION, errors, fed, recorded
 from other_world import DEG, Damage, Unit, World
 
-from imu_calib.common.stream import Floats, Stamps, Units
+from imu_calib.common.stream import NS, Floats, ImuBlock, Stamps, Units
 from imu_calib.segmentation.gaps import LONGEST, CountsAfterGaps
+from imu_calib.segmentation.segmenter import Segmenter
+from imu_calib.session.imu import load_imu
 
 TACTICAL = replace(MEDIUM, gyro_pulse=4.8e-7 * DEG, accel_pulse=2.4e-7)
 GRADES = {'tactical': TACTICAL, 'coarse': MEDIUM, 'navigation': NAVIGATION}
@@ -94,3 +96,17 @@ def test_rates_pass_unchanged_and_at_once():
     counts = CountsAfterGaps(Units.COUNTS, scale)
     rows = counts.divide(stamp, values)
     assert rows.stamp is stamp and rows.values is values
+
+
+def test_what_was_divided_repeats_no_sample():
+    rng = np.random.default_rng(8)
+    values = rng.normal([0, 0, 0, 0.1, 0, 0], 1e-3, (3000, 6))
+    stamp = (np.arange(3000) + 1) * NS // 100
+    lost = np.arange(100, 2900, 70)
+    values[lost + 1] += values[lost]
+    segmenter = Segmenter(load_imu('increments'), None)
+    kept = np.delete(np.arange(3000), lost)
+    segmenter.add_block(ImuBlock(stamp[kept], values[kept, :3], values[kept, 3:]))
+    found = segmenter.finish()
+    assert not found.false_samples.count
+    assert any('differences a counter' in one for one in found.losses)

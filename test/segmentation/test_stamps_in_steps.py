@@ -8,7 +8,8 @@ import numpy as np
 import other_sessions
 import pytest
 from extent import again
-from other_faults import TICK, slewed
+from other_faults import GRADES as FAULT_GRADES
+from other_faults import TICK, fed_with, slewed
 from other_sessions import MEDIUM, NAVIGATION, errors, fed, recorded
 from other_world import Damage, Unit, World
 from sessions import recut
@@ -25,6 +26,7 @@ from imu_calib.segmentation.stamp_faults import SharedStamps
 from imu_calib.segmentation.stamps import read_grid, sampling_times
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.plan import load_plan
+from imu_calib.session.table import load_table
 from imu_calib.simulation.hand import as_planned
 from imu_calib.simulation.options import ImuOptions
 
@@ -183,6 +185,19 @@ def test_a_sample_rate_that_changes_is_named_and_puts_nothing_off(percent, monke
     assert not found.parameters[24:]
     later = f'{100 / (1 + percent / 100):.4g}'
     assert any(f'sample rate changes from 100 to {later} Hz' in one for one in found.findings)
+
+
+@pytest.mark.parametrize(('grade', 'seed'), [('medium', 3), ('navigation', 1), ('navigation', 3)])
+def test_a_sample_rate_that_changes_within_a_dwell_or_a_turn_widens_nothing(grade, seed):
+    """K_a was known to 300 ppm alone, and places of accelerometers were found."""
+    name, of = 'sample rate changes by 1 %', (grade, seed, load_table('three_axis'))
+    found, sound = (fed_with(one, *of)[0].finish().calibration for one in (name, 'nothing'))
+    off = errors(found, FAULT_GRADES[grade])
+    assert np.abs(off).max() < 4.5, np.round(off, 1)
+    assert found.parameters[24:] == sound.parameters[24:] == ()
+    assert (found.std[:24] < 2 * sound.std[:24]).all()
+    assert not any('Outlier' in one for one in found.findings)
+    assert any('sample rate changes from 100 to 101 Hz' in one for one in found.findings)
 
 
 # Samples that share a stamp, as drivers give them that stamp what one transfer brings
