@@ -96,11 +96,14 @@ def numbers(
     return found
 
 
+_ROUNDING = 1e-6  #: K: means are of whole micro-kelvins, and files hold them as rounded.
+
+
 def temperature(section: Section, name: str) -> dict[str, Any]:
     """Return the temperatures of a session."""
     mine = section.section(name)
     lowest, mean, highest = (mine.number(key) for key in ('lowest', 'mean', 'highest'))
-    if not lowest <= mean <= highest:
+    if not lowest - _ROUNDING <= mean <= highest + _ROUNDING:
         raise InputError(
             f'{mine.where}: found mean {mean:g}, expected one from lowest, {lowest:g}, to highest, '
             f'{highest:g}.'

@@ -102,7 +102,8 @@ class Thermometer:
         cells = sorted(self._cells.items())
         total, count = sum(c[0] for _, c in cells), sum(c[2] for _, c in cells)
         course = [(k * _CELL + c[1] / c[2], c[0] / c[2] * _STEP) for k, c in cells]
-        mean = total / count * _STEP
+        # A product of two floats: the mean of equal readings may be rounded beyond them.
+        mean = float(np.clip(total / count * _STEP, self._lowest, self._highest))
         return Temperature(mean, float(self._lowest), float(self._highest), np.array(course))
 
 

@@ -38,6 +38,12 @@ def test_a_calibration_comes_back_from_its_file_bit_for_bit(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ['calibration.yaml']
 
 
+def test_a_mean_temperature_that_was_rounded_beyond_the_readings_is_loaded(tmp_path):
+    seen, path = {'mean': 25.299999999999997, 'lowest': 25.3, 'highest': 25.3}, tmp_path / 'c.yaml'
+    replace(example(), provenance={'temperature': seen}).save(path)
+    assert Calibration.load(path).provenance['temperature'] == seen
+
+
 @pytest.mark.parametrize('name', ['E_gxy', 'D_az'])
 @pytest.mark.parametrize('number', [np.nan, np.inf])
 @pytest.mark.parametrize('spoilt', ['value', 'std'])

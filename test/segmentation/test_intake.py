@@ -294,6 +294,13 @@ def test_a_course_has_the_means_of_ten_seconds():
     assert (cold.temperature.lowest, cold.temperature.highest) == (-273.15, 1000.0)
 
 
+@pytest.mark.parametrize('celsius', [25.3, 25.3000004])
+def test_the_mean_of_equal_readings_is_the_reading(celsius):
+    thermometer = Thermometer()
+    thermometer.add_temperatures(shown(*((t, celsius) for t in range(3))))
+    assert thermometer.temperature.mean == celsius
+
+
 def test_between_its_points_a_course_is_linear():
     course = np.array([[100.0 * NS, 20.0], [110.0 * NS, 30.0], [130.0 * NS, 10.0]])
     found = Temperature(1.0, 10.0, 30.0, course)
