@@ -43,7 +43,7 @@ from ..segmentation.moves import COARSE, MISSING, SATURATED
 from ..segmentation.segmented import Move, Segmented
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.segments import Segment
-from ..session.imu import SCALE_LIMIT
+from ..session.imu import SCALE_LIMIT, ImuSpec
 from .calibration import BY_ACCELEROMETERS
 from .mistakes import dead_channels, explained, refuse_separate_messages, with_facts
 from .results import Result, Review, bad_samples_first, calibrated, provenance
@@ -521,6 +521,7 @@ class HandCalibrator:
             names = ', '.join(f'{k + 1} to {k + 2}' for k in fit.rejected_moves)
             findings.append(f'Outliers, left out: turns from hold {names}.')
         findings += [*_noisy_holds(evidence), *self._other_offsets()]
+        findings += _clipped_gyros(session, setup.imu)
         findings += [*(f'{loss}.' for loss in session.losses), _FRAME]
         solution = Solution(
             fit.model,
@@ -572,6 +573,26 @@ def _lost_turns(evidence: Evidence, session: Segmented) -> list[str]:
     return [
         f'{counted(len(lost), "turn")} {verb} not used, and the parameters of the gyros are less '
         f'well known: {reasons}.'
+    ]
+
+
+def _clipped_gyros(session: Segmented, imu: ImuSpec) -> list[str]:
+    """Report gyros that stay at their largest value, where no turn is left out for a range."""
+    found = session.facts.clipped_gyros
+    if not found or any(lost.reason == SATURATED for lost in session.lost_moves):
+        return []
+    # Increments over a sample interval are shown as they are.
+    scale, unit = (1.0, '') if imu.units.per_interval else (imu.gyro.scale_factor / DEG, ' deg/s')
+    each = ', '.join(
+        f'{share:.0%} of gyro {axis} at {largest * scale:.3g}{unit}'
+        for axis, share, largest in found
+    )
+    return [
+        warning(
+            f'The gyros are clipped: many samples have exactly the largest value, {each}. Turn '
+            "more slowly, or state range of the gyros in the IMU's file, which leaves such turns "
+            'out.'
+        )
     ]
 
 

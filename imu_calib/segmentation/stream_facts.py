@@ -141,6 +141,18 @@ class StreamFacts:
         ]
 
     @property
+    def clipped_gyros(self) -> list[tuple[str, float, float]]:
+        """Axis, share of samples and value of each gyro that stays at its largest value.
+
+        For a unit in the hand alone: gyros on a table that turns evenly do so, too.
+        """
+        return [
+            (axis, count / self.samples, largest)
+            for axis, count, largest in zip('xyz', self._at_largest, self._largest, strict=False)
+            if largest > 0 and count >= max(_SHOWN * self.samples, 2)
+        ]
+
+    @property
     def _missing(self) -> float:
         """Share of the samples that the usual interval leads to expect."""
         steps = np.diff(np.unique(self._stamps))

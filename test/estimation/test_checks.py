@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from imu_calib.common.errors import Contradiction, InputError
+from imu_calib.common.finding import is_warning
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCSEC, DEG, DEG_H, MICRO_G
 from imu_calib.estimation import joint as joint_findings
@@ -416,6 +417,8 @@ def test_groups_that_scatter_are_named_with_their_factor() -> None:
     assert 'are 2.2 times their noise' in first
     assert 'are 1.5 times their noise' in last
     assert first.split(' are ')[0] != last.split(' are ')[0]
+    # Hands that were published reach 16.
+    assert [is_warning(text) for text in words(16.0, 1.0, 600.0)] == [False, True]
 
 
 # What the joint estimate says

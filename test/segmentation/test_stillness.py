@@ -11,6 +11,7 @@ from shaky import GRAVITY, LATITUDE, Shaky, shaky
 from imu_calib.calibration.hand import HandCalibrator
 from imu_calib.calibration.results import Result
 from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.finding import is_warning
 from imu_calib.common.stream import ImuBlock, Units
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers
@@ -193,9 +194,27 @@ def test_turns_beyond_the_range_are_left_out_and_said():
     assert findings.endswith(
         '(a sensor is at the end of its range: turn more slowly, or set a wider range).'
     )
+    assert not any('clipped' in finding for finding in found.findings)
     wrong = found.values - in_frame_of_accelerometers(sensors).vector()
     square = float(np.sum((wrong[FREE] / found.std[FREE]) ** 2))
     assert square < chi2.isf(1e-4, FREE.sum())
+
+
+def test_clipped_gyros_without_a_stated_range_are_warned_of():
+    block = shaky(unit(0.3 * DEG), rate=100, noise=(0.05 * DEG, 0.03)).block
+    si = ImuSpec('si', Units.SI, None, TriadSpec(), TriadSpec())
+
+    def warnings(limit: float) -> list[str]:
+        calibrator = HandCalibrator(Setup(si, load_plan('free_positions'), None, SITE))
+        gyro = np.clip(block.gyro, -limit, limit)
+        calibrator.add_block(replace(block, gyro=gyro))
+        return [text for text in calibrator.finish().findings if is_warning(text)]
+
+    assert warnings(np.inf) == []
+    told = ' '.join(warnings(120 * DEG))
+    assert '1% of gyro y at 120 deg/s, 2% of gyro z at 120 deg/s' in told
+    assert 'state range of the gyros' in told
+    assert 'The residuals of the turns are' in told
 
 
 @pytest.mark.parametrize(('step', 'said'), [(2.0, True), (0.0, False)])
