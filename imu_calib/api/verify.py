@@ -143,7 +143,7 @@ def _verify(
             observed = observe(session, imu, site, plan, table, calibration.clock)
         except NotObservable as error:
             raise type(error)(f'{error} {session.facts.sentence}'.strip()) from None
-    notes += contradicted_latitude(stated, recording)
+    notes += (*contradicted_latitude(stated, recording), *site.contradictions)
     notes += clock_findings(recording, streams, imu.units)
     already = compensated_already(recording.custom_data, streams.imu)
     found = judge(

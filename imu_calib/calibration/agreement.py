@@ -11,19 +11,15 @@ import scipy
 from numpy.typing import NDArray
 
 from ..common.budget import ErrorSource, Share
-from ..common.finding import Finding, warning
+from ..common.finding import Finding
 from ..common.stream import Floats
-from ..common.units import DEG, PPM
-from ..model.earth import MEASURED, VAGUE, Site, normal_gravity
+from ..common.units import PPM
+from ..model.earth import Site
 from ..model.parameters import Parameter, indices_of
 from ..model.sensors import gravity_covariance, gravity_slope
 from .calibration import Calibration
 
 # Effect of the uncertainty of the assumed gravity on the parameters of a calibration.
-
-_ANOMALY = 0.003
-"""Largest plausible relative difference of a measured gravity from normal gravity: 10 km of height,
-above any laboratory, make 0.3 %, and gravity anomalies a tenth of that (EGM2008)."""
 
 
 def with_gravity(calibration: Calibration, site: Site) -> Calibration:
@@ -76,40 +72,19 @@ def same_place(calibration: Calibration, gravity: object, latitude_deg: object) 
     )
 
 
-def _gravity_findings(calibration: Calibration, site: Site) -> list[str]:
+def _gravity_findings(calibration: Calibration, site: Site) -> tuple[str, ...]:
     if not calibration.has_accelerometers:
-        return []
+        return ()
     if not site.height_assumed:
-        return _latitude_contradiction(site)
-    return [
+        return site.contradictions
+    return (
         Finding(
             'Gravity was computed for height 0 m, since no height is stated: this adds '
             f'{site.gravity_relative_std / PPM:.0f} ppm to the standard deviation of every K_a. '
             'State `height`, or `gravity` as measured.',
             ErrorSource.GRAVITY,
-        )
-    ]
-
-
-def _latitude_contradiction(site: Site) -> list[str]:
-    """Return a sentence if a measured gravity does not agree with the latitude."""
-    if site.gravity_source != MEASURED or site.latitude_std > 0.99 * VAGUE:
-        return []
-    south, here, north = (
-        normal_gravity(site.latitude + sign * site.latitude_std, site.height or 0.0)
-        for sign in (-1, 0, 1)
+        ),
     )
-    off = site.gravity / here - 1
-    if abs(off) <= _ANOMALY + abs(north - south) / (2 * here):
-        return []
-    return [
-        warning(
-            f'The stated gravity of {site.gravity:.4f} m/s^2 is {100 * off:+.2f} % off normal '
-            f'gravity at latitude {site.latitude / DEG:.2f} deg, {here:.4f} m/s^2: K_a is wrong by '
-            'as much if it is a mistake. Check `gravity` and `latitude`.',
-            effect=math.inf,
-        )
-    ]
 
 
 # Test whether calibrations agree, by parameter.

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..common.errors import InputError
+from ..common.finding import warning
 from ..common.stream import Floats
-from ..common.units import DEG
+from ..common.units import DEG, PPM
 
 EARTH_RATE = 7.292115e-5  #: Rotation of the Earth, rad/s (WGS 84).
 
@@ -21,6 +22,10 @@ MEASURED = 'measured'  #: Source of the gravity of a site.
 NORMAL_GRAVITY_STD = 30e-5
 """Standard deviation of gravity from normal gravity at the same height, m/s^2: free-air anomalies
 of some 30 mGal. They are larger in mountains."""
+
+_LARGEST_ANOMALY = 400e-5
+"""m/s^2: free-air anomalies on land reach 300 to 400 mGal, and that only in high mountains
+(EGM2008)."""
 
 HEIGHT_STD = 500.0
 """Standard deviation of a height that is not stated and taken as 0, m.
@@ -155,6 +160,30 @@ class Site:
     def gravity_relative_std(self) -> float:
         """Relative standard deviation of gravity."""
         return self.gravity_std / self.gravity
+
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """A warning of a measured gravity that no place of this latitude and height has."""
+        if self.gravity_source != MEASURED or self.latitude_std > 0.99 * VAGUE:
+            return ()
+        south, here, north = (
+            normal_gravity(self.latitude + sign * self.latitude_std, self.height or 0.0)
+            for sign in (-1, 0, 1)
+        )
+        off = self.gravity - here
+        if abs(off) <= _LARGEST_ANOMALY + abs(north - south) / 2 + self.gravity_std:
+            return ()
+        height = '0 m (none is stated)' if self.height is None else f'{self.height:g} m'
+        return (
+            warning(
+                f'The stated gravity of {self.gravity:.5f} m/s^2 is {off / here / PPM:+.0f} ppm '
+                f'off normal gravity at latitude {self.latitude / DEG:.2f} deg and height '
+                f'{height}, {here:.5f} m/s^2, and real gravity at most '
+                f'{_LARGEST_ANOMALY / here / PPM:.0f} ppm: every K_a is wrong by the difference if '
+                'it is a mistake. Check `gravity`, `latitude` and `height`.',
+                effect=math.inf,
+            ),
+        )
 
     @property
     def height_assumed(self) -> bool:

@@ -24,12 +24,14 @@ from sessions import (
     truth,
 )
 
+import imu_calib
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.thermal import combine
 from imu_calib.calibration.verify import Verdict, verify
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.files import named_file
+from imu_calib.common.finding import is_warning
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import PPM
 from imu_calib.estimation.forecast import forecast
@@ -259,12 +261,34 @@ def test_several_sessions_of_one_place_share_the_error_of_gravity() -> None:
     assert rows['K_ax'].stated == pytest.approx(exact.std[12], rel=1e-6)
 
 
-@pytest.mark.parametrize(('gravity', 'said'), [(9.7, True), (9.78, False), (9.82, False)])
-def test_a_gravity_that_no_place_of_the_latitude_has_is_a_finding(gravity, said) -> None:
-    # Normal gravity is 9.797 m/s^2 here: 9.7 is 1 % off, the others 0.2 %.
-    from imu_calib.calibration.agreement import _latitude_contradiction
+@pytest.mark.parametrize(
+    ('place', 'off', 'std', 'said'),
+    [
+        ((52.29, 120.0), -582, 2e-6, '-582 ppm off normal gravity at latitude 52.29 deg'),
+        ((52.29, 120.0), 600, 0.0, '+600 ppm off normal gravity at latitude 52.29 deg'),
+        # Anomalies of lowlands and of mountains; a deviation that covers the difference.
+        ((52.29, 120.0), 100, 2e-6, ''),
+        ((46.0, 3000.0), 350, 0.0, ''),
+        ((52.29, 120.0), -582, 0.003, ''),
+        # 2000 m of height that are not stated.
+        ((52.29, None), -620, 0.0, 'height 0 m (none is stated)'),
+    ],
+)
+def test_a_gravity_that_no_place_of_the_latitude_and_height_has_is_a_warning(place, off, std, said):
+    latitude, height = math.radians(place[0]), place[1]
+    gravity = normal_gravity(latitude, height or 0.0) * (1 + off * 1e-6)
+    found = Site.at(latitude, height, gravity, gravity_std=std).contradictions
+    assert [is_warning(text) and said in text for text in found] == [True] * bool(said)
 
-    found = _latitude_contradiction(Site.at(math.radians(34.65), gravity=gravity))
-    assert [('Check `gravity` and `latitude`' in one) for one in found] == [True] * said
-    if said:
-        assert 'is -0.99 % off normal gravity' in found[0]
+
+def test_the_textbook_value_of_gravity_is_a_warning_of_calibration_and_verification(tmp_path):
+    """9.80665 m/s^2 is 0.1 % more than the Luoyang of the session has."""
+    imu_calib.simulate('six_position', tmp_path / 'day1', azimuth=0.0)
+    imu_calib.simulate('six_position', tmp_path / 'day2', azimuth=0.0, seed=1)
+    stated = {'gravity': 9.80665, 'gravity_std': 2e-6, 'latitude': 34.65, 'height': 0.0}
+    made = imu_calib.calibrate(tmp_path / 'day1', **stated).calibration
+    off = (9.80665 / normal_gravity(math.radians(34.65)) - 1) / PPM
+    verified = imu_calib.verify(tmp_path / 'day2', made, **stated)
+    for findings in (made.findings, verified.findings):
+        warnings = [text for text in findings if is_warning(text)]
+        assert any(f'gravity of 9.80665 m/s^2 is {off:+.0f} ppm off' in text for text in warnings)
