@@ -24,7 +24,7 @@ _LEAST = 0.005
 """A source below half a percent of every variance has no column: it would be shown as zero."""
 
 _COLUMNS = 100
-"""Characters of a line on a terminal."""
+"""Characters of a line on a terminal; as many headings fit beside each other on A4."""
 _NAME = 9
 """Characters of the longest name of a parameter."""
 _WIDTH, _LEFT, _ROW, _BAR = 760.0, 58.0, 19.0, 15.0
@@ -163,8 +163,9 @@ def budget_tables(calibration: Calibration) -> list[Table | str]:
     if calibration.budget is None:
         return [_NONE]
     shown = _Shown.select(calibration, calibration.budget)
+    first = [[*r[:3], *r[-2:]] for r in (_EXPANDED, *shown.expanded_rows())]
     return [
-        *_share_tables(shown, [[*r[:3], *r[-2:]] for r in (_EXPANDED, *shown.expanded_rows())]),
+        *_share_tables(shown, first),
         f"U {PROBABILITY:.0%}: std times k, Student's t. Other columns: share of each source in "
         'the variance, percent.',
     ]
@@ -185,27 +186,26 @@ def budget_sources(calibration: Calibration) -> list[str]:
     return parts
 
 
-def _share_tables(shown: _Shown, first: Sequence[Sequence[str]]) -> list[Table | str]:
-    """Return the first columns and the shares, in as many tables as a screen's columns require."""
+def _share_tables(shown: _Shown, first: Sequence[Sequence[str]]) -> list[Table]:
+    return [plain_table(h, _sides(h), rows, no_wrap=True) for h, *rows in _folded(shown, first)]
+
+
+def _folded(shown: _Shown, first: Sequence[Sequence[str]]) -> Iterator[list[list[str]]]:
+    """Yield the first columns and the shares, headings first, in as many tables as fit a line."""
     headings, fractions = shown.headings, shown.fractions
     taken = sum(2 + max(map(len, column)) for column in zip(*first, strict=True))
-    found: list[Table | str] = []
     begin = 0
     while begin < len(headings):
         ends = taken + np.cumsum([max(4, len(h)) + 2 for h in headings[begin:]])
         some = slice(begin, begin + int(np.searchsorted(ends, _COLUMNS, side='right')))
-        names, *rest = zip(*first, strict=True)
-        part = plain_table(
-            [names[0], *(c[0] for c in rest), *headings[some]],
-            'l' + 'rrrl'[: len(rest)] + 'r' * len(headings[some]),
-            no_wrap=True,
-        )
-        for cells, row in zip(first[1:], fractions, strict=True):
-            part.add_row(*cells, *(_percent(float(f)) for f in row[some]))
-        found.append(part)
+        shares = [[_percent(float(f)) for f in row[some]] for row in fractions]
+        yield [[*a, *b] for a, b in zip(first, [headings[some], *shares], strict=True)]
         begin, first = some.stop, [cells[:1] for cells in first]
         taken = _NAME
-    return found
+
+
+def _sides(headings: Sequence[str]) -> str:
+    return 'l' + ''.join('l' if h == 'unit' else 'r' for h in headings[1:])
 
 
 def _range(freedom: Floats, std: Floats) -> str:
@@ -221,12 +221,17 @@ def budget_section(calibration: Calibration) -> list[str]:
         # Exact parameters, as those of a truth, have no variance to divide.
         return []
     shown = _Shown.select(calibration, calibration.budget)
-    words = 'Each bar is the variance of a parameter, divided among its sources.'
+    words = (
+        'Each bar is the variance of a parameter, divided among its sources; shares '
+        f'are in percent. U is the uncertainty expanded to {PROBABILITY:.0%}: std times k, '
+        "Student's t for the effective degrees of freedom (JCGM 100:2008, G.4)."
+    )
     pictures = [
         tag('div', _picture(shown, width), class_=kind)
         for width, kind in ((_WIDTH, 'wide broad'), (_NARROW, 'narrow'))
     ]
-    parts = budget_parts(calibration, calibration.budget, words)
+    first = [['', *_EXPANDED[2:]], *([r[0], *r[2:]] for r in shown.expanded_rows())]
+    parts = _parts(shown, words, first)
     return [*pictures, *parts, paragraph(_correlations(calibration, shown.rows), 'note')]
 
 
@@ -254,35 +259,31 @@ def _correlations(calibration: Calibration, rows: NDArray[np.intp]) -> str:
 def budget_parts(calibration: Calibration, budget: Budget, words: str) -> list[str]:
     """Return a note that begins with `words`, the sources, and their shares in percent."""
     shown = _Shown.select(calibration, budget)
-    rows = [
-        [
-            escape(expanded[0]),
-            *(_percent(float(f)) for f in shares),
-            *(escape(typeset(cell)) for cell in expanded[2:]),
-        ]
-        for expanded, shares in zip(shown.expanded_rows(), shown.fractions, strict=True)
-    ]
+    return _parts(shown, words, [[''], *([p.name] for p in shown.parameters)])
+
+
+def _parts(shown: _Shown, words: str, first: Sequence[Sequence[str]]) -> list[str]:
     sources = [
         [
             escape(line.source.heading if wide else 'other'),
             line.source.evaluation,
-            _range(line.freedom[shown.rows], line.std[shown.rows]),
+            escape(_range(line.freedom[shown.rows], line.std[shown.rows])).replace('inf', '\u221e'),
             escape(line.source.words),
         ]
         for line, wide in zip(shown.budget.lines, shown.wide, strict=True)
     ]
     note = (
-        f'{words} U is the uncertainty '
-        f"expanded to {PROBABILITY:.0%}: the standard deviation times k, Student's t for the "
-        'effective degrees of freedom (JCGM 100:2008, G.4). Type A is evaluated from the scatter '
-        'of the session, type B from what is stated.'
+        f'{words} Type A is evaluated from the scatter of the session, type B from what is stated.'
     )
-    headings = ['', *(f'{h}, %' for h in shown.headings), *_EXPANDED[2:]]
-    return [
-        paragraph(note, 'note'),
-        table(['source', 'type', 'dof', 'what it is'], sources, 'budget numbers stacked', 'llrl'),
-        table(headings, rows, 'budget numbers stacked', 'l' + 'r' * (len(headings) - 2) + 'l'),
-    ]
+    headings, kind = (
+        ['source', 'type', 'degrees of freedom', 'what it is'],
+        'budget numbers stacked',
+    )
+    parts = [paragraph(note, 'note'), table(headings, sources, kind, 'llrl')]
+    for headings, *rows in _folded(shown, first):
+        cells = [[escape(typeset(cell)) for cell in row] for row in rows]
+        parts.append(table(headings, cells, kind, _sides(headings)))
+    return parts
 
 
 def _picture(shown: _Shown, width: float) -> str:

@@ -60,6 +60,7 @@ class Stated:
 
     parameter: Parameter  #: The parameter.
     value: float  #: The estimate.
+    std: float  #: u, the standard uncertainty.
     expanded: float  #: U, the uncertainty expanded to `PROBABILITY`.
     factor: float  #: k, the factor on the standard uncertainty.
     freedom: float  #: Effective degrees of freedom; infinite for known values.
@@ -219,7 +220,12 @@ def _results(
         decision = None
         if fields.conformity.rule is not None and limit is not None:
             decision = decide(value, float(expanded[k]), limit, fields.conformity.rule)
-        numbers = (float(expanded[k]), float(factor[k]), float(freedom[k]))
+        numbers = (
+            float(calibration.std[k]),
+            float(expanded[k]),
+            float(factor[k]),
+            float(freedom[k]),
+        )
         found.append(Stated(parameter, value, *numbers, limit, decision))
     return tuple(found)
 
@@ -262,9 +268,9 @@ def _quoted(text: str) -> str:
 
 _MISSING = 'MISSING'
 _UNCERTAINTY = (
-    'U is the expanded uncertainty: the standard uncertainty multiplied by the coverage factor k, '
-    f"which for Student's t with \u03bd effective degrees of freedom (Welch-Satterthwaite) gives a "
-    f'coverage probability of {PROBABILITY:.0%}. It was evaluated by JCGM 100:2008 (GUM). '
+    'u is the standard uncertainty, \u03bd its effective degrees of freedom (Welch-Satterthwaite), '
+    "U = k u the expanded uncertainty: the coverage factor k is Student's t for a coverage "
+    f'probability of {PROBABILITY:.0%}. They were evaluated by JCGM 100:2008 (GUM). '
     'The results are correlated: their covariance is in the file of the calibration, and is needed '
     'for the uncertainty of what is computed from several of them (JCGM 100:2008, 7.2.5).'
 )
@@ -416,8 +422,8 @@ def _results_section(certificate: Certificate) -> list[str]:
     parts.append(named_rows(scales))
     limits = any(r.limit is not None for r in certificate.results)
     verdicts = certificate.conformity is not None
-    headings = ['', 'measurand', 'value', 'U', 'unit', 'k', '\u03bd']
-    columns = 'llrrlrr'
+    headings = ['', 'measurand', 'value', 'u', '\u03bd', 'k', 'U', 'unit']
+    columns = 'llrrrrrl'
     if limits:
         headings, columns = [*headings, 'limit'], columns + 'r'
     if verdicts:
@@ -445,15 +451,16 @@ def _nominal_scale(value: float, units: Units, triad: str) -> str:
 def _row(result: Stated, *, limits: bool, verdicts: bool, by_hand: bool) -> list[str]:
     shown = engineering(result.parameter, by_hand=by_hand)
     expanded = result.expanded / shown.scale
-    places = decimals(expanded)
+    places, std = decimals(expanded), result.std / shown.scale
     cells = [
         tag('b', result.parameter.name),
         f'{result.parameter.kind.value.words}',
         fixed(result.value / shown.scale, places),
+        f'{std:.{decimals(std)}f}',
+        escape(freedom_words(result.freedom).replace('inf', '\u221e')),
+        f'{result.factor:.2f}',
         f'{expanded:.{places}f}',
         escape(shown.symbol),
-        f'{result.factor:.2f}',
-        escape(freedom_words(result.freedom).replace('inf', '\u221e')),
     ]
     if limits:
         cells.append('-' if result.limit is None else f'\u00b1{result.limit / shown.scale:g}')

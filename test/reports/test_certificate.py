@@ -24,7 +24,7 @@ import imu_calib
 from imu_calib.api.documents import certificate
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main
-from imu_calib.common.budget import Budget
+from imu_calib.common.budget import Budget, ErrorSource, Share
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
@@ -100,13 +100,14 @@ def test_results_are_those_of_the_calibration_with_uncertainty_and_coverage(text
     shown, budget = rows(text), calibration.budget
     assert budget is not None
     for k, parameter in enumerate(calibration.parameters):
-        _, value, expanded, _, factor, freedom, *_ = shown[parameter.name]
+        _, value, std, freedom, factor, expanded, *_ = shown[parameter.name]
         scale = parameter.unit.scale
         places = len(expanded.partition('.')[2])
         half = 0.51 * 10.0**-places
         assert float(value.replace('−', '-')) == pytest.approx(
             calibration.values[k] / scale, abs=half
         )
+        assert float(std) == pytest.approx(calibration.std[k] / scale, rel=0.05)
         # GUM 6.2.1: U = k u, and 7.2.6: two digits of it.
         product = float(factor) * calibration.std[k] / scale
         assert float(expanded) == pytest.approx(product, abs=half + 0.004 * product)
@@ -403,6 +404,28 @@ def test_every_printed_page_has_the_number_and_how_many_there_are(text, by, monk
         assert f'page {k + 1} of {len(pages)}' in page
         assert 'Calibration certificate 2026-0147' in page
         assert 'Example Inertial Calibration Laboratory' in page
+
+
+@pytest.mark.parametrize('by', PRINTERS)
+def test_budgets_of_all_sources_stay_on_their_paper(calibration, by, monkeypatch):
+    if by == 'chromium':
+        monkeypatch.setattr(printing, 'find_spec', lambda name: None)
+    large = Share.known(np.diag(np.diag(calibration.covariance)))
+    budget = calibration.budget
+    for source in ErrorSource:
+        budget = budget.with_share(source, large)
+    page = certificate_page(made(replace(calibration, budget=budget)))
+    pdfium = pytest.importorskip('pypdfium2')
+    document = pdfium.PdfDocument(printing.pdf(page))
+    try:
+        texts = [sheet.get_textpage() for sheet in document]
+        assert all(s.heading in ''.join(t.get_text_range() for t in texts) for s in ErrorSource)
+        right = [t.get_rect(k)[2] for t in texts for k in range(t.count_rects())]
+        # A4 less its right margin, mm in pt.
+        assert max(right) <= (210 - 16) * 72 / 25.4
+        [t.close() for t in texts]
+    finally:
+        document.close()
 
 
 def test_without_a_printer_it_says_what_to_do(monkeypatch):
