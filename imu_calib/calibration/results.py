@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ import scipy
 from ..common.budget import Budget, ErrorSource
 from ..common.errors import ImuCalibError, InputError, NotObservable
 from ..common.files import version
+from ..common.finding import Finding
 from ..common.stream import Floats, iso
 from ..common.units import DEG, counted
 from ..estimation.evidence import Evidence
@@ -373,4 +375,16 @@ def _beside_plan(setup: Setup, labelled: Labelled) -> list[str]:
 def assumption_findings(setup: Setup, solution: Solution) -> list[str]:
     """Return sentences on assumptions about the table that its file does not state but are used."""
     table = None if setup.plan.by_hand or solution.shares is None else setup.table
-    return [table.assumption] if table is not None and table.assumption else []
+    if table is None:
+        return []
+    forces = any(parameter.triad == 'a' for parameter in solution.parameters)
+    clock = Finding(
+        f'The clock of table {table.name} is taken as exact: no K_a has an uncertainty of it, as '
+        'samples per interval need. State its standard deviation in the file of the table '
+        '(`clock: 5 ppm`, for instance).',
+        effect=math.inf,
+    )
+    return [
+        *([table.assumption] if table.assumption else []),
+        *([clock] if table.clock_assumed and forces and setup.imu.units.per_interval else []),
+    ]

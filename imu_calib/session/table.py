@@ -200,6 +200,7 @@ class Table:
         'of the rate of the clock that stamps the joint states', read_clock_rate, default='0 ppm'
     )
     assumed: tuple[str, ...] = ()  #: Keys missing in its file: usual values are assumed.
+    clock_assumed: bool = False  #: Whether its file says nothing of its clock: it counts as exact.
     raised: tuple[str, ...] = ()  #: Keys with stated values below `FINEST`, which replaces them.
     #: The table as described in its file, if a session contradicts that (`as_the_best`); else None.
     described: Table | None = None
@@ -510,7 +511,9 @@ def read_table(section: Section) -> Table:
     table = table.with_errors((key for key in left_out if key not in table.error_keys), 0.0)
     raised = () if table.simulated else table._errors_below(FINEST * (1 - _ROUNDING))
     assumed = tuple(key for key in table.error_keys if key in left_out)
-    return replace(table.with_errors(raised, FINEST), assumed=assumed, raised=raised)
+    clock_assumed = not (table.simulated or section.has('clock'))
+    table = table.with_errors(raised, FINEST)
+    return replace(table, assumed=assumed, raised=raised, clock_assumed=clock_assumed)
 
 
 # Motion of a table at its limits: travel times, and courses of piecewise constant acceleration.

@@ -33,6 +33,7 @@ from imu_calib.common.budget import ErrorSource
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import share_folder
+from imu_calib.common.finding import by_effect
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCMIN, ARCSEC
 from imu_calib.estimation import joint
@@ -270,11 +271,32 @@ def test_arrivals_worse_than_assumed_are_not_held_against_a_statement() -> None:
 
 
 def test_a_method_that_counts_no_errors_of_a_table_assumes_none(unstated: Result) -> None:
-    setup = Setup(paper_imu(), PLAN, described(), SITE)
+    setup = Setup(paper_imu(), PLAN, described('clock: 0 ppm\n'), SITE)
     counted = unstated.solution
     assert assumption_findings(setup, counted) == [described().assumption]
     # The skewed gyros' method tells no sources: what is not counted is not said to be.
     assert assumption_findings(setup, replace(counted, shares=None)) == []
+
+
+@pytest.mark.parametrize(
+    ('imu', 'more', 'said'),
+    [
+        ('fog_medium', '', True),
+        ('increments', '', True),
+        # Rates do not make K_a depend on the table's clock.
+        ('si', '', False),
+        ('fog_medium', 'clock: 0 ppm\n', False),
+        ('fog_medium', 'simulated: true\n', False),
+    ],
+)
+def test_a_clock_that_is_not_stated_is_a_note_where_samples_are_increments(
+    unstated: Result, imu: str, more: str, said: bool
+) -> None:
+    setup = Setup(load_imu(imu), PLAN, described(more), SITE)
+    notes = [n for n in assumption_findings(setup, unstated.solution) if 'clock of table' in n]
+    assert ['no K_a has an uncertainty of it' in note for note in notes] == [True] * said
+    # Before every note that changes less, as a gravity without a standard deviation.
+    assert by_effect(['another', *notes], None)[: len(notes)] == tuple(notes)
 
 
 def test_a_session_on_such_a_table_is_reviewed_from_its_first_block_on() -> None:
