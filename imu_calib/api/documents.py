@@ -301,7 +301,10 @@ def certificate(
             'the day on which it is issued, or write a draft (`draft`).'
         )
     specification = None if imu is None else of_its_type(imu, found).specification
-    made = certificate_of(found, fields, specification, dcc='.xml' in kinds, draft=draft)
+    source = user_path(calibration) if isinstance(calibration, str | Path) else None
+    made = certificate_of(
+        found, fields, specification, source=source, dcc='.xml' in kinds, draft=draft
+    )
     html = certificate_page(made)
     for target, kind in zip(targets, kinds, strict=True):
         write_whole(target, _bytes(kind, html, made))

@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, timedelta
+from hashlib import sha256
 from html import escape
 from importlib.util import find_spec
 from pathlib import Path
@@ -76,6 +77,7 @@ class Certificate:
     calibration: Calibration  #: The result.
     budget: Budget  #: Of its uncertainties.
     results: tuple[Stated, ...]  #: Every estimated parameter.
+    file: str  #: Name of the file of the calibration, if it has one, and its SHA-256.
     missing: tuple[str, ...] = ()  #: Required but missing statements; only a draft has any.
     draft: bool = False  #: Whether it is not yet a certificate.
 
@@ -95,12 +97,19 @@ class Certificate:
         found = [r.conformity for r in self.results if r.conformity is not None]
         return max(found, key=list(Conformity).index) if found else None
 
+    @property
+    def rule(self) -> str:
+        """The decision rule and its risk, as text; empty without one."""
+        rule = self.fields.conformity.rule
+        return rule.words(sum(r.conformity is not None for r in self.results)) if rule else ''
+
 
 def certificate_of(
     calibration: Calibration,
     fields: Fields,
     specification: Specification | None = None,
     *,
+    source: Path | None = None,
     dcc: bool = False,
     draft: bool = False,
 ) -> Certificate:
@@ -111,6 +120,7 @@ def certificate_of(
         fields: Statements of the laboratory; missing serial number and date of the recording are
             taken from the calibration.
         specification: Limits of the unit.
+        source: File of the calibration; None for the one that its `save` writes.
         dcc: Whether a DCC is written too.
         draft: Whether missing statements are allowed, and the result is marked as a draft.
 
@@ -144,7 +154,9 @@ def certificate_of(
             f'{"; ".join(lacking)}. State them, or write a draft (`draft`), which is marked as one.'
         )
     results = _results(calibration, budget, fields, specification or Specification())
-    return Certificate(fields, calibration, budget, results, tuple(lacking), draft)
+    data = calibration.to_yaml().encode() if source is None else source.read_bytes()
+    file = f'{"as saved" if source is None else source.name}, SHA-256 {sha256(data).hexdigest()}'
+    return Certificate(fields, calibration, budget, results, file, tuple(lacking), draft)
 
 
 def _completed(fields: Fields, calibration: Calibration) -> Fields:
@@ -271,8 +283,8 @@ _UNCERTAINTY = (
     'u is the standard uncertainty, \u03bd its effective degrees of freedom (Welch-Satterthwaite), '
     "U = k u the expanded uncertainty: the coverage factor k is Student's t for a coverage "
     f'probability of {PROBABILITY:.0%}. They were evaluated by JCGM 100:2008 (GUM). '
-    'The results are correlated: their covariance is in the file of the calibration, and is needed '
-    'for the uncertainty of what is computed from several of them (JCGM 100:2008, 7.2.5).'
+    'The results are correlated: their covariance is in the file of the calibration ({file}), and '
+    'is needed for the uncertainty of what is computed from several of them (JCGM 100:2008, 7.2.5).'
 )
 _SHARES = 'The shares of the sources in the variance of each parameter, in percent.'
 _DEFINITION = (
@@ -433,7 +445,7 @@ def _results_section(certificate: Certificate) -> list[str]:
             _row(r, limits=limits, verdicts=verdicts, by_hand=calibration.by_hand) for r in results
         ]
         parts.append(tag('h3', title) + table(headings, rows, 'numbers stacked', columns))
-    parts.append(paragraph(_UNCERTAINTY, 'note'))
+    parts.append(paragraph(_UNCERTAINTY.format(file=certificate.file), 'note'))
     return parts
 
 
@@ -481,7 +493,7 @@ def _conformity(certificate: Certificate) -> str:
     return section(
         'Conformity',
         paragraph(f'Requirement: {_or_dash(fields.conformity.requirement)}.'),
-        paragraph(f'Decision rule: {fields.conformity.rule.words}'),
+        paragraph(f'Decision rule: {certificate.rule}'),
         paragraph(f'Statement: {worst.words}. {counted}'),
         kind='whole',
     )

@@ -27,28 +27,32 @@ class Rule(Enum):
     GUARDED = 'guard_band'
     GUARDED_BOTH = 'guard_band_both'
 
-    @property
-    def words(self) -> str:
-        """The rule and its risk, as text."""
-        return _WORDS[self]
+    def words(self, parameters: int) -> str:
+        """Return the rule and its risk as text, for an item with limits of some parameters.
+
+        Source of the sum: Bonferroni's inequality, which also holds for correlated parameters.
+        """
+        return _WORDS[self].format(n=parameters, sum=min(100.0, 2.5 * parameters))
 
 
 _WORDS = {
     Rule.SIMPLE: (
         'Simple acceptance (ILAC-G8:09/2019, 4.2.1): pass where the value lies within its limits, '
-        'else fail. A value at a limit is accepted, or rejected, wrongly with a probability of up '
-        'to 50 %.'
+        'else fail. Each parameter at its limit is accepted, or rejected, wrongly with a '
+        'probability of up to 50 %.'
     ),
     Rule.GUARDED: (
         'Guard band w = U (ILAC-G8:09/2019, 4.2.2): pass where the value lies within its limits '
-        'by at least the expanded uncertainty U, else fail. An item that passes is beyond a limit '
-        'with a probability of at most 2.5 %.'
+        'by at least the expanded uncertainty U, else fail. For each parameter a pass is wrong '
+        'with a probability of at most 2.5 %; for the item, with {n} parameters, of at most their sum, '
+        '{sum:g} %.'
     ),
     Rule.GUARDED_BOTH: (
         'Guard band w = U on both sides (ILAC-G8:09/2019, 4.2.3): pass where the value lies within '
         'its limits by at least the expanded uncertainty U, fail where it lies beyond by more '
-        'than U; between, conditional pass within the limits and conditional fail beyond. Pass '
-        'and fail are wrong with a probability of at most 2.5 %.'
+        'than U; between, conditional pass within the limits and conditional fail beyond. For '
+        'each parameter pass and fail are wrong with a probability of at most 2.5 %; for the item, '
+        'with {n} parameters, of at most their sum, {sum:g} %.'
     ),
 }
 

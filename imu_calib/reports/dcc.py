@@ -469,7 +469,7 @@ def _statements(certificate: Certificate) -> list[ET.Element]:
     if fields.conformity.rule is not None and worst is not None:
         found.append(
             statement(
-                f'{fields.conformity.requirement}. {fields.conformity.rule.words}',
+                f'{fields.conformity.requirement}. {certificate.rule}',
                 'basic_conformity',
                 norm=text_element('norm', 'ILAC-G8:09/2019'),
                 conformity=text_element('conformity', worst.value),

@@ -7,6 +7,7 @@ import sys
 import warnings
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -142,10 +143,14 @@ def test_conformity_by_the_stated_rule(value, rule, stated):
 def test_a_guarded_pass_is_wrong_as_seldom_as_the_rule_says():
     rng, limit, std = np.random.default_rng(5), 1.0, 0.1
     measured = limit - 1.96 * std
-    true = measured + std * rng.standard_normal(100_000)
+    true = measured + std * rng.standard_normal((24, 100_000))
     assert decide(measured - 1e-9, 1.96 * std, limit, Rule.GUARDED) is Conformity.PASS
     # 2.5 %, known from so many to 0.05 %.
-    assert np.mean(true > limit) == pytest.approx(0.025, abs=0.002)
+    assert np.mean(true[0] > limit) == pytest.approx(0.025, abs=0.002)
+    # An item of 24 parameters, independent and all at their limits: more often, within the sum.
+    stated = re.search('For each parameter .* 2.5 %; .*24 .*, (.*) %', Rule.GUARDED.words(24))
+    assert stated is not None
+    assert 0.4 < np.mean(np.any(true > limit, axis=0)) <= float(stated[1]) / 100 <= 0.6
 
 
 def test_without_a_rule_nothing_is_stated_of_conformity(calibration):
@@ -658,6 +663,16 @@ def test_a_draft_does_not_take_the_name_of_the_final_certificate(
     assert main([*command, '--draft']) == 0
     assert Path('certificate.html').read_bytes() == final
     assert b'DRAFT, not a certificate' in Path('certificate_draft.html').read_bytes()
+
+
+def test_the_file_with_the_covariance_is_named_with_its_hash(calibration, tmp_path):
+    source = tmp_path / 'unit_7.yaml'
+    calibration.save(source)
+    digest = sha256(source.read_bytes()).hexdigest()
+    for given, name in ((source, 'unit_7.yaml'), (calibration, 'as saved')):
+        certificate(given, EXAMPLE, tmp_path / 'c.html', imu='fog_medium')
+        page = (tmp_path / 'c.html').read_text(encoding='utf-8')
+        assert f'the file of the calibration ({name}, SHA-256 {digest})' in page
 
 
 def test_the_command_and_the_function_write_the_same(calibration, tmp_path):
