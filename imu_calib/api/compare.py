@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from ..calibration.thermal import AnyCalibration, ThermalCalibration
 from ..calibration.thermal import combine as of_temperatures
 from ..calibration.views import compared_frame, draw_differences
 from ..common.arguments import checked
+from ..common.budget import ErrorSource
 from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import counted
@@ -73,7 +75,8 @@ class Compared:
     def std(self) -> Floats:
         """Standard deviations of the differences from the first, (k - 1, n) SI; (n,) of two.
 
-        Sessions are assumed independent except for the gravity of a common site.
+        Sessions are assumed independent except for the gravity of a common site: errors of a common
+        table are counted in each.
         """
         std = self.side_by_side.std
         return std[0] if len(self.names) == _FEWEST else std
@@ -179,6 +182,11 @@ def compare(
         )
     compared = side_by_side(own)
     findings = []
+    serials = dict.fromkeys(c.serial_number for c in own if c.serial_number)
+    if len(serials) > 1:
+        findings.append(
+            f'These are different units, by their serial numbers {" and ".join(serials)}.'
+        )
     if any(shown is not one for shown, one in zip(compared.calibrations, own, strict=True)):
         findings.append(f'Shown with the nominal scale factors of {called[0]}.')
     if len({c.provenance.get('frame') for c in own if c.provenance}) > 1:
@@ -186,12 +194,21 @@ def compare(
             'The axes differ (in the hand those of the accelerometers, on a table those of the '
             'table), which alone changes E and K.'
         )
-    serials = dict.fromkeys(c.serial_number for c in own if c.serial_number)
-    if len(serials) > 1:
-        findings.append(
-            f'These are different units, by their serial numbers {" and ".join(serials)}.'
-        )
+    tables = Counter(str(c.provenance.get('table')) for c in own if _counts_table(c))
+    findings += [
+        f'The errors of table {table} are counted as independent, though {count} of them '
+        'were made on it: angles may agree better than their standard deviations say.'
+        for table, count in tables.items()
+        if count > 1
+    ]
     return Compared(called, compared, tuple(findings))
+
+
+def _counts_table(calibration: Calibration) -> bool:
+    """Return whether the standard deviations include errors of the axes of a named table."""
+    budget = calibration.budget
+    counts = budget is not None and any(x.source is ErrorSource.TABLE for x in budget.lines)
+    return counts and bool(calibration.provenance.get('table'))
 
 
 def _single(calibration: Result | AnyCalibration | Named) -> Calibration:

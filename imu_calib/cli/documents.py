@@ -191,13 +191,14 @@ def run_compare(arguments: argparse.Namespace) -> CommandResult:
     heads = _heads(compared)
     found = compared.agreement
     print_whole(comparison_table(compared.side_by_side, heads))
+    # Another unit or the same table says what agreement means.
+    print_findings(compared.findings, verbose=True)
     print_parts(['', *agreement_lines(found, len(compared.names))])
     two = len(compared.names) == 2
     for name, only in zip(compared.names, compared.only, strict=True):
         if only:
             where = f'Only in {name}' if two else f'In {name}, and not in all'
             print_text(f'{where}: {", ".join(only)}.')
-    print_findings(compared.findings, verbose=True)
     return CommandResult(compared.to_dict())
 
 

@@ -11,6 +11,7 @@ from imu_calib.calibration.agreement import agreement
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import terminal
 from imu_calib.cli.main import main
+from imu_calib.common.budget import Budget, ErrorSource, Share
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Units
 from imu_calib.common.units import DEG_H, MICRO_G, STANDARD_GRAVITY
@@ -125,6 +126,30 @@ def test_two_units_are_said_to_be_two():
     (finding,) = compare(first, second, unit()).findings
     assert 'different units, by their serial numbers A1004 and A1005' in finding
     assert compare(first, first, unit()).findings == ()
+
+
+def test_before_units_agree_they_are_said_to_be_two(tmp_path, capsys):
+    files = [str(tmp_path / f'{number}.yaml') for number in ('A1004', 'A1005')]
+    for file, number in zip(files, ('A1004', 'A1005'), strict=True):
+        replace(unit(), serial_number=number).save(file)
+    assert main(['compare', *files]) == 0
+    shown = capsys.readouterr().out
+    assert 0 < shown.index('different units') < shown.index('they agree')
+
+
+def on_table(name: str, std: float) -> Calibration:
+    """A calibration with a share of the errors of a table."""
+    plain = replace(unit(), budget=Budget(()), provenance={'table': name})
+    size = len(plain.parameters)
+    return plain.with_share(ErrorSource.TABLE, Share.known(std**2 * np.eye(size)))
+
+
+def test_errors_of_one_table_are_said_to_count_as_independent():
+    first, exact = on_table('east', 1e-5), on_table('east', 0.0)
+    (finding,) = compare(first, first).findings
+    assert finding.startswith('The errors of table east are counted as independent, though 2 of')
+    for other in (on_table('west', 1e-5), exact, unit()):
+        assert compare(first, other).findings == ()
 
 
 def test_pulses_and_si_are_not_compared(tmp_path):
