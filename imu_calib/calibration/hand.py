@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 
 from ..common.errors import InputError, NotObservable
-from ..common.finding import Finding, warning
+from ..common.finding import Finding, warning, with_full_stop
 from ..common.stream import Block, Floats, ImuBlock, TemperatureBlock, Units
 from ..common.units import ARCMIN, DEG, PPM, STANDARD_GRAVITY, counted
 from ..estimation.checks import far_scales
@@ -519,10 +519,10 @@ class HandCalibrator:
         findings += _lost_turns(evidence, session)
         if fit.rejected_moves:
             names = ', '.join(f'{k + 1} to {k + 2}' for k in fit.rejected_moves)
-            findings.append(f'Outliers, left out: turns from hold {names}.')
+            findings.append(Finding(f'Outliers, left out: turns from hold {names}.', lost=True))
         findings += [*_noisy_holds(evidence), *self._other_offsets()]
         findings += _clipped_gyros(session, setup.imu)
-        findings += [*(f'{loss}.' for loss in session.losses), _FRAME]
+        findings += [*map(with_full_stop, session.losses), _FRAME]
         solution = Solution(
             fit.model,
             fit.covariance,
@@ -571,8 +571,11 @@ def _lost_turns(evidence: Evidence, session: Segmented) -> list[str]:
     )
     verb = 'is' if len(lost) == 1 else 'are'
     return [
-        f'{counted(len(lost), "turn")} {verb} not used, and the parameters of the gyros are less '
-        f'well known: {reasons}.'
+        Finding(
+            f'{counted(len(lost), "turn")} {verb} not used, and the parameters of the gyros are '
+            f'less well known: {reasons}.',
+            lost=True,
+        )
     ]
 
 

@@ -12,7 +12,7 @@ import scipy
 from ..common.budget import Budget, ErrorSource
 from ..common.errors import ImuCalibError, InputError, NotObservable
 from ..common.files import version
-from ..common.finding import Finding
+from ..common.finding import Finding, with_full_stop
 from ..common.stream import Floats, iso
 from ..common.units import DEG, counted
 from ..estimation.evidence import Evidence
@@ -328,20 +328,24 @@ def bad_samples_first(error: ImuCalibError, session: Segmented) -> ImuCalibError
     return refusal
 
 
+_AGAIN = '; it was measured again'
+
+
 def loss_findings(
     setup: Setup, evidence: Evidence, labelled: Labelled, session: Segmented
 ) -> list[str]:
     """Return sentences on data not used or outside the plan, and on missing steps of the plan."""
-    sentences = []
+    sentences: list[str] = []
     missing = evidence.missing_positions()
     if missing:
-        sentences.append(f'Missing from the recording: position {", ".join(missing)}.')
+        text = f'Missing from the recording: position {", ".join(missing)}.'
+        sentences.append(Finding(text, lost=True))
     if setup.plan.is_stated:
         sentences += _beside_plan(setup, labelled)
     found = {segment.position for segment in labelled.segments}
     alike: dict[tuple[bool, bool, str], list[str]] = {}
     for rejected in labelled.rejected:
-        again = '; it was measured again' if rejected.position in found else ''
+        again = _AGAIN if rejected.position in found else ''
         reason = rejected.reason + ('' if rejected.turn else again)
         at = f'{(rejected.start - (session.start or 0)) * 1e-9:.0f} s'
         known = rejected.position is not None
@@ -349,13 +353,14 @@ def loss_findings(
     for (known, turn, reason), names in alike.items():
         what = 'a turn is left out' if turn else 'left out'
         place = 'Position' if known else 'At'
-        sentences.append(f'{place} {", ".join(dict.fromkeys(names))}: {what}, {reason}.')
+        text = f'{place} {", ".join(dict.fromkeys(names))}: {what}, {reason}.'
+        sentences.append(Finding(text, lost=known and not reason.endswith(_AGAIN)))
     sentences += [
         f'Position {segment.position}: {note}.'
         for segment in labelled.segments
         for note in segment.notes
     ]
-    sentences += [f'{loss}.' for loss in (*labelled.notes, *session.losses)]
+    sentences += map(with_full_stop, (*labelled.notes, *session.losses))
     return list(dict.fromkeys(sentences))
 
 

@@ -20,28 +20,37 @@ class Finding(str):
             deviations of that parameter.
         sources: Sources of uncertainty whose size it explains: their share in the budget gives the
             effect.
+        lost: Whether it says which data a person would have to record again.
     """
 
     effect: float
     sources: tuple[ErrorSource, ...]
+    lost: bool
 
-    def __new__(cls, text: str, *sources: ErrorSource, effect: float = 0.0) -> Finding:
+    def __new__(
+        cls, text: str, *sources: ErrorSource, effect: float = 0.0, lost: bool = False
+    ) -> Finding:
         """Make one of a sentence."""
         found = super().__new__(cls, text)
-        found.effect, found.sources = effect, sources
+        found.effect, found.sources, found.lost = effect, sources, lost
         return found
 
     def followed_by(self, text: str) -> Finding:
         """Return the finding with another sentence."""
-        return Finding(f'{self} {text}', *self.sources, effect=self.effect)
+        return Finding(f'{self} {text}', *self.sources, effect=self.effect, lost=self.lost)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Keep the attributes in copies of other processes."""
-        return _restored, (str(self), self.sources, self.effect)
+        return _restored, (str(self), self.sources, self.effect, self.lost)
 
 
-def _restored(text: str, sources: tuple[ErrorSource, ...], effect: float) -> Finding:
-    return Finding(text, *sources, effect=effect)
+def _restored(text: str, sources: tuple[ErrorSource, ...], effect: float, lost: bool) -> Finding:
+    return Finding(text, *sources, effect=effect, lost=lost)
+
+
+def with_full_stop(text: str) -> Finding:
+    """Return a sentence on data with its full stop; what it says of a loss stays."""
+    return Finding(f'{text}.', lost=isinstance(text, Finding) and text.lost)
 
 
 def warning(text: str, *sources: ErrorSource, effect: float = 0.0) -> Finding:
@@ -60,19 +69,19 @@ def without_label(text: str) -> str:
 
 
 def by_effect(findings: Iterable[str], budget: Budget | None = None) -> tuple[str, ...]:
-    """Return findings without repetitions: warnings first, then by their effect, the largest first.
+    """Return findings without repetitions: warnings, lost data, then by effect, the largest first.
 
     Args:
         findings: In the order that those of one effect keep.
         budget: Of the result; None if the method gives none.
     """
 
-    def place(text: str) -> tuple[bool, float]:
-        effect = 0.0
+    def place(text: str) -> tuple[bool, bool, float]:
+        effect, lost = 0.0, False
         if isinstance(text, Finding):
             shares = 0.0 if budget is None else widening(budget, text.sources)
-            effect = max(text.effect, shares)
-        return not is_warning(text), -effect
+            effect, lost = max(text.effect, shares), text.lost
+        return not is_warning(text), not lost, -effect
 
     return tuple(sorted(dict.fromkeys(findings), key=place))
 

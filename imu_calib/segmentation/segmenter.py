@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..common.finding import Finding
 from ..common.stream import (
     Block,
     Floats,
@@ -518,8 +519,11 @@ class Segmenter:
         if reader.bridged:
             share = reader.bridged / (self._intake.samples + reader.bridged)
             lost.append(
-                f'{reader.bridged} IMU samples are missing ({100 * share:.2g} %), a few at a time: '
-                'their values are interpolated from those around them'
+                Finding(
+                    f'{reader.bridged} IMU samples are missing ({100 * share:.2g} %), a few at a '
+                    'time: their values are interpolated from those around them',
+                    lost=share >= _NOTICED,
+                )
             )
         motions, first = self._frozen_motions
         if motions:
@@ -540,7 +544,8 @@ class Segmenter:
                 'separately'
             )
         silences = self._intake.interruptions.found
-        lost += interruptions([one for one in silences if one not in reader.set_on])
+        silences = [one for one in silences if one not in reader.set_on]
+        lost += [Finding(text, lost=True) for text in interruptions(silences)]
         lost += [
             f'The clock of the IMU was set forward by {(begins - last) * 1e-9:.1f} s at '
             f'{at(last)}: the motions of the table show that no samples are missing'
@@ -551,6 +556,7 @@ class Segmenter:
         return (*froze, *lost, *self._thermometer.losses)
 
 
+_NOTICED = 0.01  #: Share of missing samples that counts as lost data: as in `stream_facts`.
 _SHOWN = 1e-4  #: Resolution of a reported jump, s: smaller ones do not matter to a user.
 
 

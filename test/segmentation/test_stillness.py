@@ -200,6 +200,15 @@ def test_turns_beyond_the_range_are_left_out_and_said():
     assert square < chi2.isf(1e-4, FREE.sum())
 
 
+def test_lost_samples_are_said_before_what_is_assumed():
+    held = shaky(unit(0.3 * DEG), rate=100, scales=SCALES, noise=(0.05 * DEG, 0.03), lost=0.04)
+    calibrator = HandCalibrator(Setup(COUNTS, load_plan('free_positions'), None, Site.at(LATITUDE)))
+    calibrator.add_block(held.block)
+    notes = [text for text in calibrator.finish().findings if not is_warning(text)]
+    assert 'IMU samples are missing (4' in notes[0]
+    assert any('Gravity was computed for height 0 m' in text for text in notes[1:])
+
+
 def test_clipped_gyros_without_a_stated_range_are_warned_of():
     block = shaky(unit(0.3 * DEG), rate=100, noise=(0.05 * DEG, 0.03)).block
     si = ImuSpec('si', Units.SI, None, TriadSpec(), TriadSpec())
