@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, timedelta
 from hashlib import sha256
@@ -19,11 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from ..calibration.calibration import Calibration
-from ..common.budget import PROBABILITY, Budget
+from ..common.budget import PROBABILITY, Budget, ErrorSource
 from ..common.errors import InputError
 from ..common.files import version
 from ..common.stream import Units
-from ..common.units import ARCSEC, counted, decimals
+from ..common.units import ARCSEC, STANDARD_GRAVITY, counted, decimals
 from ..model.earth import MEASURED
 from ..model.parameters import Parameter, engineering
 from ..session.imu import Specification
@@ -147,6 +147,7 @@ def certificate_of(
             'a standard uncertainty of gravity, which the calibration takes as exact: calibrate '
             'again with `gravity_std` (7.6.1)'
         )
+    lacking += _unnamed_references(fields, calibration, budget)
     if lacking and not draft:
         raise InputError(
             f'{fields.where}: {len(lacking)} of the entries that a certificate needs '
@@ -157,6 +158,33 @@ def certificate_of(
     data = calibration.to_yaml().encode() if source is None else source.read_bytes()
     file = f'{"as saved" if source is None else source.name}, SHA-256 {sha256(data).hexdigest()}'
     return Certificate(fields, calibration, budget, results, file, tuple(lacking), draft)
+
+
+_GRAVITY = ('gravi',)
+_REFERENCES = (
+    (ErrorSource.GRAVITY, _GRAVITY, 'gravity, which was measured, with "gravity"'),
+    (
+        ErrorSource.TABLE_CLOCK,
+        ('clock', 'frequency'),
+        'the stated clock of the table, with "clock" or "frequency"',
+    ),
+)
+"""References that contribute if they are stated, and the words by which equipment names them."""
+
+
+def _names(one: Equipment, words: Sequence[str]) -> bool:
+    said = f'{one.name} {one.traceability}'.lower()
+    return any(word in said for word in words)
+
+
+def _unnamed_references(fields: Fields, calibration: Calibration, budget: Budget) -> Iterator[str]:
+    """Yield the references that contribute to the budget and that no equipment names."""
+    used = {line.source for line in budget.lines if np.any(line.std > 0)}
+    if calibration.provenance.get('gravity_source') != MEASURED:
+        used.discard(ErrorSource.GRAVITY)
+    for source, words, which in _REFERENCES:
+        if source in used and not any(_names(one, words) for one in fields.equipment):
+            yield f'equipment: a reference of {which} in its name or traceability (7.8.4.1 c)'
 
 
 def _completed(fields: Fields, calibration: Calibration) -> Fields:
@@ -201,7 +229,7 @@ def _check(fields: Fields, calibration: Calibration) -> None:
         wrong.append(f'issued: found {fields.issued}, before {day}, {began}')
     source = calibration.provenance.get('gravity_source')
     for k, one in enumerate(fields.equipment):
-        if source not in {None, MEASURED} and 'gravi' in f'{one.name} {one.traceability}'.lower():
+        if source not in {None, MEASURED} and _names(one, _GRAVITY):
             wrong.append(
                 f'equipment[{k}]: found {one.name}, but the calibration used {source}: '
                 'the results are not traceable to it. Leave it out, or calibrate again with '
@@ -291,6 +319,10 @@ _DEFINITION = (
     'input = (I + M)\u207b\u00b9 (output \u00d7 scale factor {per} \u2212 D). M holds the '
     'scale-factor errors K on its diagonal and the misalignments E beside it (row: channel, '
     'column: input axis), D are the biases. Misalignments are those against {frame}.'
+)
+_UNIT_G = (
+    f' As a unit g is the standard acceleration {STANDARD_GRAVITY} m/s\u00b2, \u00b5g is '
+    '10\u207b\u2076 g.'
 )
 _STATEMENTS = (
     'The results relate only to the item calibrated, as it was received and at the time and under '
@@ -386,7 +418,7 @@ def _procedure(certificate: Certificate) -> str:
         ('software', f'imu_calib {version()}'),
         ('recording', f'{where.get("recording") or "-"}, begun {provenance.date(where)}'),
         ('SHA-256 of the recording', str(where.get('sha256') or '-')),
-        ('latitude', provenance.latitude(where) or '-'),
+        ('latitude, standard uncertainty', provenance.latitude(where) or '-'),
         ('gravity, standard uncertainty', provenance.gravity(where) or '-'),
         ('environment', _environment(certificate)),
         *([('temperature of the item', unit)] if unit else []),
@@ -423,6 +455,9 @@ def _results_section(certificate: Certificate) -> list[str]:
     by_sensors = calibration.provenance.get('frame') is not None
     frame = 'the frame that the remarks state' if by_sensors else 'the axes of the table'
     definition = _DEFINITION.format(per=per, frame=frame).replace('  ', ' ')
+    shown = [engineering(r.parameter, by_hand=calibration.by_hand) for r in certificate.results]
+    if any(re.search(r'\b[um]?g\b', one.unit) for one in shown):
+        definition += _UNIT_G
     parts = [paragraph(definition, 'note')]
     scales = [
         (

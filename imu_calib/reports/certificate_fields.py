@@ -44,8 +44,8 @@ _WORDS = {
     Rule.GUARDED: (
         'Guard band w = U (ILAC-G8:09/2019, 4.2.2): pass where the value lies within its limits '
         'by at least the expanded uncertainty U, else fail. For each parameter a pass is wrong '
-        'with a probability of at most 2.5 %; for the item, with {n} parameters, of at most their sum, '
-        '{sum:g} %.'
+        'with a probability of at most 2.5 %; for the item, with {n} parameters, of at most their '
+        'sum, {sum:g} %.'
     ),
     Rule.GUARDED_BOTH: (
         'Guard band w = U on both sides (ILAC-G8:09/2019, 4.2.3): pass where the value lies within '

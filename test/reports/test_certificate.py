@@ -350,6 +350,39 @@ def test_a_gravimeter_is_no_reference_of_a_session_that_used_normal_gravity(cali
         made(replace(calibration, provenance=normal))
 
 
+@pytest.mark.parametrize(
+    ('source', 'which', 'said'),
+    [
+        (ErrorSource.GRAVITY, 'gravity, which was measured', 'gravity by Example Survey'),
+        (
+            ErrorSource.TABLE_CLOCK,
+            'the stated clock of the table',
+            'its clock by a receiver of GPS',
+        ),
+    ],
+)
+def test_stated_references_that_contribute_are_among_the_equipment(
+    calibration, source, which, said
+):
+    table = yaml.safe_load(EXAMPLE.read_text())['equipment'][0]
+    small = Share.known(1e-4 * np.diag(np.diag(calibration.covariance)))
+    used = replace(calibration, budget=calibration.budget.with_share(source, small))
+    with pytest.raises(InputError, match=f'1 of .* is missing: .* reference of {which}.*7.8.4.1 c'):
+        made(used, equipment=[table])
+    named = {**table, 'traceability': f'{table["traceability"]}; {said}'}
+    assert made(used, equipment=[named]).missing == ()
+
+
+def test_a_certificate_has_the_words_of_the_gum_and_says_what_g_is(text):
+    page = words(ET.fromstring(text.removeprefix('<!DOCTYPE html>\n')))
+    assert not re.search(r'\b(std|dof|inf)\b', page)
+    assert (
+        page.count('g is the standard acceleration 9.80665 m/s\u00b2, \u00b5g is 10\u207b\u2076 g')
+        == 1
+    )
+    assert 'standard uncertainty' in page and 'degrees of freedom' in page
+
+
 def test_gravity_taken_as_exact_gives_no_certificate(calibration):
     exact = replace(calibration, provenance={**calibration.provenance, 'gravity_std': 0.0})
     with pytest.raises(InputError, match='a standard uncertainty of gravity'):
@@ -419,7 +452,9 @@ def test_budgets_of_all_sources_stay_on_their_paper(calibration, by, monkeypatch
     budget = calibration.budget
     for source in ErrorSource:
         budget = budget.with_share(source, large)
-    page = certificate_page(made(replace(calibration, budget=budget)))
+    table, gravity = yaml.safe_load(EXAMPLE.read_text())['equipment']
+    timed = [table, gravity, {**table, 'name': 'Clock of the table'}]
+    page = certificate_page(made(replace(calibration, budget=budget), equipment=timed))
     pdfium = pytest.importorskip('pypdfium2')
     document = pdfium.PdfDocument(printing.pdf(page))
     try:
