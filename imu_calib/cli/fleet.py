@@ -361,6 +361,9 @@ def _print_all(found: History, on: np.datetime64) -> None:
     if len(units) > _MOST_UNITS:
         OUTPUT.print(f'{len(units) - _MOST_UNITS} more, less urgent; -o FILE has all.')
     for imu, one in found.populations.items():
+        if one.units == 1:
+            # It has neither a scatter nor quantiles, and its values are those of its file.
+            continue
         OUTPUT.print(
             f'\n{imu or "no type"}: {counted(one.units, "unit")}, '
             f'{counted(one.sessions, "session")}',

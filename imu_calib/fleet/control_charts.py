@@ -118,6 +118,11 @@ class Block:
         return Block(self.rows[which], self.months[which], self.values[which], self.stated[which])
 
 
+_SHORTEST = 1.0
+"""Months: sessions within less give no slope, as those of one date. It would be stated per month,
+and dates years ahead follow from it: what changes within days (repairs, turn-on, weather) is no
+drift. A judgement."""
+
 _NO_SLOPE = 3
 """Sessions with which a line has one degree of freedom: too few for a slope in the scatter."""
 
@@ -144,6 +149,7 @@ def block(rows: NDArray[np.int64], found: Sessions, typical: Floats) -> Block:
     date = found.date[rows].astype('datetime64[s]').astype(np.int64) / 86400.0
     newest = np.max(np.where(none, -np.inf, date), axis=1, keepdims=True)
     months = np.where(none, 0.0, (date - newest) / MONTH_DAYS)
+    months[months.min(axis=1) > -_SHORTEST] = 0.0
     values = np.moveaxis(np.where(none[..., None], np.nan, found.values[rows]), 1, 2)
     stated = np.moveaxis(stated_variance(found.covariance[rows]), 1, 2)
     stated = np.where(np.isnan(stated), typical[:, None], stated)

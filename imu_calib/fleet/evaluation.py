@@ -255,7 +255,9 @@ def _units(
             ),
             scatter=Scatter(*(one[u] for one in scatter)),
             trend=Trend(*(one[u] for one in trend)),
-            forecast=_forecast(due, u, newest, limit, lines),
+            forecast=_forecast(
+                due, u, newest, limit, lines, outside=_worst(verdicts) is Verdict.FAIL
+            ),
             steps=steps_of(
                 u, part.places, lines, recorded.date[rows], corrected.values[rows], rules
             ),
@@ -322,17 +324,21 @@ def _worst(verdicts: Sequence[Verdict | None]) -> Verdict | None:
     return None
 
 
-def _forecast(due: Due, u: int, newest: np.datetime64, limit: Floats, lines: Lines) -> Forecast:
-    """Return the forecast of one unit, as dates."""
+def _forecast(
+    due: Due, u: int, newest: np.datetime64, limit: Floats, lines: Lines, *, outside: bool
+) -> Forecast:
+    """Return the forecast of one unit, as dates; one that is outside needs none."""
     day = newest.astype('datetime64[D]')
     determined = np.isfinite(limit) & ~np.isnan(due.earliest[u])
     reason = ''
-    if not np.isfinite(limit).any():
+    if outside:
+        reason = 'It is outside its specification already.'
+    elif not np.isfinite(limit).any():
         reason = 'Its type has no specification: the date when it is due cannot be computed.'
     elif not determined.any():
         reason = (
-            'It and its type have too few sessions to estimate the drift: the date '
-            'when it is due cannot be computed.'
+            'It and its type have too few sessions, or those of less than a month, to estimate the '
+            'drift: the date when it is due cannot be computed.'
         )
     elif not np.isfinite(due.unit[u]):
         reason = 'By its trend and scatter it stays within its specification beyond the horizon.'

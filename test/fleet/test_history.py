@@ -241,6 +241,21 @@ def test_the_line_leaves_the_limit_where_it_does():
     assert any(s.startswith(f'Recalibrate by {unit.forecast.recalibrate}') for s in unit.findings)
 
 
+def test_sessions_of_two_days_are_no_drift_and_give_no_date():
+    def truth(unit, months, k, stand):
+        return of(D_ay=2.0 * months)
+
+    rng = np.random.default_rng(3)
+    made = sessions(rng, 1, 10, turn_on=0.5, stated=0.1, apart=0.0, truth=truth)
+    for whole, dated in ((made.date[-1] - START, True), (np.timedelta64(2 * 86400, 's'), False)):
+        share = (made.date - START) / (made.date[-1] - START)
+        date = START + (share * whole.astype(float)).astype('timedelta64[s]')
+        unit = backtest(replace(made, date=date), {'fog': 200 * SCALE}).units[0]
+        assert unit.trend.significant.any() == dated
+        assert np.isnat(unit.forecast.recalibrate) != dated
+    assert 'of less than a month' in unit.forecast.reason
+
+
 def test_a_mount_shift_and_a_repair_are_told_apart():
     turn = {'E_gxy': 8.0, 'E_gyx': -8.0, 'E_axy': 8.0, 'E_ayx': -8.0}
 
@@ -324,6 +339,7 @@ def test_what_is_outside_is_said_with_its_limit():
     assert found.outside == (bad,)
     assert good.verdict is Verdict.PASS and good.outside == ()
     assert any(s.startswith('K_gx is outside its specification: 4') for s in bad.findings)
+    assert np.isnat(bad.forecast.recalibrate) and 'outside' in bad.forecast.reason
 
 
 def test_few_sessions_say_what_they_do_not_tell():

@@ -229,6 +229,15 @@ def test_two_days_make_a_history(tmp_path, run):
         assert sentence in out
 
 
+def test_a_single_unit_has_no_table_of_its_type(tmp_path, run):
+    """The robust std of one unit is zero, and all its quantiles are its values."""
+    made = sessions(np.random.default_rng(1), 2, 3)
+    for units, shown in ((1, False), (2, True)):
+        folder = tmp_path / str(units)
+        Catalogue(folder, create=True).add([done(made, k) for k in range(3 * units)])
+        assert ('robust std' in run(folder)[1]) is shown
+
+
 def test_units_in_the_hand_are_shown_in_units_of_their_grade(tmp_path, run):
     made = sessions(np.random.default_rng(2), 3, 4)
     rows = [done(made, k, method='free_positions') for k in range(len(made.key))]
