@@ -16,9 +16,8 @@ from ..common.budget import Budget, ErrorSource, Share
 from ..common.config import SafeDumper, Section, dump
 from ..common.errors import InputError
 from ..common.files import user_path, write_whole
-from ..common.finding import by_effect
+from ..common.finding import by_effect, how_many
 from ..common.stream import Floats, Units
-from ..common.units import counted
 from ..model.alignment import Angles, free_of_frame
 from ..model.parameters import (
     AXES,
@@ -118,8 +117,8 @@ class Calibration:
     def __repr__(self) -> str:
         """Return one line; `to_dataframe` has the parameters."""
         count = int((np.isfinite(self.std) & self._not_chosen).sum())
-        findings = counted(len(self.findings), 'finding')
-        return f'<Calibration of {self.unit_name}: {count} parameters, {findings}>'
+        told = how_many(self.findings)
+        return f'<Calibration of {self.unit_name}: {count} parameters, {told}>'
 
     @property
     def _not_chosen(self) -> NDArray[np.bool_]:
@@ -391,8 +390,7 @@ class Calibration:
         """Return the parameters as a small table, for a notebook."""
         from .views import parameter_page
 
-        findings = counted(len(self.findings), 'finding')
-        title = f'{self.unit_name}: {findings}'
+        title = f'{self.unit_name}: {how_many(self.findings)}'
         return parameter_page(title, self.parameters, self.values, self.std, by_hand=self.by_hand)
 
     def plot(self) -> Figure:

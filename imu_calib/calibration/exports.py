@@ -14,7 +14,7 @@ import yaml
 
 from ..common.errors import InputError, NotObservable
 from ..common.stream import Floats, Units
-from ..common.units import DEG, HOUR, STANDARD_GRAVITY, counted
+from ..common.units import DEG, HOUR, STANDARD_GRAVITY, Dimension, counted
 from ..estimation.evidence import SMALLEST_VARIANCE
 from ..model.parameters import AXES, Carried, Product
 from ..model.sensors import SensorModel, Triad, terms_of
@@ -337,8 +337,8 @@ _OUTPUT = {
     Units.PULSES: ('pulses counted in one sample interval', ' / seconds'),
     Units.COUNTS: ('counts proportional to rate and specific force', ''),
     Units.INCREMENTS: ('angles and velocities gained in one sample interval', ' / seconds'),
-    Units.RATES: ('rates and specific forces as the sensor gives them', ''),
-    Units.SI: ('rad/s and m/s^2 as the sensor gives them', ''),
+    Units.RATES: ('raw_gyro in {}, raw_accel in {}', ''),
+    Units.SI: ('raw_gyro in rad/s, raw_accel in m/s^2', ''),
 }
 
 
@@ -381,7 +381,7 @@ def export_c_header(source: ExportSource) -> Exported:
         imu=_comment(calibration.unit_name),
         guard=guard,
         file=source.file,
-        what=what,
+        what=what.format(_unit(Dimension.RATE, imu.gyro), _unit(Dimension.ACCELERATION, imu.accel)),
         constants=constants,
         per_interval=per_interval,
         interval=_by_clock(calibration) if per_interval else '',
@@ -389,6 +389,14 @@ def export_c_header(source: ExportSource) -> Exported:
         **_with_terms(model, imu, per_interval),
     )
     return Exported(text, tuple(common_omissions(calibration, 'c')))
+
+
+def _unit(dimension: Dimension, triad: TriadSpec) -> str:
+    """Return the unit of which a scale factor is one, or that many of the SI's."""
+    for name, value in dimension.value.items():
+        if np.isclose(triad.scale_factor, value, rtol=1e-9, atol=0.0):
+            return name
+    return f'units of {triad.scale_factor:g} {next(iter(dimension.value))}'
 
 
 def _with_terms(model: SensorModel, imu: ImuSpec, per_interval: str) -> dict[str, str]:

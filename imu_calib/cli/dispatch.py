@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 
 from ..common.errors import ImuCalibError, InputError
 from ..common.files import user_path, version
-from ..common.units import counted, point_for_comma
+from ..common.units import as_options, counted, point_for_comma
 from .outcome import (
     INTERRUPTED,
     JSON,
@@ -32,7 +32,7 @@ from .outcome import (
     write_document,
     write_text,
 )
-from .terminal import ERRORS, OUTPUT, as_options
+from .terminal import ERRORS, OUTPUT
 
 COMMANDS = {
     'stand': ('stand', 'run a stand live'),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,7 +15,7 @@ from rich.table import Table
 
 from ..common.errors import InputError
 from ..common.progress import Show, silent
-from ..common.units import counted
+from ..common.units import as_options, counted
 from ..live.rules import Severity
 
 if TYPE_CHECKING:
@@ -25,11 +24,6 @@ if TYPE_CHECKING:
 
 WIDEST_LINE = 100
 """Characters of a line of text, at most; of tables, too, where the output is a file."""
-
-
-def as_options(sentence: str) -> str:
-    """Return a sentence with the names of keywords, as `imu_topic`, as options, --imu-topic."""
-    return re.sub(r'`([a-z_]+)`', lambda name: f'--{name[1].replace("_", "-")}', sentence)
 
 
 class _Console(Console):

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from .budget import Budget, ErrorSource
+from .units import counted
 
 _WARNING = 'Warning: '
 """Start of a sentence on which a number depends; in files and messages, too."""
@@ -66,6 +67,12 @@ def is_warning(text: str) -> bool:
 def without_label(text: str) -> str:
     """Return a sentence without the word that marks a warning."""
     return text.removeprefix(_WARNING)
+
+
+def how_many(findings: Sequence[str]) -> str:
+    """Return the numbers of warnings and of notes, in words."""
+    warnings = sum(map(is_warning, findings))
+    return f'{counted(warnings, "warning")}, {counted(len(findings) - warnings, "note")}'
 
 
 def by_effect(findings: Iterable[str], budget: Budget | None = None) -> tuple[str, ...]:

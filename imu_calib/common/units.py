@@ -187,6 +187,13 @@ def typeset(text: str) -> str:
     return text
 
 
+def as_options(sentence: str, shown: str = '{}') -> str:
+    """Return a sentence with the names of keywords, as `imu_topic`, as options, --imu-topic."""
+    return re.sub(
+        r'`([a-z_]+)`', lambda name: shown.format(f'--{name[1].replace("_", "-")}'), sentence
+    )
+
+
 def decimals(deviation: float) -> int:
     """Return the decimals that show a standard deviation with two significant digits."""
     if not math.isfinite(deviation) or deviation <= 0:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
 
-from ..common.units import typeset
+from ..common.units import as_options, typeset
 from .charts import tag
 
 _STATIC = "default-src 'none'; style-src 'unsafe-inline'"
@@ -101,8 +100,8 @@ def facts(pairs: Sequence[tuple[str, str]]) -> str:
 
 
 def _sentence(text: str) -> str:
-    """Return plain text with units as pages show them, and keywords such as `imu_topic` as code."""
-    return re.sub('`([a-z_]+)`', r'<code>\1</code>', escape(typeset(text)))
+    """Return plain text with units as pages show them, and keywords as options, set as code."""
+    return as_options(escape(typeset(text)), '<code>{}</code>')
 
 
 def sheet(name: str) -> str:

@@ -247,7 +247,9 @@ def _head(contents: Contents) -> str:
         ('dwells, turns', f'{where.get("segments", "-")}, {where.get("turns", "-")}'),
         ('samples used', provenance.count(where.get('samples'))),
     ]
-    return paragraph(f'Calibration, from {contents.name}', 'subtitle') + shown + facts(pairs)
+    verdict = paragraph(provenance.verdict_line(contents.calibration))
+    title = paragraph(f'Calibration, from {contents.name}', 'subtitle')
+    return title + verdict + shown + facts(pairs)
 
 
 def _parameters(contents: Contents) -> str:

@@ -296,8 +296,8 @@ def test_every_class_is_shown_in_one_line(result):
 
 def test_results_are_shown_in_a_line(folder, result):
     assert re.fullmatch(
-        r'<Result: <Calibration of .*: 24 parameters, \d+ findings?> of \d+ static dwells and '
-        r'\d+ turns>',
+        r'<Result: <Calibration of .*: 24 parameters, \d+ warnings?, \d+ notes?> of '
+        r'\d+ static dwells and \d+ turns>',
         str(result),
     )
     assert re.fullmatch(r'<Labelled: \d+ static dwells and \d+ turns>', repr(result.labelled))

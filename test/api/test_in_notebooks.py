@@ -1,6 +1,7 @@
 """A calibration in a notebook: labelled numbers, samples in memory, a table for the eye."""
 
 import re
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -111,7 +112,9 @@ def test_a_notebook_shows_no_zero_that_is_a_choice_of_axes(tmp_path):
     imu_calib.simulate('free_positions', tmp_path / 'bag', imu='mems_counts', latitude=48.1)
     calibration = imu_calib.calibrate(tmp_path / 'bag').calibration
     page = calibration._repr_html_()
-    assert repr(calibration).startswith('<Calibration of mems_counts: 21 parameters, ')
+    told = replace(calibration, findings=('Warning: Off.', 'One.', 'Two.'))
+    assert repr(told) == '<Calibration of mems_counts: 21 parameters, 1 warning, 2 notes>'
+    assert 'mems_counts: 1 warning, 2 notes' in told._repr_html_()
     frame = calibration.to_dataframe()
     assert len(frame) == 21 and 'E_ayx' in frame.index and 'E_axy' not in frame.index
     drawn = [t.get_text() for a in calibration.plot().axes for t in a.get_xticklabels()]

@@ -10,9 +10,9 @@ import imu_calib
 from imu_calib.api.session import TRUE_TABLE
 from imu_calib.cli import resume, stand_session
 from imu_calib.cli.main import main
-from imu_calib.cli.terminal import as_options
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.files import named_file
+from imu_calib.common.units import as_options
 
 
 @pytest.mark.repeats

@@ -17,9 +17,9 @@ from imu_calib.calibration.exports import EXPORTS, ExportSource
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Floats, Units
-from imu_calib.common.units import DEG, DEG_H
+from imu_calib.common.units import DEG, DEG_H, STANDARD_GRAVITY
 from imu_calib.model.sensors import SensorModel, Triad
-from imu_calib.session.imu import load_imu
+from imu_calib.session.imu import ImuSpec, TriadSpec, load_imu
 
 RATE = 100.0
 WALK = [1e-5, 2e-5, 3e-5, 1e-3, 2e-3, 3e-3]
@@ -221,6 +221,19 @@ def test_the_c_header_gives_our_values(name, define, tolerance, tmp_path):
 def test_the_c_header_is_included_by_its_name(tmp_path):
     imu_calib.export(unit('si'), 'c', tmp_path / 'imu.h')
     assert '#include "imu.h"' in (tmp_path / 'imu.h').read_text(encoding='utf-8')
+
+
+@pytest.mark.parametrize(
+    ('units', 'scales', 'said'),
+    [
+        (Units.RATES, (DEG, STANDARD_GRAVITY), 'raw_gyro in deg/s, raw_accel in g.'),
+        (Units.RATES, (0.5, 1.0), 'raw_gyro in units of 0.5 rad/s, raw_accel in m/s^2.'),
+        (Units.SI, (1.0, 1.0), 'raw_gyro in rad/s, raw_accel in m/s^2.'),
+    ],
+)
+def test_the_c_header_names_the_units_of_raw_values(units, scales, said):
+    triads = map(TriadSpec, scales)
+    assert said in exported('c', replace(unit('si'), imu=ImuSpec('a', units, None, *triads)))
 
 
 @pytest.mark.parametrize('name', EXPORTS)

@@ -29,6 +29,7 @@ from imu_calib.reports.budget import budget_section
 from imu_calib.reports.charts import Axis
 from imu_calib.reports.noise import noise_notes
 from imu_calib.reports.page import Contents, page, terms_section
+from imu_calib.reports.provenance import verdict_line
 from imu_calib.reports.repeatability import (
     RepeatedParameter,
     Variation,
@@ -457,6 +458,12 @@ def test_the_title_is_the_serial_number_and_without_one_the_type(contents):
 
     assert title('A-17').startswith('A-17</h1>')
     assert title('').startswith('fog_medium</h1>')
+
+
+def test_the_verdict_of_the_terminal_stands_under_the_title(contents):
+    told = replace(contents.calibration, findings=('Warning: Tilted.', 'A note.'))
+    head = page(replace(contents, calibration=told)).partition('<section')[0]
+    assert f'<p>{verdict_line(told)}</p>' in head
 
 
 def test_units_are_set_alike_on_the_page(contents):

@@ -283,8 +283,8 @@ def test_every_source_of_uncertainty_can_be_drawn(result):
         assert source.heading in found[0]
 
 
-def test_names_of_keywords_are_set_as_code():
+def test_keywords_are_options_as_on_the_terminal():
     said = ['State `imu_topic`, or <none>.']
-    expected = 'State <code>imu_topic</code>, or &lt;none&gt;.'
+    expected = 'State <code>--imu-topic</code>, or &lt;none&gt;.'
     assert bullets(said) == f'<ul><li>{expected}</li></ul>'
     assert paragraph(said[0]) == f'<p>{expected}</p>'
