@@ -171,6 +171,7 @@ _VERIFY = [
         flag(),
         'whether the calibration was made from the recording, which tests nothing: exit code 1',
     ),
+    _key('untested', _TEXTS, 'parameters whose errors the recording would not show'),
     _key('limits', _below(_LIMITS), 'of the verdicts'),
     _key('triads', _rows(_TRIAD), 'gyros and accelerometers'),
     _key('compared', _rows(_COMPARED), 'every quantity at every position'),

@@ -147,7 +147,11 @@ def _verify(
     notes += clock_findings(recording, streams, imu.units)
     already = compensated_already(recording.custom_data, streams.imu)
     found = judge(
-        calibration, replace(observed, notes=(*already, *order.sentences, *notes, *observed.notes))
+        calibration,
+        replace(
+            observed,
+            notes=(*recording.losses, *already, *order.sentences, *notes, *observed.notes),
+        ),
     )
     found = _with_units(found, moving, session, imu)
     parts = loaded.calibrations if isinstance(loaded, ThermalCalibration) else (loaded,)

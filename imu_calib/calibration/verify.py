@@ -224,6 +224,11 @@ class Verdict(IntEnum):
         return self.name.lower().replace('_', ' ')
 
 
+_UNTESTED = 1000.0
+"""Standard deviations of a parameter from which on an error of it alone reaches the limit of
+rejection, by which it is not tested. A judgement: in sessions of all positions 5 to 30 reach it,
+and without the positions or turns that show a parameter 10 000 and more."""
+
 _OUTCOMES = {
     Verdict.PASS: 'ACCEPTED: the recording is consistent with the calibration.',
     Verdict.MARGINAL: (
@@ -282,6 +287,8 @@ class Verification:
     #: errors, and it is not accepted.
     own_recording: bool = False
     by_hand: bool = False  #: Whether the calibration was made of a unit held by hand.
+    #: Names of the parameters whose errors the recording would not show.
+    untested: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         """Return one line; `compared` has every quantity."""
@@ -308,7 +315,11 @@ class Verification:
                 'Something is stated otherwise than then (latitude, gravity, IMU, table, plan), or '
                 'parameters changed during it.'
             )
-        return self._biases_alone() or _OUTCOMES[self.verdict]
+        said = self._biases_alone() or _OUTCOMES[self.verdict]
+        if not (self.untested and self.accepted):
+            return said
+        names = ', '.join(self.untested)
+        return f'{said} It does not test {names}: their errors would hardly show in it.'
 
     def _biases_alone(self) -> str:
         """Return the verdict if other biases explain whatever fails; else an empty text."""
@@ -356,6 +367,7 @@ class Verification:
         return {
             'verdict': str(self._worst),
             'own_recording': self.own_recording,
+            'untested': list(self.untested),
             'limits': {'doubt': doubt, 'rejection': rejection},
             'triads': [triad.to_dict() for triad in self.triads],
             'compared': [one.to_dict() for one in self.compared],
@@ -391,6 +403,7 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
             *observed.notes,
         ),
         by_hand=calibration.by_hand,
+        untested=tuple(name for trial in trials for name in trial.untested(calibration, limits[1])),
     )
 
 
@@ -507,6 +520,17 @@ class _Trial:
     @property
     def name(self) -> str:
         return 'gyros' if self.system.gyros else 'accelerometers'
+
+    def untested(self, calibration: Calibration, limit: float) -> list[str]:
+        """Return the parameters of which only errors of very many deviations reach a limit."""
+        parameters = self.system.sensors.parameters
+        own = calibration.std[list(indices_of(parameters, calibration.parameters))]
+        shown = own * self.system.sensitivities(self.values, self.fit.unknown)
+        return [
+            p.name
+            for p, std, by in zip(parameters, own, shown, strict=True)
+            if std > 0 and by < limit / _UNTESTED
+        ]
 
     def findings(self) -> list[str]:
         """Report excess scatter of the session, and a search that did not converge."""

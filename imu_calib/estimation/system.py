@@ -487,6 +487,16 @@ class TriadSystem:
 
         return system
 
+    def sensitivities(self, values: Floats, unknown: Floats) -> Floats:
+        """Return by how many deviations an error of one unit of each parameter (p,) would show.
+
+        What the other unknowns (u,) take up of it, such as the tilt of the table, is left out.
+        """
+        rows = self._whitened(values, unknown)
+        columns, others = rows[:, : len(values)], rows[:, len(values) : -1]
+        taken_up = others @ np.linalg.lstsq(others, columns, rcond=None)[0] if others.size else 0.0
+        return np.asarray(np.linalg.norm(columns - taken_up, axis=0))
+
     def _whitened(self, values: Floats, unknown: Floats) -> Floats:
         """Return derivatives and residuals (m + q, p + u + 1) in deviations, priors last."""
         if self.up is not None:

@@ -37,6 +37,7 @@ from imu_calib.estimation import system
 from imu_calib.estimation.free_dwells import Sensors
 from imu_calib.estimation.system import Observed, observe
 from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.model.parameters import ParameterKind
 from imu_calib.model.sensors import Triad
 from imu_calib.model.terms import G_SENSITIVITY
 from imu_calib.recordings.writer import RecordingWriter
@@ -114,6 +115,25 @@ def test_the_right_calibration_is_accepted(seed: int) -> None:
         assert judged.diagnosis is None
         # Five standard deviations of chi-square.
         assert abs(judged.chi_square - judged.freedom) < 5 * np.sqrt(2 * judged.freedom)
+
+
+def test_parameters_that_a_recording_does_not_test_are_named() -> None:
+    """A recording cut off after two positions accepted a K_az off by 500 ppm without a word."""
+    assert verified().untested == ()
+    whole = observed().evidence
+    along_x = [
+        [one for one in of if one.position in {'x_up', 'x_down'}]
+        for of in (whole.segments, whole.turns)
+    ]
+    cut = replace(whole, segments=tuple(along_x[0]), turns=tuple(along_x[1]), moves=())
+    wrong = accel(a().error_matrix + 500 * PPM * np.diag([0.0, 0.0, 1.0]))
+    for tested in (calibration(), wrong):
+        found = verify(tested, replace(observed(), evidence=cut))
+        assert found.accepted
+        assert {'K_ay', 'K_az', 'E_ayz', 'K_gz'} <= set(found.untested)
+        assert {'K_gx', 'K_ax', 'E_azx', 'D_ax', 'D_gx'}.isdisjoint(found.untested)
+        assert 'It does not test K_g' in found.outcome
+    assert not verify(wrong, observed()).accepted
 
 
 def test_moves_between_rests_alone_tell_scale_factors_of_gyros() -> None:
@@ -439,6 +459,9 @@ def test_without_plan_and_table_lengths_are_compared() -> None:
         Quantity.UP_RATE,
     }
     assert any('The attitudes are unknown' in finding for finding in verification.findings)
+    of_gyros = [p.name for p in calibration().parameters[:12] if p.kind is not ParameterKind.BIAS]
+    assert set(of_gyros) <= set(verification.untested)
+    assert {'K_ax', 'K_ay', 'K_az', 'D_ax', 'D_gx'}.isdisjoint(verification.untested)
 
 
 @pytest.mark.parametrize(
