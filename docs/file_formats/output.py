@@ -164,6 +164,20 @@ _LIMITS = [
     _key('doubt', _NUMBER, 'standard deviations from which a quantity is doubtful'),
     _key('rejection', _NUMBER, 'from which it is rejected'),
 ]
+_RECORD = [
+    _key('unit', _maybe(_TEXT), 'serial number of the recording; `null` if it is not stated'),
+    _key('recording', _TEXT, 'its name'),
+    _key('sha256', _maybe(_TEXT), 'of the recording'),
+    _key('recorded', _maybe(_TEXT), 'when it began, UTC'),
+    _key('calibration', _TEXT, 'name of its file'),
+    _key('calibrated_unit', _maybe(_TEXT), 'serial number in it'),
+    _key('calibration_recorded', _maybe(_TEXT), 'when the recording it was made from began, UTC'),
+    _key('gravity', _NUMBER, 'compared with, m/s^2'),
+    _key('gravity_source', _TEXT, '`measured`, or how it was computed'),
+    _key('latitude_deg', _NUMBER, 'of the site, deg'),
+    _key('table', _maybe(_TEXT), 'its name; `null` without joint states'),
+    _key('version', _TEXT, 'of imu_calib that verified'),
+]
 _VERIFY = [
     _key('verdict', _VERDICT, '`fail` is exit code 1: rejected; `marginal` is accepted'),
     _key(
@@ -176,6 +190,7 @@ _VERIFY = [
     _key('triads', _rows(_TRIAD), 'gyros and accelerometers'),
     _key('compared', _rows(_COMPARED), 'every quantity at every position'),
     _key('findings', _TEXTS, 'what the user of the result must know'),
+    _key('record', _below(_RECORD), 'what was verified with what'),
 ]
 _SIDE_BY_SIDE = [
     _NAME,
@@ -437,6 +452,7 @@ TABLES: Tables = {
     'specification': _SPECIFICATION,
     'judged': _JUDGED,
     'verify': _VERIFY,
+    'record': _RECORD,
     'limits': _LIMITS,
     'triads': _TRIAD,
     'moved': _MOVED,

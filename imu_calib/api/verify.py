@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import timedelta
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,9 +16,11 @@ from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_iden
 from ..calibration.verify import Verdict, Verification
 from ..calibration.verify import verify as judge
 from ..common.errors import InputError, NotObservable, NotStated
+from ..common.files import printable, version
 from ..common.processes import by_one_thread
 from ..common.progress import Progress, silent
-from ..common.stream import Floats, ImuBlock, Units, utc
+from ..common.stream import Floats, ImuBlock, Units, iso, utc
+from ..common.units import DEG
 from ..estimation.hand import NAME as FREE_POSITIONS
 from ..estimation.system import observe
 from ..recordings.order import StampSorter
@@ -153,7 +156,24 @@ def _verify(
             notes=(*recording.losses, *already, *order.sentences, *notes, *observed.notes),
         ),
     )
-    found = _with_units(found, moving, session, imu)
+    recorded_unit = serial_of(replace(stated, serial=None), recording, streams.imu)
+    found = replace(
+        _with_units(found, moving, session, imu),
+        record={
+            'unit': recorded_unit or stated.serial,
+            'recording': printable(recording.path.name),
+            'sha256': recording.sha256(),
+            'recorded': iso(session.start),
+            'calibration': printable(Path(name).name),
+            'calibrated_unit': calibration.serial_number or None,
+            'calibration_recorded': calibration.provenance.get('recorded'),
+            'gravity': site.gravity,
+            'gravity_source': site.gravity_source,
+            'latitude_deg': site.latitude / DEG,
+            'table': None if table is None else table.name,
+            'version': version(),
+        },
+    )
     parts = loaded.calibrations if isinstance(loaded, ThermalCalibration) else (loaded,)
     if any(
         part.provenance.get('sha256') == recording.sha256()

@@ -8,8 +8,8 @@ compared quantities.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 from typing import Any
 
@@ -289,6 +289,8 @@ class Verification:
     by_hand: bool = False  #: Whether the calibration was made of a unit held by hand.
     #: Names of the parameters whose errors the recording would not show.
     untested: tuple[str, ...] = ()
+    #: What was verified with what, by the keys of docs/files/output.md; empty without a recording.
+    record: Mapping[str, object] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Return one line; `compared` has every quantity."""
@@ -372,6 +374,7 @@ class Verification:
             'triads': [triad.to_dict() for triad in self.triads],
             'compared': [one.to_dict() for one in self.compared],
             'findings': list(self.findings),
+            'record': dict(self.record),
         }
 
 

@@ -212,6 +212,13 @@ def test_a_verdict_is_a_document_and_rejected_is_exit_code_1(program, folder, tm
     assert document['result']['verdict'] == 'pass'
     assert {row['unit'] for row in document['result']['compared']} == {'m/s^2', 'rad/s'}
     made = Calibration.load(folder / 'one.yaml')
+    record, facts = document['result']['record'], made.provenance
+    assert (record['recording'], record['calibration']) == ('two', 'one.yaml')
+    assert re.fullmatch('[0-9a-f]{64}', record['sha256']) and record['sha256'] != facts['sha256']
+    assert record['calibration_recorded'] == facts['recorded'] and record['recorded'] is not None
+    of_site = ('gravity', 'gravity_source', 'latitude_deg', 'table')
+    assert [record[key] for key in of_site] == [facts[key] for key in of_site]
+    assert record['version'] == facts['versions']['imu_calib']
     wrong = made.values + np.array([0.2 * (p.name == 'D_az') for p in made.parameters])
     replace(made, model=made.model.with_values(made.parameters, wrong)).save(tmp_path / 'w.yaml')
     document = program('verify', folder / 'two', '--calibration', tmp_path / 'w.yaml', code=1)
