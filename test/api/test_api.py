@@ -271,7 +271,7 @@ def test_every_class_is_shown_in_one_line(result):
             'SimulatedUnits: 60 s of 1 unit in there'
         ),
         imu_calib.StandRun(here, here, known, known, None): f'StandRun: {known} in there',
-        imu_calib.Certificate(None, known, None, ()): f'Certificate of {known}: 0 results',
+        imu_calib.Certificate(None, known, None, (), ''): f'Certificate of {known}: 0 results',
         imu_calib.History(None, None, (), {}, None): 'History of 0 units of 0 types',
         imu_calib.Batch(here, 4, 1, 2, 1, 0, 3.0): (
             'Batch: 4 recordings, 1 calibrated, 2 failed, 1 known, in there'
