@@ -238,7 +238,8 @@ _OUTCOMES = {
     ),
     Verdict.FAIL: 'REJECTED: the recording contradicts the calibration.',
     Verdict.NOT_TESTED: (
-        'NOT TESTED: the calibration was made from this recording. Take a second one.'
+        'NOT TESTED: the calibration was made from this recording or from one of the same time. '
+        'Take one of another time.'
     ),
 }
 
@@ -313,9 +314,9 @@ class Verification:
         """The verdict in a sentence, or two."""
         if self.own_recording and self.verdict is Verdict.FAIL:
             return (
-                'REJECTED: the recording contradicts the calibration, which was made from it. '
-                'Something is stated otherwise than then (latitude, gravity, IMU, table, plan), or '
-                'parameters changed during it.'
+                'REJECTED: the recording contradicts the calibration, which was made from it or '
+                'from one of the same time. Something is stated otherwise than then (latitude, gravity, '
+                'IMU, table, plan), or parameters changed during it.'
             )
         said = self._biases_alone() or _OUTCOMES[self.verdict]
         if not (self.untested and self.accepted):
