@@ -343,6 +343,7 @@ class Table:
         zeros = np.array([joint.zero for joint in self.joints])
         best: Floats | None = None
         closest = math.inf
+        beyond: list[tuple[float, Joint, float]] = []
         for solution in _inverse(axes, target):
             reached = np.eye(3)
             for axis, angle in zip(axes, solution, strict=True):
@@ -351,6 +352,7 @@ class Table:
             closest = min(closest, miss)
             if miss > _REACH_TOLERANCE:
                 continue
+            beyond.append(self._farthest_beyond(solution - zeros))
             candidate = self._within_limits(solution - zeros, start)
             if candidate is not None and (
                 best is None or _travel(candidate, start) < _travel(best, start) - 1e-9
@@ -365,7 +367,12 @@ class Table:
                     f'Table {self.name} (joints: {joints}) cannot reach the attitude: its '
                     f'closest is {closest / DEG:.3g} deg away.{advice}'
                 )
-            raise InputError(f'The attitude lies outside the joint limits of table {self.name}.')
+            _, joint, angle = min(beyond, key=lambda each: each[0])
+            raise InputError(
+                f'The attitude lies outside the joint limits of table {self.name}: joint '
+                f'{joint.name} would need {angle / DEG:.6g} deg; its limits are '
+                f'{joint.lower / DEG:g} to {joint.upper / DEG:g} deg.'
+            )
         return best
 
     def _within_limits(self, angles: Floats, near: Floats) -> Floats | None:
@@ -379,6 +386,17 @@ class Table:
                 return None
             result[k] = _nearest(inside, float(near[k]))
         return result
+
+    def _farthest_beyond(self, angles: Floats) -> tuple[float, Joint, float]:
+        """Return the angle farthest beyond the limits of its joint: by how much, joint, angle."""
+        nearest = []
+        for joint, angle in zip(self.joints, angles.tolist(), strict=True):
+            options = [
+                (max(joint.lower - turned, turned - joint.upper), joint, turned)
+                for turned in (angle, angle - TURN, angle + TURN)
+            ]
+            nearest.append(min(options, key=lambda each: each[0]))
+        return max(nearest, key=lambda each: each[0])
 
     def demanded(self, setpoint: Setpoint, angles: Floats) -> tuple[Floats, Floats]:
         """Return the (k,) angles, rad, and rates, rad/s, that a setpoint demands.

@@ -75,6 +75,21 @@ def test_an_attitude_out_of_reach_is_refused_with_the_miss():
         load_plan('twelve_position').steps(load_table('two_axis'))
 
 
+def test_an_attitude_beyond_the_limits_is_refused_with_joint_and_angle():
+    text = JOINTS.replace('axis: -x', 'axis: x, limits: {lower: -100 deg, upper: 100 deg}')
+    text = text.replace('[0, 1, 1]', 'z').replace('mount', '# mount').replace('zero: -7', 'zero: 0')
+    text = text.replace('axis: y', 'axis: z')
+    table = read_table(Section.parse(text, 't.yaml'))
+    upside_down = np.diag([1.0, -1.0, -1.0])
+    said = r'limits of table odd: joint two would need -?180 deg; its limits are -100 to 100 deg\.'
+    with pytest.raises(InputError, match=said):
+        table.angles(upside_down)
+    # Yaw, too, is free: of two ways to it the one is named that misses by less.
+    said = r'joint two would need 110 deg'
+    with pytest.raises(InputError, match=said):
+        table.angles(Rotation.from_euler('x', 110, degrees=True).as_matrix())
+
+
 def test_the_nearest_of_several_solutions_is_taken():
     table = load_table('three_axis')
     near = np.array([7.0, 0.1, -6.0])
