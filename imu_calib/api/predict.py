@@ -249,6 +249,7 @@ def predicted(
         raise InputError(
             f'`temperature_rise`: found {rise:g} K, expected {LEAST_RISE:g} K or more, either way.'
         )
+    setup.plan.check_range(setup.imu)
     found = forecast(setup, truth, drifting=drifting, rise=rise or 0.0)
     closed_form = closed_form_of(found.method, setup.plan)
     own = None
@@ -295,6 +296,7 @@ def shortest(
     """Find the shortest dwells that reach standard deviations."""
     if not wanted:
         raise InputError('`reach`: found no parameter, expected NAME=STD of one at least.')
+    setup.plan.check_range(setup.imu)
     parameters = {p.name: p for p in listed(setup)}
     read = dict(_wanted(name, value, parameters) for name, value in wanted.items())
     one = partial(shortest_dwells, setup, truth, drifting=drifting)

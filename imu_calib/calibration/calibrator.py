@@ -27,7 +27,7 @@ from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms
 from ..segmentation.labelling import Labelled, label
 from ..segmentation.segmented import Segmented
 from ..segmentation.segmenter import Segmenter
-from ..session.plan import Plan, Step
+from ..session.plan import Step
 from ..session.table_errors import clock_share
 from .mistakes import (
     dead_channels,
@@ -57,20 +57,26 @@ _SAME_RATE = 0.2
 rates of a supplied plan differ by a quarter or more."""
 
 
-def unsupported_steps(
-    session: Segmented, labelled: Labelled, plan: Plan, steps: tuple[Step, ...]
-) -> tuple[int, ...]:
-    """Return the indices of steps seen without sufficient data, ascending, with the current one."""
+def unsupported_steps(session: Segmented, labelled: Labelled, setup: Setup) -> tuple[int, ...]:
+    """Return the indices of steps seen without sufficient data, ascending, with the current one.
+
+    Turns that saturate the gyros would do so again, and are not among them.
+    """
+    plan = setup.plan
     seen = [s.step for s in session.setpoints if s.plan == plan.name and s.mode is not Mode.HOLD]
     # Steps are run in order: one whose setpoints were lost with all else was run as well.
     last = max(seen, default=-1)
     # The signed rate about up of every step with turns: those of its position, in order.
     tests = {p.id: list(p.rate_test.rates) for p in plan.positions if p.rate_test is not None}
-    rates = {step.index: tests[step.position].pop(0) for step in steps if step.mode is Mode.RATE}
+    rates = {
+        step.index: tests[step.position].pop(0) for step in setup.steps if step.mode is Mode.RATE
+    }
     return tuple(
         step.index
-        for step in steps
-        if step.index <= last and not _is_supported(step, labelled, rates.get(step.index))
+        for step in setup.steps
+        if step.index <= last
+        and not _is_supported(step, labelled, rates.get(step.index))
+        and not plan.position(step.position).saturates(rates.get(step.index, 0.0), setup.imu)
     )
 
 
@@ -147,7 +153,7 @@ class Calibrator:
     def _reviewed(self, *, final: bool) -> Review:
         session = self._segmenter.finish()
         labelled = self._labelled(session)
-        unsupported = unsupported_steps(session, labelled, self._setup.plan, self._setup.steps)
+        unsupported = unsupported_steps(session, labelled, self._setup)
         result, refusal = None, ''
         try:
             result = self._solve(session, labelled, final=final)

@@ -135,6 +135,7 @@ def check_session(setup: Setup) -> None:
     check_plan(setup.method_name, setup.plan, setup.site)
     if setup.table is not None and not setup.plan.by_hand:
         setup.plan.steps(setup.table)
+    setup.plan.check_range(setup.imu)
     noisy = min(setup.imu.gyro.random_walk, setup.imu.accel.random_walk) > 0
     if noisy and setup.method_name != free_positions.NAME:
         method(setup.method_name)(expected(setup, SensorModel()))

@@ -17,6 +17,7 @@ from ..common.keys import key, read_record, record, records
 from ..common.rotations import rotation
 from ..common.stream import Floats, Mode, Setpoint
 from ..common.units import DEG, Dimension, counted, parse
+from .imu import NEARLY, ImuSpec
 from .table import TURN, Table
 
 COMPASS = {
@@ -95,6 +96,10 @@ class Position:
     def up(self) -> Floats:
         """Up in body axes, (3,)."""
         return np.asarray(self.attitude[2])
+
+    def saturates(self, rate: float, imu: ImuSpec) -> bool:
+        """Return whether turns here at a rate about up, rad/s, reach the end of a gyro's range."""
+        return abs(rate) * float(np.abs(self.up).max()) >= NEARLY * imu.gyro.range
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,6 +216,18 @@ class Plan:
                 angles = table.angles(position.attitude, angles)
             add(position, Mode.POSITION, still, 0, position.dwell)
         return tuple(steps)
+
+    def check_range(self, imu: ImuSpec) -> None:
+        """Refuse turns that saturate the gyros."""
+        for position in self.positions:
+            for rate in position.rate_test.rates if position.rate_test else ():
+                if position.saturates(rate, imu):
+                    raise InputError(
+                        f'plan {self.name}, position {position.id}: turns at {rate / DEG:g} deg/s '
+                        f'saturate the gyros of IMU {imu.id}, whose range is '
+                        f'{imu.gyro.range / DEG:g} deg/s. State lower rates in a plan of your own '
+                        '(rate_test), or correct the range in the file of the IMU.'
+                    )
 
     def _check_run_up(self, table: Table, joint: int, rate: float, position: str) -> None:
         """Refuse a rate that the table cannot reach and leave within the extra turn."""

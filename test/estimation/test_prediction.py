@@ -288,6 +288,25 @@ def test_what_no_session_of_a_plan_could_give_is_refused_before_it_begins() -> N
     check_session(replace(setup('skewed'), imu=load_imu('fog_skewed')))
 
 
+def test_turns_beyond_the_range_of_the_gyros_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    imu = tmp_path / 'slow.yaml'
+    unit = named_file('imus', 'fog_medium').read_text()
+    imu.write_text(unit.replace('range: 300 deg/s', 'range: 40 deg/s'))
+    plan = tmp_path / 'fast.yaml'
+    said = named_file('plans', 'twelve_position').read_text()
+    plan.write_text(said.replace('60 deg/s, -60 deg/s', '39.9 deg/s, -45 deg/s'))
+    with pytest.raises(InputError, match=r'position 1: turns at -45 deg/s .* range is 40 deg/s'):
+        check_session(replace(setup(), imu=load_imu(imu), plan=load_plan(plan)))
+    words = 'turns at -45 deg/s saturate the gyros'
+    options = [str(plan), '--imu', str(imu)]
+    assert main(['plans', *options]) == 2
+    assert words in capsys.readouterr().err
+    assert main(['stand', *options, '-o', str(tmp_path / 'stand')]) == 2
+    assert words in capsys.readouterr().err and not (tmp_path / 'stand').exists()
+
+
 @pytest.mark.parametrize(
     ('arguments', 'code', 'words'),
     [

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,10 +13,10 @@ from loopback import patience, until
 from sessions import SITE, Alone, at_one_rate, ended, paper_imu, quick_plan, stand
 
 from imu_calib.api.simulate import serialised
-from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.calibration.calibrator import Calibrator, unsupported_steps
 from imu_calib.common.budget import ErrorSource
 from imu_calib.common.errors import InputError
-from imu_calib.common.stream import JointBlock, SetpointBlock
+from imu_calib.common.stream import JointBlock, Mode, SetpointBlock
 from imu_calib.estimation.setup import Setup
 from imu_calib.live.nodes.live_session import SessionPhase
 from imu_calib.live.nodes.session_reports import report_session
@@ -24,6 +25,7 @@ from imu_calib.model.sensors import SensorModel
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import Kind, encode_joints, encode_setpoints
 from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.segmentation.labelling import Labelled
 from imu_calib.session.table import load_table
 from imu_calib.simulation.stand import simulate
 
@@ -226,6 +228,24 @@ def test_steps_that_left_too_little_are_named(tmp_path, wire):
     assert lost
     assert len(lost) < len(steps) / 2
     session.close()
+
+
+def test_turns_that_saturate_the_gyros_are_not_asked_for_again():
+    steps = PLAN.steps(TABLE)
+    session = SimpleNamespace(
+        setpoints=[step.setpoint(PLAN.name, TABLE.names, step.index) for step in steps]
+    )
+
+    def asked_for(imu):
+        nothing = Labelled((), (), ())
+        return set(unsupported_steps(session, nothing, replace(SETUP, imu=imu)))
+
+    turns = {step.index for step in steps if step.mode is Mode.RATE}
+    imu = paper_imu()
+    assert turns and turns < asked_for(imu)
+    (rate,) = {abs(rate) for p in PLAN.positions if p.rate_test for rate in p.rate_test.rates}
+    slow = replace(imu, gyro=replace(imu.gyro, range=0.9 * rate))
+    assert asked_for(slow) == asked_for(imu) - turns
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):
