@@ -177,7 +177,10 @@ class Sequencer:
         if found.emergency:
             return found.emergency
         if self.running:
-            return f'The plan is running, at step {self._run.itinerary.index + 1}.'
+            return (
+                f'The plan is running, at step {self._run.itinerary.index + 1}: pause or abort it '
+                'first.'
+            )
         uncommanded = self.idle.text if self.idle.is_moving else ''
         return found.forbidden or uncommanded or found.feedback or found.calibrator
 

@@ -28,13 +28,16 @@ others."""
 class RunFeedback:
     """How far a run is."""
 
-    step: int  #: Index of the step, from 0.
+    step: int  #: Number of the step, from 1.
     steps: int  #: Number of steps in the plan.
     position: str  #: Name of the position in the plan.
     phase: str  #: What the table does: MOVING, DWELLING, PAUSED and so on.
     text: str  #: The same in a sentence for a person.
-    std: dict[str, float]  #: Reached so far, SI, by parameter; NaN where it is not determined.
-    seconds_left: float  #: Expected time to the end of the plan.
+    #: Standard deviations reached so far, by the names in `parameters()`, SI units (biases in rad/s
+    #: and m/s^2); NaN where one is not determined.
+    std: dict[str, float]
+    #: s of the stand's time to the end of the plan; a simulated stand may be many times faster.
+    seconds_left: float
 
 
 class Stand:
@@ -73,7 +76,7 @@ class Stand:
         if ros.RUNTIME == 'embedded':
             raise InputError(
                 'A script reaches a stand over the network, which needs ROS 2 or Cyclone DDS. '
-                "Source ROS 2, or run pip install '.[dds]' in a clone of imu_calib."
+                "Source ROS 2, or run pip install '.[web,dds]' in a clone of imu_calib."
             )
         self._initialised = not ros.ok()
         if self._initialised:
@@ -115,20 +118,30 @@ class Stand:
         self.close()
 
     def start(self, plan: str = '', *, resume: bool = False) -> None:
-        """Begin a run.
+        """Begin a run; return when the stand has accepted it.
+
+        Where the stand runs its plan already, `pause` comes first: `start(resume=True)` then goes
+        on with the run, `start` begins it anew.
 
         Args:
             plan: Name of the stand's plan, to be sure of it; empty: whatever it is.
             resume: Whether to continue with the interrupted step.
 
         Raises:
-            ImuCalibError: A run is in progress.
+            InputError: The stand refuses, with its reason: it runs its plan already, at a step that
+                the text names, or runs another plan.
+            ImuCalibError: A run of this script or of another client is in progress.
         """
         if self._end is not None and not self._end.done():
             raise ImuCalibError('The run that this script started has not ended: abort it first.')
         self.feedback, self._end, self._gone_since = None, None, time.monotonic()
         self._asked = self._client.send_goal_async(self._kind.Goal(plan=plan, resume=resume))
         self._await_acceptance()
+        # A refusal with a reason is the result of an accepted goal without any feedback.
+        self._wait(lambda: self._end.done() or self.feedback is not None, 'The run does not begin')
+        if self.feedback is None:
+            refused, self._end = self._end.result().result.message, None
+            raise InputError(refused)
 
     def _await_acceptance(self) -> None:
         goal = self._answer(self._asked, 'The goal')
@@ -226,7 +239,7 @@ class Stand:
     def _on_feedback(self, message: Any) -> None:
         one = message.feedback
         self.feedback = RunFeedback(
-            one.step,
+            one.step + 1,
             one.steps,
             one.position_id,
             Phase(one.phase).name,
