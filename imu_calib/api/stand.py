@@ -21,7 +21,7 @@ from ..estimation import hand as free_positions
 from ..estimation.forecast import check_session
 from ..estimation.setup import Setup
 from ..model.earth import Site
-from ..recordings.rosbag2 import Recording, open_recording
+from ..recordings.rosbag2 import JOURNAL, Recording, open_recording
 from ..recordings.storage import RecordingError
 from ..recordings.writer import FINISHED
 from ..session.imu import ImuSpec
@@ -95,7 +95,7 @@ def stand(
     drawn = folder / TRUE_TABLE
     return StandRun(
         folder,
-        folder / 'journal',
+        folder / JOURNAL,
         Calibration.load(folder / 'calibration.yaml'),
         Calibration.load(folder / 'truth.yaml'),
         drawn if drawn.exists() else None,

@@ -61,6 +61,7 @@ _ROUNDED = 1e-6
 in a text, single precision in other software."""
 _EXPECTED = 'a calibration file, which imu-calib calibrate makes of a recording'
 _RECORDINGS = {'.mcap', '.db3'}
+_OF_A_STAND = 'calibration.yaml'  #: In the folder of its session.
 
 
 @dataclass(frozen=True, eq=False)
@@ -575,6 +576,8 @@ def calibration_section(path: str | Path) -> Section:
     inside = file.iterdir() if file.is_dir() else (file,)
     if any(one.suffix in _RECORDINGS for one in inside):
         raise InputError(f'{file} is a recording, expected {_EXPECTED}.')
+    if (file / _OF_A_STAND).is_file():
+        raise InputError(f'{file} is a folder: did you mean {file / _OF_A_STAND}?')
     section = Section.load(file, _EXPECTED)
     if not section.has('format'):
         raise InputError(f"{file} is not a calibration file (the key 'format' is missing).")

@@ -16,10 +16,10 @@ import yaml
 from ..api.stand import end_of_journal, is_finished
 from ..common.errors import InputError
 from ..common.files import named_file, read_text, user_path, write_whole
+from ..recordings.rosbag2 import JOURNAL
 from . import several
 from .terminal import ERRORS
 
-JOURNAL = 'journal'
 RESULT = 'calibration.yaml'
 _SETTINGS = 'settings'
 _OPTIONS = 'options.yaml'

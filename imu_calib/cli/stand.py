@@ -10,7 +10,7 @@ from pathlib import Path
 from ..api.session import HELD_UNIT, USUAL_IMU, SimulatedHardware
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
-from ..common.files import shipped, unwritable, user_path
+from ..common.files import is_shipped, shipped, unwritable, user_path
 from ..live.devices.format import FrameFormat, load_format
 from ..live.devices.health import Reception
 from ..live.devices.source import (
@@ -138,11 +138,14 @@ def run_stand(arguments: argparse.Namespace) -> None:
 
 def _begin(arguments: argparse.Namespace) -> None:
     """Run a session from its start."""
+    has_truth = bool(arguments.truth)
     several.complete(arguments)
     folder = _new_folder(arguments)
     several.check(arguments)
     reports = NodeReports(real=several.is_real(arguments))
     truth = _check(arguments, reports)
+    if '' in truth and not has_truth and not is_shipped('imus', arguments.imu):
+        OUTPUT.print(f'simulated unit: {arguments.truth}; yours: --truth FILE', markup=False)
     from . import resume, stand_session
 
     folder.mkdir(parents=True)

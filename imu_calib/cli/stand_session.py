@@ -23,6 +23,7 @@ from ..common.errors import InputError, NotObservable
 from ..live.network import forced
 from ..live.web.board import Board, UnitsBoard, expectation, units_board
 from ..model.earth import LUOYANG, Site
+from ..recordings.rosbag2 import JOURNAL
 from ..session.imu import ImuSpec, load_imu
 from ..session.keywords import DEFAULT_TERMS, AtSite
 from ..session.plan import Plan, load_plan
@@ -39,7 +40,7 @@ from .processes import (
     network_of_hardware,
     private_network,
 )
-from .resume import JOURNAL, RESULT, command, ended, unfinished
+from .resume import RESULT, command, ended, unfinished
 from .terminal import (
     ERRORS,
     OUTPUT,

@@ -41,6 +41,8 @@ from .storage import (
     merge,
 )
 
+JOURNAL = 'journal'
+"""Folder of the recording within that of a stand's session."""
 _STORAGE = ('.mcap', '.db3')
 _PACKED = ('.zstd', '.zst')
 
@@ -196,7 +198,8 @@ def open_recording(path: str | AnyPath, sha256: str | None = None) -> Recording:
 
     Args:
         path: Folder of rosbag2, with or without metadata.yaml, or one .mcap or .db3 file, or a URL
-            of one that fsspec reads; a storage file may be compressed with zstd as a whole.
+            of one that fsspec reads; a storage file may be compressed with zstd as a whole. The
+            folder of a stand's session stands for the journal in it.
         sha256: Of the storage files, if known already.
 
     Returns:
@@ -205,6 +208,7 @@ def open_recording(path: str | AnyPath, sha256: str | None = None) -> Recording:
     path = located(path)
     losses = Losses()
     try:
+        path = _or_its_journal(path)
         found = find_files(path, losses)
     except OSError as error:
         raise RecordingError(unreadable(path, error)) from None
@@ -215,6 +219,13 @@ def open_recording(path: str | AnyPath, sha256: str | None = None) -> Recording:
     except BaseException:
         scratch.remove()
         raise
+
+
+def _or_its_journal(path: AnyPath) -> AnyPath:
+    """Return the journal in the folder of a stand's session; any other path as it is."""
+    if not isinstance(path, Path) or not (path / JOURNAL).is_dir():
+        return path
+    return path if any(is_storage(inside) for inside in path.iterdir()) else path / JOURNAL
 
 
 def _open_all(paths: Sequence[AnyPath], scratch: Scratch, losses: Losses) -> list[Storage]:

@@ -431,6 +431,13 @@ def test_each_option_of_a_command_is_a_keyword_of_its_function():
         assert known - alone <= {action.dest for action in parser._actions} | {'source'}, name
 
 
+def test_the_folder_of_a_session_is_no_calibration_but_names_one(result, tmp_path):
+    result.calibration.save(tmp_path / 'calibration.yaml')
+    said = f'{tmp_path} is a folder: did you mean {tmp_path / "calibration.yaml"}?'
+    with pytest.raises(InputError, match=re.escape(said)):
+        imu_calib.report(tmp_path, tmp_path / 'report.html')
+
+
 def test_a_recording_comes_before_a_calibration(folder, result, tmp_path):
     result.calibration.save(tmp_path / 'c.yaml')
     with pytest.raises(InputError, match='bag is a recording, expected a calibration file'):

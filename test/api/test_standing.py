@@ -29,7 +29,7 @@ def test_a_stand_is_run_to_its_calibration(tmp_path):
         seed=3,
     )
     assert found.path == folder
-    assert found.recording == folder / resume.JOURNAL
+    assert found.recording == folder / 'journal'
     assert found.calibration.to_yaml() == (folder / resume.RESULT).read_text()
     assert found.calibration.serial_number == 'unit 7'
     assert found.calibration.provenance['latitude_deg'] == -34.0
@@ -49,6 +49,18 @@ def test_it_says_what_the_command_says(tmp_path, capsys):
     assert capsys.readouterr().err == f'imu-calib stand: {as_options(str(refused.value))}\n'
     assert 'need north' in str(refused.value)
     assert not (tmp_path / 'stand').exists()
+
+
+def test_the_errors_that_a_unit_of_ones_own_is_given_are_said(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(stand_session, 'run', lambda *_: None)
+    file = tmp_path / 'mine.yaml'
+    file.write_text(named_file('imus', 'fog_medium').read_text())
+    said = 'simulated unit: cao2022_table1; yours: --truth FILE\n'
+    words = ['stand', 'twelve_position', '--imu', str(file), '-o']
+    assert main([*words, str(tmp_path / 'one')]) == 0 and said in capsys.readouterr().out
+    assert main([*words, str(tmp_path / 'two'), '--truth', 'cao2022_table1']) == 0
+    assert main(['stand', 'twelve_position', '-o', str(tmp_path / 'three')]) == 0
+    assert 'simulated unit' not in capsys.readouterr().out
 
 
 def test_a_simulated_table_with_errors_that_its_description_lacks_is_said(tmp_path):

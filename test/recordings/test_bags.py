@@ -176,6 +176,17 @@ def test_a_writer_that_was_killed_leaves_its_flushed_chunks(tmp_path):
         assert recording.custom_data == {'plan': 'p'}
 
 
+def test_the_folder_of_a_session_stands_for_its_journal(tmp_path):
+    write_own(tmp_path / 's3' / 'journal')
+    with open_recording(tmp_path / 's3') as recording:
+        assert recording.path == tmp_path / 's3' / 'journal'
+    # A recording is itself, whatever else lies in its folder.
+    write_own(tmp_path / 'bag')
+    (tmp_path / 'bag' / 'journal').mkdir()
+    with open_recording(tmp_path / 'bag') as recording:
+        assert recording.path == tmp_path / 'bag'
+
+
 def test_an_existing_folder_is_not_overwritten(tmp_path):
     with pytest.raises(InputError, match='exists already'):
         RecordingWriter(tmp_path)
