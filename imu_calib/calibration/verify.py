@@ -315,8 +315,8 @@ class Verification:
         if self.own_recording and self.verdict is Verdict.FAIL:
             return (
                 'REJECTED: the recording contradicts the calibration, which was made from it or '
-                'from one of the same time. Something is stated otherwise than then (latitude, gravity, '
-                'IMU, table, plan), or parameters changed during it.'
+                'from one of the same time. Something is stated otherwise than then (latitude, '
+                'gravity, IMU, table, plan), or parameters changed during it.'
             )
         said = self._biases_alone() or _OUTCOMES[self.verdict]
         if not (self.untested and self.accepted):
