@@ -51,7 +51,8 @@ def recorded(
     site = Site.at(LATITUDE * DEG, HEIGHT)
     with RecordingWriter(folder) as writer:
         for block in session.blocks(unit, TRUTH.model, site, seed=seed):
-            read = ImuBlock(block.stamp, block.gyro * scale[0], block.accel * scale[1], 'imu')
+            stamp = block.stamp + (seed - 1) * 24 * 3600 * 10**9  # Another day for each.
+            read = ImuBlock(stamp, block.gyro * scale[0], block.accel * scale[1], 'imu')
             kind, messages, stamps = serialised(read)
             writer.write(topic, kind.type_name, messages, stamps)
     return str(folder)

@@ -353,7 +353,7 @@ def test_what_is_no_calibration_file_is_said(program, folder, tmp_path, capsys):
     imu = folder / 'wide.imu.yaml'
     assert main(['report', str(imu)]) == 2
     errors = ' '.join(capsys.readouterr().err.split())
-    assert f"{imu} is not a calibration file (the key 'format' is missing)." in errors
+    assert f'{imu} looks like the file of an IMU, expected a calibration file, which' in errors
 
 
 def test_tables_in_files_end_without_blanks_and_zeros_have_no_sign(folder, capsys):
