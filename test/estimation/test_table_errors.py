@@ -262,6 +262,7 @@ def test_arrivals_worse_than_assumed_are_not_held_against_a_statement() -> None:
         off = replace(
             found.scatter,
             positioning=PositioningErrors(joints=10 * ARCSEC),
+            probability=1.0,
             positioning_probability=1.0,
         )
         (sentence,) = [
