@@ -217,7 +217,9 @@ def test_clipped_gyros_without_a_stated_range_are_warned_of():
         calibrator = HandCalibrator(Setup(si, load_plan('free_positions'), None, SITE))
         gyro = np.clip(block.gyro, -limit, limit)
         calibrator.add_block(replace(block, gyro=gyro))
-        return [text for text in calibrator.finish().findings if is_warning(text)]
+        found = [text for text in calibrator.finish().findings if is_warning(text)]
+        # The gravity of these sessions is none of their latitude's.
+        return [text for text in found if 'off normal gravity' not in text]
 
     assert warnings(np.inf) == []
     told = ' '.join(warnings(120 * DEG))
