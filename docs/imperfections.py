@@ -450,11 +450,10 @@ consumer, medium and navigation grade, ten seeds each, with a place, a heading, 
 direction drawn for each; the table states nothing of its accuracy. Run on 28 November 2026. Not
 honest yet:
 
-- a unit that moves by 100 arcsec in its mount: of 60 sessions two of a consumer and two of a medium
-  unit have E off by 27 to 183 standard deviations and do not say it; in four others an inner
+- a unit that moves by 100 arcsec in its mount: of 60 sessions three of a consumer and one of a
+  medium unit have E off by 27 to 190 standard deviations and do not say it; in four others an inner
   encoder that slips "or the unit turned in its mount" is named, with E off by 9 to 31; in one, of
-  navigation grade on an exact table, attitude errors of stops, which widen E_gyz 81 times. The four
-  that say nothing are among the 15 that moved on the way to a position whose turns come first
+  navigation grade on an exact table, attitude errors of stops, which widen E_gyz 81 times
 - isolators under a consumer unit by 10 arcsec/g are not named: D_a is off by 2.6 to 8.9 standard
   deviations, and in 4 of 10 sessions `accel_quadratic` is found
 - single samples that repeat the one before, 0.1 % of them, are seen among noise, and else while
