@@ -203,6 +203,11 @@ def _worst(row: dict[str, Any]) -> str:
     return f'{PARAMETER_NAMES[k]} {row["off"][k]:+.1f}'
 
 
+def _worst_of(rows: list[dict[str, Any]]) -> str:
+    solved = [row for row in rows if 'off' in row]
+    return _worst(max(solved, key=lambda r: float(np.abs(r['off']).max()))) if solved else '-'
+
+
 def named(finding: str) -> set[str]:
     """Return the causes that a finding names."""
     return {cause for cause, words in CAUSES.items() if re.search(words, finding)}
@@ -331,31 +336,24 @@ def page(rows: list[dict[str, Any]], *, some: bool = False) -> str:
         )
     ]
     for condition in CONDITIONS:
-        for grade in GRADES:
-            these = [r for r in rows if (r['condition'], r['grade']) == (condition, grade)]
-            perfect = [r for r in rows if (r['condition'], r['grade']) == (EXACT, grade)]
-            if not these:
-                continue
-            solved = [r for r in these if 'off' in r]
-            worst = max(solved, key=lambda r: float(np.abs(r['off']).max()), default=None)
-            said = {f for r in these for f in r.get('findings', [r.get('refused', '')])}
-            lines.append(
-                f'| {condition} | {grade} | {"-" if worst is None else _worst(worst)} '
-                f'| {widening(these, perfect, "K")} | {widening(these, perfect, "D")} '
-                f'| {verdict(these)} | {_short(said)} |'
+        units = [
+            [[r for r in rows if (r['condition'], r['grade']) == (one, grade)] for grade in GRADES]
+            for one in (condition, EXACT)
+        ]
+        each = [(these, perfect) for these, perfect in zip(*units, strict=True) if these]
+        if each:
+            widened = (
+                '; '.join(widening(these, perfect, kind) for these, perfect in each)
+                for kind in ('K', 'D')
             )
-    lines.append('\nThe files:\n')
-    run_already = {r['condition'] for r in rows}
-    lines += [
-        f'- {name}: `{one.file}`'
-        for name, one in CONDITIONS.items()
-        if name in run_already and one.file != '{}' and '\n' not in one.file
-    ]
-    lines += ['- laboratory: [laboratory.yaml](../config/imperfections/laboratory.yaml)']
-    lines.append('\nThe largest coefficients of the terms:\n')
-    for name, sizes in SIZES.items():
-        unit = term(name).parameters[0].unit.shown
-        lines.append(f'- {name}: {", ".join(f"{size:g}" for size in sizes)} {unit}')
+            cells = ('; '.join(_worst_of(these) for these, _ in each), *widened)
+            all_of_them = [r for these, _ in each for r in these]
+            sizes = SIZES.get(condition)
+            unit = f' {term(condition).parameters[0].unit.shown}' if sizes else ''
+            name = condition + (
+                ': ' + '; '.join(f'{one:g}' for one in sizes) + unit if sizes else ''
+            )
+            lines.append(f'| {name} | {" | ".join(cells)} | {verdict(all_of_them)} |')
     return '\n'.join(lines) + '\n'
 
 
@@ -363,23 +361,25 @@ def faults(rows: list[dict[str, Any]]) -> list[str]:
     """Return the lines of the table of faults, with the worst, the named and the widened."""
     lines = []
     each = {(r['condition'], r['grade'], r['seed']): r for r in rows}
-    wanted = ((name, grade) for name, one in FAULTS.items() if one.words for grade in one.grades)
-    for name, grade in wanted:
-        these = [r for key, r in each.items() if key[:2] == (name, grade)]
-        if not these:
+    for name, one in FAULTS.items():
+        units = [[r for key, r in each.items() if key[:2] == (name, g)] for g in one.grades]
+        units = [these for these in units if these]
+        if not units or not one.words:
             continue
-        solved = [r for r in these if 'off' in r]
-        worst = max(solved, key=lambda r: float(np.abs(r['off']).max()), default=None)
-        ratios = [
-            float(np.divide(r['std'], base['std']).max())
-            for r in solved
-            if 'off' in (base := each.get((sound(name, grade), grade, r['seed']), {}))
-        ]
-        wide = f'{np.median(ratios):.2f} ({max(ratios):.2f})' if ratios else '-'
-        right = sum(any(name in named(s) for s in said(r)) for r in these)
+        right = [sum(any(name in named(s) for s in said(r)) for r in these) for these in units]
+        wide = []
+        for these in units:
+            ratios = [
+                float(np.divide(r['std'], base['std']).max())
+                for r in these
+                if 'off' in r
+                and 'off'
+                in (base := each.get((sound(name, r['grade']), r['grade'], r['seed']), {}))
+            ]
+            wide.append(f'{np.median(ratios):.2f} ({max(ratios):.2f})' if ratios else '-')
         lines.append(
-            f'| {name} | {grade} | {right} of {len(these)} '
-            f'| {"-" if worst is None else _worst(worst)} | {wide} | {verdict(these)} |'
+            f'| {name} | {"; ".join(map(str, right))} | {"; ".join(map(_worst_of, units))} '
+            f'| {"; ".join(wide)} | {verdict([r for these in units for r in these])} |'
         )
     return lines
 
@@ -387,15 +387,6 @@ def faults(rows: list[dict[str, Any]]) -> list[str]:
 def said(row: dict[str, Any]) -> list[str]:
     """Return findings, or why a session was refused."""
     return row.get('findings') or [row.get('refused', '')]
-
-
-def _short(said: set[str]) -> str:
-    """Return the shortest of what was said, and how many other sentences there were."""
-    if not said:
-        return ''
-    first = min(said, key=len)
-    more = f' (and {len(said) - 1} more)' if len(said) > 1 else ''
-    return first.replace('|', '/') + more
 
 
 def _total(rows: list[dict[str, Any]]) -> str:
@@ -412,43 +403,10 @@ def _total(rows: list[dict[str, Any]]) -> str:
 HEAD = """\
 # Sessions on {which}imperfect stands
 
-Written by `docs/imperfections.py`: sessions of {dwell:g} s per position of three units of
-[config/imus](../config/imus), {seeds}, calibrated with the defaults of `imu-calib calibrate`.
-{code} The keys of the files are in [files/imperfections.md](files/imperfections.md).
-
-The table is `three_axis`. Its description, as often in laboratories, states no accuracy: the
-assumed values are in [tables.md](tables.md) and on the screen. In one row for each unit the table
-is perfect and its description states this; the finding on exact tables is omitted here. Biases
-drift as the data sheets state.
-
-- worst: the parameter whose error is the largest in its stated standard deviations
-- widened: the largest ratio of the stated standard deviations of K, and of D, to those of the
-  perfect, stated table; in brackets that of the information bound
-  (`test/support/bound_of_stands.py`) with the true size of the stand's errors. With errors of
-  encoder readings the bound includes motions from rest to rest too, which that of the perfect table
-  does not. It omits shaking, frozen counts, warm-up of biases and terms.
-- wrong: an error of more than 4.5 standard deviations. It is named if a finding names its cause, or
-  if the result states the unobserved term without which the parameter holds; else it is silent.
-- off by the frame alone: the table's zeros are off by more than the assumed value. This rotates all
-  misalignments and no sensor shows it; the angles between the input axes hold.
-- blamed: findings name a cause that is absent. Terms that explain a session as well as the
-  right one, and are named with it, are not counted.
-
-{total}
-
-Each condition is tried alone here, on one plan. In 450 sessions of eleven plans and eleven units at
-50 to 400 Hz, with two to four conditions at once and wrong figures in the files, three things are
-not right yet. Gyros that drift or step by as much as the Earth turns, beyond what their description
-states, may be refused as at another latitude: 2 of the 450 sessions. Late stamps that jitter too
-may be said to be clocks that were set and samples that are missing, though the parameters hold.
-Positioning errors of joints of five times those stated may be called errors of the encoders or of
-whole stops. What no session shows is in [limits.md](limits.md).
-
-What happens once in a session, or to samples and clocks, was tried with a second program, which
-shares no code with the package (`test/support/other_faults.py`): twelve positions of 20 s, units of
-consumer, medium and navigation grade, ten seeds each, with a place, a heading, an instant and a
-direction drawn for each; the table states nothing of its accuracy. Run on 28 November 2026. Not
-honest yet:
+A calibration is honest if its errors are as large as it says, or if a finding names why they are
+larger. This page tells how often that holds where stands, samples and clocks are not perfect. In
+short: no error of a stand that was tried alone made a session silently wrong, at three grades of
+units. What a session cannot show is in [limits.md](limits.md). Not honest yet:
 
 - a unit that moves by 100 arcsec in its mount: of 60 sessions three of a consumer and one of a
   medium unit have E off by 27 to 190 standard deviations and do not say it; in four others an inner
@@ -468,6 +426,24 @@ honest yet:
   errors are 0.9, 1.3, 1.5 and 1.4 of their standard deviations (root mean square; the worst 4.4)
 - a step of the mount costs 2.4 times the processor time of a session without (median of navigation
   grade), and up to 7 times
+- in 450 sessions of eleven plans and units at 50 to 400 Hz with two to four conditions at once:
+  gyros that drift or step by as much as the Earth turns, beyond what their description states, may
+  be refused as at another latitude (2 sessions); late stamps that jitter too may be called clocks
+  that were set and samples that are missing, though the parameters hold; positioning errors of
+  joints of five times those stated may be called errors of the encoders or of whole stops
+
+In both tables three values in a cell are those of three units, and worst is the parameter whose
+error is the largest in its stated standard deviations. Wrong is an error of more than 4.5 of them:
+named, if a finding names its cause or the result states the unobserved term without which the
+parameter holds; else silent. Blamed: findings name a cause that is absent, and not beside the right
+one.
+
+## Faults
+
+What happens once in a session, or to samples and clocks, by a second program that shares no code
+with the package (`test/support/other_faults.py`): twelve positions of 20 s, units of consumer,
+medium and navigation grade, ten seeds each, with a place, a heading, an instant and a direction
+drawn for each; the table states nothing of its accuracy. Run on 28 November 2026.
 
 Readings of the vertical joint that step do not matter and are not named ([limits.md](limits.md));
 those of the others are, but for one of 15. Of 307 sessions in which nothing happens (67 draws of
@@ -476,18 +452,39 @@ anything. Their errors are 0.80 standard deviations (root mean square; K and D 1
 a unit that freezes for good in a turn, a move or a dwell is named, and stamps in steps of 15.6 ms
 with 40 % of the samples lost are refused (one to three seeds each).
 
-- named: a finding, or the refusal, names it
+- named: in so many of ten sessions a finding, or the refusal, names it
 - widened: the largest ratio of the 24 standard deviations to those of the session in which nothing
   happens; of the seeds the median, and in brackets the largest
 
-| what happens | unit | named | worst | widened | verdict |
-|---|---|---|---|---|---|
+| what happens | named | worst | widened | verdict |
+|---|---|---|---|---|
 {faults}
 
-The truth is the mean over the session, in seconds of the table's clock.
+## Stands
 
-| condition | unit | worst | K widened | D widened | verdict | findings |
-|---|---|---|---|---|---|---|"""
+Written by `docs/imperfections.py`: sessions of {dwell:g} s per position of `fog_navigation`,
+`fog_medium` and `mems_counts` ([config/imus](../config/imus)), {seeds}, calibrated with the
+defaults of `imu-calib calibrate`. {code} Conditions are named by what
+[files/imperfections.md](files/imperfections.md) calls them; `docs/imperfect_stands.py` has the
+files, [laboratory.yaml](../config/imperfections/laboratory.yaml) is shipped.
+
+The table is `three_axis`. Its description, as often in laboratories, states no accuracy: the
+assumed values are in [tables.md](tables.md) and on the screen. In one row the table is perfect and
+its description states this; the finding on exact tables is omitted here. Biases drift as the data
+sheets state. The truth is the mean over the session, in seconds of the table's clock.
+
+- widened: the largest ratio of the stated standard deviations of K, and of D, to those of the
+  perfect, stated table; in brackets that of the information bound
+  (`test/support/bound_of_stands.py`) with the true size of the stand's errors. With errors of
+  encoder readings the bound includes motions from rest to rest too, which that of the perfect table
+  does not. It omits shaking, frozen counts, warm-up of biases and terms.
+- off by the frame alone: the table's zeros are off by more than the assumed value. This rotates all
+  misalignments and no sensor shows it; the angles between the input axes hold.
+
+{total}
+
+| condition | worst | K widened | D widened | verdict |
+|---|---|---|---|---|"""
 
 
 def main() -> None:
