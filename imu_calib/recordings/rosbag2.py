@@ -43,6 +43,9 @@ from .storage import (
 
 JOURNAL = 'journal'
 """Folder of the recording within that of a stand's session."""
+SIMULATED_CLOCK = 'imu_calib.simulated_clock'
+"""Own entry of a recording whose log times are of the simulated time of its stamps, as late as the
+recorder was: they are no second clock."""
 _STORAGE = ('.mcap', '.db3')
 _PACKED = ('.zstd', '.zst')
 
@@ -257,7 +260,8 @@ class Recording:
         custom_data: Entries that the recorder left in the metadata.
         start_ns: Earliest log time, ns; None where unknown.
         end_ns: Latest log time, ns; None where unknown.
-        clocks: Header stamps against log times of the topics read last, by name.
+        clocks: Header stamps against log times of the topics read last, by name; none of simulated
+            time.
     """
 
     def __init__(
@@ -427,13 +431,14 @@ class Recording:
         for storage in self._storages:
             offsets.append(before)
             before += storage.size
-        self.clocks = {topic: RecordedClock() for topic in topics}
+        clocks = {topic: RecordedClock() for topic in topics}
+        self.clocks = {} if SIMULATED_CLOCK in self.custom_data else clocks
         return {
             topic: _decoded(
                 kind,
                 [(base, cursor[topic]) for base, cursor in zip(offsets, cursors, strict=True)],
                 malformed[topic],
-                self.clocks[topic],
+                clocks[topic],
             )
             for topic, kind in topics.items()
         }

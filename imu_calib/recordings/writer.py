@@ -336,7 +336,6 @@ class Journal:
         self.losses: list[str] = []
         self._progress = progress
         self._topics = dict(topics)
-        self._last: dict[str, int] = {}
         self._newest = 0
         resumed = path.is_dir() and any(path.iterdir())
         if resumed:
@@ -388,16 +387,15 @@ class Journal:
     def write(self, topic: str, type_name: str, messages: Messages, now: int) -> None:
         """Append messages of a topic that arrive now, ns; at least one.
 
-        Log times never decrease, even if the clock jumps back.
+        Log times increase, even if the clock jumps back.
 
         Raises:
             InputError: The disk is full. The messages are held in memory, and the next `flush`
                 tries again.
         """
-        first = max(now, self._newest, self._last.get(topic, 0) + 1)
+        first = max(now, self._newest + 1)
         log_time = first + np.arange(len(messages), dtype=np.int64)
-        self._last[topic] = int(log_time[-1])
-        self._newest = max(self._newest, first)
+        self._newest = int(log_time[-1])
         self._writer.write(topic, type_name, messages, log_time)
 
     def add_latched_topic(self, topic: str, type_name: str) -> None:

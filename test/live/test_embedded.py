@@ -102,6 +102,10 @@ def test_processes_of_their_own_measure_the_same_unit(finished):
     # The same stand: neither knows more than the other. Dwells of three seconds tell the scatter of
     # a single parameter to a fifth.
     assert np.median(other.std / one.std) == pytest.approx(1, abs=0.2)
+    # Log times are those of a node that may be seconds late, in a time a hundred times as fast.
+    journal = finished / 'apart' / 'journal'
+    assert imu_calib.inspect(journal).clocks == ()
+    assert not any('order of their log times' in f for f in imu_calib.calibrate(journal).findings)
 
 
 def test_a_node_may_rely_on_the_same_as_on_the_wire():

@@ -157,6 +157,19 @@ def test_silence_in_simulated_time_is_told_by_the_clock_on_the_wall():
     assert any(f'{moment:%H:%M:%S}' in word.text for moment in (before, after))
 
 
+def test_a_simulation_that_stands_after_a_long_step_is_not_silent():
+    """Its frames come before the message of its clock up to which they reach."""
+    reception = Reception(load_format('simulated'), load_imu('fog_medium'), simulated=True)
+    line = [frame(k, k * NS // 100, [0] * 6) for k in range(700)]
+    for k in range(200):
+        at = k * NS // 100
+        reception.decode_chunks([Chunk(line[k], at, at)], at, k / 100)
+    assert reception.clock.offset is not None
+    reception.decode_chunks([Chunk(b''.join(line[200:]), 2 * NS, 2 * NS)], 2 * NS, 2.0)
+    assert not reception.health.silent(7 * NS, 9.0)
+    assert reception.health.silent(8 * NS, 9.0)
+
+
 @pytest.mark.parametrize(('late', 'silent'), [(0.5, False), (0.51, True)])
 def test_the_calibrator_misses_samples_half_a_second_behind_the_table(monkeypatch, late, silent):
     now = time.monotonic()

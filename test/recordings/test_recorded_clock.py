@@ -19,7 +19,7 @@ from imu_calib.common.units import PPM
 from imu_calib.model.sensors import SensorModel
 from imu_calib.recordings.cdr_codec import Kind, encode_imu
 from imu_calib.recordings.order import RecordedClock
-from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.rosbag2 import SIMULATED_CLOCK, open_recording
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.imu import load_imu
 
@@ -91,11 +91,11 @@ def sound(in_the_hand):
     return calibrate(in_the_hand).calibration
 
 
-def restamped(source: Path, target: Path, change: Change) -> Path:
+def restamped(source: Path, target: Path, change: Change, **entries: str) -> Path:
     """Copy a recording with other header stamps; the log times remain."""
     with (
         open_recording(source) as recording,
-        RecordingWriter(target, recording.custom_data) as writer,
+        RecordingWriter(target, recording.custom_data | entries) as writer,
     ):
         for topic, block in recording.read({t.name: Kind.IMU for t in recording.topics}):
             other = ImuBlock(change(block.stamp), block.gyro, block.accel, block.frame_id)
@@ -117,6 +117,15 @@ def test_stamps_that_run_fast_are_said_with_what_contains_them(in_the_hand, soun
     # Angles are rates by durations, and these are those of the stamps.
     contained = (1 + found.values[:3]) / (1 + sound.values[:3]) - 1
     assert np.abs(contained - 0.015).max() < sound.std[:3].max()
+
+
+def test_log_times_of_simulated_time_are_no_second_clock(in_the_hand, tmp_path):
+    """A recorder that is late by seconds of a time that passes a hundred times as fast."""
+    epoch = 1_700_000_000 * NS
+    entries = {SIMULATED_CLOCK: 'true'}
+    bag = restamped(in_the_hand, tmp_path / 'bag', lambda s: s + (s - epoch) * 6 // 100, **entries)
+    assert not any('log times' in finding for finding in calibrate(bag).calibration.findings)
+    assert inspect(bag).clocks == ()
 
 
 @pytest.mark.parametrize(('faster', 'notes'), [(800, 1), (-300, 1), (150, 0)])

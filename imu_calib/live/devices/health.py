@@ -444,6 +444,7 @@ class Reception:
         )
         caution = '' if baud is None else too_slow(baud.rate, frames, nominal)
         self.health = Health(frames, nominal, gap_timeout, caution, imu)  #: Monitors the device.
+        self._simulated = simulated
         self._received = 0
 
     def decode_chunks(self, chunks: list[Chunk], now: int, steady: float) -> tuple[Samples, Stamps]:
@@ -461,6 +462,9 @@ class Reception:
         times = np.array([(chunk.arrival, chunk.steady) for chunk in chunks], np.int64)
         arrival, steady_arrival = times[np.searchsorted(ends, samples.end)].T
         elapsed = self.clock.elapsed_times(samples.time, samples.counter, arrival, steady_arrival)
+        if self._simulated and len(samples) and self.clock.offset is not None:
+            # Frames are sent before the clock that they reach up to.
+            now = max(now, self.clock.offset + int(elapsed[-1]))
         self.health.add_received(samples, elapsed, len(data), now, steady)
         return samples, elapsed
 

@@ -11,6 +11,7 @@ from typing import Any
 from ...common.errors import InputError
 from ...common.stream import NS
 from ...recordings.cdr_codec import Kind
+from ...recordings.rosbag2 import SIMULATED_CLOCK
 from ...reports.convergence import reading_sentence
 from ...session.plan import Plan
 from .. import middleware as ros
@@ -217,6 +218,8 @@ class CalibratorNode(ros.Node):
         self.create_service(ros.Trigger, '~/save', self._on_save)
         state = None if table is None else self._turntable.topic
         self._told_at = -math.inf
+        if self._simulated:
+            description |= {SIMULATED_CLOCK: 'true'}
         self._factory = SessionFactory(self._units, description, journal, state, self._tell_read)
         self._sessions = self._new_sessions()
         self.create_timer(_TICK, self._on_tick, clock=steady)
