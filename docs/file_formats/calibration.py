@@ -55,6 +55,11 @@ _FORMAT = Key(
 )
 _IMU = Key('imu', text(), '`id` of the [IMU](imu.md)', REQUIRED)
 _SERIAL = Key('serial_number', text(), 'of the unit', '')
+_CHECKSUM = Key(
+    'checksum',
+    text(),
+    'SHA-256 of all lines above: `certificate` refuses a file that was edited, `verify` says so',
+)
 
 _SCALE = Key(
     'scale_factor',
@@ -355,6 +360,7 @@ KEYS = [
         'by their effect on the numbers',
     ),
     Key('provenance', _noted(_PROVENANCE), 'origin of the calibration; other keys are allowed'),
+    _CHECKSUM,
 ]
 _SINGLE = mapping(KEYS)
 
@@ -374,6 +380,7 @@ COMBINED = [
         'each as in its own file, with `provenance: temperature`',
         REQUIRED,
     ),
+    _CHECKSUM,
 ]
 
 TABLES: Tables = {

@@ -172,6 +172,12 @@ _RECORD = [
     _key('calibration', _TEXT, 'name of its file'),
     _key('calibrated_unit', _maybe(_TEXT), 'serial number in it'),
     _key('calibration_recorded', _maybe(_TEXT), 'when the recording it was made from began, UTC'),
+    _key('calibration_sha256', _maybe(_TEXT), 'of its file; `null` of a value'),
+    _key(
+        'calibration_as_saved',
+        _maybe(flag()),
+        'whether its checksum is that of its text; `null` without one',
+    ),
     _key('gravity', _NUMBER, 'compared with, m/s^2'),
     _key('gravity_source', _TEXT, '`measured`, or how it was computed'),
     _key('latitude_deg', _NUMBER, 'of the site, deg'),
@@ -185,7 +191,11 @@ _VERIFY = [
         flag(),
         'whether the calibration was made from the recording, which tests nothing: exit code 1',
     ),
-    _key('untested', _TEXTS, 'parameters whose errors the recording would not show'),
+    _key(
+        'untested',
+        _TEXTS,
+        'parameters whose errors the recording would not show; accepted with any: exit code 4',
+    ),
     _key('limits', _below(_LIMITS), 'of the verdicts'),
     _key('triads', _rows(_TRIAD), 'gyros and accelerometers'),
     _key('compared', _rows(_COMPARED), 'every quantity at every position'),
@@ -436,7 +446,7 @@ def _of_command(name: str) -> Schema:
 KEYS = [
     _key('format', Value({'const': FORMAT, 'type': 'number'}, f'`{FORMAT}`'), 'of the document'),
     _key('command', Value({'enum': [*COMMANDS, '']}, ', '.join(f'`{c}`' for c in COMMANDS)), 'run'),
-    _key('exit_code', choice([0, 1, 2, 3, 130]), 'of the command'),
+    _key('exit_code', choice([0, 1, 2, 3, 4, 130]), 'of the command'),
     _key('error', _maybe(_below(_ERROR)), 'why there is no result'),
     _key('result', Value({'type': ['object', 'null']}, 'keys, below, or `null`'), 'SI units'),
 ]

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import timedelta
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..calibration.calibration import Calibration
+from ..calibration.calibration import Calibration, is_as_saved
 from ..calibration.compensate import TurnsSeen
 from ..calibration.diagnosis import Diagnosis
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_identity, first_of
 from ..calibration.verify import Verdict, Verification
 from ..calibration.verify import verify as judge
 from ..common.errors import InputError, NotObservable, NotStated
-from ..common.files import printable, version
+from ..common.files import printable, user_path, version
 from ..common.processes import by_one_thread
 from ..common.progress import Progress, silent
 from ..common.stream import Floats, ImuBlock, Units, iso, utc
@@ -98,7 +99,21 @@ def verify(
     """
     loaded, name = as_applied(calibration)
     with recording_at(bag, rate) as recording:
-        return _verify(loaded, name, recording, Stated(**stated), another_unit, progress)
+        found = _verify(loaded, name, recording, Stated(**stated), another_unit, progress)
+    if not isinstance(calibration, str | Path):
+        return found
+    file = user_path(calibration)
+    whole = is_as_saved(file)
+    of_file = {
+        'calibration_sha256': sha256(file.read_bytes()).hexdigest(),
+        'calibration_as_saved': whole,
+    }
+    edited = (
+        f'{name} was edited after it was saved (its checksum is that of another text): the verdict '
+        'is on the file as it is now.'
+    )
+    notes = (edited, *found.findings) if whole is False else found.findings
+    return replace(found, findings=notes, record={**found.record, **of_file})
 
 
 def _verify(
@@ -167,6 +182,8 @@ def _verify(
             'calibration': printable(Path(name).name),
             'calibrated_unit': calibration.serial_number or None,
             'calibration_recorded': calibration.provenance.get('recorded'),
+            'calibration_sha256': None,
+            'calibration_as_saved': None,
             'gravity': site.gravity,
             'gravity_source': site.gravity_source,
             'latitude_deg': site.latitude / DEG,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ from ..common.arguments import checked
 from ..common.budget import Budget, ErrorSource, Share
 from ..common.config import SafeDumper, Section, dump
 from ..common.errors import InputError
-from ..common.files import user_path, write_whole
+from ..common.files import read_text, user_path, write_whole
 from ..common.finding import by_effect, how_many
 from ..common.stream import Floats, Units
 from ..model.alignment import Angles, free_of_frame
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from .views import LabelledValues
 
 _FORMAT = 1  #: Version of calibration.yaml; others are refused.
+CHECKSUM = 'checksum'  #: Key of the last line of a file.
 
 BY_ACCELEROMETERS = 'accelerometers'
 """Value of `frame` in the provenance: the axes of a session in the hand."""
@@ -263,7 +265,7 @@ class Calibration:
             head += f'# To channel i of the {TRIADS[term.triad]} add {term.formula}.\n'
         if not self.has_accelerometers:
             head += '# The accelerometers were not calibrated.\n'
-        return head + dump(self.to_dict(), _Dumper, width=200)
+        return with_checksum(head + dump(self.to_dict(), _Dumper, width=200))
 
     def _triad_document(self, letter: str, spec: TriadSpec, triad: Triad) -> dict[str, Any]:
         """Return a triad's section: the linear part, and its terms."""
@@ -475,6 +477,7 @@ class Calibration:
             residuals = tuple(_read_residual(row) for row in section.sections('residuals'))
         findings = section.texts('findings')
         section.skip('free_of_frame')
+        section.text(CHECKSUM, '')
         provenance = read_origin(section)
         serial_number = section.text('serial_number', '')
         budget = None
@@ -501,6 +504,18 @@ class Calibration:
         check_plausible(calibration, section.where)
         calibration._check_stated_std(section)
         return calibration
+
+
+def with_checksum(text: str) -> str:
+    """Return the text of a file with its SHA-256 in a last line, which shows later changes."""
+    return f'{text}{CHECKSUM}: {sha256(text.encode()).hexdigest()}\n'
+
+
+def is_as_saved(path: Path) -> bool | None:
+    """Return whether a file has the text that was saved; None if it has no checksum."""
+    # Line ends are those of the system that copied it.
+    text, _, stated = read_text(path).replace('\r\n', '\n').rpartition(f'{CHECKSUM}: ')
+    return f'{CHECKSUM}: {stated}' == with_checksum(text)[len(text) :] if text else None
 
 
 class _Dumper(SafeDumper):

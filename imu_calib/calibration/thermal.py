@@ -18,7 +18,7 @@ from ..common.stream import Floats
 from ..common.units import counted
 from ..session.imu import UNNAMED, ImuSpec, StampingClock
 from .agreement import gravity_deviation, without_gravity
-from .calibration import Calibration, calibration_section
+from .calibration import CHECKSUM, Calibration, calibration_section, with_checksum
 
 _FORMAT = 1  #: Version of the format of combined calibrations; others are refused.
 _APART = 0.5  #: K: closer ones count as one temperature: a slope between them would be noise.
@@ -130,6 +130,8 @@ class ThermalCalibration:
     def to_yaml(self) -> str:
         """Return the file's text: the calibrations in sequence, each as in its own file."""
         documents = [load(c.to_yaml()) for c in self.calibrations]
+        for document in documents:
+            del document[CHECKSUM]
         first = self.calibrations[0]
         head: dict[str, Any] = {
             'format': _FORMAT,
@@ -143,7 +145,7 @@ class ThermalCalibration:
         )
         text += dump(head)
         text += dump({'calibrations': documents}, default_flow_style=None, width=200)
-        return text
+        return with_checksum(text)
 
     @checked
     def save(self, path: str | Path) -> None:
@@ -230,6 +232,7 @@ def read_calibration(section: Section) -> AnyCalibration:
         raise InputError(f'{section.key("format")}: found {version:g}, expected {_FORMAT}.')
     section.text('imu')
     section.text('serial_number', '')
+    section.text(CHECKSUM, '')
     order = None
     if section.has('order') and section.raw('order') != 'lines':
         order = section.whole('order', 1, MOST)

@@ -407,8 +407,19 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
             *observed.notes,
         ),
         by_hand=calibration.by_hand,
-        untested=tuple(name for trial in trials for name in trial.untested(calibration, limits[1])),
+        untested=(
+            *(name for trial in trials for name in trial.untested(calibration, limits[1])),
+            *_not_compared(calibration, trials),
+        ),
     )
+
+
+def _not_compared(calibration: Calibration, trials: Sequence[_Trial]) -> Iterator[str]:
+    """Yield the estimated parameters of sensors that are not compared."""
+    compared = {p for trial in trials for p in trial.system.sensors.parameters}
+    for parameter, std in zip(calibration.parameters, calibration.std, strict=True):
+        if std > 0 and parameter not in compared:
+            yield parameter.name
 
 
 def _limit(chance: float, count: int) -> float:

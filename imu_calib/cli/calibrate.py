@@ -17,14 +17,14 @@ from ..calibration.noise_at_rest import NOISE_EXPORTS, NoiseAtRest
 from ..calibration.verify import Verdict, Verification
 from ..common.errors import InputError
 from ..common.files import require, write_by, write_whole
-from ..common.units import lasting
+from ..common.units import counted, lasting
 from ..recordings.remote import located
 from ..reports.assessment import assess, summary
 from ..reports.budget import budget_sources, budget_tables
 from ..reports.noise import COLUMNS, noise_page, noise_rows, noise_tables
 from ..reports.provenance import verdict_line
 from ..reports.side_by_side import comparison_tables, table_estimate
-from ..reports.verification import limits_line, moved_table, worst_of
+from ..reports.verification import limits_line, moved_table, record_table, worst_of
 from ..session.keywords import Calibrated, ImuTopic, Numbered, OfType, Read
 from ..session.plan import METHOD_NAMES
 from . import options
@@ -33,6 +33,7 @@ from .outcome import (
     EXIT_CODES,
     NO_ANSWER,
     OUTSIDE,
+    UNTESTED,
     WRONG_INPUT,
     CommandResult,
     add_json_option,
@@ -373,8 +374,9 @@ _WORST = 4  #: Static dwells and turns that are shown without --verbose. A choic
 def add_verify_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.epilog = (
-        'Exit codes: 0 accepted, 1 rejected or no verdict possible, 2 wrong usage or unreadable '
-        'input, 130 interrupted.'
+        'Exit codes: 0 accepted, and every parameter tested; 1 rejected or no verdict possible; 2 '
+        'wrong usage or unreadable input; 4 accepted, but parameters were not tested; 130 '
+        'interrupted.'
     )
     options.add_bag(parser)
     parser.add_argument(
@@ -404,6 +406,12 @@ def run_verify(arguments: argparse.Namespace) -> CommandResult:
             f'{arguments.calibration} was made from {arguments.bag}: verify with another recording.'
         )
         return CommandResult(verification.to_dict(), NO_ANSWER, message)
+    if verification.untested:
+        message = (
+            f'{arguments.bag} does not test {counted(len(verification.untested), "parameter")} of '
+            f'{arguments.calibration}: verify those with another recording.'
+        )
+        return CommandResult(verification.to_dict(), UNTESTED, message)
     return CommandResult(verification.to_dict())
 
 
@@ -422,5 +430,8 @@ def _show_verification(verification: Verification, *, verbose: bool) -> None:
         OUTPUT.print()
         OUTPUT.print(moved_table(moved, by_hand=verification.by_hand))
     print_findings(verification.findings, verbose=verbose)
+    if verbose:
+        OUTPUT.print()
+        OUTPUT.print(record_table(verification))
     OUTPUT.print()
     print_text(verification.outcome)

@@ -24,12 +24,14 @@ if TYPE_CHECKING:
 
 
 FORMAT = 1  #: Version of the documents: it increases when a key changes its meaning or is removed.
-DONE, NO_ANSWER, WRONG_INPUT, OUTSIDE = 0, 1, 2, 3
-"""Exit codes. OUTSIDE: a parameter is proven to be outside the unit's specification."""
+DONE, NO_ANSWER, WRONG_INPUT, OUTSIDE, UNTESTED = 0, 1, 2, 3, 4
+"""Exit codes. OUTSIDE: a parameter is proven to be outside the unit's specification. UNTESTED: a
+verification accepts, but of a recording that does not test every parameter."""
 EXIT_CODES = (
     'Exit codes: 0 done; 1 the data cannot give the answer (the message names the parameter and '
     'the reason), or contradicts the calibration to be verified; 2 wrong usage or unreadable '
-    'input; 3 the unit is outside its specification; 130 interrupted (Ctrl-C).'
+    'input; 3 the unit is outside its specification; 4 verified without contradiction, but not '
+    'every parameter was tested; 130 interrupted (Ctrl-C).'
 )
 JSON = '--json'  #: The option that requests a document.
 

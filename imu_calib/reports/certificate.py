@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..calibration.calibration import Calibration
+from ..calibration.calibration import Calibration, is_as_saved
 from ..common.budget import PROBABILITY, Budget, ErrorSource
 from ..common.errors import InputError
 from ..common.files import version
@@ -146,6 +146,12 @@ def certificate_of(
         lacking.append(
             'a standard uncertainty of gravity, which the calibration takes as exact: calibrate '
             'again with `gravity_std` (7.6.1)'
+        )
+    if source is not None and not (whole := is_as_saved(source)):
+        found = 'has no checksum' if whole is None else 'was edited after it was saved'
+        lacking.append(
+            f'a file of the calibration as it was saved: {source.name} {found}; calibrate again '
+            '(7.11.3)'
         )
     lacking += _unnamed_references(fields, calibration, budget)
     if lacking and not draft:

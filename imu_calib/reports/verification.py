@@ -76,6 +76,15 @@ def moved_table(moved: Sequence[ShiftedParameter], *, by_hand: bool) -> Table:
     return table
 
 
+def record_table(verification: Verification) -> Table:
+    """Return what was verified with what, by the keys of docs/files/output.md."""
+    table = plain_table(('record', ''), 'll')
+    for name, value in verification.record.items():
+        shown = f'{value:.8g}' if isinstance(value, float) else value
+        table.add_row(name.replace('_', ' '), 'not stated' if shown is None else str(shown))
+    return table
+
+
 def _verification_table(
     verification: Verification,
     quantities: Sequence[Quantity],

@@ -6,7 +6,7 @@ import pytest
 import yaml
 from sessions import truth
 
-from imu_calib.calibration.calibration import Calibration, ResidualRow
+from imu_calib.calibration.calibration import Calibration, ResidualRow, is_as_saved
 from imu_calib.common.errors import InputError
 from imu_calib.common.units import ARCMIN
 from imu_calib.model.sensors import SensorModel
@@ -36,6 +36,19 @@ def test_a_calibration_comes_back_from_its_file_bit_for_bit(tmp_path):
     assert np.array_equal(loaded.model.vector(), saved.model.vector())
     assert np.array_equal(loaded.covariance, saved.covariance)
     assert [p.name for p in tmp_path.iterdir()] == ['calibration.yaml']
+
+
+def test_a_file_shows_that_it_was_edited(tmp_path):
+    path = tmp_path / 'calibration.yaml'
+    example().save(path)
+    saved = path.read_bytes()
+    assert is_as_saved(path) is True
+    path.write_bytes(saved.replace(b'\n', b'\r\n'))
+    assert is_as_saved(path) is True
+    path.write_bytes(saved.replace(b'imu: ', b'imu:  '))
+    assert is_as_saved(path) is False
+    path.write_bytes(saved[: saved.rindex(b'checksum')])
+    assert is_as_saved(path) is None
 
 
 def test_a_mean_temperature_that_was_rounded_beyond_the_readings_is_loaded(tmp_path):

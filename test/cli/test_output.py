@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,7 @@ def test_a_calibration_is_a_document_and_people_read_stderr(program, folder, tmp
     assert [e.message for e in FILE.iter_errors(saved.to_dict())] == []
     # Degrees of freedom without an end are no number of JSON's.
     assert result['calibration']['covariance'] == saved.to_dict()['covariance']
-    assert result['calibration'].keys() == yaml.safe_load(file.read_text()).keys()
+    assert [*result['calibration'], 'checksum'] == list(yaml.safe_load(file.read_text()))
     known = {p['name']: p for p in result['parameters']}
     for parameter, value, std in zip(saved.parameters, saved.values, saved.std, strict=True):
         told = known[parameter.name]
@@ -208,12 +209,17 @@ def test_a_unit_without_a_specification_is_refused_before_it_is_calibrated(
 
 
 def test_a_verdict_is_a_document_and_rejected_is_exit_code_1(program, folder, tmp_path):
-    document = program('verify', folder / 'two', '--calibration', folder / 'one.yaml')
-    assert document['result']['verdict'] == 'pass'
+    # In the hand no recording tests the scale factors of gyros.
+    document = program('verify', folder / 'two', '--calibration', folder / 'one.yaml', code=4)
+    assert document['result']['verdict'] == 'pass' and 'K_gx' in document['result']['untested']
+    assert 'does not test' in program.told
     assert {row['unit'] for row in document['result']['compared']} == {'m/s^2', 'rad/s'}
     made = Calibration.load(folder / 'one.yaml')
     record, facts = document['result']['record'], made.provenance
     assert (record['recording'], record['calibration']) == ('two', 'one.yaml')
+    text = (folder / 'one.yaml').read_bytes()
+    assert record['calibration_sha256'] == sha256(text).hexdigest()
+    assert record['calibration_as_saved'] is True
     assert re.fullmatch('[0-9a-f]{64}', record['sha256']) and record['sha256'] != facts['sha256']
     assert record['calibration_recorded'] == facts['recorded'] and record['recorded'] is not None
     of_site = ('gravity', 'gravity_source', 'latitude_deg', 'table')
@@ -227,6 +233,11 @@ def test_a_verdict_is_a_document_and_rejected_is_exit_code_1(program, folder, tm
     assert (gyros['verdict'], accels['verdict']) == ('pass', 'fail')
     assert 'D_az' in {moved['name'] for moved in accels['moved']} and accels['symptom']
     assert 'is rejected by' in program.told
+    edited = tmp_path / 'e.yaml'
+    edited.write_bytes(text.replace(b'serial_number: ', b'serial_number:  '))
+    result = program('verify', folder / 'two', '--calibration', edited, code=4)['result']
+    assert result['record']['calibration_as_saved'] is False
+    assert 'was edited after it was saved' in result['findings'][0]
 
 
 def test_a_comparison_is_a_document(program, folder):

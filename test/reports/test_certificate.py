@@ -247,6 +247,15 @@ def test_a_calibration_without_a_serial_number_gives_a_draft_alone(calibration):
     assert 'calibrate again with `serial`' in draft.missing[-1]
 
 
+def test_a_file_that_was_edited_is_not_certified(calibration, tmp_path):
+    path, target = tmp_path / 'c.yaml', tmp_path / 'c.html'
+    calibration.save(path)
+    certificate(path, fields(), target, imu='fog_medium')
+    path.write_text(path.read_text().replace('latitude_deg: ', 'latitude_deg:  '))
+    with pytest.raises(InputError, match=r'c\.yaml was edited after it was saved'):
+        certificate(path, fields(), target, imu='fog_medium')
+
+
 def test_a_certificate_is_not_issued_before_its_day(calibration, tmp_path):
     later = fields(issued='2123-11-16')
     with pytest.raises(InputError, match='issued: found 2123-11-16, which is after today'):
