@@ -18,7 +18,7 @@ import numpy as np
 from ..common.errors import InputError
 from ..common.files import require
 from ..common.stream import Floats, Stamps
-from ..common.units import counted, decimals, significant
+from ..common.units import counted, rounded, significant
 from ..model.parameters import PARAMETERS, Parameter, engineering
 from ..session.imu import COEFFICIENTS, TRIAD_NAMES, ChannelNoise
 
@@ -129,9 +129,8 @@ def parameter_page(
         # A zero that is exact is a choice of axes.
         if deviation > 0 or (deviation == 0 and value):
             unit = engineering(parameter, by_hand=by_hand)
-            places = decimals(deviation / unit.scale)
-            number = f'{value / unit.scale:.{places}f}'.replace('-', '\u2212')
-            number += f' \u00b1 {deviation / unit.scale:.{places}f}' if deviation else ''
+            number, std_text = rounded(value / unit.scale, deviation / unit.scale)
+            number = number.replace('-', '\u2212') + (f' \u00b1 {std_text}' if deviation else '')
             columns[parameter.triad].append(
                 f'<th>{parameter.name}</th><td>{number}</td>'
                 f'<td style="text-align:left">{escape(unit.symbol)}</td>'

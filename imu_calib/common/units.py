@@ -195,10 +195,36 @@ def as_options(sentence: str, shown: str = '{}') -> str:
 
 
 def decimals(deviation: float) -> int:
-    """Return the decimals that show a standard deviation with two significant digits."""
+    """Return the decimals that show a standard deviation with two significant digits.
+
+    Examples:
+        >>> decimals(0.0946), decimals(0.0996), decimals(146.0)
+        (3, 2, 0)
+    """
+    return max(_place(deviation), 0)
+
+
+def _place(deviation: float) -> int:
+    """Return the place of the second significant digit of a rounded number; 0 are the ones."""
     if not math.isfinite(deviation) or deviation <= 0:
         return 4
-    return min(max(1 - math.floor(math.log10(deviation)), 0), 9)
+    return min(1 - int(f'{deviation:.1e}'.partition('e')[2]), 9)
+
+
+def rounded(value: float, *uncertainties: float) -> tuple[str, ...]:
+    """Return a value and its uncertainties as text.
+
+    Two significant digits of each uncertainty, and the value to the last of the first's (JCGM
+    100:2008, 7.2.6; EA-4/02 M:2022, 6.3).
+
+    Examples:
+        >>> rounded(1923.04, 2.71), rounded(-90908.3, 146.0), rounded(5.22741, 0.0187, 0.00936)
+        (('1923.0', '2.7'), ('-90910', '150'), ('5.227', '0.019', '0.0094'))
+    """
+    places = [_place(uncertainty) for uncertainty in uncertainties]
+    pairs = zip((value, *uncertainties), (places[0], *places), strict=True)
+    # Zero has no sign.
+    return tuple(f'{round(x, at) + 0.0:.{max(at, 0)}f}' for x, at in pairs)
 
 
 _LISTED = 8  #: Units that a message lists at most. A choice: more are not read.

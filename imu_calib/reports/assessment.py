@@ -10,7 +10,7 @@ from html import escape
 import numpy as np
 
 from ..calibration.calibration import Calibration
-from ..common.units import decimals
+from ..common.units import rounded
 from ..model.parameters import Parameter, ParameterKind, engineering
 from ..model.terms import TERMS
 from ..session.imu import (
@@ -21,7 +21,7 @@ from ..session.imu import (
 )
 from .charts import drawing, joined, segment, tag
 from .html import table
-from .tables import angle_unit, fixed
+from .tables import angle_unit, minus
 
 LIMITS = (
     'Pass and fail are given where the value and its error bar of two standard deviations lie '
@@ -123,15 +123,8 @@ def angles_table(calibration: Calibration) -> str:
     rows = []
     for angles in calibration.free_of_frame:
         for name, value, std in zip(angles.group.names, angles.values, angles.std, strict=True):
-            places = decimals(std / unit.scale)
-            rows.append(
-                [
-                    tag('b', f'{angles.group.words} {name}'),
-                    fixed(value / unit.scale, places),
-                    f'{COVERAGE * std / unit.scale:.{places}f}',
-                    unit.unit,
-                ]
-            )
+            shown, error = rounded(value / unit.scale, COVERAGE * std / unit.scale)
+            rows.append([tag('b', f'{angles.group.words} {name}'), minus(shown), error, unit.unit])
     headings = ['', 'value', f'\u00b1 {COVERAGE:g} std', 'unit']
     inside = tag('h3', 'Angles between axes') + table(headings, rows, 'angles', 'lrrl')
     return tag('div', inside, class_='whole')
@@ -139,8 +132,7 @@ def angles_table(calibration: Calibration) -> str:
 
 def _row(assessed: Assessed) -> list[str]:
     shown = engineering(assessed.parameter, by_hand=assessed.by_hand)
-    value, std = assessed.value / shown.scale, assessed.std / shown.scale
-    places = decimals(std)
+    value, error = rounded(assessed.value / shown.scale, COVERAGE * assessed.std / shown.scale)
     limit, bar, verdict = '', '', ''
     if assessed.limit is not None:
         limit = f'\u00b1{assessed.limit / shown.scale:g}'
@@ -149,8 +141,8 @@ def _row(assessed: Assessed) -> list[str]:
     return [
         tag('b', assessed.parameter.name),
         assessed.parameter.kind.value.words,
-        fixed(value, places),
-        f'{COVERAGE * std:.{places}f}',
+        minus(value),
+        error,
         escape(shown.symbol),
         limit,
         bar,

@@ -14,7 +14,7 @@ from rich.table import Table
 from ..calibration.calibration import Calibration
 from ..common.budget import PROBABILITY, Budget, ErrorSource
 from ..common.stream import Floats
-from ..common.units import decimals, typeset
+from ..common.units import rounded, typeset
 from ..model.parameters import Parameter, engineering
 from .charts import drawing, label, tag
 from .html import paragraph, table
@@ -124,17 +124,9 @@ class _Shown:
         ):
             value, std, freedom, factor, expanded = (float(v) for v in values)
             shown = engineering(parameter, by_hand=self.by_hand)
-            std, expanded = std / shown.scale, expanded / shown.scale
-            places = decimals(std)
-            yield [
-                parameter.name,
-                f'{value / shown.scale:.{places}f}',
-                f'{std:.{places}f}',
-                freedom_words(freedom),
-                f'{factor:.2f}',
-                f'{expanded:.{places}f}',
-                shown.unit,
-            ]
+            value_text, *both = rounded(*(x / shown.scale for x in (value, std, expanded)))
+            words = (freedom_words(freedom), f'{factor:.2f}')
+            yield [parameter.name, value_text, both[0], *words, both[1], shown.unit]
 
 
 _EXPANDED = ('parameter', 'value', 'std', 'dof', 'k', f'U {PROBABILITY:.0%}', 'unit')

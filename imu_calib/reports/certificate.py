@@ -23,7 +23,7 @@ from ..common.budget import PROBABILITY, Budget, ErrorSource
 from ..common.errors import InputError
 from ..common.files import version
 from ..common.stream import Units
-from ..common.units import ARCSEC, STANDARD_GRAVITY, counted, decimals
+from ..common.units import ARCSEC, STANDARD_GRAVITY, counted, rounded
 from ..model.earth import MEASURED
 from ..model.parameters import Parameter, engineering
 from ..session.imu import Specification
@@ -32,7 +32,7 @@ from .budget import budget_parts, freedom_words
 from .certificate_fields import Conformity, Equipment, Fields, decide, missing
 from .charts import tag
 from .html import bullets, document, named_rows, paragraph, section, sheet, table
-from .tables import fixed
+from .tables import minus
 
 OUTPUT = {
     Units.PULSES: 'pulse',
@@ -503,16 +503,16 @@ def _nominal_scale(value: float, units: Units, triad: str) -> str:
 
 def _row(result: Stated, *, limits: bool, verdicts: bool, by_hand: bool) -> list[str]:
     shown = engineering(result.parameter, by_hand=by_hand)
-    expanded = result.expanded / shown.scale
-    places, std = decimals(expanded), result.std / shown.scale
+    amounts = (result.value, result.expanded, result.std)
+    value, expanded, std = rounded(*(amount / shown.scale for amount in amounts))
     cells = [
         tag('b', result.parameter.name),
         f'{result.parameter.kind.value.words}',
-        fixed(result.value / shown.scale, places),
-        f'{std:.{decimals(std)}f}',
+        minus(value),
+        std,
         escape(freedom_words(result.freedom).replace('inf', '\u221e')),
         f'{result.factor:.2f}',
-        f'{expanded:.{places}f}',
+        expanded,
         escape(shown.symbol),
     ]
     if limits:

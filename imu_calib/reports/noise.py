@@ -11,7 +11,7 @@ import numpy as np
 
 from ..calibration.noise_at_rest import KINDS, ChannelAllan, Kind, NoiseAtRest
 from ..common.stream import utc
-from ..common.units import HOUR, decimals, lasting, typeset
+from ..common.units import HOUR, lasting, rounded, typeset
 from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, ImuSpec, TriadSpec, TriadUnits
 from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, section, table
@@ -61,8 +61,7 @@ def _plain(found: Coefficient, scale: float) -> str:
     value, std = found.value / scale, found.std / scale
     if not std:
         return f'{value:.3g}'
-    places = decimals(std)
-    return f'{value:.{places}f} +- {std:.{places}f}'
+    return ' +- '.join(rounded(value, std))
 
 
 def _lowest(one: ChannelAllan, units: TriadUnits) -> str:

@@ -12,9 +12,9 @@ from ..calibration.calibration import Calibration
 from ..calibration.results import Result
 from ..calibration.thermal import ThermalCalibration, temperature_range
 from ..common.stream import Floats
-from ..common.units import DEG_H, MICRO_G, decimals, typeset
+from ..common.units import DEG_H, MICRO_G, rounded, typeset
 from ..model.parameters import engineering
-from ..session.imu import ImuSpec
+from ..session.imu import COVERAGE, ImuSpec
 from . import course, provenance, repeatability
 from .assessment import (
     LIMITS,
@@ -39,6 +39,7 @@ from .tables import (
     change_note,
     change_rows,
     fixed,
+    minus,
     term_rows,
     three_digits,
 )
@@ -424,9 +425,8 @@ def _table(each: Sequence[Sequence[Assessed]], temperatures: Sequence[str]) -> s
             escape(shown.symbol),
         ]
         for one in across:
-            places = decimals(one.std / shown.scale)
-            value, error = one.value / shown.scale, 2 * one.std / shown.scale
-            cells.append(f'{fixed(value, places)} \u00b1 {error:.{places}f}')
+            value, error = rounded(one.value / shown.scale, COVERAGE * one.std / shown.scale)
+            cells.append(f'{minus(value)} \u00b1 {error}')
         rows.append(cells)
     headings, columns = ['', '', 'limit', 'unit', *temperatures], 'llrl' + 'r' * len(each)
     if not any(row[1] for row in rows):

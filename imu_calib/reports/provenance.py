@@ -10,7 +10,7 @@ from rich.table import Table
 
 from ..calibration.calibration import Calibration
 from ..common.finding import is_warning
-from ..common.units import DEG, DEG_H, MICRO_G, PPM, counted, decimals, significant
+from ..common.units import DEG, DEG_H, MICRO_G, PPM, counted, rounded, significant
 from ..model.earth import MEASURED, VAGUE
 from ..session.imu import TRIAD_NAMES, Coefficient
 from .budget import budget_tables
@@ -416,9 +416,7 @@ def written(coefficient: Coefficient, scale: float) -> str:
     if coefficient.value is not None and coefficient.std is not None:
         if coefficient.std == 0:
             return f'{coefficient.value / scale:.3g}'
-        value, std = coefficient.value / scale, coefficient.std / scale
-        places = decimals(std)
-        return f'{value:.{places}f}+-{std:.{places}f}'
+        return '+-'.join(rounded(coefficient.value / scale, coefficient.std / scale))
     return (
         f'<{three_digits(coefficient.below / scale)}' if coefficient.below < float('inf') else '-'
     )

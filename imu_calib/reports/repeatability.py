@@ -18,12 +18,12 @@ from ..calibration.agreement import FEWEST_FOR_A_STEP, same_place, without_gravi
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.stream import Floats
-from ..common.units import decimals
+from ..common.units import decimals, rounded
 from ..model.parameters import Parameter, Shown, engineering
 from .charts import panels, small, tag
 from .html import named_rows, paragraph, table
 from .provenance import recorded
-from .tables import fixed
+from .tables import fixed, minus
 
 _SURPRISING = 0.001
 """Probability of chance below which the scatter of sessions is significant."""
@@ -264,8 +264,8 @@ def repeatability_table(rows: Sequence[RepeatedParameter]) -> str:
 
 def _drift(drift: tuple[float, float], scale: float) -> str:
     slope, std = drift[0] / scale, drift[1] / scale
-    places = decimals(std)
-    return f'{fixed(slope, places)} \u00b1 {std:.{places}f}'
+    value, error = rounded(slope, std)
+    return f'{minus(value)} \u00b1 {error}'
 
 
 def _verdict(row: RepeatedParameter) -> str:

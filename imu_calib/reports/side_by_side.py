@@ -12,7 +12,7 @@ from ..calibration.agreement import Agreement, agreement
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.stream import Floats
-from ..common.units import ARCSEC, DEG, decimals
+from ..common.units import ARCSEC, DEG, decimals, rounded
 from ..estimation.common_unknowns import TableEstimate
 from ..model.parameters import AXES, Parameter, ParameterKind, engineering
 from ..model.sensors import OF_MOTION
@@ -40,9 +40,8 @@ def table_estimate(seen: TableEstimate) -> Table:
     table = plain_table(('unknown', 'value', 'std', 'beforehand', 'unit'), 'lrrrl')
     for name, value, std, prior in zip(seen.names, seen.values, seen.std, seen.prior, strict=True):
         unit, size = ('deg', DEG) if std > _COARSE else ('arcsec', ARCSEC)
-        places = decimals(std / size)
         before = 'any' if prior > _ANY else f'{prior / size:.3g}'
-        table.add_row(name, f'{value / size:.{places}f}', f'{std / size:.{places}f}', before, unit)
+        table.add_row(name, *rounded(value / size, std / size), before, unit)
     return table
 
 
@@ -67,9 +66,7 @@ def _cell(parameter: Parameter, found: tuple[float, float] | None) -> str:
     """Return value and standard deviation in engineering units; empty without a value."""
     if found is None or not np.isfinite(found[1]):
         return ''
-    value, std = (x / engineering(parameter).scale for x in found)
-    places = decimals(std)
-    return f'{value:.{places}f}\u00b1{std:.{places}f}'
+    return '\u00b1'.join(rounded(*(x / engineering(parameter).scale for x in found)))
 
 
 _MORE = 2

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from ..calibration.calibration import Calibration
 from ..common.stream import at
-from ..common.units import DEG, decimals, significant
+from ..common.units import DEG, rounded, significant
 from ..model.alignment import SCALE, SHOWN
 from ..model.parameters import Parameter, Shown, engineering
 from ..model.sensors import by_name
@@ -20,8 +20,13 @@ from .plain_table import plain_table
 
 
 def fixed(value: float, places: int) -> str:
-    """Return a number with some decimals, for a page: with a minus sign, not a hyphen."""
-    return f'{value:.{places}f}'.replace('-', '\u2212')
+    """Return a number with some decimals, for a page."""
+    return minus(f'{value:.{places}f}')
+
+
+def minus(number: str) -> str:
+    """Return a number for a page: with a minus sign, not a hyphen."""
+    return number.replace('-', '\u2212')
 
 
 def three_digits(value: float) -> str:
@@ -41,8 +46,7 @@ def change_rows(calibration: Calibration) -> list[list[str]]:
     """Return the estimated terms of the session as rows; none without requested terms."""
     rows = []
     for term, name, value, std, unit in calibration.changes.shown() if calibration.changes else ():
-        places = decimals(std)
-        rows.append([term, name, f'{value:.{places}f}', f'{std:.{places}f}', unit])
+        rows.append([term, name, *rounded(value, std), unit])
     return rows
 
 
@@ -96,11 +100,10 @@ def _headed(first: str, *, against_truth: bool) -> Table:
 
 def _cells(value: float, deviation: float, unit: str, true: float | None) -> list[str]:
     """Return the cells after the name in such a table, in display units."""
-    places = decimals(deviation)
-    cells = [f'{value:.{places}f}', f'{deviation:.{places}f}', unit]
+    cells = [*rounded(value, deviation), unit]
     if true is not None:
         ratio = f'{(value - true) / deviation:+.2f}' if deviation > 0 else '-'
-        cells += [f'{true:.{places}f}', ratio]
+        cells += [rounded(true, deviation)[0], ratio]
     return cells
 
 

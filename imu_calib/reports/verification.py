@@ -10,7 +10,7 @@ from rich.table import Table
 
 from ..calibration.diagnosis import ShiftedParameter
 from ..calibration.verify import ComparedQuantity, Quantity, Verdict, Verification
-from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G, decimals
+from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G, decimals, rounded
 from ..model.parameters import Shown, engineering
 from .plain_table import plain_table
 
@@ -65,11 +65,11 @@ def moved_table(moved: Sequence[ShiftedParameter], *, by_hand: bool) -> Table:
     table = plain_table(('parameter', 'moved by', 'std', 'unit', 'in std'), 'lrrlr')
     for one in sorted(moved, key=lambda m: (m.parameter.triad == 'a', -abs(m.difference / m.std))):
         shown = engineering(one.parameter, by_hand=by_hand)
-        std = one.std / shown.scale
+        difference, std = rounded(one.difference / shown.scale, one.std / shown.scale)
         table.add_row(
             one.parameter.name,
-            f'{one.difference / shown.scale:+.{decimals(std)}f}',
-            f'{std:.{decimals(std)}f}',
+            difference if difference.startswith('-') else f'+{difference}',
+            std,
             shown.unit,
             f'{one.difference / one.std:+.1f}',
         )
