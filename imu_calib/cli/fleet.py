@@ -377,6 +377,10 @@ def _unit_sentences(found: History, on: np.datetime64) -> list[str]:
     due = [u for u in found.units if not u.outside and u.forecast.recalibrate <= on]
     groups = (
         ('Outside the specification', [u.serial for u in found.outside]),
+        (
+            'Newest calibration from a stand that is off, repeat it elsewhere before use',
+            [f'{u.serial} ({u.stand[-1]})' for u in found.off_stand],
+        ),
         (f'Due on {on}', [u.serial for u in due]),
         ('Drift', [_drift(u) for u in found.units if u.trend.significant.any()]),
         ('Stepped', [u.serial for u in found.units if u.own_steps]),

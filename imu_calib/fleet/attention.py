@@ -80,8 +80,18 @@ def _stands(fleet: Fleet) -> Iterator[Issue]:
             'Check levelling, zeros and alignment before the next unit is calibrated there; the '
             'figures of units below are corrected for the shift.'
         )
-        off = any(shift.identified for shift in shifts)
-        yield Issue(f'Stands that {"are off" if off else "differ"}', 'fail', sentences)
+        off = fleet.history.stands.off
+        title = f'Stands that {"are off" if off else "differ"}'
+        units = [(u, u.history) for u in fleet.flagged(Flag.OFF_STAND) if u.history is not None]
+        if units:
+            has = count(len(units), 'unit has', 'units have')
+            sentences.append(
+                f'{has} the newest calibration from a stand that is off, and its error in it: '
+                'repeat it on another stand before use, or subtract the shift.'
+            )
+        cells = [[link(u), _newest(u), escape(h.stand[-1])] for u, h in units]
+        flag = Flag.OFF_STAND if units else None
+        yield Issue(title, 'fail', sentences, ['unit', 'newest session', 'stand'], cells, flag)
 
 
 def _outside(fleet: Fleet) -> Iterator[Issue]:

@@ -55,7 +55,7 @@ from .results import (
     UnitHistory,
 )
 from .scatter import Prior, between, interval, lot_shifts, outliers, prior_of, robust
-from .sentences import listed, stand_sentence, unit_sentences
+from .sentences import listed, off_stand_sentence, stand_sentence, unit_sentences
 from .stands import corrections, judge_stands, turned
 from .trends import Due, Lines, Slopes, fit_lines, forecast, quantile, slopes_of
 
@@ -459,6 +459,8 @@ def backtest(sessions: Sessions, limits: Mapping[str, Floats], rules: Rules = US
         prior = _prior(own, corrected) if stands.shifts else priors[imu]
         limit = limits.get(imu, none)
         judged[imu] = judge_type(own, sessions, corrected, prior, limit, rules, chart)
+        named = tuple(_with_stand(unit, stands) for unit in judged[imu].units)
+        judged[imu] = replace(judged[imu], units=named)
     families = max(1, len(by_type))
     return History(
         rules=rules,
@@ -478,6 +480,13 @@ def backtest(sessions: Sessions, limits: Mapping[str, Floats], rules: Rules = US
             *_missing_deviations(by_type, sessions),
         ),
     )
+
+
+def _with_stand(unit: UnitHistory, stands: Stands) -> UnitHistory:
+    """Return a unit that says so if its newest calibration is from a stand that is off."""
+    if unit.stand[-1] not in stands.off:
+        return unit
+    return replace(unit, findings=(off_stand_sentence(unit.stand[-1]), *unit.findings))
 
 
 def _sound(sessions: Sessions) -> tuple[list[str], list[int]]:

@@ -136,6 +136,7 @@ def _stands_off(fleet: Fleet) -> Iterator[str]:
 
 _COLUMN_TEXTS = {
     Flag.OUTSIDE: 'outside the specification',
+    Flag.OFF_STAND: 'calibrated on a stand that is off',
     Flag.FAILED: 'with a failed newest recording',
     Flag.STEP: 'with a step',
     Flag.DRIFTS: 'drifting',

@@ -41,6 +41,9 @@ class Flag(Enum):
     OUTSIDE = State('outside', 'fail', 'outside its specification, uncertainty considered')
     OVERDUE = State('overdue', 'fail', 'the date by which it was to be recalibrated has passed')
     FAILED = State('failed', 'fail', 'its newest recording gave no calibration')
+    OFF_STAND = State(
+        'stand off', 'fail', 'its newest calibration is from a stand that is off, and has its error'
+    )
     CONTROL = State('out of control', 'fail', 'a control chart signals at its newest session')
     STEP = State('step', 'marginal', 'changed since the session before its newest')
     DRIFTS = State('drifts', 'marginal', 'has a significant trend')
@@ -183,6 +186,7 @@ def _flags(
         # A unit that is outside has no date until which it is inside.
         known = not np.isnat(due) and not history.outside
         flags[Flag.OUTSIDE] = bool(history.outside)
+        flags[Flag.OFF_STAND] = history.stand[-1] in fleet.history.stands.off
         flags[Flag.MARGINAL] = history.verdict is Verdict.MARGINAL
         flags[Flag.OVERDUE] = bool(known and due < fleet.today)
         flags[Flag.DUE] = bool(known and fleet.today <= due <= fleet.today + days(fleet.ahead))

@@ -324,6 +324,11 @@ class Stands:
     #: Messages for the user, sentences, including what cannot be separated.
     findings: tuple[str, ...]
 
+    @property
+    def off(self) -> frozenset[str]:
+        """Stands that are known to be off."""
+        return frozenset(shift.stand for shift in self.shifts if shift.identified)
+
 
 @dataclass(frozen=True, eq=False)
 class History:
@@ -344,6 +349,12 @@ class History:
     def outside(self) -> tuple[UnitHistory, ...]:
         """Units proven to be outside their specification at their newest session."""
         return tuple(unit for unit in self.units if unit.outside)
+
+    @property
+    def off_stand(self) -> tuple[UnitHistory, ...]:
+        """Units whose newest calibration is from a stand that is off, and has its error."""
+        off = self.stands.off
+        return tuple(unit for unit in self.units if unit.stand[-1] in off)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units, with the keys of docs/files/output.md."""

@@ -199,6 +199,14 @@ def stand_sentence(shift: StandShift) -> str:
     )
 
 
+def off_stand_sentence(stand: str) -> str:
+    """Return a sentence on a unit whose newest calibration is from a stand that is off."""
+    return (
+        f'The newest calibration is from stand {stand}, which is off, and has its error: '
+        'repeat it on another stand before use, or subtract the shift.'
+    )
+
+
 _NEVER = np.datetime64('9999-12-31', 'D')
 _UNKNOWN = '-'
 _OF_UNITS = (

@@ -151,6 +151,14 @@ def test_what_needs_a_person_is_said_with_numbers(known, made):
     found = {matter.title: matter for matter in issues(known)}
     assert next(iter(found)) == 'Stands that are off'
     assert 'Stand west is off: it adds +5 ppm' in found['Stands that are off'].sentences[0]
+    off = {unit.serial for unit in known.flagged(Flag.OFF_STAND)}
+    assert off == {u.serial for u in known.history.units if u.stand[-1] == 'west'} and off
+    assert (
+        f'{len(off)} units have the newest calibration from a stand that is off'
+        in (found['Stands that are off'].sentences[-1])
+    )
+    assert len(found['Stands that are off'].cases) == len(off)
+    assert f'{len(off)} calibrated on a stand that is off' in summary(known)
     lost = found['Failed recordings']
     assert lost.sentences[0] == '1 of 361 recordings gave no calibration (0.28 %).'
     assert 'the recording ends after 3 of 12 positions' in lost.cases[0][-1]
@@ -210,7 +218,7 @@ def test_a_unit_that_is_outside_was_inside_until_no_date(known):
 
 def test_a_stand_is_not_counted_among_units(known):
     units, off = summary(known).split('. ')
-    assert units.startswith(f'{len(known.units)} units: ') and 'stand' not in units
+    assert units.startswith(f'{len(known.units)} units: ') and '1 stand' not in units
     assert off == '1 stand is off.'
     (shift,) = known.history.stands.shifts
     pair = replace(shift, identified=False, others=('east',))

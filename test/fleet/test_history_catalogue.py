@@ -168,6 +168,7 @@ def test_the_command_says_what_needs_attention(laboratory, run):
     assert re.search(r'Drift: F001 \(D_gx [+][\d.]+ deg/h/month', out) and re.search(
         r'Stepped: .*F002', out
     )
+    assert re.search(r'from a stand that is off.*: F\d+ \(south\), ', ' '.join(out.split()))
     for unit in ('ppm', 'arcmin', 'deg/h', 'ug'):
         assert sum(line.rstrip().endswith(unit) for line in lines) >= 3
 

@@ -66,6 +66,18 @@ def test_a_stand_that_shifts_a_misalignment_by_a_hundredth_of_an_arcminute_is_na
     assert shift.low < 0.01 * SCALE[index(name)] < shift.high
 
 
+def test_units_last_calibrated_on_a_stand_that_is_off_say_so():
+    laid = laboratory(3, 0.30 * turned(2))
+    found = backtest(laid, LIMITS)
+    carrying = [unit.serial for unit in found.units if unit.stand[-1] == 'south']
+    assert 5 < len(carrying) < 15 and [unit.serial for unit in found.off_stand] == carrying
+    said = [u.serial for u in found.units if 'from stand south, which is off' in u.findings[0]]
+    assert said == carrying
+    # Of two stands nobody knows which is off: no unit is accused.
+    pair = backtest(laboratory(6, 0.30 * turned(2), stands=('east', 'south')), LIMITS)
+    assert pair.stands.shifts and pair.off_stand == ()
+
+
 def test_a_stand_that_is_far_off_is_named_once():
     """Chances of large shifts are all zero in floating point."""
     found = backtest(laboratory(1, of(K_ax=5e4, K_ay=5e4, K_az=5e4)), LIMITS)
