@@ -31,7 +31,7 @@ from ..estimation.hand import (
 )
 from ..estimation.information import Information, log_determinant
 from ..estimation.known_noise import known_noise, walk_of_sensors, with_own_noise
-from ..estimation.methods import estimated_parameters
+from ..estimation.methods import estimated_parameters, method
 from ..estimation.predict import ideal_move_by_hand, next_hold
 from ..estimation.setup import Setup
 from ..estimation.solution import Residual, Solution
@@ -284,9 +284,13 @@ class HandCalibrator:
     """Collect blocks as they come, like `Calibrator`, and solve on request.
 
     Setpoints and joint states do not apply to a unit held by hand: they are ignored.
+
+    Raises:
+        InputError: The set-up names terms that no session in the hand can estimate.
     """
 
     def __init__(self, setup: Setup) -> None:
+        method(NAME, setup.terms, setup.changes)
         self._setup = setup
         self._segmenter = Segmenter(setup.imu, None, setup.segments)
 

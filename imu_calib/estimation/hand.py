@@ -29,8 +29,8 @@ from ..common.units import DEG, STANDARD_GRAVITY, counted, significant
 from ..model.earth import EARTH_RATE
 from ..model.parameters import PARAMETERS, Parameter, ParameterKind, indices_of
 from ..model.sensors import SensorModel, Triad
-from ..model.session_terms import Changes, Course
-from ..model.terms import ACCEL_ASYMMETRY, ACCEL_CUBIC, ACCEL_QUADRATIC, G_SENSITIVITY
+from ..model.session_terms import Change, Changes, Course, terms_in_words
+from ..model.terms import ACCEL_ASYMMETRY, ACCEL_CUBIC, ACCEL_QUADRATIC, G_SENSITIVITY, Term
 from ..session.plan import Plan
 from .checks import check_axes
 from .components import Component, Factor
@@ -728,6 +728,21 @@ def check(plan: Plan) -> None:
         raise NotObservable(
             f'Free positions are holds alone, and plan {plan.name} has turns: choose another '
             'method, or the plan free_positions.'
+        )
+
+
+def check_terms(terms: Sequence[Term], changes: Sequence[Change]) -> None:
+    """Raise if a requested term is none of those that every session in the hand tests."""
+    own = {family.term for family in _FAMILIES}
+    others = [term.name for term in terms if term not in own]
+    if not set(changes) <= {change for family in _FAMILIES for change in family.changes}:
+        others += terms_in_words(changes)
+    if others:
+        names = [family.name for family in _FAMILIES]
+        raise InputError(
+            f'A session in the hand cannot estimate {" and ".join(others)}. It tests '
+            f'{", ".join(names[:-1])} and {names[-1]}, and estimates those that it shows: leave '
+            '`terms` out.'
         )
 
 

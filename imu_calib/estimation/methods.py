@@ -88,7 +88,9 @@ def method(
         own = (*JOINT[name], *terms)
         solve = partial(joint.solve, terms=own, changes=changes, find_terms=find_terms)
         return partial(_in_table_time, solve)
-    if terms or changes:
+    if name == hand.NAME:
+        hand.check_terms(terms, changes)
+    elif terms or changes:
         raise InputError(
             f'Method {name} estimates its own parameters and no further terms '
             f'({", ".join([*(t.name for t in terms), *names_of(changes)])}); '

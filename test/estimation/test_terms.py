@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -11,17 +12,22 @@ import pytest
 from sessions import SITE, fed, quick_plan, stand
 
 from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import calibrator_of
 from imu_calib.calibration.results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file, share_folder
 from imu_calib.estimation.forecast import forecast
+from imu_calib.estimation.hand import NAME as FREE_POSITIONS
 from imu_calib.estimation.hand import in_frame_of_accelerometers
 from imu_calib.estimation.methods import JOINT, METHODS, estimated_parameters, method
 from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
 from imu_calib.model.sensors import parameters_of, terms_of
 from imu_calib.model.terms import TERMS, asks_for_search, named_terms
 from imu_calib.session.imu import load_imu
+from imu_calib.session.keywords import Stated
+from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table
 from imu_calib.simulation.stand import simulate
 
@@ -102,8 +108,29 @@ def test_every_method_declares_what_it_estimates(name: str) -> None:
     if name in JOINT:
         assert set(estimated_parameters(name, one)) == {*parameters, *one[0].parameters}
         return
-    with pytest.raises(InputError, match=f'Method {name} estimates its own parameters'):
+    if name == FREE_POSITIONS:
+        said = 'in the hand cannot estimate gyro_asymmetry. It tests g_sensitivity, .* trend:D_a,'
+    else:
+        said = f'Method {name} estimates its own parameters'
+    with pytest.raises(InputError, match=said):
         method(name, one)
+
+
+@pytest.mark.parametrize('terms', ['gyro_g2', 'trend', 'thermal', 'step, g_sensitivity'])
+def test_a_session_in_the_hand_refuses_terms_that_it_does_not_test(terms: str) -> None:
+    stated = Stated(terms=terms)
+    setup = Setup(
+        load_imu('si'),
+        load_plan('free_positions'),
+        None,
+        Site.at(0.8),
+        terms=stated.sensor_terms,
+        changes=stated.changes,
+    )
+    with pytest.raises(InputError, match=f'cannot estimate {terms.split(",")[0]}'):
+        calibrator_of(setup)
+    tested = Stated(terms='g_sensitivity, accel_cubic, trend:D_g+D_a')
+    assert calibrator_of(replace(setup, terms=tested.sensor_terms, changes=tested.changes))
 
 
 def test_the_commands_take_terms_from_simulation_to_firmware(
