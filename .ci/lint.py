@@ -66,6 +66,7 @@ def circles() -> Iterator[str]:
 # A sentence names a keyword to who calls a function, and the option to who runs a command.
 
 OTHERS = {
+    'api/calibrate.py': 'a whole command',
     'api/simulate.py': 'the options themselves',
     'api/stand.py': 'runs a command',
     'api/streams.py': 'a whole command',

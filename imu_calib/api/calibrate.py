@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..calibration.calibrator import Calibrator, SharedResults, calibrator_of, estimate_together
 from ..calibration.hand import HandCalibrator
-from ..calibration.results import Result
+from ..calibration.results import MISSING, Result
 from ..common.arguments import checked
 from ..common.errors import Contradiction, ImuCalibError, InputError, NotObservable, NotStated
 from ..common.files import printable, unwritable
@@ -145,10 +146,25 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
             cut = '' if isinstance(error, Contradiction) else opened.recording.unfinished
             refusal = error.among(after=(*(s for s in lost if s != cut), *opened.assumed))
             refusal.args = (f'{cut} {refusal.args[0]}'.lstrip(), *refusal.args[1:])
+            if not isinstance(error, Contradiction):
+                refusal = refusal.among(before=_interrupted(opened, refusal.args))
             raise refusal from None
         if by_hand:
             _check_that_it_was(opened, result.session)
     return result
+
+
+def _interrupted(opened: Opened, said: tuple[str, ...]) -> tuple[str, ...]:
+    """Return that a stand's session did not come to its end, what it lacks, and how to go on."""
+    # Loaded here: what runs a stand is another command.
+    from .stand import can_be_resumed
+
+    folder = Path(str(opened.recording.path)).parent
+    if not can_be_resumed(folder):
+        return ()
+    lacks = next((text for text in said if text.startswith(MISSING)), '')
+    command = f'imu-calib stand --resume {shlex.quote(str(folder))}'
+    return (f'The session was interrupted before its end. {lacks} Go on with it: {command}.',)
 
 
 def documented(opened: Opened, result: Result) -> Result:

@@ -178,10 +178,16 @@ def true_table_of(imperfections: Named, table: Table | None, seed: int) -> TrueT
 # Journals of live sessions: whether one is complete, and when it ends.
 
 
-def is_finished(journal: Path) -> bool:
-    """Return whether the session of a journal is complete; not so if it is unreadable."""
-    recording = _opened(journal)
-    return recording is not None and FINISHED in recording.custom_data
+SETTINGS, OPTIONS = 'settings', 'options.yaml'  #: Within the folder of a stand's session.
+
+
+def can_be_resumed(folder: Path) -> bool:
+    """Return whether a folder has a session of a stand that is not complete."""
+    if not (folder / SETTINGS / OPTIONS).is_file():
+        return False
+    recording = _opened(folder / JOURNAL)
+    # One that is unreadable is begun anew.
+    return recording is None or FINISHED not in recording.custom_data
 
 
 def end_of_journal(journal: Path) -> int | None:

@@ -329,6 +329,7 @@ def bad_samples_first(error: ImuCalibError, session: Segmented) -> ImuCalibError
 
 
 _AGAIN = '; it was measured again'
+MISSING = 'Missing from the recording:'  #: How the sentence on missing positions begins.
 
 
 def loss_findings(
@@ -338,7 +339,7 @@ def loss_findings(
     sentences: list[str] = []
     missing = evidence.missing_positions()
     if missing:
-        text = f'Missing from the recording: position {", ".join(missing)}.'
+        text = f'{MISSING} position {", ".join(missing)}.'
         sentences.append(Finding(text, lost=True))
     if setup.plan.is_stated:
         sentences += _beside_plan(setup, labelled)

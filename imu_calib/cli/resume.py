@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from ..api.stand import end_of_journal, is_finished, seconds_of_hardware
+from ..api.stand import OPTIONS, SETTINGS, can_be_resumed, end_of_journal, seconds_of_hardware
 from ..common.errors import InputError
 from ..common.files import named_file, read_text, user_path, write_whole
 from ..recordings.rosbag2 import JOURNAL
@@ -21,8 +21,6 @@ from . import several
 from .terminal import ERRORS
 
 RESULT = 'calibration.yaml'
-_SETTINGS = 'settings'
-_OPTIONS = 'options.yaml'
 _RUNNING = 'running'
 _FILES = {
     'plan': 'plans',
@@ -56,7 +54,7 @@ def save_settings(arguments: argparse.Namespace, folder: Path) -> None:
 
     Files are copied: the session is resumed unchanged even if the originals change.
     """
-    settings = folder / _SETTINGS
+    settings = folder / SETTINGS
     settings.mkdir()
     for option, kind in _FILES.items():
         name = getattr(arguments, option)
@@ -66,16 +64,16 @@ def save_settings(arguments: argparse.Namespace, folder: Path) -> None:
         several.save_settings(arguments, settings)
     kept = {k: v for k, v in vars(arguments).items() if k not in {*_OF_THE_RUN, *_FILES, 'imus'}}
     # Last: a folder without it does not belong to a stand.
-    write_whole(settings / _OPTIONS, yaml.safe_dump(kept))
+    write_whole(settings / OPTIONS, yaml.safe_dump(kept))
     _point_at_copies(arguments, settings)
 
 
 def restore(arguments: argparse.Namespace) -> Path:
     """Set the options of the interrupted session; return its folder."""
     folder = user_path(arguments.resume)
-    settings = folder / _SETTINGS
+    settings = folder / SETTINGS
     try:
-        kept: Any = yaml.safe_load((settings / _OPTIONS).read_text(encoding='utf-8'))
+        kept: Any = yaml.safe_load((settings / OPTIONS).read_text(encoding='utf-8'))
         if not isinstance(kept, dict):
             raise ValueError('it holds no options')
     except (OSError, ValueError, yaml.YAMLError) as error:
@@ -84,7 +82,7 @@ def restore(arguments: argparse.Namespace) -> Path:
         if isinstance(error, FileNotFoundError | NotADirectoryError):
             raise InputError(f'--resume: {folder} holds no session of imu-calib stand.') from None
         reason = error.strerror if isinstance(error, OSError) else ' '.join(str(error).split())
-        raise InputError(f'--resume: {settings / _OPTIONS} cannot be read ({reason}).') from None
+        raise InputError(f'--resume: {settings / OPTIONS} cannot be read ({reason}).') from None
     _refuse_other_settings(arguments, folder)
     if arguments.port and not kept.get('port'):
         raise InputError(f'--resume {folder}: its hardware is simulated; leave --port out.')
@@ -97,15 +95,8 @@ def restore(arguments: argparse.Namespace) -> Path:
 
 def check_unfinished(folder: Path) -> None:
     """Refuse to resume a complete session."""
-    if not unfinished(folder):
+    if not can_be_resumed(folder):
         raise InputError(f'--resume {ended(folder)}')
-
-
-def unfinished(folder: Path) -> bool:
-    """Return whether a folder has a session that can be resumed."""
-    if not (folder / _SETTINGS / _OPTIONS).is_file():
-        return False
-    return not is_finished(folder / JOURNAL)
 
 
 def switch_on(arguments: argparse.Namespace) -> None:

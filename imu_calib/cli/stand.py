@@ -194,9 +194,10 @@ def _new_folder(arguments: argparse.Namespace) -> Path:
     folder = user_path(arguments.output)
     if not folder.exists():
         return folder
+    from ..api.stand import can_be_resumed
     from . import resume
 
-    if resume.unfinished(folder):
+    if can_be_resumed(folder):
         raise InputError(
             f'{folder} exists already and holds a session that was interrupted. Go on with it: '
             f'{resume.command(arguments.output)}, or name another folder with -o.'

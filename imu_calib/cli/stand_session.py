@@ -17,7 +17,13 @@ from rich.live import Live
 from rich.text import Text
 
 from ..api.session import DEFAULT_TRUTH, TRUE_TABLE
-from ..api.stand import check_stand, has_simulated_hands, setup_of_stand, true_table_of
+from ..api.stand import (
+    can_be_resumed,
+    check_stand,
+    has_simulated_hands,
+    setup_of_stand,
+    true_table_of,
+)
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError, NotObservable
 from ..live.network import forced
@@ -40,7 +46,7 @@ from .processes import (
     network_of_hardware,
     private_network,
 )
-from .resume import RESULT, command, ended, unfinished
+from .resume import RESULT, command, ended
 from .terminal import (
     ERRORS,
     OUTPUT,
@@ -136,7 +142,7 @@ def run(
         arguments.closing_line = ended(folder)
         raise
     finally:
-        if unfinished(folder):
+        if can_be_resumed(folder):
             name = arguments.resume or arguments.output
             arguments.closing_line = f'To go on with it: {command(name)}'
     if missing or not outcome.finished:

@@ -5,6 +5,7 @@ import itertools
 import os
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from loopback import CHECKOUT, completed, patience, until
 from sequenced_table import Stand as Simulated
 
 from imu_calib.api.calibrate import calibrate
+from imu_calib.api.simulate import simulate
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import dispatch, main, resume, stand_session
 from imu_calib.cli.processes import Processes
@@ -29,7 +31,7 @@ from imu_calib.live.rules import Phase, Rules
 from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import Kind, encode_imu
 from imu_calib.recordings.rosbag2 import open_recording
-from imu_calib.recordings.writer import Journal
+from imu_calib.recordings.writer import Journal, RecordingWriter
 from imu_calib.simulation.options import begin_of
 
 TURN = 7
@@ -338,6 +340,24 @@ def test_a_real_stand_goes_on_with_its_own_settings_at_another_port(tmp_path):
         assert (arguments.port, arguments.latitude) == (port, 48.0)
         assert arguments.plan == str(folder / 'settings' / 'plan.yaml')
         assert arguments.device == str(folder / 'settings' / 'device.yaml')
+
+
+def test_of_an_interrupted_session_it_is_said_what_it_lacks_and_how_to_go_on(tmp_path, capsys):
+    folder = ended(tmp_path / 'stand', finished=False)
+    shutil.rmtree(folder / 'journal')
+    whole = simulate('six_position', tmp_path / 'whole', latitude=34.65).path
+    with (
+        open_recording(whole) as recording,
+        RecordingWriter(folder / 'journal', recording.custom_data) as writer,
+    ):
+        for topic, messages, times in recording.messages():
+            some = np.flatnonzero(times.log < recording.start_ns + 400 * 10**9)
+            if len(some):
+                writer.write(topic.name, topic.type, messages.select(some), times.log[some])
+    assert main.main(['calibrate', str(folder / 'journal'), '-o', str(tmp_path / 'x.yaml')]) == 1
+    said = ' '.join(capsys.readouterr().err.split())
+    assert 'interrupted before its end. Missing from the recording: position y_up, y_down' in said
+    assert f'Go on with it: imu-calib stand --resume {folder}.' in said
 
 
 def test_simulated_hardware_is_switched_on_after_what_it_said_before(tmp_path):

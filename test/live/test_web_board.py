@@ -343,7 +343,7 @@ def test_the_noise_of_dwells_is_the_data_sheets_random_walk():
     dwells = Dwells(FOG)
     for k in range(4):
         begin = int(k * 200e9)
-        dwells.begin_dwell(begin)
+        dwells.on_dwelling(begin, k)
         for block in blocks(FOG, 120.0, 100.0, begin, rng):
             dwells.add_samples(block)
             dwells.update()
@@ -369,7 +369,7 @@ def test_the_curve_grows_while_a_dwell_goes_on_and_turns_do_not_count():
         dwells.add_samples(block)
         dwells.update()
     assert dwells.streams.revision == 0
-    dwells.begin_dwell(int(20e9))
+    dwells.on_dwelling(int(20e9), 0)
     revisions = []
     for block in blocks(FOG, 60.0, 100.0, int(20e9), rng):
         dwells.add_samples(block)
@@ -381,6 +381,24 @@ def test_the_curve_grows_while_a_dwell_goes_on_and_turns_do_not_count():
     before = dwells.streams.taken
     dwells.add_samples(moving[0])
     assert dwells.streams.taken == before
+
+
+def test_a_motion_whose_state_did_not_come_is_in_no_dwell():
+    rng = np.random.default_rng(5)
+    dwells = Dwells(FOG)
+    turn = np.array([[2000.0, 0.0, 0.0]])
+    for k in range(3):
+        begin = int(k * 90e9)
+        for place, block in enumerate(blocks(FOG, 90.0, 100.0, begin, rng)):
+            moved = ImuBlock(block.stamp, block.gyro + turn, block.accel)
+            resting = int(block.stamp[-1]) <= begin + 60e9
+            if resting and place % 10 == 0:
+                dwells.on_dwelling(int(block.stamp[0]), k)
+            dwells.add_samples(block if resting else moved)
+    dwells.end_dwell(int(240e9))
+    assert dwells.streams.dwells == 3
+    walk = dwells.streams.noise['gx'].random_walk
+    assert abs(walk.value - FOG.gyro.random_walk) < 4.5 * walk.std
 
 
 @pytest.mark.parametrize('name', ['three_axis', 'two_axis', 'one_axis', 'two_axis_off_axis'])

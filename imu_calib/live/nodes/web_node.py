@@ -156,7 +156,8 @@ class WebNode(ros.Node):
         subscribe = self.create_subscription
         board, clock = self._board, time.monotonic
         if self._setup.table is not None:
-            subscribe(messages.TurntableState, 'turntable/state', self._on_state, qos.latched())
+            latched = qos.latched(_DEEP_WORDS)
+            subscribe(messages.TurntableState, 'turntable/state', self._on_state, latched)
         subscribe(
             messages.CalibrationProgress,
             'calibration/progress',
@@ -197,7 +198,7 @@ class WebNode(ros.Node):
         stamp = message.header.stamp.sec * NS + message.header.stamp.nanosec
         for dwells in self._dwells.values():
             if message.phase == Phase.DWELLING:
-                dwells.begin_dwell(stamp)
+                dwells.on_dwelling(stamp, message.step)
             else:
                 dwells.end_dwell(stamp)
 

@@ -370,7 +370,9 @@ def noise(shown: Snapshot, imu: ImuSpec | None) -> str:
     if seen is None or not seen.noise:
         return tag('p', 'It is drawn from the first dwell on.', class_='muted')
     many = f'{seen.dwells} dwells' if seen.dwells != 1 else '1 dwell'
-    text = f'Of {many} so far; bars are one standard deviation.' if seen.dwells else 'One dwell.'
+    text = 'One dwell.'
+    if seen.dwells:
+        text = f'Of {many} since this page began; bars are one standard deviation.'
     return tag('div', noise_plots(seen.noise, imu), class_='plot') + tag('p', text, class_='small')
 
 

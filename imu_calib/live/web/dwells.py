@@ -40,6 +40,7 @@ class Dwells:
         self._walk = Sensor.from_spec(imu).walk
         self._recent: list[ImuBlock] = []
         self._since: int | None = None
+        self._step, self._until = -1, 0
         self._kept: list[ImuBlock] = []
         self._looked_at = 0
         self._statistics: list[Statistics] = []
@@ -57,8 +58,12 @@ class Dwells:
             self._kept.append(block)
         self._count_rates()
 
-    def begin_dwell(self, stamp: int) -> None:
-        """Record that the table dwells at a stamp, ns."""
+    def on_dwelling(self, stamp: int, step: int) -> None:
+        """Record that the table dwells at a stamp, ns, in a step of its plan."""
+        if step != self._step:
+            # The state between two dwells may not have come: it is sent once.
+            self.end_dwell(self._until)
+        self._step, self._until = step, stamp
         if self._since is None:
             self._since = stamp + _SETTLED
             # Samples that came before the table's state.
