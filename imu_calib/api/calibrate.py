@@ -31,7 +31,6 @@ from ..session.keywords import Calibrated, Named, OfSeveral, Stated, with_keywor
 from ..session.metadata import compensated_already, interpolated_from, serial_key
 from ..session.plan import load_plan
 from ..session.units_file import MountedUnit
-from .files import Recorded, recording_at
 from .opening import (
     ASSUMED_BY_HAND,
     Opened,
@@ -40,6 +39,7 @@ from .opening import (
     open_session,
     session_of,
 )
+from .recorded import Recorded, is_text, recording_at
 from .session import as_units
 from .streams import clock_findings, refused_by_stamps, units_of
 
@@ -56,7 +56,6 @@ judgement."""
 def calibrate(
     bag: Recorded,
     *,
-    rate: float | None = None,
     progress: Progress = silent,
     **stated: Unpack[Calibrated],
 ) -> Result:
@@ -66,10 +65,10 @@ def calibrate(
     supplied files (`imu-calib plans` lists plans), paths those of your own.
 
     Args:
-        bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads; or a
-            pandas.DataFrame with the columns of `read`, its index the time; or arrays: gyro and
-            accelerometer, (n, 3) each, or one (n, 6).
-        rate: Samples per second of arrays, or of a frame whose index is no time.
+        bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads; a text
+            file whose columns are stated; a pandas.DataFrame with the columns of `read`, or of
+            stated ones, its index the time; or arrays: gyro and accelerometer, (n, 3) each, or one
+            (n, 6).
         KEYWORDS
         progress: Shows the progress; nothing by default.
         **stated: The keywords from `plan` on, all optional.
@@ -81,7 +80,7 @@ def calibrate(
         InputError: Something is missing, ambiguous, unreadable, or differs from what is stated.
         NotObservable: The data does not determine all parameters; the text states which and why.
     """
-    return calibrated(bag, Stated(**stated), progress, rate=rate)
+    return calibrated(bag, Stated(**stated), progress)
 
 
 @by_one_thread
@@ -90,14 +89,13 @@ def calibrated(
     stated: Stated,
     progress: Progress = silent,
     *,
-    rate: float | None = None,
     to_be_judged: bool = False,
 ) -> Result:
     """Calibrate from a recording, with the statements as one value; as `calibrate`.
 
     With `to_be_judged` a unit without a specification is refused before the computation.
     """
-    opened = open_session(bag, stated, rate)
+    opened = open_session(bag, stated)
     with opened.recording:
         if to_be_judged:
             # Loaded here: comparing and judging are other commands.
@@ -375,6 +373,8 @@ def _documented(sessions: Sequence[_UnitSession], found: SharedResults) -> UnitR
 
 def holds_several(bag: str | AnyPath) -> bool:
     """Return whether a recording states the units of several topics."""
+    if is_text(bag):
+        return False
     with recording_at(bag) as recording:
         return bool(units_of(recording))
 

@@ -15,7 +15,6 @@ from ..calibration.compensate import MARK_WORDS, Mark, TurnsSeen, noise_gains
 from ..calibration.compensator import Compensator, Reading
 from ..calibration.sample_clock import WholeStream
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_unit, first_of
-from ..common.arguments import checked
 from ..common.errors import InputError, NotObservable
 from ..common.finding import warning
 from ..common.progress import Progress, silent
@@ -27,14 +26,17 @@ from ..recordings.rosbag2 import Recording
 from ..recordings.storage import Topic
 from ..recordings.writer import RecordingWriter
 from ..session.imu import ImuSpec, compensated_imu
-from ..session.keywords import Named, Stated
+from ..session.keywords import Columned, Named, Stated, with_keywords
 from ..session.metadata import COMPENSATED, compensated_already, compensated_key, stream_description
 from ..session.units_file import TOPIC
-from .files import Recorded, new_folder, recording_at, removed_on_failure
+from .files import new_folder, removed_on_failure
+from .recorded import Recorded, recording_at
 from .session import as_applied, serial_of, stated_imu
 from .streams import imu_topic, sample_findings, skew_topic, temperature_topic
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
     from ..calibration.results import Result
 
 _MOST = 0.5  #: Share of the samples: with fewer written, most are lost.
@@ -59,37 +61,33 @@ class Compensated:
         return f'<Compensated: {self.samples_out} samples in {self.path}, {findings}>'
 
 
-@checked
+@with_keywords(Columned)
 def compensate(
     bag: Recorded,
     calibration: Result | AnyCalibration | Named,
     output: Named,
     *,
-    rate: float | None = None,
-    imu: ImuSpec | Named | None = None,
-    serial: str | None = None,
-    imu_topic: str | None = None,
     output_topic: str | None = None,
     frame_id: str = '',
     keep: bool = False,
     compression: str = '',
     progress: Progress = silent,
+    **stated: Unpack[Columned],
 ) -> Compensated:
     """Copy a recording with its raw IMU stream compensated to rates and forces in SI units.
 
     Args:
-        bag: Recording, data frame or arrays, as for `calibrate`.
+        bag: Recording, text file, data frame or arrays, as for `calibrate`.
         calibration: calibration.yaml, single or combined, or a loaded calibration.
         output: Recording to write (mcap): a new folder.
-        rate: Samples per second of arrays, or of a frame whose index is no time.
-        imu: Units of the IMU's samples; None: as in the recording, else in the calibration.
-        serial: Serial number of the unit.
-        imu_topic: The raw stream, if there are several of sensor_msgs/Imu.
         output_topic: None: imu/data_raw for imu/pulses, imu/data_calibrated for imu/data_raw.
         frame_id: Of the written samples; empty for that of the raw ones.
         keep: Write the raw stream too.
         compression: '', 'lz4' or 'zstd', of the output.
+        KEYWORDS
         progress: Shows the progress; nothing by default.
+        **stated: The unit and its samples, by the keywords from `imu` on; by default the IMU is as
+            in the recording, else in the calibration.
 
     Raises:
         InputError: Unreadable, the calibration is not this unit's, or the output exists.
@@ -98,10 +96,13 @@ def compensate(
     loaded, name = as_applied(calibration)
     file = Path(calibration).name if isinstance(calibration, str | Path) else ''
     written = new_folder(output)
-    with recording_at(bag, rate) as recording, removed_on_failure(written):
-        topic = _topic(imu_topic, recording, serial or first_of(loaded).serial_number)
-        stated = Stated(imu=imu, serial=serial)
-        spec = _check_unit(loaded, name, stated, recording, topic)
+    session = Stated(**stated)
+    # Columns are read as the calibration means them.
+    opened = replace(session, imu=session.imu or first_of(loaded).imu)
+    with recording_at(bag, opened) as recording, removed_on_failure(written):
+        serial = session.serial or first_of(loaded).serial_number
+        topic = _topic(session.imu_topic, recording, serial)
+        spec = _check_unit(loaded, name, session, recording, topic)
         target = _target(output_topic, recording, topic)
         stamps = _all_stamps(recording, topic, first_of(loaded).imu.sample_rate, progress)
         clock = sample_findings(recording, topic.name, spec.units)

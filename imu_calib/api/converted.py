@@ -11,10 +11,9 @@ import numpy as np
 from ..common.errors import InputError
 from ..common.files import named_file, read_text
 from ..common.progress import Progress
-from ..common.stream import Floats, ImuBlock, Stamps, Units
+from ..common.stream import Floats, Stamps, Units
 from ..common.units import counted
-from ..recordings.cdr import Messages
-from ..recordings.cdr_codec import Kind, encode_imu, encode_rates
+from ..recordings.cdr_codec import PULSES, RATES, Kind
 from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording, open_recording
 from ..recordings.writer import RecordingWriter
@@ -24,6 +23,7 @@ from ..session.keywords import Named
 from ..session.metadata import IMU, interpolation_description
 from .columns import columns_of
 from .files import removed_on_failure
+from .in_memory import Samples
 
 RAW, SI, JOINTS, TEMPERATURE = (
     '/imu/pulses',
@@ -47,7 +47,6 @@ _NUMBERS = {
     Units.PULSES: 'pulses',
     Units.COUNTS: 'counts',
 }
-_BLOCK = 1 << 16  #: Samples written per call; a choice between memory and calls.
 
 
 @dataclass(frozen=True)
@@ -63,34 +62,32 @@ class Converted:
         return f'<Converted: {messages} in {self.path}, {counted(len(self.findings), "finding")}>'
 
 
-def described(imu: Named | None, numbers: Units) -> tuple[dict[str, str], ImuSpec]:
+def described(imu: ImuSpec | Named | None, numbers: Units) -> tuple[dict[str, str], ImuSpec]:
     """Return the description of the IMU for the recording, as text and as a value."""
+    if isinstance(imu, ImuSpec):
+        return {}, _fitting(imu, imu.id, numbers)
     if imu is None and numbers not in _EXAMPLES:
         raise InputError(
             f'`gyro` and `accel` are in {numbers.value}: give `imu`, a file that says what one is '
             '(config/imus has examples).'
         )
     file = named_file('imus', _EXAMPLES[numbers] if imu is None else imu)
-    spec = load_imu(file)
+    return {IMU: read_text(file)}, _fitting(load_imu(file), str(imu), numbers)
+
+
+def _fitting(spec: ImuSpec, name: str, numbers: Units) -> ImuSpec:
     if spec.units not in _FITTING[numbers]:
         raise InputError(
-            f'`imu` {imu}: units: found {spec.units.value}, but the numbers are '
+            f'`imu` {name}: units: found {spec.units.value}, but the numbers are '
             f'{_NUMBERS[numbers]}.'
         )
-    return {IMU: read_text(file)}, spec
+    return spec
 
 
-def write_imu(writer: RecordingWriter, block: ImuBlock, *, raw: bool) -> None:
-    """Write an IMU's samples: raw counts, or rates and forces of unknown covariance."""
-    unknown = np.zeros((_BLOCK, 9))
-    for first in range(0, len(block), _BLOCK):
-        part = slice(first, first + _BLOCK)
-        piece = ImuBlock(block.stamp[part], block.gyro[part], block.accel[part], block.frame_id)
-        covariance = unknown[: len(piece)]
-        encoded: Messages = (
-            encode_imu(piece) if raw else encode_rates(piece, covariance, covariance)
-        )
-        writer.write(RAW if raw else SI, Kind.IMU.type_name, encoded, piece.stamp)
+def imu_samples(topic: str, stamps: Stamps, values: Floats) -> Samples:
+    """Return samples of an IMU, (n, 6), for a topic of raw numbers or of rates and forces."""
+    first = RATES if topic == SI else PULSES
+    return Samples(Kind.IMU, stamps, list(values.T), (), 'imu_link', first)
 
 
 # Join gyros and accelerometers of separate topics or messages to one topic.
@@ -136,12 +133,13 @@ def joined(
     accel_at = accel_at[order]
     stamps, interpolated, within = read_at(accel_at, accel[order], gyro_at)
     scales = spec.gyro.scale_factor, spec.accel.scale_factor
-    block = ImuBlock(stamps, gyro[within] / scales[0], interpolated / scales[1], 'imu_link')
+    topic = SI if spec.units is Units.SI else RAW
+    values = np.hstack([gyro[within] / scales[0], interpolated / scales[1]])
+    samples = imu_samples(topic, stamps, values)
     if removed := gravity_removed(quiet_means(interpolated)):
         findings.append(removed)
     taken = {rates.topic, forces.topic}
-    topic = SI if spec.units is Units.SI else RAW
-    counts = {topic: len(block)}
+    counts = {topic: len(samples)}
     with open_recording(path) as recording:
         _refuse_taken(recording, topic, taken)
         data = {**recording.custom_data, **statements}
@@ -155,7 +153,7 @@ def joined(
             progress('converting') as show,
         ):
             writer.copy_records(recording)
-            write_imu(writer, block, raw=topic == RAW)
+            samples.write(writer, topic)
             for one in recording.topics:
                 if one.name not in taken:
                     writer.copy_topic(one)

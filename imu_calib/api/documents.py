@@ -39,8 +39,9 @@ from ..session.metadata import PLAN
 from ..session.plan import Plan, load_plan
 from .calibrate import serials_in, solve, units_of_recording
 from .compare import of_its_type
-from .files import output_path, page_path, recording_at
+from .files import output_path, page_path
 from .opening import session_of
+from .recorded import recording_at
 from .session import as_applied, as_calibration, as_combined, as_list, single_of
 
 _ALIKE = 0.1
@@ -164,7 +165,7 @@ def _recalibrate(
     origin = calibration.provenance
     method = origin.get('method') if stated.method is None else stated.method
     terms = _terms(calibration) if stated.terms is None and method in JOINT else stated.terms
-    recording = recording_at(located(bag))
+    recording = recording_at(located(bag), stated)
     plan = _plan_it_was(stated, origin, recording, name)
     serial = stated.serial or calibration.serial_number
     stated = replace(stated, method=method, terms=terms, plan=plan, serial=serial)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError, NotStated
@@ -12,10 +13,11 @@ from ..common.progress import Progress, silent
 from ..common.units import counted
 from ..recordings.cdr_codec import Kind
 from ..recordings.order import Extent
-from ..recordings.rosbag2 import Recording, open_recording
-from ..session.keywords import Named, Session, Stated, with_keywords
+from ..recordings.rosbag2 import Recording
+from ..session.keywords import Inspected, Stated, with_keywords
 from ..session.metadata import COMPENSATED
 from .opening import open_session
+from .recorded import Recorded, recording_at
 from .streams import contradiction, difference
 
 if TYPE_CHECKING:
@@ -76,21 +78,24 @@ class Inspection:
         return asdict(self)
 
 
-@with_keywords(Session)
-def inspect(bag: Named, *, progress: Progress = silent, **stated: Unpack[Session]) -> Inspection:
+@with_keywords(Inspected)
+def inspect(
+    bag: Recorded, *, progress: Progress = silent, **stated: Unpack[Inspected]
+) -> Inspection:
     """Examine the topics of a recording, then the streams if their meaning is known.
 
     Args:
-        bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
+        bag: Recording, text file, data frame or arrays, as for `calibrate`.
         progress: Shows the progress.
         **stated: The session, by the keywords of `calibrate`; by default as in the recording.
     """
-    return inspect_streams(topics(bag, progress), Stated(**stated), progress)
+    session = Stated(**stated)
+    return inspect_streams(bag, topics(bag, session, progress), session, progress)
 
 
-def topics(bag: Named, progress: Progress = silent) -> Inspection:
+def topics(bag: Recorded, stated: Stated | None = None, progress: Progress = silent) -> Inspection:
     """Examine only the topics."""
-    with open_recording(bag) as recording:
+    with recording_at(bag, stated) as recording:
         counts, seconds = _extent(recording, progress)
         rows = tuple(
             Topic(
@@ -103,15 +108,18 @@ def topics(bag: Named, progress: Progress = silent) -> Inspection:
         )
         by = recording.custom_data.get(COMPENSATED, '')
         lost = tuple(recording.losses)
-        return Inspection(str(bag), seconds, len(recording.files), by, rows, lost)
+        path = bag if isinstance(bag, str | Path) else recording.path
+        return Inspection(str(path), seconds, len(recording.files), by, rows, lost)
 
 
-def inspect_streams(outside: Inspection, stated: Stated, progress: Progress = silent) -> Inspection:
+def inspect_streams(
+    bag: Recorded, outside: Inspection, stated: Stated, progress: Progress = silent
+) -> Inspection:
     """Add the contents of the streams if their meaning is known."""
     try:
-        opened = open_session(outside.path, stated)
+        opened = open_session(bag, stated)
     except NotStated as error:
-        clocks = _clocks_alone(outside.path, progress)
+        clocks = _clocks_alone(bag, stated, progress)
         return replace(outside, missing_input=str(error), clocks=clocks)
 
     from .stream_contents import stream_contents
@@ -121,9 +129,9 @@ def inspect_streams(outside: Inspection, stated: Stated, progress: Progress = si
         return replace(outside, streams=streams, clocks=_clocks(recording))
 
 
-def _clocks_alone(bag: str, progress: Progress) -> tuple[TopicClock, ...]:
+def _clocks_alone(bag: Recorded, stated: Stated, progress: Progress) -> tuple[TopicClock, ...]:
     """Read the stamps of samples whose meaning is not known."""
-    with open_recording(bag) as recording:
+    with recording_at(bag, stated) as recording:
         types = {kind.type_name: kind for kind in (Kind.IMU, Kind.JOINTS)}
         kinds = {
             t.name: types[t.message_type]

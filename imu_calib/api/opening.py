@@ -12,10 +12,9 @@ import numpy as np
 
 from ..common.errors import InputError, NotStated
 from ..common.files import shipped
-from ..common.finding import warning
 from ..common.progress import Progress, silent
-from ..common.stream import Block, Floats, ImuBlock, Units
-from ..common.units import LARGEST, STANDARD_GRAVITY
+from ..common.stream import Block, ImuBlock, Units
+from ..common.units import STANDARD_GRAVITY
 from ..estimation.setup import Setup
 from ..recordings.cdr_codec import Kind
 from ..recordings.order import StampSorter
@@ -25,7 +24,7 @@ from ..session.imu import GENERIC, GRAVITY_FACTOR, ImuSpec, load_imu
 from ..session.keywords import Stated
 from ..session.plan import UNPLANNED, load_plan
 from ..session.segments_file import read_segments
-from .files import Recorded, SamplesInMemory, recording_at
+from .recorded import Recorded, recording_at
 from .session import (
     contradicted_latitude,
     gravity_as_exact,
@@ -39,20 +38,11 @@ from .session import (
 
 if TYPE_CHECKING:
     from ..segmentation.segmented import Segmented
-from .streams import Streams, streams_of
+from .streams import Streams, against_si, refuse_doubtful_units, streams_of
 
 _BLOCKS = 200
 """Blocks that are examined: some minutes of most recordings, and never more than fit into
 memory."""
-_NEAR_GRAVITY = 0.25
-"""Relative: an accelerometer in the hand with 3 % of scale factor error and 0.15 g of bias, beyond
-the data sheets of the cheapest (MPU-9150). The median length is nearer to gravity than that; g (1),
-mg (1000) and counts are not."""
-_FASTEST = 35.0
-"""rad/s: 2000 deg/s, the widest range of MEMS gyros in use (MPU-9250, BMI088, ICM-20948)."""
-_MOST_FALSE = 0.01
-"""Share of samples that may be false, as failed reads and spikes are. A judgement: in the hand a
-unit turns for a fifth of the time or more, on a table at rates for longer."""
 _EXAMINED = 1_000_000  #: Samples that are examined for movement: read in half a second.
 _LEAST_REST, _LONGEST_SESSION = 30.0, 1800.0
 """s. A unit that lies still for as long as the one is not in a hand, and a session in the hand does
@@ -94,7 +84,7 @@ def assumed_si_imu(recording: Recording, topic: str) -> ImuSpec:
     if removed := gravity_removed(quiet_means(force)):
         raise InputError(f'{recording.path}: {topic}: {removed}')
     if seen := against_si(force, rate):
-        known = "imu='rates'" if isinstance(recording, SamplesInMemory) else '`imu` rates'
+        known = '`imu` rates' if recording.files else "imu='rates'"
         raise NotStated(
             f'{recording.path}: the numbers of the IMU are not rad/s and m/s^2: {seen}. '
             'Say what they are: give `imu`, the name of a type or a file of your own, for deg/s '
@@ -102,29 +92,6 @@ def assumed_si_imu(recording: Recording, topic: str) -> ImuSpec:
             f'The types are {shipped("imus")}; docs/files/imu.md explains the file.',
         )
     return load_imu(GENERIC)
-
-
-def against_si(force: Floats, rate: Floats) -> str:
-    """Return which of (n, 3) forces and rates are not in SI units; else empty."""
-    lengths = np.linalg.norm(force[(np.abs(force) <= LARGEST).all(axis=1)], axis=1)
-    length = float(np.median(lengths)) if len(lengths) else float('nan')
-    if not abs(length / STANDARD_GRAVITY - 1) < _NEAR_GRAVITY:
-        unit = '; 1 would be g' if abs(length - 1) < _NEAR_GRAVITY else ''
-        return f'the median length of the acceleration is {length:.4g}, not 9.8{unit}'
-    fast = np.abs(rate[np.isfinite(rate).all(axis=1)]).max(axis=1)
-    # The fastest motion, not false samples: these are fewer.
-    fastest = float(np.quantile(fast, 1 - _MOST_FALSE)) if len(fast) else 0.0
-    if fastest > _FASTEST:
-        return (
-            f'the gyros read up to {fastest:.4g}, faster than any IMU turns in rad/s; '
-            'deg/s is possible'
-        )
-    return ''
-
-
-def units_in_doubt(seen: str) -> str:
-    """Return a warning of the stated units, given what `against_si` returned."""
-    return warning(f'The stated units may be wrong: {seen}.')
 
 
 def is_hand_held(session: Segmented) -> bool:
@@ -170,8 +137,7 @@ def refuse_rest(recording: Recording, topic: str, imu: ImuSpec) -> None:
                 f'{ratio:.3g} times gravity. Give the `imu` whose units and scale factors are '
                 'those of the recording.'
             )
-        in_memory = isinstance(recording, SamplesInMemory)
-        way = '`imu_calib.noise`' if in_memory else f'imu-calib noise {recording.path}'
+        way = f'imu-calib noise {recording.path}' if recording.files else '`imu_calib.noise`'
         raise NotStated(
             f'{recording.path}: the unit lies still, which calibrates nothing: {way} estimates its '
             'noise (if it is turned later on, give `plan`).'
@@ -200,9 +166,9 @@ class Opened:
         return (*self.recording.losses, *self.order.sentences)
 
 
-def open_session(bag: Recorded | AnyPath, stated: Stated, rate: float | None = None) -> Opened:
+def open_session(bag: Recorded | AnyPath, stated: Stated) -> Opened:
     """Open a recording, and find its set-up."""
-    return session_of(recording_at(bag, rate), stated)
+    return session_of(recording_at(bag, stated), stated)
 
 
 def _also_missing(stated: Stated, recording: Recording, streams: Streams) -> str:
@@ -219,6 +185,7 @@ def _also_missing(stated: Stated, recording: Recording, streams: Streams) -> str
 
 def session_of(recording: Recording, stated: Stated) -> Opened:
     """Find the set-up of a recording's session."""
+    refuse_doubtful_units(recording)
     streams = streams_of(stated, recording)
     described = table_of(stated, recording)
     table = mounted_on(described, stated, recording, streams.imu)

@@ -14,9 +14,9 @@ import numpy as np
 from ..common.config import Section
 from ..common.errors import InputError, NotObservable, NotStated
 from ..common.files import other_encoding
-from ..common.finding import warning
-from ..common.stream import ImuBlock, Units
-from ..common.units import PPM
+from ..common.finding import is_warning, warning, without_label
+from ..common.stream import Floats, ImuBlock, Units
+from ..common.units import LARGEST, PPM, STANDARD_GRAVITY
 from ..recordings.cdr_codec import Kind
 from ..recordings.rosbag2 import Recording
 from ..session.imu import read_imu
@@ -328,3 +328,50 @@ def difference(clock: RecordedClock, usual: float = _DIFFERENT) -> str:
         f'{faster * 100:.3g} % ({faster / PPM:.0f} +- {max(ratio.std / PPM, 1):.0f} ppm) too '
         f"{'fast' if ratio.value > 1 else 'slow'} against the recorder's log times"
     )
+
+
+# Numbers that are not in SI units.
+
+_NEAR_GRAVITY = 0.25
+"""Relative: an accelerometer in the hand with 3 % of scale factor error and 0.15 g of bias, beyond
+the data sheets of the cheapest (MPU-9150). The median length is nearer to gravity than that; g (1),
+mg (1000) and counts are not."""
+_FASTEST = 35.0
+"""rad/s: 2000 deg/s, the widest range of MEMS gyros in use (MPU-9250, BMI088, ICM-20948)."""
+_MOST_FALSE = 0.01
+"""Share of samples that may be false, as failed reads and spikes are. A judgement: in the hand a
+unit turns for a fifth of the time or more, on a table at rates for longer."""
+
+
+def against_si(force: Floats, rate: Floats) -> str:
+    """Return which of (n, 3) forces and rates are not in SI units; else empty."""
+    lengths = np.linalg.norm(force[(np.abs(force) <= LARGEST).all(axis=1)], axis=1)
+    length = float(np.median(lengths)) if len(lengths) else float('nan')
+    if not is_near_gravity(length / STANDARD_GRAVITY):
+        unit = '; 1 would be g' if is_near_gravity(length) else ''
+        return f'the median length of the acceleration is {length:.4g}, not 9.8{unit}'
+    fast = np.abs(rate[np.isfinite(rate).all(axis=1)]).max(axis=1)
+    # The fastest motion, not false samples: these are fewer.
+    fastest = float(np.quantile(fast, 1 - _MOST_FALSE)) if len(fast) else 0.0
+    if fastest > _FASTEST:
+        return (
+            f'the gyros read up to {fastest:.4g}, faster than any IMU turns in rad/s; '
+            'deg/s is possible'
+        )
+    return ''
+
+
+def units_in_doubt(seen: str) -> str:
+    """Return a warning of the stated units, given what `against_si` returned."""
+    return warning(f'The stated units may be wrong: {seen}.')
+
+
+def refuse_doubtful_units(recording: Recording) -> None:
+    """Refuse columns whose numbers contradict their stated units."""
+    if doubts := list(filter(is_warning, recording.losses)):
+        raise InputError(f'{recording.path}: {without_label(doubts[0])}')
+
+
+def is_near_gravity(ratio: float) -> bool:
+    """Return whether an accelerometer at rest may read this share of gravity."""
+    return abs(ratio - 1) < _NEAR_GRAVITY

@@ -34,8 +34,7 @@ from ..session.imu import ImuSpec
 from ..session.keywords import Named, Stated, Verified, with_keywords
 from ..session.metadata import compensated_already
 from ..session.plan import UNPLANNED
-from .files import Recorded, recording_at
-from .opening import against_si
+from .recorded import Recorded, recording_at
 from .session import (
     as_applied,
     contradicted_latitude,
@@ -45,7 +44,13 @@ from .session import (
     stated_plan,
     table_of,
 )
-from .streams import clock_findings, refused_by_stamps, streams_of
+from .streams import (
+    against_si,
+    clock_findings,
+    refuse_doubtful_units,
+    refused_by_stamps,
+    streams_of,
+)
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -74,7 +79,6 @@ def verify(
     bag: Recorded,
     calibration: Result | AnyCalibration | Named,
     *,
-    rate: float | None = None,
     another_unit: bool = False,
     progress: Progress = silent,
     **stated: Unpack[Verified],
@@ -82,9 +86,8 @@ def verify(
     """Compare a calibration with a recording.
 
     Args:
-        bag: Recording, data frame or arrays, as for `calibrate`.
+        bag: Recording, text file, data frame or arrays, as for `calibrate`.
         calibration: calibration.yaml, single or combined, or a loaded calibration.
-        rate: Samples per second of arrays, or of a frame whose index is no time.
         another_unit: Compare even if calibration and recording name different units.
         progress: Shows the progress.
         **stated: The session, by the keywords of `calibrate` but `method` and `terms`; by default
@@ -98,8 +101,11 @@ def verify(
         NotObservable: The recording contains nothing to compare with.
     """
     loaded, name = as_applied(calibration)
-    with recording_at(bag, rate) as recording:
-        found = _verify(loaded, name, recording, Stated(**stated), another_unit, progress)
+    session = Stated(**stated)
+    # Columns are read as the calibration means them.
+    opened = replace(session, imu=session.imu or first_of(loaded).imu)
+    with recording_at(bag, opened) as recording:
+        found = _verify(loaded, name, recording, session, another_unit, progress)
     if not isinstance(calibration, str | Path):
         return found
     file = user_path(calibration)
@@ -124,6 +130,7 @@ def _verify(
     another_unit: bool,
     progress: Progress,
 ) -> Verification:
+    refuse_doubtful_units(recording)
     wanted = stated.serial or first_of(loaded).serial_number
     streams = streams_of(replace(stated, serial=wanted), recording)
     # Omit what is not stated: a plan gives names, a table attitudes.

@@ -25,7 +25,7 @@ from ..reports.noise import COLUMNS, noise_page, noise_rows, noise_tables
 from ..reports.provenance import verdict_line
 from ..reports.side_by_side import comparison_tables, table_estimate
 from ..reports.verification import limits_line, moved_table, record_table, worst_of
-from ..session.keywords import Calibrated, ImuTopic, Numbered, OfType, Read
+from ..session.keywords import Calibrated, Columned, Verified
 from ..session.plan import METHOD_NAMES
 from . import options
 from .outcome import (
@@ -267,7 +267,6 @@ def run_calibrate(arguments: argparse.Namespace) -> CommandResult:
     return judged_result(_document(result, found, path), found)
 
 
-_COLUMNS = 'NAME,NAME,NAME:UNIT'
 _PICTURES = ('.png', '.svg', '.pdf')
 _FILTERS = {
     'kalibr': 'imu.yaml of Kalibr',
@@ -282,8 +281,7 @@ def add_noise_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         'bag', help='recording of a unit that lies still for hours, a URL of one, or a text file'
     )
-    for group in (OfType, ImuTopic, Numbered):
-        options.add_statements(parser, group)
+    options.add_statements(parser, Columned)
     parser.add_argument(
         '--full-overlap',
         action='store_true',
@@ -299,13 +297,6 @@ def add_noise_options(parser: argparse.ArgumentParser) -> None:
         '--topic',
         help='topic of the stream that these files name (default: that of the recording)',
     )
-    text = parser.add_argument_group('text files', 'As of imu-calib convert.')
-    text.add_argument('--stamp', metavar='NAME:UNIT', help='time of each row, in s, ms, us or ns')
-    text.add_argument(
-        '--rate', type=float, metavar='HZ', help='of the rows, if no column has their time'
-    )
-    text.add_argument('--gyro', metavar=_COLUMNS, help='for instance wx,wy,wz:deg/s')
-    text.add_argument('--accel', metavar=_COLUMNS, help='for instance ax,ay,az:g')
     add_json_option(parser)
 
 
@@ -382,8 +373,7 @@ def add_verify_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--calibration', required=True, metavar='FILE', help='calibration.yaml to be verified'
     )
-    options.add_statements(parser, Read)
-    options.add_statements(parser, Numbered)
+    options.add_statements(parser, Verified)
     parser.add_argument(
         '--another-unit',
         action='store_true',

@@ -8,11 +8,9 @@ from ..api.compensate import compensate
 from ..api.convert import convert
 from ..api.inspect import Topic, topics
 from ..common.units import counted
-from ..session.keywords import Numbered
+from ..session.keywords import Columned, InColumns
 from . import options
 from .terminal import OUTPUT, print_findings, progress_bar
-
-_COLUMNS = 'NAME,NAME,NAME:UNIT'
 
 
 def add_convert_options(parser: argparse.ArgumentParser) -> None:
@@ -22,36 +20,7 @@ def add_convert_options(parser: argparse.ArgumentParser) -> None:
         help='text file (CSV, tabs, blanks), bag of ROS 1, recording of rosbag2, or a URL of one',
     )
     parser.add_argument('-o', '--output', required=True, metavar='DIR', help='folder to create')
-    text = parser.add_argument_group(
-        'text files',
-        'NAME: as in the heading of the file, or the place of a column from 1 on (simpler where a '
-        'name has blanks, which takes quotes).',
-    )
-    text.add_argument('--stamp', metavar='NAME:UNIT', help='time of each row, in s, ms, us or ns')
-    text.add_argument('--rate', metavar='HZ', help='of the rows, if no column has their time')
-    text.add_argument(
-        '--gyro',
-        metavar=_COLUMNS,
-        help='for instance wx,wy,wz:deg/s; also per sample, in rad, pulse or count',
-    )
-    text.add_argument(
-        '--accel',
-        metavar=_COLUMNS,
-        help='for instance ax,ay,az:g; also per sample, in m/s, pulse or count',
-    )
-    text.add_argument(
-        '--accel-file',
-        metavar='FILE',
-        help='text file of the accelerometers, where they have one of their own',
-    )
-    text.add_argument(
-        '--accel-stamp', metavar='NAME:UNIT', help='time of its rows (default: as --stamp)'
-    )
-    text.add_argument(
-        '--joints', metavar='NAME,...:UNIT', help="the table's joints, for instance outer,inner:deg"
-    )
-    text.add_argument('--temperature', metavar='NAME:degC', help='of the unit')
-    text.add_argument('--delimiter', metavar='C', help='between fields (default: as found)')
+    options.add_statements(parser, InColumns)
     parser.add_argument('--imu', metavar='NAME|FILE', help='what pulses or counts mean')
     two = parser.add_argument_group(
         'gyros and accelerometers on two topics',
@@ -94,11 +63,7 @@ def add_compensate_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '-o', '--output', required=True, metavar='DIR', help='recording to write (mcap)'
     )
-    parser.add_argument(
-        '--imu', metavar='NAME|FILE', help='name or file of the IMU: what its numbers mean'
-    )
-    options.add_statements(parser, Numbered)
-    parser.add_argument('--imu-topic', metavar='TOPIC', help='raw sensor_msgs/Imu topic')
+    options.add_statements(parser, Columned)
     parser.add_argument(
         '--output-topic',
         metavar='TOPIC',

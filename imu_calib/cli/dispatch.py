@@ -91,7 +91,7 @@ _RARE = frozenset(
         *('--joint-topic', '--setpoint-topic', '--imu-only', '--method', '--separate'),
         *('--baud', '--table-baud', '--network', '--stop-required', '--web-host', '--without'),
         *('--sample-rate', '--bias-instability', '--scheduler', '--start', '--speed'),
-        '--processes',
+        *('--processes', '--delimiter', '--accel-stamp'),
     }
 )
 """Options that few sessions need: --help names them together, --help-all explains them."""

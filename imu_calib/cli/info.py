@@ -12,7 +12,7 @@ from ..api.inspect import Inspection, inspect_streams, topics
 from ..common.files import share_folder
 from ..common.units import DEG, DEG_H, PPM, STANDARD_GRAVITY, counted
 from ..reports.plain_table import plain_table
-from ..session.keywords import Session
+from ..session.keywords import Inspected
 from ..session.segments_file import write_segments
 from . import options
 from .outcome import (
@@ -40,7 +40,7 @@ def add_info_options(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='list topics alone; of an .mcap behind a URL the summary is read, and no more',
     )
-    options.add_statements(parser, Session)
+    options.add_statements(parser, Inspected)
     parser.add_argument(
         '--segments',
         dest='segments_output',
@@ -53,12 +53,13 @@ def add_info_options(parser: argparse.ArgumentParser) -> None:
 
 def run_info(arguments: argparse.Namespace) -> CommandResult:
     """Show the contents of a recording, what it can calibrate, and contradictions."""
-    outside = topics(arguments.bag, progress_bar)
+    stated = options.stated(arguments)
+    outside = topics(arguments.bag, stated, progress_bar)
     _show_topics(outside)
     if arguments.topics:
         sentence_list('Lost', outside.lost)
         return CommandResult(outside.to_dict())
-    found = inspect_streams(outside, options.stated(arguments), progress_bar)
+    found = inspect_streams(arguments.bag, outside, stated, progress_bar)
     _show_clocks(found, verbose=arguments.verbose)
     if found.streams is None:
         sentence_list('Lost', outside.lost)

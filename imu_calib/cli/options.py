@@ -9,7 +9,12 @@ from inspect import Parameter, signature
 from typing import Any, get_args, get_type_hints
 
 from ..common.errors import InputError
-from ..session.keywords import Stated, statements
+from ..session.keywords import InColumns, Stated, statements
+
+_OF_TEXT = (
+    'In place of BAG, or converted: docs/recordings.md. NAME: as in the heading, or the place of a '
+    'column from 1 on (simpler where a name has blanks, which takes quotes).'
+)
 
 
 def stated(arguments: argparse.Namespace) -> Stated:
@@ -29,14 +34,17 @@ def keywords(function: Callable[..., object], arguments: argparse.Namespace) -> 
 
 def add_statements(parser: argparse._ActionsContainer, group: type) -> None:
     """Add the options of statements on a session, as they are declared."""
-    hints = get_type_hints(group)
-    for name, one in statements(group).items():
+    hints, stated = get_type_hints(group), statements(group)
+    main, columns = parser, statements(InColumns).keys() & stated
+    of_text = main.add_argument_group('text files', _OF_TEXT) if columns else main
+    for name, one in stated.items():
+        parser = of_text if name in columns else main
         (text, metavar, default, choices), option = one.option, f'--{name.replace("_", "-")}'
         kinds = {hints[name], *get_args(hints[name])}
         if bool in kinds:
             parser.add_argument(option, action='store_true', help=text)
             continue
-        kind = next((kind for kind in (int, float) if kind in kinds), str)
+        kind = next((kind for kind in (str, int, float) if kind in kinds), str)
         parser.add_argument(
             option, type=kind, default=default, choices=choices, metavar=metavar, help=text
         )
@@ -96,5 +104,5 @@ def add_bag(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         'bag',
         metavar='BAG',
-        help='folder of rosbag2, one .mcap or .db3 file, or a URL of one (s3://...)',
+        help='folder of rosbag2, one .mcap or .db3 file, a text file, or a URL of one (s3://...)',
     )

@@ -213,6 +213,9 @@ def require(library: str, what: str, extra: str) -> None:
 
 # Recordings of other software, by file ending, and the way to make recordings of them.
 
+_TABLES = ('.csv', '.txt', '.tsv', '.dat')
+TEXT_FILES = (*_TABLES, '.log')
+"""Endings of tables of numbers, of which .log is that of other texts as well."""
 _TEXT = (
     'a text file',
     'imu-calib convert {path} -o OUT --stamp NAME:UNIT --gyro NAME,NAME,NAME:UNIT --accel '
@@ -229,7 +232,7 @@ _FORMATS = {
         'writematrix there, or scipy.io.loadmat and numpy.savetxt in Python, make a text file of '
         'it, and imu-calib convert a recording of that',
     ),
-    **dict.fromkeys(('.csv', '.txt', '.tsv', '.dat'), _TEXT),
+    **dict.fromkeys(_TABLES, _TEXT),
     **{
         ending: ('a packed file', f'{program} {{path}} unpacks it')
         for ending, program in (

@@ -14,8 +14,8 @@ from types import MappingProxyType
 from typing import Any
 
 from ..api.calibrate import serials_in, solve, units_of_recording
-from ..api.files import recording_at
 from ..api.opening import session_of
+from ..api.recorded import recording_at
 from ..api.session import serial_of, stated_imu
 from ..api.streams import imu_topic, units_of
 from ..calibration.results import Result

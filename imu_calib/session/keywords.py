@@ -51,7 +51,7 @@ _TERM_CHOICES = (
     f'{AUTO_TERMS}, those that the session shows; {NO_TERMS}; or of '
     f'{", ".join([*(term.name for term in TERMS), *SESSION_TERMS])} (default: {DEFAULT_TERMS})'
 )
-_FILE, _TOPIC = 'NAME|FILE', 'TOPIC'
+_FILE, _TOPIC, _COLUMNS = 'NAME|FILE', 'TOPIC', 'NAME,NAME,NAME:UNIT'
 _TABLE = 'three_axis'
 
 
@@ -292,12 +292,70 @@ class Read(RunBy, OfType, OnTable, ImuTopic, TableTopics, ImuOnly, AtSite, total
     """A recording, without its estimate and its unit."""
 
 
-class Verified(Read, Numbered, total=False):
+class InColumns(TypedDict, total=False):
+    """The columns of a text file or a data frame."""
+
+    stamp: Annotated[
+        str | None,
+        "Column of each row's time, 't:s' (s, ms, us, ns); None for the index of a frame.",
+        Option('time of each row, in s, ms, us or ns', 'NAME:UNIT'),
+    ]
+    rate: Annotated[
+        float | str | None,
+        "Samples per second of arrays, and of rows without a time: 200 or '200 Hz'.",
+        Option('of the rows, if no column has their time', 'HZ'),
+    ]
+    gyro: Annotated[
+        str | None,
+        "Three columns, 'wx,wy,wz:deg/s': units of rate or angle, pulse, or count.",
+        Option('for instance wx,wy,wz:deg/s; also per sample, in rad, pulse or count', _COLUMNS),
+    ]
+    accel: Annotated[
+        str | None,
+        "Three columns, '5,6,7:g': units of acceleration or velocity, pulse, or count.",
+        Option('for instance ax,ay,az:g; also per sample, in m/s, pulse or count', _COLUMNS),
+    ]
+    joints: Annotated[
+        str | None,
+        "Columns with the names of the table's joints, 'outer,inner:deg'.",
+        Option("the table's joints, for instance outer,inner:deg", 'NAME,...:UNIT'),
+    ]
+    temperature: Annotated[
+        str | None,
+        "One column, 'NAME:degC'.",
+        Option('of the unit', 'NAME:degC'),
+    ]
+    delimiter: Annotated[
+        str | None,
+        'Between the fields of a text file; None detects it.',
+        Option('between fields (default: as found)', 'C'),
+    ]
+    accel_file: Annotated[
+        Named | None,
+        'Text file of the accelerometers, if the recording holds only the gyros.',
+        Option('text file of the accelerometers, where they have one of their own', 'FILE'),
+    ]
+    accel_stamp: Annotated[
+        str | None,
+        'Column of the time in `accel_file`; None: as `stamp`.',
+        Option('time of its rows (default: as --stamp)', 'NAME:UNIT'),
+    ]
+
+
+class Verified(Read, Numbered, InColumns, total=False):
     """A recorded session for verification, without an estimate."""
+
+
+class Columned(OfType, Numbered, ImuTopic, InColumns, total=False):
+    """The samples of a unit: whose, what they mean, and where they are."""
 
 
 class Session(Read, Solved, Numbered, total=False):
     """A recorded session of one unit."""
+
+
+class Inspected(Session, InColumns, total=False):
+    """A recorded session of one unit that is examined."""
 
 
 class Listed(TypedDict, total=False):
@@ -313,7 +371,7 @@ class Listed(TypedDict, total=False):
     ]
 
 
-class Calibrated(Session, Listed, total=False):
+class Calibrated(Session, Listed, InColumns, total=False):
     """A recorded session of one unit that is calibrated."""
 
 
@@ -396,6 +454,12 @@ class Stated:
 
         def __init__(self, *, mount: Floats | None = None, **given: Unpack[Calibrated]) -> None: ...
         def __getattr__(self, name: str) -> Any: ...
+
+    @property
+    def columns(self) -> InColumns:
+        """The columns that are stated, by option."""
+        given = {name: getattr(self, name) for name in statements(InColumns)}
+        return {n: value for n, value in given.items() if value is not None}  # type: ignore[return-value]
 
     @property
     def _terms(self) -> str:

@@ -426,9 +426,9 @@ def test_each_option_of_a_command_is_a_keyword_of_its_function():
         given = {action.dest for action in parser._actions if action.option_strings}
         known = set(inspect.signature(function).parameters)
         assert given - of_commands - others.get(name, set()) <= known, name
-        # A command takes no arrays.
-        alone = {'progress', *(['rate'] if name == 'compensate' else [])}
-        assert known - alone <= {action.dest for action in parser._actions} | {'source'}, name
+        assert known - {'progress'} <= {action.dest for action in parser._actions} | {'source'}, (
+            name
+        )
 
 
 def test_the_folder_of_a_session_is_no_calibration_but_names_one(result, tmp_path):

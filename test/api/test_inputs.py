@@ -1,5 +1,6 @@
 """Frames and arrays in place of recordings: the same bits, and refusals that say what to do."""
 
+import hashlib
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 from sessions import brief_plan
 
 import imu_calib
-from imu_calib.api.files import recording_at
+from imu_calib.api.recorded import recording_at
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
+from imu_calib.session.keywords import Stated
 
 NAMES = [f'{name}.{a}' for name in ('angular_velocity', 'linear_acceleration') for a in 'xyz']
 
@@ -67,7 +69,7 @@ def test_the_index_may_be_dates_durations_or_seconds(frame, index):
 def imu_stamps(bag: Any, rate: float | None = None) -> np.ndarray[Any, Any]:
     from imu_calib.recordings.cdr_codec import Kind
 
-    blocks = recording_at(bag, rate).read({'/imu/data_raw': Kind.IMU})
+    blocks = recording_at(bag, Stated(rate=rate)).read({'/imu/data_raw': Kind.IMU})
     return np.concatenate([block.stamp for _, block in blocks])
 
 
@@ -112,7 +114,7 @@ def test_what_a_mask_hides_is_missing():
     from imu_calib.recordings.cdr_codec import Kind
 
     values = np.ma.masked_array(np.ones((3, 6)), mask=np.eye(3, 6, dtype=bool))
-    ((_, block),) = recording_at(values, 100.0).read({'/imu/data_raw': Kind.IMU})
+    ((_, block),) = recording_at(values, Stated(rate=100.0)).read({'/imu/data_raw': Kind.IMU})
     assert np.isnan(block.gyro).tolist() == np.eye(3, dtype=bool).tolist()
 
 
@@ -155,6 +157,74 @@ def test_a_frame_joined_of_several_topics_gives_the_bits_of_a_table(tmp_path):
     found = imu_calib.calibrate(joined, imu='fog_medium', latitude=34.65)
     wanted = imu_calib.calibrate(tmp_path / 'bag', plan='none', latitude=34.65)
     assert same_bits(found.calibration, wanted.calibration)
+
+
+OWN = {'gyro': 'gx,gy,gz:deg/s', 'accel': 'ax,ay,az:g'}
+
+
+@pytest.fixture(scope='module')
+def named(frame):
+    """The session in degrees per second and g, in columns as a person calls them."""
+    imu = imu_calib.load_imu('mems_counts')
+    units = [imu.gyro.scale_factor / DEG] * 3 + [imu.accel.scale_factor / STANDARD_GRAVITY] * 3
+    own = (frame[NAMES] * units).set_axis(['gx', 'gy', 'gz', 'ax', 'ay', 'az'], axis=1)
+    seconds = (frame.index - frame.index[0]).total_seconds()
+    return own.assign(t=np.round(seconds, 6)).reset_index(drop=True)
+
+
+@pytest.mark.parametrize('written', [False, True])
+def test_columns_of_other_names_are_read_by_every_function(named, written, tmp_path):
+    bag, columns = named, {'stamp': 't:s', **OWN}
+    named.to_csv(tmp_path / 'log.csv', index=False)
+    if written:
+        bag = tmp_path / 'log.csv'
+    imu_calib.convert(tmp_path / 'log.csv', tmp_path / 'bag', **columns)
+    found = imu_calib.calibrate(bag, latitude=48.1, **columns).calibration
+    wanted = imu_calib.calibrate(tmp_path / 'bag', latitude=48.1).calibration
+    assert same_bits(found, wanted)
+    assert found.provenance['recording'] == ('log.csv' if written else 'data frame')
+    if written:
+        content = hashlib.sha256(bag.read_bytes()).hexdigest()
+        assert found.provenance['sha256'] == content
+    assert imu_calib.verify(bag, wanted, latitude=48.1, **columns).verdict.name == 'PASS'
+    assert imu_calib.verify(bag, found, latitude=48.1, **columns).own_recording
+    mine = imu_calib.compensate(bag, wanted, tmp_path / 'mine', **columns)
+    theirs = imu_calib.compensate(tmp_path / 'bag', wanted, tmp_path / 'theirs')
+    one, other = (imu_calib.read(c.path, c.target).to_dataframe() for c in (mine, theirs))
+    pd.testing.assert_frame_equal(one, other, check_exact=True)
+    seen = imu_calib.inspect(bag, latitude=48.1, **columns)
+    assert seen.topics[0].messages == len(named) and len(seen.streams.dwells) > 10
+
+
+def test_the_index_is_the_time_of_columns_of_other_names(named):
+    indexed = named.set_index(pd.to_timedelta(named['t'], 's'))
+    found = imu_calib.calibrate(indexed, latitude=48.1, **OWN).calibration
+    wanted = imu_calib.calibrate(named, latitude=48.1, stamp='t:s', **OWN).calibration
+    assert same_bits(found, wanted)
+
+
+def test_a_refusal_states_the_columns_with_the_units_that_the_numbers_allow(named, tmp_path):
+    named.to_csv(tmp_path / 'log.csv', index=False)
+    words = r'State `stamp` t:s `gyro` gx,gy,gz:deg/s `accel` ax,ay,az:g, if these are the units'
+    with pytest.raises(imu_calib.InputError, match=words):
+        imu_calib.calibrate(tmp_path / 'log.csv')
+    with pytest.raises(imu_calib.InputError, match="gyro='gx,gy,gz:deg/s', accel='ax,ay,az:g'"):
+        imu_calib.calibrate(named)
+    slow = named.assign(gx=0.0, gy=0.0, gz=0.0, ax=named['ax'] * 1000, ay=named['ay'] * 1000)
+    slow.assign(az=named['az'] * 1000, t=named['t'] * 1e6).to_csv(tmp_path / 'log.csv')
+    with pytest.raises(imu_calib.InputError, match=r't:us `gyro` gx,gy,gz:UNIT `accel` .*:mg'):
+        imu_calib.calibrate(tmp_path / 'log.csv')
+
+
+def test_units_that_the_numbers_contradict_are_refused(named, expected):
+    columns = {'stamp': 't:s', 'accel': OWN['accel'], 'gyro': 'gx,gy,gz:rad/s'}
+    message = 'data frame: The stated units may be wrong: the gyros read up to'
+    with pytest.raises(imu_calib.InputError, match=message):
+        imu_calib.calibrate(named, latitude=48.1, **columns)
+    with pytest.raises(imu_calib.InputError, match=message):
+        imu_calib.verify(named, expected, latitude=48.1, imu='si', **columns)
+    with pytest.raises(imu_calib.InputError, match='units: found counts, but the numbers are rat'):
+        imu_calib.verify(named, expected, latitude=48.1, **columns)
 
 
 @pytest.mark.parametrize(

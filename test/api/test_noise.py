@@ -114,7 +114,7 @@ def test_a_text_file_is_read_by_its_columns(tmp_path):
     gyro, accel = 'wx,wy,wz:deg/s', 'ax,ay,az:g'
     found = imu_calib.noise(file, stamp='t:s', gyro=gyro, accel=accel)
     assert found.rate == pytest.approx(RATE)
-    assert found.imu == 'log'
+    assert found.imu == 'log.csv'
     assert found.channels['az'].deviation[0] == pytest.approx(2e-2, rel=0.05)
     assert imu_calib.noise(file, rate=50.0, gyro=gyro, accel=accel).rate == pytest.approx(50.0)
     wrong = imu_calib.noise(file, stamp='t:s', gyro=gyro, accel='ax,ay,az:m/s^2')

@@ -379,7 +379,7 @@ def test_a_cut_sqlite_file_is_looked_at_for_what_is_there_and_what_is_not(tmp_pa
     assert 0 < found.seconds < 0.7 * whole.seconds
     assert found.lost == tuple(losses)
     assert not whole.lost
-    looked = inspect_streams(found, Stated())
+    looked = inspect_streams(path, found, Stated())
     assert looked.streams is None
     assert looked.lost == found.lost
 
