@@ -27,6 +27,7 @@ from ..session.segments_file import read_segments
 from .recorded import Recorded, recording_at
 from .session import (
     contradicted_latitude,
+    corrected_serial,
     gravity_as_exact,
     mounted_on,
     serial_of,
@@ -183,6 +184,11 @@ def _also_missing(stated: Stated, recording: Recording, streams: Streams) -> str
     return f'Give also {" and ".join(missing)}.' if missing else ''
 
 
+_WRONG_SERIAL = (
+    ' Correct it; if the number in the recording is wrong, state that one as `recorded_serial`.'
+)
+
+
 def session_of(recording: Recording, stated: Stated) -> Opened:
     """Find the set-up of a recording's session."""
     refuse_doubtful_units(recording)
@@ -206,7 +212,7 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
         refuse_rest(recording, streams.imu, imu)
     steps = load_plan('free_positions') if plan is None else plan
     statements = (*([] if known else [ASSUMED_SI]), *([] if plan else [ASSUMED_BY_HAND]))
-    statements += contradicted_latitude(stated, recording)
+    statements += (*corrected_serial(stated), *contradicted_latitude(stated, recording))
     site = site_of(stated, recording, by_hand=steps.by_hand)
     statements += gravity_as_exact(site, stated)
     if stated.segments is not None:
@@ -220,7 +226,7 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
         table if streams.joints is not None else None,
         site,
         stated.method,
-        serial_of(stated, recording, streams.imu),
+        serial_of(stated, recording, streams.imu, _WRONG_SERIAL),
         stated.sensor_terms,
         stated.changes,
         stated.search_terms,

@@ -247,13 +247,31 @@ def stated_imu(stated: Stated, recording: Recording, topic: str) -> tuple[ImuSpe
     return given, name
 
 
-def serial_of(stated: Stated, recording: Recording, topic: str) -> str:
+def serial_of(stated: Stated, recording: Recording, topic: str, advice: str = '') -> str:
     """Return the stated serial number, or that of the recording; empty without one."""
     data = recording.custom_data
     recorded, given = data.get(serial_key(topic), data.get(SERIAL_NUMBER, '')), stated.serial
-    if given is not None and recorded and given != recorded:
-        raise InputError(f'`serial`: found {given}, but {recording.path} is of unit {recorded}.')
+    wrong = stated.recorded_serial
+    if wrong is not None and (not given or wrong != recorded):
+        raise InputError(
+            f'`recorded_serial`: found {wrong}, but {recording.path} states '
+            f'{recorded or "none"}; expected that number, and the right one as `serial`.'
+        )
+    if given is not None and recorded not in ('', given, wrong):
+        raise InputError(
+            f'`serial`: found {given}, but {recording.path} is of unit {recorded}.{advice}'
+        )
     return given or recorded
+
+
+def corrected_serial(stated: Stated) -> tuple[str, ...]:
+    """Return a sentence on a serial number of the recording that was replaced."""
+    if stated.recorded_serial in (None, stated.serial):
+        return ()
+    return (
+        f'The recording states the serial number {stated.recorded_serial}; {stated.serial} was '
+        'stated to replace it.',
+    )
 
 
 def mounted_on(table: Table, stated: Stated, recording: Recording, topic: str) -> Table:

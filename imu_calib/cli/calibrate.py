@@ -68,7 +68,7 @@ _WORST_FIRST = (WRONG_INPUT, NO_ANSWER, OUTSIDE, DONE)
 def has_several_units(arguments: argparse.Namespace) -> bool:
     """Return whether the command line or the recording has several units."""
     if arguments.imus is not None:
-        options.refuse_with_imus(arguments, 'imu', 'serial', 'imu_topic')
+        options.refuse_with_imus(arguments, 'imu', 'serial', 'recorded_serial', 'imu_topic')
         return True
     one = (arguments.imu, arguments.serial, arguments.imu_topic)
     return all(value is None for value in one) and holds_several(arguments.bag)

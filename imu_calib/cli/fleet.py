@@ -101,7 +101,7 @@ def run_batch(arguments: argparse.Namespace) -> CommandResult:
             raise
 
     if arguments.imus is not None:
-        options.refuse_with_imus(arguments, 'imu', 'serial', 'imu_topic')
+        options.refuse_with_imus(arguments, 'imu', 'serial', 'recorded_serial', 'imu_topic')
     keywords = options.keywords(batch, arguments)
     done = batch(
         arguments.sources,

@@ -27,7 +27,7 @@ _RECORDING = 'recording'
 _LONGEST_HEADING = 10_000
 """Characters: more than the names of all columns have. A file may be one line."""
 _IMUS = 'imus'
-OF_ONE = ('imu', 'serial', 'imu_topic')
+OF_ONE = ('imu', 'serial', 'recorded_serial', 'imu_topic')
 """Statements on one unit, which for several units are in their file."""
 _FLAGS = {'yes': True, 'true': True, '1': True, 'no': False, 'false': False, '0': False}
 
@@ -289,7 +289,7 @@ def _job(
             )
         # The row has precedence over the options, which concern one unit.
         imus = _named(str(given[_IMUS]), manifest, _IMUS)
-        stated = replace(stated, imu=None, serial=None, imu_topic=None)
+        stated = replace(stated, **dict.fromkeys(OF_ONE))
     elif one:
         imus = ''
     values: dict[str, Any] = {}

@@ -272,6 +272,16 @@ class Numbered(TypedDict, total=False):
     ]
 
 
+class Corrected(TypedDict, total=False):
+    """The wrong number of the unit in the recording."""
+
+    recorded_serial: Annotated[
+        str | None,
+        'Wrong serial number that the recording states, which `serial` replaces.',
+        Option('wrong serial number in the recording, which --serial replaces', 'NUMBER'),
+    ]
+
+
 class Planned(OnTable, AtSite, Solved, total=False):
     """A session that is predicted or simulated."""
 
@@ -350,7 +360,7 @@ class Columned(OfType, Numbered, ImuTopic, InColumns, total=False):
     """The samples of a unit: whose, what they mean, and where they are."""
 
 
-class Session(Read, Solved, Numbered, total=False):
+class Session(Read, Solved, Numbered, Corrected, total=False):
     """A recorded session of one unit."""
 
 

@@ -953,7 +953,15 @@ def test_the_serial_number_of_the_recording_or_of_the_command_line(cli, recorded
     assert Calibration.load(cli.output).serial_number == '0042'
     cli.output.unlink()
     data = {**DATA, 'imu_calib.serial_number': 'A1'}
-    sentence = '--serial: found B2, but .*bag is of unit A1'
+    sentence = '--serial: found B2, but .*bag is of unit A1.*state that one as --recorded-serial'
     cli.refuses(2, sentence, good().columns, '--serial', 'B2', data=data)
+    sentence = '--recorded-serial: found A2, but .*bag states A1; expected that number'
+    wrong = '--serial', 'B2', '--recorded-serial'
+    cli.refuses(2, sentence, cli.folder / 'bag', *wrong, 'A2')
+    assert cli.calibrate(cli.folder / 'bag', *wrong, 'A1')[0] == 0
+    replaced = Calibration.load(cli.output)
+    assert replaced.serial_number == 'B2'
+    assert 'states the serial number A1; B2 was stated to replace' in ' '.join(replaced.findings)
+    cli.output.unlink()
     assert cli.calibrate(cli.folder / 'bag')[0] == 0
     assert Calibration.load(cli.output).serial_number == 'A1'
