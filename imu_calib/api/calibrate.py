@@ -140,29 +140,31 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
                     f'If the session did not follow {plan.name}, leave `plan` out: holds in any '
                     'attitudes are calibrated without one.'
                 )
+            refusal = error.among(after=(*lost, *opened.assumed))
             # A contradiction is in what there is.
-            cut = '' if isinstance(error, Contradiction) else opened.recording.unfinished
-            refusal = error.among(after=(*(s for s in lost if s != cut), *opened.assumed))
-            refusal.args = (f'{cut} {refusal.args[0]}'.lstrip(), *refusal.args[1:])
             if not isinstance(error, Contradiction):
-                refusal = refusal.among(before=_interrupted(opened, refusal.args))
+                refusal.args = _unfinished_first(opened, refusal.args)
             raise refusal from None
         if by_hand:
             _check_that_it_was(opened, result.session)
     return result
 
 
-def _interrupted(opened: Opened, said: tuple[str, ...]) -> tuple[str, ...]:
-    """Return that a stand's session did not come to its end, what it lacks, and how to go on."""
+def _unfinished_first(opened: Opened, said: tuple[str, ...]) -> tuple[str, ...]:
+    """Return a refusal that begins with what a session lacks that did not come to its end."""
     # Loaded here: what runs a stand is another command.
     from .stand import can_be_resumed
 
-    folder = Path(str(opened.recording.path)).parent
-    if not can_be_resumed(folder):
-        return ()
+    folder, cut = Path(str(opened.recording.path)).parent, opened.recording.unfinished
     lacks = next((text for text in said if text.startswith(MISSING)), '')
-    command = f'imu-calib stand --resume {shlex.quote(str(folder))}'
-    return (f'The session was interrupted before its end. {lacks} Go on with it: {command}.',)
+    rest = tuple(text for text in said if text not in {cut, lacks})
+    if can_be_resumed(folder):
+        command = f'imu-calib stand --resume {shlex.quote(str(folder))}'
+        first = f'The session was interrupted before its end. {lacks} Go on with it: {command}.'
+        return (first, *rest)
+    if cut and lacks:
+        return (f'{cut} {lacks}', *rest)
+    return (f'{cut} {rest[0]}', *rest[1:]) if cut else said
 
 
 def documented(opened: Opened, result: Result) -> Result:

@@ -60,17 +60,13 @@ def show_prediction(arguments: argparse.Namespace) -> None:
     setup = setup_of(options.stated(arguments))
     truth = as_truth(arguments.truth).model
     plan, imu, held, site = setup.plan, setup.imu, setup.table, setup.site
-    print_text(plan.title)
-    where = 'by hand' if held is None else f'on table {held.name}'
-    OUTPUT.print(f'{where} with IMU {imu.id}, latitude {site.latitude / DEG:.3f} deg\n')
-    if held is not None and held.assumption:
-        print_text(f'{held.assumption}\n')
     if arguments.reach:
         _show_reach(arguments, setup, truth)
         return
     drifting, rise = arguments.bias_instability, arguments.temperature_rise
     prediction = predicted(setup, truth, drifting=drifting, rise=rise)
     found, own = prediction.forecast, prediction.closed_form
+    _show_conditions(setup)
     notes = []
     if relative_std := site.gravity_relative_std:
         todo = 'as --gravity-std states'
@@ -99,11 +95,21 @@ def show_prediction(arguments: argparse.Namespace) -> None:
         raise NotObservable(f'Plan {plan.name}, method {found.method}: {found.refusal}')
 
 
+def _show_conditions(setup: Setup) -> None:
+    print_text(setup.plan.title)
+    where = 'by hand' if setup.table is None else f'on table {setup.table.name}'
+    latitude = setup.site.latitude / DEG
+    OUTPUT.print(f'{where} with IMU {setup.imu.id}, latitude {latitude:.3f} deg\n')
+    if setup.table is not None and setup.table.assumption:
+        print_text(f'{setup.table.assumption}\n')
+
+
 def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel) -> None:
     wanted = dict(_parted(text) for text in arguments.reach)
     target = None if arguments.output is None else plan_file(arguments.output)
     drifting = arguments.bias_instability
     reached = shortest(setup, truth, wanted, arguments.scheduler, drifting=drifting)
+    _show_conditions(setup)
     _show_forecast(reached.forecast, reached.wanted)
     dwells = [
         f'{position.id}: {position.dwell:.0f} ({before:.0f})'

@@ -215,7 +215,7 @@ def test_the_tool_of_ros_cancels_a_goal_of_a_node_without_ros(tmp_path):
         # No identity and no time: all goals.
         net.ask('service', 'call', f'{GOAL[3]}/_action/cancel_goal', CANCEL, '{}')
         net.ended('goal')
-        net.wait_for_text('turntable_node', 'Cancelled by the client of run_calibration.')
+        net.wait_for_text('turntable_node', 'The run was cancelled by who started it.')
         rates = one_joint_state(net)[1]
         logs = [net.stop(name) for name in ('turntable_node', 'imu_node', 'stand_node')]
     assert 'Goal finished with status: ABORTED' in net.log('refused')

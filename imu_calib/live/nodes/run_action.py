@@ -248,7 +248,7 @@ class RunAction:
         self._cancelled_at = 0 if at is None else at.stamp
         # Refuse if the plan does not run: there is nothing to stop.
         with suppress(InputError):
-            self._sequencer.abort('Cancelled by the client of run_calibration.')
+            self._sequencer.abort('The run was cancelled by who started it.')
         self._hold()
         return True
 
