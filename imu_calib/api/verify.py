@@ -13,6 +13,7 @@ import numpy as np
 from ..calibration.calibration import Calibration, is_as_saved
 from ..calibration.compensate import TurnsSeen
 from ..calibration.diagnosis import Diagnosis
+from ..calibration.results import bad_samples_first
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_identity, first_of
 from ..calibration.verify import Verdict, Verification
 from ..calibration.verify import verify as judge
@@ -167,7 +168,8 @@ def _verify(
         try:
             observed = observe(session, imu, site, plan, table, calibration.clock)
         except NotObservable as error:
-            raise type(error)(f'{error} {session.facts.sentence}'.strip()) from None
+            refusal = bad_samples_first(error, session)
+            raise refusal.among(after=(session.facts.sentence,)) from None
     notes += (*contradicted_latitude(stated, recording), *site.contradictions)
     notes += clock_findings(recording, streams, imu.units)
     already = compensated_already(recording.custom_data, streams.imu)

@@ -316,10 +316,10 @@ def losses_of_all_segments(session: Segmented, labelled: Labelled, setup: Setup)
 
 
 def bad_samples_first(error: ImuCalibError, session: Segmented) -> ImuCalibError:
-    """Return a refusal that first names frozen, mistimed or many false samples, as its cause."""
+    """Return a refusal that first names its cause: bad samples or stamps, or a unit that turned."""
     false = session.false_samples
     sentence = session.frozen or (false.sentences[0] if false.is_large else '')
-    sentence = sentence or session.mistimed
+    sentence = sentence or session.mistimed or session.turning
     if not sentence:
         return error
     others = tuple(text.replace(f'{sentence}.', '').strip() for text in error.args)

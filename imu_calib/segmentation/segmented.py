@@ -124,3 +124,5 @@ class Segmented:
     frozen: str = ''
     #: That many dwells and turns are left out for their stamps; empty if not.
     mistimed: str = ''
+    #: That the unit turned evenly where it seemed at rest; empty if it did not.
+    turning: str = ''

@@ -20,8 +20,8 @@ from ..common.stream import (
     TemperatureBlock,
     at,
 )
-from ..common.units import counted
-from ..session.imu import ImuSpec
+from ..common.units import DEG, STANDARD_GRAVITY, counted
+from ..session.imu import SCALE_LIMIT, ImuSpec
 from ..session.segments_file import ListedSegments
 from ..session.table import Table
 from .clock import FARTHEST, ClockFit, fit_clock, offset_by_pattern
@@ -315,6 +315,10 @@ class Segmenter:
             found.reject(reason, lambda _: True)
             found.mount_shifts = []
             reader.moves = MoveReader(reader.sensor)
+        turning = self._turning_sentence()
+        if turning:
+            found.reject('the unit turned evenly', lambda _: True)
+            reader.moves = MoveReader(reader.sensor)
         found.retime(reader.pace)
         restarts = [begins for _, begins in self._intake.interruptions.found]
         of_imu, of_table = self._intake.imu_clock.found, self._intake.joint_clock.found
@@ -341,6 +345,7 @@ class Segmenter:
             self._intake.false_samples,
             self._frozen_for_good,
             mistimed,
+            turning,
         )
 
     @property
@@ -482,6 +487,18 @@ class Segmenter:
             self._reader.dwell(rest, _LONGEST_REST)
             self._provisional = None
             self._intake.imu.remove_until(end + offset - 2 * MARGIN_NS)
+
+    def _turning_sentence(self) -> str:
+        """Return that a unit alone turned where it seemed at rest; empty if it did not."""
+        rate = 0.0 if self._stillness is None else self._stillness.turning
+        length = 0.0 if self.quietest is None else self.quietest.length / STANDARD_GRAVITY
+        # In other units a unit at rest seems to turn, too.
+        if not rate or not 1 / SCALE_LIMIT < length < SCALE_LIMIT:
+            return ''
+        return (
+            f'The unit turned at up to {rate / DEG:.2g} deg/s where it seemed at rest: it moved '
+            'all the time, and has to stand still'
+        )
 
     @property
     def _clocks_unknown(self) -> bool:

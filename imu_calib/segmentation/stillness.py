@@ -69,6 +69,7 @@ class _Level:
     """
 
     ups: list[_Attitude]
+    times: int = 1  #: How often it was read, half a second each.
     rate: Floats = field(init=False)
     support: tuple[int, bool] = field(init=False)
 
@@ -85,6 +86,7 @@ class _Level:
         return bool((np.abs(rate - self.rate) < _STEADY_RATE).all())
 
     def add_rest(self, rate: Floats, up: Floats) -> None:
+        self.times += 1
         found = next((one for one in self.ups if up @ one.up >= _OTHER_WAY_UP), None)
         if found is None:
             self.ups.append(_Attitude(up, rate))
@@ -146,6 +148,24 @@ class GyroOffset:
         enough = max(_ATTITUDES, len(self._level.ups) / 2)
         found = [one for one in self._levels if len(one.ups) >= enough]
         return [(one.rate, len(one.ups)) for one in found if one is not self._level]
+
+    @property
+    def turning(self) -> float:
+        """The offset, rad/s, if it is that of an even turn as likely as that of a rest; else 0.
+
+        The gyros then stood at another rate in as many attitudes, a few, and for half as long, as
+        on a floor at the crests of curves to the left and to the right.
+        """
+        level, fast = self._level, float(np.linalg.norm(self.value))
+        if level is None or fast < _TURN_RATE or len(level.ups) >= _ATTITUDES:
+            return 0.0
+        as_likely = any(
+            len(one.ups) >= len(level.ups)
+            and 2 * one.times >= level.times
+            and np.abs(one.rate - level.rate).max() > _TURN_RATE
+            for one in self._levels
+        )
+        return fast if as_likely else 0.0
 
     def add_window(self, mean: Floats) -> None:
         """Add the mean (6,) of a window of a tenth of a second, rad/s and m/s^2."""
@@ -326,6 +346,11 @@ class StillnessTracker:
         """By how much the gyros stood elsewhere too, (3,) rad/s, and in how many attitudes."""
         value = self._offset.value
         return [(rate - value, attitudes) for rate, attitudes in self._offset.others]
+
+    @property
+    def turning(self) -> float:
+        """Rate of the rests, rad/s, if they are as likely even turns; else 0."""
+        return self._offset.turning
 
     @property
     def quietest(self) -> Quietest | None:

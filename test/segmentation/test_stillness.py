@@ -476,3 +476,28 @@ def test_no_sample_of_a_turn_is_in_the_rest_before_it(early):
         # A rest has the samples up to its end.
         last = round(rest.end / 10_000_000)
         assert samples - 20 < last <= samples
+
+
+def on_a_floor(rates: np.ndarray) -> HandCalibrator:
+    """A unit on a level floor with these yaw rates, deg/s at 100 Hz, and a constant bias."""
+    rng, count = np.random.default_rng(6), len(rates)
+    gyro = np.array([4.0, -3.0, 0.0]) * DEG + rng.normal(0, 0.02, (count, 3))
+    gyro[:, 2] += rates * DEG
+    accel = np.array([0.0, 0.0, GRAVITY]) + rng.normal(0, 0.5, (count, 3))
+    stamp = np.arange(count, dtype=np.int64) * 10_000_000
+    si = replace(COUNTS, units=Units.SI, gyro=TriadSpec(1.0), accel=TriadSpec(1.0))
+    calibrator = HandCalibrator(Setup(si, load_plan('free_positions'), None, SITE))
+    calibrator.add_block(ImuBlock(stamp, gyro, accel))
+    return calibrator
+
+
+def test_crests_of_curves_are_no_rest_but_a_rest_of_any_bias_is():
+    time = np.arange(12_000) * 0.01
+    curves = 28.6 * np.sin(time / 3)
+    moving = on_a_floor(curves)
+    assert not moving.segmented().segments
+    with pytest.raises(NotObservable, match=r'^The unit turned at up to 29 deg/s where it seemed'):
+        moving.finish()
+    resting = on_a_floor(np.where(time < 60, 6.0, curves)).segmented()
+    assert resting.segments
+    assert all(hold.end < 61e9 for hold in resting.segments)
