@@ -319,6 +319,11 @@ class Score:
         return 0 < self.rank <= _SHARE * (self.freedom + self.rank)
 
     @property
+    def square(self) -> tuple[float, int]:
+        """Chi-square, in the covariance as the residuals show it, and its dimensions."""
+        return self.statistic / self.scale, self.rank
+
+    @property
     def log_p(self) -> float:
         """Natural logarithm of the probability of such a statistic by chance; 0 if not tested."""
         if not self.tested:
@@ -326,6 +331,25 @@ class Score:
         one = log_f(self.statistic / self.rank / self.scale, self.rank, self.freedom)
         # Bonferroni: an upper bound, for any correlation of the patterns.
         return min(0.0, one + float(np.log(self.tries)))
+
+    @property
+    def largest_turn(self) -> float:
+        """Size of a step of the attitudes; by force, a matrix, the largest by any direction."""
+        by_force = len(self.estimate) > len(AXES)
+        turned = self.estimate.reshape(3, 3) if by_force else self.estimate
+        return float(np.linalg.norm(turned, 2))
+
+    def log_evidence(self, size: float) -> float:
+        """Return the log of the likelihood ratio with and without coefficients of such a size each.
+
+        They are normal about zero with this standard deviation, SI units.
+        """
+        variances, directions = np.linalg.eigh(self.scale * self.covariance)
+        sound = variances > _ROUNDED * variances.max(initial=0.0)
+        variances, along = variances[sound], directions.T[sound] @ self.estimate
+        gained = size**2 / variances
+        logs = along**2 / variances * gained / (1 + gained) - np.log1p(gained)
+        return 0.5 * float(logs.sum())
 
     def smallest(self, chance: float) -> Floats:
         """Return the coefficients (k,) that are detected nine times in ten, each alone, SI units.
@@ -426,6 +450,9 @@ def tries_of(family: Family, equations: Equations) -> list[int]:
     return [2 * inside if yes else 2 * outside for yes in within]
 
 
+_ROUNDED = 1e-12
+"""Share of the largest variance below which one is zero, along a direction that is not observed."""
+
 _WHOLE = 1e-3
 """Share of a coefficient that may lie along unobserved directions. A judgement: the coefficient is
 then found to half a part in a thousand."""
@@ -470,9 +497,9 @@ eleven drifts."""
 
 _ODDS_OF_A_STEP = 1 / 1000
 """The same of a step, a judgement: hardly ever is a unit switched off and on, or struck, without
-notice. Where scale factors are known by pairs of dwells alone a step that is not seen could move
-them by tens of standard deviations: with odds of 1/20 it widens those of a sound session 2.4 times,
-with these by 5 %."""
+notice, or moves in its mount. Where scale factors are known by pairs of dwells alone a step that is
+not seen could move them by tens of standard deviations: with odds of 1/20 it widens those of a
+sound session 2.4 times, with these by 5 %."""
 
 _ODDS_IF_INTERRUPTED = 1 / 2
 """The same of a step in one of a session's interruptions, a judgement: of three interruptions of a
@@ -500,11 +527,12 @@ def undecided(
     courses: Mapping[Family, Sequence[Possible]],
     count: int,
     interrupted: NDArray[np.bool_] | None = None,
+    steps: Floats | None = None,
 ) -> UndecidedDrifts:
     """Weight courses against each other and against none, for `count` parameters.
 
     The time constants of a course are equally likely beforehand; a step is likelier in an
-    interruption.
+    interruption. `steps` are the prior shares of steps of the attitudes, if they are not alike.
     """
     logs: dict[Family, float] = {}
     covariances: dict[Family, Floats] = {}
@@ -512,13 +540,16 @@ def undecided(
         tested = [(score, slopes) for score, slopes in every if score.tested]
         if not tested:
             continue
-        each = np.array([log_bayes_factor(*_square(score)) for score, _ in tested])
-        odds = _ODDS
+        alike = np.full(len(every), 1 / len(every))
+        prior = steps if family.of_attitudes and steps is not None else alike
+        each = np.array([log_bayes_factor(*score.square) for score, _ in tested])
+        each += np.log(prior[[score.tested for score, _ in every]])
+        odds = _ODDS_OF_A_STEP if family.of_attitudes else _ODDS
         if family.course is Course.STEP:
             odds = _ODDS_OF_A_STEP
             each += np.log(_times(interrupted, [score.tested for score, _ in every]))
         total = float(np.logaddexp.reduce(each))
-        logs[family] = float(np.log(odds / len(every))) + total
+        logs[family] = math.log(odds) + total
         covariances[family] = sum(
             (
                 np.exp(one - total) * _drift_covariance(*it)
@@ -541,10 +572,6 @@ def _times(interrupted: NDArray[np.bool_] | None, tested: Sequence[bool]) -> Flo
         within = _ODDS_IF_INTERRUPTED / interrupted.sum()
         times[interrupted] = within / (_ODDS_OF_A_STEP / len(tested))
     return np.asarray(times[np.array(tested, dtype=bool)])
-
-
-def _square(score: Score) -> tuple[float, int]:
-    return score.statistic / score.scale, score.rank
 
 
 def log_bayes_factor(square: float, rank: int) -> float:
@@ -571,7 +598,7 @@ def shrinkage(square: float, rank: int) -> tuple[float, float]:
 
 def _drift_covariance(score: Score, slopes: Floats) -> Floats:
     """Return the mean squared effect of a course on the parameters, (n, n)."""
-    mean, mean_square = shrinkage(*_square(score))
+    mean, mean_square = shrinkage(*score.square)
     moved = slopes @ score.estimate
     spread = slopes @ (score.scale * score.covariance) @ slopes.T
     return np.asarray(mean * spread + mean_square * np.outer(moved, moved))

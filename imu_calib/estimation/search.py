@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from ..common.budget import ErrorSource, Share
 from ..common.errors import NotObservable
@@ -32,6 +33,7 @@ from .evidence import SMALLEST_VARIANCE, Evidence
 from .information import Information, determined, nominal_information, useful_limit
 from .modulation import interrupted
 from .score import (
+    ATTITUDE_STEP,
     Family,
     Pattern,
     Score,
@@ -39,6 +41,7 @@ from .score import (
     WhitenedResiduals,
     columns_of,
     families,
+    log_bayes_factor,
     most_significant,
     scores_of,
     shapes_of,
@@ -68,6 +71,10 @@ _SCREENED = 0.5
 screen, which keeps the pattern of the scatter, are not tried further. A judgement: the square root
 of the chance, one in a hundred of families that are absent."""
 
+
+WIDER = 0.1
+"""Share by which a standard deviation must grow to be named. A judgement: with fifty degrees of
+freedom it is known to a tenth."""
 
 _WITHOUT_USE = 10.0
 """Times by which a term may widen one of the 24 parameters. Grades of units are about a factor of
@@ -105,6 +112,16 @@ class UnobservableFamily:
     ratio: float  #: Its standard deviation with the family over that without.
 
 
+@dataclass(frozen=True)
+class PossibleStep:
+    """A step of the attitudes that is not shown, for which standard deviations allow."""
+
+    step: AttitudeStep  #: The likeliest.
+    size: float  #: Its size, rad.
+    probability: float  #: Of any.
+    parameters: tuple[Parameter, ...]  #: Those whose standard deviations it widens.
+
+
 @dataclass(frozen=True, eq=False)
 class SearchResult:
     """An estimate with the families selected, and the scores of the others."""
@@ -125,6 +142,7 @@ class SearchResult:
     #: Whether the search did not end: nothing is on though something may be needed.
     broken_off: bool = False
     unobservable: tuple[UnobservableFamily, ...] = ()  #: Significant, and left out.
+    possible_step: PossibleStep | None = None  #: Where one may be that is not found.
 
     def shares(self) -> dict[ErrorSource, Share]:
         """Return the covariance of the parameters by source, alternatives included."""
@@ -241,6 +259,7 @@ def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> SearchResu
     unobservable: list[UnobservableFamily] = []
     broken_off = False
     search: SearchResult | None = None
+    rival: _Rival | None = None
     while find_terms and noisy and search is None:
         try:
             found = _found_families(start, first, rejected)
@@ -255,6 +274,7 @@ def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> SearchResu
             rejected.add(found[-1].family)
             continue
         kept = _confirmed(start, first, trial, found)
+        rival = _rival(first, trial, found, kept) or rival
         if len(kept) < len(found):
             rejected |= {one.family for one in found} - {one.family for one in kept}
         elif costly := _without_use(start, trial, kept):
@@ -268,7 +288,63 @@ def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> SearchResu
         search = _search_of(first, (), first, weigh_drifts=find_terms and noisy)
     if broken_off or unobservable:
         search = replace(search, broken_off=broken_off, unobservable=tuple(unobservable))
-    return search
+    return search if rival is None else _with_rival(search, rival)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rival:
+    """An estimate that explains a session nearly as well as the one that is chosen."""
+
+    estimate: Estimate
+    probability: float
+    step: SignificantFamily | None  #: The step of the attitudes that is on in it.
+
+
+def _rival(
+    first: Estimate,
+    trial: Estimate,
+    found: Sequence[SignificantFamily],
+    kept: Sequence[SignificantFamily],
+) -> _Rival | None:
+    """Return families in place of outliers, or these in place of families, if as likely."""
+    if not any(one.against_outliers for one in found):
+        return None
+    apart = _ahead_of_outliers(first, trial, found)
+    if abs(apart) >= _APART:
+        return None
+    chance = float(scipy.special.expit(-abs(apart) / 2))
+    if len(kept) == len(found):
+        return _Rival(first, chance, None)
+    return _Rival(trial, chance, next((one for one in found if one.steps), None))
+
+
+def _with_rival(search: SearchResult, rival: _Rival) -> SearchResult:
+    """Return a search whose covariance allows for a rival."""
+    here, there = search.estimate, rival.estimate
+    if here is there:
+        return search
+    mine, other = here.equations.parameters, there.equations.parameters
+    common = [k for k, p in enumerate(mine) if p in other]
+    off = np.zeros(len(mine))
+    places = indices_of([mine[k] for k in common], other)
+    off[common] = there.state[places] - here.state[common]
+    more = rival.probability * np.outer(off, off)
+    possible = search.possible_step
+    if rival.step is not None:
+        std = np.sqrt(np.diag(here.covariance)[: len(mine)])
+        moved = tuple(p for p, yes in zip(mine, _widened(more, std), strict=True) if yes)
+        step, size = rival.step.steps[0], rival.step.seen
+        possible = PossibleStep(step, size, rival.probability, moved) if moved else possible
+    return replace(
+        search,
+        undecided_covariance=search.undecided_covariance + more,
+        possible_step=possible,
+    )
+
+
+def _widened(more: Floats, std: Floats) -> NDArray[np.bool_]:
+    """Return which standard deviations (n,) a covariance (n, n) widens by more than `WIDER`."""
+    return np.asarray(np.sqrt(1 + np.diag(more) / std**2) > 1 + WIDER)
 
 
 def _without_use(
@@ -386,6 +462,14 @@ def _akaike_criterion(current: Estimate, of_table: int = 0) -> float:
     return float(remains @ remains) + 2 * (coefficients + of_table + stepping + moved)
 
 
+def _ahead_of_outliers(
+    first: Estimate, trial: Estimate, found: Sequence[SignificantFamily]
+) -> float:
+    """Return by how much families lower the criterion, against the first estimate's outliers."""
+    of_table = sum(one.against_outliers for one in found if one.family.of_table)
+    return _akaike_criterion(first) - _akaike_criterion(trial, of_table)
+
+
 def _found_families(
     start: _Model, first: Estimate, rejected: set[Family]
 ) -> tuple[SignificantFamily, ...]:
@@ -431,10 +515,7 @@ def _significant(
             )
         )
         if family.of_attitudes:
-            steps = _likely_steps(*views[k], found[-1], score)
-            # By force, a matrix: the largest turn by any direction of it.
-            turned = score.estimate.reshape(3, 3) if steps[0].by_force else score.estimate
-            seen = float(np.linalg.norm(turned, 2))
+            steps, seen = _likely_steps(*views[k], found[-1], score)
             found[-1] = replace(found[-1], seen=seen, steps=steps)
         model = start.with_found(found)
         try:
@@ -509,21 +590,19 @@ def _under_own_scatter(
 
 def _likely_steps(
     equations: Equations, state: Floats, found: SignificantFamily, score: Score
-) -> tuple[AttitudeStep, ...]:
-    """Return the step of the attitudes by its test, then others that explain as much."""
+) -> tuple[tuple[AttitudeStep, ...], float]:
+    """Return the likeliest step of the attitudes, with others as likely, and its size."""
     family, steps = found.family, steps_of(equations)
     scatter = family.scatter(equations, state, score.chosen)
     residuals = WhitenedResiduals.at(family.with_scatter(equations, scatter), state)
     scores = residuals.scores(family, columns_of([family], equations, state)[family])
-    best = scores[score.chosen]
-    rivals = [
-        step
-        for step, other in zip(steps, scores, strict=True)
-        if other.rank == best.rank and best.statistic - other.statistic < _APART * best.scale
-    ]
-    first = steps[score.chosen]
-    chosen = (first, *(step for step in rivals if step != first))
-    return tuple(replace(step, size=found.size) for step in chosen)
+    # Of steps with one and with three coefficients: a reading that slips turns the unit about an
+    # axis, and in its mount it turns about any.
+    evidence = [other.log_evidence(found.seen) for other in scores]
+    order = sorted(range(len(steps)), key=lambda k: -evidence[k])
+    likely = [k for k in order if evidence[order[0]] - evidence[k] < _APART / 2]
+    sized = tuple(replace(steps[k], size=found.size) for k in likely)
+    return sized, scores[order[0]].largest_turn
 
 
 def _confirmed(
@@ -535,9 +614,8 @@ def _confirmed(
     session better than these do.
     """
     kept = []
-    of_table = sum(one.against_outliers for one in found if one.family.of_table)
     competing = any(one.against_outliers for one in found)
-    better = competing and _akaike_criterion(trial, of_table) < _akaike_criterion(first)
+    better = competing and _ahead_of_outliers(first, trial, found) > 0
     for k, one in enumerate(found):
         if one.against_outliers and not better:
             continue
@@ -639,16 +717,58 @@ def _search_of(
     if weigh_drifts:
         every = {f: list(zip(drifting[f], map(slopes, columns[f]), strict=True)) for f in drifting}
         drifts = undecided(every, n, interrupted(equations.evidence))
+    by_step, possible = np.zeros((n, n)), None
+    stepping = next((f for f in off if weigh_drifts and f.of_attitudes), None)
+    if stepping is not None:
+        tried = columns[stepping]
+        by_step, possible = _possible_step(current, residuals, tried, list(map(slopes, tried)))
     return SearchResult(
         current,
         found,
         scores,
         alpha,
-        undecided_covariance + drifts.covariance,
+        undecided_covariance + drifts.covariance + by_step,
         leverage,
         drifts.probability,
         plain,
         drifts.covariance,
+        possible_step=possible,
+    )
+
+
+def _possible_step(
+    current: Estimate,
+    residuals: WhitenedResiduals,
+    patterns: tuple[Pattern, ...],
+    slopes: Sequence[Floats],
+) -> tuple[Floats, PossibleStep | None]:
+    """Return the covariance (n, n) by a step of the attitudes that is not shown, and the likeliest.
+
+    Scatter absorbs a step: that is there, by its probability, or a step may be in its place.
+    """
+    family, equations = Family(ATTITUDE_STEP), current.equations
+    likely = current.scatter.probability if current.scatter.shown else 1.0
+    views = [(residuals, likely)]
+    if likely < 1:
+        plain = WhitenedResiduals.at(current.without_scatter, current.state)
+        views.append((plain, 1 - likely))
+    tried = [one for view, _ in views for one in view.scores(family, patterns)]
+    prior = np.repeat([share for _, share in views], len(patterns)) / len(patterns)
+    every = list(zip(tried, [*slopes] * len(views), strict=True))
+    found = undecided({family: every}, equations.sensors, steps=prior)
+    std = np.sqrt(np.diag(current.covariance)[: equations.sensors])
+    wider = _widened(found.covariance, std)
+    if not wider.any():
+        return found.covariance, None
+    best = max(
+        (k for k, score in enumerate(tried) if score.tested),
+        key=lambda k: log_bayes_factor(*tried[k].square) + np.log(prior[k]),
+    )
+    return found.covariance, PossibleStep(
+        steps_of(equations)[best % len(patterns)],
+        tried[best].largest_turn,
+        found.probability[family],
+        tuple(p for p, yes in zip(equations.parameters, wider, strict=False) if yes),
     )
 
 

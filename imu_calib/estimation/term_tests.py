@@ -17,12 +17,12 @@ from ..model.sensors import terms_of
 from ..model.session_terms import Change, Course, change, largest, names_of
 from ..model.terms import Term
 from ..session.table import Table
-from .attitude_steps import in_time
+from .attitude_steps import AttitudeStep, in_time
 from .components import whiten
 from .estimate import Estimate
 from .modulation import instant_of, temperatures, warms
 from .score import ATTITUDE_STEP, Family, Score
-from .search import SearchResult, SignificantFamily, UnobservableFamily
+from .search import WIDER, SearchResult, SignificantFamily, UnobservableFamily
 
 _AMOUNT = 10.0  #: Amount of a coefficient, in its unit, for which the effect is reported.
 
@@ -42,10 +42,6 @@ and are listed with their probability among the terms (`summary`)."""
 
 _WORTH_NAMING = 0.1
 """Share of that for one of several courses to be named. A judgement, as `_MATTERS`."""
-
-_WIDER = 0.1
-"""Share by which a standard deviation must grow to be named. A judgement: with fifty degrees of
-freedom it is known to a tenth."""
 
 _RECORD = (
     'record the temperature (imu/temperature), or let the unit run for an hour before the session'
@@ -216,7 +212,7 @@ def findings(search: SearchResult) -> list[str]:
         warning(_unobservable_sentence(one), effect=float(np.sqrt(-2 * one.log_p)))
         for one in search.unobservable
     ]
-    return [*found, *left_out, *broken_off, *_likely(search)]
+    return [*found, *left_out, *broken_off, *_likely(search), *_possible(search)]
 
 
 def confounded_errors(search: SearchResult) -> tuple[str, ...]:
@@ -245,7 +241,7 @@ def _likely(search: SearchResult) -> list[str]:
     words = ' or '.join(f'{course.words} ({course.value})' for course in courses)
     n = search.estimate.equations.sensors
     variances = np.diag(search.estimate.covariance)[:n]
-    wider = np.sqrt(1 + np.diag(search.by_drifts) / variances) > 1 + _WIDER
+    wider = np.sqrt(1 + np.diag(search.by_drifts) / variances) > 1 + WIDER
     names = [
         p.name for p, yes in zip(search.estimate.equations.parameters, wider, strict=True) if yes
     ]
@@ -268,7 +264,7 @@ def _found_sentence(found: SignificantFamily, search: SearchResult, table: Table
     family = found.family
     chance = _chance(found.log_p)
     if found.steps:
-        return _step_sentence(found, chance, search)
+        return _step_sentence(found.steps[0], found.seen, chance, search)
     if family.of_table:
         return _table_error_sentence(found, chance, table)
     if family.course is not None:
@@ -317,33 +313,50 @@ def _table_error_sentence(found: SignificantFamily, chance: str, table: Table | 
     )
 
 
-def _step_sentence(found: SignificantFamily, chance: str, search: SearchResult) -> str:
-    """Return a sentence on attitudes that step against the joints' readings."""
+def _step_sentence(
+    step: AttitudeStep, size: float, chance: str, search: SearchResult, allowed: str = ''
+) -> str:
+    """Return a sentence on attitudes that step against the joints' readings.
+
+    `allowed` says what is widened by one that is not estimated.
+    """
     evidence = search.estimate.equations.evidence
-    step, parts = found.steps[0], in_time(evidence.segments, evidence.turns)
-    size = f'{significant(found.seen / ARCSEC, 3)} arcsec'
+    parts, amount = in_time(evidence.segments, evidence.turns), significant(size / ARCSEC, 3)
+    may = 'may have ' if allowed else ''
     if step.by_force:
         return (
-            f'The unit turns in its mount with the force on it, by {size} per g, {chance}: this is '
-            'estimated, and the misalignments are those without force. Take it off its isolators, '
-            'or fasten it, and record again.'
+            f'The unit {"may turn" if allowed else "turns"} in its mount with the force on it, by '
+            f'{amount} arcsec per g, {chance}: '
+            f'{allowed or "this is estimated, and the misalignments are those without force"}. '
+            'Take it off its isolators, or fasten it, and record again.'
         )
     before, after = parts[step.before - 1 : step.before + 1]
     where = (
         f'between {at(before.end)} and {at(after.start)} (position {before.position} to '
         f'{after.position}), {chance}'
     )
-    what, todo = f'The unit moved by {size} in its mount {where}', 'Fasten it'
+    what, todo = f'The unit {may}moved by {amount} arcsec in its mount {where}', 'Fasten it'
     if step.joint is not None and evidence.table is not None:
         joint = evidence.table.joints[step.joint].name
         cause, todo = 'its encoder slipped or was homed anew', 'Look at its encoder'
         if step.joint == len(evidence.table.joints) - 1:
             cause, todo = f'{cause}, or the unit turned in its mount', f'{todo} and at the mount'
-        what = f'The readings of joint {joint} step by {size} {where}, since {cause}'
-    return (
-        f'{what}: this is estimated, and the misalignments are those before it. {todo}, and record '
-        'again.'
-    )
+        steps = f'{may}stepped' if allowed else 'step'
+        what = f'The readings of joint {joint} {steps} by {amount} arcsec {where}, since {cause}'
+    estimated = 'this is estimated, and the misalignments are those before it'
+    return f'{what}: {allowed or estimated}. {todo}, and record again.'
+
+
+def _possible(search: SearchResult) -> list[str]:
+    """Report a step of the attitudes that is not shown, and widens standard deviations."""
+    possible = search.possible_step
+    if possible is None:
+        return []
+    names = ', '.join(p.name for p in possible.parameters)
+    chance = f'probability {min(possible.probability, 0.99):.2g}'
+    allowed = f'the standard deviations of {names} allow for it'
+    text = _step_sentence(possible.step, possible.size, chance, search, allowed)
+    return [Finding(text, ErrorSource.TERMS)]
 
 
 def _course_sentence(

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import yaml
 from extent import again
-from other_faults import ARCSEC, GRADES, loose, on_isolators, stepped
+from other_faults import ARCSEC, GRADES, fed_with, loose, on_isolators, stepped
 from other_sessions import errors, fed, recorded
 from other_world import World, schedule
 
 from imu_calib.common.config import Section
 from imu_calib.common.files import named_file
-from imu_calib.session.table import ASSUMED, Table, read_table
+from imu_calib.session.table import ASSUMED, Table, load_table, read_table
 
 SHORT = World(dwell=12.0)
 MOTIONS = [motion for motion in schedule(SHORT) if motion.way]
@@ -58,6 +58,29 @@ def test_it_is_named_with_the_time_and_estimated(joint, words, grade, exact, und
     (sentence,) = [one for one in found.findings if 'the misalignments are those before it' in one]
     assert re.search(words, sentence)
     assert not [one for one in found.findings if 'positioning errors of' in one]
+
+
+@pytest.mark.parametrize(
+    ('exact', 'grade', 'seed', 'words'),
+    [
+        (False, 'consumer', 5, 'may have moved by'),  # Hardly significant.
+        (False, 'consumer', 7, 'may have moved by'),  # The scatter of motions explains it, too.
+        (True, 'medium', 3, 'may have moved by'),  # As likely as two moves in error.
+        again(True, 'consumer', 5, 'may have moved by'),
+        (False, 'consumer', 6, 'The unit moved by'),  # It was called a reading of its last joint.
+        again(False, 'navigation', 9, 'The unit moved by'),
+    ],
+)
+def test_one_that_is_not_certain_widens_what_it_may_turn(
+    exact, grade, seed, words, undescribed
+) -> None:
+    """Misalignments were off by 9 to 190 standard deviations, and nothing said so."""
+    name = 'the same, on an exact table' if exact else 'moved by 100 arcsec in its mount'
+    table = load_table('three_axis') if exact else undescribed
+    calibrator, unit = fed_with(name, grade, seed, table)
+    found = calibrator.finish().calibration
+    assert np.abs(errors(found, unit)).max() < 4.5
+    assert any(words in one for one in found.findings)
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,7 @@ def searched(
         by_drifts=np.zeros((24, 24)) if by_drifts is None else by_drifts,
         estimate=SimpleNamespace(covariance=covariance, equations=equations),
         before_search=SimpleNamespace(equations=equations),
+        possible_step=None,
         **more,
     )
 
