@@ -286,7 +286,7 @@ def _at_least(least: float, most: float | None = None) -> Value:
 
 
 _NAMED = {
-    Section.number: (_NUMBER, 'by parameter'),
+    Section.number: (_NUMBER, 'numbers by name'),
     Section.text: (text(), 'by name'),
     provenance.test_of_term: (_noted(_TEST), 'by the name of the term'),
     provenance.channel_noise: (mapping(_CHANNEL), 'by channel, `gx` to `az`'),

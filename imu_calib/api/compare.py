@@ -20,8 +20,8 @@ from ..common.arguments import checked
 from ..common.budget import ErrorSource
 from ..common.errors import InputError
 from ..common.stream import Floats
-from ..common.units import counted
-from ..model.parameters import Parameter
+from ..common.units import counted, significant
+from ..model.parameters import Parameter, engineering, indices_of
 from ..reports.assessment import Assessed, assess, worst
 from ..reports.side_by_side import SideBySide, side_by_side
 from ..session.imu import COVERAGE, GENERIC, ImuSpec, Specification, Verdict
@@ -197,11 +197,40 @@ def compare(
     tables = Counter(str(c.provenance.get('table')) for c in own if _counts_table(c))
     findings += [
         f'The errors of table {table} are counted as independent, though {count} of them '
-        'were made on it: angles may agree better than their standard deviations say.'
+        'were made on it: the files have the sizes of their effects, but not the signs by which a '
+        f'common part would cancel.{_at_best(compared)}'
         for table, count in tables.items()
         if count > 1
     ]
     return Compared(called, compared, tuple(findings))
+
+
+def _at_best(compared: SideBySide) -> str:
+    """Return what the errors of the table add to the difference of two calibrations at most."""
+    if len(compared.std) > 1:
+        return ''
+    effects = [_of_table(one, compared.parameters) for one in compared.calibrations]
+    independent = compared.std[0]
+    # Alike effects s and t of one error leave (s - t)^2 in place of s^2 + t^2.
+    common = np.sqrt(np.maximum(independent**2 - 2 * effects[0] * effects[1], 0.0))
+    ratio = np.divide(common, independent, out=np.ones_like(common), where=independent > 0)
+    k = int(ratio.argmin())
+    shown = engineering(compared.parameters[k], by_hand=compared.by_hand)
+    both = (significant(float(std[k]) / shown.scale) for std in (common, independent))
+    return (
+        ' If both felt it alike (same plan, same mount), the difference of '
+        f'{compared.parameters[k].name} would have a standard deviation of '
+        f'{" in place of ".join(both)} {shown.unit}: differences may be more significant than '
+        'shown.'
+    )
+
+
+def _of_table(calibration: Calibration, parameters: Sequence[Parameter]) -> Floats:
+    """Return the standard deviations (n,) of parameters by errors of the table."""
+    rows = indices_of(parameters, calibration.parameters)
+    lines = () if calibration.budget is None else calibration.budget.lines
+    found = [x.std[rows] for x in lines if x.source is ErrorSource.TABLE]
+    return found[0] if found else np.zeros(len(rows))
 
 
 def _counts_table(calibration: Calibration) -> bool:

@@ -213,6 +213,10 @@ ENTRIES = {
     'plan': _entry('its name', Section.text),
     'by_hand': _entry('whether the unit was held by hand', Section.flag),
     'table': _entry('its name', Section.text),
+    'table_errors': _entry(
+        'standard deviations of its errors, as stated or assumed, rad', each, Section.number
+    ),
+    'table_errors_assumed': _entry('those that its file does not state', texts),
     'table_clock_std': _entry("of the table's clock, a ratio", number_within, 0),
     'latitude_deg': _entry('of the site, deg', number_within, *SITE_BOUNDS['latitude']),
     'latitude_std_deg': _entry('its standard deviation, deg', number_within, 0),

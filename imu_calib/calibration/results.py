@@ -198,7 +198,7 @@ def provenance(
     comparison: Comparison | None = None,
 ) -> dict[str, object]:
     """Return the provenance in a calibration file, by key (docs/parameters.md)."""
-    clock, seen = session.clock, session.temperature
+    clock, seen, table = session.clock, session.temperature, setup.table
     residuals = np.array([r.value for r in solution.residuals]).reshape(-1, 6)
     rms = np.sqrt((residuals**2).mean(axis=0)) if len(residuals) else np.full(6, np.nan)
     special: dict[str, object] = {}
@@ -223,8 +223,10 @@ def provenance(
         'terms_looked_for': setup.search_terms and bool(solution.tests),
         'plan': setup.plan.name or None,
         'by_hand': setup.plan.by_hand,
-        'table': setup.table.name if setup.table is not None else None,
-        'table_clock_std': setup.table.clock if setup.table is not None else None,
+        'table': None if table is None else table.name,
+        'table_errors': None if table is None else table.error_sizes,
+        'table_errors_assumed': None if table is None else list(table.assumed),
+        'table_clock_std': None if table is None else table.clock,
         'latitude_deg': setup.site.latitude / DEG,
         'latitude_std_deg': setup.site.latitude_std / DEG,
         'gravity': setup.site.gravity,

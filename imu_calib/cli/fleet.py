@@ -23,6 +23,7 @@ from ..fleet.page import summary, written
 from ..fleet.page_contents import AHEAD
 from ..fleet.results import USUAL, unit_rows
 from ..fleet.sentences import (
+    SCATTER_WORDS,
     by_urgency,
     course_table,
     listed,
@@ -35,7 +36,7 @@ from ..model.parameters import PARAMETER_NAMES
 from ..session.keywords import Session
 from . import options
 from .outcome import OUTSIDE, CommandResult, add_json_option, row_file, write_rows
-from .terminal import ERRORS, OUTPUT, print_whole, progress_bar, sentence_list
+from .terminal import ERRORS, OUTPUT, print_text, print_whole, progress_bar, sentence_list
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -370,6 +371,7 @@ def _print_all(found: History, on: np.datetime64) -> None:
             markup=False,
         )
         print_whole(population_table(one))
+        print_text(SCATTER_WORDS)
 
 
 def _unit_sentences(found: History, on: np.datetime64) -> list[str]:

@@ -19,7 +19,7 @@ from ..reports.tables import fixed
 from ..session.imu import COVERAGE
 from .page_contents import PLACE_OF, Flag, Fleet, Unit, count, day
 from .results import Outlier, Population, Signal, UnitHistory
-from .sentences import listed, percent, quantity, stand_sentence, step_sentence
+from .sentences import SCATTER_WORDS, listed, percent, quantity, stand_sentence, step_sentence
 
 MOST = 12
 """Number of cases written out; the table of units has all. A judgement: six matters fit on two
@@ -373,6 +373,8 @@ def types(fleet: Fleet) -> str:
     parts = [
         _type(population, of_type.get(imu, []))
         for imu, population in sorted(fleet.history.populations.items())
+        # One unit has no scatter, and its values are on its own page.
+        if population.units > 1
     ]
     return ''.join(parts)
 
@@ -389,8 +391,8 @@ def _type(population: Population, units: Sequence[UnitHistory]) -> str:
     ]
     words = (
         f'{count(population.units, "unit")} of {population.imu} in '
-        f'{count(population.sessions, "session")}, each by its newest one. Robust std is between '
-        'units, turn-on std between the sessions of a unit.'
+        f'{count(population.sessions, "session")}, each by its newest one. {SCATTER_WORDS} '
+        'Outside: of their specification; apart: unlike the others of the type.'
     )
     inside = paragraph(words, 'note') + table(headings, rows, 'plain population', 'lrrrrllrr')
     return tag(

@@ -215,6 +215,10 @@ _OF_UNITS = (
 )
 _SIZES = ('units', 'median', 'robust std', '5 %', '95 %', 'turn-on', 'per month', 'std')
 _HEADS = (*_SIZES, 'outside', 'outliers')
+SCATTER_WORDS = (
+    'Robust std is the scatter between units, 1.4826 times the median distance from the median, '
+    'which a few odd units do not widen; turn-on is the scatter between the sessions of a unit.'
+)
 
 
 def by_urgency(units: Sequence[UnitHistory]) -> list[UnitHistory]:

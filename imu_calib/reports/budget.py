@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,11 @@ from rich.table import Table
 
 from ..calibration.calibration import Calibration
 from ..common.budget import PROBABILITY, Budget, ErrorSource
-from ..common.stream import Floats
-from ..common.units import rounded, typeset
-from ..model.parameters import Parameter, engineering
+from ..common.stream import Floats, Units
+from ..common.units import ARCSEC, DEG, PPM, rounded, significant, typeset
+from ..model.earth import LATITUDE_STD
+from ..model.parameters import TRIADS, Parameter, engineering
+from ..session.imu import TRIAD_NAMES
 from .charts import drawing, label, tag
 from .html import paragraph, table
 from .plain_table import plain_table
@@ -112,6 +115,21 @@ class _Shown:
             columns.append(every[~self.wide].sum(axis=0))
         return np.array(columns).T
 
+    @property
+    def percents(self) -> list[list[str]]:
+        """The shares as text."""
+        return [[_percent(float(f)) for f in row] for row in self.fractions]
+
+    @property
+    def contributions(self) -> list[list[str]]:
+        """The roots of the shares, standard uncertainties, with a digit more than the whole."""
+        found = []
+        for k, parameter, row in zip(self.rows, self.parameters, self.fractions, strict=True):
+            std = self.budget.std[k] / engineering(parameter, by_hand=self.by_hand).scale
+            texts = (rounded(std * f**0.5, std / 10)[0] if f else '-' for f in row)
+            found.append(['0' if not text.strip('0.') else text for text in texts])
+        return found
+
     def expanded_rows(self) -> Iterator[list[str]]:
         """Yield parameter, value, std, degrees of freedom, k, expanded uncertainty, unit."""
         budget = self.budget
@@ -168,30 +186,33 @@ def budget_sources(calibration: Calibration) -> list[str]:
     if calibration.budget is None:
         return []
     shown = _Shown.select(calibration, calibration.budget)
-    width = max(len(h) for h in ('source', *shown.headings))
+    width, inputs = max(map(len, ('source', *shown.headings))), _inputs(calibration, shown)
     parts = [f'{"source":{width}} type  dof']
     for line, wide in zip(shown.budget.lines, shown.wide, strict=True):
         heading = line.source.heading if wide else 'other'
         freedom = _range(line.freedom[shown.rows], line.std[shown.rows])
         begin = f'{heading:{width}} {line.source.evaluation:4}  {freedom:10} '
-        parts.append(fill(begin + line.source.words, _COLUMNS, subsequent_indent=' ' * len(begin)))
+        words = _with_size(line.source, inputs)
+        parts.append(fill(begin + words, _COLUMNS, subsequent_indent=' ' * len(begin)))
     return parts
 
 
 def _share_tables(shown: _Shown, first: Sequence[Sequence[str]]) -> list[Table]:
-    return [plain_table(h, _sides(h), rows, no_wrap=True) for h, *rows in _folded(shown, first)]
+    whole = [shown.headings, *shown.percents]
+    return [plain_table(h, _sides(h), rows, no_wrap=True) for h, *rows in _folded(whole, first)]
 
 
-def _folded(shown: _Shown, first: Sequence[Sequence[str]]) -> Iterator[list[list[str]]]:
-    """Yield the first columns and the shares, headings first, in as many tables as fit a line."""
-    headings, fractions = shown.headings, shown.fractions
+def _folded(
+    whole: Sequence[Sequence[str]], first: Sequence[Sequence[str]]
+) -> Iterator[list[list[str]]]:
+    """Yield the first columns and the others, headings first, in as many tables as fit a line."""
     taken = sum(2 + max(map(len, column)) for column in zip(*first, strict=True))
+    widths = [2 + max(4, *map(len, column)) for column in zip(*whole, strict=True)]
     begin = 0
-    while begin < len(headings):
-        ends = taken + np.cumsum([max(4, len(h)) + 2 for h in headings[begin:]])
+    while begin < len(widths):
+        ends = taken + np.cumsum(widths[begin:])
         some = slice(begin, begin + int(np.searchsorted(ends, _COLUMNS, side='right')))
-        shares = [[_percent(float(f)) for f in row[some]] for row in fractions]
-        yield [[*a, *b] for a, b in zip(first, [headings[some], *shares], strict=True)]
+        yield [[*a, *b[some]] for a, b in zip(first, whole, strict=True)]
         begin, first = some.stop, [cells[:1] for cells in first]
         taken = _NAME
 
@@ -215,7 +236,7 @@ def budget_section(calibration: Calibration) -> list[str]:
     shown = _Shown.select(calibration, calibration.budget)
     words = (
         'Each bar is the variance of a parameter, divided among its sources; shares '
-        f'are in percent. U is the uncertainty expanded to {PROBABILITY:.0%}: std times k, '
+        f'are in percent. U is the uncertainty expanded to {100 * PROBABILITY:g} %: std times k, '
         "Student's t for the effective degrees of freedom (JCGM 100:2008, G.4)."
     )
     pictures = [
@@ -223,7 +244,7 @@ def budget_section(calibration: Calibration) -> list[str]:
         for width, kind in ((_WIDTH, 'wide broad'), (_NARROW, 'narrow'))
     ]
     first = [['', *_EXPANDED[2:]], *([r[0], *r[2:]] for r in shown.expanded_rows())]
-    parts = _parts(shown, words, first)
+    parts = _parts(shown, words, first, shown.percents, {})
     return [*pictures, *parts, paragraph(_correlations(calibration, shown.rows), 'note')]
 
 
@@ -248,19 +269,43 @@ def _correlations(calibration: Calibration, rows: NDArray[np.intp]) -> str:
     )
 
 
-def budget_parts(calibration: Calibration, budget: Budget, words: str) -> list[str]:
-    """Return a note that begins with `words`, the sources, and their shares in percent."""
+_CONTRIBUTIONS = (
+    'u is the standard uncertainty of a parameter, the columns beside it are its contributions '
+    'u(y) by source in the same unit, whose squares add up to that of u (JCGM 100:2008, 5.1.3); 0 '
+    'is less than the last digit, - none at all. An input is stated as its standard uncertainty '
+    'u(x), with a divisor where one applies; the sensitivity |c| is u(y)/u(x), and of several '
+    'equal inputs, as of noise and of the errors of a table, u(y) is the root of the sum of their '
+    'squares. What is marked as assumed was not stated.'
+)
+
+
+def budget_parts(calibration: Calibration, budget: Budget) -> list[str]:
+    """Return a note, the sources with their inputs, and their contributions."""
     shown = _Shown.select(calibration, budget)
-    return _parts(shown, words, [[''], *([p.name] for p in shown.parameters)])
+    rows = [[r[0], r[2], r[-1]] for r in shown.expanded_rows()]
+    first = [['', 'u', 'unit'], *rows]
+    inputs = _inputs(calibration, shown)
+    parts = _parts(shown, _CONTRIBUTIONS, first, shown.contributions, inputs)
+    return [*parts, paragraph(_correlations(calibration, shown.rows), 'note')]
 
 
-def _parts(shown: _Shown, words: str, first: Sequence[Sequence[str]]) -> list[str]:
+_RECTANGULAR = {ErrorSource.QUANTISATION: 'rectangular, \u221a12'}
+"""Distributions and divisors of what is not stated as the standard deviation of a normal one."""
+
+
+def _parts(
+    shown: _Shown,
+    words: str,
+    first: Sequence[Sequence[str]],
+    cells: Sequence[Sequence[str]],
+    inputs: Mapping[ErrorSource, str],
+) -> list[str]:
     sources = [
         [
             escape(line.source.heading if wide else 'other'),
-            line.source.evaluation,
+            f'{line.source.evaluation}, {_RECTANGULAR.get(line.source, "normal")}',
             escape(_range(line.freedom[shown.rows], line.std[shown.rows])).replace('inf', '\u221e'),
-            escape(line.source.words),
+            escape(typeset(_with_size(line.source, inputs))),
         ]
         for line, wide in zip(shown.budget.lines, shown.wide, strict=True)
     ]
@@ -268,14 +313,86 @@ def _parts(shown: _Shown, words: str, first: Sequence[Sequence[str]]) -> list[st
         f'{words} Type A is evaluated from the scatter of the session, type B from what is stated.'
     )
     headings, kind = (
-        ['source', 'type', 'degrees of freedom', 'what it is'],
+        ['source', 'type', 'degrees of freedom', f'what it is{", and its size" if inputs else ""}'],
         'budget numbers stacked',
     )
     parts = [paragraph(note, 'note'), table(headings, sources, kind, 'llrl')]
-    for headings, *rows in _folded(shown, first):
+    for headings, *rows in _folded([shown.headings, *cells], first):
         cells = [[escape(typeset(cell)) for cell in row] for row in rows]
         parts.append(table(headings, cells, kind, _sides(headings)))
     return parts
+
+
+def _inputs(calibration: Calibration, shown: _Shown) -> dict[ErrorSource, str]:
+    """Return the standard uncertainties of inputs, as far as the file has them, by source."""
+    where, imu = calibration.provenance, calibration.imu
+    clock = where.get('clock') or {}
+    walk, drift = (where.get(key) or () for key in ('random_walk', 'bias_drift'))
+    walks, rates = (
+        [(getattr(u, f'{kind}_scale'), getattr(u, kind)) for u in TRIAD_NAMES]
+        for kind in ('walk', 'rate')
+    )
+    gravity = ' (height assumed)' if where.get('height_assumed') else ''
+    usual = where.get('latitude_std_deg') == LATITUDE_STD / DEG
+    latitude = ' (the default)' if usual else ''
+    found = {
+        ErrorSource.NOISE: _by_triad(walk[:3], walk[3:], walks),
+        ErrorSource.POSITIONING_STATED: errors_of_table(where, 'positioning'),
+        ErrorSource.TILT: errors_of_table(where, 'level'),
+        ErrorSource.TABLE: errors_of_table(where, 'zeros', 'orthogonality', 'wobble', 'encoder'),
+        ErrorSource.CLOCK: _scalar(clock.get('rate_std_ppm'), 'ppm'),
+        ErrorSource.TABLE_CLOCK: _scalar(where.get('table_clock_std'), 'ppm', PPM),
+        ErrorSource.GRAVITY: _scalar(where.get('gravity_std'), f'm/s^2{gravity}'),
+        ErrorSource.LATITUDE: _scalar(where.get('latitude_std_deg'), f'deg{latitude}'),
+    }
+    if imu.units is Units.PULSES:
+        found[ErrorSource.QUANTISATION] = _by_triad(
+            [imu.gyro.scale_factor],
+            [imu.accel.scale_factor],
+            ((ARCSEC, 'arcsec'), (1.0, 'm/s')),
+        )
+    for line in shown.budget.lines:
+        if line.source in _DRIFTS:
+            # What is stated may hold for one triad, and what is found for the other.
+            wide = line.std[shown.rows] ** 2 > _LEAST * shown.budget.std[shown.rows] ** 2
+            of = {p.triad for p, yes in zip(shown.parameters, wide, strict=True) if yes}
+            parts = (drift[:3] if 'g' in of else (), drift[3:] if 'a' in of else ())
+            found[line.source] = _by_triad(*parts, rates)
+    return found
+
+
+_DRIFTS = {ErrorSource.BIAS_STATED, ErrorSource.BIAS_CALM, ErrorSource.BIAS_FOUND}
+
+
+def _scalar(value: float | None, unit: str, scale: float = 1.0) -> str:
+    return f'{significant(value / scale)} {unit}' if value else ''
+
+
+def _by_triad(
+    gyros: Sequence[float], accels: Sequence[float], units: Sequence[tuple[float, str]]
+) -> str:
+    """Return the root mean squares over the channels of gyros and accelerometers."""
+    parts = []
+    for name, values, (scale, unit) in zip(TRIADS.values(), (gyros, accels), units, strict=True):
+        if len(values):
+            parts.append(
+                f'{name}s {_scalar(float(np.sqrt(np.mean(np.square(values)))), unit, scale)}'
+            )
+    return ', '.join(parts)
+
+
+def _with_size(source: ErrorSource, inputs: Mapping[ErrorSource, str]) -> str:
+    return ': '.join(filter(None, (source.words, inputs.get(source))))
+
+
+def errors_of_table(where: Mapping[str, Any], *keys: str) -> str:
+    """Return the sizes of errors of the table, all without keys, and which were assumed."""
+    assumed = where.get('table_errors_assumed') or ()
+    return ', '.join(
+        f'{key} {significant(size / ARCSEC)} arcsec{" (assumed)" if key in assumed else ""}'
+        for key, size in (where.get('table_errors') or {}).items()
+        if key in (keys or (key,))
+    )
 
 
 def _picture(shown: _Shown, width: float) -> str:

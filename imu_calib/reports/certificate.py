@@ -8,13 +8,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, timedelta
 from hashlib import sha256
 from html import escape
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -316,11 +317,10 @@ _MISSING = 'MISSING'
 _UNCERTAINTY = (
     'u is the standard uncertainty, \u03bd its effective degrees of freedom (Welch-Satterthwaite), '
     "U = k u the expanded uncertainty: the coverage factor k is Student's t for a coverage "
-    f'probability of {PROBABILITY:.0%}. They were evaluated by JCGM 100:2008 (GUM). '
+    f'probability of {100 * PROBABILITY:g} %. They were evaluated by JCGM 100:2008 (GUM). '
     'The results are correlated: their covariance is in the file of the calibration ({file}), and '
     'is needed for the uncertainty of what is computed from several of them (JCGM 100:2008, 7.2.5).'
 )
-_SHARES = 'The shares of the sources in the variance of each parameter, in percent.'
 _DEFINITION = (
     'input = (I + M)\u207b\u00b9 (output \u00d7 scale factor {per} \u2212 D). M holds the '
     'scale-factor errors K on its diagonal and the misalignments E beside it (row: channel, '
@@ -352,7 +352,7 @@ def certificate_page(certificate: Certificate) -> str:
             section('Procedure and traceability', _procedure(certificate)),
             section('Results', *_results_section(certificate)),
             _conformity(certificate),
-            section('Uncertainty budget', *budget_parts(calibration, certificate.budget, _SHARES)),
+            section('Uncertainty budget', *budget_parts(calibration, certificate.budget)),
             section('Remarks', bullets(certificate.remarks)),
             section('Statements', bullets(_STATEMENTS)),
             _signatures(certificate),
@@ -421,18 +421,23 @@ def _procedure(certificate: Certificate) -> str:
     rows = [
         ('procedure', f'{_or_dash(fields.procedure.name)}; {_or_dash(fields.procedure.reference)}'),
         ('plan and estimator', f'{provenance.plan(where)}, {where.get("method") or "-"}'),
-        ('software', f'imu_calib {version()}'),
+        ('software', _software(where)),
         ('recording', f'{where.get("recording") or "-"}, begun {provenance.date(where)}'),
         ('SHA-256 of the recording', str(where.get('sha256') or '-')),
-        ('latitude, standard uncertainty', provenance.latitude(where) or '-'),
-        ('gravity, standard uncertainty', provenance.gravity(where) or '-'),
-        ('environment', _environment(certificate)),
+        ('latitude, (u) in its last digits', provenance.latitude(where) or '-'),
+        ('gravity, (u) in its last digits', provenance.gravity(where) or '-'),
+        ('environment, limits', _environment(certificate)),
         *([('temperature of the item', unit)] if unit else []),
     ]
     headings = ['reference', 'serial number', 'certificate', 'valid until', 'traceability']
     equipment = [[escape(cell) for cell in _reference(e)] for e in fields.equipment]
     listed = table(headings, equipment, 'stacked') if equipment else paragraph(_MISSING, 'missing')
     return named_rows(rows) + tag('h3', 'Reference equipment') + listed
+
+
+def _software(where: Mapping[str, Any]) -> str:
+    used = (where.get('versions') or {}).get('imu_calib', '-')
+    return f'imu_calib {used}' + ('' if used == version() else f'; certificate: {version()}')
 
 
 def _environment(certificate: Certificate) -> str:

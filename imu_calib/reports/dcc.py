@@ -452,8 +452,8 @@ def _statements(certificate: Certificate) -> list[ET.Element]:
     found = [
         statement('Date of issue.', 'basic_dateOfIssue', date=text_element('date', fields.issued)),
         statement(
-            f"Coverage probability {PROBABILITY:.0%}; coverage factors by Student's t for the "
-            'effective degrees of freedom (Welch-Satterthwaite).',
+            f"Coverage probability {100 * PROBABILITY:g} %; coverage factors by Student's t for "
+            'the effective degrees of freedom (Welch-Satterthwaite).',
             'basic_measurementUncertainty',
             norm=text_element('norm', 'JCGM 100:2008'),
         ),

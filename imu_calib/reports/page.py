@@ -393,9 +393,9 @@ def _thermal_head(
         ('IMU description', first.imu.id),
         ('recorded at the ends', ' and '.join(dict.fromkeys(ends))),
     ]
-    return (
-        paragraph(f'Calibration, from {name}', 'subtitle') + outcome(verdict, text) + facts(pairs)
-    )
+    title = paragraph(f'Calibration, from {name}', 'subtitle')
+    sound = paragraph(provenance.verdict_line(*combined.calibrations))
+    return title + sound + outcome(verdict, text) + facts(pairs)
 
 
 def _celsius(combined: ThermalCalibration, k: int) -> str:

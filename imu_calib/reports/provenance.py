@@ -13,7 +13,7 @@ from ..common.finding import is_warning
 from ..common.units import DEG, DEG_H, MICRO_G, PPM, counted, rounded, significant
 from ..model.earth import MEASURED, VAGUE
 from ..session.imu import TRIAD_NAMES, Coefficient
-from .budget import budget_tables
+from .budget import budget_tables, errors_of_table
 from .charts import tag
 from .html import named_rows, table
 from .plain_table import folded, plain_table
@@ -139,8 +139,11 @@ def _closed_form(facts: Facts) -> str:
 
 
 def _spread(value: float, std: float | None, places: int, unit: str) -> str:
-    known = '' if not std else f'{_APART}{std:.{places}f}'
-    return f'{value:.{places}f}{known}{unit}'
+    if not std:
+        return f'{value:.{places}f}{unit}'
+    # Its last digits in brackets: \u00b1 is for expanded uncertainties (JCGM 100:2008, 7.2.2).
+    shown, known = rounded(value, std)
+    return f'{shown}({known.lstrip("0.") or 0}){unit}'
 
 
 def latitude(facts: Facts) -> str:
@@ -299,6 +302,7 @@ _GROUPS: tuple[tuple[str, tuple[tuple[str, Callable[[Facts], str], tuple[str, ..
             ('gravity', gravity, ('gravity', 'gravity_source', 'gravity_std')),
             ('height', _height, ('height', 'height_assumed')),
             ('table', _text('table'), ('table',)),
+            ("the table's errors", errors_of_table, ('table_errors', 'table_errors_assumed')),
             ('heading found', _azimuth, ('azimuth_seen_deg', 'azimuth_seen_std_deg')),
             ("the table's clock", _table_clock, ('table_clock_std',)),
             ('IMU against table', _clocks, ('clock',)),
@@ -480,10 +484,11 @@ def data_line(calibration: Calibration) -> str:
     return f'{calibration.unit_name}: {", ".join(parts)} ({facts.get("method", "no method")}).'
 
 
-def verdict_line(calibration: Calibration) -> str:
-    """Return in a line whether the session gives reason to doubt the numbers."""
-    warnings = sum(map(is_warning, calibration.findings))
-    if not calibration.findings:
+def verdict_line(*calibrations: Calibration) -> str:
+    """Return in a line whether the sessions give reason to doubt the numbers."""
+    findings = [finding for calibration in calibrations for finding in calibration.findings]
+    warnings = sum(map(is_warning, findings))
+    if not findings:
         return 'Verdict: sound. Nothing in the data contradicts the result.'
     if not warnings:
         return 'Verdict: no warnings. The notes below say what limits the numbers.'

@@ -237,8 +237,14 @@ class Table:
         return self._errors_below(FINEST)
 
     def _errors_below(self, least: float) -> tuple[str, ...]:
-        sizes = {'positioning': self.positioning, **vars(self.errors)}
-        return tuple(key for key in self.error_keys if sizes.get(key, math.inf) < least)
+        sizes = {**self.error_sizes, 'level': math.inf}
+        return tuple(key for key in self.error_keys if sizes[key] < least)
+
+    @property
+    def error_sizes(self) -> dict[str, float]:
+        """Standard deviations of the errors that it has, by key, rad."""
+        sizes = {'positioning': self.positioning, 'level': self.level, **vars(self.errors)}
+        return {key: sizes[key] for key in self.error_keys}
 
     @property
     def error_keys(self) -> tuple[str, ...]:

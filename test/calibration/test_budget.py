@@ -505,8 +505,7 @@ def test_the_screen_shows_the_budget_in_40_lines(recording, tmp_path, capsys):
 
 def test_columns_of_all_sources_keep_to_100_letters():
     names = [source.heading for source in ErrorSource]
-    shares = np.full((2, len(names)), 0.01)
-    shown: Any = SimpleNamespace(headings=names, fractions=shares)
+    shown: Any = SimpleNamespace(headings=names, percents=2 * [['1'] * len(names)])
     first = [['parameter', 'value'], ['K_gx', '12345.6'], ['K_gy', '0.1']]
     tables = _share_tables(shown, first)
     seen = [str(column.header) for table in tables for column in table.columns]

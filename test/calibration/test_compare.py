@@ -148,6 +148,8 @@ def test_errors_of_one_table_are_said_to_count_as_independent():
     first, exact = on_table('east', 1e-5), on_table('east', 0.0)
     (finding,) = compare(first, first).findings
     assert finding.startswith('The errors of table east are counted as independent, though 2 of')
+    # Alike, it would cancel, and their own 1 ppm would be left.
+    assert 'K_gx would have a standard deviation of 1.4 in place of 14 ppm' in finding
     for other in (on_table('west', 1e-5), exact, unit()):
         assert compare(first, other).findings == ()
 

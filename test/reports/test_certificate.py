@@ -29,6 +29,7 @@ from imu_calib.common.budget import Budget, ErrorSource, Share
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
+from imu_calib.common.units import ARCSEC
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.terms import TERMS
 from imu_calib.reports import certificate as printing
@@ -308,13 +309,33 @@ def test_remarks_hold_findings_without_what_they_advise_the_operator(calibration
     assert remark is None or told.count(remark) == 2
 
 
+def test_contributions_of_the_sources_add_up_to_each_uncertainty(calibration):
+    errors = {'positioning': 2 * ARCSEC, 'zeros': 30 * ARCSEC}
+    of_table = {'table_errors': errors, 'table_errors_assumed': ['zeros']}
+    provenance = {**calibration.provenance, **of_table}
+    budget = calibration.budget.with_share(ErrorSource.TABLE, Share.known(calibration.covariance))
+    found = made(replace(calibration, provenance=provenance, budget=budget))
+    page = ET.fromstring(certificate_page(found).removeprefix('<!DOCTYPE html>\n'))
+    lines = [[words(cell) for cell in row] for row in page.iter('tr')]
+    for result in found.results:
+        _, first, *more = (line[1:] for line in lines if line[0] == result.parameter.name)
+        std, _, *cells = [*first, *(cell for line in more for cell in line)]
+        numbers = [0.0 if cell == '-' else float(cell) for cell in cells]
+        # Two digits of the sum, three of its parts.
+        assert np.linalg.norm(numbers) == pytest.approx(float(std), rel=0.06)
+    (pulse,) = (line for line in lines if line[0] == 'pulse')
+    assert pulse[1] == 'B, rectangular, \u221a12' and '7.8 arcsec' in pulse[-1]
+    (table,) = (line for line in lines if line[0] == 'table' and len(line) > 2)
+    assert table[-1].endswith('zeros 30 arcsec (assumed)')
+
+
 def test_gravity_has_its_uncertainty_and_source(calibration):
     known = {'gravity': 9.81, 'gravity_std': 0.0015, 'gravity_source': 'normal gravity (WGS 84)'}
     table = yaml.safe_load(EXAMPLE.read_text())['equipment'][:1]
     provenance = {**calibration.provenance, **known}
     found = made(replace(calibration, provenance=provenance), equipment=table)
-    shown = rows(certificate_page(found))['gravity, standard uncertainty'][0]
-    assert '9.810000 \u00b1 0.001500' in shown and 'normal gravity (WGS 84)' in shown
+    shown = rows(certificate_page(found))['gravity, (u) in its last digits'][0]
+    assert shown == '9.8100(15) m/s\u00b2 (normal gravity (WGS 84))'
     root = validated(dcc(found))
     (condition,) = [
         c

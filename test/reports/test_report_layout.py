@@ -258,6 +258,8 @@ def test_a_combined_file_has_a_report(at_temperatures, tmp_path, capsys):
     # At some temperature a parameter is beyond its limit.
     assert main(['report', str(path), '--imu', 'fog_medium', '-o', str(made)]) == 3
     found = parsed(made.read_text(encoding='utf-8'))
+    # That of a single calibration, over all sessions.
+    assert any(words(p).startswith('Verdict: ') for p in found.iter('p'))
     headings = [words(th) for th in found.iter('th')]
     assert {'−10.0 °C', '5.0 °C', '20.0 °C', '50.0 °C'} <= set(headings)
     rows = {words(tr[0]): [words(td) for td in tr] for tr in found.iter('tr')}
