@@ -163,16 +163,20 @@ class StreamFacts:
 
     def _counts(self) -> list[tuple[int, str]]:
         """Return numbers of samples, and what they have in common."""
+        # A channel that counts few pulses a sample has each of their numbers in a share of them.
+        pulses = self.units is Units.PULSES
+        least = 1 / _SHOWN if pulses else 0.0
         clipped = [
             (int(count), f'of {name} are its largest value, {largest:.4g}')
             for name, count, largest in zip(_CHANNELS, self._at_largest, self._largest, strict=True)
-            if largest > 0
+            if largest > least
         ]
+        still = 0 if pulses else int(self._zero[0])
         return [
             (self._back, 'come after one with a later stamp'),
             (self._same, 'have the stamp of the one before'),
             (self._no_number, 'hold values that are not numbers'),
-            (int(self._zero[0]), 'have gyros of exactly 0 (not measured, or a dead band)'),
+            (still, 'have gyros of exactly 0 (not measured, or a dead band)'),
             (int(self._zero[1]), 'have accelerometers of exactly 0 (not measured)'),
             *clipped,
         ]

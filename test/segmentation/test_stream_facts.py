@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 import imu_calib
 from imu_calib.calibration.hand import HandCalibrator
 from imu_calib.common.errors import InputError, NotObservable
-from imu_calib.common.stream import Floats, ImuBlock
+from imu_calib.common.stream import Floats, ImuBlock, Units
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
@@ -38,8 +38,10 @@ def bag(folder: Path, stamp: NDArray[np.int64], gyro: Floats, accel: Floats) -> 
     return folder
 
 
-def facts(stamp: NDArray[np.int64], values: Floats, size: int = 10**9) -> str:
-    found = StreamFacts()
+def facts(
+    stamp: NDArray[np.int64], values: Floats, size: int = 10**9, units: Units = Units.SI
+) -> str:
+    found = StreamFacts(units)
     for k in range(0, len(stamp), size):
         found.count_samples(stamp[k : k + size], values[k : k + size])
     return found.sentence
@@ -74,6 +76,12 @@ def test_what_is_unusual_is_counted_however_the_stream_is_cut():
     assert '2% hold values that are not numbers' in whole
     assert '10% of accelerometer z are its largest value, 39.2' in whole
     assert 'accelerometers of exactly 0' not in whole
+
+
+def test_few_pulses_a_sample_are_not_unusual():
+    pulses = np.column_stack([np.zeros((2000, 3)), np.rint(9.0 + NOISE[:, 3:] % 1)])
+    assert facts(STAMP, pulses, units=Units.PULSES).endswith('none missing, in order.')
+    assert 'gyros of exactly 0' in facts(STAMP, pulses)
 
 
 def test_stamps_of_few_digits_are_counted():

@@ -229,7 +229,7 @@ class Health:
         if self._received_at is None:
             return False
         passed = steady - self._received_steady
-        if now < self._received_at:
+        if now < self._received_at - self._gap_timeout * NS:
             # The host's clock was set back.
             return passed > self._gap_timeout
         late = now - self._received_at > self._gap_timeout * NS
