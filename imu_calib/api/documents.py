@@ -21,6 +21,7 @@ from ..common.config import Section
 from ..common.errors import InputError, NotStated
 from ..common.files import user_path, write_whole
 from ..common.progress import Progress, silent
+from ..common.stream import Units
 from ..estimation.methods import JOINT
 from ..estimation.term_tests import TermState
 from ..model.earth import MEASURED
@@ -335,6 +336,18 @@ def _bytes(kind: str, html: str, made: Certificate) -> bytes:
 # Export a calibration in the format of other software.
 
 
+def _topic_of(calibration: Calibration) -> str:
+    """Return the topic of the samples that a calibration was made of, if they were in SI."""
+    named = calibration.provenance.get('topics') or []
+    found = [topic for topic in named if not str(topic).endswith(_OTHER_TOPICS)]
+    is_si = calibration.imu.units is Units.SI
+    return str(found[0]) if is_si and len(found) == 1 else TOPIC
+
+
+_OTHER_TOPICS = ('joint_states', 'setpoint', 'temperature', 'skew')
+"""Ends of the names of topics without samples of an IMU, as they are called by default."""
+
+
 @checked
 def export(
     calibration: Result | AnyCalibration | NoiseAtRest | Named,
@@ -355,7 +368,8 @@ def export(
             'imucal': JSON; 'c': a header (docs/exports.md).
         output: File to write, or None.
         sample_rate: Of the stream, Hz: for kalibr, and for imucal of pulses.
-        topic: Of the stream, for kalibr; that of the recording for noise, else /imu/data.
+        topic: Of the stream, for kalibr; that of the recording, if it carried
+            rad/s and m/s^2, else /imu/data.
         imu: The data sheet, for kalibr: noise that was not measured, and the sample rate.
 
     Returns:
@@ -389,7 +403,8 @@ def export(
         # The node reads a file, which a calibration from Python need not have.
         path = beside = target.absolute().with_name(f'{target.stem}_calibration.yaml')
     sheet = None if imu is None else as_imu(imu)
-    source = ExportSource(first_of(loaded), path, sample_rate, topic or TOPIC, sheet)
+    single = first_of(loaded)
+    source = ExportSource(single, path, sample_rate, topic or _topic_of(single), sheet)
     if target is not None:
         source = replace(source, file=target.name)
     exported = EXPORTS[format](source)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
@@ -364,6 +365,8 @@ class Calibration:
             accel: (n, 3) likewise; of a data frame `linear_acceleration.x` to `.z`.
             rate: Samples per second; needed for what is counted over the sample interval.
 
+        Samples of a calibration in SI that are evidently in g, mg or deg/s are a UserWarning.
+
         Raises:
             InputError: The arrays do not have three columns each and as many rows, a data frame has
                 columns of other names, or `rate` is missing or no number above 0.
@@ -385,6 +388,10 @@ class Calibration:
                     f'{self.imu.id} are {self.imu.units.value} counted over the sample interval.'
                 )
             per_second = rate if self.clock is None else rate * (1 + self.clock.faster)
+        if self.imu.units is Units.SI and (doubt := _other_units(*np.atleast_2d(*raw))):
+            warnings.warn(
+                f'{doubt}: the calibration of {self.unit_name} takes rad/s and m/s^2.', stacklevel=2
+            )
         scales = self.imu.gyro.scale_factor, self.imu.accel.scale_factor
         outputs = (values * scale * per_second for values, scale in zip(raw, scales, strict=True))
         return self.model.compensate(*outputs)
@@ -646,6 +653,30 @@ def _check_std(section: Section, expected: Mapping[str, Any]) -> None:
                     f'{section.key(key)}: not the square roots of the variances in covariance.'
                 )
     section.refuse_unknown_keys()
+
+
+_NEAR = 0.25
+"""Relative: scale factor error and bias of the cheapest accelerometers. No motion of a vehicle has
+a median of 1 m/s^2 within that, nor of 1000."""
+_TOO_FAST = 75.0
+"""rad/s: 4300 deg/s, above the widest range of MEMS gyros (4000 deg/s, ICM-20649)."""
+_OFTEN = 0.01  #: Share of samples: spikes and failed reads are fewer. A judgement.
+
+
+def _other_units(gyro: Floats, accel: Floats) -> str:
+    """Return which samples, (n, 3) and stated to be in SI, evidently are not; else empty."""
+    known = np.isfinite(np.hstack([gyro, accel])).all(axis=-1)
+    gyro, accel = gyro[known], accel[known]
+    if not len(accel):
+        return ''
+    length = float(np.median(np.linalg.norm(accel, axis=1)))
+    for unit, one in (('g', 1.0), ('mg', 1000.0)):
+        if abs(length / one - 1) < _NEAR:
+            return f'The median length of the accelerations is {length:.4g}, as in {unit}'
+    fast = np.abs(gyro).max(axis=1)
+    if np.mean(fast > _TOO_FAST) > _OFTEN:
+        return f'The gyros read up to {fast.max():.4g}, as in deg/s'
+    return ''
 
 
 def _by_axis(samples: Any, field: str) -> Floats:

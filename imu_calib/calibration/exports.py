@@ -177,6 +177,10 @@ def _triad(letter: str, triad: Triad, scale: float, unit: float) -> dict[str, li
 _TOPIC = re.compile(r'/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*', re.ASCII)
 """Names that ROS allows (design.ros2.org, "Topic and Service name mapping to DDS")."""
 
+UNITS_OF_KALIBR = """\
+# Gyros: density in rad/s/sqrt(Hz), random walk in rad/s^2/sqrt(Hz); accelerometers: m/s^2/sqrt(Hz),
+# m/s^3/sqrt(Hz); update_rate in Hz.
+"""
 _HEAD = """\
 # {imu} by imu_calib, in Kalibr's scale-misalignment model: raw = M x + b, x in rad/s and m/s^2.
 # Frame i: X along the input axis of accelerometer x, Y in the plane of x and y.
@@ -225,7 +229,8 @@ def export_kalibr(source: ExportSource) -> Exported:
             'nominal scale factor'
             + (' over the sample interval.' if calibration.imu.units.per_interval else '.')
         )
-    return Exported(_HEAD.format(imu=_comment(calibration.unit_name)) + text, tuple(sentences))
+    head = _HEAD.format(imu=_comment(calibration.unit_name)) + UNITS_OF_KALIBR
+    return Exported(head + text, tuple(sentences))
 
 
 def _lower(response: Floats, name: str) -> tuple[Floats, Floats]:

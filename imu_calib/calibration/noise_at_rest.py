@@ -26,7 +26,7 @@ from ..segmentation.long_rest import LongRest
 from ..segmentation.noise import AllanPoints, Fitted, fit
 from ..segmentation.segments import CHANNELS
 from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, TriadUnits
-from .exports import TOPIC, Exported
+from .exports import TOPIC, UNITS_OF_KALIBR, Exported
 from .views import empty_figure
 
 if TYPE_CHECKING:
@@ -412,7 +412,7 @@ def filter_noise(noise: NoiseAtRest, units: TriadUnits) -> FilterNoise:
 
 def _kalibr(noise: NoiseAtRest, gyro: FilterNoise, accel: FilterNoise, topic: str) -> str:
     """Return imu.yaml (ethz-asl/kalibr, wiki, "Yaml formats")."""
-    return '{head}' + _dump({**_densities(gyro, accel), **_stream(noise, topic)})
+    return '{head}' + UNITS_OF_KALIBR + _dump({**_densities(gyro, accel), **_stream(noise, topic)})
 
 
 def _openvins(noise: NoiseAtRest, gyro: FilterNoise, accel: FilterNoise, topic: str) -> str:
@@ -431,7 +431,7 @@ def _openvins(noise: NoiseAtRest, gyro: FilterNoise, accel: FilterNoise, topic: 
         'Tg': none,
     }
     # OpenCV, which reads it, wants the first line.
-    return '%YAML:1.0\n{head}' + _dump({'imu0': chain})
+    return '%YAML:1.0\n{head}' + UNITS_OF_KALIBR + _dump({'imu0': chain})
 
 
 def _vins(noise: NoiseAtRest, gyro: FilterNoise, accel: FilterNoise, topic: str) -> str:
@@ -450,7 +450,10 @@ def _vins(noise: NoiseAtRest, gyro: FilterNoise, accel: FilterNoise, topic: str)
         'gyr_w': gyro.random_walk * root,
         'g_norm': STANDARD_GRAVITY,
     }
-    note = f'# For samples at {noise.rate:.6g} Hz; g_norm: put in that of the place.\n'
+    note = (
+        f'# Of single steps at {noise.rate:.6g} Hz, in m/s^2 and rad/s.\n'
+        '# g_norm: put in that of the place.\n'
+    )
     return '%YAML:1.0\n{head}' + note + _dump(numbers)
 
 

@@ -11,23 +11,28 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
 
+from ..common.files import require
 from ..common.stream import Floats
-from ..common.units import DEG, counted
+from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G, counted
 from ..estimation.free_dwells import Sensors, Up, noise_at_rest, squares, transformed_covariance
 from ..estimation.system import Fit, Observed, TriadSystem, factor_of
 from ..model.earth import EARTH_RATE, Site
-from ..model.parameters import Parameter, ParameterKind, engineering, indices_of
+from ..model.parameters import Parameter, ParameterKind, Shown, engineering, indices_of
 from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms, terms_of
 from ..model.session_terms import Course
 from ..segmentation.segmented import Move
 from .agreement import same_place, without_gravity
 from .calibration import Calibration
-from .diagnosis import Diagnosis, diagnose, shows_scatter, with_true_noise
+from .diagnosis import Diagnosis, ShiftedParameter, diagnose, shows_scatter, with_true_noise
+from .views import compared_frame, verification_page
+
+if TYPE_CHECKING:
+    import pandas
 
 
 class Quantity(Enum):
@@ -51,6 +56,27 @@ class Quantity(Enum):
         if self is Quantity.GRAVITY:
             return 'm/s^2'
         return 'rad/s' if self in {Quantity.EARTH_RATE, Quantity.UP_RATE} else 'rad'
+
+    def shown(self, *, by_hand: bool) -> Shown:
+        """Return the unit for people."""
+        own = _SHOWN[self]
+        return _BY_HAND[own.unit] if by_hand else own
+
+
+_SHOWN = {
+    Quantity.GRAVITY: Shown('ug', MICRO_G),
+    Quantity.DIRECTION: Shown('arcsec', ARCSEC),
+    Quantity.EARTH_RATE: Shown('deg/h', DEG_H),
+    Quantity.UP_RATE: Shown('deg/h', DEG_H),
+    Quantity.TURN: Shown('arcsec', ARCSEC),
+    Quantity.TURN_AXIS: Shown('arcsec', ARCSEC),
+}
+_BY_HAND = {
+    'ug': Shown('mg', 1e3 * MICRO_G),
+    'deg/h': Shown('deg/s', DEG),
+    'arcsec': Shown('deg', DEG),
+}
+"""By those of a table, the units of the grade of the units that are calibrated in the hand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -348,6 +374,55 @@ class Verification:
             f'REJECTED: the biases moved ({", ".join(parts)}){why}, and nothing else is seen: '
             f'measure them anew. {others}'
         )
+
+    @property
+    def moved(self) -> tuple[ShiftedParameter, ...]:
+        """The parameters that differ in the recording, of the triads that are rejected."""
+        found = [t.diagnosis for t in self.triads if t.diagnosis is not None]
+        return tuple(moved for diagnosis in found for moved in diagnosis.moved)
+
+    @property
+    def moved_frame(self) -> pandas.DataFrame:
+        """The parameters that differ as a pandas.DataFrame: difference, std, in_std and unit."""
+        difference, std = (
+            np.array([getattr(m, name) for m in self.moved]) for name in ('difference', 'std')
+        )
+        return compared_frame(
+            [m.parameter for m in self.moved],
+            {'difference': difference, 'std': std},
+            {'in_std': difference / std},
+            by_hand=self.by_hand,
+        )
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return what was compared as a pandas.DataFrame, a row for each quantity at a position.
+
+        `at` is in s (NaN for a turn), `rate` in deg/s (0 at rest), `deviation` and `std` in `unit`.
+        """
+        require('pandas', 'A data frame', 'dataframe')
+        import pandas as pd
+
+        units = [c.quantity.shown(by_hand=self.by_hand) for c in self.compared]
+        rows = [
+            {
+                'position': c.name,
+                'quantity': c.quantity.value,
+                'at': c.at,
+                'rate': c.rate / DEG,
+                'deviation': c.deviation / shown.scale,
+                'std': c.std / shown.scale,
+                'unit': shown.unit,
+                'in_std': c.ratio,
+            }
+            for c, shown in zip(self.compared, units, strict=True)
+        ]
+        return pd.DataFrame(rows).set_index(['position', 'quantity'])
+
+    def _repr_html_(self) -> str:
+        """Return the verdict, and what moved, as a small table for a notebook."""
+        triads = [str(triad) for triad in self.triads]
+        moved = [(m.parameter, m.difference, m.std) for m in self.moved]
+        return verification_page(self.outcome, triads, moved, by_hand=self.by_hand)
 
     @property
     def accepted(self) -> bool:

@@ -145,6 +145,28 @@ def parameter_page(
     )
 
 
+def verification_page(
+    outcome: str,
+    triads: Sequence[str],
+    moved: Sequence[tuple[Parameter, float, float]],
+    *,
+    by_hand: bool,
+) -> str:
+    """Return a verdict, a line on each triad and the (parameter, shift, std) as a table of HTML."""
+    rows = [
+        f'<tr><td colspan="3" style="text-align:left">{escape(one)}</td></tr>' for one in triads
+    ]
+    for parameter, difference, std in moved:
+        unit = engineering(parameter, by_hand=by_hand)
+        number, std_text = rounded(difference / unit.scale, std / unit.scale)
+        number = number.replace('-', '\u2212')
+        rows.append(
+            f'<tr><th>{parameter.name}</th><td>moved by {number} \u00b1 {std_text}</td>'
+            f'<td style="text-align:left">{escape(unit.symbol)}</td></tr>'
+        )
+    return f'<table><caption>{escape(outcome)}</caption><tbody>{"".join(rows)}</tbody></table>'
+
+
 def predicted_frame(
     parameters: Sequence[Parameter], std: Floats, best: Floats, *, by_hand: bool
 ) -> pandas.DataFrame:

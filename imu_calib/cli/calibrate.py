@@ -416,9 +416,9 @@ def _show_verification(verification: Verification, *, verbose: bool) -> None:
     print_text(limits_line(verification))
     diagnoses = [t.diagnosis for t in verification.triads if t.diagnosis is not None]
     sentence_list('Symptoms', [d.symptom for d in diagnoses])
-    if moved := [m for d in diagnoses for m in d.moved]:
+    if verification.moved:
         OUTPUT.print()
-        OUTPUT.print(moved_table(moved, by_hand=verification.by_hand))
+        OUTPUT.print(moved_table(verification.moved, by_hand=verification.by_hand))
     print_findings(verification.findings, verbose=verbose)
     if verbose:
         OUTPUT.print()

@@ -149,7 +149,7 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--topic',
-        help='topic of the stream, for kalibr (default: /imu/data)',
+        help='topic of the stream, for kalibr (default: that of a recording in SI, else /imu/data)',
     )
     parser.add_argument(
         '--imu',

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from ..calibration.noise_at_rest import KINDS, ChannelAllan, Kind, NoiseAtRest
 from ..common.stream import utc
-from ..common.units import HOUR, lasting, rounded, typeset
+from ..common.units import DEG, HOUR, MICRO_G, lasting, rounded, typeset
 from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, ImuSpec, TriadSpec, TriadUnits
 from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .html import STYLE, bullets, document, facts, paragraph, section, table
@@ -22,8 +23,18 @@ from .tables import three_digits
 if TYPE_CHECKING:
     from rich.table import Table
 
+_DENSITY = replace(
+    KINDS[1],
+    words='  as a density',
+    units=('deg/s/sqrt(Hz)', 'ug/sqrt(Hz)'),
+    scales=(DEG, MICRO_G),
+)
 _WIDTH, _LEFT, _TOP, _FRAME = 372.0, 56.0, 52.0, 300.0
 """px; layout of a panel: the drawing's width, the frame's left, top and width."""
+_ROWS = tuple(
+    row for kind in KINDS for row in (kind, *([_DENSITY] if kind.term is _DENSITY.term else []))
+)
+"""The random walk also as data sheets of MEMS units and Kalibr state it."""
 _HEIGHT, _HEIGHT_AT_REST = 250.0, 270.0
 """px: height of the frame, of the noise of a session and of a record at rest."""
 _DASH = '4 3'
@@ -44,7 +55,7 @@ def noise_tables(noise: NoiseAtRest) -> list[Table]:
         if not channels:
             continue
         shown = plain_table((f'{units.name}s', *channels, ''), 'l' + 'r' * len(channels) + 'l')
-        for kind in KINDS:
+        for kind in _ROWS:
             cells = [
                 _plain(kind.coefficient(one.noise), kind.scales[k]) for one in channels.values()
             ]
@@ -151,7 +162,7 @@ def _table(noise: NoiseAtRest, k: int) -> str:
     if not channels:
         return ''
     rows = []
-    for kind in KINDS:
+    for kind in _ROWS:
         cells = [_cell(kind, one, k) for one in channels.values()]
         rows.append([f'{kind.words}, {typeset(kind.units[k])}', *cells])
     lowest = [escape(_lowest(one, units)) for one in channels.values()]

@@ -10,24 +10,10 @@ from rich.table import Table
 
 from ..calibration.diagnosis import ShiftedParameter
 from ..calibration.verify import ComparedQuantity, Quantity, Verdict, Verification
-from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G, decimals, rounded
-from ..model.parameters import Shown, engineering
+from ..common.units import DEG, decimals, rounded
+from ..model.parameters import engineering
 from .plain_table import plain_table
 
-_SHOWN = {
-    Quantity.GRAVITY: Shown('ug', MICRO_G),
-    Quantity.DIRECTION: Shown('arcsec', ARCSEC),
-    Quantity.EARTH_RATE: Shown('deg/h', DEG_H),
-    Quantity.UP_RATE: Shown('deg/h', DEG_H),
-    Quantity.TURN: Shown('arcsec', ARCSEC),
-    Quantity.TURN_AXIS: Shown('arcsec', ARCSEC),
-}
-_BY_HAND = {
-    'ug': Shown('mg', 1e3 * MICRO_G),
-    'deg/h': Shown('deg/s', DEG),
-    'arcsec': Shown('deg', DEG),
-}
-"""By those of a table, the units of the grade of the units that are calibrated in the hand."""
 _AT_REST = (Quantity.GRAVITY, Quantity.DIRECTION, Quantity.EARTH_RATE, Quantity.UP_RATE)
 _IN_TURNS = (Quantity.TURN, Quantity.TURN_AXIS)
 
@@ -93,7 +79,7 @@ def _verification_table(
     mine = [one for row in rows for one in row]
     present = [q for q in quantities if any(c.quantity is q for c in mine)]
     turns = quantities is _IN_TURNS
-    units = {q: _shown(q, by_hand=verification.by_hand) for q in present}
+    units = {q: q.shown(by_hand=verification.by_hand) for q in present}
     headings = ['position', 'rate, deg/s' if turns else 'at, s']
     for quantity in present:
         headings += [f'{quantity.value}, {units[quantity].unit}', 'std']
@@ -133,11 +119,6 @@ def _rows(compared: Sequence[ComparedQuantity]) -> list[list[ComparedQuantity]]:
 
 def _worst(row: Sequence[ComparedQuantity]) -> float:
     return max(abs(c.ratio) for c in row)
-
-
-def _shown(quantity: Quantity, *, by_hand: bool) -> Shown:
-    own = _SHOWN[quantity]
-    return _BY_HAND[own.unit] if by_hand else own
 
 
 def _verification_places(compared: Sequence[ComparedQuantity], scale: float) -> int:

@@ -522,13 +522,17 @@ class Rounding:
         self._steps = [math.inf] * 6
         self._units = spec.units
         self._has_fractions = False
+        #: Whether a dwell was looked at and all values were whole numbers, beyond zeros and ones.
+        self._is_whole, self._largest = True, 0.0
 
     def check_dwell(self, values: Floats) -> None:
         """Add the samples (n, 6) of a static dwell as delivered; NaN where some were lost."""
         looked_at = values[:_SAMPLES]
         looked_at = looked_at[~np.isnan(looked_at).any(axis=1)]
-        if self._units.whole:
-            self._has_fractions |= not whole_channels(looked_at).all()
+        whole = bool(whole_channels(looked_at).all())
+        self._has_fractions |= self._units.whole and not whole
+        self._is_whole &= whole
+        self._largest = max(self._largest, float(np.abs(looked_at).max(initial=0.0)))
         if len(looked_at) < _FEWEST:
             return
         for channel in self._channels:
@@ -554,6 +558,13 @@ class Rounding:
                 f'{self._units.value}: state `units: {kind.value}`, or compensated samples have '
                 'the covariance of values rounded to whole numbers'
             )
+        if not self._units.whole and self._is_whole and self._largest > 1:
+            found.append(
+                'The values are whole numbers, as pulses and counts are, but are stated to be '
+                f'{self._units.value}: give the `imu` whose file says what one is, or, if they '
+                'were rounded, record more digits'
+            )
+            return found
         for first, triad, unit in ((0, 'gyro', 'rad/s'), (3, 'accelerometer', 'm/s^2')):
             coarse = [k for k in range(first, first + 3) if math.isfinite(self._steps[k])]
             if not coarse:

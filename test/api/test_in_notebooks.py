@@ -1,6 +1,7 @@
 """A calibration in a notebook: labelled numbers, samples in memory, a table for the eye."""
 
 import re
+import warnings
 from dataclasses import replace
 from itertools import pairwise
 
@@ -9,6 +10,7 @@ import pytest
 
 import imu_calib
 from imu_calib.common.files import named_file
+from imu_calib.common.units import DEG_H
 
 NAMES = [f'{name}.{a}' for name in ('angular_velocity', 'linear_acceleration') for a in 'xyz']
 
@@ -98,6 +100,52 @@ def test_samples_in_memory_become_what_compensate_writes(bag, result, tmp_path):
         imu_calib.InputError, match=r'columns x, z, y, expected angular_velocity\.x'
     ):
         result.calibration.apply(named, raw[NAMES[3:]], rate=1 / seconds)
+
+
+def test_samples_of_other_units_than_si_are_a_warning(tmp_path):
+    imu_calib.simulate('free_positions', tmp_path / 'bag', imu='si', latitude=48.1, seed=1)
+    raw = imu_calib.read(tmp_path / 'bag', '/imu/pulses').to_dataframe()[NAMES].to_numpy()
+    apply = imu_calib.calibrate(tmp_path / 'bag').calibration.apply
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        apply(raw[:, :3], raw[:, 3:])
+        # Thrown and spun, single samples, and none at all.
+        apply(raw[:, :3] * 10, raw[:, 3:] * 5)
+        apply(raw[0, :3], raw[0, 3:])
+        apply(raw[:0, :3], raw[:0, 3:])
+    for gyro, accel, unit in (
+        (raw[:, :3], raw[:, 3:] / 9.80665, 'g:'),
+        (raw[:, :3], raw[:, 3:] / 9.80665e-3, 'mg:'),
+        (np.degrees(raw[:, :3]), raw[:, 3:], 'deg/s:'),
+    ):
+        with pytest.warns(UserWarning, match=f'as in {unit} the calibration of bag takes rad/s'):
+            apply(gyro, accel)
+
+
+def test_a_verification_is_a_frame_and_a_table(bag, result, tmp_path):
+    imu_calib.simulate('twelve_position', tmp_path / 'other', seed=2, latitude=48.1)
+    found = imu_calib.verify(tmp_path / 'other', result)
+    frame = found.to_dataframe()
+    assert len(frame) == len(found.compared)
+    one = found.compared[0]
+    row = frame.iloc[0]
+    assert row.name == (one.name, one.quantity.value)
+    shown = one.quantity.shown(by_hand=False)
+    assert row['deviation'] * shown.scale == pytest.approx(one.deviation)
+    assert row['deviation'] / row['std'] == pytest.approx(one.deviation / one.std)
+    assert found.moved_frame.empty
+    page = found._repr_html_()
+    assert 'ACCEPTED' in page and 'chi-square' in page
+    assert not re.search(r'color|background|#[0-9a-f]{3}', page)
+    # Of a unit whose bias moved by 50 deg/h.
+    mine = result.calibration
+    values = mine.values.copy()
+    values[[p.name for p in mine.parameters].index('D_gx')] += 50 * DEG_H
+    other = replace(mine, model=mine.model.with_values(mine.parameters, values))
+    moved = imu_calib.verify(tmp_path / 'other', other)
+    row = moved.moved_frame.loc['D_gx']
+    assert row['difference'] == pytest.approx(-50, rel=0.02) and row['unit'] == 'deg/h'
+    assert '<th>D_gx</th>' in moved._repr_html_()
 
 
 def test_pulses_need_a_rate_and_both_sensors_their_columns(result):

@@ -288,3 +288,13 @@ def test_a_gyro_only_calibration_says_so():
     )
     left = EXPORTS['c'](ExportSource(gyros_alone, Path('/c.yaml'))).findings
     assert any('accelerometers were not calibrated' in sentence for sentence in left)
+
+
+def test_the_default_topic_is_that_of_a_recording_in_si():
+    calibration = unit()
+    named = {**calibration.provenance, 'topics': ['/imu/temperature', '/my/imu']}
+    for units, topic in (('si', '/my/imu'), ('mems_counts', '/imu/data')):
+        one = replace(calibration, imu=load_imu(units), provenance=named)
+        words = {'sample_rate': RATE, 'imu': 'mems_counts'}
+        text = imu_calib.export(one, 'kalibr', **words).text
+        assert f'rostopic: {topic}\n' in text and '# Gyros: density in rad/s/sqrt(Hz)' in text

@@ -54,6 +54,15 @@ def test_few_values_are_named_with_their_step():
     assert said.startswith(words)
 
 
+def test_whole_numbers_in_si_are_named_as_pulses_or_counts():
+    pulses = np.rint(rounded(1.0, 0.3) * [0, 0, 0, 1, 1, 1])
+    (said,) = sentences(pulses)
+    assert said.startswith('The values are whole numbers, as pulses and counts are, but are stated')
+    assert 'stated to be si: give the `imu` whose file says what one is' in said
+    assert not sentences(pulses, load_imu('mems_counts'))
+    assert 'whole numbers' not in ' '.join(sentences(pulses + 0.5))
+
+
 def test_one_value_in_each_dwell_shows_no_step():
     assert not sentences(rounded(0.2, 1e-9, np.array([0.2, 9.8, -9.8])[:, None, None]))
 
