@@ -22,6 +22,7 @@ from ..session.imu import TRIAD_NAMES
 from .charts import drawing, label, tag
 from .html import paragraph, table
 from .plain_table import plain_table
+from .tables import minus
 
 _LEAST = 0.005
 """A source below half a percent of every variance has no column: it would be shown as zero."""
@@ -259,13 +260,13 @@ def _correlations(calibration: Calibration, rows: NDArray[np.intp]) -> str:
     pairs = np.argwhere(np.abs(found) > _CORRELATED).tolist()
     pairs.sort(key=lambda pair: -abs(found[tuple(pair)]))
     names = [calibration.parameters[k].name for k in rows]
-    words = [f'{names[i]} and {names[j]} {found[i, j]:+.2f}' for i, j in pairs[:_PAIRS]]
+    words = [f'{names[i]} and {names[j]} {minus(f"{found[i, j]:+.2f}")}' for i, j in pairs[:_PAIRS]]
     if len(pairs) > _PAIRS:
         words.append(f'{len(pairs) - _PAIRS} further pairs')
     shown = ', '.join(words) or 'none'
     return (
         f'Correlations beyond {_CORRELATED:g}, the largest first: {typeset(shown)}. A quantity of '
-        'several parameters needs them: calibration.yaml has the whole covariance.'
+        'several parameters needs them: the file of the calibration has the whole covariance.'
     )
 
 

@@ -90,7 +90,10 @@ class Certificate:
     def remarks(self) -> tuple[str, ...]:
         """The laboratory's remarks, and the findings without what they advise the operator."""
         found = (_HINT.sub('', text).strip() for text in self.calibration.findings)
-        return (*self.fields.remarks, *(re.sub('[;:]$', '.', text) for text in found if text))
+        return (
+            *self.fields.remarks,
+            *(re.sub('[;:]$|;(?= [A-Z])', '.', text) for text in found if text),
+        )
 
     @property
     def conformity(self) -> Conformity | None:

@@ -292,6 +292,10 @@ def test_a_reference_that_was_not_valid_any_more_gives_no_certificate(calibratio
 
 
 HINTS = [
+    (
+        'Assumed: zeros 1 arcsec; state its own under these keys. Table east states less.',
+        'Assumed: zeros 1 arcsec. Table east states less.',
+    ),
     ('It is one. State what the table has.', 'It is one.'),
     ('Known to 1.5 ppm. State `height`, or `gravity` as measured.', 'Known to 1.5 ppm.'),
     ('Assumed: zeros 30 arcsec; state its own under these keys.', 'Assumed: zeros 30 arcsec.'),
