@@ -226,18 +226,21 @@ def _as_numbers(column: Any) -> Floats:
 def _as_keywords(frame: Any) -> str:
     """Return what to state of a frame's columns, as keywords."""
     text, _ = _table_of_frame(frame, {'rate': 1.0})
-    found = {'gyro': 'NAME,NAME,NAME:UNIT', 'accel': 'NAME,NAME,NAME:UNIT', **suggested(text)}
-    return ', '.join(f'{name}={found[name]!r}' for name in ('gyro', 'accel'))
+    found = {
+        'stamp': 'NAME:UNIT',
+        'gyro': 'NAME,NAME,NAME:UNIT',
+        'accel': 'NAME,NAME,NAME:UNIT',
+        **suggested(text),
+    }
+    wanted = ('stamp', 'gyro', 'accel') if _counts_rows(frame.index) else ('gyro', 'accel')
+    return ', '.join(f'{name}={found[name]!r}' for name in wanted)
 
 
 def _stamps_of(frame: Any, rate: float | None) -> Stamps:
     """Return the stamps (n,) of a data frame, ns: its index, or by the rate."""
     index = frame.index
     kind = index.dtype.kind
-    # A frame without an index of its own, or a part of one, counts its rows.
-    is_range = type(index).__name__ == 'RangeIndex' and index.step == 1
-    counted = kind in 'iu' and (is_range or np.array_equal(index, np.arange(len(index))))
-    is_time = kind in 'mMfiu' and not counted
+    is_time = kind in 'mMfiu' and not _counts_rows(index)
     if rate is not None:
         if is_time:
             raise InputError(
@@ -248,7 +251,7 @@ def _stamps_of(frame: Any, rate: float | None) -> Stamps:
     if not is_time:
         raise InputError(
             'The index of the data frame counts its rows or is no time: set a DatetimeIndex, '
-            'a TimedeltaIndex or seconds, or give `rate`.'
+            'a TimedeltaIndex or seconds, or give `rate`, or the column of the time with `stamp`.'
         )
     if index.hasnans:
         raise InputError('The index of the data frame has missing values, expected a time in each.')
@@ -262,3 +265,10 @@ def _stamps_of(frame: Any, rate: float | None) -> Stamps:
             'seconds: convert it, as by `pandas.to_datetime(frame.index)` from ns.'
         )
     return np.asarray(np.rint(seconds * NS), dtype=np.int64)
+
+
+def _counts_rows(index: Any) -> bool:
+    """Return whether an index counts rows, as in a frame without one of its own, or in a part."""
+    is_range = type(index).__name__ == 'RangeIndex' and index.step == 1
+    whole = index.dtype.kind in 'iu'
+    return whole and (is_range or np.array_equal(index, np.arange(len(index))))

@@ -398,11 +398,13 @@ class Verification:
         """Return what was compared as a pandas.DataFrame, a row for each quantity at a position.
 
         `at` is in s (NaN for a turn), `rate` in deg/s (0 at rest), `deviation` and `std` in `unit`.
+        Lengths of rates that noise hides are left out, as on the screen.
         """
         require('pandas', 'A data frame', 'dataframe')
         import pandas as pd
 
-        units = [c.quantity.shown(by_hand=self.by_hand) for c in self.compared]
+        compared = [c for c in self.compared if c.is_meaningful]
+        units = [c.quantity.shown(by_hand=self.by_hand) for c in compared]
         rows = [
             {
                 'position': c.name,
@@ -414,7 +416,7 @@ class Verification:
                 'unit': shown.unit,
                 'in_std': c.ratio,
             }
-            for c, shown in zip(self.compared, units, strict=True)
+            for c, shown in zip(compared, units, strict=True)
         ]
         return pd.DataFrame(rows).set_index(['position', 'quantity'])
 
