@@ -76,7 +76,7 @@ def add_batch_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--retry',
         action='store_true',
-        help='run failed recordings again, and those calibrated with other options since',
+        help='run failed recordings again',
     )
     options.add_statements(parser, Session)
     options.add_imus_option(parser)
@@ -120,6 +120,11 @@ def run_batch(arguments: argparse.Namespace) -> CommandResult:
         f'{counted(done.recordings, "recording")}{several} in {done.seconds:.1f} s: '
         f'{done.calibrated} calibrated, {done.failed} failed, {done.known} done before{before}'
     )
+    if done.removed:
+        OUTPUT.print(
+            f'{counted(done.removed, "failed row")} removed: the recording is gone, or stated '
+            'otherwise now'
+        )
     for names in done.alike:
         OUTPUT.print(f'{listed(names)} are the same recording, which counts once', markup=False)
     for sentence in done.contradictory:
@@ -133,11 +138,6 @@ def run_batch(arguments: argparse.Namespace) -> CommandResult:
             'text files and of bags of ROS 1, and imu-calib info FILE says the way for others'
         )
     OUTPUT.print(f'written to {done.catalogue}', markup=False)
-    if done.known_superseded:
-        OUTPUT.print(
-            f'{done.known_superseded} of them were calibrated with other options '
-            'since, and those results count: --retry goes back to these options'
-        )
     failed = done.failed + done.known_failed
     if not failed:
         return CommandResult()

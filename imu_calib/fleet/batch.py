@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ..api.session import as_list
 from ..common.errors import InputError
+from ..common.files import user_path
 from ..common.parallel import MEMORY, Engine, WorkerDied, outcomes
 from ..common.progress import Progress, silent
 from ..common.units import counted
+from ..recordings.remote import is_url
 from ..session.keywords import Session, Stated, with_keywords
 from ..session.units_file import load_units
 from .recordings import OF_ONE, Job, convertible, find_jobs
@@ -53,8 +56,10 @@ class Batch:
     alike: tuple[tuple[str, ...], ...] = ()
     #: Sentences on recordings with the same content and other statements.
     contradictory: tuple[str, ...] = ()
-    known_superseded: int = 0  #: Those of `known` whose recordings were calibrated again since.
+    known_superseded: int = 0  #: Those of `known` whose recordings are stated otherwise, too.
     repeated: int = 0  #: Number of units that they would have given again.
+    #: Number of failed rows that were removed: their recordings are gone, or stated otherwise now.
+    removed: int = 0
 
     def __repr__(self) -> str:
         return (
@@ -92,7 +97,7 @@ def batch(
         scheduler: Address of a Dask scheduler (tcp://host:8786); None starts local workers.
         workers: Number of local workers; None for one per core.
         memory: Of each local worker ('2GiB').
-        retry: Repeat failed tasks, and those superseded by others on the same recordings.
+        retry: Repeat failed tasks.
         progress: Shows the progress.
         connected: Called with the address of Dask's dashboard when work begins.
         **stated: Keywords of `calibrate` for every recording whose manifest does not state
@@ -110,8 +115,22 @@ def batch(
     jobs = find_jobs(listed, session, _units_file(imus, session))
     kept = Catalogue(catalogue, create=True)
     engine = Engine(scheduler, workers, memory, _LOADS)
-    done = run_batch(jobs, kept, engine, retry=retry, progress=progress, connected=connected)
+    done = run_batch(
+        jobs,
+        kept,
+        engine,
+        retry=retry,
+        progress=progress,
+        connected=connected,
+        below=_folders(listed),
+    )
     return replace(done, convertible=tuple(convertible(listed)))
+
+
+def _folders(sources: Sequence[str | Path]) -> list[Path]:
+    """Return the local folders that sources name: for a file, the one that it is in."""
+    paths = [user_path(one) for one in sources if not is_url(str(one))]
+    return [path if path.is_dir() else path.parent for path in paths if path.exists()]
 
 
 def _units_file(imus: str | Path | None, stated: Stated) -> str:
@@ -127,6 +146,57 @@ def _units_file(imus: str | Path | None, stated: Stated) -> str:
     return str(imus)
 
 
+class _Found:
+    """Results of jobs so far.
+
+    Attributes:
+        count: Numbers of units, as `Batch` has them.
+        names: Of recordings, by the keys of their rows.
+        contents: Number of the job of each key, by the hash of the recording.
+        unsaved: Those that are not in the catalogue yet.
+    """
+
+    def __init__(
+        self, jobs: Sequence[Job], failed: frozenset[str], superseded: frozenset[str]
+    ) -> None:
+        self._jobs, self._failed, self.superseded = jobs, failed, superseded
+        counted = ('calibrated', 'failed', 'known', 'repeated', 'known_failed', 'known_superseded')
+        self.count = dict.fromkeys(counted, 0)
+        self.names: dict[str, list[str]] = {}
+        self.contents: dict[str, dict[str, int]] = {}
+        self.unsaved: list[TaskResult] = []
+        self._last: dict[tuple[str, str], tuple[int, dict[str, Any]]] = {}
+
+    def take(self, number: int, done: TaskResult) -> None:
+        """Take a result of a job by its number."""
+        count, row = self.count, done.row
+        content = done.sha256 if row is None else row['sha256']
+        self.contents.setdefault(content, {}).setdefault(done.key, number)
+        again = row is not None and done.key in self.superseded
+        names = self.names.setdefault(done.key, [])
+        if again:
+            count['known'] -= 1
+            count['known_superseded'] -= 1
+        else:
+            names.append(self._jobs[number].recording)
+        if len(names) > 1 and not again:
+            count['repeated'] += 1
+        elif row is None:
+            count['known'] += 1
+            count['known_failed'] += done.key in self._failed
+            count['known_superseded'] += done.key in self.superseded
+        else:
+            count['calibrated' if row['status'] == CALIBRATED else 'failed'] += 1
+            if row['status'] == CALIBRATED:
+                # The last job on a recording counts, in whatever order they end.
+                unit = row['sha256'], row['topic']
+                before, self._last[unit] = sorted(
+                    [self._last.get(unit, (-1, {})), (number, row)], key=lambda one: one[0]
+                )
+                before[1]['status'] = SUPERSEDED
+            self.unsaved.append(done)
+
+
 def run_batch(
     jobs: Sequence[Job],
     catalogue: Catalogue,
@@ -136,77 +206,103 @@ def run_batch(
     progress: Progress = silent,
     connected: Callable[[str], None] = lambda _: None,
     task: Task = run,
+    below: Sequence[Path] = (),
 ) -> Batch:
     """Run jobs and add their rows; as `batch`, with another task if one is given.
 
-    After an interruption the finished tasks are in the catalogue.
+    After an interruption the finished tasks are in the catalogue. When all are done, failed rows
+    are removed whose recordings these jobs state otherwise, or that are gone from folders `below`.
     """
     begun = time.monotonic()
-    count = dict.fromkeys(('calibrated', 'failed', 'known', 'repeated'), 0)
-    count |= {'known_failed': 0, 'known_superseded': 0}
-    names: dict[str, list[str]] = {}
-    contents: dict[str, dict[str, int]] = {}
-    last: dict[tuple[str, str], tuple[int, dict[str, Any]]] = {}
-    unsaved: list[TaskResult] = []
     with engine.connected() as client, progress('calibrating') as show:
         connected(client.dashboard_link)
         show(0, len(jobs))
         saved = time.monotonic()
-        known = catalogue.keys(status=CALIBRATED if retry else None)
-        before = {
-            'known_failed': known & catalogue.keys(status=FAILED),
-            'known_superseded': known & catalogue.keys(status=SUPERSEDED),
-        }
+        known = catalogue.keys() - (catalogue.keys(status=FAILED) if retry else frozenset())
+        found = _Found(
+            jobs,
+            known & catalogue.keys(status=FAILED),
+            known & catalogue.keys(status=SUPERSEDED),
+        )
+        replaced = retry or bool(found.superseded)
+
+        def save() -> None:
+            catalogue.add(found.unsaved, replace=replaced)
+            found.unsaved.clear()
+
+        def results() -> Iterator[tuple[int, Sequence[TaskResult]]]:
+            yield from _results_of_each(client, jobs, known, task)
+            if not found.count['known_superseded']:
+                return
+            # What is stated now is to count, also where it was replaced by other statements.
+            save()
+            again = _stated_again(catalogue, found.contents)
+            numbers = list(again.values())
+            some = [jobs[k] for k in numbers]
+            for k, ended in _results_of_each(client, some, known - again.keys(), task):
+                yield numbers[k], [done for done in ended if done.row is not None]
+
         try:
-            for k, (number, ended) in enumerate(_results_of_each(client, jobs, known, task), 1):
+            for k, (number, ended) in enumerate(results(), 1):
                 for done in ended:
-                    names.setdefault(done.key, []).append(jobs[number].recording)
-                    content = done.sha256 if done.row is None else done.row['sha256']
-                    contents.setdefault(content, {}).setdefault(done.key, number)
-                    if len(names[done.key]) > 1:
-                        count['repeated'] += 1
-                    elif done.row is None:
-                        count['known'] += 1
-                        for name, keys in before.items():
-                            count[name] += done.key in keys
-                    else:
-                        count['calibrated' if done.row['status'] == CALIBRATED else 'failed'] += 1
-                        if done.row['status'] == CALIBRATED:
-                            _supersede(last, number, done.row)
-                        unsaved.append(done)
+                    found.take(number, done)
                 now = time.monotonic()
                 between = max(_FLUSH, min(_FLUSH_SHARE * (now - begun), _LATEST_FLUSH))
-                if now - saved > between or len(unsaved) >= _MOST:
-                    catalogue.add(unsaved, replace=retry)
-                    unsaved.clear()
+                if now - saved > between or len(found.unsaved) >= _MOST:
+                    save()
                     saved = now
                 rate = k / (now - begun)
-                lost_some = f', {count["failed"]} failed' if count['failed'] else ''
-                show(k, len(jobs), f'{rate:.2g} recordings/s{lost_some}')
+                failed = found.count['failed']
+                lost_some = f', {failed} failed' if failed else ''
+                show(min(k, len(jobs)), len(jobs), f'{rate:.2g} recordings/s{lost_some}')
         finally:
-            catalogue.add(unsaved, replace=retry)
+            save()
+    names = found.names
+    named = {job.recording for job in jobs}
+    removed = catalogue.remove_failed(partial(_is_stale, named=named, keys=names, below=below))
     seconds = time.monotonic() - begun
     alike = sorted({tuple(sorted(set(some))) for some in names.values() if len(set(some)) > 1})
     return Batch(
         catalogue.folder,
         len(jobs),
-        **count,
+        **found.count,
         seconds=seconds,
         convertible=(),
         alike=tuple(alike),
-        contradictory=tuple(_contradictory(catalogue, jobs, names, contents)),
+        contradictory=tuple(_contradictory(catalogue, jobs, names, found.contents)),
+        removed=removed,
     )
 
 
-def _supersede(
-    last: dict[tuple[str, str], tuple[int, dict[str, Any]]], number: int, row: dict[str, Any]
-) -> None:
-    """Let the last job on a recording count, in whatever order they end."""
-    content = row['sha256'], row['topic']
-    before, last[content] = sorted(
-        [last.get(content, (-1, {})), (number, row)], key=lambda one: one[0]
-    )
-    before[1]['status'] = SUPERSEDED
+def _is_stale(
+    row: Mapping[str, Any], *, named: Container[str], keys: Container[str], below: Sequence[Path]
+) -> bool:
+    """Return whether a failed row is of a recording that is stated otherwise now, or is gone.
+
+    Args:
+        row: Of the catalogue.
+        named: Recordings of the jobs.
+        keys: Of their rows.
+        below: Folders in which recordings were looked for: elsewhere they may be out of reach.
+    """
+    if row['key'] in keys:
+        return False
+    path = Path(row['recording'])
+    gone = any(folder in path.parents for folder in below) and not path.exists()
+    return gone or row['recording'] in named
+
+
+def _stated_again(
+    catalogue: Catalogue, contents: Mapping[str, Mapping[str, int]]
+) -> dict[str, int]:
+    """Return the superseded rows that jobs state last of their recordings, with these jobs."""
+    number = {key: k for keys in contents.values() for key, k in keys.items()}
+    last: dict[tuple[str, str], tuple[int, str, str]] = {}
+    for row in catalogue.table().select(['key', 'sha256', 'topic', 'status']).to_pylist():
+        if row['key'] in number and row['sha256']:
+            content, one = (row['sha256'], row['topic']), (number[row['key']], row['key'])
+            last[content] = max(last.get(content, (-1, '', '')), (*one, row['status']))
+    return {key: k for k, key, status in last.values() if status == SUPERSEDED}
 
 
 def _contradictory(

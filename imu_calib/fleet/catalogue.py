@@ -5,7 +5,7 @@
     CATALOGUE/calibrations/TYPE/SERIAL/DATE_KEY.yaml   all of them
 
 Every file is written completely under another name and then moved. Parts do not change, except when
-failed rows are replaced or older ones superseded, and when a newer version adds columns.
+failed rows are replaced or removed, older ones superseded, and when a newer version adds columns.
 Columns and their versions: docs/fleet.md.
 """
 
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -85,6 +85,13 @@ def schema() -> pa.Schema:
         column('calibration', text),
     ]
     return pa.schema(columns, metadata={_VERSION_KEY: str(VERSION).encode()})
+
+
+def _table_of(rows: list[dict[str, Any]]) -> pa.Table:
+    """Return rows as a table with these columns."""
+    import pyarrow as pa
+
+    return pa.Table.from_pylist(rows, schema())
 
 
 @dataclass(frozen=True)
@@ -177,6 +184,19 @@ class Catalogue:
                     self._replace(part, {key: rows.pop(key) for key in mine})
             self._append(list(rows.values()))
         return len(fresh.keys() - there)
+
+    def remove_failed(self, stale: Callable[[dict[str, Any]], bool]) -> int:
+        """Remove those failed rows of which a function says so; return their number."""
+        removed = 0
+        with self._written(), self._locked():
+            self._look()
+            for part in [one for one in self._parts() if self._seen[one].failed]:
+                rows = _read(part).to_pylist()
+                kept = [row for row in rows if row['status'] != FAILED or not stale(row)]
+                if len(kept) < len(rows):
+                    self._write(part, _table_of(kept))
+                    removed += len(rows) - len(kept)
+        return removed
 
     def table(self) -> pa.Table:
         """Return all rows, in the order of their addition.
@@ -296,21 +316,16 @@ class Catalogue:
 
     def _append(self, rows: list[dict[str, Any]]) -> None:
         """Add rows as a separate part: an existing part never changes while it is read."""
-        import pyarrow as pa
-
         if not rows:
             return
         # Copies of parts by other programs have further words in their names.
         numbers = [part.stem.removeprefix('part-') for part in self._parts()]
         number = max((int(text) for text in numbers if text.isdecimal()), default=-1) + 1
-        table = pa.Table.from_pylist(rows, schema())
-        self._write(self._rows / f'part-{number:06d}.parquet', table)
+        self._write(self._rows / f'part-{number:06d}.parquet', _table_of(rows))
 
     def _replace(self, part: Path, rows: dict[str, dict[str, Any]]) -> None:
-        import pyarrow as pa
-
         kept = [rows.get(row['key'], row) for row in _read(part).to_pylist()]
-        self._write(part, pa.Table.from_pylist(kept, schema()))
+        self._write(part, _table_of(kept))
 
     def _write(self, path: Path, table: pa.Table) -> None:
         import pyarrow.parquet as pq

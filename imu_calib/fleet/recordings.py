@@ -17,11 +17,12 @@ from ..common.config import load
 from ..common.errors import InputError
 from ..common.files import OTHERS, other_format, read_text, user_path
 from ..common.units import point_for_comma
+from ..recordings.metadata_yaml import KEY as METADATA_KEY
+from ..recordings.metadata_yaml import NAME as _METADATA
 from ..recordings.remote import AnyPath, RemotePath, is_url, located
 from ..recordings.rosbag2 import is_storage
 from ..session.keywords import Session, Stated, numeric
 
-_METADATA = 'metadata.yaml'
 _MANIFESTS = ('.csv', '.yaml', '.yml')
 _RECORDING = 'recording'
 _LONGEST_HEADING = 10_000
@@ -150,9 +151,12 @@ def _between_links(folder: Path, seen: set[Path], links: list[Path]) -> Iterator
     inside = sorted(folder.iterdir())
     # A link that leads nowhere is a recording that is missing: it becomes a row with the reason.
     files = [path for path in inside if path.is_file() or (is_storage(path) and not path.exists())]
-    if (folder / _METADATA) in files and any(map(is_storage, files)):
-        yield folder
-        return
+    if (folder / _METADATA) in files:
+        if any(map(is_storage, files)):
+            yield folder
+            return
+        if _of_rosbag2(folder / _METADATA):
+            yield folder
     yield from files
     for path in inside:
         if path.name.startswith('.') or not path.is_dir():
@@ -161,6 +165,14 @@ def _between_links(folder: Path, seen: set[Path], links: list[Path]) -> Iterator
             links.append(path)
         else:
             yield from _between_links(path, seen, links)
+
+
+def _of_rosbag2(metadata: AnyPath) -> bool:
+    """Return whether a file is of a recording, which fails if its data is missing."""
+    try:
+        return METADATA_KEY in read_text(metadata)
+    except (InputError, OSError):
+        return False
 
 
 def convertible(sources: Iterable[str | Path]) -> list[Path]:
@@ -197,7 +209,8 @@ def _among(files: Iterable[RemotePath]) -> Iterator[str]:
             names.setdefault(folder, []).append(name)
     whole = tuple(f'{f}/' for f, held in names.items() if _METADATA in held and len(held) > 1)
     for folder, held in sorted(names.items()):
-        if f'{folder}/' in whole:
+        alone = held == [_METADATA] and _of_rosbag2(located(f'{folder}/{_METADATA}'))
+        if f'{folder}/' in whole or alone:
             yield folder
         elif not folder.startswith(whole):
             yield from (f'{folder}/{name}' for name in held if name != _METADATA)

@@ -16,7 +16,7 @@ from .storage import Topic
 
 NAME = 'metadata.yaml'
 VERSION = 9  #: Version of metadata.yaml as written by rosbag2 of Jazzy.
-_KEY = 'rosbag2_bagfile_information'
+KEY = 'rosbag2_bagfile_information'
 _TEXTS = 4  #: Texts cached: a recording has two, and may be compared with another.
 
 
@@ -50,12 +50,12 @@ def read_metadata(folder: AnyPath) -> Metadata:
 @lru_cache(maxsize=_TEXTS)
 def _metadata(text: str) -> Metadata:
     content = yaml_text.load(text)
-    information = content.get(_KEY) if isinstance(content, dict) else None
+    information = content.get(KEY) if isinstance(content, dict) else None
     if not isinstance(information, dict):
         information = {}
     files = information.get('relative_file_paths')
     if not isinstance(files, list):
-        return Metadata(problem=f'{NAME} has no {_KEY}: relative_file_paths')
+        return Metadata(problem=f'{NAME} has no {KEY}: relative_file_paths')
     # Before version 4 the paths start with the folder's own name.
     names = tuple(PurePath(str(name)).name for name in files)
     counts = _counts(information.get('topics_with_message_count'))
@@ -181,5 +181,5 @@ def information(
 def write_metadata(folder: Path, content: Mapping[str, Any]) -> None:
     """Write metadata.yaml; it appears whole or not at all."""
     partial = folder / f'{NAME}.part'
-    partial.write_text(dump({_KEY: dict(content)}), encoding='utf-8')
+    partial.write_text(dump({KEY: dict(content)}), encoding='utf-8')
     partial.replace(folder / NAME)

@@ -397,10 +397,72 @@ def test_a_recording_with_other_options_counts_once(recordings, tmp_path, capsys
     assert [row['status'] for row in rows(folder)] == ['superseded', 'superseded', 'calibrated']
     assert len(imu_calib.history(folder).units[0].key) == 1
     assert 'calibrated again the newest row counts' in ' '.join(imu_calib.history(folder).findings)
+    # Going back to what was stated before: that counts again, and then it is done.
     batch = ['batch', recording, '-o', str(folder), '--workers', '1', '--height', '4000']
+    for counts in (
+        '1 calibrated, 0 failed, 0 done before',
+        '0 calibrated, 0 failed, 1 done before',
+    ):
+        assert main(batch) == 0
+        assert counts in capsys.readouterr().out
+        assert [row['status'] for row in rows(folder)] == ['superseded', 'calibrated', 'superseded']
+    assert len(list((folder / 'calibrations').rglob('*.yaml'))) == 2
+
+
+def test_of_a_recording_that_is_listed_twice_the_corrected_manifest_counts(
+    recordings, tmp_path, capsys
+):
+    folder, manifest = tmp_path / 'c', tmp_path / 'list.csv'
+    batch = ['batch', str(manifest), '-o', str(folder), '--workers', '1']
+    same = [f'{recordings / "a"},west\n', f'{recordings / "deeper" / "again"},east\n']
+
+    def counting(*lines):
+        manifest.write_text('recording,stand\n' + ''.join(lines))
+        assert main(batch) == 0
+        return [row['stand'] for row in rows(folder) if row['status'] == 'calibrated']
+
+    assert counting(*same) == ['east']
+    # As long as both are listed the last counts, and nothing is done again.
+    assert counting(*same) == ['east']
+    assert '0 calibrated, 0 failed, 2 done before (1 superseded)' in capsys.readouterr().out
+    assert counting(same[0]) == ['west']
+    assert counting(*same) == ['east']
+
+
+def test_failed_rows_go_when_their_cause_is_corrected(recordings, tmp_path, capsys):
+    lab, folder = tmp_path / 'lab', tmp_path / 'c'
+    shutil.copytree(recordings / 'b', lab / 'b')
+    shutil.copytree(recordings / 'a', lab / 'day' / 'a')
+    storage = next((lab / 'day' / 'a').glob('*.mcap'))
+    whole = storage.read_bytes()
+    storage.write_bytes(whole[:4096])
+    other = a_row(1, recording=str(tmp_path / 'elsewhere' / 'gone'))
+    Catalogue(folder, create=True).add([other])
+    batch = ['batch', str(lab / 'list.csv'), '-o', str(folder), '--workers', '1']
+    (lab / 'list.csv').write_text('recording,serial\nb,S2\nbb,S3\nday/a,S1\n')
+    assert main(batch) == 1
+    assert sorted(row['status'] for row in rows(folder)) == ['calibrated', *['failed'] * 3]
+    # The path is corrected, the recording copied again; what lies elsewhere is not judged.
+    storage.write_bytes(whole)
+    (lab / 'list.csv').write_text('recording,serial\nb,S2\nday/a,S1\n')
+    capsys.readouterr()
     assert main(batch) == 0
-    out = capsys.readouterr().out.replace('\n', ' ')
-    assert '1 done before (1 superseded)' in out and '--retry goes back to these options' in out
+    assert '2 failed rows removed: the recording is gone, or stated otherwise now' in (
+        capsys.readouterr().out
+    )
+    left = [(row['status'], row['serial']) for row in rows(folder) if row['key'] != other.key]
+    assert left == [('calibrated', 'S2'), ('calibrated', 'S1')]
+    assert other.key in {row['key'] for row in rows(folder)}
+
+
+def test_a_recording_without_its_data_is_a_row(recordings, tmp_path):
+    shutil.copytree(recordings / 'a', tmp_path / 'all' / 'a')
+    shutil.copytree(recordings / 'b', tmp_path / 'all' / 'b')
+    next((tmp_path / 'all' / 'b').glob('*.mcap')).unlink()
+    (tmp_path / 'all' / 'metadata.yaml').write_text('title: of another program\n')
+    found = [Path(job.recording).name for job in find_jobs([tmp_path / 'all'], Stated())]
+    assert found == ['a', 'b']
+    assert (run(Job(str(tmp_path / 'all' / 'b'))).row or {})['status'] == 'failed'
 
 
 @pytest.mark.parametrize('first', [0, 1])
