@@ -76,6 +76,10 @@ WIDER = 0.1
 """Share by which a standard deviation must grow to be named. A judgement: with fifty degrees of
 freedom it is known to a tenth."""
 
+_BY_FORCE = 50.0
+"""Times by which isolators are likelier than a step: their odds are 1/20, those of a drift. A
+judgement: units are put on isolators on purpose."""
+
 _WITHOUT_USE = 10.0
 """Times by which a term may widen one of the 24 parameters. Grades of units are about a factor of
 ten apart: beyond it the calibration is that of a lower grade. A warm-up costs K_g 8 times, terms of
@@ -753,7 +757,9 @@ def _possible_step(
         plain = WhitenedResiduals.at(current.without_scatter, current.state)
         views.append((plain, 1 - likely))
     tried = [one for view, _ in views for one in view.scores(family, patterns)]
-    prior = np.repeat([share for _, share in views], len(patterns)) / len(patterns)
+    steps = steps_of(equations)
+    once = [_BY_FORCE if step.by_force else 1 / len(steps) for step in steps]
+    prior = np.concatenate([share * np.array(once) for _, share in views])
     every = list(zip(tried, [*slopes] * len(views), strict=True))
     found = undecided({family: every}, equations.sensors, steps=prior)
     std = np.sqrt(np.diag(current.covariance)[: equations.sensors])
@@ -765,7 +771,7 @@ def _possible_step(
         key=lambda k: log_bayes_factor(*tried[k].square) + np.log(prior[k]),
     )
     return found.covariance, PossibleStep(
-        steps_of(equations)[best % len(patterns)],
+        steps[best % len(steps)],
         tried[best].largest_turn,
         found.probability[family],
         tuple(p for p, yes in zip(equations.parameters, wider, strict=False) if yes),

@@ -83,6 +83,15 @@ def test_one_that_is_not_certain_widens_what_it_may_turn(
     assert any(words in one for one in found.findings)
 
 
+@pytest.mark.parametrize('seed', [4, again(3), again(8)])
+def test_isolators_that_are_not_certain_widen_biases(seed, undescribed) -> None:
+    """Biases of accelerometers were off by five standard deviations, and nothing said so."""
+    calibrator, unit = fed_with('isolators, 10 arcsec/g', 'consumer', seed, undescribed)
+    found = calibrator.finish().calibration
+    assert np.abs(errors(found, unit)).max() < 4.5
+    assert any('may turn in its mount with the force on it' in one for one in found.findings)
+
+
 @pytest.mark.parametrize(
     ('grade', 'by'),
     [('consumer', 60 * ARCSEC), ('navigation', 10 * ARCSEC), again('medium', 60 * ARCSEC)],
