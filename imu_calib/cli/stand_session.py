@@ -296,7 +296,7 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
         'truth': arguments.truth or DEFAULT_TRUTH,
         'imperfections': arguments.imperfections or '',
         'sample_rate': arguments.sample_rate,
-        'seed': arguments.seed,
+        'seed': arguments.seed or 0,
         'start': arguments.start,
         'speed': arguments.speed,
         'port': port,
@@ -319,6 +319,7 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
     if simulated:
         # Simulated time stands still while a busy machine catches up: this is not silence.
         nodes['turntable_node'] |= {'watchdog_timeout': 10.0, 'calibrator_timeout': 10.0}
+        nodes['calibrator_node']['imu_timeout'] = 10.0
         # A stop pressed on this table must not affect the next one.
         nodes['turntable_node']['state_folder'] = str(folder / 'state')
         nodes['stand_node'] = {
