@@ -210,8 +210,8 @@ _OVER_LOST = 'differences a counter over lost messages'
 _FALSE = 'false, the first at'
 _SLEWED = 'the stamps run at another pace'
 _BENDS = 'clocks of IMU and table drift unevenly'
-_MOVED = 'The unit moved by|or the unit turned in its mount'
-_TURNS = 'turns in its mount with the force on it'
+_MOVED = 'The unit (may have )?moved by|or the unit turned in its mount'
+_TURNS = 'turns? in its mount with the force on it'
 _READINGS = 'readings of joint .* step by|readings of joint .* jump by'
 FAULTS = {
     'nothing': Fault(Session.blocks),
