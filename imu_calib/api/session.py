@@ -298,13 +298,21 @@ _SAME_LATITUDE = 0.06
 """deg: a latitude that is rounded to a tenth differs by no more; gravity by 6 ppm then."""
 
 
+def _is_near(latitude: float, recording: Recording) -> bool:
+    """Return whether the recording itself states a latitude, deg, to rounding."""
+    if not states_site(recording.custom_data):
+        return False
+    own = described_site(recording.custom_data, str(recording.path)).latitude / DEG
+    return abs(own - latitude) <= _SAME_LATITUDE
+
+
 def contradicted_latitude(stated: Stated, recording: Recording) -> tuple[str, ...]:
     """Return a warning that the recording itself states another latitude than is stated."""
     if stated.latitude is None or not states_site(recording.custom_data):
         return ()
-    own = described_site(recording.custom_data, str(recording.path)).latitude / DEG
-    if abs(own - stated.latitude) <= _SAME_LATITUDE:
+    if _is_near(stated.latitude, recording):
         return ()
+    own = described_site(recording.custom_data, str(recording.path)).latitude / DEG
     return (
         warning(
             f'The recording states latitude {own:.6g}, and {stated.latitude:.6g} is used as given: '
@@ -330,21 +338,23 @@ def gravity_as_exact(site: Site, stated: Stated) -> tuple[str, ...]:
 def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> Site:
     """Return the stated site, or the one in the recording.
 
-    Stated height and gravity also apply at the recording's latitude.
+    Stated height and gravity also apply at the recording's latitude, and its height at a stated
+    latitude that is the same.
 
     Args:
         stated: Known facts.
         recording: The recording.
         by_hand: A measured gravity is sufficient: the Earth rate is below the resolution in a hand.
     """
-    if stated.latitude is not None:
+    if stated.latitude is not None and not _is_near(stated.latitude, recording):
         return stated.site(stated.latitude)
     if by_hand and stated.gravity is not None and not states_site(recording.custom_data):
         return replace(stated, latitude_std=VAGUE / DEG).site(_ANYWHERE)
     own = described_site(recording.custom_data, str(recording.path))
     height, gravity = stated.height, stated.gravity
     deviations = (stated.height_std, stated.gravity_std, stated.latitude_std)
-    if all(value is None for value in (height, gravity, *deviations)):
+    latitude = own.latitude if stated.latitude is None else stated.latitude * DEG
+    if latitude == own.latitude and all(v is None for v in (height, gravity, *deviations)):
         return own
     if height is None:
         height = own.height
@@ -352,7 +362,7 @@ def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> S
             gravity = own.gravity
     doubt = own.latitude_std if stated.latitude_std is None else stated.latitude_std * DEG
     return Site.at(
-        own.latitude,
+        latitude,
         height,
         gravity,
         height_std=stated.height_std,

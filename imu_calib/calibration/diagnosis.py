@@ -557,6 +557,15 @@ def _another_unit(system: TriadSystem, values: Floats, factor: Floats) -> Diagno
     determined = np.flatnonzero(fit.std < _DETERMINED * np.diag(_wide(system)))
     changed = replace(fit, delta=apart, std=np.hypot(fit.std, np.linalg.norm(factor, axis=1)))
     far = _shifted_parameters(system.sensors.parameters, changed, determined.tolist())
+    changing = fit.chance <= _NOISE or system.drift > 0 or not far
+    if changing and all(m.parameter.kind is ParameterKind.BIAS for m in far):
+        return Diagnosis(
+            f'No constant parameters explain the {name}, and none but biases is off: these drifted '
+            'or stepped within the recording, or the unit moved in its static dwells. Record anew '
+            'once the unit is warm, in one run of it.',
+            far,
+            by_biases=True,
+        )
     if len(far) >= _HALF * len(determined):
         return Diagnosis(
             f'No single mistake explains the {name}, other parameters do: {len(far)} of the '

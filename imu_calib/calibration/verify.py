@@ -22,7 +22,7 @@ from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G, counted
 from ..estimation.free_dwells import Sensors, Up, noise_at_rest, squares, transformed_covariance
 from ..estimation.system import Fit, Observed, TriadSystem, factor_of
 from ..model.earth import EARTH_RATE, Site
-from ..model.parameters import Parameter, ParameterKind, Shown, engineering, indices_of
+from ..model.parameters import AXES, Parameter, ParameterKind, Shown, engineering, indices_of
 from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms, terms_of
 from ..model.session_terms import Course
 from ..segmentation.segmented import Move
@@ -250,6 +250,8 @@ class Verdict(IntEnum):
         return self.name.lower().replace('_', ' ')
 
 
+_OTHER_ATTITUDE = np.cos(np.radians(20))
+"""Attitudes count as different where up differs by more, as in `stillness`."""
 _UNTESTED = 1000.0
 """Standard deviations of a parameter from which on an error of it alone reaches the limit of
 rejection, by which it is not tested. A judgement: in sessions of all positions 5 to 30 reach it,
@@ -664,8 +666,32 @@ class _Trial:
             verdict = Verdict.FAIL
         diagnosis = None
         if verdict is Verdict.FAIL:
-            diagnosis = diagnose(self.system, self.values, self.factor, self.fit.chi_square)
+            diagnosis = self._in_one_attitude(compared) or diagnose(
+                self.system, self.values, self.factor, self.fit.chi_square
+            )
         return Judged(self.system.gyros, verdict, self.fit.chi_square, self.fit.freedom, diagnosis)
+
+    def _in_one_attitude(self, compared: list[ComparedQuantity]) -> Diagnosis | None:
+        """Return by how much sensors are off in the only attitude; None if there are more.
+
+        One number fits every mistake.
+        """
+        forces = self.system.forces
+        ups = forces / np.linalg.norm(forces, axis=1)[:, None]
+        if self.system.up is None or (ups @ ups[0] < _OTHER_ATTITUDE).any():
+            return None
+        along = AXES[int(np.argmax(np.abs(ups[0])))].upper()
+        if self.system.gyros:
+            off = max(abs(c.deviation) for c in compared if c.quantity is Quantity.UP_RATE) / DEG
+            text, which = f'{off:.2g} deg/s', 'Biases and responses to gravity'
+        else:
+            lengths = [c.deviation for c in compared if c.quantity is Quantity.GRAVITY]
+            off = max(map(abs, lengths)) / (1000 * MICRO_G)
+            text, which = f'{off:.2g} mg', 'Bias, scale factor and gravity'
+        return Diagnosis(
+            f'In the only attitude of the recording the {self.name} are off by {text} along '
+            f'{along}. {which} cannot be told apart in one attitude: record others.'
+        )
 
 
 def _carried(

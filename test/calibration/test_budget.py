@@ -16,6 +16,7 @@ from rich.table import Table
 from scipy.signal import lfilter
 from sessions import LATITUDE, at_one_rate, brief_plan, calibrate, quick_plan, session, stand, truth
 
+from imu_calib.api.session import site_of
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main
 from imu_calib.common.budget import Budget, BudgetLine, ErrorSource, Share, effective_freedom, total
@@ -33,6 +34,7 @@ from imu_calib.model.earth import Site
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel
 from imu_calib.reports.budget import _share_tables, budget_section, budget_sources, budget_tables
+from imu_calib.session.keywords import Stated
 from imu_calib.session.metadata import describe, described_site
 from imu_calib.session.table import load_table
 from imu_calib.session.table_errors import LEVELLED, clock_share
@@ -576,6 +578,17 @@ def test_what_is_known_of_a_latitude_goes_with_the_recording():
     )
     with pytest.raises(InputError, match=r'latitude_std: found -1 deg, expected 0 to 10'):
         Site.at(0.5, latitude_std=-DEG)
+
+
+@pytest.mark.parametrize(('stated', 'height'), [(48.1, 520.0), (48.14, 520.0), (50.0, None)])
+def test_a_stated_latitude_of_the_recording_keeps_its_height(stated, height):
+    own = Site.at(48.1 * DEG, 520.0)
+    recording = SimpleNamespace(
+        path='bag', custom_data=describe('free_positions', 'mems_counts', None, own)
+    )
+    found = site_of(Stated(latitude=stated), recording)
+    assert found.height == height
+    assert found.latitude == pytest.approx(stated * DEG, rel=1e-12)
 
 
 def test_covariance_and_budget_grow_by_the_same_share():

@@ -119,6 +119,33 @@ def test_verify_says_which_parameters_changed(
     assert [f.partition(' changed')[0] for f in changed] == [names] * bool(names)
 
 
+def test_verify_tells_biases_that_drift_within_the_recording_from_another_unit() -> None:
+    recorded = session((0.0, 0.3), 32, 1).session
+    observed = observe(recorded, IMU, SITE, load_plan('free_positions'), None)
+    judged = verify(session(NONE, 16, 0).calibration, observed)
+    (found,) = [triad.diagnosis for triad in judged.triads if not triad.gyros]
+    assert found is not None
+    assert 'these drifted or stepped within the recording' in found.symptom
+    assert {one.parameter.kind for one in found.moved} <= {ParameterKind.BIAS}
+
+
+def test_verify_names_no_mistake_in_one_attitude() -> None:
+    observed = observe(session(NONE, 16, 0).session, IMU, SITE, load_plan('free_positions'), None)
+    evidence = observed.evidence
+    alone = replace(observed, evidence=replace(evidence, segments=evidence.segments[:1], moves=()))
+    calibration = session(NONE, 16, 1).calibration
+    model = calibration.model
+    far = replace(model.accel, bias=model.accel.bias + 0.1)
+    judged = verify(replace(calibration, model=replace(model, accel=far)), alone)
+    (accels,) = [triad for triad in judged.triads if not triad.gyros]
+    assert accels.diagnosis is not None
+    assert re.match(
+        r'In the only attitude of the recording the accelerometers are off by [\d.]+ mg along '
+        r'[XYZ]. Bias, scale factor and gravity cannot be told apart in one attitude: ',
+        accels.diagnosis.symptom,
+    )
+
+
 def test_biases_that_stay_have_no_drift() -> None:
     for seed in range(16 if ALL else 3):
         found = session(NONE, 10, seed)
