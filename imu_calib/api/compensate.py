@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..calibration.compensate import MARK_WORDS, Mark, TurnsSeen, noise_gains
+from ..calibration.compensate import Mark, TurnsSeen, noise_gains
 from ..calibration.compensator import Compensator, Reading
 from ..calibration.sample_clock import WholeStream
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_unit, first_of
@@ -32,7 +32,7 @@ from ..session.units_file import TOPIC
 from .files import new_folder, removed_on_failure
 from .recorded import Recorded, recording_at
 from .session import as_applied, serial_of, stated_imu
-from .streams import imu_topic, sample_findings, skew_topic, temperature_topic
+from .streams import another_topic, imu_topic, sample_findings, skew_topic, temperature_topic
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -150,6 +150,9 @@ def compensate(
             stream.samples_out,
             {mark: compensator.counts[mark] for mark in Mark if compensator.counts[mark]},
             (
+                *another_topic(
+                    recording, topic.name, first_of(loaded).provenance.get('topics') or ()
+                ),
                 *clock,
                 *already,
                 *first_of(loaded).unknown_noise,
@@ -329,7 +332,7 @@ def _findings(stream: _Stream) -> list[str]:
         )
     known += [
         f'{compensator.counts[m]} samples show {words}.'
-        for m, words in MARK_WORDS.items()
+        for m, words in compensator.mark_words.items()
         if compensator.counts[m]
     ]
     if not compensator.gravity.is_gravity:

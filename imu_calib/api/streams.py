@@ -99,6 +99,16 @@ def _topic_of_unit(serial: str | None, recording: Recording) -> str | None:
     return mine[0] if len(mine) == 1 else None
 
 
+def another_topic(recording: Recording, topic: str, made_from: Sequence[str]) -> tuple[str, ...]:
+    """Return a warning where the recording has the topics of a calibration, and another is used."""
+    kind = Kind.IMU.type_name
+    own = [t.name for t in recording.topics if t.message_type == kind and t.name in made_from]
+    if topic in own or not own:
+        return ()
+    text = f'The calibration was made from {own[0]}, and this is {topic}, perhaps of another unit.'
+    return (warning(f'{text} Choose the topic with `imu_topic`.'),)
+
+
 def units_of(recording: Recording) -> tuple[str, ...]:
     """Return the topics whose units the recording states, if there are several.
 

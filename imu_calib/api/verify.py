@@ -47,6 +47,7 @@ from .session import (
 )
 from .streams import (
     against_si,
+    another_topic,
     clock_findings,
     refuse_doubtful_units,
     refused_by_stamps,
@@ -172,6 +173,7 @@ def _verify(
             raise refusal.among(after=(session.facts.sentence,)) from None
     notes += (*contradicted_latitude(stated, recording), *site.contradictions)
     notes += clock_findings(recording, streams, imu.units)
+    notes += another_topic(recording, streams.imu, origin.get('topics') or ())
     already = compensated_already(recording.custom_data, streams.imu)
     found = judge(
         calibration,

@@ -12,12 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock
+from ..common.units import DEG
 from ..model.parameters import AXES
 from ..model.sensors import MOTION, delay, motion_parameters, places, slopes
 from ..segmentation.stamp_faults import SharedStamps
 from ..segmentation.stamps import MISSES_ONE
 from .calibration import Calibration
-from .compensate import CompensatedSamples, Compensation, GravitySeen, Mark, concatenated
+from .compensate import (
+    MARK_WORDS,
+    CompensatedSamples,
+    Compensation,
+    GravitySeen,
+    Mark,
+    concatenated,
+)
 from .sample_clock import SampleClock, Times
 from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_range
 
@@ -256,6 +264,16 @@ class Compensator:
         self._mark = 0
         self._in_motion = InMotion()
         self.replace(calibration)
+
+    @property
+    def mark_words(self) -> dict[Mark, str]:
+        """What each mark means, with the highest rate of the calibration."""
+        words, highest = dict(MARK_WORDS), first_of(self.calibration).provenance.get('highest_rate')
+        if highest is not None:
+            words[Mark.RATE] = words[Mark.RATE].replace(
+                'in the calibration', f'the {float(highest) / DEG:.3g} deg/s of the calibration'
+            )
+        return words
 
     def replace(self, calibration: AnyCalibration) -> None:
         """Use another calibration from the next sample on.

@@ -383,6 +383,7 @@ def export_noise(
     gyro, accel = filter_noise(noise, GYRO), filter_noise(noise, ACCEL)
     notes = tuple(one.note for one in (gyro, accel) if one.note)
     head = f'# Noise of {noise.imu} at rest for {lasting(noise.seconds)}, by imu_calib.\n'
+    head += ''.join(f'# {note}\n' for note in notes)
     return Exported(write(noise, gyro, accel, topic or noise.topic).replace('{head}', head), notes)
 
 
@@ -451,7 +452,8 @@ def _vins(noise: NoiseAtRest, gyro: FilterNoise, accel: FilterNoise, topic: str)
         'g_norm': STANDARD_GRAVITY,
     }
     note = (
-        f'# Of single steps at {noise.rate:.6g} Hz, in m/s^2 and rad/s.\n'
+        f'# Of single steps at {noise.rate:.6g} Hz, in m/s^2 and rad/s: acc_n and gyr_n are\n'
+        '# densities times sqrt(2 rate), acc_w and gyr_w random walks times sqrt(rate).\n'
         '# g_norm: put in that of the place.\n'
     )
     return '%YAML:1.0\n{head}' + note + _dump(numbers)
@@ -468,7 +470,8 @@ def _robot_localization(
     }
     note = (
         f'# Of each sensor_msgs/Imu on {topic}, at {noise.rate:.6g} Hz, row by row: white noise\n'
-        '# alone. robot_localization reads them from the messages: give them to the driver.\n'
+        '# alone. robot_localization reads them from the messages: give them to the driver, but\n'
+        '# for compensator_node, whose messages hold covariances.\n'
     )
     return '{head}' + note + _dump(covariances)
 

@@ -72,6 +72,22 @@ def test_stamps_that_are_all_zero_cost_no_sample(tmp_path, session, calibration,
     assert covariance[0] == pytest.approx(WALK**2 / 0.01 if stated else 0.0, rel=0.05)
 
 
+def test_a_topic_beside_that_of_the_calibration_is_named(tmp_path, session, calibration):
+    known = Calibration.load(calibration)
+    known = replace(known, provenance={**known.provenance, 'topics': [TOPIC]})
+    log = 1_700_000_000 * 10**9 + np.arange(len(session)) * 10**7
+    with RecordingWriter(tmp_path / 'bag') as writer:
+        for topic in (TOPIC, '/rear/imu/data_raw'):
+            writer.write(topic, Kind.IMU.type_name, encode_imu(session), log)
+
+    def words(topic, out):
+        found = compensate(tmp_path / 'bag', known, tmp_path / out, imu_topic=topic).findings
+        return [f for f in found if f'made from {TOPIC}, and this is /rear' in f]
+
+    assert words('/rear/imu/data_raw', 'rear')
+    assert not words(TOPIC, 'own')
+
+
 def test_nothing_written_is_no_success(tmp_path, session, calibration, capsys):
     gyro = session.gyro.copy()
     gyro[:, 1] = np.nan

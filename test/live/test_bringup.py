@@ -182,7 +182,7 @@ def test_a_manager_makes_the_nodes_active(folder, tmp_path):
         assert change(1)
         net.wait_for_text('launch', 'A1.yaml is applied')
         assert change(3)
-        net.wait_for_text('launch', 'Active: samples are compensated.')
+        net.wait_for_text('launch', 'Active.')
         assert change(4)
         net.wait_for_text('launch', 'Not active: nothing is published.')
         written = net.stop('launch')

@@ -346,9 +346,10 @@ class Health:
             )
         if self._misfit:
             return PartStatus('format', Severity.ERROR, self._misfit)
-        return PartStatus(
-            'format', Severity.OK, f'Frames of the format {self._format.name} are read.'
-        )
+        name = f'the format {self._format.name}'
+        waits = self._received_at is None
+        text = f'Frames of {name} are expected.' if waits else f'Frames of {name} are read.'
+        return PartStatus('format', Severity.OK, text)
 
     def _strange(self, state: ReaderState, steady: float) -> str:
         """Return a sentence on data without frames; empty if frames may still come."""

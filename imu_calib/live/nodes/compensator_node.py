@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...calibration.compensate import MARK_WORDS, GravitySeen, Mark, TurnsSeen
+from ...calibration.compensate import GravitySeen, Mark, TurnsSeen
 from ...calibration.compensator import Compensator, Reading
 from ...calibration.sample_clock import INTERVAL_KNOWN_AFTER
 from ...calibration.thermal import (
@@ -166,11 +166,14 @@ class CompensatorReports:
         counts = compensator.counts
         fresh = [m for m in Mark if counts[m] > self._counted[m]]
         self._counted = {mark: counts[mark] for mark in Mark}
+        if not fresh and not self._second.given:
+            return
+        known = compensator.mark_words
         level, text = Severity.OK, 'All samples are within the range of the calibration.'
         if fresh:
             level = Severity.WARN
-            text = f'In the last second: {", ".join(MARK_WORDS[mark] for mark in fresh)}.'
-        figures = {words: str(counts[mark]) for mark, words in MARK_WORDS.items()}
+            text = f'In the last second: {", ".join(known[mark] for mark in fresh)}.'
+        figures = {words: str(counts[mark]) for mark, words in known.items()}
         if compensator.alone:
             figures["without the skewed gyro's value"] = str(compensator.alone)
         self._diagnostics.report('range', level, text, **figures)
@@ -485,7 +488,7 @@ class CompensatorNode(ros.ManagedNode):
         self._reports.begin_counts()
         self._applied.renew()
         self._active = True
-        self._diagnostics.report('lifecycle', Severity.OK, 'Active: samples are compensated.')
+        self._diagnostics.report('lifecycle', Severity.OK, 'Active.')
 
     def deactivate(self) -> None:
         """Publish pending samples, then stop."""
