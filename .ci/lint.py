@@ -72,6 +72,7 @@ OTHERS = {
     'api/streams.py': 'a whole command',
     'calibration/exports.py': 'a command of ROS',
     'common/files.py': 'a whole command',
+    'fleet/attention.py': 'a whole command',
     'fleet/history.py': 'a whole command',
     'reports/certificate.py': 'options of Chromium',
     'segmentation/stream_facts.py': 'a whole command',

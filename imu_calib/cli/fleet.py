@@ -238,7 +238,8 @@ def run_catalogue(arguments: argparse.Namespace) -> None:
         _list(found)
     elif path is None:
         # What a query of one's own computes under a column's name may have another unit.
-        _show(found, {} if arguments.sql else _units())
+        brief = arguments.columns is None and arguments.sql is None
+        _show(found, {} if arguments.sql else _units(), brief=brief)
     else:
         rows = [{name: _plain(one) for name, one in row.items()} for row in rows_of(found)]
         write_rows(path, found.column_names, rows, rows)
@@ -273,15 +274,32 @@ def _list(found: pa.Table) -> None:
     )
 
 
-def _show(found: pa.Table, units: Mapping[str, str]) -> None:
+_BRIEF = 40
+"""Characters of a recording's path, of which the end tells it, and of the beginning of an error."""
+
+
+def _show(found: pa.Table, units: Mapping[str, str], *, brief: bool) -> None:
+    """Print a table; in brief each row is a line."""
     table = Table(box=None, pad_edge=False)
     for name in found.column_names:
         # As text: a unit in brackets is taken for a style otherwise.
         table.add_column(Text(f'{name} [{units[name]}]' if name in units else name))
+    cut = False
     for row in rows_of(found):
-        table.add_row(*(_text(value) for value in row.values()))
-    OUTPUT.print(table, markup=False)
-    OUTPUT.print(f'\n{_rows(found)}')
+        cells = {name: _text(value) for name, value in row.items()}
+        if brief:
+            cells = {name: ' '.join(text.split()) for name, text in cells.items()}
+            cut |= max(len(cells['recording']), len(cells['error'])) > _BRIEF
+            if len(cells['recording']) > _BRIEF:
+                cells['recording'] = f'...{cells["recording"][-_BRIEF:]}'
+            if len(cells['error']) > _BRIEF:
+                cells['error'] = f'{cells["error"][:_BRIEF]}...'
+        table.add_row(*map(Text, cells.values()))
+    if brief:
+        print_whole(table)
+    else:
+        OUTPUT.print(table, markup=False)
+    OUTPUT.print(f'\n{_rows(found)}{"; --columns recording,error: whole" if cut else ""}')
 
 
 def _text(value: Any) -> str:
@@ -361,6 +379,12 @@ def _print_all(found: History, on: np.datetime64) -> None:
     print_whole(unit_table(units[:_MOST_UNITS]))
     if len(units) > _MOST_UNITS:
         OUTPUT.print(f'{len(units) - _MOST_UNITS} more, less urgent; -o FILE has all.')
+    undated: dict[str, list[str]] = {}
+    for unit in units:
+        if unit.forecast.reason:
+            undated.setdefault(unit.forecast.reason, []).append(unit.serial)
+    for reason, serials in undated.items():
+        OUTPUT.print(f'No date for {listed(serials)}: {reason}', markup=False)
     for imu, one in found.populations.items():
         if one.units == 1:
             # It has neither a scatter nor quantiles, and its values are those of its file.
@@ -383,7 +407,7 @@ def _unit_sentences(found: History, on: np.datetime64) -> list[str]:
             'Newest calibration from a stand that is off, repeat it elsewhere before use',
             [f'{u.serial} ({u.stand[-1]})' for u in found.off_stand],
         ),
-        (f'Due on {on}', [u.serial for u in due]),
+        (f'Due by {on}', [f'{u.serial} (on {u.forecast.recalibrate})' for u in due]),
         ('Drift', [_drift(u) for u in found.units if u.trend.significant.any()]),
         ('Stepped', [u.serial for u in found.units if u.own_steps]),
         (
@@ -429,6 +453,12 @@ def _print_unit(unit: UnitHistory, found: History) -> None:
     for table in (parameter_course_table(unit, found.rules.confidence), course_table(unit)):
         OUTPUT.print()
         print_whole(table)
+    if np.nan_to_num(unit.values[-1] - unit.corrected[-1]).any():
+        OUTPUT.print(
+            f'\n* with the shift of stand {unit.stand[-1]}; turn-on, drift and dates are '
+            'without the shifts of stands.',
+            markup=False,
+        )
 
 
 def _day(text: str) -> date:

@@ -16,6 +16,7 @@ ARCMIN = DEG / 60  #: rad.
 ARCSEC = DEG / 3600  #: rad.
 DEG_H = DEG / 3600  #: rad/s.
 HOUR = 3600.0  #: s.
+MONTH_DAYS = 30.4375  #: A month, one twelfth of the Julian year.
 STANDARD_GRAVITY = 9.80665  #: m/s^2 (third CGPM, 1901); the unit 'g' in files.
 MICRO_G = STANDARD_GRAVITY * 1e-6  #: m/s^2.
 PPM = 1e-6  #: A ratio.

@@ -165,8 +165,12 @@ def _failed(fleet: Fleet) -> Iterator[Issue]:
     if not number:
         return
     alone = [k for k in np.flatnonzero(~rows.calibrated).tolist() if not rows.serial[k]]
-    last = [(unit.failed[-1], unit) for unit in units]
-    shown = sorted([*last, *((k, None) for k in alone)], key=lambda one: _age(rows.date, one))
+    every = [(k, unit) for unit in fleet.units for k in unit.failed]
+    # Those that leave a unit without its newest calibration go first.
+    shown = sorted(
+        [*every, *((k, None) for k in alone)],
+        key=lambda one: (one[1] is not None and one[1] not in units, _age(rows.date, one)),
+    )
     cells = [
         [
             link(unit) if unit is not None else 'not known',
@@ -184,12 +188,16 @@ def _failed(fleet: Fleet) -> Iterator[Issue]:
     ]
     if units:
         sentences.append(
-            f'For {count(len(units), "unit")} it is the newest recording: an older calibration is '
-            'in use, or none, until it is repeated.'
+            f'For {count(len(units), "unit")} it is the newest recording, or one without a date: '
+            'an older calibration is in use, or none, until it is repeated.'
         )
     if alone:
         states = count(len(alone), 'failed recording states', 'failed recordings state')
         sentences.append(f'{states} no serial number.')
+    if number > MOST:
+        sentences.append(
+            f'imu-calib catalogue {fleet.name} --where "status = \'failed\'" lists all.'
+        )
     headings = ['unit', 'date', 'stand', 'recording', 'why']
     kind = 'fail' if units else 'plain'
     yield Issue('Failed recordings', kind, sentences, headings, cells)
@@ -296,7 +304,7 @@ def _drifts(fleet: Fleet) -> Iterator[Issue]:
             f'{count(len(going), "unit leaves", "units leave")} the specification within '
             f'{rules.horizon:g} years if the trend goes on.'
         ],
-        ['unit', 'trend per month', 'leaves the specification'],
+        ['unit', f'trend per month ({percent(rules.confidence)})', 'leaves the specification'],
         cells,
         Flag.DRIFTS,
     )
@@ -310,9 +318,10 @@ def _slopes(unit: Unit) -> str:
     words = []
     for k in chosen:
         unit_shown = engineering(PARAMETERS[k], by_hand=unit.history.by_hand)
-        slope, std = (float(x[k]) / unit_shown.scale for x in (trend.slope, trend.std))
-        places = decimals(std)
-        amount = f'{fixed(slope, places)} \u00b1 {fixed(std, places)}'
+        slope = float(trend.slope[k]) / unit_shown.scale
+        reach = float(trend.high[k] - trend.low[k]) / 2 / unit_shown.scale
+        places = decimals(reach)
+        amount = f'{fixed(slope, places)} \u00b1 {fixed(reach, places)}'
         words.append(f'{PARAMETERS[k].name} {amount} {unit_shown.symbol}')
     return listed(words, 2)
 

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from ..calibration.agreement import FEWEST_FOR_A_STEP
 from ..common.stream import Floats
+from ..common.units import MONTH_DAYS
 from ..model.parameters import PARAMETERS
-from .results import MONTH_DAYS, Chart, ChartLimits, Rules, Sessions, Signal
+from .results import Chart, ChartLimits, Rules, Sessions, Signal
 from .scatter import Fit, Prior, fit, line_design, sampled
 
 # Source: the integral equation of Crowder 1987; Lucas & Saccucci 1990 tabulate its solutions;

@@ -13,6 +13,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..common.stream import Floats
+from ..common.units import MONTH_DAYS
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from ..session.imu import Verdict, judge
 from .control_charts import (
@@ -34,7 +35,6 @@ from .control_charts import (
     units_of,
 )
 from .results import (
-    MONTH_DAYS,
     QUANTILES,
     USUAL,
     Cause,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -65,7 +65,7 @@ def history(
     """
     found = catalogue if isinstance(catalogue, Catalogue) else Catalogue(catalogue)
     table = found.selected(where)
-    sessions, findings, limits = sessions_of(table)
+    sessions, findings, limits = sessions_of(table, found.folder)
     if not sessions.key:
         raise NotObservable(
             f'{found.folder}: holds no calibration'
@@ -85,7 +85,7 @@ def history(
     return replace(whole, units=units)
 
 
-def sessions_of(table: pa.Table) -> tuple[Sessions, list[str], dict[str, Floats]]:
+def sessions_of(table: pa.Table, folder: Path) -> tuple[Sessions, list[str], dict[str, Floats]]:
     """Return the calibrations among the rows of a catalogue.
 
     Of several rows of one recording and one unit the newest counts: it was calibrated again.
@@ -105,7 +105,7 @@ def sessions_of(table: pa.Table) -> tuple[Sessions, list[str], dict[str, Floats]
         of_one.setdefault((recording, columns['imu'][k], columns['serial'][k]), []).append(k)
     again = [group for group in of_one.values() if current[group[-1]]]
     rows = sorted(group[-1] for group in again)
-    findings = _left_out(columns, again)
+    findings = _left_out(columns, again, folder)
     date = times_of(table['date'].to_pylist())
     kept = table.take(np.array(rows, dtype=np.int64))
     stated = kept['limits'].to_pylist()
@@ -149,32 +149,38 @@ def times_of(stamps: list[datetime | None]) -> np.ndarray[tuple[int], np.dtype[n
     return np.array(plain, dtype='datetime64[s]')
 
 
-def _left_out(columns: Mapping[str, list[str]], of_one: Iterable[Sequence[int]]) -> list[str]:
-    """Return sentences on units and rows that are not used."""
+def _left_out(
+    columns: Mapping[str, list[str]], used: Sequence[Sequence[int]], folder: Path
+) -> list[str]:
+    """Return sentences on units and rows that are not used.
+
+    Args:
+        columns: Of all rows.
+        used: Rows of each recording that is used, the newest last.
+        folder: Of the catalogue.
+    """
     by_status: dict[str, set[str]] = {CALIBRATED: set(), FAILED: set(), SUPERSEDED: set()}
     for serial, status in zip(columns['serial'], columns['status'], strict=True):
         by_status.setdefault(status, set()).add(serial)
     failed = sorted(by_status[FAILED] - by_status[CALIBRATED] - {''})
     found = []
+    lost, rows = columns['status'].count(FAILED), len(columns['status'])
+    replaced = rows - lost - len(used)
+    reasons = [f'{lost} failed'] * (lost > 0)
+    reasons += [f'{replaced} of recordings that were calibrated again'] * (replaced > 0)
+    if reasons:
+        found.append(f'{lost + replaced} of {rows} rows are not used: {listed(reasons)}.')
     if failed:
         found.append(
             f'No recording of {listed(failed)} gave a calibration: '
-            'imu-calib catalogue CATALOGUE --where "status = \'failed\'" says why.'
+            f'imu-calib catalogue {folder} --where "status = \'failed\'" says why.'
         )
-    again = [_twice(columns['recording'], rows) for rows in of_one if len(rows) > 1]
-    if again:
-        found.append(
-            f'Of a recording that was calibrated again the newest row counts: {listed(again)}.'
-        )
+    names = columns['recording']
+    again = [list(dict.fromkeys(names[k] for k in reversed(group))) for group in used]
+    several = [f'{one[0]} (the same as {listed(one[1:])})' for one in again if len(one) > 1]
+    if several:
+        found.append(f'Of a recording with several names the newest row counts: {listed(several)}.')
     return found
-
-
-def _twice(names: Sequence[str], rows: Sequence[int]) -> str:
-    """Return the recording of some rows, with the other names that it had."""
-    newest = names[rows[-1]]
-    others = list(dict.fromkeys(names[k] for k in rows if names[k] != newest))
-    same = f', the same as {listed(others)}' if others else ''
-    return f'{newest} ({len(rows)} rows{same})'
 
 
 def _numbers(table: pa.Table) -> tuple[Floats, Floats]:

@@ -42,7 +42,7 @@ const once = start => { let begun; return () => (begun ??= start()); };
 const minus = text => text.replace('-', '\u2212');
 const day = minutes => (minutes === BAD ? '' : new Date(minutes * MINUTE).toISOString().slice(0, 10));
 const decimals = std => (std > 0 && isFinite(std) ? Math.min(9, Math.max(0, 1 - Math.floor(Math.log10(std)))) : 4);
-const fixed = (value, std) => (isFinite(value) ? minus(value.toFixed(decimals(std))) : '\u2013');
+const fixed = (value, std) => (isFinite(value) ? minus(value.toFixed(decimals(std)).replace(/^-(?=[0.]*$)/, '')) : '\u2013');
 
 // --- units -------------------------------------------------------------------------------------
 
@@ -333,7 +333,7 @@ function worst(u, s) {
   const step = s.steps[u].find(([index, , sizes]) => index === units.sessions[u] - 1 && sizes.length);
   const candidates = [
     () => (step ? units.parameters.findIndex(([name]) => name === step[2][0][0]) : -1),
-    () => most(p => (perUnit(s.significant, p, u) ? Math.abs(perUnit(s.slope, p, u)) / perUnit(s.slope_std, p, u) : 0)),
+    () => most(p => (perUnit(s.significant, p, u) ? Math.abs(perUnit(s.slope, p, u)) / perUnit(s.slope_reach, p, u) : 0)),
     () => most(p => Math.max(0, Math.abs(s.scoreOf(s.score, p, last)) - s.individualsLimit)),
     () => units.because[u],
     () => most(p => Math.abs(s.values[p][last]) / perUnit(s.limit, p, u)),
@@ -373,9 +373,9 @@ function parameterTable(u, s) {
   const last = s.first[u] + units.sessions[u] - 1;
   const rows = parametersOf(u).map(([name, , unit, scale], p) => {
     const std = s.stdOf(p, last) / scale, limit = perUnit(s.limit, p, u) / scale;
-    const slope = perUnit(s.slope, p, u) / scale, slopeStd = perUnit(s.slope_std, p, u) / scale;
+    const slope = perUnit(s.slope, p, u) / scale, reach = perUnit(s.slope_reach, p, u) / scale;
     const scatter = perUnit(s.scatter, p, u) / scale;
-    const trend = isFinite(slope) ? `${fixed(slope, slopeStd)} \u00b1 ${fixed(slopeStd, slopeStd)}` : '\u2013';
+    const trend = isFinite(slope) ? `${fixed(slope, reach)} \u00b1 ${fixed(reach, reach)}` : '\u2013';
     const marked = perUnit(s.significant, p, u) ? make('b', {}, trend) : trend;
     const choose = make('button', {type: 'button', class: 'choose', onclick: () => course(u, s, p)}, name);
     return [choose, fixed(s.values[p][last] / scale, std), fixed(2 * std, std), unit,
@@ -383,7 +383,7 @@ function parameterTable(u, s) {
             day(perUnit(s.leaves, p, u))];
     // What the choice of the axes makes zero has no deviation.
   }).filter((_, p) => s.values[p][last] !== 0 || s.stdOf(p, last) > 0);
-  return grid(['', 'value', '\u00b1 2 std', 'unit', 'limit', 'trend per month', 'turn-on std', 'leaves limit'],
+  return grid(['', 'value', '\u00b1 2 std', 'unit', 'limit', `trend per month (${s.confidence})`, 'turn-on std', 'leaves limit'],
               rows, 'plain of-unit');
 }
 

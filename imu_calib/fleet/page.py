@@ -154,7 +154,7 @@ def _facts(fleet: Fleet) -> str:
             ('recordings', f'{len(rows.key)}'),
             ('of them failed', f'{failed}'),
             ('recorded', when),
-            ('types', f'{len({u.imu for u in fleet.units})}'),
+            ('types', f'{len({u.imu for u in fleet.units if u.imu})}'),
             ('stands', f'{len({s for s in rows.stand if s})}'),
             ('said to be due', f'{fleet.ahead:g} days ahead'),
         ]

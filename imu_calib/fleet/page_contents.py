@@ -21,6 +21,7 @@ from ..model.parameters import PARAMETERS, engineering
 from ..session.imu import Verdict
 from . import results
 from .results import Dates, Flags, History, UnitHistory
+from .sentences import percent
 
 AHEAD = 90.0
 """Days before a due recalibration from which the page shows it: three months for planning."""
@@ -40,7 +41,9 @@ class Flag(Enum):
 
     OUTSIDE = State('outside', 'fail', 'outside its specification, uncertainty considered')
     OVERDUE = State('overdue', 'fail', 'the date by which it was to be recalibrated has passed')
-    FAILED = State('failed', 'fail', 'its newest recording gave no calibration')
+    FAILED = State(
+        'failed', 'fail', 'its newest recording, or one without a date, gave no calibration'
+    )
     OFF_STAND = State(
         'stand off', 'fail', 'its newest calibration is from a stand that is off, and has its error'
     )
@@ -179,7 +182,7 @@ def _flags(
 ) -> Iterable[Flag]:
     rows = fleet.recordings
     last = _newest(rows, sessions)
-    flags = {Flag.FAILED: bool(failed) and _later(_newest(rows, failed), last)}
+    flags = {Flag.FAILED: any(_later(rows.date[k], last) for k in failed)}
     flags[Flag.OUTLIER], flags[Flag.UNJUDGED] = apart, not sessions
     if history is not None:
         newest, due = len(history.key) - 1, history.forecast.recalibrate
@@ -211,8 +214,8 @@ def _newest(rows: Recordings, chosen: Sequence[int]) -> np.datetime64:
 
 
 def _later(one: np.datetime64, other: np.datetime64) -> bool:
-    """Return whether a date is after another; true if the other is unknown."""
-    return bool(np.isnat(other) or one > other)
+    """Return whether a date is after another; true if one of them is unknown."""
+    return bool(np.isnat(one) or np.isnat(other) or one > other)
 
 
 PLACE_OF = {p.name: k for k, p in enumerate(PARAMETERS)}
@@ -434,7 +437,7 @@ def sessions_data(fleet: Fleet) -> str:
         't2': short(_session_values(units, lambda h: h.charts.t2[:, None], 1)),
         't2_limit': short(_session_values(units, lambda h: h.charts.t2_limit[:, None], 1)),
         'slope': short(_by_parameter(histories, lambda h: h.trend.slope)),
-        'slope_std': short(_by_parameter(histories, lambda h: h.trend.std)),
+        'slope_reach': short(_by_parameter(histories, lambda h: (h.trend.high - h.trend.low) / 2)),
         'level': short(_by_parameter(histories, lambda h: h.trend.level)),
         'scatter': short(_by_parameter(histories, lambda h: h.scatter.std)),
         'limit': short(_by_parameter(histories, lambda h: h.limit)),
@@ -453,6 +456,7 @@ def sessions_data(fleet: Fleet) -> str:
         'scoreStep': STEP,
         'individualsLimit': limits.individuals,
         'ewmaLimit': limits.ewma,
+        'confidence': percent(fleet.history.rules.confidence),
         'findings': [list(map(typeset, h.findings)) if h is not None else [] for h in histories],
         'reasons': [typeset(h.forecast.reason) if h is not None else '' for h in histories],
         'steps': [_steps(unit) for unit in units],

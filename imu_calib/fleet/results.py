@@ -27,8 +27,6 @@ Flags = NDArray[np.bool_]
 LEAST_SMOOTHING = 0.05
 """Smallest smoothing of an EWMA; below it run lengths are less accurate than stated."""
 
-MONTH_DAYS = 30.4375  #: A month, one twelfth of the Julian year.
-
 
 @dataclass(frozen=True)
 class Rules:

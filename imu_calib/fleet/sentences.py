@@ -291,9 +291,10 @@ def parameter_course_table(unit: UnitHistory, confidence: float) -> Table:
         def text(value: float, to: int = places, scale: float = shown.scale) -> str:
             return _number(value / scale, to)
 
+        shifted = bool(unit.values[-1, k] != unit.corrected[-1, k])
         table.add_row(
             parameter.name,
-            text(unit.values[-1, k]),
+            text(unit.values[-1, k]) + '*' * shifted,
             text(unit.std[-1, k]),
             _UNKNOWN if np.isnan(unit.limit[k]) else f'±{unit.limit[k] / shown.scale:g}',
             text(scatter.std[k]),
@@ -344,4 +345,4 @@ def _interval(low: str, high: str) -> str:
 
 
 def _number(value: float, places: int) -> str:
-    return f'{value:.{places}f}' if np.isfinite(value) else _UNKNOWN
+    return f'{round(value, places) + 0.0:.{places}f}' if np.isfinite(value) else _UNKNOWN

@@ -26,7 +26,7 @@ from .tables import minus
 
 _LEAST = 0.005
 """A source below half a percent of every variance has no column: it would be shown as zero."""
-
+_ZERO = 0.0005  #: A share below this is shown as 0.0 percent.
 _COLUMNS = 100
 """Characters of a line on a terminal; as many headings fit beside each other on A4."""
 _NAME = 9
@@ -104,17 +104,23 @@ class _Shown:
 
     @property
     def headings(self) -> list[str]:
-        other = [] if self.wide.all() else ['other']
-        return [source.heading for source in self.sources] + other
+        return [source.heading for source in self.sources] + ['other'] * self._has_other
+
+    @property
+    def _other(self) -> Floats:
+        """Shares of the sources without a column, (p,)."""
+        return np.asarray(self.budget.fractions[:, self.rows][~self.wide].sum(axis=0))
+
+    @property
+    def _has_other(self) -> bool:
+        """Whether they are shown as more than zero anywhere."""
+        return bool(np.any(self._other >= _ZERO))
 
     @property
     def fractions(self) -> Floats:
         """Shares of the variances, (p, columns)."""
-        every = self.budget.fractions[:, self.rows]
-        columns = [*every[self.wide]]
-        if not self.wide.all():
-            columns.append(every[~self.wide].sum(axis=0))
-        return np.array(columns).T
+        columns = [*self.budget.fractions[:, self.rows][self.wide]]
+        return np.array([*columns, self._other] if self._has_other else columns).T
 
     @property
     def percents(self) -> list[list[str]]:

@@ -135,7 +135,7 @@ def _closed_form(facts: Facts) -> str:
     ratio = number(found, 'joint_std_over_closed_form')
     if ratio is None:
         return words
-    return f'{words}; the joint estimate has {100 * ratio:.0f} % of its standard deviations'
+    return f'{words}; standard deviations of the joint estimate: {ratio:.2g} times its'
 
 
 def _spread(value: float, std: float | None, places: int, unit: str) -> str:

@@ -18,7 +18,7 @@ from ..calibration.agreement import FEWEST_FOR_A_STEP, same_place, without_gravi
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.stream import Floats
-from ..common.units import decimals, rounded
+from ..common.units import MONTH_DAYS, decimals, rounded
 from ..model.parameters import Parameter, Shown, engineering
 from .charts import panels, small, tag
 from .html import named_rows, paragraph, table
@@ -253,12 +253,12 @@ def repeatability_table(rows: Sequence[RepeatedParameter]) -> str:
                 f'{row.spread / shown.scale:.{places}f}',
                 f'{row.stated / shown.scale:.{places}f}',
                 f'{ratio:.1f}' if np.isfinite(ratio) else '-',
-                '-' if drift is None else _drift(drift, shown.scale),
+                '-' if drift is None else _drift(drift, shown.scale / MONTH_DAYS),
                 escape(shown.symbol),
                 _verdict(row),
             ]
         )
-    headings = ['', 'mean', 'spread', 'stated std', 'ratio', 'drift per day', 'unit', '']
+    headings = ['', 'mean', 'spread', 'stated std', 'ratio', 'drift per month', 'unit', '']
     return table(headings, cells, 'plain', 'lrrrrrll')
 
 

@@ -20,8 +20,8 @@ from .plain_table import plain_table
 
 
 def fixed(value: float, places: int) -> str:
-    """Return a number with some decimals, for a page."""
-    return minus(f'{value:.{places}f}')
+    """Return a number with some decimals, for a page; zero without a sign."""
+    return minus(f'{round(value, places) + 0.0:.{places}f}')
 
 
 def minus(number: str) -> str:

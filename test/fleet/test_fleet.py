@@ -302,7 +302,10 @@ def test_catalogue_lists_filters_and_exports(done, tmp_path, capsys):
 
     assert main(['catalogue', str(done)]) == 0
     out = capsys.readouterr().out
-    assert '3 rows' in out and 'S2' in out
+    assert '3 rows; --columns recording,error: whole' in out and 'S2' in out
+    # A line each, with the ends of their paths.
+    lines = out.splitlines()
+    assert len(lines) == 1 + 3 + 2 and sum('/broken.mcap' in line for line in lines) == 1
     csv, json = tmp_path / 'rows.csv', tmp_path / 'rows.json'
     where = ['--where', "status = 'calibrated'"]
     assert main(['catalogue', str(done), *where, '-o', str(csv)]) == 0
@@ -396,7 +399,8 @@ def test_a_recording_with_other_options_counts_once(recordings, tmp_path, capsys
         kept.add([run(Job(recording, stated))])
     assert [row['status'] for row in rows(folder)] == ['superseded', 'superseded', 'calibrated']
     assert len(imu_calib.history(folder).units[0].key) == 1
-    assert 'calibrated again the newest row counts' in ' '.join(imu_calib.history(folder).findings)
+    (unused,) = [one for one in imu_calib.history(folder).findings if 'not used' in one]
+    assert unused.startswith('2 of 3 rows are not used: 2 of recordings that were calibrated again')
     # Going back to what was stated before: that counts again, and then it is done.
     batch = ['batch', recording, '-o', str(folder), '--workers', '1', '--height', '4000']
     for counts in (

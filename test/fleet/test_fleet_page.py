@@ -169,7 +169,12 @@ def test_what_needs_a_person_is_said_with_numbers(known, made):
     assert drifts.sentences[0].startswith('2 units drift significantly; by chance about 0.6 of 60')
     # 4 ppm a month were put in; 0.12 ppm is what 3 ppm a session leave of six in 30 months.
     slope = re.search(r'K_gx ([\d.]+) \u00b1 ([\d.]+) ppm', drifts.cases[0][1])
-    assert slope is not None and abs(float(slope[1]) - 4) < 4 * float(slope[2]) < 1
+    # The interval of 95 %, as on the terminal.
+    assert slope is not None and abs(float(slope[1]) - 4) < 2 * float(slope[2]) < 1
+    drifting = known.flagged(Flag.DRIFTS)[0].history
+    ends = (drifting.trend.high - drifting.trend.low)[0] / 2
+    assert drifts.headings[1] == 'trend per month (95 %)'
+    assert any(f'\u00b1 {ends / 1e-6:.2f}' in case[1] for case in drifts.cases)
     assert all(re.search(r'>20\d\d-\d\d-\d\d<', case[2]) for case in drifts.cases)
     assert 'D_ax +40 µg' in found['Steps'].cases[0][1]
     assert 'D_ax' in found['Out of control'].cases[0][2]
@@ -269,6 +274,7 @@ def test_a_catalogue_of_failures_has_a_page(tmp_path, capsys):
     add(folder, 2, serial='', imu='')
     text = imu_calib.fleet_report(folder, path).read_text()
     assert '1 unit: 1 with a failed newest recording, 0 fine.' in text
+    assert '<dt>types</dt><dd>1</dd>' in re.sub(r'\s+', '', text)
     assert '1 failed recording states no serial number.' in text
     assert 'It failed: &lt;b&gt;x&lt;/b&gt;.' in text
     # The command says what the page begins with.
@@ -277,6 +283,26 @@ def test_a_catalogue_of_failures_has_a_page(tmp_path, capsys):
     assert output.startswith(
         '1 unit: 1 with a failed newest recording, 0 fine.\n2 recordings written'
     )
+
+
+def test_every_failed_recording_is_listed(made, tmp_path):
+    folder = fleets.write(tmp_path / 'catalogue', made)
+    early, late = (datetime(year, 1, 2, tzinfo=timezone.utc) for year in (2020, 2027))
+    mine = {'serial': 'A1003', 'imu': 'mems_counts'}
+    for key, date in enumerate((early, late, None)):
+        add(folder, key, date=date, **(mine | {'serial': f'A100{3 + key}'}))
+    add(folder, 9, date=early, **mine)
+    text = imu_calib.fleet_report(folder, tmp_path / 'fleet.html').read_text()
+    # Those of units that were calibrated since, too; one without a date may be the newest.
+    for recording in ('rec_0', 'rec_1', 'rec_2', 'rec_9'):
+        assert f'data-name="recording">{recording}</td>' in text
+    assert '5 of 365 recordings gave no calibration' in text
+    assert 'For 3 units it is the newest recording, or one without a date' in text
+    for key in range(20, 30):
+        add(folder, key, date=early, **mine)
+    text = imu_calib.fleet_report(folder, tmp_path / 'fleet.html').read_text()
+    assert '3 more are not listed here.' in text
+    assert 'imu-calib catalogue catalogue --where &quot;status = &#x27;failed&#x27;&quot;' in text
 
 
 def test_wrong_usage_gets_a_sentence(catalogue, tmp_path, capsys, monkeypatch):

@@ -114,9 +114,10 @@ def test_history_from_python(laboratory):
     assert abs(second.values[:, index('K_gx')]).max() < 1e-3
     findings = ' '.join(found.findings)
     assert re.search(
-        r'calibrated again the newest row counts: \S+ \(2 rows, the same as copy_of_r7\)\.',
-        findings,
+        r'several names the newest row counts: \S+ \(the same as copy_of_r7\)\.', findings
     )
+    assert '2 of 182 rows are not used: 1 failed and 1 of recordings that were' in findings
+    assert f'imu-calib catalogue {laboratory} --where' in findings
     assert 'No recording of F900 gave a calibration' in findings
 
 
@@ -164,6 +165,7 @@ def test_the_command_says_what_needs_attention(laboratory, run):
     assert out.index('Stand south is off') < out.index(head)
     assert first.startswith('F000') and first.index('fail') == head.index('specification')
     assert '5 more, less urgent; -o FILE has all.' in out
+    assert 'No date for F000: It is outside its specification already.' in out
     assert 'Stand south is off: it adds +' in out and 'east and west agree' in out
     assert re.search(r'Drift: F001 \(D_gx [+][\d.]+ deg/h/month', out) and re.search(
         r'Stepped: .*F002', out
@@ -182,6 +184,14 @@ def test_the_command_says_all_of_one_unit(laboratory, run):
     rows = [line for line in out.splitlines() if line.startswith(('K_', 'E_', 'D_'))]
     assert len([line for line in rows if 'drifts' not in line]) == 24
     assert 'T^2' in out and 'Recalibrate ' in out
+    assert not re.search(r'-0\.0*\s', out)
+    # One whose newest session was on the stand that is off: its values are as calibrated.
+    whole = imu_calib.history(laboratory)
+    one = next(unit.serial for unit in whole.off_stand)
+    out = run(laboratory, '--serial', one)[1]
+    marked = [line.split()[0] for line in out.splitlines() if re.match(r'[KED]_\S+ +\S+\*', line)]
+    assert marked == ['K_ax', 'K_ay', 'K_az']
+    assert '* with the shift of stand south' in out
 
 
 def test_the_command_writes_documents(laboratory, run, tmp_path):
