@@ -310,15 +310,13 @@ def _rival(
     found: Sequence[SignificantFamily],
     kept: Sequence[SignificantFamily],
 ) -> _Rival | None:
-    """Return families in place of outliers, or these in place of families, if as likely."""
-    if not any(one.against_outliers for one in found):
+    """Return families that are nearly as likely as the outliers preferred to them."""
+    if len(kept) == len(found) or not any(one.against_outliers for one in found):
         return None
     apart = _ahead_of_outliers(first, trial, found)
     if abs(apart) >= _APART:
         return None
     chance = float(scipy.special.expit(-abs(apart) / 2))
-    if len(kept) == len(found):
-        return _Rival(first, chance, None)
     return _Rival(trial, chance, next((one for one in found if one.steps), None))
 
 
