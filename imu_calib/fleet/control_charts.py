@@ -344,6 +344,9 @@ class StepPlaces:
 
     #: Sessions by (unit, parameter), indices in the block; without steps there is no entry.
     by_parameter: dict[tuple[int, int], tuple[int, ...]]
+    #: (u, 24) smallest step at the newest session that would be one; NaN without a test, and where
+    #: a step is found.
+    least: Floats
 
     def of_unit(self, unit: int) -> dict[int, list[int]]:
         """Return the parameters that step, by the first session after the step."""
@@ -366,13 +369,14 @@ def find_steps(block: Block, weights: Floats, prior: Prior, false_alarm: float) 
     """
     count = block.months.shape[1]
     if count < FEWEST_FOR_A_STEP:
-        return StepPlaces({})
+        return StepPlaces({}, np.full(weights.shape[:2], np.nan))
     level = false_alarm / (SIZE * (count - 1))
     design = line_design(block.months)[:, None]
     at = fit(design, weights, block.values)
     t, freedom = (np.zeros((*weights.shape[:2], count)) for _ in range(2))
     for k in range(1, count):
-        t[..., k], freedom[..., k] = _t_at(k, design, weights, at, prior)
+        t[..., k], freedom[..., k], std = _t_at(k, design, weights, at, prior)
+    least = std * scipy.special.stdtrit(np.maximum(freedom[..., -1], 1.0), 1 - level / 2)
     found = {}
     for u, p in np.argwhere(np.min(chance_of(t, freedom), axis=-1) < level):
         places: tuple[int, ...] = (int(np.argmax(t[u, p])),)
@@ -381,7 +385,8 @@ def find_steps(block: Block, weights: Floats, prior: Prior, false_alarm: float) 
         while len(places) < _MOST and (more := _next(places, *own, one, level)) is not None:
             places = tuple(sorted((*places, more)))
         found[int(u), int(p)] = places
-    return StepPlaces(found)
+        least[u, p] = np.nan
+    return StepPlaces(found, least)
 
 
 def step_design(months: Floats, places: tuple[int, ...]) -> Floats:
@@ -406,7 +411,7 @@ def _next(
     at = fit(design, weights, values)
     t, freedom = np.zeros(len(months)), np.zeros(len(months))
     for k in set(range(1, len(months))) - set(places):
-        t[k], freedom[k] = _t_at(k, design, weights, at, prior)
+        t[k], freedom[k], _ = _t_at(k, design, weights, at, prior)
     # By t: the probabilities of large values are all zero.
     best = int(np.argmax(t))
     return best if chance_of(t, freedom)[best] < level else None
@@ -414,10 +419,13 @@ def _next(
 
 def _t_at(
     place: int, design: Floats, weights: Floats, at: Fit, prior: Prior
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, Floats]:
     """Return absolute t (...) of a step at a session in addition to the fit, and its freedom.
 
     Both are zero without information.
+
+    Returns:
+        These, and the standard deviation of the step's size; NaN without information.
     """
     after = slice(place, None)
     along = np.sum((weights * at.residuals)[..., after], axis=-1)
@@ -436,7 +444,8 @@ def _t_at(
         & (scale > 0)
     )
     t = np.sqrt(np.divide(gain, scale, out=np.zeros_like(gain), where=determined))
-    return t, np.where(determined, freedom, 0.0)
+    variance = np.divide(scale, unexplained, out=np.full_like(gain, np.nan), where=determined)
+    return t, np.where(determined, freedom, 0.0), np.sqrt(variance)
 
 
 def chance_of(t: Floats, freedom: Floats) -> Floats:

@@ -109,6 +109,9 @@ class Trend:
     chance: Floats = field(metadata={'key': 'slope_chance'})
     #: Whether it differs from zero, corrected for all parameters of the unit.
     significant: Flags = field(metadata={'key': 'drifts'})
+    #: Smallest step at the newest session that would be found as one; unknown with fewer than four
+    #: sessions, and where a step is found.
+    least_step: Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -277,8 +277,8 @@ def parameter_course_table(unit: UnitHistory, confidence: float) -> Table:
     """Return one row for each parameter of a unit."""
     share = f'{100 * confidence:g} %'
     numbers = ('value', 'std', 'limit', 'turn-on', share, 'per month', share)
-    headings = ('', *numbers, 'unit', 'leaves', 'inside until')
-    table = plain_table(headings, 'lrrrrrrrlll', no_wrap=True)
+    headings = ('', *numbers, 'step from', 'unit', 'leaves', 'inside until')
+    table = plain_table(headings, 'lrrrrrrrrlll', no_wrap=True)
     trend, scatter, due = unit.trend, unit.scatter, unit.forecast
     for k, parameter in enumerate(PARAMETERS):
         if not np.isfinite(unit.values[-1, k]):
@@ -301,6 +301,7 @@ def parameter_course_table(unit: UnitHistory, confidence: float) -> Table:
             _interval(text(scatter.low[k]), text(scatter.high[k])),
             text(trend.slope[k], finer),
             _interval(text(trend.low[k], finer), text(trend.high[k], finer)),
+            text(trend.least_step[k]),
             shown.unit,
             day(due.leaves[k]) or _UNKNOWN,
             day(due.earliest[k]) or _UNKNOWN,

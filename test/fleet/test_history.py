@@ -8,10 +8,17 @@ import scipy
 from histories import MONTH, SCALE, START, index, joined, of, sessions
 
 from imu_calib.common.errors import InputError
-from imu_calib.fleet.control_charts import chart_limits, ewma_limit, mean_run_length
+from imu_calib.fleet.control_charts import (
+    Block,
+    StepPlaces,
+    chart_limits,
+    ewma_limit,
+    find_steps,
+    mean_run_length,
+)
 from imu_calib.fleet.evaluation import backtest
 from imu_calib.fleet.results import Cause, Chart, Rules
-from imu_calib.fleet.scatter import between, interval
+from imu_calib.fleet.scatter import Prior, between, interval
 from imu_calib.session.imu import Verdict
 
 LIMITS = {'fog': 300 * SCALE}
@@ -120,6 +127,33 @@ def test_chart_limits_share_the_rate_among_the_parameters():
     assert 24 * 2 * scipy.stats.norm.sf(limits.individuals) == pytest.approx(0.01)
     assert limits.parameter_run == pytest.approx(2400)
     assert limits.unit_run == pytest.approx(100)
+
+
+@pytest.mark.parametrize('borrowed', [0.0, 30.0])
+def test_the_smallest_step_that_would_be_found_is_found_from_there_on(borrowed):
+    rng = np.random.default_rng(8)
+    months = np.sort(rng.uniform(-40, 0, (1, 6)))
+    values = np.tile(rng.standard_normal((1, 1, 6)), (1, 24, 1))
+    weights = np.ones(values.shape)
+    prior = Prior(np.ones(24), np.ones(24), np.full(24, borrowed))
+
+    def found(size: float) -> StepPlaces:
+        stepped = values.copy()
+        stepped[0, :, -1] += size
+        block = Block(np.arange(6)[None], months, stepped, weights)
+        return find_steps(block, weights, prior, 0.01)
+
+    least = float(found(0.0).least[0, 0])
+    ends = []
+    for sign in (-1.0, 1.0):
+        low, high = 0.0, 3 * least
+        for _ in range(40):
+            middle = (low + high) / 2
+            low, high = (low, middle) if found(sign * middle).by_parameter else (middle, high)
+        ends.append(high)
+    # What chance makes of a step there adds to one side what it takes from the other.
+    assert sum(ends) / 2 == pytest.approx(least, rel=1e-6)
+    assert np.isnan(found(2.5 * least).least).all()
 
 
 @pytest.fixture(scope='module')

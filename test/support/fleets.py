@@ -249,7 +249,7 @@ def _unit(
         outside=outside,
         scatter=Scatter(spread, 0.7 * spread, 1.8 * spread, STD, (n - 1) * some, some > 2),
         trend=Trend(level, STD / np.sqrt(n), slope, slope_std, slope - 2 * slope_std,
-                    slope + 2 * slope_std, some, significant),
+                    slope + 2 * slope_std, some, significant, np.full(24, np.nan)),
         forecast=Forecast(LIMIT, leaves, leaves, due, 'K_gx' if drifts else 'D_gy', False, ''),
         steps=tuple(steps),
         charts=Charts(score, smooth, np.nansum(score**2, axis=1), np.full(n, 55.0), np.full(n, 0.5),
