@@ -135,6 +135,10 @@ _DEGREES = 3
 """Highest degree of the polynomials of time by which an uneven drift is looked for. A judgement: a
 unit that warms up or wanders shows most of its drift in them, and they leave the holds a test."""
 
+_MOST_REMAINING = 5.0
+"""Ratio by which a step lessens the wander to be named in its place. A judgement: of one that is
+within a hold or a turn little remains, and of an even walk or a warm-up a third or more."""
+
 _USELESS = 0.05
 """Standard deviation of a ratio from which on it is useless: data sheets are better."""
 _CLEAR = 10.0
@@ -404,7 +408,10 @@ def solve(evidence: Evidence) -> FreeFit:
             source: Share(of_all(share.covariance, 0.0), of_all(share.freedom, np.inf))
             for source, share in by_source.items()
         },
-        (*_even(state, found), *_wanders(state), *_uneven(state)),
+        tuple(
+            replace(one, std=_bias_std(one.name, equations, information))
+            for one in (*_even(state, found), *_wanders(state), *_uneven(state))
+        ),
         _changes(state, information, len(parameters), own),
         found,
         _tests(state, found, information),
@@ -540,13 +547,50 @@ def _even(state: _State, found: Sequence[SignificantFamily]) -> tuple[Drift, ...
     )
 
 
+def _bias_std(name: str, equations: FreeEquations, information: Information) -> float:
+    """Return the largest standard deviation of the biases of a drift's triad."""
+    return max(
+        float(information.std[equations.parameters.index(c.parameters[0])]) for c in TRENDS[name]
+    )
+
+
 def _wanders(state: _State) -> tuple[Drift, ...]:
     """Return the wanders that are likely; the covariance allows for those less likely, too."""
     likely, sizes = state.scatter.probability[3:], np.sqrt(state.scatter.wanders)
-    return tuple(
+    found = tuple(
         Drift(name, 0.0, float(size), DriftKind.WANDER)
         for name, size, probability in zip(TRENDS, sizes, likely, strict=True)
         if probability > _SAID
+    )
+    return _as_step(state, found) or found
+
+
+def _as_step(state: _State, wanders: Sequence[Drift]) -> tuple[Drift, ...]:
+    """Return wanders as one step of the biases, if hardly any wander remains beside it."""
+    if not wanders:
+        return ()
+    calm = state.scattering(replace(state.scatter, wanders=np.zeros(2)))
+    starts, ends = spans(state.equations.evidence)
+    holds = len(state.equations.evidence.segments)
+    middles, family = (starts + ends) / 2, Family(wanders[0].name, course=Course.TREND)
+
+    def columns(instant: float) -> Floats:
+        after = np.clip((ends - instant) / (ends - starts), 0.0, 1.0)[:, None]
+        return np.hstack([state.drifting(one.name, after) for one in wanders])
+
+    tried = {}
+    for instant in np.sort(np.concatenate([starts[1:holds], middles[1 : holds - 1]])).tolist():
+        pattern = {family: ((columns(instant), np.ones(3 * len(wanders))),)}
+        tried[instant] = scores_of(pattern, calm.equations, state.values)[family]
+    best = max(tried, key=lambda instant: tried[instant].statistic)
+    remains = np.sqrt(state.likely_scatter(columns(best)).wanders)
+    before = np.sqrt(state.scatter.wanders)
+    if (remains > before / _MOST_REMAINING).any():
+        return ()
+    sizes = np.abs(tried[best].estimate.reshape(len(wanders), 3)).max(axis=1).tolist()
+    return tuple(
+        replace(one, largest=size, kind=DriftKind.STEP, instant=best)
+        for one, size in zip(wanders, sizes, strict=True)
     )
 
 

@@ -182,6 +182,7 @@ class DriftKind(Enum):
 
     EVEN = 'even'  #: Along a line: estimated.
     WANDER = 'wander'  #: A random walk: in the covariance.
+    STEP = 'step'  #: A walk that is one step: in the covariance as that.
     UNEVEN = 'uneven'  #: Otherwise: seen in the residuals.
 
 
@@ -193,11 +194,31 @@ class Drift:
     log_p: float  #: Natural logarithm of the probability by chance, or of the odds for a wander.
     largest: float  #: By how much a bias changes during the session, rad/s or m/s^2.
     kind: DriftKind = DriftKind.EVEN  #: How.
+    std: float = np.inf  #: Largest stated standard deviation of the biases, rad/s or m/s^2.
+    instant: float = np.nan  #: Of a step, s since the first hold began.
+
+    @property
+    def is_large(self) -> bool:
+        """Whether biases at the end of the session are off the stated ones, beyond their noise.
+
+        They are off by half of the drift: by more than three standard deviations.
+        """
+        return self.largest > 6 * self.std
 
 
 def drift_words(drifts: Sequence[Drift]) -> list[str]:
     """Report drifts of biases, those of one kind in a sentence."""
-    words = []
+    words: list[str] = []
+    steps = [one for one in drifts if one.kind is DriftKind.STEP]
+    if steps:
+        each = ' and '.join(_one_drift(one) for one in steps)
+        words.append(
+            warning(
+                f'Biases stepped {steps[0].instant:.0f} s after the first hold began, {each}, as '
+                'at a restart or another range: those stated hold for neither part. Record the '
+                'session in one run of the unit.'
+            )
+        )
     for kind, how, what in (
         (
             DriftKind.EVEN,
@@ -211,16 +232,26 @@ def drift_words(drifts: Sequence[Drift]) -> list[str]:
         if found:
             each = ' and '.join(_one_drift(one) for one in found)
             text = f'Biases {how} during the session, {each}: {what}. {_REMEDY}'
-            words.append(warning(text) if kind is DriftKind.UNEVEN else text)
+            large = any(one.is_large for one in found)
+            if large and kind is not DriftKind.UNEVEN:
+                text = (
+                    f'Biases {how} during the session, {each}: they were still moving, and those '
+                    f'stated are of its middle. {_REMEDY}'
+                )
+            words.append(warning(text) if large or kind is DriftKind.UNEVEN else text)
     return words
 
 
+def _amount(found: Drift) -> str:
+    """Return the size of a drift."""
+    if found.name == 'trend:D_g':
+        return f'{significant(found.largest / DEG)} deg/s'
+    return f'{significant(found.largest / (STANDARD_GRAVITY / 1000))} mg'
+
+
 def _one_drift(found: Drift) -> str:
-    gyros = found.name == 'trend:D_g'
-    whose, unit, shown = (
-        ('gyros', DEG, 'deg/s') if gyros else ('accelerometers', STANDARD_GRAVITY / 1000, 'mg')
-    )
-    by = f'of the {whose} by up to {significant(found.largest / unit)} {shown}'
+    whose = 'gyros' if found.name == 'trend:D_g' else 'accelerometers'
+    by = f'of the {whose} by up to {_amount(found)}'
     exponent = max(3, round(-found.log_p / np.log(10)))
     odds = f'by chance once in 10^{exponent} sessions'
     if found.kind is DriftKind.EVEN:

@@ -6,9 +6,11 @@ import re
 from dataclasses import replace
 from functools import cache
 
+import mems_by_hand
 import numpy as np
 import pytest
 from extent import ALL
+from hand_sessions import spread_holds
 from mpu_by_hand import IMU, UNIT, off
 from shaky import GRAVITY, LATITUDE, shaky
 
@@ -17,8 +19,9 @@ from imu_calib.calibration.hand import HandCalibrator
 from imu_calib.calibration.results import Result
 from imu_calib.calibration.verify import verify
 from imu_calib.common.budget import ErrorSource
+from imu_calib.common.finding import is_warning
 from imu_calib.common.stream import Floats
-from imu_calib.common.units import DEG
+from imu_calib.common.units import DEG, DEG_H
 from imu_calib.estimation.hand import ESTIMATES
 from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.system import observe
@@ -26,6 +29,7 @@ from imu_calib.model.earth import Site
 from imu_calib.model.parameters import ParameterKind
 from imu_calib.model.sensors import SensorModel
 from imu_calib.session.plan import load_plan
+from imu_calib.simulation.options import BiasStep
 
 SITE = Site.at(float(LATITUDE), gravity=GRAVITY)
 EVENLY = r'Biases drift evenly during the session, of the gyros by up to ([0-9.]+) deg/s'
@@ -168,8 +172,21 @@ def test_a_drift_that_settles_is_allowed_for() -> None:
     ratios = [k for k, p in enumerate(ESTIMATES) if p.kind is not ParameterKind.BIAS]
     assert np.abs(off(found)[ratios]).max() < 4.5
     assert 'Biases wander during the session, of the gyros by up to' in said(found)
-    assert 'the standard deviations allow for it. Let the unit run until it is warm' in said(found)
+    assert 'they were still moving, and those stated are of its middle. Let the' in said(found)
+    assert any(is_warning(f) for f in found.calibration.findings if 'Biases wander' in f)
     for false in ('unevenly', 'Outliers', 'respond to specific force', 'times their noise'):
         assert false not in said(found)
     assert found.solution.shares is not None
     assert ErrorSource.BIAS_FOUND in found.solution.shares
+
+
+def test_a_step_of_the_biases_is_named_with_its_time_and_size() -> None:
+    step = BiasStep(50.0, (120 * DEG_H, 0.0, -90 * DEG_H), (0.03, -0.02, 0.04))
+    found = mems_by_hand.calibrator(
+        spread_holds(30, 2), mems_by_hand.unit(2), 2, bias_step=step
+    ).finish()
+    (text,) = filter(is_warning, found.calibration.findings)
+    stepped = re.search(r'stepped (\d+) s after .* to (0.03\d*) deg/s .* to (4|4.\d|3.\d) mg', text)
+    assert stepped is not None
+    assert float(stepped[1]) == pytest.approx(50, abs=3)
+    assert 'wander' not in said(found)
