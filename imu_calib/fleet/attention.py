@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -24,6 +25,8 @@ from .sentences import SCATTER_WORDS, listed, percent, quantity, stand_sentence,
 MOST = 12
 """Number of cases written out; the table of units has all. A judgement: six matters fit on two
 sheets."""
+
+_SENTENCES = 2  #: Of an error: what happened, and what it means.
 
 Cases = Sequence[Sequence[str]]
 
@@ -177,7 +180,7 @@ def _failed(fleet: Fleet) -> Iterator[Issue]:
             dated(rows.date[k]),
             escape(rows.stand[k]),
             escape(rows.recording[k]),
-            escape(typeset(rows.error[k])),
+            escape(typeset(_beginning(rows.error[k]))),
         ]
         for k, unit in shown
     ]
@@ -201,6 +204,12 @@ def _failed(fleet: Fleet) -> Iterator[Issue]:
     headings = ['unit', 'date', 'stand', 'recording', 'why']
     kind = 'fail' if units else 'plain'
     yield Issue('Failed recordings', kind, sentences, headings, cells)
+
+
+def _beginning(error: str) -> str:
+    """Return the first two sentences of an error; the unit's own table has all."""
+    sentences = re.split(r'(?<=\.) (?=[A-Z])', error)
+    return ' '.join(sentences[:_SENTENCES]) + ' ...' * (len(sentences) > _SENTENCES)
 
 
 def _age(dates: np.ndarray, one: tuple[int, object]) -> float:

@@ -254,7 +254,7 @@ def _units(
                 if verdict is Verdict.FAIL
             ),
             scatter=Scatter(*(one[u] for one in scatter)),
-            trend=Trend(*(one[u] for one in trend), least_step=part.places.least[u]),
+            trend=Trend(*(one[u] for one in (*trend, part.places.least))),
             forecast=_forecast(
                 due, u, newest, limit, lines, outside=_worst(verdicts) is Verdict.FAIL
             ),

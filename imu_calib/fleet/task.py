@@ -112,7 +112,7 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> TaskResult:
     """Calibrate from one recording, unless its key is known; a failure is a row too."""
     begun = time.process_time()
     key, sha256 = '', ''
-    known_unit: dict[str, str] = {}
+    known_unit: dict[str, Any] = {}
     try:
         path = located(job.recording)
         sha256 = content_of(path)
@@ -144,9 +144,9 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> TaskResult:
     return _as_one(TaskResult(one.key) if one.key in known else one for one in ended.results)
 
 
-def _unit_in(recording: Recording, job: Job) -> dict[str, str]:
-    """Return topic, serial number and type of a unit, as far as recording and job state them."""
-    found: dict[str, str] = {}
+def _unit_in(recording: Recording, job: Job) -> dict[str, Any]:
+    """Return date, topic, serial number and type, as far as recording and job state them."""
+    found = _when(job, recording.start_ns)
     try:
         found['topic'] = topic = imu_topic(job.stated.imu_topic, recording, job.stated.serial)
         found['serial'] = serial_of(job.stated, recording, topic)
@@ -208,7 +208,7 @@ def _none_of(
     sentence: str,
     code: int,
     seconds: float = math.nan,
-    known_unit: Mapping[str, str] = MappingProxyType({}),
+    known_unit: Mapping[str, Any] = MappingProxyType({}),
 ) -> TaskResult:
     """Return the row of a failed recording, or of each unit if a file lists them.
 
@@ -219,7 +219,7 @@ def _none_of(
         sentence: Why it failed.
         code: The exit code that the command would have.
         seconds: Time of a processor.
-        known_unit: Columns that say which unit it is.
+        known_unit: Columns that say which unit it is, and when it was recorded.
     """
     session = key or unread_key(job, sha256)
     try:

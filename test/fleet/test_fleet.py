@@ -390,6 +390,7 @@ def test_a_recording_with_other_options_counts_once(recordings, tmp_path, capsys
     # A mistake that fails, one that does not, and at last the right options.
     kept.add([run(Job(recording, Stated(method='skewed')))])
     (failure,) = rows(folder)
+    assert failure['date'] is not None, 'or it is not known to be the newest'
     assert (failure['serial'], failure['imu'], failure['topic']) == (
         'S1',
         'fog_medium',

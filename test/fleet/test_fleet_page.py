@@ -291,11 +291,12 @@ def test_every_failed_recording_is_listed(made, tmp_path):
     mine = {'serial': 'A1003', 'imu': 'mems_counts'}
     for key, date in enumerate((early, late, None)):
         add(folder, key, date=date, **(mine | {'serial': f'A100{3 + key}'}))
-    add(folder, 9, date=early, **mine)
+    add(folder, 9, date=early, error='It ended. Repeat it. K_gx is not observable.', **mine)
     text = imu_calib.fleet_report(folder, tmp_path / 'fleet.html').read_text()
     # Those of units that were calibrated since, too; one without a date may be the newest.
     for recording in ('rec_0', 'rec_1', 'rec_2', 'rec_9'):
         assert f'data-name="recording">{recording}</td>' in text
+    assert '>It ended. Repeat it. ...<' in text
     assert '5 of 365 recordings gave no calibration' in text
     assert 'For 3 units it is the newest recording, or one without a date' in text
     for key in range(20, 30):
