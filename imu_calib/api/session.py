@@ -193,11 +193,7 @@ class _Unit(TypedDict, total=False):
 
 
 class _Pace(TypedDict, total=False):
-    seed: Annotated[
-        int | None,
-        'Same seed, same errors and date; None: a session of now, with noise of its own.',
-        Option('same seed, same errors and date (default: a session of now)'),
-    ]
+    seed: Annotated[int, 'Same seed, same errors.', Option('same seed, same errors', default=0)]
     speed: Annotated[
         float | None,
         'Times real time at most; 0 or None for as fast as the nodes can follow.',

@@ -28,7 +28,7 @@ from ..session.imu import ImuSpec
 from ..session.keywords import Named, OnStand, Stated, with_keywords
 from ..session.plan import Plan
 from ..session.table import Table
-from ..simulation.options import StandOptions, begin_of, load_imperfections
+from ..simulation.options import DAY, StandOptions, load_imperfections
 from ..simulation.true_table import TrueTable
 from .session import TRUE_TABLE, SimulatedHardware
 
@@ -190,8 +190,11 @@ def can_be_resumed(folder: Path) -> bool:
     return recording is None or FINISHED not in recording.custom_data
 
 
-def end_of_journal(journal: Path) -> int | None:
-    """Return the end of a journal, ns; None if it is unreadable or empty."""
+def end_of_journal(journal: Path) -> float | None:
+    """Return the last whole second of a journal, s after simulated hardware began.
+
+    None if it is unreadable or empty.
+    """
     recording = _opened(journal)
     if recording is None:
         return None
@@ -200,12 +203,8 @@ def end_of_journal(journal: Path) -> int | None:
         if end is None:
             logged = (times.log for _, _, times in recording.messages())
             end = max((int(log.max()) for log in logged if len(log)), default=None)
-    return end
-
-
-def seconds_of_hardware(stamp: int, seed: int) -> float:
-    """Return the whole second of a stamp, ns, by the time of simulated hardware of a seed."""
-    return float((stamp - begin_of(seed)) // NS)
+    # A session lasts less than a day, and seeds begin whole days apart.
+    return None if end is None else float((end - StandOptions.start_time) % DAY // NS)
 
 
 def _opened(journal: Path) -> Recording | None:

@@ -26,7 +26,7 @@ from ..common.units import DEG
 from ..estimation.hand import NAME as FREE_POSITIONS
 from ..estimation.system import observe
 from ..recordings.order import StampSorter
-from ..recordings.rosbag2 import SIMULATED_CLOCK, Recording
+from ..recordings.rosbag2 import Recording
 from ..reports.repeatability import date_of
 from ..segmentation.course import Temperature
 from ..segmentation.segmented import Segmented
@@ -64,14 +64,14 @@ _OTHER_TEMPERATURE = 5.0
 tenth of a degree per second in it, those of fibre-optic gyros within their stability."""
 
 _SAME_NOISE = 1e-4
-"""Ratio between the noise of a live calibration and of its own journal, at most.
+"""Ratio between the noise of a live calibration and of its own journal without a date, at most.
 
 A session knows the noise of each channel to some 3e-3 of it: in another one six agree so by chance
 once in 1e9."""
 _THE_SAME = (
     'The calibration was made from this recording, or from one of the same time: its parameters '
     'were fitted to it, and the residuals do not show their errors. Verify it with a recording of '
-    'another time, a simulated one with another `seed`.'
+    'another time; simulated ones begin at the same time unless their `seed` differs.'
 )
 
 
@@ -205,7 +205,7 @@ def _verify(
     parts = loaded.calibrations if isinstance(loaded, ThermalCalibration) else (loaded,)
     if any(
         part.provenance.get('sha256') == recording.sha256()
-        or (not another_unit and _same_samples(part, recording, session, observed.evidence.walk))
+        or (not another_unit and _same_samples(part, session, observed.evidence.walk))
         for part in parts
     ):
         return replace(found, findings=(_THE_SAME, *found.findings), own_recording=True)
@@ -237,25 +237,21 @@ def _with_units(
     return replace(found, triads=triads)
 
 
-def _same_samples(
-    calibration: Calibration, recording: Recording, session: Segmented, random_walk: Floats
-) -> bool:
+def _same_samples(calibration: Calibration, session: Segmented, random_walk: Floats) -> bool:
     """Return whether a recording has samples of the calibration's session of the same unit.
 
     A live calibration does not know the hash of its journal, and a copy in another container or a
-    part of a recording has another one. But a unit has one session at a time, unless time is that
-    of a live simulation, which is over in seconds: then noise tells one session from another.
+    part of a recording has another one. But a unit has one session at a time.
     """
     origin = calibration.provenance
     first, began = date_of(calibration), utc(session.start)
-    own_time = SIMULATED_CLOCK not in recording.custom_data
-    if first and began and 'duration' in origin and own_time:
+    if first and began and 'duration' in origin:
         # The date is in whole seconds: sessions in a row do not overlap by more than one.
         spans = ((first, origin['duration']), (began, session.duration))
         ends = [start + timedelta(seconds=seconds) for start, seconds in spans]
         return max(first, began) + timedelta(seconds=1) < min(ends)
     walk = np.array(origin.get('random_walk', [np.nan] * 6), float)
-    facts = {'recorded': iso(session.start), 'duration': session.duration}
+    facts = {'recorded': None, 'duration': session.duration}
     return facts.items() <= origin.items() and bool(np.allclose(walk, random_walk, _SAME_NOISE, 0))
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from ..api.stand import OPTIONS, SETTINGS, can_be_resumed, end_of_journal, seconds_of_hardware
+from ..api.stand import OPTIONS, SETTINGS, can_be_resumed, end_of_journal
 from ..common.errors import InputError
 from ..common.files import named_file, read_text, user_path, write_whole
 from ..recordings.rosbag2 import JOURNAL
@@ -32,7 +32,7 @@ _FILES = {
 }
 """Options that name a file, with its kind."""
 _OF_THE_RUN = frozenset(
-    {'command', 'run', 'default_of', 'closing_line', 'output', 'resume'}
+    {'command', 'run', 'default_of', 'closing_line', 'output', 'resume', 'start'}
     | {'web', 'web_host', 'control', 'verbose'}
 )
 """Options of one run, which do not belong to the session."""
@@ -99,18 +99,10 @@ def check_unfinished(folder: Path) -> None:
         raise InputError(f'--resume {ended(folder)}')
 
 
-def switch_on(arguments: argparse.Namespace) -> None:
-    """Without a seed simulated hardware is switched on now, so that its noise is of its own."""
-    if arguments.seed is None:
-        arguments.seed = 0
-        arguments.start = seconds_of_hardware(time.time_ns(), arguments.seed)
-
-
-def switch_on_again(arguments: argparse.Namespace, folder: Path) -> None:
-    """Switch simulated hardware on again after the end of a journal."""
+def switched_on_at(folder: Path) -> float:
+    """Return when simulated hardware is switched on again, s after its epoch."""
     end = end_of_journal(folder / JOURNAL)
-    if end is not None:
-        arguments.start = seconds_of_hardware(end, arguments.seed) + _OUTAGE
+    return 0.0 if end is None else end + _OUTAGE
 
 
 def command(folder: str) -> str:

@@ -142,12 +142,7 @@ def _begin(arguments: argparse.Namespace) -> None:
     several.complete(arguments)
     folder = _new_folder(arguments)
     several.check(arguments)
-    real = several.is_real(arguments)
-    if not real:
-        from . import resume
-
-        resume.switch_on(arguments)
-    reports = NodeReports(real=real)
+    reports = NodeReports(real=several.is_real(arguments))
     truth = _check(arguments, reports)
     if '' in truth and not has_truth and not is_shipped('imus', arguments.imu):
         OUTPUT.print(f'simulated unit: {arguments.truth}; yours: --truth FILE', markup=False)
@@ -184,8 +179,7 @@ def _resume_session(arguments: argparse.Namespace) -> None:
         real = several.is_real(arguments)
         reports = NodeReports(real=real)
         truth = _check(arguments, reports)
-        if not real:
-            resume.switch_on_again(arguments, folder)
+        arguments.start = 0.0 if real else resume.switched_on_at(folder)
         stand_session.run(arguments, folder, truth, claim, reports)
 
 
@@ -276,7 +270,7 @@ def _check_run(arguments: argparse.Namespace) -> None:
     if not 0 <= arguments.sample_rate <= _HIGHEST_RATE:
         found = arguments.sample_rate
         raise InputError(f'--sample-rate: found {found:g} Hz, expected 0 to {_HIGHEST_RATE:g}.')
-    if arguments.seed is not None and not 0 <= arguments.seed <= _LARGEST_SEED:
+    if not 0 <= arguments.seed <= _LARGEST_SEED:
         raise InputError(f'--seed: found {arguments.seed}, expected 0 to {_LARGEST_SEED}.')
     if arguments.stop_required and several.is_embedded(arguments):
         raise InputError(

@@ -296,7 +296,7 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
         'truth': arguments.truth or DEFAULT_TRUTH,
         'imperfections': arguments.imperfections or '',
         'sample_rate': arguments.sample_rate,
-        'seed': arguments.seed or 0,
+        'seed': arguments.seed,
         'start': arguments.start,
         'speed': arguments.speed,
         'port': port,

@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -32,7 +31,7 @@ from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import Kind, encode_imu
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import Journal, RecordingWriter
-from imu_calib.simulation.options import begin_of
+from imu_calib.simulation.options import DAY
 
 TURN = 7
 """At which step the session is interrupted, a turn: some positions are done, most are not."""
@@ -362,22 +361,11 @@ def test_of_an_interrupted_session_it_is_said_what_it_lacks_and_how_to_go_on(tmp
 
 def test_simulated_hardware_is_switched_on_after_what_it_said_before(tmp_path):
     folder = ended(tmp_path / 'stand', finished=False)
-    arguments = dispatch.build_parser().parse_args(['stand', '--resume', str(folder)])
-    arguments.seed = 3
-    resume.switch_on_again(arguments, folder)
+    at = resume.switched_on_at(folder)
     with open_recording(folder / 'journal') as recording:
         last = recording.end_ns
-    assert 1.0 < arguments.start - (last - begin_of(3)) * 1e-9 < 60.0
-
-
-def test_simulated_hardware_without_a_seed_is_switched_on_now():
-    arguments = dispatch.build_parser().parse_args(['stand', 'twelve_position'])
-    before = time.time()
-    resume.switch_on(arguments)
-    assert before - 1 < arguments.start + begin_of(arguments.seed) * 1e-9 <= time.time()
-    seeded = dispatch.build_parser().parse_args(['stand', 'twelve_position', '--seed', '2'])
-    resume.switch_on(seeded)
-    assert (seeded.seed, seeded.start) == (2, 0.0)
+    epoch = 1_700_000_000 * 10**9
+    assert 1.0 < at - (last - epoch) % DAY * 1e-9 < 60.0
 
 
 def test_a_journal_torn_anywhere_can_be_gone_on_with(tmp_path):

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -83,16 +82,12 @@ def test_the_same_seed_gives_the_same_bits_of_journal_and_calibration(finished):
 
 
 def test_a_calibration_is_not_verified_by_the_journal_that_made_it(finished):
-    # Without a seed both are of now: their times overlap, as simulated time is faster.
-    for name in ('one', 'another'):
-        ended = stand(finished / 'short.yaml', '-o', finished / name)
-        assert ended.returncode == 0, ended.stderr
-    live = finished / 'one' / 'calibration.yaml'
-    own = imu_calib.verify(finished / 'one' / 'journal', live)
+    other = stand(finished / 'short.yaml', '-o', finished / 'other', '--seed', 4)
+    assert other.returncode == 0, other.stderr
+    live = finished / 'first' / 'calibration.yaml'
+    own = imu_calib.verify(finished / 'first' / 'journal', live)
     assert own.own_recording and not own.accepted
-    assert imu_calib.verify(finished / 'another' / 'journal', live).accepted
-    recorded = Calibration.load(live).provenance['recorded'].replace('Z', '+00:00')
-    assert abs(time.time() - datetime.fromisoformat(recorded).timestamp()) < 10 * patience()
+    assert imu_calib.verify(finished / 'other' / 'journal', live).accepted
 
 
 def test_processes_of_their_own_measure_the_same_unit(finished):
