@@ -131,11 +131,11 @@ def _closed_form(facts: Facts) -> str:
     if not isinstance(apart, Mapping) or not apart:
         return str(method)
     name, off = max(apart.items(), key=lambda pair: abs(pair[1]))
-    words = f'{method}: within {abs(off):.1f} standard deviations of the estimate ({name})'
+    words = f'{method}: within {abs(off):.1f} standard deviations ({name}) of the joint estimate'
     ratio = number(found, 'joint_std_over_closed_form')
     if ratio is None:
         return words
-    return f'{words}; standard deviations of the joint estimate: {ratio:.2g} times its'
+    return f'{words}, whose standard deviations are {ratio:.2g} times those of {method}'
 
 
 def _spread(value: float, std: float | None, places: int, unit: str) -> str:
