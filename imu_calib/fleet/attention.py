@@ -80,8 +80,8 @@ def _stands(fleet: Fleet) -> Iterator[Issue]:
     if shifts:
         sentences = [stand_sentence(shift) for shift in shifts]
         sentences.append(
-            'Check levelling, zeros and alignment before the next unit is calibrated there. Trends, '
-            'steps, charts and dates below are without the shift; values are as calibrated.'
+            'Check levelling, zeros and alignment before the next unit is calibrated there. '
+            'Trends, steps, charts and dates below are without the shift; values are as calibrated.'
         )
         off = fleet.history.stands.off
         title = f'Stands that {"are off" if off else "differ"}'
