@@ -385,7 +385,7 @@ class Verification:
 
     @property
     def moved_frame(self) -> pandas.DataFrame:
-        """The parameters that differ as a pandas.DataFrame: difference, std, in_std and unit."""
+        """The parameters that differ, with columns difference, std, in_std and unit."""
         difference, std = (
             np.array([getattr(m, name) for m in self.moved]) for name in ('difference', 'std')
         )
