@@ -453,7 +453,7 @@ async function course(u, s, p) {
     'Bars are two stated standard deviations.',
     shift.some(Boolean) ? 'Hollow: less what its stand shifts.' : '',
     isFinite(limit) && !near ? `The limit is far off, \u00b1${+limit.toPrecision(3)} ${unit}.` : '',
-    beyond ? `Scores beyond ${127 * s.scoreStep} stand at ${127 * s.scoreStep}.` : '',
+    beyond ? `Scores beyond ${(127 * s.scoreStep).toFixed(2)} stand there.` : '',
     s.steps[u].length ? 'Upright lines: steps, solid where this parameter changed.' : '',
     hidden ? `${hidden} session${hidden === 1 ? '' : 's'} without a ${timed ? 'date or a value' : 'value'} not drawn.` : '',
   ].filter(Boolean).join(' ');
