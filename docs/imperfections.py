@@ -420,8 +420,9 @@ units. What a session cannot show is in [limits.md](limits.md). Not honest yet:
   a joint speeds up or slows down: those that a counter of a medium unit repeats at rest are not,
   and its K_a is known up to 15 times worse, with a scatter named that is none. No parameter is off
   by more than 4.2 standard deviations
-- stamps slewed by 50 ppm for a fifth of the session are named, and what is stamped meanwhile is
-  left out: 24 of 60 sessions are refused for it, and others know E or D_a up to 680 times worse
+- stamps slewed for more than a quarter of the session, or while a crystal warms up: what is stamped
+  at another pace is left out and named, and the session refused if that is much (for a fifth, by 50
+  ppm, nothing is lost, and all 60 sessions are honest)
 - a driver that differences a counter and delivers rates: its double samples are called false ones
 - a unit that drifts, but much less than its data sheet says, may seem calmer than it is: of 24 D_a
   each, with 4, 8, 13 and 20 % of the accelerometers' 20 ug (simulated by our own program), the

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -46,6 +47,11 @@ _SMOOTH = 1 / 3
 """Largest share of the motions' degrees of freedom that the bend takes: a crystal is slow. A
 judgement; rougher courses are errors of the motions."""
 _SMOOTHNESS = np.logspace(-4, 12, 161)  #: Variances of the bend over those of the motions, tried.
+
+_SURELY = 6.0  #: Standard deviations: passed once in 10^9 by chance.
+_NEAR_SHARE = 0.25
+"""Of what a clock gains: within this, offsets gain as much, or nothing. A judgement: half the way
+to the middle between the two."""
 
 _CELL_SECONDS = 0.1
 """s in which the angle of a joint is compared with the gyros'. A judgement, as `_CELL` of
@@ -285,6 +291,30 @@ def fit_clock(
         tuple(np.where(np.diff(known), 0.0, np.maximum(np.abs(jumps) - within, 0.0)).tolist()),
         bend,
     )
+
+
+def slewed_alone(samples: Sequence[ClockSample], gained: Floats) -> bool | None:
+    """Return whether a slewed clock stamps the IMU alone, by offsets, and not the table too.
+
+    Args:
+        samples: One per motion.
+        gained: (n,) what the clock that stamps the IMU has gained at each by then, s.
+
+    Returns:
+        None where the offsets do not show it.
+    """
+    time, offset = np.array([(s.time, s.offset) for s in samples]).reshape(-1, 2).T
+    freedom = len(time) - 3
+    if freedom < 1 or not np.ptp(gained):
+        return None
+    columns = np.column_stack([np.ones(len(time)), (time - time[0]) * 1e-9, gained])
+    solution, squares, rank, _ = np.linalg.lstsq(columns, offset, rcond=None)
+    if rank < columns.shape[1]:
+        return None
+    share = float(solution[-1])
+    std = math.sqrt(float(squares[0]) / freedom * np.linalg.inv(columns.T @ columns)[-1, -1])
+    sure = abs(share - round(share)) + _SURELY * std < _NEAR_SHARE
+    return bool(round(share)) if sure and round(share) in (0, 1) else None
 
 
 def _bend(time: Floats, residuals: Floats) -> ClockBend | None:

@@ -24,7 +24,7 @@ from ..common.units import DEG, STANDARD_GRAVITY, counted
 from ..session.imu import SCALE_LIMIT, ImuSpec
 from ..session.segments_file import ListedSegments
 from ..session.table import Table
-from .clock import FARTHEST, ClockFit, fit_clock, offset_by_pattern
+from .clock import FARTHEST, ClockFit, fit_clock, offset_by_pattern, slewed_alone
 from .course import Thermometer
 from .intake import Ordered, StreamBuffer
 from .moves import MoveReader
@@ -130,24 +130,52 @@ def reject_uncounted(reader: IntervalReader) -> None:
     )
 
 
-def reject_slewed(reader: IntervalReader) -> list[int]:
-    """Reject data whose stamps run faster or slower than those of most of the session.
+def time_slewed(reader: IntervalReader) -> tuple[list[int], list[str]]:
+    """Time data whose stamps run faster or slower than those of most of the session.
+
+    The samples come evenly: their number times dwells and moves. Turns last as long as the table
+    says; if it is stamped by the same clock, as long as their samples. What stays unclear is
+    rejected.
 
     Returns:
-        When such stamps begin, ns: from there on the offset of the clocks is another.
+        When such stamps begin, ns: from there on the offset of the clocks is another; sentences.
     """
-    slewed, most = reader.pace.leave_out_slewed()
+    slews, found = reader.pace.slews(), reader.found
+    if slews is None or not slews.faster.any():
+        return [], []
+    spans = slews.spans
+    reason = (
+        f'by up to {np.abs(slews.faster).max() * 1e6:.0f} ppm: their clock was slewed, or the '
+        'sample rate changed'
+    )
 
     def is_within(instant: float) -> bool:
-        return any(first <= instant <= last for first, last in slewed)
+        return any(first <= instant <= last for first, last in spans)
 
-    reader.found.reject(
-        f'the stamps run at another pace there, by up to {most * 1e6:.0f} ppm: their clock was '
-        'slewed, or the sample rate changed',
-        lambda one: is_within(one.start),
+    times = np.array([one.time + one.offset * 1e9 for one in reader.clock])
+    alone = slewed_alone(reader.clock, slews.gained(times)) if len(times) else None
+
+    def is_unclear(one: Segment | Turn) -> bool:
+        if not slews.prevails or alone or not isinstance(one, Turn) or one.seconds is None:
+            return not slews.prevails
+        return alone is None or not slews.is_whole[slews.of(one)]
+
+    found.reject(
+        f'the stamps run at another pace there, {reason}',
+        lambda one: is_within(one.start) and is_unclear(one),
     )
+    if alone is False and slews.prevails:
+        found.turns = [
+            one.stamped_faster(slews.faster[k], slews.error[k])
+            for one, k in zip(found.turns, map(slews.of, found.turns), strict=True)
+        ]
     reader.clock = [one for one in reader.clock if not is_within(one.time)]
-    return [first for first, _ in slewed]
+    timed = [
+        f'From {at(first)} to {at(last)} the stamps run at another pace, {reason}. What was '
+        'stamped then is timed by the number of its samples'
+        for first, last in spans
+    ]
+    return [first for first, _ in spans], timed if slews.prevails else []
 
 
 _MANY = 0.25
@@ -218,6 +246,7 @@ class Segmenter:
         # Number of motions in which the device repeated one sample, and when the first was, ns.
         self._frozen_motions = 0, 0
         self._frozen_for_good = ''  # Sentence on a device that froze for good.
+        self._slews: list[str] = []  # Sentences on slewed clocks.
         self._ended: Segmented | None = None
 
     @property
@@ -304,7 +333,7 @@ class Segmenter:
         reject_untimed(reader, self._intake)
         before = len(found.rejected)
         reject_uncounted(reader)
-        slewed = reject_slewed(reader)
+        slewed, self._slews = time_slewed(reader)
         mistimed = _mistimed_sentence(found, found.rejected[before:])
         self._frozen_motions = reject_hidden(reader)
         if self._clocks_unknown:
@@ -531,6 +560,7 @@ class Segmenter:
             f'{at(last)}: a motion during it is left out, and every part timed by its own stamps'
             for _, last, before, after in reader.pace.rate_changes[:_LISTED_CHANGES]
         ]
+        lost += self._slews[:_LISTED_CHANGES]
         lost += reader.late.words(self._intake.samples)
         lost += reader.rounding.sentences
         if reader.bridged:

@@ -12,6 +12,8 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
+from numpy.typing import NDArray
 
 from ..common.stream import Floats, Stamps
 from .allan import AllanSums
@@ -32,6 +34,10 @@ _SAME_RATE = 1e-4
 jitter that hides missing samples scatters them by more."""
 _SAME_PACE = 1e-6  #: Relative: intervals this close are of one pace. Of a quartz within minutes.
 _SURELY = 6.0  #: Standard deviations beyond which intervals differ: once in 10^9 by chance.
+_PREVAILS = 2 / 3
+"""Share of the time at one pace from which on it is that of the samples: twice as much as all the
+rest, some of which a pace begins or ends in. A judgement."""
+_LONGER = 3  #: Times that it lasts as long as any other one: of a slew a quarter. A judgement.
 _LEAST_STD = 1e-10  #: Of the level of a segment, s: stamps in ns, averaged.
 
 
@@ -53,6 +59,35 @@ class _Knot:
     std: float
 
 
+@dataclass(frozen=True, eq=False)
+class Slews:
+    """All segments in order, and how much faster than usual the clock runs that stamps them."""
+
+    first: Floats  #: (n,) first stamps, ns.
+    last: Floats  #: (n,) last stamps, ns.
+    faster: Floats  #: (n,) relative; 0 at the usual pace.
+    error: Floats  #: (n,) its standard deviation; 0 at the usual pace.
+    is_whole: NDArray[np.bool_]  #: (n,) whether the one before or after has the same other pace.
+    prevails: bool  #: Whether the usual pace is surely that of the samples.
+
+    @property
+    def spans(self) -> list[tuple[int, int]]:
+        """First and last stamps of the parts at other paces, ns."""
+        rows = np.flatnonzero(self.faster)
+        parts = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+        return [(int(self.first[k[0]]), int(self.last[k[-1]])) for k in parts if len(k)]
+
+    def gained(self, instants: Floats) -> Floats:
+        """Return what the clock has gained at (k,) instants, ns, by its faster parts, s."""
+        middle = (self.first + self.last) * 5e-10
+        gained = scipy.integrate.cumulative_trapezoid(self.faster, middle, initial=0.0)
+        return np.asarray(np.interp(instants * 1e-9, middle, gained))
+
+    def of(self, turn: Turn) -> int:
+        """Return which segment holds a turn."""
+        return int(np.argmax((self.first <= turn.start) & (turn.start <= self.last)))
+
+
 class Pace:
     """Times segments of samples in order; the result depends on these alone."""
 
@@ -66,6 +101,7 @@ class Pace:
         self._known: tuple[float, float] | None = None  #: Cache of `_long`.
         self.tick = 0.0  #: Of stamps in ticks, the longest of a segment, s; 0 for others.
         self._is_in_ticks = False  #: Whether stamps in ticks lie on a line somewhere.
+        self._prevails = False  #: Whether `_known` times all, as stamps were slewed elsewhere.
         self._uncounted: list[tuple[int, int]] = []
         self._without_ticks: list[tuple[int, int]] = []
         self._read: list[tuple[int, int, float, float]] = []
@@ -101,35 +137,53 @@ class Pace:
         """
         return self._uncounted + (self._without_ticks if self._is_in_ticks else [])
 
-    def leave_out_slewed(self) -> tuple[list[tuple[int, int]], float]:
+    def slews(self) -> Slews | None:
         """Take the interval from where stamps run at one pace; return where they do not.
 
         A quartz, that of the samples, keeps its rate within minutes. A clock that is brought up to
         time, or another sample rate, changes it at once: then the pace of the longest time counts.
+        If it prevails, it times what was stamped at other ones too, as the samples came evenly.
 
         Returns:
-            First and last stamps of these parts, ns, and the largest relative difference there;
-            none where no change is sudden and significant.
+            None where no change is sudden and significant.
         """
         if len(self._read) < 2:
-            return [], 0.0
+            return None
         first, last, period, std = np.array(self._read).T
         apart = np.abs(np.diff(period)) / period[1:]
         error = np.hypot(std[1:], std[:-1]) / period[1:]
         minutes = np.diff(first + last) / 2 * 1e-9 / 60
         sudden = apart > np.maximum(_SUDDEN * np.maximum(1.0, minutes), _SURELY * error)
         if not np.any(sudden & (apart < LARGEST_SLEW)):
-            return [], 0.0
+            return None
         off = np.abs(period[:, None] / period - 1)
         alike = off <= np.maximum(_SAME_PACE, _SURELY * np.hypot(std[:, None], std) / period)
-        usual = int(np.argmax(alike @ (last - first)))
+        length = last - first
+        # Short segments of stamps that jitter would be like those of any pace.
+        lasting = np.where(std <= np.median(std), alike @ length, 0.0)
+        usual = int(np.argmax(lasting))
         kept = alike[:, usual]
-        rows = np.flatnonzero(~kept & (off[:, usual] < LARGEST_SLEW))
         weight = std[kept] ** -2
-        self._known = float(weight @ period[kept] / weight.sum()), float(weight.sum() ** -0.5)
-        spans = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
-        where = [(self._read[k[0]][0], self._read[k[-1]][1]) for k in spans if len(k)]
-        return where, float(off[rows, usual].max(initial=0.0))
+        known = float(weight @ period[kept] / weight.sum())
+        self._known = known, float(weight.sum() ** -0.5)
+        others = _LONGER * float(lasting[~kept].max(initial=0.0))
+        self._prevails = float(lasting[usual]) > max(_PREVAILS * float(length.sum()), others)
+        slewed = ~kept & (off[:, usual] < LARGEST_SLEW)
+        # Stamps of samples further apart than they are belong to a clock that runs fast.
+        faster, error = np.where(slewed, period / known - 1, 0.0), std / known
+        # What is too short to show the slew is slewed as what is around it.
+        sure = slewed | (_SURELY * error < np.abs(faster).max() / 2)
+        if sure.any():
+            faster = np.interp(first + last, (first + last)[sure], faster[sure])
+        slewed, steady = faster != 0, np.diagonal(alike, 1)
+        return Slews(
+            first,
+            last,
+            faster,
+            np.where(slewed, error, 0.0),
+            slewed & (np.append(steady, False) | np.append(False, steady)),
+            self._prevails,
+        )
 
     def interval_at(self, instant: float) -> float:
         """Return the interval around an instant, ns, s, by itself where the rate changes."""
@@ -170,8 +224,10 @@ class Pace:
     def combined(self, timing: Timing) -> tuple[float, float]:
         """Return the interval of a segment by its own stamps and all others, and its std, s."""
         long, long_std = self._long()
-        if not long:
+        if not long or (self._prevails and abs(timing.own / long - 1) >= LARGEST_SLEW):
             return timing.own, timing.own_std
+        if self._prevails:
+            return long, long_std
         weights = np.array([long_std, timing.own_std]) ** -2.0
         return float(weights @ [long, timing.own] / weights.sum()), float(weights.sum() ** -0.5)
 
@@ -399,6 +455,11 @@ class Turn:
             skewed=None if self.skewed is None else self.skewed.retimed(pace),
             each=None if self.each is None else self.each * slower,
         )
+
+    def stamped_faster(self, faster: float, error: float) -> Turn:
+        """Return the same where the clock of the table runs fast by so much, give or take."""
+        seconds = None if self.seconds is None else self.seconds / (1 + faster)
+        return replace(self, seconds=seconds, rate_error=math.hypot(self.rate_error, error))
 
     def rate_std(self, walk: Floats) -> float:
         """Return the relative standard deviation of the rate: by the line, or by the whole motion.

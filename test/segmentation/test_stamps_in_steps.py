@@ -22,6 +22,7 @@ from imu_calib.common.stream import Floats, ImuBlock, JointBlock, Stamps, Units
 from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.segmentation.clock import ClockSample, slewed_alone
 from imu_calib.segmentation.stamp_faults import SharedStamps
 from imu_calib.segmentation.stamps import read_grid, sampling_times
 from imu_calib.session.imu import ImuSpec, TriadSpec
@@ -145,13 +146,29 @@ def slew(monkeypatch):
 @pytest.mark.parametrize(
     ('grade', 'ppm'), [('medium', 50), ('rates', 50), ('navigation', 50), ('navigation', 4)]
 )
-def test_what_it_stamps_meanwhile_is_left_out(grade, ppm, joints, slew):
+def test_what_it_stamps_meanwhile_is_timed_by_its_samples(grade, ppm, joints, slew):
+    even = fed(World(), UNITS[grade], find_terms=True).finish().calibration
     slew(ppm, MIDDLE, joints=joints)
     found = fed(World(), UNITS[grade], find_terms=True).finish().calibration
     off = errors(found, UNITS[grade])
     assert np.abs(off).max() < 4.5, np.round(off, 1)
     assert not found.parameters[24:]
+    widened = np.sqrt(np.diag(found.covariance) / np.diag(even.covariance))
+    # A turn in which the clock of the table changes its pace is left out.
+    assert widened.max() < (1.4 if joints else 1.1), np.round(widened, 2)
     assert any(f'by up to {ppm} ppm: their clock was slewed' in f for f in found.findings)
+
+
+@pytest.mark.parametrize(
+    ('share', 'noise', 'alone'),
+    [(1, 1e-4, True), (0, 1e-4, False), (0.5, 1e-4, None), (1, 1e-2, None)],
+)
+def test_offsets_show_whether_the_clock_stamps_the_imu_alone(share, noise, alone):
+    seconds = np.linspace(0, 500, 30)
+    gained = 50e-6 * np.clip(seconds - 200, 0, 100)
+    offset = 0.1 + 1e-6 * seconds + share * gained + np.tile([noise, -noise], 15)
+    samples = [ClockSample(t * 1e9, o) for t, o in zip(seconds, offset, strict=True)]
+    assert slewed_alone(samples, gained) is alone
 
 
 def test_where_no_pace_prevails_long_enough_the_session_is_refused(slew):
