@@ -130,12 +130,14 @@ MIDDLE = (0.4, 0.6)  #: Shares of the session between which it runs fast.
 def slew(monkeypatch):
     """Slew the clock of the IMU, or of both streams, in the sessions that `fed` feeds."""
 
-    def apply(ppm: float, span: tuple[float, float], *, joints: bool) -> None:
+    def apply(ppm: float, span: tuple[float, float], *, joints: bool, jitter: float = 0.0) -> None:
         def blocks(world: World, unit: Unit, seed: int) -> tuple[JointBlock, ImuBlock]:
             of_table, of_imu = recorded(world, unit, seed)
             if joints:
                 of_table = replace(of_table, stamp=slewed(of_table.stamp, ppm, span))
-            return of_table, replace(of_imu, stamp=slewed(of_imu.stamp, ppm, span))
+            late = jitter * 1e9 * np.abs(np.random.default_rng(seed).normal(size=len(of_imu.stamp)))
+            stamp = slewed(of_imu.stamp, ppm, span) + late.astype(int)
+            return of_table, replace(of_imu, stamp=stamp)
 
         monkeypatch.setattr(other_sessions, 'recorded', blocks)
 
@@ -157,6 +159,15 @@ def test_what_it_stamps_meanwhile_is_timed_by_its_samples(grade, ppm, joints, sl
     # A turn in which the clock of the table changes its pace is left out.
     assert widened.max() < (1.4 if joints else 1.1), np.round(widened, 2)
     assert any(f'by up to {ppm} ppm: their clock was slewed' in f for f in found.findings)
+
+
+@pytest.mark.parametrize('joints', [False, True])
+def test_jitter_does_not_hide_it(joints, slew):
+    slew(50, MIDDLE, joints=joints, jitter=2e-4)
+    found = fed(World(), NAVIGATION, find_terms=True).finish().calibration
+    off = errors(found, NAVIGATION)
+    assert np.abs(off).max() < 4.5, np.round(off, 1)
+    assert any('ppm: their clock was slewed' in f for f in found.findings)
 
 
 @pytest.mark.parametrize(
