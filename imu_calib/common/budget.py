@@ -22,6 +22,10 @@ LEAST_FREEDOM = 1.0
 """Fewest degrees of freedom for a coverage factor: Student's t is not tabulated for fewer, and
 factors beyond 12.7 are of no use."""
 
+AS_STATED = 0.99
+"""Share of the stated drift's variance above which it is as stated: to half a percent of its
+deviation, less than the two digits of an uncertainty show."""
+
 
 class ErrorSource(Enum):
     """A source of uncertainty; the value is its name in files."""
@@ -77,7 +81,12 @@ class ErrorSource(Enum):
         "the table's rate, from the scatter of its encoder",
     )
     ENCODER_NOISE = 'encoder_noise', 'A', 'encoder', "attitudes, from the encoders' noise"
-    AZIMUTH = 'azimuth', 'B', 'azimuth', "prior of the table's azimuth"
+    AZIMUTH = (
+        'azimuth',
+        'B',
+        'azimuth',
+        "the table's azimuth: 1 arcmin where stated, else any heading",
+    )
     TILT = 'tilt', 'B', 'tilt', "prior of the table's two tilts"
     ARM = 'lever_arm', 'B', 'lever-arm', 'priors of the lever arms of accelerometers'
     DELAY = 'delay', 'B', 'delay', 'delay of accelerometers after gyros'

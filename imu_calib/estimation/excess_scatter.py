@@ -26,7 +26,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..common.budget import ErrorSource
+from ..common.budget import AS_STATED, ErrorSource
 from ..common.stream import Floats
 from ..model.parameters import BIASES, indices_of
 from ..segmentation.segmented import Move
@@ -58,9 +58,6 @@ _SHARES = np.linspace(0.0, 1.0, 201) ** 2
 2006, Bayesian Analysis 1, 515). The most likely share understates what a calm session can hide:
 biases of accelerometers that drifted by 8 % of their data sheet were off by 2.0 deviations rms,
 with the mean by 1.3."""
-_AS_STATED = 0.99
-"""Share of the stated drift's variance above which it is as stated: to half a percent of its
-deviation, less than the two digits of an uncertainty show."""
 _ODDS_BESIDE_OUTLIERS = 10.0
 """The same where an outlier is tested against the scatter of the others: a stated drift that is
 absent would hide it. A judgement."""
@@ -167,10 +164,12 @@ def excess(
     drifts = [t.unit_variance * means for t, means in zip(triads, drifting, strict=True)]
     joints, stops = hidden * (1 - _STOP_SHARES) @ positioning, hidden * _STOP_SHARES @ positioning
     shaken = tuple(np.sqrt(in_motion * np.ravel(chosen.means[_MOTIONS:])).tolist())
-    kept = [1.0, 1.0]
-    if not chosen.needed:
-        odds = _ODDS_BESIDE_OUTLIERS if suspecting else _ODDS
-        kept = [kept_share(t.residuals, t.stated_covariance, odds) for t in triads]
+    odds = _ODDS_BESIDE_OUTLIERS if suspecting else _ODDS
+    # What one triad shows beyond its data sheet is no reason against calmness of the other.
+    kept = [
+        1.0 if k in chosen.groups else kept_share(t.residuals, t.stated_covariance, odds)
+        for k, t in enumerate(triads)
+    ]
     parts = [_drift_parts(*of) for of in zip(triads, kept, drifts, strict=True)]
     stated = [share * triad.stated_variance for share, triad in zip(kept, triads, strict=True)]
     motions = scatter_of_motions(plain.evidence, shaken)
@@ -245,7 +244,7 @@ def _drift_parts(
     stated = triad.stated_variance * drifting.kernel(drifting.stated_time)[:means, :means]
     parts = []
     if kept * triad.stated_variance:
-        source = ErrorSource.BIAS_STATED if kept > _AS_STATED else ErrorSource.BIAS_CALM
+        source = ErrorSource.BIAS_STATED if kept > AS_STATED else ErrorSource.BIAS_CALM
         parts.append(Component(source, Blocks(rows, kept * stated[None])))
     if variances.any():
         found = sum(

@@ -165,6 +165,7 @@ class ChosenVariances:
     means: tuple[Floats, ...]
     models: tuple[tuple[Chosen, float], ...]  #: Variances in each, and its probability.
     needed: float  #: Probability of all of them together against none that is not known.
+    groups: frozenset[int]  #: Groups of residuals that variances of the best model enter.
 
     def probability(self, *kinds: int) -> float:
         """Return the probability that any of some kinds is in the model, if one is needed."""
@@ -271,7 +272,7 @@ def choose_variances(
         same = [one for one in models.found if len(one) == len(last)]
         best = max(same, key=lambda one: models.found[one].log_likelihood)
     shown = {k for k, _ in best}
-    groups = {g for k, a in best for g in kinds[k][a].groups}
+    groups = frozenset(g for k, a in best for g in kinds[k][a].groups)
     kept = {
         one: m
         for one, m in models.found.items()
@@ -286,7 +287,7 @@ def choose_variances(
             means[k][a] += share * mean
     beyond = float(np.logaddexp.reduce(logs)) - models.log_odds(frozenset())
     needed = float(scipy.special.expit(beyond)) if best else 0.0
-    return ChosenVariances(means, tuple(zip(kept, shares, strict=True)), needed)
+    return ChosenVariances(means, tuple(zip(kept, shares, strict=True)), needed, groups)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from ..calibration.calibration import Calibration
-from ..common.budget import PROBABILITY, Budget, ErrorSource
+from ..common.budget import AS_STATED, PROBABILITY, Budget, BudgetLine, ErrorSource
 from ..common.stream import Floats, Units
 from ..common.units import ARCSEC, DEG, PPM, rounded, significant, typeset
 from ..model.earth import LATITUDE_STD
 from ..model.parameters import TRIADS, Parameter, engineering
-from ..session.imu import TRIAD_NAMES
+from ..session.imu import TRIAD_NAMES, ImuSpec
 from .charts import drawing, label, tag
 from .html import paragraph, table
 from .plain_table import plain_table
@@ -137,6 +137,19 @@ class _Shown:
             found.append(['0' if not text.strip('0.') else text for text in texts])
         return found
 
+    def words(self, line: BudgetLine, inputs: Mapping[ErrorSource, str]) -> str:
+        """Return what a source is and, with inputs, the size and what it does if not in a column."""
+        words = ': '.join(filter(None, (line.source.words, inputs.get(line.source))))
+        if line.source in self.sources or not inputs:
+            return words
+        fractions = line.std[self.rows] ** 2 / self.budget.std[self.rows] ** 2
+        most = int(np.argmax(fractions))
+        parameter = self.parameters[most]
+        shown = engineering(parameter, by_hand=self.by_hand)
+        std = line.std[self.rows[most]] / shown.scale
+        share = f'{100 * fractions[most]:.1g} %, {std:.2g} {shown.unit} of {parameter.name}'
+        return f'{words} (at most {share})'
+
     def expanded_rows(self) -> Iterator[list[str]]:
         """Yield parameter, value, std, degrees of freedom, k, expanded uncertainty, unit."""
         budget = self.budget
@@ -193,13 +206,13 @@ def budget_sources(calibration: Calibration) -> list[str]:
     if calibration.budget is None:
         return []
     shown = _Shown.select(calibration, calibration.budget)
-    width, inputs = max(map(len, ('source', *shown.headings))), _inputs(calibration, shown)
+    inputs = _inputs(calibration)
+    width = max(len('source'), *(len(line.source.heading) for line in shown.budget.lines))
     parts = [f'{"source":{width}} type  dof']
-    for line, wide in zip(shown.budget.lines, shown.wide, strict=True):
-        heading = line.source.heading if wide else 'other'
+    for line in shown.budget.lines:
         freedom = _range(line.freedom[shown.rows], line.std[shown.rows])
-        begin = f'{heading:{width}} {line.source.evaluation:4}  {freedom:10} '
-        words = _with_size(line.source, inputs)
+        begin = f'{line.source.heading:{width}} {line.source.evaluation:4}  {freedom:10} '
+        words = shown.words(line, inputs)
         parts.append(fill(begin + words, _COLUMNS, subsequent_indent=' ' * len(begin)))
     return parts
 
@@ -243,7 +256,8 @@ def budget_section(calibration: Calibration) -> list[str]:
     shown = _Shown.select(calibration, calibration.budget)
     words = (
         'Each bar is the variance of a parameter, divided among its sources; shares '
-        f'are in percent. U is the uncertainty expanded to {100 * PROBABILITY:g} %: std times k, '
+        f'are in percent, below {100 * _LEAST:g} without a column. '
+        f'U is the uncertainty expanded to {100 * PROBABILITY:g} %: std times k, '
         "Student's t for the effective degrees of freedom (JCGM 100:2008, G.4)."
     )
     pictures = [
@@ -291,7 +305,7 @@ def budget_parts(calibration: Calibration, budget: Budget) -> list[str]:
     shown = _Shown.select(calibration, budget)
     rows = [[r[0], r[2], r[-1]] for r in shown.expanded_rows()]
     first = [['', 'u', 'unit'], *rows]
-    inputs = _inputs(calibration, shown)
+    inputs = _inputs(calibration)
     parts = _parts(shown, _CONTRIBUTIONS, first, shown.contributions, inputs)
     return [*parts, paragraph(_correlations(calibration, shown.rows), 'note')]
 
@@ -309,12 +323,12 @@ def _parts(
 ) -> list[str]:
     sources = [
         [
-            escape(line.source.heading if wide else 'other'),
+            escape(line.source.heading),
             f'{line.source.evaluation}, {_RECTANGULAR.get(line.source, "normal")}',
             escape(_range(line.freedom[shown.rows], line.std[shown.rows])).replace('inf', '\u221e'),
-            escape(typeset(_with_size(line.source, inputs))),
+            escape(typeset(shown.words(line, inputs))),
         ]
-        for line, wide in zip(shown.budget.lines, shown.wide, strict=True)
+        for line in shown.budget.lines
     ]
     note = (
         f'{words} Type A is evaluated from the scatter of the session, type B from what is stated.'
@@ -330,7 +344,7 @@ def _parts(
     return parts
 
 
-def _inputs(calibration: Calibration, shown: _Shown) -> dict[ErrorSource, str]:
+def _inputs(calibration: Calibration) -> dict[ErrorSource, str]:
     """Return the standard uncertainties of inputs, as far as the file has them, by source."""
     where, imu = calibration.provenance, calibration.imu
     clock = where.get('clock') or {}
@@ -358,17 +372,28 @@ def _inputs(calibration: Calibration, shown: _Shown) -> dict[ErrorSource, str]:
             [imu.accel.scale_factor],
             ((ARCSEC, 'arcsec'), (1.0, 'm/s')),
         )
-    for line in shown.budget.lines:
-        if line.source in _DRIFTS:
-            # What is stated may hold for one triad, and what is found for the other.
-            wide = line.std[shown.rows] ** 2 > _LEAST * shown.budget.std[shown.rows] ** 2
-            of = {p.triad for p, yes in zip(shown.parameters, wide, strict=True) if yes}
-            parts = (drift[:3] if 'g' in of else (), drift[3:] if 'a' in of else ())
-            found[line.source] = _by_triad(*parts, rates)
+    if drift:
+        found |= _drifts(np.reshape(drift, (2, 3)), imu, rates)
     return found
 
 
-_DRIFTS = {ErrorSource.BIAS_STATED, ErrorSource.BIAS_CALM, ErrorSource.BIAS_FOUND}
+def _drifts(
+    whole: Floats, imu: ImuSpec, units: Sequence[tuple[float, str]]
+) -> dict[ErrorSource, str]:
+    """Return the sizes of the parts of the drift (2, 3) of gyros and accelerometers, by source."""
+    sizes: dict[ErrorSource, list[Sequence[float]]] = {
+        source: [(), ()]
+        for source in (ErrorSource.BIAS_STATED, ErrorSource.BIAS_CALM, ErrorSource.BIAS_FOUND)
+    }
+    for k, stated in enumerate((imu.gyro.bias_instability, imu.accel.bias_instability)):
+        square = float(np.mean(whole[k] ** 2))
+        if square < AS_STATED * stated**2:
+            sizes[ErrorSource.BIAS_CALM][k] = (square**0.5,)
+            continue
+        sizes[ErrorSource.BIAS_STATED][k] = (stated,) if stated else ()
+        if square * AS_STATED > stated**2:
+            sizes[ErrorSource.BIAS_FOUND][k] = ((square - stated**2) ** 0.5,)
+    return {source: _by_triad(gyros, accels, units) for source, (gyros, accels) in sizes.items()}
 
 
 def _scalar(value: float | None, unit: str, scale: float = 1.0) -> str:
@@ -386,10 +411,6 @@ def _by_triad(
                 f'{name}s {_scalar(float(np.sqrt(np.mean(np.square(values)))), unit, scale)}'
             )
     return ', '.join(parts)
-
-
-def _with_size(source: ErrorSource, inputs: Mapping[ErrorSource, str]) -> str:
-    return ': '.join(filter(None, (source.words, inputs.get(source))))
 
 
 def errors_of_table(where: Mapping[str, Any], *keys: str) -> str:

@@ -544,6 +544,39 @@ def test_what_concerns_no_estimated_parameter_has_no_row_and_no_column():
     assert not any('gravity at the site' in line for line in budget_sources(gyros_alone))
 
 
+def test_drifts_are_stated_each_by_its_own_size():
+    # Gyros that drift beyond what is stated, accelerometers that are calmer than that.
+    drifting = [ErrorSource.BIAS_STATED, ErrorSource.BIAS_CALM, ErrorSource.BIAS_FOUND]
+    whole = made('twelve_position', 'joint')
+    imu = replace(
+        whole.imu,
+        gyro=replace(whole.imu.gyro, bias_instability=0.3 * DEG_H),
+        accel=replace(whole.imu.accel, bias_instability=20 * MICRO_G),
+    )
+    drift = np.repeat([0.5 * DEG_H, 4 * MICRO_G], 3).tolist()
+    budget = whole.budget
+    for source in drifting:
+        budget = budget.with_share(source, Share.known(np.diag(whole.std**2)))
+    provenance = {**whole.provenance, 'bias_drift': drift}
+    found = replace(whole, imu=imu, budget=budget, provenance=provenance)
+    sources = [' '.join(text.split()) for text in budget_sources(found)]
+    sizes = ('gyros 0.3 deg/h', 'accelerometers 4 ug', 'gyros 0.4 deg/h')
+    for source, size in zip(drifting, sizes, strict=True):
+        (words,) = (text for text in sources if text.split()[0] == source.heading)
+        assert words.endswith(f'{source.words}: {size}')
+
+
+def test_a_source_without_a_column_says_what_it_does():
+    calibration = made('twelve_position', 'joint')
+    (words,) = (text for text in budget_sources(calibration) if text.startswith('latitude '))
+    (line,) = (x for x in calibration.budget.lines if x.source is ErrorSource.LATITUDE)
+    known = calibration.std > 0
+    shares = np.where(known, line.std**2 / np.where(known, calibration.std, 1.0) ** 2, 0.0)
+    most = int(np.argmax(shares))
+    assert f'(at most {100 * shares[most]:.1g} %, ' in ' '.join(words.split())
+    assert f' of {NAMES[most]})' in ' '.join(words.split())
+
+
 def test_a_method_that_does_not_tell_says_so():
     calibration = replace(made('twelve_position', 'joint'), budget=None)
     (words,) = budget_tables(calibration)

@@ -262,6 +262,22 @@ def test_biases_that_differ_from_dwell_to_dwell_have_their_scatter(kind: str, sc
     assert mine[0].matrices[0][0, 0] == pytest.approx(scale**2, rel=0.8)
 
 
+@pytest.mark.parametrize(('kind', 'scale'), [('gyros', 3e-6), ('accelerometers', 1e-3)])
+def test_a_calm_triad_is_calm_beside_one_that_drifts(kind: str, scale: float) -> None:
+    calm = 3 if kind == 'gyros' else 0
+    instability = np.zeros(6)
+    instability[calm : calm + 3] = 1e-5 if kind == 'accelerometers' else 1e-3
+
+    def found(scale: float) -> ExcessScatter:
+        equations, state = drifting(scale, kind)
+        return excess(Equations(replace(equations.evidence, instability=instability)), state)
+
+    alone, beside = found(0.0), found(scale)
+    assert beside.shown and not alone.shown
+    assert 0 < alone.bias_drift[calm] < 0.5 * instability[calm]
+    assert beside.bias_drift[calm] == pytest.approx(alone.bias_drift[calm], rel=0.05)
+
+
 def test_stops_that_lean_are_found_by_both_triads() -> None:
     evidence = evidence_of(noise=np.random.default_rng(3))
     rng, size = np.random.default_rng(5), 2e-4
