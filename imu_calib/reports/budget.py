@@ -138,7 +138,7 @@ class _Shown:
         return found
 
     def words(self, line: BudgetLine, inputs: Mapping[ErrorSource, str]) -> str:
-        """Return what a source is and, with inputs, the size and what it does if not in a column."""
+        """Return what a source is and, with inputs, its size, and what it does without a column."""
         words = ': '.join(filter(None, (line.source.words, inputs.get(line.source))))
         if line.source in self.sources or not inputs:
             return words
