@@ -178,6 +178,7 @@ _REFERENCES = (
         ('clock', 'frequency'),
         'the stated clock of the table, with "clock" or "frequency"',
     ),
+    (ErrorSource.TABLE, ('table', 'angle'), 'the angles of the table, with "table" or "angle"'),
 )
 """References that contribute if they are stated, and the words by which equipment names them."""
 
