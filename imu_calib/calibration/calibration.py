@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from hashlib import sha256
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -515,7 +514,9 @@ class Calibration:
 
 def with_checksum(text: str) -> str:
     """Return the text of a file with its SHA-256 in a last line, which shows later changes."""
-    return f'{text}{CHECKSUM}: {sha256(text.encode()).hexdigest()}\n'
+    import hashlib  # Only what is written needs it.
+
+    return f'{text}{CHECKSUM}: {hashlib.sha256(text.encode()).hexdigest()}\n'
 
 
 def is_as_saved(path: Path) -> bool | None:

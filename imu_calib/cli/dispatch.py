@@ -91,7 +91,7 @@ _RARE = frozenset(
         *('--joint-topic', '--setpoint-topic', '--imu-only', '--method', '--separate'),
         *('--baud', '--table-baud', '--network', '--stop-required', '--web-host', '--without'),
         *('--sample-rate', '--bias-instability', '--scheduler', '--start', '--speed'),
-        *('--processes', '--delimiter', '--accel-stamp'),
+        *('--processes', '--delimiter', '--accel-stamp', '--recorded-serial', '--accel-file'),
     }
 )
 """Options that few sessions need: --help names them together, --help-all explains them."""

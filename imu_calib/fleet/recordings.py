@@ -209,10 +209,13 @@ def _among(files: Iterable[RemotePath]) -> Iterator[str]:
             names.setdefault(folder, []).append(name)
     whole = tuple(f'{f}/' for f, held in names.items() if _METADATA in held and len(held) > 1)
     for folder, held in sorted(names.items()):
-        alone = held == [_METADATA] and _of_rosbag2(located(f'{folder}/{_METADATA}'))
-        if f'{folder}/' in whole or alone:
+        if f'{folder}/' in whole:
             yield folder
-        elif not folder.startswith(whole):
+        elif folder.startswith(whole):
+            continue
+        elif held == [_METADATA] and _of_rosbag2(located(f'{folder}/{_METADATA}')):
+            yield folder
+        else:
             yield from (f'{folder}/{name}' for name in held if name != _METADATA)
 
 
