@@ -211,7 +211,7 @@ _FALSE = 'false, the first at'
 _SLEWED = 'the stamps run at another pace'
 _BENDS = 'clocks of IMU and table drift unevenly'
 _MOVED = 'The unit .*moved by|or the unit turned in its mount'
-_TURNS = 'turns? in its mount with the force on it'
+_TURNS = 'in its mount with the force on it'
 _READINGS = 'readings of joint .* step by|readings of joint .* jump by'
 FAULTS = {
     'nothing': Fault(Session.blocks),
