@@ -44,10 +44,11 @@ class Mark(IntFlag):
     NO_NUMBER = 32  #: A value is not finite, or too large to compute with.
 
 
+EXTRAPOLATED = '(its scale factors are extrapolated)'
 MARK_WORDS = {
     Mark.GYRO_RANGE: 'a saturated gyro (covariance -1: no estimate)',
     Mark.ACCEL_RANGE: 'a saturated accelerometer (covariance -1: no estimate)',
-    Mark.RATE: 'rotation faster than in the calibration (its scale factors are extrapolated)',
+    Mark.RATE: f'rotation faster than in the calibration {EXTRAPOLATED}',
     Mark.TEMPERATURE: 'temperature outside that of the calibration (the nearest is used)',
     Mark.PARITY: 'four gyros that contradict each other',
     Mark.NO_NUMBER: 'values that are not numbers, or too large to compute with (left out)',

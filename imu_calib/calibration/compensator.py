@@ -19,6 +19,7 @@ from ..segmentation.stamp_faults import SharedStamps
 from ..segmentation.stamps import MISSES_ONE
 from .calibration import Calibration
 from .compensate import (
+    EXTRAPOLATED,
     MARK_WORDS,
     CompensatedSamples,
     Compensation,
@@ -270,9 +271,8 @@ class Compensator:
         """What each mark means, with the highest rate of the calibration."""
         words, highest = dict(MARK_WORDS), first_of(self.calibration).provenance.get('highest_rate')
         if highest is not None:
-            words[Mark.RATE] = words[Mark.RATE].replace(
-                'in the calibration', f'the {float(highest) / DEG:.3g} deg/s of the calibration'
-            )
+            rate = f'{float(highest) / DEG:.3g} deg/s'
+            words[Mark.RATE] = f'rotation faster than the {rate} of the calibration {EXTRAPOLATED}'
         return words
 
     def replace(self, calibration: AnyCalibration) -> None:

@@ -146,8 +146,8 @@ def _units_file(imus: str | Path | None, stated: Stated) -> str:
     return str(imus)
 
 
-class _Found:
-    """Results of jobs so far.
+class _Tally:
+    """Counts the results of jobs, and keeps those that are to be saved.
 
     Attributes:
         count: Numbers of units, as `Batch` has them.
@@ -219,24 +219,24 @@ def run_batch(
         show(0, len(jobs))
         saved = time.monotonic()
         known = catalogue.keys() - (catalogue.keys(status=FAILED) if retry else frozenset())
-        found = _Found(
+        tally = _Tally(
             jobs,
             known & catalogue.keys(status=FAILED),
             known & catalogue.keys(status=SUPERSEDED),
         )
-        replaced = retry or bool(found.superseded)
+        replaced = retry or bool(tally.superseded)
 
         def save() -> None:
-            catalogue.add(found.unsaved, replace=replaced)
-            found.unsaved.clear()
+            catalogue.add(tally.unsaved, replace=replaced)
+            tally.unsaved.clear()
 
         def results() -> Iterator[tuple[int, Sequence[TaskResult]]]:
             yield from _results_of_each(client, jobs, known, task)
-            if not found.count['known_superseded']:
+            if not tally.count['known_superseded']:
                 return
             # What is stated now is to count, also where it was replaced by other statements.
             save()
-            again = _stated_again(catalogue, found.contents)
+            again = _stated_again(catalogue, tally.contents)
             numbers = list(again.values())
             some = [jobs[k] for k in numbers]
             for k, ended in _results_of_each(client, some, known - again.keys(), task):
@@ -245,19 +245,19 @@ def run_batch(
         try:
             for k, (number, ended) in enumerate(results(), 1):
                 for done in ended:
-                    found.take(number, done)
+                    tally.take(number, done)
                 now = time.monotonic()
                 between = max(_FLUSH, min(_FLUSH_SHARE * (now - begun), _LATEST_FLUSH))
-                if now - saved > between or len(found.unsaved) >= _MOST:
+                if now - saved > between or len(tally.unsaved) >= _MOST:
                     save()
                     saved = now
                 rate = k / (now - begun)
-                failed = found.count['failed']
+                failed = tally.count['failed']
                 lost_some = f', {failed} failed' if failed else ''
                 show(min(k, len(jobs)), len(jobs), f'{rate:.2g} recordings/s{lost_some}')
         finally:
             save()
-    names = found.names
+    names = tally.names
     named = {job.recording for job in jobs}
     removed = catalogue.remove_failed(partial(_is_stale, named=named, keys=names, below=below))
     seconds = time.monotonic() - begun
@@ -265,11 +265,11 @@ def run_batch(
     return Batch(
         catalogue.folder,
         len(jobs),
-        **found.count,
+        **tally.count,
         seconds=seconds,
         convertible=(),
         alike=tuple(alike),
-        contradictory=tuple(_contradictory(catalogue, jobs, names, found.contents)),
+        contradictory=tuple(_contradictory(catalogue, jobs, names, tally.contents)),
         removed=removed,
     )
 

@@ -407,6 +407,17 @@ def test_stated_references_that_contribute_are_among_the_equipment(
     assert made(used, equipment=[named]).missing == ()
 
 
+def test_the_angles_of_a_table_that_contribute_have_a_reference(calibration):
+    gravity = yaml.safe_load(EXAMPLE.read_text())['equipment'][1]
+    errors = Share.known(1e-4 * np.diag(np.diag(calibration.covariance)))
+    budget = calibration.budget.with_share(ErrorSource.TABLE, errors)
+    used = replace(calibration, budget=budget)
+    with pytest.raises(InputError, match='reference of the angles of the table'):
+        made(used, equipment=[gravity])
+    polygon = {**gravity, 'name': 'Polygon', 'traceability': 'Angles, to the radian'}
+    assert made(used, equipment=[gravity, polygon]).missing == ()
+
+
 def test_a_certificate_has_the_words_of_the_gum_and_says_what_g_is(text):
     page = words(ET.fromstring(text.removeprefix('<!DOCTYPE html>\n')))
     assert not re.search(r'\b(std|dof|inf)\b', page)
