@@ -393,7 +393,8 @@ def run_verify(arguments: argparse.Namespace) -> CommandResult:
         return CommandResult(verification.to_dict(), NO_ANSWER, message)
     if not verification.accepted:
         message = (
-            f'{arguments.calibration} was made from {arguments.bag}: verify with another recording.'
+            f'{arguments.calibration} is of the time of {arguments.bag}: verify with a recording '
+            'of another time.'
         )
         return CommandResult(verification.to_dict(), NO_ANSWER, message)
     if verification.untested:
