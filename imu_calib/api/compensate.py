@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +20,7 @@ from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_unit
 from ..common.errors import InputError, NotObservable
 from ..common.finding import warning
 from ..common.progress import Progress, silent
-from ..common.stream import ImuBlock, Stamps
+from ..common.stream import NS, ImuBlock, Stamps
 from ..common.units import counted
 from ..recordings.cdr import Malformed, Messages
 from ..recordings.cdr_codec import Kind, decode_imu, encode_rates
@@ -30,7 +32,7 @@ from ..session.keywords import Columned, Named, Stated, with_keywords
 from ..session.metadata import COMPENSATED, compensated_already, compensated_key, stream_description
 from ..session.units_file import TOPIC
 from .files import new_folder, removed_on_failure
-from .recorded import Recorded, recording_at
+from .recorded import NAMES, Recorded, recording_at
 from .session import as_applied, serial_of, stated_imu
 from .streams import another_topic, imu_topic, sample_findings, skew_topic, temperature_topic
 
@@ -40,6 +42,9 @@ if TYPE_CHECKING:
     from ..calibration.results import Result
 
 _MOST = 0.5  #: Share of the samples: with fewer written, most are lost.
+_TEXT = '.csv'
+_HEADING = f'stamp,{",".join(NAMES)}\n'
+_ROW = f'%d.%09d{",%.10g" * len(NAMES)}\n'  #: Rounding far below any noise.
 _RAW, _RATES, _CALIBRATED = '/pulses', '/data_raw', '/data_calibrated'
 
 
@@ -47,9 +52,9 @@ _RAW, _RATES, _CALIBRATED = '/pulses', '/data_raw', '/data_calibrated'
 class Compensated:
     """Result of compensating a recording's raw stream."""
 
-    path: Path  #: The written recording.
+    path: Path  #: The written recording or text file.
     topic: str  #: The raw stream.
-    target: str  #: The compensated stream.
+    target: str  #: The compensated stream; empty in a text file.
     further_topics: tuple[str, ...]  #: Further topics that were used: temperature, a skewed gyro.
     samples_in: int  #: Number of samples of the raw stream.
     samples_out: int  #: Number of samples written.
@@ -79,7 +84,8 @@ def compensate(
     Args:
         bag: Recording, text file, data frame or arrays, as for `calibrate`.
         calibration: calibration.yaml, single or combined, or a loaded calibration.
-        output: Recording to write (mcap): a new folder.
+        output: Recording to write (mcap): a new folder; or a new .csv file of the compensated
+            samples: stamps in s, rates, forces.
         output_topic: None: imu/data_raw for imu/pulses, imu/data_calibrated for imu/data_raw.
         frame_id: Of the written samples; empty for that of the raw ones.
         keep: Write the raw stream too.
@@ -95,7 +101,13 @@ def compensate(
     """
     loaded, name = as_applied(calibration)
     file = Path(calibration).name if isinstance(calibration, str | Path) else ''
-    written = new_folder(output)
+    written = new_folder(output, _TEXT)
+    as_text = written.suffix.lower() == _TEXT
+    if as_text and (keep or compression or output_topic):
+        raise InputError(
+            f'{written}: a text file holds the compensated samples alone: leave out `keep`, '
+            '`compression` and `output_topic`, or name a folder.'
+        )
     session = Stated(**stated)
     # Columns are read as the calibration means them.
     opened = replace(session, imu=session.imu or first_of(loaded).imu)
@@ -118,22 +130,25 @@ def compensate(
         by = file or first_of(loaded).imu.id
         data = {**meant, COMPENSATED: by, compensated_key(target): by}
         already = compensated_already(recording.custom_data, topic.name)
-        stream = _Stream(compensator, target, frame_id)
-        with (
-            RecordingWriter(written, data, compression) as writer,
-            progress('compensating') as show,
-        ):
-            writer.copy_records(recording)
-            for other in recording.topics:
-                if keep or other.name != topic.name:
-                    writer.copy_topic(other)
-            writer.add_topic(target, Kind.IMU.type_name)
+        with ExitStack() as files, progress('compensating') as show:
+            if as_text:
+                text = files.enter_context(written.open('w', encoding='utf-8'))
+                text.write(_HEADING)
+                writer, stream = None, _Stream(compensator, lambda of, _: text.write(_rows(of)))
+            else:
+                writer = files.enter_context(RecordingWriter(written, data, compression))
+                stream = _Stream(compensator, partial(_encode, writer, target, frame_id))
+                writer.copy_records(recording)
+                for other in recording.topics:
+                    if keep or other.name != topic.name:
+                        writer.copy_topic(other)
+                writer.add_topic(target, Kind.IMU.type_name)
             for one, messages, times in recording.messages(show):
-                if one.name != topic.name or keep:
+                if writer is not None and (one.name != topic.name or keep):
                     writer.copy(one, messages, times)
                 if one.name == topic.name:
-                    stream.write(writer, messages, times.log)
-            stream.finish(writer)
+                    stream.take(messages, times.log)
+            stream.finish()
         findings = _findings(stream)
         if not stream.samples_out:
             reasons = ' '.join([*clock, *findings, *stamps.words(), *recording.losses])
@@ -144,7 +159,7 @@ def compensate(
         return Compensated(
             written,
             topic.name,
-            target,
+            '' if as_text else target,
             tuple(further_topics),
             stream.samples_in,
             stream.samples_out,
@@ -166,17 +181,18 @@ def compensate(
 class _Stream:
     """The IMU's stream between reading and writing."""
 
-    def __init__(self, compensator: Compensator, target: str, frame_id: str) -> None:
+    def __init__(
+        self, compensator: Compensator, write: Callable[[Reading, Stamps], object]
+    ) -> None:
         self.compensator = compensator
         self.malformed = Malformed()
         self.samples_in = self.samples_out = 0
         self.turns = TurnsSeen()
-        self._target = target
-        self._frame_id = frame_id
+        self._write = write
         self._dropped = 0
         self._times: deque[Stamps] = deque()
 
-    def write(self, writer: RecordingWriter, messages: Messages, log_time: Stamps) -> None:
+    def take(self, messages: Messages, log_time: Stamps) -> None:
         """Compensate messages and write the samples that are ready."""
         before = self.malformed.count
         blocks = decode_imu(messages, self.malformed)
@@ -192,25 +208,21 @@ class _Stream:
         if self.compensator.repeats > repeats:
             log_time = log_time[np.concatenate(kept)]
         self._times.append(log_time)
-        self._write_readings(writer, readings)
+        self._write_readings(readings)
 
-    def finish(self, writer: RecordingWriter) -> None:
+    def finish(self) -> None:
         """Write the samples that waited for the end."""
-        self._write_readings(writer, self.compensator.finish())
+        self._write_readings(self.compensator.finish())
 
-    def _write_readings(self, writer: RecordingWriter, readings: list[Reading]) -> None:
+    def _write_readings(self, readings: list[Reading]) -> None:
         # Dropped samples are the oldest that were not written.
         self._next_times(self.compensator.dropped - self._dropped)
         self._dropped = self.compensator.dropped
         for reading in readings:
-            values, frame_id = reading.values, self._frame_id or reading.frame_id
-            self.turns.add_samples(reading.stamp, values.rate, values.force)
-            block = ImuBlock(reading.stamp, values.rate, values.force, frame_id)
-            encoded = encode_rates(block, values.rate_covariance, values.force_covariance)
+            self.turns.add_samples(reading.stamp, reading.values.rate, reading.values.force)
             times = self._next_times(len(reading))[reading.numbers]
             self.samples_out += len(times)
-            kept = encoded.select(reading.numbers)
-            writer.write(self._target, Kind.IMU.type_name, kept, times)
+            self._write(reading, times)
 
     def _next_times(self, count: int) -> Stamps:
         """Remove and return the log times of the oldest samples."""
@@ -222,6 +234,30 @@ class _Stream:
                 self._times.appendleft(times[count:])
             count -= len(parts[-1])
         return np.concatenate(parts)
+
+
+def _encode(
+    writer: RecordingWriter, topic: str, frame_id: str, reading: Reading, times: Stamps
+) -> None:
+    """Write samples as messages with log times."""
+    values = reading.values
+    block = ImuBlock(reading.stamp, values.rate, values.force, frame_id or reading.frame_id)
+    encoded = encode_rates(block, values.rate_covariance, values.force_covariance)
+    writer.write(topic, Kind.IMU.type_name, encoded.select(reading.numbers), times)
+
+
+def _rows(reading: Reading) -> str:
+    """Return samples as rows of a text file: stamp in s, rates and forces; NaN if unknown."""
+    values, kept = reading.values, reading.numbers
+    both = (
+        np.where(covariance[:, :1] < 0, np.nan, vectors)[kept]
+        for vectors, covariance in (
+            (values.rate, values.rate_covariance),
+            (values.force, values.force_covariance),
+        )
+    )
+    seconds = (column.tolist() for column in np.divmod(reading.stamp[kept], NS))
+    return ''.join(map(_ROW.__mod__, zip(*seconds, *np.hstack([*both]).T.tolist(), strict=True)))
 
 
 def _sound(messages: Messages) -> list[bool]:

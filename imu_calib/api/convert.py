@@ -7,16 +7,16 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from ..common.errors import InputError
-from ..common.files import BAG_OF_ROS_1, refuse_device, require, user_path
+from ..common.files import BAG_OF_ROS_1, refuse_device, require
 from ..common.progress import Progress, silent
 from ..recordings.cdr_codec import Kind
 from ..recordings.remote import AnyPath, local, located
 from ..recordings.rosbag2 import is_storage, open_recording
-from ..recordings.storage import RecordingError, refuse_existing
+from ..recordings.storage import RecordingError
 from ..recordings.writer import RecordingWriter
 from ..session.keywords import InColumns, Named, Stated, with_keywords
 from .converted import Converted, joined
-from .files import removed_on_failure
+from .files import new_folder, removed_on_failure
 from .recorded import refuse_columns
 from .tables import from_text
 
@@ -56,8 +56,7 @@ def convert(
     Raises:
         InputError: Unreadable, the options do not match the file, or the output exists.
     """
-    target = user_path(output)
-    refuse_existing(target)
+    target = new_folder(output)
     path, stated = located(source), Stated(**columns)
     refuse_device(path)
     of_ros_1 = path.suffix.lower() == '.bag' or _is_bag_of_ros_1(path)

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ..common.errors import InputError
-from ..common.files import user_path
+from ..common.files import ENDINGS, user_path
 from ..recordings.metadata_yaml import NAME
 from ..recordings.rosbag2 import is_storage
 from ..recordings.storage import refuse_existing
@@ -34,9 +34,16 @@ def _is_of_a_recording(path: Path) -> bool:
     return is_storage(path) or (path.name == NAME and any(map(is_storage, path.parent.iterdir())))
 
 
-def new_folder(output: Named) -> Path:
-    """Return the path of a folder to create."""
+def new_folder(output: Named, or_file: str = '') -> Path:
+    """Return the path of a folder to create, or of a new file with the ending `or_file`."""
     path = _below_a_folder(output)
+    ending = path.suffix.lower()
+    if ending in ENDINGS and ending != or_file:
+        other = f', or in {or_file} for a text file' if or_file else ''
+        raise InputError(
+            f'{path}: a recording is a folder with an .mcap file in it: expected a name that does '
+            f'not end in {path.suffix}{other}.'
+        )
     refuse_existing(path)
     return path
 
@@ -77,10 +84,11 @@ def _below_a_folder(output: Named) -> Path:
 
 
 @contextmanager
-def removed_on_failure(folder: Path) -> Iterator[None]:
-    """Remove a new folder if its writing ends early, by Ctrl-C too."""
+def removed_on_failure(path: Path) -> Iterator[None]:
+    """Remove a new folder or file if its writing ends early, by Ctrl-C too."""
     try:
         yield
     except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(path, ignore_errors=True)
+        path.unlink(missing_ok=True)
         raise

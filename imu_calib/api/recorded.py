@@ -43,7 +43,7 @@ and `position.` and `velocity.` of joints; its index is the time, dates, duratio
 Arrays are gyro and accelerometer, (n, 3) each, or both as (n, 6), at `rate` samples per second.
 """
 
-_IMU = [f'{name}.{axis}' for name in ('angular_velocity', 'linear_acceleration') for axis in 'xyz']
+NAMES = [f'{name}.{axis}' for name in ('angular_velocity', 'linear_acceleration') for axis in 'xyz']
 _TOPICS = {
     Kind.IMU: '/imu/data_raw',
     Kind.JOINTS: '/joint_states',
@@ -115,7 +115,7 @@ def _samples_of_arrays(
         raise InputError('An array holds values that are not numbers.') from None
     shapes = [array.shape for array in found]
     count = shapes[0][0] if shapes and shapes[0] else 0
-    if shapes not in ([(count, len(_IMU))], [(count, 3), (count, 3)]):
+    if shapes not in ([(count, len(NAMES))], [(count, 3), (count, 3)]):
         listed = ' and '.join(map(str, shapes)) or 'none'
         raise InputError(
             f'Found arrays of shape {listed}, expected gyro and accelerometer, (n, 3) each, or one '
@@ -137,17 +137,17 @@ def _samples_of_frame(frame: Any, rate: float | None) -> dict[str, Samples]:
     in a frame that was joined of several.
     """
     names = [str(name) for name in frame.columns]
-    missing = [name for name in _IMU if name not in names]
+    missing = [name for name in NAMES if name not in names]
     if missing:
         raise InputError(
             f'The data frame has no column {missing[0]}; it has: {", ".join(names) or "none"}. '
-            f'Expected {_IMU[0]} to {_IMU[-1]}, as `imu_calib.read` names them, or the names of '
+            f'Expected {NAMES[0]} to {NAMES[-1]}, as `imu_calib.read` names them, or the names of '
             f'its columns with their units: {_as_keywords(frame)}.'
         )
     joints = tuple(
         dict.fromkeys(found[2] for found in map(_JOINT.fullmatch, names) if found is not None)
     )
-    wanted = {Kind.IMU: _IMU}
+    wanted = {Kind.IMU: NAMES}
     if joints:
         wanted[Kind.JOINTS] = [f'{of}.{j}' for of in ('position', 'velocity') for j in joints]
     if 'temperature' in names:

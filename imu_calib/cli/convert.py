@@ -61,7 +61,11 @@ def add_compensate_options(parser: argparse.ArgumentParser) -> None:
         '--calibration', required=True, metavar='FILE', help='calibration, single or combined'
     )
     parser.add_argument(
-        '-o', '--output', required=True, metavar='DIR', help='recording to write (mcap)'
+        '-o',
+        '--output',
+        required=True,
+        metavar='DIR|FILE.csv',
+        help='recording to write (mcap), or text file of the compensated samples (s, rad/s, m/s^2)',
     )
     options.add_statements(parser, Columned)
     parser.add_argument(
@@ -86,10 +90,11 @@ def run_compensate(arguments: argparse.Namespace) -> None:
         **options.keywords(compensate, arguments),
         progress=progress_bar,
     )
+    target = f' as {done.target}' if done.target else ': stamps in s, rad/s, m/s^2'
     used = f', with {", ".join(done.further_topics)}' if done.further_topics else ''
     OUTPUT.print(
         f'{done.samples_out} of {done.samples_in} samples of {done.topic}{used} written to '
-        f'{arguments.output} as {done.target}',
+        f'{arguments.output}{target}',
         markup=False,
     )
     print_findings(done.findings, verbose=True)

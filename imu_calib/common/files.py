@@ -261,6 +261,8 @@ CONVERTIBLE = tuple(ending for ending, (_, way) in _FORMATS.items() if way.start
 """Endings of files that imu-calib convert reads."""
 OTHERS = tuple(_FORMATS)
 """Endings of files that are converted, or unpacked, before a command reads them."""
+ENDINGS = (*_RECORDINGS, *OTHERS, *TEXT_FILES)
+"""Endings that a folder does not have."""
 
 
 def other_format(path: AnyFile, expected: str = '') -> str | None:

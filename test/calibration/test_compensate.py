@@ -5,6 +5,7 @@ from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
+import pandas
 import pytest
 from bag_files import IMU, STORE, TEMPERATURES, session, timeline, write_with_rosbags
 from calibrations import point
@@ -82,6 +83,18 @@ def test_the_stream_is_compensated_and_the_rest_is_as_it_was(tmp_path, calibrati
     assert message.orientation_covariance[0] == -1
     assert message.angular_velocity_covariance[0] > 0
     assert message.header.frame_id == 'imu_link'
+
+
+def test_a_csv_holds_what_the_recording_does(tmp_path, calibration):
+    bag = write_with_rosbags(tmp_path / 'bag', ROWS)
+    for name in ('out', 'out.csv'):
+        imu_calib.compensate(bag, calibration, tmp_path / name)
+    frame = pandas.read_csv(tmp_path / 'out.csv', index_col='stamp')
+    recorded = imu_calib.read(tmp_path / 'out', OUT)
+    stamps = frame.index.to_numpy()
+    assert stamps == pytest.approx(recorded.stamp / 1e9, abs=np.spacing(stamps[-1]))
+    for name in recorded.columns:
+        assert frame[name].to_numpy() == pytest.approx(recorded[name], rel=1e-9)
 
 
 def test_types_that_nobody_knows_pass_byte_by_byte_with_their_description(tmp_path, calibration):
@@ -179,6 +192,8 @@ def test_a_combined_calibration_follows_the_recorded_temperature(tmp_path):
         (['--output-topic', IMU], ['has a topic', '--output-topic']),
         (['--output-topic', 'imu raw'], ['--output-topic: found', 'expected the name of a topic']),
         (['--imu-topic', 'nobody'], ['no such topic']),
+        (['-o', 'out.csv', '--keep'], ['out.csv', 'compensated samples alone', '--keep']),
+        (['-o', 'out.mcap'], ['out.mcap: a recording is a folder', 'or in .csv']),
         (['--calibration', 'both.yaml'], ['no topic of type sensor_msgs/msg/Temperature']),
     ],
 )
@@ -193,7 +208,7 @@ def test_what_does_not_fit_is_refused_in_a_sentence(
     assert main(arguments) == 2
     errors = ' '.join(capsys.readouterr().err.split())
     assert all(word in errors for word in words), errors
-    assert not (tmp_path / 'out').exists()
+    assert not [*tmp_path.glob('out*')]
 
 
 def test_the_recordings_own_imu_is_held_against_the_calibration(tmp_path, calibration, capsys):
