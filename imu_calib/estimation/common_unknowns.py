@@ -14,7 +14,7 @@ Appl. 34, 3 (block angular least squares); Schweppe 1973, section 5.5, for the t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -50,23 +50,6 @@ determine even where the table is known."""
 
 
 @dataclass(frozen=True, eq=False)
-class SharedEstimate(Estimate):
-    """Least-squares result of one of several units."""
-
-    by_source: dict[ErrorSource, Share] | None = (
-        None  #: The covariance of its parameters by source.
-    )
-
-    def shares(self) -> dict[ErrorSource, Share]:
-        """Return the covariance of the parameters by source."""
-        found = dict(self.by_source or {})
-        if self.between is not None:
-            n = self.equations.sensors
-            found[ErrorSource.TIME_CONSTANT] = Share.known(self.between[:n, :n])
-        return found
-
-
-@dataclass(frozen=True, eq=False)
 class TableEstimate:
     """Common estimate of the table by several units."""
 
@@ -97,7 +80,7 @@ class Contradicting:
 class Joined:
     """Estimates of several units with common unknowns estimated once."""
 
-    estimates: dict[int, SharedEstimate]  #: Of each unit that took part, by its index.
+    estimates: dict[int, Estimate]  #: Of each unit that took part, by its index.
     table: TableEstimate | None  #: Their common estimate of the table.
     contradicting: tuple[Contradicting, ...] = ()  #: Those that were left out, the worst first.
     #: Units that saw less than half of the dwells: index, number seen, total number.
@@ -232,7 +215,7 @@ class _System:
         gained = np.linalg.slogdet(self._information)[1] - np.log(prior).sum()
         return -0.5 * float(square + gained)
 
-    def estimate(self, k: int) -> SharedEstimate:
+    def estimate(self, k: int) -> Estimate:
         """Return the result of a unit."""
         alone, unit, mine = self._alone[k], self._units[k], self._reduced[k]
         own, n = self._own(k), self._units[k].sensors
@@ -249,19 +232,8 @@ class _System:
         covariance[np.ix_(of_table, own)] = crossed.T
         if alone.between is not None:
             covariance = covariance + alone.between
-        return SharedEstimate(
-            unit,
-            self._states[k],
-            covariance,
-            alone.condition,
-            alone.scatter,
-            alone.outliers,
-            alone.gain,
-            alone.turns_scatter,
-            alone.rejected_moves,
-            alone.constant,
-            alone.between,
-            self._shares(k),
+        return replace(
+            alone, state=self._states[k], covariance=covariance, by_source=self._shares(k)
         )
 
     def contradiction(self, k: int) -> tuple[float, int]:

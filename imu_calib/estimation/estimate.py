@@ -61,6 +61,8 @@ class Estimate:
     constant: tuple[Change, ...] = ()
     #: (n, n) part of the covariance by the uncertainty of a warm-up's time constant.
     between: Floats | None = None
+    #: The covariance of the parameters by source, where other units on the table share in it.
+    by_source: dict[ErrorSource, Share] | None = None
 
     def nuisance(self, which: Nuisance) -> tuple[float, float]:
         """Return one of the nuisances and its standard deviation."""
@@ -81,7 +83,7 @@ class Estimate:
 
     def shares(self) -> dict[ErrorSource, Share]:
         """Return the covariance of the parameters by source: of the outputs, and of the priors."""
-        found = shares(self.equations, self.state, self.gain)
+        found = dict(self.by_source or shares(self.equations, self.state, self.gain))
         if self.between is not None:
             found[ErrorSource.TIME_CONSTANT] = Share.known(
                 self.between[: self.equations.sensors, : self.equations.sensors]

@@ -16,7 +16,6 @@ from imu_calib.common.units import ARCSEC
 from imu_calib.estimation import common_unknowns as module
 from imu_calib.estimation.common_unknowns import (
     Contradicting,
-    SharedEstimate,
     TableEstimate,
     _System,
     _worst,
@@ -215,7 +214,7 @@ def test_what_others_say_and_what_is_stated_have_shares_of_their_own() -> None:
     assert np.isfinite(shares[ErrorSource.CLOCK].covariance).all()
     more = replace(system().estimate(0), between=np.eye(alone()[0].equations.size))
     assert more.shares()[ErrorSource.TIME_CONSTANT].covariance.tolist() == np.eye(24).tolist()
-    assert SharedEstimate.shares(replace(more, by_source=None, between=None)) == {}
+    assert ErrorSource.OTHER_UNITS not in replace(more, by_source=None).shares()
 
 
 def test_what_no_other_unit_has_is_a_units_own() -> None:
