@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy
@@ -14,18 +14,8 @@ from numpy.typing import NDArray
 from ..common.budget import ErrorSource, Share
 from ..common.stream import Floats
 
-
-class Part(Protocol):
-    """A covariance (m, m) of outputs, stored in factors."""
-
-    def add_to(self, matrix: Floats) -> None:
-        """Add it to an (m, m) matrix."""
-
-    def through(self, gain: Floats) -> Floats:
-        """Return its covariance in parameters that are (n, m) times the outputs: (k, n, n).
-
-        The k terms are independent of each other.
-        """
+# Covariances (m, m) of outputs, stored in factors. `through` is that in parameters which are (n, m)
+# times the outputs: (k, n, n) terms that are independent of each other.
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +71,7 @@ class Component:
     """A part of the covariance of the outputs, and its source."""
 
     source: ErrorSource  #: Its source.
-    part: Part  #: The covariance.
+    part: Diagonal | Factor | Blocks  #: The covariance.
     freedom: float = np.inf  #: Degrees of freedom of its size; infinite where that is known.
 
 

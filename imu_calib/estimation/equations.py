@@ -19,7 +19,7 @@ from ..model.parameters import BIASES, Parameter, ParameterKind
 from .components import Component, Diagonal, Factor, add_all, shares, whiten
 from .evidence import SMALLEST_VARIANCE
 from .modulation import stated_changes
-from .output_noise import encoder_rates, level_gravity, own_parts, unknown_north
+from .output_noise import ENCODER_FREEDOM, level_gravity, own_parts, unknown_north
 from .positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 from .session_model import Nuisance, SessionModel, Value
 
@@ -133,10 +133,13 @@ class Equations(SessionModel):
         positioning error of the table, and all of them the error of the latitude.
         """
         evidence, response = self.evidence, self.model(state).gyro.response
-        turning, rates, _ = evidence.turn_inputs
+        turning, errors = evidence.turn_inputs[0], self.encoder_rate_effects(state)
         ups = np.vstack([evidence.dwell_attitudes[:, 2], turning])
         found = [
-            *encoder_rates(evidence, rates, response, self._pulled(state)),
+            *(
+                Component(ErrorSource.ENCODER_RATE, Factor(error[:, None]), ENCODER_FREEDOM)
+                for error in errors.T
+            ),
             unknown_north(evidence, ups, response),
             level_gravity(evidence, turning, float(self.prior[1][Nuisance.TILT_X])),
             *self.extra,

@@ -90,11 +90,6 @@ class GyroPath:
         """
         return np.asarray(self.error_transfer * self.seconds[:, None, None])
 
-    def spread(self, walk: Floats) -> Floats:
-        """Return the covariance of the rotation at the end by (3,) random walks, (3, 3) rad^2."""
-        scaled = self.error_transfer * walk
-        return np.asarray(np.einsum('nij,nkj,n->ik', scaled, scaled, self.seconds))
-
 
 def summed(matrices: Floats, products: Floats) -> Floats:
     """Return the sums of (n, 3, 3) matrices times (n, q) courses over the steps, (3, 3, q).

@@ -298,21 +298,14 @@ class Moves:
             found[mine, 3:] = _times(self._reached, np.array(leant))
         return found
 
-    def rate_derivatives(self) -> Floats:
-        """Return the derivatives of `misclosures` by the Earth rate, (m, 6, 3) rad per rad/s.
+    def world_derivatives(self) -> Floats:
+        """Return the derivatives of `misclosures` by Earth rate and force at rest, (m, 6, 6).
 
         In axes half way between both ends the rotation of the frame does not change the velocity.
         """
-        found = np.zeros((len(self), 6, 3))
-        found[:, :3] = (
-            np.swapaxes(self.attitudes[self._ends[1]], -1, -2) * self._seconds[:, None, None]
-        )
-        return found
-
-    def force_derivatives(self) -> Floats:
-        """Return the derivatives of `misclosures` by the specific force at rest, (m, 6, 3) s."""
-        found = np.zeros((len(self), 6, 3))
-        found[:, 3:] = -self._seconds[:, None, None] * np.eye(3)
+        found, seconds = np.zeros((len(self), 6, 6)), self._seconds[:, None, None]
+        found[:, :3, :3] = np.swapaxes(self.attitudes[self._ends[1]], -1, -2) * seconds
+        found[:, 3:, 3:] = -seconds * np.eye(3)
         return found
 
     def attitude_error_effects(self, model: SensorModel, attitude_errors: Floats) -> Floats:

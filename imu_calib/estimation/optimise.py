@@ -47,21 +47,10 @@ _GAINED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Attitude:
-    """A candidate as a plan's file writes it: where X, Y, Z point, turned about one of them."""
-
-    letters: str  #: Compass letters of X, Y and Z.
-    about: str  #: 'X', 'Y' or 'Z'.
-    by: float  #: Angle about it, deg.
-    matrix: Floats  #: (3, 3) R_nb.
-
-
-@dataclass(frozen=True, eq=False)
 class Optimum:
     """The best plan found."""
 
     plan: Plan  #: The plan, for the joint estimate.
-    attitudes: tuple[Attitude, ...]  #: Attitudes of its positions, as written in its file.
     information: float  #: Logarithm of the determinant of the information on the 24 parameters.
     seconds: float  #: Time on the table, s.
 
@@ -76,9 +65,9 @@ class Optimum:
         return self.plan.text(name)
 
 
-def candidates(table: Table) -> list[Attitude]:
-    """List attitudes within a table's reach: cube-aligned ones, and those slanted by 45 deg."""
-    found: list[Attitude] = []
+def candidates(table: Table) -> list[Floats]:
+    """List attitudes (3, 3) within a table's reach: cube-aligned, and slanted by 45 deg."""
+    found: list[Floats] = []
     for letters in permutations('ENUWSD', 3):
         matrix = np.array([COMPASS[letter] for letter in letters]).T
         if abs(np.linalg.det(matrix) - 1) > 1e-9:
@@ -87,13 +76,13 @@ def candidates(table: Table) -> list[Attitude]:
             if not by and about != 'X':
                 continue
             turned = matrix @ rotation(BODY_AXES[about], by * DEG)
-            if any(np.allclose(turned, other.matrix) for other in found):
+            if any(np.allclose(turned, other) for other in found):
                 continue
             try:
                 table.angles(turned)
             except InputError:
                 continue
-            found.append(Attitude(''.join(letters), about, by, turned))
+            found.append(turned)
     return found
 
 
@@ -160,12 +149,12 @@ def optimise(
     return best
 
 
-def _blocks(setup: Setup, truth: SensorModel, choices: list[Attitude]) -> tuple[Floats, Floats]:
+def _blocks(setup: Setup, truth: SensorModel, choices: list[Floats]) -> tuple[Floats, Floats]:
     """Return the information of a dwell at each candidate (c, n, n), and that of turns and priors.
 
     The turns are those about X, Y and Z that every plan makes.
     """
-    positions = [Position(str(k), choice.matrix, _TRIAL_DWELL) for k, choice in enumerate(choices)]
+    positions = [Position(str(k), choice, _TRIAL_DWELL) for k, choice in enumerate(choices)]
     test = RateTest((30 * DEG, -30 * DEG), 1)
     for axis in range(3):
         k = next(k for k, c in enumerate(choices) if _is_up(c, axis))
@@ -186,11 +175,11 @@ def _blocks(setup: Setup, truth: SensorModel, choices: list[Attitude]) -> tuple[
     return np.einsum('cri,crj->cij', each, each), rest
 
 
-def _is_up(attitude: Attitude, axis: int) -> bool:
-    return bool(attitude.matrix[2, axis] > 1 - 1e-9)
+def _is_up(attitude: Floats, axis: int) -> bool:
+    return bool(attitude[2, axis] > 1 - 1e-9)
 
 
-def _exchange(blocks: Floats, prior: Floats, choices: list[Attitude], size: int) -> list[int]:
+def _exchange(blocks: Floats, prior: Floats, choices: list[Floats], size: int) -> list[int]:
     """Exchange attitudes until none gains; X, Y and Z up are among them, for the turns."""
     upright = [next(k for k, c in enumerate(choices) if _is_up(c, axis)) for axis in range(3)]
     # Any start is sufficient: the candidates in order, spread over the list.
@@ -216,20 +205,19 @@ def _exchange(blocks: Floats, prior: Floats, choices: list[Attitude], size: int)
 
 
 def _timed(
-    setup: Setup, truth: SensorModel, attitudes: list[Attitude], test: RateTest, seconds: float
+    setup: Setup, truth: SensorModel, attitudes: list[Floats], test: RateTest, seconds: float
 ) -> Optimum | None:
     """Distribute the remaining time to the dwells and evaluate the plan."""
     table = setup.table
     assert table is not None
-    ordered = [attitudes[k] for k in _order(attitudes)]
     tested: set[int] = set()
     positions = []
-    for k, attitude in enumerate(ordered):
-        axis = int(np.argmax(attitude.matrix[2]))
-        turning = attitude.matrix[2, axis] > 1 - 1e-9 and axis not in tested
+    for k, attitude in enumerate(attitudes[k] for k in _order(attitudes)):
+        axis = int(np.argmax(attitude[2]))
+        turning = _is_up(attitude, axis) and axis not in tested
         if turning:
             tested.add(axis)
-        positions.append(Position(str(k + 1), attitude.matrix, 1.0, test if turning else None))
+        positions.append(Position(str(k + 1), attitude, 1.0, test if turning else None))
     plan = replace(setup.plan, positions=tuple(positions), method='joint', by_hand=False)
     try:
         overhead = duration(plan.steps(table), table) - len(positions)
@@ -252,7 +240,7 @@ def _timed(
         value = log_information(replace(setup, plan=plan), truth)
     except ImuCalibError:
         return None
-    return Optimum(plan, tuple(ordered), value, lasting)
+    return Optimum(plan, value, lasting)
 
 
 def log_information(setup: Setup, truth: SensorModel) -> float:
@@ -262,15 +250,15 @@ def log_information(setup: Setup, truth: SensorModel) -> float:
     return log_determinant(rows.T @ rows, _SENSORS)
 
 
-def _order(attitudes: list[Attitude]) -> list[int]:
+def _order(attitudes: list[Floats]) -> list[int]:
     """Order the attitudes so that each is near the one before; groups of one axis up stay whole."""
     remaining, order = set(range(1, len(attitudes))), [0]
     while remaining:
-        here = attitudes[order[-1]].matrix
+        here = attitudes[order[-1]]
         order.append(
             max(
                 remaining,
-                key=lambda k: (round(float(np.trace(here.T @ attitudes[k].matrix)), 6), -k),
+                key=lambda k: (round(float(np.trace(here.T @ attitudes[k])), 6), -k),
             )
         )
         remaining.remove(order[-1])

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..common.budget import ErrorSource
 from ..common.stream import Floats
@@ -104,42 +103,6 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
             blocks = Blocks(rows, segment.sliding**2 * np.eye(3)[None])
             parts.append(Component(ErrorSource.NOISE, blocks, UNREST_FREEDOM))
     return tuple(parts)
-
-
-def encoder_rates(
-    evidence: Evidence, rates: Floats, response: Floats, pulled: Floats
-) -> list[Component]:
-    """Return the error of the encoder's rate (t,) rad/s, common to the outputs of a turn."""
-    found = []
-    relative = np.array([t.rate_std(evidence.walk) for t in evidence.turns])
-    for _, rows, seen in encoder_rate_errors(evidence, relative, rates, response, pulled):
-        blocks = Blocks(rows, seen[:, :, None] * seen[:, None, :])
-        found.append(Component(ErrorSource.ENCODER_RATE, blocks, ENCODER_FREEDOM))
-    return found
-
-
-def encoder_rate_errors(
-    evidence: Evidence, relative: Floats, rates: Floats, response: Floats, pulled: Floats
-) -> list[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:
-    """Return the effect of a relative error (t,) of the table's rate on the outputs of turns.
-
-    Returns:
-        For turns of gyros alone, and for those whose accelerometers are used: which turns (k,),
-        which outputs (k, 3) or (k, 6), and the effect on them.
-    """
-    turns = evidence.turns
-    ups = np.array([t.up for t in turns]).reshape(-1, 3)
-    seen = (relative * rates)[:, None] * (ups @ response.T)
-    layout, both = evidence.layout, evidence.arms.turns
-    alone = np.delete(np.arange(len(turns)), both)
-    return [
-        (alone, layout.turn[alone], seen[alone]),
-        (
-            both,
-            np.hstack([layout.turn[both], layout.turn_accels]),
-            np.hstack([seen[both], 2 * relative[both][:, None] * pulled]),
-        ),
-    ]
 
 
 def level_gravity(evidence: Evidence, ups: Floats, levelled: float) -> Component:

@@ -27,7 +27,6 @@ from ..model.session_terms import Change
 from .arms import mean_over_turn
 from .evidence import Evidence
 from .modulation import columns, rates
-from .output_noise import encoder_rate_errors
 from .outputs import OutputLayout
 
 # The table stands turned by the azimuth about up and tilted by two small angles, R_nb = Rz(azimuth)
@@ -342,13 +341,13 @@ class SessionModel:
     def world_derivatives(self, state: Floats) -> Floats:
         """Return the derivatives (m, 6) by Earth rate and gravity in the frame of the attitudes."""
         _, rate, force, turning, turning_force = self._inputs(state)
-        model, moves = self.model(state), self.evidence.used_moves
+        model = self.model(state)
         to_body = np.transpose(self.evidence.dwell_attitudes, (0, 2, 1))
         at_rest = model.slopes(rate, force) @ _for_rates_and_forces(to_body)
         turned = mean_over_turn(
             model.slopes(turning, turning_force) @ _for_rates_and_forces(self.evidence.headings)
         )
-        in_moves = np.concatenate([moves.rate_derivatives(), moves.force_derivatives()], axis=2)
+        in_moves = self.evidence.used_moves.world_derivatives()
         result = self.layout.joined(at_rest, turned, in_moves)
         result[self._divided] /= 1 + state[self.clock_index]
         return result
@@ -398,11 +397,15 @@ class SessionModel:
         return self._rate_error_effects(state, relative)[:, some]
 
     def _rate_error_effects(self, state: Floats, relative: Floats) -> Floats:
-        evidence, response = self.evidence, self.model(state).gyro.response
-        result = np.zeros((len(self.layout), len(evidence.turns)))
-        turning, pulled = evidence.turn_inputs[1], self._pulled(state)
-        for turns, rows, seen in encoder_rate_errors(evidence, relative, turning, response, pulled):
-            result[rows, turns[:, None]] = seen
+        """Return the effect of relative errors (t,) of the table's rate on the outputs, (m, t)."""
+        ups, rates, _ = self.evidence.turn_inputs
+        turns, both = np.arange(len(rates))[:, None], self.evidence.arms.turns
+        result = np.zeros((len(self.layout), len(rates)))
+        seen = (relative * rates)[:, None] * (ups @ self.model(state).gyro.response.T)
+        result[self.layout.turn, turns] = seen
+        # The specific force by lever arms grows with the square of the rate.
+        pulled = 2 * relative[both][:, None] * self._pulled(state)
+        result[self.layout.turn_accels, turns[both]] = pulled
         return result
 
     def latitude_derivatives(self, state: Floats) -> Floats:

@@ -15,13 +15,12 @@ from imu_calib.common.stream import Floats
 from imu_calib.estimation.components import Component, Diagonal
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.output_noise import (
-    encoder_rate_errors,
-    encoder_rates,
     level_gravity,
     own_parts,
     unknown_north,
 )
 from imu_calib.estimation.outputs import OutputLayout
+from imu_calib.estimation.session_model import SessionModel
 
 GRAVITY, NORTH_RATE = 9.8, 6e-5
 RATES = np.array([0.5, -1.0, 2.0])
@@ -60,22 +59,22 @@ def covariance(*parts: Component) -> Floats:
 
 def test_an_encoders_rate_is_wrong_in_all_that_a_turn_shows() -> None:
     pulled = np.array([[0.1, -0.2, 0.3], [0.4, 0.5, -0.6]])
-    wanted = np.zeros((len(LAYOUT), len(LAYOUT)))
+    wanted = np.zeros((len(LAYOUT), 3))
     # 12 outputs of rests, three turns of gyros, two of accelerometers.
     for k, accels in ((0, 21), (1, None), (2, 24)):
-        error = np.zeros(len(LAYOUT))
+        error = wanted[:, k]
         error[12 + 3 * k : 15 + 3 * k] = RATE_ERRORS[k] * RATES[k] * (RESPONSE @ UPS[k])
         if accels is not None:
             # What the square of the rate makes is off by twice as much.
             error[accels : accels + 3] = 2 * RATE_ERRORS[k] * pulled[0 if k == 0 else 1]
-        wanted += np.outer(error, error)
-    found = encoder_rates(session(), RATES, RESPONSE, pulled)
-    np.testing.assert_allclose(covariance(*found), wanted, atol=1e-20)
-    alone, both = encoder_rate_errors(session(), RATE_ERRORS, RATES, RESPONSE, pulled)
-    assert alone[0].tolist() == [1]
-    assert list(both[0]) == [0, 2]
-    # A line through sixteen blocks.
-    assert [part.freedom for part in found] == [14.0, 14.0]
+    model = SimpleNamespace(
+        evidence=session(turn_inputs=(UPS, RATES, None)),
+        layout=LAYOUT,
+        model=lambda _: SimpleNamespace(gyro=SimpleNamespace(response=RESPONSE)),
+        _pulled=lambda _: pulled,
+    )
+    found = SessionModel._rate_error_effects(model, np.zeros(0), RATE_ERRORS)
+    np.testing.assert_allclose(found, wanted, atol=1e-20)
 
 
 def test_a_leaning_table_leaves_level_gravity_across_the_axis() -> None:

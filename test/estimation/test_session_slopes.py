@@ -226,6 +226,9 @@ def test_what_outputs_have_in_common_has_its_source() -> None:
     got = part(equations, state, ErrorSource.STOPS)
     np.testing.assert_allclose(got, 49e-12 * stops @ stops.T, atol=1e-20)
     assert not part(equations, state, ErrorSource.POSITIONING_STATED).any()
+    # A line through sixteen blocks knows an encoder's rate.
+    rates = [c for c in equations.shared(state) if c.source is ErrorSource.ENCODER_RATE]
+    assert [c.freedom for c in rates] == [14.0] * len(evidence.turns)
     stated, _ = at(replace(evidence, positioning=2e-6))
     got = part(stated, state, ErrorSource.POSITIONING_STATED)
     np.testing.assert_allclose(got, 4e-12 * joints @ joints.T, atol=1e-20)
