@@ -198,38 +198,26 @@ def _joint_effects(evidences: Sequence[Evidence]) -> tuple[list[tuple[Floats, Fl
 
     Rotations (s, 3, e) and (t, 3, e) of each unit, and the names of the stops.
     """
-    parts: list[Segment | Turn] = []
-    owners: list[tuple[int, int]] = []
-    times: list[Floats] = []
-    for unit, evidence in enumerate(evidences):
-        parts += evidence.parts
-        owners += [(unit, k) for k in range(len(evidence.parts))]
-        times.append(_times(evidence, evidence.parts)[:, 0])
-    order = np.argsort(np.concatenate(times), kind='stable').tolist()
     table = evidences[0].table
     assert table is not None
-    angles = np.array([part.angles for part in parts])
-    counts = [len(e.parts) for e in evidences]
+    parts = [part for e in evidences for part in e.parts]
+    order = np.argsort(np.concatenate([_times(e, e.parts)[:, 0] for e in evidences]), kind='stable')
+    angles = [_angles(e) for e in evidences]
     restarts = [one for e in evidences for one in e.restarts]
-    columns: list[list[Floats]] = [[] for _ in evidences]
-    names = []
-    for joint in range(angles.shape[1]):
-        about = [
-            axes_of(e.table, joint, _angles(e), e.turns) for e in evidences if e.table is not None
+    columns, names = [], []
+    for joint, readings in enumerate(np.concatenate(angles).T):
+        axes = [
+            axes_of(e.table or table, joint, own, e.turns)
+            for e, own in zip(evidences, angles, strict=True)
         ]
-        for stop in stops_of(joint, angles[:, joint], parts, order, restarts):
-            rows = [np.zeros((count, 3)) for count in counts]
-            for k in stop:
-                unit, own = owners[k]
-                rows[unit][own] = about[unit][own]
-            for unit, column in enumerate(rows):
-                columns[unit].append(column)
+        for stop in stops_of(joint, readings, parts, order.tolist(), restarts):
+            column = np.zeros((len(parts), 3))
+            column[stop] = np.concatenate(axes)[stop]
+            columns.append(column)
             names.append(f'{table.joints[joint].name} at {parts[stop[0]].position}')
-    attitude_errors = []
-    for unit, evidence in enumerate(evidences):
-        whole = np.stack(columns[unit], axis=2)
-        attitude_errors.append((whole[: len(evidence.segments)], whole[len(evidence.segments) :]))
-    return attitude_errors, names
+    ends = np.cumsum([len(own) for own in angles])[:-1]
+    split = zip(evidences, np.split(np.stack(columns, axis=2), ends), strict=True)
+    return [(own[: len(e.segments)], own[len(e.segments) :]) for e, own in split], names
 
 
 def _angles(evidence: Evidence) -> Floats:
