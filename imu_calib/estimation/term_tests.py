@@ -372,7 +372,10 @@ def _course_sentence(
         remedy = _BY_TEMPERATURE if Course.THERMAL in courses else _RECORD
         return f'{text}: it is estimated; {_as_well(found)}. To tell, {remedy}.'
     if course is Course.STEP:
-        return f'{text}: it is estimated, and the biases are the mean over the session. {_STEPPED}'
+        return warning(
+            f'{text}: it is estimated, and the biases stated are the mean over the session, which '
+            f'holds for neither part. {_STEPPED}'
+        )
     return f'{text}: it is estimated.'
 
 

@@ -22,7 +22,13 @@ from ..common.units import LARGEST, counted
 from ..session.table import Table
 from .false_samples import SCALE_OF_SI, FalseSampleFilter, FalseSamples, Rows
 from .gaps import CountsAfterGaps
-from .stamp_faults import Interruptions, SetBackClock, SharedStamps, set_back_sentences
+from .stamp_faults import (
+    Interruptions,
+    SetBackClock,
+    SharedStamps,
+    other_session,
+    set_back_sentences,
+)
 from .stamps import RowBuffer
 from .stream_facts import LastRun, StreamFacts
 
@@ -401,9 +407,11 @@ class StreamBuffer:
         cut = 'a motion during it is left out'
         if self._table is not None:
             cut = f'a static dwell is cut in two there, and {cut}'
+        lost += other_session(self.imu_clock, 'the IMU')
         lost += set_back_sentences(self.imu_clock.found, 'the IMU', cut)
         if self._table is None:
             return lost
+        lost += other_session(self.joint_clock, 'the joint states')
         lost += set_back_sentences(self.joint_clock.found, 'the joint states', cut)
         expected = f'not all joints of table {self._table.name} ({", ".join(self._table.names)})'
         lost += [

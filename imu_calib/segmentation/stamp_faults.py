@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.finding import warning
 from ..common.gaussian import MAD_TO_STD
 from ..common.stream import NS, Floats, Stamps, at
 from ..common.units import counted
@@ -292,13 +293,18 @@ class SetBackClock:
 
     The device goes on as before: the first sample with an earlier stamp is taken to be made an
     interval after the last one. Samples that come out of order fill a gap in the stamps, and those
-    that come twice repeat values: both keep their stamps, and `StampOrder` drops them.
+    that come twice repeat values: both keep their stamps, and `StampOrder` drops them. Stamps that
+    go back by more than a minute are of another session, as where the device restarts: it and all
+    that follows are left out.
 
     Source: docs/mathematics.md, 'Stamps and lost samples'.
     """
 
     def __init__(self, columns: int) -> None:
         self.found: list[SetBack] = []  #: In order.
+        self.other: tuple[int, int] | None = None
+        """Last stamp before another session, ns, and the first of that; None without one."""
+        self.left_out = 0  #: Rows of that.
         self._shift = 0
         self._last: int | None = None
         self._recent = [(np.empty(0, dtype=np.int64), np.empty((0, columns)))]
@@ -313,6 +319,9 @@ class SetBackClock:
 
     def continue_stamps(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
         """Add (n,) stamps, ns, with (n, columns) values; return the rows that are certain."""
+        if self.other is not None:
+            self.left_out += len(stamp)
+            return stamp[:0], values[:0]
         if not len(stamp):
             return stamp, values
         if self._shift:
@@ -357,6 +366,12 @@ class SetBackClock:
             if count == _SURE:
                 # Those before were ahead: the stream goes on without them.
                 known, before = self._known()
+                beyond_known = len(known) == _KNOWN and stamp[first] < known[0]
+                if beyond_known and stamp[first] < self._last - FARTHEST * NS:
+                    self.other = self._last, int(stamp[first]) - self._shift
+                    self.left_out = len(stamp) - first
+                    self._stamp, self._values = stamp[:0], values[:0]
+                    return stamp[:first], values[:first]
                 kept = known <= int(stamp[first])
                 self._recent, self._recent_rows = [(known[kept], before[kept])], int(kept.sum())
                 self._know(stamp[rows], values[rows])
@@ -452,8 +467,22 @@ def set_back_sentences(found: Sequence[SetBack], whose: str, then: str) -> list[
     if len(found) > len(seconds):
         times += f', and on again {counted(len(found) - len(seconds), "time")} by as much'
     return [
-        f'The stamps of {whose} go back {times}: the clock was set back. Later stamps are '
-        f'shifted to continue one interval after the last one; {then}'
+        f'The stamps of {whose} go back {times}: the clock was set back, or the device '
+        f'restarted. Later stamps are shifted to continue one interval after the last one; {then}'
+    ]
+
+
+def other_session(clock: SetBackClock, whose: str) -> list[str]:
+    """Return a sentence on rows that were left out as of another session; `whose` as above."""
+    if clock.other is None:
+        return []
+    last, first = clock.other
+    return [
+        warning(
+            f'The stamps of {whose} begin anew: after {at(last)} comes {at(first)}, as where a '
+            f'device restarts. The {clock.left_out} messages from there on are left out, and the '
+            'parameters are of those before: record in one run'
+        )
     ]
 
 

@@ -97,10 +97,11 @@ def score(statistic: float, deviation: Any, rank: int = 3, freedom: float = 1e9)
         ),
         (
             SignificantFamily(STEP, -12 * LN10),
-            'The session shows biases that step at one instant (step, by chance once in 10^12 '
-            'sessions) at 2023-11-14 22:14:20.000 UTC: it is estimated, and the biases are the '
-            'mean over the session. Biases step where a unit is switched off and on, or is struck; '
-            'if it was neither, one of its sensors is not stable.',
+            'Warning: The session shows biases that step at one instant (step, by chance once in '
+            '10^12 sessions) at 2023-11-14 22:14:20.000 UTC: it is estimated, and the biases '
+            'stated are the mean over the session, which holds for neither part. Biases step '
+            'where a unit is switched off and on, or is struck; if it was neither, one of its '
+            'sensors is not stable.',
         ),
         (
             SignificantFamily(TREND, -5 * LN10, alternatives=(THERMAL,)),

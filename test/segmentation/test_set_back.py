@@ -26,7 +26,7 @@ from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.segmentation.intake import StreamBuffer
 from imu_calib.segmentation.segmenter import Segmenter
-from imu_calib.segmentation.stamp_faults import SetBackClock, set_back_sentences
+from imu_calib.segmentation.stamp_faults import SetBackClock, other_session, set_back_sentences
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.table import load_table
 
@@ -133,12 +133,19 @@ def test_wild_stamps_are_no_clock():
         assert (passed == stamp).all()
 
 
-def test_more_than_a_minute_is_another_session():
-    true, values = rows(9000)
-    stamp = set_back(true, 8000, 61.0)
-    passed, _, clock = followed(stamp, values, 100)
+@pytest.mark.parametrize('size', [1, 100, 9000])
+def test_more_than_a_minute_is_another_session(size):
+    """Also where its stamps reach beyond those of the first one."""
+    true, values = rows(16000)
+    passed, _, clock = followed(set_back(true, 8000, 61.0), values, size)
     assert clock.found == []
-    assert (passed == stamp).all()
+    assert (passed == true[:8000]).all()
+    assert clock.left_out == 8000
+    (said,) = other_session(clock, 'the IMU')
+    assert said.startswith(
+        'Warning: The stamps of the IMU begin anew: after 2023-11-14 22:14:39.990 UTC comes '
+        '2023-11-14 22:13:39.000 UTC, as where a device restarts. The 8000 messages '
+    )
 
 
 def test_what_stands_still_is_no_repetition():
