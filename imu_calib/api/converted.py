@@ -16,6 +16,7 @@ from ..common.units import counted
 from ..recordings.cdr_codec import PULSES, RATES, Kind
 from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording, open_recording
+from ..recordings.text import fitting
 from ..recordings.writer import RecordingWriter
 from ..segmentation.stream_facts import SEPARATE_ROWS, gravity_removed, halves, quiet_means
 from ..session.imu import ImuSpec, load_imu
@@ -31,22 +32,8 @@ RAW, SI, JOINTS, TEMPERATURE = (
     '/turntable/joint_states',
     '/imu/temperature',
 )
-RAW_UNITS = {'pulse': 1.0, 'count': 1.0}
 _EXAMPLES = {Units.SI: 'si', Units.INCREMENTS: 'increments'}
 """Shipped descriptions of numbers whose units are stated."""
-_FITTING = {
-    Units.SI: (Units.SI, Units.RATES),
-    Units.INCREMENTS: (Units.INCREMENTS,),
-    Units.PULSES: (Units.PULSES, Units.COUNTS),
-    Units.COUNTS: (Units.PULSES, Units.COUNTS),
-}
-"""Units that a file may state for columns: of whole numbers, a pulse is what the file says."""
-_NUMBERS = {
-    Units.SI: 'rates and accelerations',
-    Units.INCREMENTS: 'angles and velocities per sample',
-    Units.PULSES: 'pulses',
-    Units.COUNTS: 'counts',
-}
 
 
 @dataclass(frozen=True)
@@ -65,23 +52,14 @@ class Converted:
 def described(imu: ImuSpec | Named | None, numbers: Units) -> tuple[dict[str, str], ImuSpec]:
     """Return the description of the IMU for the recording, as text and as a value."""
     if isinstance(imu, ImuSpec):
-        return {}, _fitting(imu, imu.id, numbers)
+        return {}, fitting(imu, imu.id, numbers)
     if imu is None and numbers not in _EXAMPLES:
         raise InputError(
             f'`gyro` and `accel` are in {numbers.value}: give `imu`, a file that says what one is '
             '(config/imus has examples).'
         )
     file = named_file('imus', _EXAMPLES[numbers] if imu is None else imu)
-    return {IMU: read_text(file)}, _fitting(load_imu(file), str(imu), numbers)
-
-
-def _fitting(spec: ImuSpec, name: str, numbers: Units) -> ImuSpec:
-    if spec.units not in _FITTING[numbers]:
-        raise InputError(
-            f'`imu` {name}: units: found {spec.units.value}, but the numbers are '
-            f'{_NUMBERS[numbers]}.'
-        )
-    return spec
+    return {IMU: read_text(file)}, fitting(load_imu(file), str(imu), numbers)
 
 
 def imu_samples(topic: str, stamps: Stamps, values: Floats) -> Samples:

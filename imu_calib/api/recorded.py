@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Union
 
@@ -16,7 +17,7 @@ from ..common.stream import LAST_SECOND, NS, Floats, Stamps
 from ..recordings.cdr_codec import Kind
 from ..recordings.remote import AnyPath, RemotePath, located
 from ..recordings.rosbag2 import Recording, is_storage, open_recording
-from ..recordings.text import Text
+from ..recordings.text import Text, table_of_frame
 from ..session.keywords import InColumns, Named, Stated
 from .in_memory import Samples, SamplesInMemory
 from .tables import (
@@ -204,23 +205,13 @@ _INDEX = 'index of the frame'
 
 def _table_of_frame(frame: Any, columns: InColumns) -> tuple[Text, InColumns]:
     """Return a data frame as a table, its index as a column if the rows have no other time."""
-    values = {str(name): _as_numbers(column) for name, column in frame.items()}
+    text = table_of_frame(frame)
     if not {'stamp', 'rate'} & columns.keys():
-        values[_INDEX] = _stamps_of(frame, None).astype(np.float64)
+        index = _stamps_of(frame, None).astype(np.float64)
+        values = np.column_stack([text.values, index])
+        text = replace(text, names=(*text.names, _INDEX), values=values)
         columns = {**columns, 'stamp': f'{_INDEX}:ns'}
-    table = np.column_stack([np.empty((len(frame), 0)), *values.values()])
-    return Text(Path('data frame'), tuple(values), table, 0), columns
-
-
-def _as_numbers(column: Any) -> Floats:
-    """Return a column as numbers: dates and durations in ns, NaN for what is no number."""
-    import pandas as pd
-
-    if column.dtype.kind in 'mM':
-        unit = 'datetime64[ns]' if column.dtype.kind == 'M' else 'timedelta64[ns]'
-        return np.asarray(column.to_numpy(dtype=unit).astype(np.int64), np.float64)
-    numbers = pd.to_numeric(column, errors='coerce')
-    return np.asarray(numbers.to_numpy(dtype=np.float64, na_value=np.nan))
+    return text, columns
 
 
 def _as_keywords(frame: Any) -> str:

@@ -15,7 +15,17 @@ from ..common.units import STANDARD_GRAVITY, Dimension, counted, parse
 from ..recordings.cdr_codec import Kind
 from ..recordings.order import places_by_stamp
 from ..recordings.remote import AnyPath, located
-from ..recordings.text import Text, read_sensors, read_text
+from ..recordings.text import (
+    ACCEL,
+    GYRO,
+    Text,
+    as_outputs,
+    columns_of,
+    numbers_of,
+    parted,
+    read_sensors,
+    read_text,
+)
 from ..segmentation.stream_facts import SEPARATE_ROWS, gravity_removed, halves, quiet_means
 from ..session.imu import COLDEST, HOTTEST, ImuSpec
 from ..session.keywords import InColumns, Named
@@ -23,7 +33,6 @@ from ..session.metadata import interpolation_description
 from .converted import (
     JOINTS,
     RAW,
-    RAW_UNITS,
     SI,
     TEMPERATURE,
     described,
@@ -43,8 +52,6 @@ SLOWEST, FASTEST = 2.0, 40e3
 vehicles 10 to 500 Hz. A unit of time that is a thousand times too small turns 50 Hz into 50 kHz,
 one that is a thousand times too large 1 kHz into 1 Hz."""
 RATES_OF_IMUS = f'{SLOWEST:g} Hz to {FASTEST / 1e3:g} kHz, the rates of IMUs'
-_GYRO = {**Dimension.RATE.value, **Dimension.ANGLE.value, **RAW_UNITS}
-_ACCEL = {**Dimension.ACCELERATION.value, **Dimension.VELOCITY.value, **RAW_UNITS}
 _ANGLE: Mapping[str, float] = Dimension.ANGLE.value
 _STAMP = {'s': 1e9, 'ms': 1e6, 'us': 1e3, 'ns': 1.0}  #: ns per unit of a time.
 _CELSIUS = {'degC': 1.0, 'mdegC': 1e-3}  #: Degrees Celsius per unit of a temperature.
@@ -99,9 +106,9 @@ def from_columns(
         accel_stamp = columns.get('accel_stamp', stamp)
         accel_text, forces_at = _in_time(accel_text, accel_stamp, None, sentences)
     stamps, forces_at = _from_zero(stamps, forces_at, sentences)
-    rates, gyro_unit = _columns(text, gyro, '`gyro`', _GYRO, 3)
-    forces, accel_unit = _columns(accel_text or text, accel, '`accel`', _ACCEL, 3)
-    numbers = _units_of(gyro_unit, accel_unit)
+    rates, gyro_unit = columns_of(text, gyro, '`gyro`', GYRO, 3)
+    forces, accel_unit = columns_of(accel_text or text, accel, '`accel`', ACCEL, 3)
+    numbers = numbers_of(gyro_unit, accel_unit)
     data, spec = described(imu, numbers)
     topic = SI if spec.units is Units.SI else RAW
     if accel_text is None and (apart := halves(rates, forces)) is not None:
@@ -129,9 +136,7 @@ def from_columns(
         sentences.append(removed)
     elif numbers is Units.SI and (seen := against_si(forces, rates)):
         sentences.append(f'{units_in_doubt(seen)} Check the columns of `gyro` and `accel`.')
-    if not spec.units.whole:
-        # Whole numbers are not converted: the file says what one is.
-        rates, forces = rates / spec.gyro.scale_factor, forces / spec.accel.scale_factor
+    rates, forces = as_outputs(rates, forces, spec)
     topics = {topic: imu_samples(topic, times, np.hstack([rates, forces]))}
     topics |= _other_topics(text, stamps, columns.get('joints'), columns.get('temperature'))
     return SamplesInMemory(text.path, topics, files, data, sentences)
@@ -199,13 +204,13 @@ def _other_topics(
     """Return the samples of joints and temperatures, by topic."""
     others: dict[str, Samples] = {}
     if joints is not None:
-        names = tuple(_parted(joints)[0])
-        angles, _ = _columns(text, joints, '`joints`', _ANGLE, len(names))
+        names = tuple(parted(joints)[0])
+        angles, _ = columns_of(text, joints, '`joints`', _ANGLE, len(names))
         at, (angles,) = _sound(stamps, angles)
         speeds = np.full_like(angles, np.nan)
         others[JOINTS] = Samples(Kind.JOINTS, at, [*angles.T, *speeds.T], names)
     if temperature is not None:
-        celsius, _ = _columns(text, temperature, '`temperature`', _CELSIUS, 1)
+        celsius, _ = columns_of(text, temperature, '`temperature`', _CELSIUS, 1)
         at, (celsius,) = _sound(stamps, celsius)
         _refuse_no_celsius(celsius, temperature)
         others[TEMPERATURE] = Samples(Kind.TEMPERATURES, at, [celsius[:, 0]])
@@ -256,26 +261,6 @@ def _sensor_rows(
     if text is not None:
         sentences += _left_out(text, len(stamps) - len(times))
     return times, sound
-
-
-def _units_of(gyro_unit: str, accel_unit: str) -> Units:
-    """Return the kind of numbers in columns of these units."""
-    kinds = [
-        {'pulse': Units.PULSES, 'count': Units.COUNTS}.get(
-            unit, Units.INCREMENTS if unit in increments else Units.SI
-        )
-        for unit, increments in (
-            (gyro_unit, Dimension.ANGLE.value),
-            (accel_unit, Dimension.VELOCITY.value),
-        )
-    ]
-    if kinds[0] is not kinds[1]:
-        raise InputError(
-            f'`gyro` and `accel`: found {gyro_unit} and {accel_unit}, expected a rate and an '
-            'acceleration, or an angle and a velocity per sample, or both in pulses, or both in '
-            'counts.'
-        )
-    return kinds[0]
 
 
 def _sound(stamps: Floats, *columns: Floats) -> tuple[Stamps, list[Floats]]:
@@ -358,7 +343,7 @@ def _stamps(
     if (per_second := rows_per_second(rate)) is not None:
         return np.asarray(np.rint(np.arange(len(text.values)) * (1e9 / per_second)))
     assert stamp is not None
-    times = sum(_columns(text, part, '`stamp`', _STAMP, 1)[0] for part in _parts_of_time(stamp))
+    times = sum(columns_of(text, part, '`stamp`', _STAMP, 1)[0] for part in _parts_of_time(stamp))
     assert isinstance(times, np.ndarray)
     latest = float(np.nanmax(np.abs(times), initial=0.0)) * 1e-9
     if latest > LAST_SECOND:
@@ -426,32 +411,3 @@ def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
             f'{column}: found {hertz:.4g} Hz by the median interval, expected {RATES_OF_IMUS}. '
             f'{advice}.'
         )
-
-
-def _columns(
-    text: Text, stated: str, option: str, units: Mapping[str, float], count: int
-) -> tuple[Floats, str]:
-    """Return columns in SI (pulses and counts unchanged), (n, count), and their unit."""
-    parts, unit = _parted(stated)
-    if unit not in units or len(parts) != count or not all(parts):
-        form = ','.join(['NAME'] * count)
-        raise InputError(
-            f'{option}: found {stated!r}, expected {form}:UNIT, with the unit one of '
-            f'{", ".join(units)}.'
-        )
-    if twice := [name for name in parts if parts.count(name) > 1]:
-        raise InputError(f'{option}: found {stated!r}, which names column {twice[0]} twice.')
-    values = np.column_stack([text.column(name, option) for name in parts])
-    empty = [name for name, column in zip(parts, values.T, strict=True) if np.isnan(column).all()]
-    if empty:
-        raise InputError(
-            f'{option} {stated}: column {empty[0]} of {text.path} holds no number. Dates and times '
-            'of day are not read: write seconds, or give `rate` in place of `stamp`.'
-        )
-    return values * units[unit], unit
-
-
-def _parted(stated: str) -> tuple[list[str], str]:
-    """Split 'NAME,NAME:UNIT' into names and unit."""
-    names, _, unit = stated.rpartition(':')
-    return [name.strip() for name in names.split(',')], unit.strip().replace('°', 'deg')

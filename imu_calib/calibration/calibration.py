@@ -351,7 +351,11 @@ class Calibration:
         return labelled(self.parameters, self.values, self.std, self.covariance, self.noise)
 
     def apply(
-        self, gyro: ArrayLike, accel: ArrayLike, *, rate: float | None = None
+        self,
+        *samples: ArrayLike | pandas.DataFrame,
+        gyro: ArrayLike | None = None,
+        accel: ArrayLike | None = None,
+        rate: float | None = None,
     ) -> tuple[Floats, Floats]:
         """Return rates, rad/s, and specific forces, m/s^2, for samples in memory.
 
@@ -359,9 +363,11 @@ class Calibration:
         accelerometers) are not subtracted: `imu_calib.compensate` does both, for recordings.
 
         Args:
-            gyro: (n, 3) as the sensor delivers them, in the units of `imu`; of a data frame the
-                columns `angular_velocity.x` to `.z`, in whatever order, unless it has no names.
-            accel: (n, 3) likewise; of a data frame `linear_acceleration.x` to `.z`.
+            *samples: Of gyro and accelerometer, (n, 3) each, as the sensor delivers them, in the
+                units of `imu`; or a data frame of both.
+            gyro: The columns of the data frame, 'gx,gy,gz:deg/s', as for `imu_calib.calibrate`; by
+                default `angular_velocity.x` to `.z`.
+            accel: Likewise; by default `linear_acceleration.x` to `.z`.
             rate: Samples per second; needed for what is counted over the sample interval.
 
         Samples of a calibration in SI that are evidently in g, mg or deg/s are a UserWarning.
@@ -371,7 +377,7 @@ class Calibration:
                 columns of other names, or `rate` is missing or no number above 0.
             NotObservable: The model cannot be inverted.
         """
-        raw = _by_axis(gyro, 'angular_velocity'), _by_axis(accel, 'linear_acceleration')
+        raw = self._outputs(*samples, gyro=gyro, accel=accel)
         if raw[0].shape != raw[1].shape or raw[0].shape[-1:] != (len(AXES),):
             raise InputError(
                 f'`gyro`, `accel`: found the shapes {raw[0].shape} and {raw[1].shape}, expected '
@@ -394,6 +400,22 @@ class Calibration:
         scales = self.imu.gyro.scale_factor, self.imu.accel.scale_factor
         outputs = (values * scale * per_second for values, scale in zip(raw, scales, strict=True))
         return self.model.compensate(*outputs)
+
+    def _outputs(self, *samples: Any, gyro: Any, accel: Any) -> tuple[Floats, Floats]:
+        """Return samples, as `apply` takes them, as arrays (n, 3)."""
+        if isinstance(gyro, str) and isinstance(accel, str) and len(samples) == 1:
+            from ..recordings.text import outputs_of_frame
+
+            return outputs_of_frame(samples[0], gyro, accel, self.imu)
+        both = [*samples, *(one for one in (gyro, accel) if one is not None)]
+        if len(both) == 1 and hasattr(both[0], 'columns'):
+            both *= 2
+        if len(both) != 2 or any(isinstance(one, str) for one in both):
+            raise InputError(
+                'Expected samples of gyro and accelerometer, (n, 3) each, or one data frame, with '
+                "the names of its columns in `gyro` and `accel`: gyro='gx,gy,gz:deg/s'."
+            )
+        return _by_axis(both[0], 'angular_velocity'), _by_axis(both[1], 'linear_acceleration')
 
     def _repr_html_(self) -> str:
         """Return the parameters as a small table, for a notebook."""
@@ -687,8 +709,8 @@ def _by_axis(samples: Any, field: str) -> Floats:
         wanted = [f'{field}.{axis}' for axis in 'xyz']
         if any(names.count(name) != 1 for name in wanted):
             raise InputError(
-                f'The data frame has the columns {", ".join(names)}, expected {", ".join(wanted)}: '
-                'rename them, or give its numbers in this order (`to_numpy()`).'
+                f'The data frame has the columns {", ".join(names)}, expected {", ".join(wanted)}, '
+                "or their names: apply(frame, gyro='gx,gy,gz:deg/s', accel='ax,ay,az:g')."
             )
         samples = samples[wanted]
     return np.asarray(samples, dtype=np.float64)

@@ -7,15 +7,18 @@ import csv
 import re
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..common.errors import InputError
 from ..common.files import CONVERTIBLE, other_format, read_bytes
-from ..common.stream import Floats
-from ..common.units import counted
+from ..common.stream import Floats, Units
+from ..common.units import Dimension, counted
+from ..session.imu import ImuSpec
 from .remote import AnyPath
 
 _COMMENTS = ('#', '%', '//')
@@ -265,3 +268,120 @@ def _number(field: str) -> float:
         return float(field)
     except ValueError:
         return float('nan')
+
+
+# Columns that a person names, with their units.
+
+RAW_UNITS = {'pulse': 1.0, 'count': 1.0}
+GYRO: Mapping[str, float] = {**Dimension.RATE.value, **Dimension.ANGLE.value, **RAW_UNITS}
+ACCEL: Mapping[str, float] = {
+    **Dimension.ACCELERATION.value,
+    **Dimension.VELOCITY.value,
+    **RAW_UNITS,
+}
+_FITTING = {
+    Units.SI: (Units.SI, Units.RATES),
+    Units.INCREMENTS: (Units.INCREMENTS,),
+    Units.PULSES: (Units.PULSES, Units.COUNTS),
+    Units.COUNTS: (Units.PULSES, Units.COUNTS),
+}
+"""Units that a file may state for columns: of whole numbers, a pulse is what the file says."""
+_NUMBERS = {
+    Units.SI: 'rates and accelerations',
+    Units.INCREMENTS: 'angles and velocities per sample',
+    Units.PULSES: 'pulses',
+    Units.COUNTS: 'counts',
+}
+
+
+def fitting(spec: ImuSpec, name: str, numbers: Units) -> ImuSpec:
+    """Return what is stated of an IMU if it fits columns of these numbers."""
+    if spec.units not in _FITTING[numbers]:
+        raise InputError(
+            f'`imu` {name}: units: found {spec.units.value}, but the numbers are '
+            f'{_NUMBERS[numbers]}.'
+        )
+    return spec
+
+
+def numbers_of(gyro_unit: str, accel_unit: str) -> Units:
+    """Return the kind of numbers in columns of these units."""
+    kinds = [
+        {'pulse': Units.PULSES, 'count': Units.COUNTS}.get(
+            unit, Units.INCREMENTS if unit in increments else Units.SI
+        )
+        for unit, increments in (
+            (gyro_unit, Dimension.ANGLE.value),
+            (accel_unit, Dimension.VELOCITY.value),
+        )
+    ]
+    if kinds[0] is not kinds[1]:
+        raise InputError(
+            f'`gyro` and `accel`: found {gyro_unit} and {accel_unit}, expected a rate and an '
+            'acceleration, or an angle and a velocity per sample, or both in pulses, or both in '
+            'counts.'
+        )
+    return kinds[0]
+
+
+def columns_of(
+    text: Text, stated: str, option: str, units: Mapping[str, float], count: int
+) -> tuple[Floats, str]:
+    """Return columns in SI (pulses and counts unchanged), (n, count), and their unit."""
+    parts, unit = parted(stated)
+    if unit not in units or len(parts) != count or not all(parts):
+        form = ','.join(['NAME'] * count)
+        raise InputError(
+            f'{option}: found {stated!r}, expected {form}:UNIT, with the unit one of '
+            f'{", ".join(units)}.'
+        )
+    if twice := [name for name in parts if parts.count(name) > 1]:
+        raise InputError(f'{option}: found {stated!r}, which names column {twice[0]} twice.')
+    values = np.column_stack([text.column(name, option) for name in parts])
+    empty = [name for name, column in zip(parts, values.T, strict=True) if np.isnan(column).all()]
+    if empty:
+        raise InputError(
+            f'{option} {stated}: column {empty[0]} of {text.path} holds no number. Dates and times '
+            'of day are not read: write seconds, or give `rate` in place of `stamp`.'
+        )
+    return values * units[unit], unit
+
+
+def parted(stated: str) -> tuple[list[str], str]:
+    """Split 'NAME,NAME:UNIT' into names and unit."""
+    names, _, unit = stated.rpartition(':')
+    return [name.strip() for name in names.split(',')], unit.strip().replace('°', 'deg')
+
+
+def table_of_frame(frame: Any) -> Text:
+    """Return the columns of a data frame."""
+    values = {str(name): _as_numbers(column) for name, column in frame.items()}
+    table = np.column_stack([np.empty((len(frame), 0)), *values.values()])
+    return Text(Path('data frame'), tuple(values), table, 0)
+
+
+def _as_numbers(column: Any) -> Floats:
+    """Return a column as numbers: dates and durations in ns, NaN for what is no number."""
+    import pandas as pd
+
+    if column.dtype.kind in 'mM':
+        unit = 'datetime64[ns]' if column.dtype.kind == 'M' else 'timedelta64[ns]'
+        return np.asarray(column.to_numpy(dtype=unit).astype(np.int64), np.float64)
+    numbers = pd.to_numeric(column, errors='coerce')
+    return np.asarray(numbers.to_numpy(dtype=np.float64, na_value=np.nan))
+
+
+def outputs_of_frame(frame: Any, gyro: str, accel: str, imu: ImuSpec) -> tuple[Floats, Floats]:
+    """Return columns of a data frame as outputs of an IMU, (n, 3) each."""
+    text = table_of_frame(frame)
+    rates, gyro_unit = columns_of(text, gyro, '`gyro`', GYRO, 3)
+    forces, accel_unit = columns_of(text, accel, '`accel`', ACCEL, 3)
+    fitting(imu, imu.id, numbers_of(gyro_unit, accel_unit))
+    return as_outputs(rates, forces, imu)
+
+
+def as_outputs(rates: Floats, forces: Floats, imu: ImuSpec) -> tuple[Floats, Floats]:
+    """Return SI values as outputs of an IMU; whole numbers are so: its file says what one is."""
+    if imu.units.whole:
+        return rates, forces
+    return rates / imu.gyro.scale_factor, forces / imu.accel.scale_factor

@@ -100,6 +100,13 @@ def test_samples_in_memory_become_what_compensate_writes(bag, result, tmp_path):
         imu_calib.InputError, match=r'columns x, z, y, expected angular_velocity\.x'
     ):
         result.calibration.apply(named, raw[NAMES[3:]], rate=1 / seconds)
+    # Columns of other names are stated as elsewhere.
+    short = raw[NAMES].set_axis(['gx', 'gy', 'gz', 'ax', 'ay', 'az'], axis=1)
+    words = {'gyro': 'gx,gy,gz:count', 'accel': 'ax,ay,az:count'}
+    stated = result.calibration.apply(short[reversed(short.columns)], **words, rate=1 / seconds)
+    np.testing.assert_array_equal(stated, frames)
+    with pytest.raises(imu_calib.InputError, match='the numbers are rates and accelerations'):
+        result.calibration.apply(short, gyro='gx,gy,gz:deg/s', accel='ax,ay,az:g')
 
 
 def test_samples_of_other_units_than_si_are_a_warning(tmp_path):
