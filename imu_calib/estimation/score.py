@@ -391,23 +391,33 @@ class WhitenedResiduals:
 
     def scores(self, family: Family, patterns: Sequence[Pattern]) -> list[Score]:
         """Test a family by each of its `columns_of`."""
-        return [self._score(family, *pattern) for pattern in patterns]
-
-    def _score(self, family: Family, columns: Floats, sizes: Floats) -> Score:
-        """Test a family by columns (m, k) for coefficients of sizes (k,)."""
-        count, rows = len(sizes), len(self.whitened)
-        white = np.zeros((rows, count))
-        white[: len(columns)] = whiten(self.factor, columns)
-        directions, values, axes = np.linalg.svd(
-            _orthogonal_to(white, self.basis), full_matrices=False
+        every = np.hstack([columns for columns, _ in patterns])
+        white = np.zeros((len(self.whitened), every.shape[1]))
+        white[: len(every)] = whiten(self.factor, every)
+        white = _orthogonal_to(white, self.basis)
+        judged = np.append(
+            family.judged(self.equations), np.zeros(len(white) - len(every), dtype=bool)
         )
+        freedom = float(judged.sum() - (self.basis[judged] ** 2).sum())
+        ends = np.cumsum([len(sizes) for _, sizes in patterns])[:-1]
+        return [
+            self._score(each, sizes, judged, freedom)
+            for each, (_, sizes) in zip(np.split(white, ends, axis=1), patterns, strict=True)
+        ]
+
+    def _score(
+        self, white: Floats, sizes: Floats, judged: NDArray[np.bool_], freedom: float
+    ) -> Score:
+        """Test a family by whitened columns (m + 4, k) for coefficients of sizes (k,).
+
+        The outputs that are `judged` have the given degrees of freedom without the family.
+        """
+        directions, values, axes = np.linalg.svd(white, full_matrices=False)
         sound = values > SEEN
         directions, values, axes = directions[:, sound], values[sound], axes[sound]
         along = directions.T @ self.whitened
-        judged = np.append(family.judged(self.equations), np.zeros(rows - len(columns), dtype=bool))
         rest = (self.whitened - directions @ along)[judged]
-        taken = (self.basis[judged] ** 2).sum() + (directions[judged] ** 2).sum()
-        freedom = float(judged.sum() - taken)
+        freedom -= float((directions[judged] ** 2).sum())
         scale = float(rest @ rest) / freedom if freedom >= 1 else 1.0
         root = sizes[:, None] * axes.T / values
         seen = (axes**2).sum(axis=0) > 1 - _WHOLE

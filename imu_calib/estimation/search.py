@@ -26,7 +26,7 @@ from ..model.sensors import parameters_of, terms_of
 from ..model.session_terms import Change, Course
 from .attitude_steps import AttitudeStep
 from .changing import with_changes, with_shape
-from .components import whiten
+from .components import unwhiten
 from .equations import Equations
 from .estimate import Estimate, estimate
 from .evidence import SMALLEST_VARIANCE, Evidence
@@ -703,12 +703,11 @@ def _search_of(
     scores |= {f: most_significant(its, tries_of(f, equations)) for f, its in drifting.items()}
     scores = {f: scores[f] for f in off}
     m, n = len(equations.outputs), equations.sensors
-    gain = current.gain[:n, :m]
+    gain = unwhiten(residuals.factor, current.gain[:n, :m])
 
     def slopes(pattern: Pattern) -> Floats:
         moved, sizes = pattern
-        white = whiten(residuals.factor, moved / sizes)
-        return np.asarray(gain @ white)
+        return np.asarray(gain @ (moved / sizes))
 
     leverage = {f: slopes(columns[f][scores[f].chosen]) for f in off if not f.of_table}
     alpha = CHANCE / max(1, len(off))
