@@ -188,8 +188,7 @@ class _Model:
                 model = replace(model, evidence=evidence)
             elif one.family.of_table and table is not None:
                 errors = replace(table.errors, **{one.family.name: one.size})
-                evidence = replace(model.evidence, table=replace(table, errors=errors))
-                model = replace(model, evidence=evidence)
+                model = replace(model, evidence=model.evidence.with_table_errors(errors))
             elif one.considered:
                 model = replace(model, considered=(*model.considered, *one.considered))
             else:
@@ -206,8 +205,12 @@ class _Model:
 
     def on(self, equations: Equations, state: Floats) -> tuple[Equations, Floats]:
         """Return equations of a session with the families on, and their state; new ones are 0."""
-        steps = self.evidence.attitude_steps
-        evidence = replace(equations.evidence, table=self.evidence.table, attitude_steps=steps)
+        evidence, steps = equations.evidence, self.evidence.attitude_steps
+        # A session with nothing changed keeps its cached results.
+        if (table := self.evidence.table) and evidence.table != table:
+            evidence = evidence.with_table_errors(table.errors)
+        if evidence.attitude_steps != steps:
+            evidence = evidence.with_attitude_steps(steps)
         sensors = values_of(self.parameters, equations, state)
         here = replace(
             equations, parameters=self.parameters, considered=self.considered, evidence=evidence
@@ -552,7 +555,9 @@ def _log_chance_limit(open_ones: Sequence[Family]) -> float:
 
 def _restored(start: _Model, first: Estimate) -> Equations:
     """Return the equations with all moves, nothing set aside, and the stated noise."""
-    evidence = replace(first.equations.evidence, moves=start.evidence.moves)
+    evidence = first.equations.evidence
+    if evidence.moves != start.evidence.moves:
+        evidence = evidence.with_moves(start.evidence.moves)
     return replace(first.without_scatter, evidence=evidence, inflation=None)
 
 
