@@ -227,8 +227,9 @@ _MARK = '  - '
 _HEADING = 2  #: Lines of a title and the empty one above it.
 ROOM = 6
 """Lines of warnings and notes with which a result of 24 parameters fits a screen of 40."""
-_NOTES = 5
-"""Notes that are shown without --verbose. A choice: the first ones change the numbers most."""
+_SHOWN = 5
+"""Warnings and notes that are shown without --verbose, and all warnings. A choice: the first ones
+change the numbers most."""
 
 
 def show_calibration(
@@ -298,10 +299,10 @@ def print_parts(parts: Iterable[Table | str]) -> None:
 
 
 def print_findings(findings: Sequence[str], *, verbose: bool, room: int | None = None) -> None:
-    """Print warnings and notes, the most important first: without `verbose` the first notes.
+    """Print warnings and notes, the most important first: without `verbose` the first five.
 
-    Warnings are never left out. Of notes beside them, or after the first, those are shown that fit
-    with the warnings into `room` lines.
+    Warnings are never left out. Where there are none, those notes are shown that fit into `room`
+    lines, the first in any case.
     """
     # Loaded here, with numpy: help and wrong usage need none.
     from ..common.finding import is_warning, without_label
@@ -309,14 +310,14 @@ def print_findings(findings: Sequence[str], *, verbose: bool, room: int | None =
     warnings = [without_label(text) for text in findings if is_warning(text)]
     notes = [text for text in findings if not is_warning(text)]
     sentence_list('Warnings', warnings)
-    shown = notes if verbose else notes[:_NOTES]
-    if room is not None and not verbose:
-        taken = list(accumulate(len(_filled(text, _MARK)) for text in [*warnings, *notes]))
-        room -= _HEADING if warnings else 0
-        fitting = sum(lines <= room for lines in taken) - len(warnings)
+    shown = notes if verbose else notes[: max(_SHOWN - len(warnings), 0)]
+    if room is not None and not verbose and not warnings:
+        taken = list(accumulate(len(_filled(text, _MARK)) for text in notes))
         # All of them need no line that says how many more there are.
-        all_fit = taken and taken[-1] <= room + 1
-        shown = notes if all_fit else shown[: max(fitting, 0 if warnings else 1)]
+        if taken and taken[-1] > room + 1:
+            shown = shown[: max(sum(lines <= room for lines in taken), 1)]
+        else:
+            shown = notes
     sentence_list('Notes', shown)
     if len(shown) < len(notes):
         rest = len(notes) - len(shown)
