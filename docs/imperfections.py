@@ -423,7 +423,6 @@ units. What a session cannot show is in [limits.md](limits.md). Not honest yet:
 - stamps slewed for more than a quarter of the session, or while a crystal warms up: what is stamped
   at another pace is left out and named, and the session refused if that is much (for a fifth, by 50
   ppm, nothing is lost, and all 60 sessions are honest)
-- a driver that differences a counter and delivers rates: its double samples are called false ones
 - a unit that drifts, but much less than its data sheet says, may seem calmer than it is: of 24 D_a
   each, with 4, 8, 13 and 20 % of the accelerometers' 20 ug (simulated by our own program), the
   errors are 0.9, 1.3, 1.5 and 1.4 of their standard deviations (root mean square; the worst 4.4)

@@ -346,7 +346,8 @@ class DifferencedCounts:
 class CountsAfterGaps:
     """Divides counts over lost samples; the result does not depend on how the stream is cut.
 
-    The last `_BESIDE` samples wait for those after them. Values that are rates pass unchanged.
+    The last `_BESIDE` samples wait for those after them. Rates are counts over the interval that
+    the driver assumes.
 
     Args:
         units: Of the values.
@@ -364,8 +365,6 @@ class CountsAfterGaps:
 
     def divide(self, stamp: Stamps, values: Floats) -> Rows:
         """Add (n,) stamps, ns, with (n, 6) values; return the rows that are certain."""
-        if not self._units.per_interval:
-            return Rows(stamp, values)
         if len(self._rows.stamp):
             stamp = np.concatenate([self._rows.stamp, stamp])
             values = np.concatenate([self._rows.values, values])
@@ -418,7 +417,8 @@ class CountsAfterGaps:
         kept = np.sort(deviations, axis=1)[:, :_BESIDE]
         floor = _READINGS
         if not self._units.whole:
-            floor = (_LEAST * interval[:, None] / NS / self._scale) ** 2
+            gained = interval[:, None] / NS if self._units.per_interval else 1.0
+            floor = (_LEAST * gained / self._scale) ** 2
         variance = np.maximum(_TRIMMED * kept.mean(axis=1), floor)
         # The rate between both sides is unknown by half of their difference.
         variance += (np.diff(sides, axis=1)[:, 0] / 2) ** 2

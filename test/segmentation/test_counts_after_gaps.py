@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from other_sessions import MEDIUM, NAVIGATION, errors, fed, recorded
+from extent import again
+from other_sessions import MEDIUM, NAVIGATION, errors, fed, in_si, recorded
 from other_world import DEG, Damage, Unit, World
 
 from imu_calib.common.stream import NS, Floats, ImuBlock, Stamps, Units
@@ -91,11 +92,30 @@ def test_a_count_over_a_longer_silence_is_left_out():
     assert (counts.found.lost, counts.found.dropped) == (silent, 1)
 
 
-def test_rates_pass_unchanged_and_at_once():
-    stamp, values, scale = of(MEDIUM, DIFFERENCED)
-    counts = CountsAfterGaps(Units.COUNTS, scale)
-    rows = counts.divide(stamp, values)
-    assert rows.stamp is stamp and rows.values is values
+@pytest.mark.parametrize('grade', ['navigation', again('coarse')])
+def test_rates_that_hold_those_of_lost_messages_put_nothing_off(grade):
+    """A K_g was off by 14 deviations, with terms of the gyros named, and one in the hand by 5000.
+
+    Here the driver divides by the interval that the unit states.
+    """
+    unit = GRADES[grade]
+    joints, imu = recorded(DIFFERENCED, unit, 0)
+    blocks = joints, in_si(unit, imu)
+    found = fed(DIFFERENCED, unit, find_terms=True, blocks=blocks, si=True).finish().calibration
+    off = errors(found, unit)
+    assert np.abs(off).max() < 4.5, np.round(off, 1)
+    assert found.parameters[24:] == ()
+    assert any('differences a counter over lost messages' in f for f in found.findings)
+
+
+def test_rates_after_messages_that_are_lost_pass_unchanged():
+    _, imu = recorded(World(damage=Damage(lost=1e-2)), NAVIGATION, 0)
+    block = in_si(NAVIGATION, imu)
+    values = np.hstack([block.gyro, block.accel])
+    for units in (Units.SI, Units.RATES, Units.COUNTS):
+        stamps, columns, counts = passed(block.stamp, values, np.ones(6), [], units)
+        assert (stamps == block.stamp).all() and (columns == values).all()
+        assert not counts.found.count
 
 
 def test_what_was_divided_repeats_no_sample():

@@ -9,7 +9,17 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from other_sessions import CONSUMER, EPOCH, MEDIUM, NAVIGATION, PPM, blocks_of, fed, recorded
+from other_sessions import (
+    CONSUMER,
+    EPOCH,
+    MEDIUM,
+    NAVIGATION,
+    PPM,
+    blocks_of,
+    fed,
+    in_si,
+    recorded,
+)
 from other_world import DEG, Motion, Unit, Vector, World, record, sample_integrals, schedule
 
 from imu_calib.calibration.calibrator import Calibrator
@@ -119,6 +129,11 @@ def _differenced(session: Session, share: float) -> Blocks:
     return joints, ImuBlock(imu.stamp[kept], gyro, accel)
 
 
+def _differenced_in_si(session: Session, share: float) -> Blocks:
+    joints, imu = _differenced(session, share)
+    return joints, in_si(session.unit, imu)
+
+
 def _false(session: Session, share: float, *, repeats: bool) -> Blocks:
     joints, imu = session.blocks()
     rows = np.flatnonzero(session.rng.random(len(imu.stamp)) < share)
@@ -195,6 +210,7 @@ class Fault:
     Attributes:
         exact: Whether the table is stated to have no errors.
         pulses: Whether a consumer unit, too, delivers pulses: it is a counter that is differenced.
+        si: Whether the driver makes rad/s and m/s^2 of them.
         grades: Of units to which it happens.
     """
 
@@ -202,10 +218,12 @@ class Fault:
     words: str = ''
     exact: bool = False
     pulses: bool = False
+    si: bool = False
     grades: tuple[str, ...] = tuple(GRADES)
 
 
 _DIFFERENCED = partial(_differenced, share=1e-3)
+_IN_SI = partial(_differenced_in_si, share=1e-3)
 _OVER_LOST = 'differences a counter over lost messages'
 _FALSE = 'false, the first at'
 _SLEWED = 'the stamps run at another pace'
@@ -219,6 +237,7 @@ FAULTS = {
     'nothing, pulses': Fault(Session.blocks, pulses=True, grades=('consumer',)),
     'counter differenced over 0.1 % lost': Fault(_DIFFERENCED, _OVER_LOST, pulses=True),
     'the same, delivered as it comes': Fault(_DIFFERENCED, _OVER_LOST, grades=('consumer',)),
+    'the same, delivered in SI': Fault(_IN_SI, _OVER_LOST, pulses=True, si=True),
     '0.3 % of samples zero': Fault(partial(_false, share=3e-3, repeats=False), _FALSE),
     '0.1 % of samples repeat': Fault(partial(_false, share=1e-3, repeats=True), _FALSE),
     'stamps of the IMU slewed by 50 ppm': Fault(partial(_slewed, ppm=50, both=False), _SLEWED),
@@ -260,4 +279,7 @@ def fed_with(name: str, grade: str, seed: int, table: Table) -> tuple[Calibrator
     plan = load_plan('twelve_position')
     plan = replace(plan, positions=tuple(replace(p, dwell=DWELL) for p in plan.positions))
     blocks = fault.blocks(Session(world, unit, seed, drawn))
-    return fed(world, unit, seed, plan, find_terms=True, table=table, blocks=blocks), unit
+    of_driver = fed(
+        world, unit, seed, plan, find_terms=True, table=table, blocks=blocks, si=fault.si
+    )
+    return of_driver, unit

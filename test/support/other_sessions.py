@@ -1,5 +1,6 @@
 """Sessions of `other_world`, fed to the package: three units, and what is true of them."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -99,14 +100,17 @@ def fed(
     find_terms: bool = False,
     table: Table | None = None,
     blocks: tuple[JointBlock, ImuBlock] | None = None,
+    si: bool = False,
 ) -> Calibrator:
-    spec = ImuSpec(
-        'other',
-        Units.COUNTS if unit.counts else Units.PULSES,
-        unit.rate,
+    gyro, accel = (
         TriadSpec(unit.gyro_pulse, unit.gyro_walk),
         TriadSpec(unit.accel_pulse, unit.accel_walk),
     )
+    units = Units.COUNTS if unit.counts else Units.PULSES
+    if si:
+        units = Units.SI
+        gyro, accel = (replace(t, scale_factor=1.0, pulse=t.scale_factor) for t in (gyro, accel))
+    spec = ImuSpec('other', units, unit.rate, gyro, accel)
     site = Site.at(world.latitude, 0.0, world.gravity)
     plan = load_plan('twelve_position') if plan is None else plan
     table = load_table('three_axis') if table is None else table
@@ -115,6 +119,12 @@ def fed(
     for block in recorded(world, unit, seed) if blocks is None else blocks:
         calibrator.add_block(block)
     return calibrator
+
+
+def in_si(unit: Unit, block: ImuBlock) -> ImuBlock:
+    """Return pulses as a driver gives them that divides by the stated interval."""
+    gyro, accel = unit.gyro_pulse * unit.rate, unit.accel_pulse * unit.rate
+    return ImuBlock(block.stamp, gyro * block.gyro, accel * block.accel)
 
 
 def errors(calibration: Calibration, unit: Unit) -> Floats:
