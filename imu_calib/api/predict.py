@@ -190,7 +190,7 @@ def reach(
     *,
     output: Named | None = None,
     truth: Calibration | Named = 'cao2022_table1',
-    bias_instability: bool = False,
+    bias_instability: bool = True,
     scheduler: str | None = None,
     **stated: Unpack[Planned],
 ) -> Reached:
@@ -203,7 +203,7 @@ def reach(
             {'D_gx': '0.05 deg/h'}, or numbers in SI units.
         output: File for the plan, which ends in .yaml; None for none.
         truth: Assumed true parameters of the unit.
-        bias_instability: Let the biases drift by the IMU's figure.
+        bias_instability: Let the biases drift by the IMU's figure, as a session has it.
         scheduler: Address of a Dask scheduler whose worker runs the search; None for this process.
 
     Returns:

@@ -107,8 +107,7 @@ def _show_conditions(setup: Setup) -> None:
 def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel) -> None:
     wanted = dict(_parted(text) for text in arguments.reach)
     target = None if arguments.output is None else plan_file(arguments.output)
-    drifting = arguments.bias_instability
-    reached = shortest(setup, truth, wanted, arguments.scheduler, drifting=drifting)
+    reached = shortest(setup, truth, wanted, arguments.scheduler, drifting=True)
     _show_conditions(setup)
     _show_forecast(reached.forecast, reached.wanted)
     dwells = [
@@ -118,6 +117,13 @@ def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel)
     ]
     OUTPUT.print()
     print_text(f'Dwell in s at each position (that of the plan): {", ".join(dwells)}.')
+    if setup.imu.gyro.bias_instability + setup.imu.accel.bias_instability:
+        OUTPUT.print(f'Biases drift as the file of {setup.imu.id} states.', markup=False)
+    else:
+        print_text(
+            f'The file of {setup.imu.id} states no bias_instability: biases are taken as constant, '
+            'and a session gives larger standard deviations.'
+        )
     if setup.table is not None:
         show_time(reached.plan, setup.table)
     if target is not None:

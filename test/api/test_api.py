@@ -574,7 +574,8 @@ def test_repeated_sessions_are_those_of_the_command(folder, capsys, monkeypatch)
 
 
 def test_dwells_are_found_that_reach_what_is_wanted(folder):
-    reached = imu_calib.reach(folder / 'brief.yaml', 'fog_medium', {'D_gx': '0.05 deg/h'})
+    asked = folder / 'brief.yaml', 'fog_medium', {'D_gx': '0.05 deg/h'}
+    reached = imu_calib.reach(*asked, bias_instability=False)
     places = {p.name: k for k, p in enumerate(reached.forecast.parameters)}
     std = reached.forecast.std[places['D_gx']] / DEG_H
     # Dwells are found to a thousandth below what is wanted.
@@ -586,8 +587,7 @@ def test_dwells_are_found_that_reach_what_is_wanted(folder):
     standing = sum(step.dwell for step in reached.plan.steps(table))
     assert again.duration > standing
     # Biases that drift need longer dwells, and the plan is a file.
-    drifts = {'bias_instability': True, 'output': folder / 'mine.yaml'}
-    more = imu_calib.reach(folder / 'brief.yaml', 'fog_medium', {'D_gx': '0.05 deg/h'}, **drifts)
+    more = imu_calib.reach(*asked, output=folder / 'mine.yaml')
     written = load_plan(folder / 'mine.yaml')
     assert sum(p.dwell for p in written.positions) > standing
     known = imu_calib.predict(written, 'fog_medium', bias_instability=True).std['D_gx']
