@@ -130,12 +130,12 @@ def reject_uncounted(reader: IntervalReader) -> None:
     )
 
 
-def time_slewed(reader: IntervalReader) -> tuple[list[int], list[str]]:
+def time_slewed(reader: IntervalReader, *, by_hand: bool) -> tuple[list[int], list[str]]:
     """Time data whose stamps run faster or slower than those of most of the session.
 
     The samples come evenly: their number times dwells and moves. Turns last as long as the table
     says; if it is stamped by the same clock, as long as their samples. What stays unclear is
-    rejected.
+    rejected; not in a hand, where parts in a thousand are below what it turns by more or less.
 
     Returns:
         When such stamps begin, ns: from there on the offset of the clocks is another; sentences.
@@ -160,10 +160,11 @@ def time_slewed(reader: IntervalReader) -> tuple[list[int], list[str]]:
             return not slews.prevails
         return alone is None or not slews.is_whole[slews.of(one)]
 
-    found.reject(
-        f'the stamps run at another pace there, {reason}',
-        lambda one: is_within(one.start) and is_unclear(one),
-    )
+    if not by_hand:
+        found.reject(
+            f'the stamps run at another pace there, {reason}',
+            lambda one: is_within(one.start) and is_unclear(one),
+        )
     if alone is False and slews.prevails:
         found.turns = [
             one.stamped_faster(slews.faster[k], slews.error[k])
@@ -333,7 +334,7 @@ class Segmenter:
         reject_untimed(reader, self._intake)
         before = len(found.rejected)
         reject_uncounted(reader)
-        slewed, self._slews = time_slewed(reader)
+        slewed, self._slews = time_slewed(reader, by_hand=self._table is None)
         mistimed = _mistimed_sentence(found, found.rejected[before:])
         self._frozen_motions = reject_hidden(reader)
         if self._clocks_unknown:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..common.stream import Floats, Stamps
 from .allan import AllanSums
-from .stamps import LARGEST_SLEW, SampleGrid, read_grid
+from .stamps import LARGEST_SLEW, SampleGrid, read_grid, skip
 
 _NEAR_WHOLE = 0.25
 """Of an interval: tolerance of the distance of segments about a whole number of intervals; beyond
@@ -106,6 +106,7 @@ class Pace:
         self._without_ticks: list[tuple[int, int]] = []
         self._read: list[tuple[int, int, float, float]] = []
         """First and last stamp, ns, interval and its standard deviation, s, of all segments."""
+        self._skip = 0.0  #: As in `stamps.skip`, the largest of a segment, s.
 
     def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
         """Return the grid of a segment, (n,) stamps in ns, and its timing by all so far."""
@@ -121,6 +122,7 @@ class Pace:
             self._note(float(stamp[0] - self._start) * 1e-9, grid)
             error = max(grid.period_std, _LEAST_STD / (len(stamp) - 1))
             self._read.append((int(stamp[0]), int(stamp[-1]), grid.period, error))
+            self._skip = max(self._skip, skip(stamp))
         timing = Timing(grid.period, grid.period, grid.period_std)
         return grid, replace(timing, used=self.combined(timing)[0])
 
@@ -150,6 +152,9 @@ class Pace:
         if len(self._read) < 2:
             return None
         first, last, period, std = np.array(self._read).T
+        # Stamps that are cut to few decimals run at the pace of these until one is skipped: both
+        # ends of a line are off by a part of it, evenly distributed.
+        std = np.maximum(std, self._skip / np.sqrt(6) * period / ((last - first) * 1e-9))
         apart = np.abs(np.diff(period)) / period[1:]
         error = np.hypot(std[1:], std[:-1]) / period[1:]
         minutes = np.diff(first + last) / 2 * 1e-9 / 60

@@ -381,6 +381,10 @@ class SampleGrid:
         return np.asarray(stamp[0] + np.rint(line * 1e9).astype(np.int64))
 
 
+_FEW_SKIPS = 0.05
+"""Of the steps: with more the scatter about a line shows what rounding does to its slope."""
+
+
 def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
     """Fit equal intervals, about `hint`, s, where known, to increasing stamps (n,), ns."""
     if (ticks := _grid_of_ticks(stamp)) is not None:
@@ -399,6 +403,20 @@ def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
         grid = _laid(time, counted, period)
         period, window = grid.period, _WINDOW
     return grid
+
+
+def skip(stamp: Stamps) -> float:
+    """Return by how much equal steps of stamps (n,), ns, skip now and then to one side, s; else 0.
+
+    Stamps with few decimals, as of a text file, do so every time that the interval's further
+    decimals add up to one of theirs.
+    """
+    steps = np.diff(stamp)
+    off = steps - int(np.median(steps))
+    some = off[off != 0]
+    if not 0 < len(some) <= _FEW_SKIPS * len(steps) or abs(some.sum()) < np.abs(some).sum() / 2:
+        return 0.0
+    return float(np.median(np.abs(some))) * 1e-9
 
 
 def clock_steps(stamp: Stamps, hint: float = 0.0) -> list[int]:
