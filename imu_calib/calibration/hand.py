@@ -32,6 +32,7 @@ from ..estimation.hand import (
 from ..estimation.information import Information, log_determinant
 from ..estimation.known_noise import known_noise, walk_of_sensors, with_own_noise
 from ..estimation.methods import estimated_parameters, method
+from ..estimation.moves import from_mean_attitudes
 from ..estimation.predict import ideal_move_by_hand, next_hold
 from ..estimation.setup import Setup
 from ..estimation.solution import Residual, Solution
@@ -478,6 +479,7 @@ class HandCalibrator:
         )
         holds = with_own_noise(holds)
         walk, freedom = known_noise(holds, setup.imu) if holds else (np.zeros(6), np.full(6, 1.0))
+        own = walk_of_sensors(holds, setup.imu) if holds else walk
         evidence = Evidence(
             holds,
             (),
@@ -487,11 +489,15 @@ class HandCalibrator:
             None,
             walk,
             walk_freedom=freedom,
-            moves=tuple(moves),
+            moves=from_mean_attitudes(moves, own),
             units=setup.imu.units,
             free=True,
+            sensor_walk=own,
         )
-        links, variances = evidence.used_moves.linked, evidence.used_moves.variances(walk)[:, :3]
+        links, variances = (
+            evidence.used_moves.linked,
+            evidence.used_moves.variances(evidence.walk_of_moves)[:, :3],
+        )
         kept = tuple(
             link.move
             for link, variance in zip(links, variances, strict=True)

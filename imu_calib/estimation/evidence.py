@@ -91,6 +91,9 @@ class Evidence:
     interruptions: tuple[tuple[int, int], ...] = ()
     #: Steps of the attitudes against the joints' readings, of which the outputs' covariance knows.
     attitude_steps: tuple[AttitudeStep, ...] = ()
+    #: (6,) as `walk`, of the sensors without what a hand adds at rest, which a move measures; None
+    #: where both are the same.
+    sensor_walk: Floats | None = None
 
     @classmethod
     def from_session(
@@ -314,9 +317,15 @@ class Evidence:
         segments = (replace(s, statistics=s.statistics.scaled(factors)) for s in self.segments)
         turns = (replace(t, statistics=t.statistics.scaled(factors)) for t in self.turns)
         moves = (m.scaled(factors) for m in self.moves)
-        walk = self.walk * factors
+        walk, own = self.walk * factors, self.sensor_walk
+        own = None if own is None else own * factors
         changed = replace(self, segments=tuple(segments), turns=tuple(turns), moves=tuple(moves))
-        return replace(changed, walk=walk)
+        return replace(changed, walk=walk, sensor_walk=own)
+
+    @property
+    def walk_of_moves(self) -> Floats:
+        """The random-walk coefficients of moves, (6,)."""
+        return self.walk if self.sensor_walk is None else np.fmin(self.walk, self.sensor_walk)
 
     def with_attitudes(self, attitudes: Floats) -> Evidence:
         """Return the session in other attitudes, (s, 3, 3) R_nb.

@@ -79,9 +79,10 @@ def spans(evidence: Evidence) -> tuple[Floats, Floats]:
 
 
 def _instants(evidence: Evidence) -> tuple[Stamps, Stamps]:
-    parts = [*evidence.parts, *(link.move for link in evidence.used_moves.linked)]
-    starts = np.array([part.start for part in parts], dtype=np.int64)
-    return starts, np.array([part.end for part in parts], dtype=np.int64)
+    spans = [(part.start, part.end) for part in evidence.parts]
+    spans += [link.move.span for link in evidence.used_moves.linked]
+    starts, ends = np.array(spans, dtype=np.int64).reshape(-1, 2).T
+    return starts, ends
 
 
 def seconds_of(evidence: Evidence, shape: float) -> float:

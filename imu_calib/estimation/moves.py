@@ -25,6 +25,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.gaussian import MAD_TO_STD
 from ..common.rotations import cross, cross_matrix, rotation_vector, rotations
 from ..common.stream import Floats
 from ..model.parameters import AXES, PARAMETERS, Parameter, ParameterKind, indices_of
@@ -363,7 +364,8 @@ class Moves:
         effect of the rotation at the end over the whole time.
         """
         gyro, accel = (float(np.mean(part**2)) for part in (walk[:3], walk[3:]))
-        seconds = self._seconds[:, None]
+        quiet = np.array([link.move.quiet for link in self.linked])
+        seconds = (self._seconds - quiet)[:, None]
         turning = gyro * seconds * self._turning
         turning[:, 3:] /= 12
         return turning, accel * seconds * np.repeat([0.0, 1.0], 3)
@@ -456,6 +458,44 @@ def _informative(move: Move, rounding: Floats, rest: Segment, walk: Floats) -> M
     if own <= _WORSE**2 * float(np.mean(rest.statistics.variance(walk)[3:])):
         return move
     return replace(move, velocity_steps=None)
+
+
+def from_mean_attitudes(moves: Sequence[Move], sensor_walk: Floats) -> tuple[Move, ...]:
+    """Return moves in the hand from the mean attitude of one hold to that of the next.
+
+    The accelerometers give the mean attitude of a hold, and a hand trembles, and begins and ends
+    turns gently, within it. With q the variance of the sensors' random walk over that of tremor and
+    sensors, the best estimate of the angle at an edge is 1 - q times what the gyros show. Its error
+    does not depend on that of the hold's mean rate, and of T seconds has the variance (1 - q) T / 3
+    of the sensors' walk. Angles from the start to the mean less those from there to the end show q,
+    without a constant bias: those of noise have a variance of T / 3 of it.
+
+    Source: docs/mathematics.md, 'Free positions'.
+    """
+    holds = [hold for move in moves for hold in move.edges or ()]
+    apart = [(one.from_mean - one.to_mean) / np.sqrt(one.seconds / 3) for one in holds]
+    # The medians: of biases that settle, few holds show much.
+    spread = np.median(np.abs(apart - np.median(apart, axis=0))) if apart else 0.0
+    seen, own = float(MAD_TO_STD * spread) ** 2, float(np.mean(sensor_walk[:3] ** 2))
+    # A unit that is held still has none; of counters without a data sheet the noise is not known.
+    if not seen > own:
+        return tuple(moves)
+    share = 1 - own / seen
+
+    def extended(move: Move) -> Move:
+        if move.edges is None:
+            return move
+        before, after = move.edges
+        held = np.array([before.seconds, after.seconds])
+        spans = share / 2 * held
+        seconds = np.concatenate([spans[:1], move.seconds, spans[1:]])
+        turned = np.vstack([share * before.from_mean, move.turned, share * after.to_mean])
+        # The weights of an edge rise linearly towards the move.
+        moment = spans @ ((move.duration / 2 + held / 3) * [-1, 1])
+        later, quiet = float(moment / seconds.sum()), float(spans.sum()) / 3
+        return replace(move, turned=turned, seconds=seconds, edges=None, quiet=quiet, later=later)
+
+    return tuple(map(extended, moves))
 
 
 def _gravity_misfit(segments: Sequence[Segment], gravity: float) -> float:

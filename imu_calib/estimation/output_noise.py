@@ -57,7 +57,7 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
         rest, turn = (np.array(part).reshape(-1, 6) for part in (at_rest, turned))
         return evidence.layout.joined(rest, turn, moved)
 
-    by_gyros, by_accels = used.noise(walk)
+    by_gyros, by_accels = used.noise(evidence.walk_of_moves)
     noise = joined(
         [walk**2 * s.walk_gain for s in statistics],
         [walk**2 * s.walk_gain for s in turned],

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from ..common.rotations import cross
 from ..common.stream import Floats
 from ..common.units import DEG
 from .counters import runs_of
-from .segmented import MountShift, Move, Rejected, VelocitySteps
+from .segmented import HeldAngles, MountShift, Move, Rejected, VelocitySteps
 from .segments import Segment
 from .statistics import Samples, Sensor, gap_free
 
@@ -48,6 +49,9 @@ COARSEST_BY_HAND = 20 * DEG
 """The same in a hand, where an arcminute is negligible: 1000 deg/s at 50 Hz."""
 
 
+_Edges: TypeAlias = tuple[HeldAngles, HeldAngles]
+
+
 class MoveReader:
     """Joins the motion between one segment at rest and the next to a move.
 
@@ -67,7 +71,8 @@ class MoveReader:
         self._open: list[_Steps] | None = None
         self._seen = 0
         self._begin = 0
-        self._moves: list[tuple[int, int, _Steps]] = []
+        self._moves: list[tuple[int, int, _Steps, _Edges | None]] = []
+        self._hold: HeldAngles | None = None
         self._reason = ''
         self._lost: list[Rejected] = []
 
@@ -102,7 +107,9 @@ class MoveReader:
             self._open, self._reason = None, ''
         for segment in (one for one in found if isinstance(one, Segment)):
             self._add(samples, delivered, int(np.searchsorted(samples.stamp, segment.start)))
-            self._close(segment)
+            hold = _held_angles(samples, segment) if self._by_hand else None
+            self._close(segment, hold)
+            self._hold = hold
             self._open, self._begin, self._seen, self._reason = [], segment.end, segment.end, ''
         self.motion(samples, delivered)
 
@@ -114,11 +121,18 @@ class MoveReader:
                 jitter, that of a few seconds would make the angles of rates a percent off.
         """
         return tuple(
-            self._move(start, end, steps, interval_at((start + end) / 2))
-            for start, end, steps in self._moves
+            self._move(start, end, steps, edges, interval_at((start + end) / 2))
+            for start, end, steps, edges in self._moves
         )
 
-    def _move(self, start: int, end: int, steps: _Steps, period: float) -> Move:
+    def _move(
+        self,
+        start: int,
+        end: int,
+        steps: _Steps,
+        edges: _Edges | None,
+        period: float,
+    ) -> Move:
         """Return the steps from one instant to another, ns, as a move, timed by the interval, s."""
         # Rates become angles and velocities by the interval of the session.
         longer = np.ones(1) if self._sensor.counted else period / steps.period
@@ -136,12 +150,15 @@ class MoveReader:
             steps.pulse[:3],
             float(steps.filled[0]),
             None if self._by_hand else gained,
+            edges
+            and (edges[0].times(longer[0], longer[0]), edges[1].times(longer[-1], longer[-1])),
         )
 
-    def _close(self, segment: Segment) -> None:
+    def _close(self, segment: Segment, hold: HeldAngles | None) -> None:
         """End the open move where a segment begins."""
         if self._open and sum(len(p.counts) for p in self._open) >= _SHORTEST:
-            self._moves.append((self._begin, segment.start, _concatenated(self._open)))
+            edges = None if self._hold is None or hold is None else (self._hold, hold)
+            self._moves.append((self._begin, segment.start, _concatenated(self._open), edges))
         elif self._reason or self._open is not None:
             reason = self._reason or JERK
             self._lost.append(Rejected(self._begin, segment.start, reason, turn=True))
@@ -181,6 +198,20 @@ class _Steps:
     period: Floats  #: (n,) the sample interval assumed, s.
     pulse: Floats  #: (6,) size of a pulse, rad and m/s.
     filled: Floats  #: (2,) variances due to filled gaps, rad^2 and (m/s)^2.
+
+
+def _held_angles(samples: Samples, segment: Segment) -> HeldAngles | None:
+    """Return the angles within a hold; None where samples are missing.
+
+    Of small angles the mean is that of their sums up to each sample: each counts by the share of
+    the hold after it, or before.
+    """
+    part = samples.at(slice(*np.searchsorted(samples.stamp, [segment.start, segment.end + 1])))
+    if len(gap_free(part.stamp, part.period)) > 1:
+        return None
+    angle = part.increments[:, :3]
+    over = (np.arange(len(angle)) + 0.5) / len(angle)
+    return HeldAngles((1 - over) @ angle, over @ angle, len(angle) * part.period)
 
 
 def _concatenated(parts: Sequence[_Steps]) -> _Steps:

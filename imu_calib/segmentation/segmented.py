@@ -60,6 +60,19 @@ class VelocitySteps:
 
 
 @dataclass(frozen=True, eq=False)
+class HeldAngles:
+    """Angles (3,) by the gyros within a hold in the hand, rad."""
+
+    to_mean: Floats  #: From its start to its mean attitude.
+    from_mean: Floats  #: From there to its end.
+    seconds: float  #: Its duration, s.
+
+    def times(self, factors: Floats | float, longer: float = 1.0) -> HeldAngles:
+        """Return angles multiplied by (3,) factors or one, and the duration by another."""
+        return HeldAngles(self.to_mean * factors, self.from_mean * factors, self.seconds * longer)
+
+
+@dataclass(frozen=True, eq=False)
 class Move:
     """A motion from one segment at rest to the next, without a gap."""
 
@@ -72,11 +85,25 @@ class Move:
     filled: float = 0.0
     #: Velocities gained by the accelerometers; None where not requested.
     velocity_steps: VelocitySteps | None = None
+    #: Of a unit in the hand, of the holds before and after; None where not known.
+    edges: tuple[HeldAngles, HeldAngles] | None = None
+    #: s by which the time of its noise is shorter than it: of edges a part counts.
+    quiet: float = 0.0
+    later: float = 0.0  #: s by which the middle of its seconds is later than that of its instants.
 
     @property
     def duration(self) -> float:
         """Its duration, s."""
         return float(self.seconds.sum())
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """Instants of its duration about its middle, ns; its own where it has no edges."""
+        if not self.quiet:
+            return self.start, self.end
+        middle = (self.start + self.end) / 2 + self.later * 1e9
+        half = self.duration * 5e8
+        return round(middle - half), round(middle + half)
 
     @property
     def fastest(self) -> float:
@@ -91,7 +118,8 @@ class Move:
             velocity, pulse = gained.velocity * accel, gained.pulse * accel
             gained = replace(gained, velocity=velocity, mean=gained.mean * gyro, pulse=pulse)
         turned, pulse = self.turned * gyro, self.pulse * gyro
-        return replace(self, turned=turned, pulse=pulse, velocity_steps=gained)
+        edges = self.edges and (self.edges[0].times(gyro), self.edges[1].times(gyro))
+        return replace(self, turned=turned, pulse=pulse, velocity_steps=gained, edges=edges)
 
 
 @dataclass(frozen=True, eq=False)
