@@ -28,7 +28,7 @@ from ..segmentation.course import SignalMeans
 from ..segmentation.segmented import Segmented
 from ..session.imu import HOTTEST
 from ..session.keywords import Calibrated, Named, OfSeveral, Stated, with_keywords
-from ..session.metadata import compensated_already, interpolated_from, serial_key
+from ..session.metadata import compensated_already, described_origin, interpolated_from, serial_key
 from ..session.plan import load_plan
 from ..session.units_file import MountedUnit
 from .opening import (
@@ -176,6 +176,7 @@ def documented(opened: Opened, result: Result) -> Result:
     provenance = {
         'recording': printable(opened.recording.path.name),
         'sha256': opened.recording.sha256(),
+        **described_origin(opened.recording.custom_data),
         'topics': sorted(opened.streams.kinds()),
         **interpolated,
         **({} if listed is None else {'segments_file': printable(Path(listed.where).name)}),

@@ -54,7 +54,13 @@ from ..session.keywords import (
     with_defaults,
     with_keywords,
 )
-from ..session.metadata import describe, mount_description, shared_description, unit_description
+from ..session.metadata import (
+    SIMULATED,
+    describe,
+    mount_description,
+    shared_description,
+    unit_description,
+)
 from ..session.plan import Plan
 from ..session.table import Table
 from ..session.units_file import TRUTHS, MountedUnit, spread_seeds
@@ -213,7 +219,7 @@ def simulate(
     else:
         stand = SimulatedStand(steps, stands, spec, true.model, place, options, seed)
         duration, blocks = stand.duration, stand.blocks()
-    data = describe(plan, imu, named, place, serial or '')
+    data = describe(plan, imu, named, place, serial or '') | {SIMULATED: 'true'}
     with removed_on_failure(target):
         with RecordingWriter(target, data, given['compression']) as writer:
             _write_blocks(writer, blocks, duration, progress)
@@ -407,7 +413,7 @@ def simulate_units(
         unit = SimulatedUnit(one.topic, spec, true.model, one.mount, one.lever, own_seed)
         units.append(unit)
     stand = SeveralOnTable(steps, stands, units, place, options, seed)
-    data = shared_description(describe(plan, listed[0].imu, table, place))
+    data = shared_description(describe(plan, listed[0].imu, table, place)) | {SIMULATED: 'true'}
     for one in listed:
         data |= unit_description(one.topic, one.imu, one.serial_number)
         if one.turned:

@@ -132,11 +132,18 @@ class Calibration:
     def unit_name(self) -> str:
         """Type and serial number of the unit, for people; of a unit without either, its recording.
 
-        Units of one topic of SI units have a common description, and no type.
+        Units of one topic of SI units have a common description, and no type. A unit that does not
+        exist is said to be simulated.
         """
+        name = ' '.join([self.imu.id, self.serial_number]).strip()
         if self.imu.id == GENERIC and not self.serial_number:
-            return str(self.provenance.get('recording') or self.imu.id)
-        return ' '.join([self.imu.id, self.serial_number]).strip()
+            name = str(self.provenance.get('recording') or self.imu.id)
+        return f'{name} (simulated)' if self.simulated else name
+
+    @property
+    def simulated(self) -> bool:
+        """Whether its data were simulated, so that it is of no real unit."""
+        return bool(self.provenance.get('simulated'))
 
     @property
     def values(self) -> Floats:

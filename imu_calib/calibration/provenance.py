@@ -197,6 +197,7 @@ _CLOSED_FORM = {
 ENTRIES = {
     'recording': _entry('name of the recording', Section.text),
     'sha256': _entry('of its files', Section.text),
+    'simulated': _entry('whether the data were simulated', Section.flag, otherwise='measured'),
     'segments_file': _entry('file of the holds and turns that were chosen by hand', Section.text),
     'topics': _entry('topics that were read', texts),
     'accel_interpolated_from_hz': _entry(

@@ -35,7 +35,7 @@ from .task import CALIBRATED, FAILED, SUPERSEDED, TaskResult
 if TYPE_CHECKING:
     import pyarrow as pa
 
-VERSION = 3
+VERSION = 4
 """Version of the columns; a reader refuses a newer one and fills in the columns that an older one
 lacks."""
 
@@ -71,6 +71,7 @@ def schema() -> pa.Schema:
         column('at', when),
         column('seconds', number, 's'),
         column('verdict', text),
+        column('simulated', pa.bool_()),
         column('findings', pa.list_(text)),
         column('latitude', number, 'deg'),
         column('temperature', number, 'degC'),

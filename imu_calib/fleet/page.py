@@ -322,6 +322,7 @@ def recordings_of(table: pa.Table, folder: Path, base: Path) -> Recordings:
         calibrated=np.array([one == CALIBRATED for one in table['status'].to_pylist()], bool),
         error=texts('error'),
         verdict=texts('verdict'),
+        simulated=[bool(one) for one in table['simulated'].to_pylist()],
         values=columns_of(table, ''),
         std=columns_of(table, 'std_'),
         findings=[one or [] for one in table['findings'].to_pylist()],

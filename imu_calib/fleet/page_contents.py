@@ -52,6 +52,7 @@ class Flag(Enum):
     DRIFTS = State('drifts', 'marginal', 'has a significant trend')
     DUE = State('due', 'marginal', 'is to be recalibrated soon')
     MARGINAL = State('marginal', 'marginal', 'a limit lies within the uncertainty')
+    SIMULATED = State('simulated', 'marginal', 'its newest calibration is of simulated data')
     OUTLIER = State('outlier', 'plain', 'unlike the others of its type')
     UNJUDGED = State('not calibrated', 'plain', 'none of its recordings gave a calibration')
 
@@ -69,6 +70,7 @@ class Recordings:
     calibrated: Flags  #: (n,) whether it gave a calibration.
     error: Sequence[str]  #: Reason of the failure, a sentence.
     verdict: Sequence[str]  #: Against the specification; empty without one.
+    simulated: Sequence[bool]  #: Whether its data were simulated.
     values: Floats  #: (n, 24) SI units; NaN if not estimated.
     std: Floats  #: (n, 24) stated standard deviations.
     findings: Sequence[Sequence[str]]  #: Of its calibration, sentences.
@@ -184,6 +186,7 @@ def _flags(
     last = _newest(rows, sessions)
     flags = {Flag.FAILED: any(_later(rows.date[k], last) for k in failed)}
     flags[Flag.OUTLIER], flags[Flag.UNJUDGED] = apart, not sessions
+    flags[Flag.SIMULATED] = bool(sessions) and rows.simulated[sessions[-1]]
     if history is not None:
         newest, due = len(history.key) - 1, history.forecast.recalibrate
         # A unit that is outside has no date until which it is inside.

@@ -345,6 +345,7 @@ def _calibrated(result: Result) -> dict[str, Any]:
         'plan': str(setup.get('plan') or ''),
         'method': str(setup['method']),
         'verdict': '' if verdict is None else verdict.value,
+        'simulated': found.simulated,
         'findings': list(found.findings),
         'latitude': float(setup['latitude_deg']),
         'temperature': float('nan') if temperature is None else float(temperature.mean),

@@ -318,6 +318,7 @@ class Journal:
 
     Attributes:
         path: The folder.
+        description: As given.
         losses: Sentences on what of an unfinished session could not be read.
 
     Raises:
@@ -333,6 +334,7 @@ class Journal:
         progress: Callable[[float], None] = lambda _: None,
     ) -> None:
         self.path = path
+        self.description = dict(description)
         self.losses: list[str] = []
         self._progress = progress
         self._topics = dict(topics)

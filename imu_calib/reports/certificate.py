@@ -146,6 +146,8 @@ def certificate_of(
             'a serial number in the calibration, without which nothing says that it is of this '
             'unit: calibrate again with `serial` (7.8.2.1 g)'
         )
+    if calibration.simulated:
+        lacking.append('measured data: those of this calibration were simulated (7.2.1)')
     if not provenance.number(calibration.provenance, 'gravity_std'):
         lacking.append(
             'a standard uncertainty of gravity, which the calibration takes as exact: calibrate '

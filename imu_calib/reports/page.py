@@ -211,8 +211,7 @@ def page(contents: Contents) -> str:
     Equal contents give equal text, independent of time and place.
     """
     calibration = contents.calibration
-    # A unit without a number is known by its type, or its recording.
-    title = calibration.serial_number or calibration.unit_name
+    title = _title(calibration)
     body = ''.join(
         [
             tag('h1', escape(title)),
@@ -230,6 +229,12 @@ def page(contents: Contents) -> str:
         ]
     )
     return document(f'{title}: calibration', body, STYLE)
+
+
+def _title(calibration: Calibration) -> str:
+    """Return the serial number; a unit without is known by its type, or its recording."""
+    name = calibration.unit_name
+    return name.removeprefix(f'{calibration.imu.id} ') if calibration.serial_number else name
 
 
 def _head(contents: Contents) -> str:
@@ -352,7 +357,7 @@ def thermal_page(combined: ThermalCalibration, name: str, imu: ImuSpec | None = 
     first = combined.calibrations[0]
     specification = None if imu is None else imu.specification
     each = [assess(c, specification) for c in combined.calibrations]
-    title = f'{first.serial_number or first.unit_name} over temperature'
+    title = f'{_title(first)} over temperature'
     sessions = ''.join(_session(combined, k) for k in range(len(combined.calibrations)))
     return document(
         title,

@@ -273,6 +273,7 @@ _GROUPS: tuple[tuple[str, tuple[tuple[str, Callable[[Facts], str], tuple[str, ..
             ('recording', _text('recording'), ('recording',)),
             ('begun', date, ('recorded',)),
             ('SHA-256', _text('sha256'), ('sha256',)),
+            ('data', lambda facts: 'simulated' * bool(facts['simulated']), ('simulated',)),
             ('topics', _listed('topics'), ('topics',)),
             ('accelerometers', _interpolated, ('accel_interpolated_from_hz',)),
             ('temperature of the unit', temperature, ('temperature',)),

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,7 @@ PREFIX = 'imu_calib.'  #: Of the keys of a recording's own entries.
 SERIAL_NUMBER = f'{PREFIX}serial_number'  #: The unit's serial number.
 LEFT_OUT = f'{PREFIX}left_out'
 """The units that were left out of a session of several: their names, with commas."""
+SIMULATED = f'{PREFIX}simulated'  #: There if the data were simulated.
 COMPENSATED = f'{PREFIX}compensated'  #: The calibration file by which a recording was compensated.
 PLAN, IMU = f'{PREFIX}plan', f'{PREFIX}imu'  #: The texts of the files of plan and IMU.
 TABLE = f'{PREFIX}table'  #: The text of the table's file; empty if there is none.
@@ -165,6 +166,11 @@ def compensated_already(data: Mapping[str, str], topic: str) -> list[str]:
         f'The samples of {topic} are compensated already (by {by}). A calibration of the raw '
         'samples does not apply to them, nor does one of these to the raw samples.'
     ]
+
+
+def described_origin(data: Mapping[str, str]) -> dict[str, Any]:
+    """Return the entry `simulated` of a calibration's provenance; none of measured data."""
+    return {'simulated': True} if SIMULATED in data else {}
 
 
 def states_site(data: Mapping[str, str]) -> bool:

@@ -261,9 +261,9 @@ def test_every_class_is_shown_in_one_line(result):
     failed = imu_calib.UnitResult('A1', '/imu', '', None, InputError('Why.'))
     shown: dict[object, str] = {
         imu_calib.ThermalCalibration((replace(known, provenance=warm),)): (
-            'ThermalCalibration of fog_medium: at 20.0 degC'
+            'ThermalCalibration of fog_medium (simulated): at 20.0 degC'
         ),
-        imu_calib.Optimum(plan, (), 0.0, 90.0): 'Optimum: 6 positions in 1.5 min',
+        imu_calib.Optimum(plan, 0.0, 90.0): 'Optimum: 6 positions in 1.5 min',
         imu_calib.Simulated(here, plan, known, 60.0, None): (
             'Simulated: 60 s of plan six_position in there'
         ),
@@ -366,6 +366,19 @@ def test_a_prediction_is_what_the_session_reached(folder, result):
     assert {one.term.name for one in prediction.terms} >= {'g_sensitivity', 'gyro_asymmetry'}
     with pytest.raises(InputError, match='terms of the sensors: trend, warm_up and step'):
         imu_calib.predict(folder / 'brief.yaml', 'fog_medium', terms='trend')
+
+
+def test_a_calibration_of_simulated_data_says_so(result, tmp_path):
+    result.calibration.save(tmp_path / 'c.yaml')
+    known = Calibration.load(tmp_path / 'c.yaml')
+    assert known.provenance['simulated'] is True
+    numbered = replace(known, serial_number='A1')
+    for one, name in ((known, 'fog_medium'), (numbered, 'A1')):
+        page = imu_calib.report(one, tmp_path / 'r.html').read_text()
+        assert f'<h1>{name} (simulated)</h1>' in page
+        assert '(simulated)' in imu_calib.export(one, 'c').text and '(simulated)' in repr(one)
+    measured = {k: v for k, v in known.provenance.items() if k != 'simulated'}
+    assert '(simulated)' not in repr(replace(known, provenance=measured))
 
 
 def test_reports_of_results_and_of_files_are_the_same(folder, result, tmp_path):

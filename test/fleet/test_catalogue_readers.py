@@ -16,7 +16,7 @@ from imu_calib.fleet.task import TaskResult, failed
 
 needs_modules('pyarrow', 'duckdb', 'pandas')
 
-LACKING = {1: ['lot', 'limits', 'topic'], 2: ['topic']}
+LACKING = {1: ['lot', 'limits', 'topic', 'simulated'], 2: ['topic', 'simulated']}
 """Columns that a version does not have (docs/fleet.md)."""
 GROWN = (1, 1, 2)
 """Versions of the parts, one row each; of row 0 the recording failed."""

@@ -247,6 +247,7 @@ def test_a_batch_gives_what_calibrate_gives(recordings, done):
         kept = imu_calib.Calibration.load(done / row['calibration'])
         assert np.array_equal(kept.values, alone.values)
         assert row['serial'] == alone.serial_number and row['imu'] == 'fog_medium'
+        assert row['simulated']
         newest = done / 'calibrations' / 'fog_medium' / f'{row["serial"]}.yaml'
         assert newest.read_text() == (done / row['calibration']).read_text()
     lost = found['broken.mcap']
@@ -325,7 +326,7 @@ def test_catalogue_lists_filters_and_exports(done, tmp_path, capsys):
     # All do not fit on a screen: their names do.
     assert main(['catalogue', str(done), '--columns', '*']) == 0
     out = capsys.readouterr().out
-    assert out.startswith('3 rows of 79 columns: key, recording,') and 'K_gx [1], ' in out
+    assert out.startswith('3 rows of 80 columns: key, recording,') and 'K_gx [1], ' in out
     assert main(['catalogue', str(done), '--sql', 'select nothing']) == 2
     assert 'nothing' in capsys.readouterr().err
     assert main(['catalogue', str(done), '--columns', 'kgx']) == 2
@@ -558,9 +559,9 @@ def test_older_columns_are_filled_in_and_newer_refused(tmp_path):
     pq.write_table(text, part)
     with pytest.raises(InputError, match='its columns are not those of a catalogue'):
         Catalogue(tmp_path / 'c').table()
-    newer = table.replace_schema_metadata({b'imu_calib.catalogue': b'4'})
+    newer = table.replace_schema_metadata({b'imu_calib.catalogue': b'5'})
     pq.write_table(newer, part)
-    with pytest.raises(InputError, match=r'found version 4 .* expected 3 or older'):
+    with pytest.raises(InputError, match=r'found version 5 .* expected 4 or older'):
         Catalogue(tmp_path / 'c').table()
     part.write_bytes(b'PAR1 no more')
     with pytest.raises(InputError, match='is not a part of a catalogue'):

@@ -285,6 +285,17 @@ def test_a_catalogue_of_failures_has_a_page(tmp_path, capsys):
     )
 
 
+def test_units_of_simulated_data_are_said_to_be_that(tmp_path):
+    folder = tmp_path / 'catalogue'
+    Catalogue(folder, create=True)
+    day = datetime(2026, 10, 1, tzinfo=timezone.utc)
+    unit = {'imu': 'fog_medium', 'parameters': (0.1 * STD).tolist(), 'date': day}
+    add(folder, 1, serial='real', **unit)
+    add(folder, 2, serial='none', simulated=True, **unit)
+    text = imu_calib.fleet_report(folder, tmp_path / 'fleet.html').read_text()
+    assert '2 units: 1 simulated, 1 fine.' in text
+
+
 def test_every_failed_recording_is_listed(made, tmp_path):
     folder = fleets.write(tmp_path / 'catalogue', made)
     early, late = (datetime(year, 1, 2, tzinfo=timezone.utc) for year in (2020, 2027))

@@ -136,6 +136,11 @@ def test_ctrl_c_stops_the_table_and_the_session_can_be_resumed(tmp_path):
     assert (folder / 'calibration.yaml').is_file()
 
 
+def test_a_calibration_of_a_simulated_stand_says_so(finished):
+    assert result(finished / 'first').simulated
+    assert imu_calib.calibrate(finished / 'first').calibration.simulated
+
+
 def test_nothing_of_dds_or_ros_is_needed(finished):
     assert result(finished / 'second').has_accelerometers
 

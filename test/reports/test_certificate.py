@@ -248,6 +248,14 @@ def test_a_calibration_without_a_serial_number_gives_a_draft_alone(calibration):
     assert 'calibrate again with `serial`' in draft.missing[-1]
 
 
+def test_simulated_data_give_a_draft_alone(calibration):
+    simulated = replace(calibration, provenance={**calibration.provenance, 'simulated': True})
+    with pytest.raises(InputError, match='measured data: those of this calibration were simulated'):
+        made(simulated)
+    draft = certificate_of(simulated, fields(), draft=True)
+    assert 'were simulated' in certificate_page(draft)
+
+
 def test_a_file_that_was_edited_is_not_certified(calibration, tmp_path):
     path, target = tmp_path / 'c.yaml', tmp_path / 'c.html'
     calibration.save(path)

@@ -298,6 +298,7 @@ def fleet(made: Invented) -> Fleet:
         calibrated=np.array([one == 'calibrated' for one in rows['status']]),
         error=rows['error'],
         verdict=[one or '' for one in rows['verdict']],
+        simulated=[False] * len(rows['key']),
         values=np.vstack([made.values, lost]),
         std=np.vstack([np.tile(STD, (len(made.values), 1)), lost]),
         findings=[one or [] for one in rows['findings']],

@@ -13,6 +13,7 @@ from ...common.stream import NS
 from ...recordings.cdr_codec import Kind
 from ...recordings.rosbag2 import SIMULATED_CLOCK
 from ...reports.convergence import reading_sentence
+from ...session.metadata import SIMULATED
 from ...session.plan import Plan
 from .. import middleware as ros
 from ..middleware import Node, messages
@@ -219,7 +220,7 @@ class CalibratorNode(ros.Node):
         state = None if table is None else self._turntable.topic
         self._told_at = -math.inf
         if self._simulated:
-            description |= {SIMULATED_CLOCK: 'true'}
+            description |= {SIMULATED: 'true', SIMULATED_CLOCK: 'true'}
         self._factory = SessionFactory(self._units, description, journal, state, self._tell_read)
         self._sessions = self._new_sessions()
         self.create_timer(_TICK, self._on_tick, clock=steady)

@@ -21,6 +21,7 @@ from ...model.parameters import Parameter
 from ...recordings.cdr import Malformed, Messages
 from ...recordings.cdr_codec import Kind
 from ...recordings.writer import Journal
+from ...session.metadata import described_origin
 from ..middleware import in_step
 from .intake import CalibratorFeed, FormerSession, TopicIntake
 
@@ -87,6 +88,12 @@ class JournalPart:
     def path(self) -> Path:
         """Folder of the recording."""
         return self._shared.journal.path
+
+    @property
+    def origin(self) -> dict[str, Any]:
+        """What the provenance of a result states of the recording."""
+        journal = self._shared.journal
+        return {'recording': journal.path.name, **described_origin(journal.description)}
 
     def write(self, topic: str, type_name: str, messages: Messages, now: int) -> None:
         """Record messages received at `now`, host time in ns, unless another session does."""
@@ -504,7 +511,7 @@ class LiveSession:
             self.fail(f'The session cannot be saved: {self.trouble}')
 
     def _with_notes(self, calibration: Calibration) -> Calibration:
-        provenance = {'recording': self.journal.path.name, **calibration.provenance}
+        provenance = {**self.journal.origin, **calibration.provenance}
         findings = (*calibration.findings, *self.notes)
         return replace(calibration, provenance=provenance, findings=findings)
 
