@@ -94,16 +94,21 @@ def _judged(found: UnitResults) -> dict[str, Conformity]:
 
 
 def _show_units(found: UnitResults, *, verbose: bool) -> None:
-    """Print the units side by side, then the findings of each, common ones once."""
+    """Print those that failed, the others side by side, and their findings, common ones once."""
     solved = [unit for unit in found.units if unit.result is not None]
+    for unit in found.units:
+        if unit.result is None:
+            text = f'No calibration of {unit.serial_number}{_place(unit)}: {unit.error}'
+            OUTPUT.print(text, style='red', markup=False)
     for part in comparison_tables(
         [(u.serial_number, u.result.calibration) for u in solved if u.result is not None]
     ):
         print_whole(part)
         OUTPUT.print()
     for unit in found.units:
-        OUTPUT.print(f'{unit.serial_number}{_place(unit)}: {_state(unit)}', markup=False)
         if unit.result is not None:
+            state = _state(unit.result)
+            OUTPUT.print(f'{unit.serial_number}{_place(unit)}: {state}', markup=False)
             calibration = unit.result.calibration
             OUTPUT.print(f'  {verdict_line(calibration)}', markup=False)
             if limits := calibration.imu.specification:
@@ -138,12 +143,10 @@ def _place(unit: UnitResult) -> str:
     return f' ({unit.place})' if unit.place else ''
 
 
-def _state(unit: UnitResult) -> str:
-    if unit.result is None:
-        return f'failed. {unit.error}'
-    setup, session = unit.result.calibration.provenance, unit.result.session
+def _state(result: Result) -> str:
+    setup, session = result.calibration.provenance, result.session
     return (
-        f'{unit.result.calibration.imu.id}, {setup["method"]}: {setup["segments"]} static dwells, '
+        f'{result.calibration.imu.id}, {setup["method"]}: {setup["segments"]} static dwells, '
         f'{setup["turns"]} turns, {session.samples} samples in {session.duration:.0f} s'
     )
 

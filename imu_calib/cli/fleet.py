@@ -44,6 +44,9 @@ if TYPE_CHECKING:
     from ..fleet.results import History, UnitHistory
 
 
+_FAILURES = 5  #: Failed recordings that `batch` names; the catalogue has all. A choice.
+
+
 def add_batch_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument(
@@ -111,6 +114,8 @@ def run_batch(arguments: argparse.Namespace) -> CommandResult:
         progress=begun,
         connected=lambda dashboard: ERRORS.print(f'dashboard: {dashboard}', markup=False),
     )
+    for sentence in done.failures[:_FAILURES]:
+        OUTPUT.print(sentence, style='red', markup=False)
     units = done.calibrated + done.failed + done.known + done.repeated
     several = '' if units == done.recordings else f' of {units} units'
     counts = {'failed': done.known_failed, 'superseded': done.known_superseded}

@@ -28,7 +28,7 @@ from ..session.imu import load_imu
 from ..session.plan import load_plan
 from ..session.units_file import PULSES, TRUTHS, MountedUnit, load_units, remaining
 from .options import refuse_with_imus
-from .terminal import print_findings, print_whole
+from .terminal import OUTPUT, print_findings, print_whole
 
 CALIBRATIONS = 'calibrations'  #: Folder of the results, SERIAL.yaml each.
 _FILES = {'imu': 'imus', 'device': 'devices', 'truth': 'truths'}
@@ -171,9 +171,12 @@ def save_settings(arguments: argparse.Namespace, settings: Path) -> None:
 
 
 def print_results(
-    arguments: argparse.Namespace, folder: Path, true: Mapping[str, Calibration]
+    arguments: argparse.Namespace, folder: Path, true: Mapping[str, Calibration], text: str = ''
 ) -> list[str]:
-    """Print a line for each unit; return the serial numbers of those without a result."""
+    """Print a line for each unit; return the serial numbers of those without a result.
+
+    These come first, with the reasons in `text`.
+    """
     headings = ('unit', 'type', 'samples', 'least known', 'specification')
     rows = plain_table(headings, 'llrll', no_wrap=True)
     if true:
@@ -198,6 +201,9 @@ def print_results(
         if serial in true:
             cells.append(f'{_largest_error(found, true[serial]):.2f}')
         rows.add_row(*cells)
+    if missing:
+        words = f'No calibration of {", ".join(missing)}. {text}'.strip()
+        OUTPUT.print(words, style='red', markup=False)
     print_whole(rows)
     # Missing data of the site or the table is reported for every unit alike.
     sentences = [_of_units(finding, of) for finding, of in findings.items()]

@@ -145,7 +145,9 @@ def run(
         if can_be_resumed(folder):
             name = arguments.resume or arguments.output
             arguments.closing_line = f'To go on with it: {command(name)}'
-    if missing or not outcome.finished:
+    if missing:
+        raise NotObservable(f'No calibration of {", ".join(missing)}: see above.')
+    if not outcome.finished:
         raise NotObservable(outcome.text)
 
 
@@ -160,7 +162,7 @@ def _print_result(
     if truth:
         _save_true_table(arguments, folder)
     if arguments.imus:
-        missing = several.print_results(arguments, folder, truth)
+        missing = several.print_results(arguments, folder, truth, outcome.text)
         OUTPUT.print(
             f'\n{outcome.duration:.0f} s of the stand in {seconds:.0f} s; recording: '
             f'{folder / JOURNAL}, results: {folder / several.CALIBRATIONS}'

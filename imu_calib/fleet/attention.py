@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -20,13 +19,19 @@ from ..reports.tables import fixed
 from ..session.imu import COVERAGE
 from .page_contents import PLACE_OF, Flag, Fleet, Unit, count, day
 from .results import Outlier, Population, Signal, UnitHistory
-from .sentences import SCATTER_WORDS, listed, percent, quantity, stand_sentence, step_sentence
+from .sentences import (
+    SCATTER_WORDS,
+    beginning,
+    listed,
+    percent,
+    quantity,
+    stand_sentence,
+    step_sentence,
+)
 
 MOST = 12
 """Number of cases written out; the table of units has all. A judgement: six matters fit on two
 sheets."""
-
-_SENTENCES = 2  #: Of an error: what happened, and what it means.
 
 Cases = Sequence[Sequence[str]]
 
@@ -60,8 +65,9 @@ class Issue:
 
 def issues(fleet: Fleet) -> list[Issue]:
     """Return all matters, the worst first."""
-    kinds = (_stands, _outside, _due, _failed, _control, _steps, _drifts, _outliers)
-    return [issue for find in kinds for issue in find(fleet)]
+    kinds = (_failed, _stands, _outside, _due, _control, _steps, _drifts, _outliers)
+    found = [issue for find in kinds for issue in find(fleet)]
+    return sorted(found, key=lambda issue: ('fail', 'marginal', 'plain').index(issue.kind))
 
 
 def dated(date: np.datetime64) -> str:
@@ -180,7 +186,7 @@ def _failed(fleet: Fleet) -> Iterator[Issue]:
             dated(rows.date[k]),
             escape(rows.stand[k]),
             escape(rows.recording[k]),
-            escape(typeset(_beginning(rows.error[k]))),
+            escape(typeset(beginning(rows.error[k]))),
         ]
         for k, unit in shown
     ]
@@ -204,12 +210,6 @@ def _failed(fleet: Fleet) -> Iterator[Issue]:
     headings = ['unit', 'date', 'stand', 'recording', 'why']
     kind = 'fail' if units else 'plain'
     yield Issue('Failed recordings', kind, sentences, headings, cells)
-
-
-def _beginning(error: str) -> str:
-    """Return the first two sentences of an error; the unit's own table has all."""
-    sentences = re.split(r'(?<=\.) (?=[A-Z])', error)
-    return ' '.join(sentences[:_SENTENCES]) + ' ...' * (len(sentences) > _SENTENCES)
 
 
 def _age(dates: np.ndarray, one: tuple[int, object]) -> float:

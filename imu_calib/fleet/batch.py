@@ -19,7 +19,7 @@ from ..recordings.remote import is_url
 from ..session.keywords import Session, Stated, with_keywords
 from ..session.units_file import load_units
 from .recordings import OF_ONE, Job, convertible, find_jobs
-from .sentences import listed
+from .sentences import beginning, listed
 from .task import CALIBRATED, FAILED, SUPERSEDED, TaskResult, lost, run
 
 if TYPE_CHECKING:
@@ -60,6 +60,8 @@ class Batch:
     repeated: int = 0  #: Number of units that they would have given again.
     #: Number of failed rows that were removed: their recordings are gone, or stated otherwise now.
     removed: int = 0
+    #: Sentences on those of `failed`: unit, recording and why.
+    failures: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return (
@@ -154,6 +156,7 @@ class _Tally:
         names: Of recordings, by the keys of their rows.
         contents: Number of the job of each key, by the hash of the recording.
         unsaved: Those that are not in the catalogue yet.
+        failures: Sentences on those without a calibration.
     """
 
     def __init__(
@@ -165,6 +168,7 @@ class _Tally:
         self.names: dict[str, list[str]] = {}
         self.contents: dict[str, dict[str, int]] = {}
         self.unsaved: list[TaskResult] = []
+        self.failures: list[str] = []
         self._last: dict[tuple[str, str], tuple[int, dict[str, Any]]] = {}
 
     def take(self, number: int, done: TaskResult) -> None:
@@ -194,6 +198,11 @@ class _Tally:
                     [self._last.get(unit, (-1, {})), (number, row)], key=lambda one: one[0]
                 )
                 before[1]['status'] = SUPERSEDED
+            else:
+                self.failures.append(
+                    f'No calibration of {row["serial"] or "an unknown unit"} '
+                    f'({Path(row["recording"]).name}): {beginning(row["error"])}'
+                )
             self.unsaved.append(done)
 
 
@@ -271,6 +280,7 @@ def run_batch(
         alike=tuple(alike),
         contradictory=tuple(_contradictory(catalogue, jobs, names, tally.contents)),
         removed=removed,
+        failures=tuple(sorted(tally.failures)),
     )
 
 

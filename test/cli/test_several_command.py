@@ -120,8 +120,8 @@ def test_ports_in_a_row_are_free():
 
 def test_units_without_a_result_are_named(file, tmp_path, capsys):
     arguments = argparse.Namespace(imus=file({}, {}, {}), without='U2', verbose=False)
-    assert several.print_results(arguments, tmp_path, {}) == ['U0', 'U1']
-    capsys.readouterr()
+    assert several.print_results(arguments, tmp_path, {}, 'U0: it fell.') == ['U0', 'U1']
+    assert capsys.readouterr().out.startswith('No calibration of U0, U1. U0: it fell.')
 
 
 def test_a_narrow_terminal_shows_each_result_whole(file, tmp_path, capsys, monkeypatch):

@@ -260,9 +260,11 @@ def test_a_failed_row_has_the_type_that_the_file_states(recordings, tmp_path):
     file = tmp_path / 'mine.yaml'
     file.write_text(named_file('imus', 'fog_medium').read_text())
     job = Job(str(recordings / 'a'), Stated(imu=str(file), serial='another'))
-    run_batch([job], Catalogue(tmp_path / 'c', create=True), Engine(workers=1))
+    ended = run_batch([job], Catalogue(tmp_path / 'c', create=True), Engine(workers=1))
     (row,) = rows(tmp_path / 'c')
     assert (row['status'], row['imu'], row['serial']) == ('failed', 'fog_medium', 'another')
+    (said,) = ended.failures
+    assert said.startswith('No calibration of another (a): ') and said[31:] in row['error']
 
 
 def test_what_is_done_is_not_done_again_and_what_failed_is_said(recordings, done, capsys):

@@ -81,14 +81,21 @@ def test_the_session_has_ended_when_all_that_take_part_have(board):
     last = progress(200.0, 1e-6, serial_numbers=['A1', '<B>'], state=3, text='2 of 2 units.')
     board.on_progress(last, 3.0)
     assert board.snapshot(3.0).outcome is SessionOutcome.DONE
+    # Its sentence is no note of a result.
+    assert 'note' not in drawing.banner(board.snapshot(3.0), NOON)
     assert board.unit_rows(3.0)[0].words == 'Calibrated'
 
 
 def test_a_unit_without_a_result_is_not_passed_over(board):
     board.each['unit_A1'].on_calibration(calibration('VALID'))
     board.each['unit__B_'].on_calibration(calibration('REFUSED', 'It was never still.'))
-    board.on_progress(progress(200.0, 1e-6, serial_numbers=['A1', '<B>'], state=3), 3.0)
-    assert board.snapshot(3.0).outcome is SessionOutcome.INCOMPLETE
+    text = '1 of 2 units are calibrated. <B>: It was never still.'
+    last = progress(200.0, 1e-6, serial_numbers=['A1', '<B>'], state=3, text=text)
+    board.on_progress(last, 3.0)
+    shown = board.snapshot(3.0)
+    assert shown.outcome is SessionOutcome.PARTLY
+    text = drawing.banner(shown, NOON)
+    assert 'Not every unit is calibrated' in text and '&lt;B&gt;: It was never still.' in text
     assert board.unit_rows(3.0)[1].words == 'No calibration: It was never still.'
 
 

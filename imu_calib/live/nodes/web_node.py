@@ -25,7 +25,6 @@ from ..network import LOOPBACK_HOST
 from ..rules import Phase, Severity
 from ..web.board import (
     Board,
-    SessionOutcome,
     Snapshot,
     UnitRow,
     UnitsBoard,
@@ -57,7 +56,6 @@ _ANSWER = 10.0
 """s to wait for an answer of turntable_node. A choice."""
 _WRITTEN = {0, 3}
 """Exit codes with a report: 3 if the unit is outside its specification."""
-_RESULTS = {SessionOutcome.DONE, SessionOutcome.INCOMPLETE}
 _REPORTS = 'Each unit has a file of results; imu-calib report makes a page of it.'
 _COMMANDS = ('start', 'pause', 'abort')
 
@@ -240,7 +238,7 @@ class WebNode(ros.Node):
         """Update the viewers' pages."""
         board, now = self._board, time.monotonic()
         if isinstance(board, UnitsBoard):
-            if board.common.snapshot(now).outcome in _RESULTS:
+            if board.common.snapshot(now).outcome.has_result:
                 board.common.set_report('', _REPORTS)
             self._rows = board.unit_rows(now)
             self._shown = {name: board.snapshot(now, name) for name in ('', *board.names)}

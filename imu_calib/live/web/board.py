@@ -46,7 +46,14 @@ class SessionOutcome(Enum):
     OPEN = 'open'
     DONE = 'done'
     INCOMPLETE = 'incomplete'
+    PARTLY = 'partly'
+    """Of several units some have no calibration."""
     FAILED = 'failed'
+
+    @property
+    def has_result(self) -> bool:
+        """Whether there is a calibration."""
+        return self not in {SessionOutcome.OPEN, SessionOutcome.FAILED}
 
 
 @dataclass(frozen=True)
@@ -156,7 +163,7 @@ class Snapshot:
     @property
     def share(self) -> float:
         """Elapsed share of the session's time, 0 to 1."""
-        if self.outcome in {SessionOutcome.DONE, SessionOutcome.INCOMPLETE}:
+        if self.outcome.has_result:
             return 1.0
         seconds = math.nan if self.table is None else self.table.seconds_left
         if self.table is not None and self.table.phase is Phase.DONE:
@@ -471,13 +478,18 @@ class UnitsBoard:
         self.common.on_progress(message, now)
         self._present = frozenset(message.serial_numbers)
         if message.state == message.FINISHED:
-            missed = any(
-                board.snapshot(now).outcome in {SessionOutcome.FAILED, SessionOutcome.INCOMPLETE}
+            ends = {
+                board.snapshot(now).outcome
                 for name, board in self.each.items()
                 if not self._is_left_out(name)
-            )
-            outcome = SessionOutcome.INCOMPLETE if missed else SessionOutcome.DONE
-            self.common.set_outcome(outcome, message.text)
+            }
+            if SessionOutcome.FAILED in ends:
+                self.common.set_outcome(SessionOutcome.PARTLY, message.text)
+            elif SessionOutcome.INCOMPLETE in ends:
+                self.common.set_outcome(SessionOutcome.INCOMPLETE, message.text)
+            else:
+                # Each unit has its findings.
+                self.common.set_outcome(SessionOutcome.DONE, '')
 
     def on_diagnostics(self, message: Any, now: float) -> None:
         """Show diagnostic_msgs/DiagnosticArray: reports on one unit also go to its board."""

@@ -378,7 +378,7 @@ def noise(shown: Snapshot, imu: ImuSpec | None) -> str:
 
 def report(shown: Snapshot) -> str:
     """Return the link to the report, or a text on it."""
-    if shown.outcome is SessionOutcome.OPEN or shown.outcome is SessionOutcome.FAILED:
+    if not shown.outcome.has_result:
         return ''
     if not shown.report:
         return tag('p', escape(shown.report_text or 'The report is being written.'))

@@ -23,7 +23,7 @@ from ...reports.charts import tag
 from ...session.imu import ImuSpec
 from ..rules import Phase, Severity
 from . import drawing
-from .board import SessionOutcome, Snapshot, UnitRow
+from .board import Snapshot, UnitRow
 from .drawing import STYLE, sign
 from .guard import RequestGuard, Token
 from .sentences import in_plain_words
@@ -141,7 +141,7 @@ def build(source: PageContent) -> None:
     def refresh() -> None:
         page.refresh()
         shown = source.snapshot('')
-        finished.set_visibility(shown.outcome in {SessionOutcome.DONE, SessionOutcome.INCOMPLETE})
+        finished.set_visibility(shown.outcome.has_result)
         if control is not None:
             control.update(shown)
 

@@ -18,6 +18,7 @@ _WHOLE = 2.0
 numbers."""
 _ENDS = {
     SessionOutcome.FAILED: (Severity.ERROR, 'No calibration'),
+    SessionOutcome.PARTLY: (Severity.ERROR, 'Not every unit is calibrated'),
     SessionOutcome.INCOMPLETE: (Severity.WARN, 'Done, but positions are missing'),
     SessionOutcome.DONE: (Severity.OK, 'The calibration is done'),
 }
