@@ -207,6 +207,16 @@ _SIDE_BY_SIDE = [
     _UNIT,
     _key('values', array(_NUMBER, 2, words='list of numbers'), 'of each calibration, in order'),
     _key('std', array(_NUMBER, 2, words='list of numbers'), 'their standard deviations'),
+    _key(
+        'expanded',
+        array(_NUMBER, 2, words='list of numbers'),
+        'their expanded uncertainties, 95 %',
+    ),
+    _key(
+        'e_n',
+        array(_UNKNOWN, 1, words='list of numbers'),
+        'of the first less each other, over its expanded uncertainty (ISO 13528)',
+    ),
     _key('chi_square', _UNKNOWN, 'about the best fit; `null` if all are exact'),
     _key('degrees_of_freedom', whole(0), 'of that'),
     _key('chance', _UNKNOWN, 'probability of this or more in an unchanged unit'),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -93,6 +93,11 @@ class Compared:
         return np.asarray((values[0] - values[1:]).reshape(self.std.shape))
 
     @property
+    def e_n(self) -> Floats:
+        """E_n of the difference, same shape (ISO 13528): over its expanded uncertainty, 95 %."""
+        return self.side_by_side.e_n.reshape(self.std.shape)
+
+    @property
     def normalised(self) -> Floats:
         """Difference over its standard deviation, same shape; NaN if both are exact."""
         unknown = np.full(self.std.shape, np.nan)
@@ -101,6 +106,7 @@ class Compared:
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units, with the keys of docs/files/output.md."""
         found, values = self.agreement, self.values.tolist()
+        expanded, errors = self.side_by_side.expanded, self.side_by_side.e_n
         stds = [
             dict(zip((p.name for p in c.parameters), c.std.tolist(), strict=True))
             for c in self.calibrations
@@ -113,6 +119,8 @@ class Compared:
                     'unit': parameter.unit.si,
                     'values': [row[k] for row in values],
                     'std': [std[parameter.name] for std in stds],
+                    'expanded': expanded[:, k].tolist(),
+                    'e_n': errors[:, k].tolist(),
                     'chi_square': float(found.chi_square[k]),
                     'degrees_of_freedom': int(found.freedom[k]),
                     'chance': float(found.chance[k]),
@@ -187,6 +195,7 @@ def compare(
         findings.append(
             f'These are different units, by their serial numbers {" and ".join(serials)}.'
         )
+    findings += _same_data(own, called)
     if any(shown is not one for shown, one in zip(compared.calibrations, own, strict=True)):
         findings.append(f'Shown with the nominal scale factors of {called[0]}.')
     if len({c.provenance.get('frame') for c in own if c.provenance}) > 1:
@@ -203,6 +212,21 @@ def compare(
         if count > 1
     ]
     return Compared(called, compared, tuple(findings))
+
+
+def _same_data(own: Sequence[Calibration], names: Sequence[str]) -> Iterator[str]:
+    """Yield a sentence on calibrations of one unit that were made from one recording."""
+    made: dict[str, list[int]] = {}
+    for k, one in enumerate(own):
+        if content := one.provenance.get('sha256'):
+            made.setdefault(str(content), []).append(k)
+    for some in made.values():
+        if len(some) > 1 and len({own[k].serial_number for k in some} - {''}) < 2:
+            yield (
+                f'{" and ".join(names[k] for k in some)} were made from the same data, '
+                f'{own[some[0]].provenance.get("recording")}: their agreement says nothing of the '
+                'unit. E_n and chance are those of independent data.'
+            )
 
 
 def _at_best(compared: SideBySide) -> str:

@@ -9,7 +9,8 @@ from ..api.documents import FORMATS, certificate, default_output, export, writte
 from ..api.files import output_or_default, output_path
 from ..calibration.exports import EXPORTS
 from ..reports.assessment import summary
-from ..reports.side_by_side import agreement_lines, comparison_table
+from ..reports.provenance import date
+from ..reports.side_by_side import agreement_lines, comparison_table, error_line
 from ..session.keywords import Calibrated
 from . import options
 from .outcome import EXIT_CODES, CommandResult, add_json_option, judged_result
@@ -193,8 +194,9 @@ def run_compare(arguments: argparse.Namespace) -> CommandResult:
     print_whole(comparison_table(compared.side_by_side, heads))
     # Another unit or the same table says what agreement means.
     print_findings(compared.findings, verbose=True)
-    print_parts(['', *agreement_lines(found, len(compared.names))])
     two = len(compared.names) == 2
+    errors = [error_line(compared.side_by_side)] if two and found.total_freedom else []
+    print_parts(['', *errors, *agreement_lines(found)])
     for name, only in zip(compared.names, compared.only, strict=True):
         if only:
             where = f'Only in {name}' if two else f'In {name}, and not in all'
@@ -203,12 +205,13 @@ def run_compare(arguments: argparse.Namespace) -> CommandResult:
 
 
 def _heads(compared: Compared) -> list[str]:
-    """Return the column headings: numbers with a legend if names are long."""
-    if max(map(len, compared.names)) <= _LONG:
-        return list(compared.names)
-    heads = [f'({k + 1})' for k in range(len(compared.names))]
-    for head, name in zip(heads, compared.names, strict=True):
-        OUTPUT.print(f'{head} {name}', markup=False)
+    """Print what each calibration is; return the column headings, numbers if names are long."""
+    short = max(map(len, compared.names)) <= _LONG
+    heads = list(compared.names) if short else [f'({k + 1})' for k in range(len(compared.names))]
+    for head, name, one in zip(heads, compared.names, compared.calibrations, strict=True):
+        when = f'recorded {date(one.provenance)}' if one.provenance.get('recorded') else ''
+        known = ', '.join(filter(None, ('' if short else name, one.unit_name, when)))
+        OUTPUT.print(f'{head}: {known}', markup=False)
     OUTPUT.print()
     return heads
 

@@ -14,8 +14,9 @@ from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import ARCSEC, DEG, decimals, rounded
 from ..estimation.common_unknowns import TableEstimate
-from ..model.parameters import AXES, Parameter, ParameterKind, engineering
+from ..model.parameters import AXES, Parameter, ParameterKind, engineering, indices_of
 from ..model.sensors import OF_MOTION
+from ..session.imu import COVERAGE
 from .plain_table import plain_table
 
 _COARSE = 60 * ARCSEC
@@ -84,6 +85,32 @@ class SideBySide:
     std: Floats  #: (k - 1, n) standard deviations of the differences from the first, SI units.
 
     @property
+    def expanded(self) -> Floats:
+        """Expanded uncertainties (k, n), 95 %: by the budgets, else twice the deviation."""
+        rows = [indices_of(self.parameters, c.parameters) for c in self.calibrations]
+        return np.array(
+            [
+                (COVERAGE * c.std if c.budget is None else c.budget.expanded)[mine]
+                for c, mine in zip(self.calibrations, rows, strict=True)
+            ]
+        )
+
+    @property
+    def e_n(self) -> Floats:
+        """E_n of the differences from the first, (k - 1, n); NaN where both are exact.
+
+        The difference over its expanded uncertainty (ISO 13528:2022, 9.7), in which the common
+        gravity of one place does not count, as in `std`.
+        """
+        values = np.array([c.model.values(self.parameters) for c in self.calibrations])
+        stds = np.array(
+            [c.std[indices_of(self.parameters, c.parameters)] for c in self.calibrations]
+        )
+        with np.errstate(invalid='ignore', divide='ignore'):
+            own = np.hypot(self.expanded[0], self.expanded[1:]) / np.hypot(stds[0], stds[1:])
+            return np.asarray((values[0] - values[1:]) / (own * self.std))
+
+    @property
     def by_hand(self) -> bool:
         """Whether the first was made of a unit held by hand: its units are then shown."""
         return self.calibrations[0].by_hand
@@ -109,7 +136,10 @@ def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
     """Return calibrations side by side, with the names, units and order of `parameter_table`."""
     calibrations, found, std = compared.calibrations, compared.agreement, compared.std
     two = len(calibrations) == 2
-    numbers = (*names, *(('difference', 'in std') if two else ('chi-square',)))
+    numbers = (*names, 'chi-square')
+    if two:
+        numbers = (names[0], 'U', names[1], 'U', 'difference', 'E_n')
+    expanded, errors = compared.expanded, compared.e_n
     sides = f'l{"r" * len(numbers)}ll'
     # Columns that do not fit into a line continue in the next: no number and no unit is cut.
     table = plain_table(('parameter', *numbers, 'unit', ''), sides, no_wrap=True)
@@ -120,16 +150,23 @@ def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
         if not (any(values) or std[:, k].any()):
             # Zero by the choice of the axes: no row, as in `parameter_table`.
             continue
-        rest = [f'{found.chi_square[k]:.1f}' if found.freedom[k] else '-']
+        cells = [f'{v:.{digits}f}' for v in values]
         if two:
-            apart = values[0] - values[1]
-            deviation = std[0, k] / shown.scale
-            ratio = _signed(apart / deviation, 2) if deviation > 0 else '-'
-            rest = [_signed(apart, digits), ratio]
+            error = float(errors[0, k])
+            around = [f'{u / shown.scale:.{digits}f}' for u in expanded[:, k]]
+            cells = [
+                cells[0],
+                around[0],
+                cells[1],
+                around[1],
+                _signed(values[0] - values[1], digits),
+            ]
+            cells.append(_signed(error, 2) if np.isfinite(error) else '-')
+        else:
+            cells.append(f'{found.chi_square[k]:.1f}' if found.freedom[k] else '-')
         table.add_row(
             parameter.name,
-            *(f'{v:.{digits}f}' for v in values),
-            *rest,
+            *cells,
             shown.unit,
             'differs' if found.differ[k] else '',
         )
@@ -167,22 +204,31 @@ def _places(compared: SideBySide) -> dict[tuple[object, ...], int]:
     return places
 
 
-def agreement_lines(found: Agreement, count: int) -> list[str]:
-    """Return sentences on significant differences of so many calibrations, with the rule."""
+def agreement_lines(found: Agreement) -> list[str]:
+    """Return sentences on significant differences, with the rule."""
     if not found.total_freedom:
         return ['None of them states standard deviations: significance cannot be tested.']
-    rule = (
-        f'A parameter is marked if equal ones had such a chi-square ({count - 1} '
-        f'degree{"s" * (count > 2)} of freedom) less often than once in {1 / found.limit:.0f}: '
-        'of a hundred comparisons of equal units one has a false mark.'
-    )
     every = (
         f'All parameters together: chi-square {found.total:.1f} with {found.total_freedom} degrees '
         f'of freedom, chance {found.total_chance:.2g}: '
         + ('they agree.' if found.consistent else 'they do not agree.')
     )
-    names = ', '.join(found.names)
-    return [f'Significantly different: {names or "none"}.', rule, every]
+    marked = (
+        f'Significantly different: {", ".join(found.names) or "none"}. Of a parameter it takes a '
+        f'chance below 1 in {1 / found.limit:.0f}: of a hundred comparisons of equal units one has '
+        'a false mark.'
+    )
+    return [marked, every]
+
+
+def error_line(compared: SideBySide) -> str:
+    """Return which parameters of two calibrations have |E_n| above 1, and what that means."""
+    over = np.abs(compared.e_n[0]) > 1
+    names = ', '.join(p.name for p, beyond in zip(compared.parameters, over, strict=True) if beyond)
+    return (
+        f'|E_n| above 1: {names or "none"}; by chance about one of twenty. E_n is the difference '
+        'over its expanded uncertainty (95 %, ISO 13528), in which a common gravity cancels.'
+    )
 
 
 def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:

@@ -476,6 +476,9 @@ def test_two_calibrations_are_compared_in_any_form(folder, result, tmp_path, cap
     exact = Calibration.load(truth)
     wrong = result.calibration.values[:24] - exact.values[:24]
     assert compared.normalised == pytest.approx(wrong / result.calibration.std[:24])
+    # Of an exact value, E_n is the error over its own U: that of the budget.
+    u = result.calibration.budget.expanded[:12]
+    assert compared.e_n[:12] == pytest.approx(wrong[:12] / u)
     frame = compared.to_dataframe()
     assert list(frame.columns) == [
         *('first', 'truth', 'difference', 'std', 'difference/std', 'chance', 'unit')
@@ -487,9 +490,24 @@ def test_two_calibrations_are_compared_in_any_form(folder, result, tmp_path, cap
     assert imu_calib.compare(tmp_path / 'mine.yaml', exact).names == ('mine', 'second')
     assert main(['compare', str(tmp_path / 'mine.yaml'), str(truth)]) == 0
     shown = capsys.readouterr().out
-    assert f'{compared.normalised[0]:+.2f}' in shown
+    assert f'{compared.e_n[0]:+.2f}' in shown
+    assert 'mine: fog_medium (simulated), recorded 2023-11-17' in shown
+    assert len(shown.splitlines()) <= 40 and max(map(len, shown.splitlines())) <= 100
     with pytest.raises(InputError, match=r'nothing\.yaml'):
         imu_calib.compare(result, tmp_path / 'nothing.yaml')
+
+
+def test_agreement_of_the_same_data_is_said_to_be_none_of_the_unit(result):
+    def said(one, other):
+        findings = imu_calib.compare(one, other).findings
+        return [text for text in findings if 'made from the same data' in text]
+
+    again = replace(result.calibration, serial_number='A1')
+    assert said(result, again) == said(again, again) != []
+    # Two units on one table share a recording.
+    assert said(again, replace(again, serial_number='A2')) == []
+    other = {**again.provenance, 'sha256': 64 * 'f'}
+    assert said(result, replace(again, provenance=other)) == []
 
 
 def test_a_unit_in_another_scale_is_compared_in_that_of_the_first(result):
@@ -500,7 +518,7 @@ def test_a_unit_in_another_scale_is_compared_in_that_of_the_first(result):
     other = in_scale_of(mine, replace(mine, imu=twice))
     compared = imu_calib.compare(mine, other)
     assert np.abs(compared.normalised).max() < 1e-6
-    assert compared.findings == ('Shown with the nominal scale factors of first.',)
+    assert compared.findings[1:] == ('Shown with the nominal scale factors of first.',)
 
 
 def test_calibrations_at_several_temperatures_are_combined(result, tmp_path):
