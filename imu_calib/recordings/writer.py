@@ -22,7 +22,14 @@ from .cdr_codec import Kind
 from .codec import compressor
 from .mcap import McapWriter
 from .mcap_records import MAGIC
-from .rosbag2 import Recording, Scratch, find_files, open_recording, open_storage
+from .rosbag2 import (
+    Recording,
+    Scratch,
+    content_hash,
+    find_files,
+    open_recording,
+    open_storage,
+)
 from .storage import Cache, Losses, RecordingError, Storage, Times, Topic, refuse_existing
 
 CHUNK_BYTES = 1 << 20
@@ -320,6 +327,7 @@ class Journal:
         path: The folder.
         description: As given.
         losses: Sentences on what of an unfinished session could not be read.
+        sha256: Of its files, as `Recording.sha256`, once it is finished; empty before.
 
     Raises:
         InputError: The folder holds a finished session, one of another plan, IMU, table or site,
@@ -336,6 +344,7 @@ class Journal:
         self.path = path
         self.description = dict(description)
         self.losses: list[str] = []
+        self.sha256 = ''
         self._progress = progress
         self._topics = dict(topics)
         self._newest = 0
@@ -418,6 +427,9 @@ class Journal:
         if finished:
             self._writer.add_custom_data({FINISHED: 'true'})
         self._writer.close()
+        if finished:
+            with _disk_errors_in_words(self.path):
+                self.sha256 = content_hash(find_files(self.path, Losses()).paths)
         self._unlock()
 
     def _readable_blocks(

@@ -29,6 +29,7 @@ from imu_calib.live import middleware as ros
 from imu_calib.live.devices.simulated import FrameServer
 from imu_calib.live.nodes.turntable_node import TurntableNode
 from imu_calib.model.earth import LUOYANG, Site
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.session.imu import load_imu
 from imu_calib.session.table import load_table
 from imu_calib.simulation.hardware import SimulatedHardware
@@ -139,6 +140,11 @@ def test_ctrl_c_stops_the_table_and_the_session_can_be_resumed(tmp_path):
 def test_a_calibration_of_a_simulated_stand_says_so(finished):
     assert result(finished / 'first').simulated
     assert imu_calib.calibrate(finished / 'first').calibration.simulated
+
+
+def test_a_calibration_states_the_content_of_its_journal(finished):
+    with open_recording(finished / 'first' / 'journal') as recording:
+        assert result(finished / 'first').provenance['sha256'] == recording.sha256()
 
 
 def test_nothing_of_dds_or_ros_is_needed(finished):

@@ -173,5 +173,6 @@ def test_reprocessing_gives_the_same_bits(finished_session, tmp_path):
         live = Calibration.load(finished_session.folder / 'calibrations' / f'{serial}.yaml')
         again = Calibration.load(tmp_path / 'again' / f'{serial}.yaml')
         assert np.array_equal(again.values, live.values)
+        assert again.provenance['sha256'] == live.provenance['sha256']
         assert np.array_equal(again.covariance, live.covariance)
     assert not (tmp_path / 'again' / 'C3.yaml').exists()

@@ -93,7 +93,9 @@ class JournalPart:
     def origin(self) -> dict[str, Any]:
         """What the provenance of a result states of the recording."""
         journal = self._shared.journal
-        return {'recording': journal.path.name, **described_origin(journal.description)}
+        content = {'sha256': journal.sha256} if journal.sha256 else {}
+        described = described_origin(journal.description)
+        return {'recording': journal.path.name, **content, **described}
 
     def write(self, topic: str, type_name: str, messages: Messages, now: int) -> None:
         """Record messages received at `now`, host time in ns, unless another session does."""
@@ -168,6 +170,8 @@ class SharedSolver:
         self._concluded = concluded
         self._reviews = 0
         self._since = self._rested_at = 0.0
+        #: Ends when all sessions are concluded; None before that begins.
+        self.conclusion: Future[None] | None = None
         self.threads = ImmediateExecutor() if in_step() else ThreadPoolExecutor(1, 'solver')
 
     @property
@@ -196,7 +200,8 @@ class SharedSolver:
         serials = [part.serial_number for part in parts]
         taken = [part.final_calibrator() for part in parts]
         snapshots = [snapshot for snapshot, _ in taken]
-        self.threads.submit(self._work, snapshots, serials, [future for _, future in taken])
+        futures = [future for _, future in taken]
+        self.conclusion = self.threads.submit(self._work, snapshots, serials, futures)
 
     def _work(
         self,
@@ -262,6 +267,9 @@ class SolverPart:
         """Return a review that has ended since the last call, else None."""
         work = self._work
         if work is None or not work.future.done():
+            return None
+        if work.final and not (self._shared.conclusion and self._shared.conclusion.done()):
+            # All end in the same round, after which the journal is finished.
             return None
         self._work = None
         if not work.final:
@@ -460,6 +468,12 @@ class LiveSession:
         self.worked_until = solved.until
         self._conclude(self.review, final=solved.final)
         return True
+
+    def cite_journal(self) -> None:
+        """State the finished recording in the result."""
+        if self.calibration is not None:
+            provenance = {**self.journal.origin, **self.calibration.provenance}
+            self.calibration = replace(self.calibration, provenance=provenance)
 
     def fail(self, reason: str, *, finished: bool = True) -> None:
         """End the session without a result; a `finished` journal cannot be resumed."""

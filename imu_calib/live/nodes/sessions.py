@@ -113,6 +113,9 @@ class Sessions:
     def poll(self) -> list[int]:
         """Check for results of the solver and for the end; return the units with news."""
         news = [place for place, session in enumerate(self.all) if session.poll()]
+        if news and self.journal.sha256:
+            for session in self.all:
+                session.cite_journal()
         parts = [p for p, s in zip(self._parts, self.all, strict=True) if not s.is_over]
         if parts and all(part.ready for part in parts):
             self._solver.conclude(parts)
