@@ -130,6 +130,8 @@ def run_batch(arguments: argparse.Namespace) -> CommandResult:
             f'{counted(done.removed, "failed row")} removed: the recording is gone, or stated '
             'otherwise now'
         )
+    if done.relabelled:
+        OUTPUT.print(f'{counted(done.relabelled, "row")} relabelled as stated now')
     for names in done.alike:
         OUTPUT.print(f'{listed(names)} are the same recording, which counts once', markup=False)
     for sentence in done.contradictory:

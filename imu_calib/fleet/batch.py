@@ -60,6 +60,7 @@ class Batch:
     repeated: int = 0  #: Number of units that they would have given again.
     #: Number of failed rows that were removed: their recordings are gone, or stated otherwise now.
     removed: int = 0
+    relabelled: int = 0  #: Number of rows that got the names in their labels as stated now.
     #: Sentences on those of `failed`: unit, recording and why.
     failures: tuple[str, ...] = ()
 
@@ -153,7 +154,7 @@ class _Tally:
 
     Attributes:
         count: Numbers of units, as `Batch` has them.
-        names: Of recordings, by the keys of their rows.
+        numbers: Of jobs, by the keys of their rows.
         contents: Number of the job of each key, by the hash of the recording.
         unsaved: Those that are not in the catalogue yet.
         failures: Sentences on those without a calibration.
@@ -165,7 +166,7 @@ class _Tally:
         self._jobs, self._failed, self.superseded = jobs, failed, superseded
         counted = ('calibrated', 'failed', 'known', 'repeated', 'known_failed', 'known_superseded')
         self.count = dict.fromkeys(counted, 0)
-        self.names: dict[str, list[str]] = {}
+        self.numbers: dict[str, list[int]] = {}
         self.contents: dict[str, dict[str, int]] = {}
         self.unsaved: list[TaskResult] = []
         self.failures: list[str] = []
@@ -177,13 +178,13 @@ class _Tally:
         content = done.sha256 if row is None else row['sha256']
         self.contents.setdefault(content, {}).setdefault(done.key, number)
         again = row is not None and done.key in self.superseded
-        names = self.names.setdefault(done.key, [])
+        numbers = self.numbers.setdefault(done.key, [])
         if again:
             count['known'] -= 1
             count['known_superseded'] -= 1
         else:
-            names.append(self._jobs[number].recording)
-        if len(names) > 1 and not again:
+            numbers.append(number)
+        if len(numbers) > 1 and not again:
             count['repeated'] += 1
         elif row is None:
             count['known'] += 1
@@ -266,20 +267,27 @@ def run_batch(
                 show(min(k, len(jobs)), len(jobs), f'{rate:.2g} recordings/s{lost_some}')
         finally:
             save()
-    names = tally.names
+    numbers = tally.numbers
+    # The last job on a recording counts, in whatever order they end.
+    relabelled = catalogue.relabel({key: jobs[max(some)].labels for key, some in numbers.items()})
     named = {job.recording for job in jobs}
-    removed = catalogue.remove_failed(partial(_is_stale, named=named, keys=names, below=below))
+    removed = catalogue.remove_failed(partial(_is_stale, named=named, keys=numbers, below=below))
     seconds = time.monotonic() - begun
-    alike = sorted({tuple(sorted(set(some))) for some in names.values() if len(set(some)) > 1})
+    alike = {
+        tuple(sorted({jobs[k].recording for k in some}))
+        for some in numbers.values()
+        if len({jobs[k].labels for k in some}) == 1
+    }
     return Batch(
         catalogue.folder,
         len(jobs),
         **tally.count,
         seconds=seconds,
         convertible=(),
-        alike=tuple(alike),
-        contradictory=tuple(_contradictory(catalogue, jobs, names, tally.contents)),
+        alike=tuple(sorted(names for names in alike if len(names) > 1)),
+        contradictory=tuple(_contradictory(catalogue, jobs, numbers, tally.contents)),
         removed=removed,
+        relabelled=relabelled,
         failures=tuple(sorted(tally.failures)),
     )
 
@@ -318,7 +326,7 @@ def _stated_again(
 def _contradictory(
     catalogue: Catalogue,
     jobs: Sequence[Job],
-    names: Mapping[str, Sequence[str]],
+    numbers: Mapping[str, Sequence[int]],
     contents: Mapping[str, Mapping[str, int]],
 ) -> Iterator[str]:
     """Yield sentences on recordings for which the jobs state different things.
@@ -326,26 +334,26 @@ def _contradictory(
     Args:
         catalogue: With the rows of the jobs.
         jobs: The jobs.
-        names: Of recordings, by the keys of the rows.
+        numbers: Of jobs, by the keys of the rows.
         contents: Number of the job of each key, by the hash of the recording.
     """
-    several = {key: k for keys in contents.values() if len(keys) > 1 for key, k in keys.items()}
+    several = {k for keys in contents.values() for k in keys if len(keys) + len(numbers[k]) > 2}
     if not several:
         return
-    found: dict[tuple[str, str], list[str]] = {}
+    found: dict[tuple[str, str], list[int]] = {}
     for row in catalogue.table().select(['key', 'sha256', 'topic']).to_pylist():
         if row['key'] in several and row['sha256']:
-            found.setdefault((row['sha256'], row['topic']), []).append(row['key'])
-    for keys in found.values():
-        keys.sort(key=several.__getitem__)
-        every = [{**vars(j.stated), **vars(j.labels)} for j in (jobs[several[k]] for k in keys)]
-        differ = [name for name in every[0] if len({str(one[name] or '') for one in every}) > 1]
+            found.setdefault((row['sha256'], row['topic']), []).extend(numbers[row['key']])
+    for some in found.values():
+        every = {k: {**vars(jobs[k].stated), **vars(jobs[k].labels)} for k in sorted(some)}
+        names = next(iter(every.values()))
+        differ = [n for n in names if len({str(one[n] or '') for one in every.values()}) > 1]
         if differ:
-            parts = [
-                f'{listed(sorted(set(names[key])))} '
-                f'({", ".join(f"{name} {one[name] or chr(45)}" for name in differ)})'
-                for key, one in zip(keys, every, strict=True)
-            ]
+            told: dict[str, list[str]] = {}
+            for k, one in every.items():
+                words = ', '.join(f'{name} {one[name] or "-"}' for name in differ)
+                told.setdefault(words, []).append(jobs[k].recording)
+            parts = [f'{listed(sorted(set(of)))} ({words})' for words, of in told.items()]
             yield (
                 f'{listed(parts)} are the same recording: correct what is stated of them; the last '
                 'of them counts until then'

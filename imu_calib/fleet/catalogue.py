@@ -29,6 +29,7 @@ from ..common.files import other_format, printable, require, unwritable, user_pa
 from ..common.units import counted
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from ..recordings import metadata_yaml
+from .recordings import NAMED, Labels
 from .sentences import listed
 from .task import CALIBRATED, FAILED, SUPERSEDED, TaskResult
 
@@ -198,6 +199,26 @@ class Catalogue:
                     self._write(part, _table_of(kept))
                     removed += len(rows) - len(kept)
         return removed
+
+    def relabel(self, labels: Mapping[str, Labels]) -> int:
+        """Give rows the names in these labels, by key; return the number of changed rows."""
+        stated = {key: {name: getattr(one, name) for name in NAMED} for key, one in labels.items()}
+        changed = 0
+        with self._written(), self._locked():
+            self._look()
+            for part in [one for one in self._parts() if self._seen[one].keys & labels.keys()]:
+                rows = _read(part, ['key', *NAMED]).to_pylist()
+                named = [{**row, **stated.get(row['key'], {})} for row in rows]
+                others = sum(one != row for one, row in zip(named, rows, strict=True))
+                if not others:
+                    continue
+                table, changed = _read(part), changed + others
+                for name in NAMED:
+                    place = table.column_names.index(name)
+                    column = [[one[name] for one in named]]
+                    table = table.set_column(place, table.field(name), column)
+                self._write(part, table)
+        return changed
 
     def table(self) -> pa.Table:
         """Return all rows, in the order of their addition.

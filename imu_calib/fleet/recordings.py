@@ -47,6 +47,9 @@ class Labels:
     date: datetime | None = None  #: Date, UTC; None for the time of its first message.
 
 
+NAMED = ('site', 'stand', 'operator', 'lot')  #: Labels that are names: they may change.
+
+
 @dataclass(frozen=True)
 class Job:
     """One recording with the statements on it."""

@@ -31,7 +31,7 @@ from ..reports.assessment import assess, worst
 from ..session.imu import Specification, load_imu
 from ..session.keywords import NO_PLAN
 from ..session.units_file import MountedUnit, load_units
-from .recordings import OF_ONE, Job
+from .recordings import NAMED, OF_ONE, Job
 
 CALIBRATED = 'calibrated'
 FAILED = 'failed'
@@ -64,14 +64,14 @@ def key_of(job: Job, sha256: str) -> str:
     """Return the key of a task.
 
     The key is made from the recording's content, all statements with the content of the files that
-    they name, the labels, and the package's version. The recording's name is not included: copies
-    with two names have one key.
+    they name, the date, and the package's version. Names are not included: copies of a recording
+    with two names have one key, and a label changes no number.
     """
     stated = {one.name: getattr(job.stated, one.name) for one in fields(job.stated)}
     for name, folder in _FOLDERS.items():
         if stated[name] not in (None, NO_PLAN):
             stated[name] = read_text(named_file(folder, stated[name]))
-    whole = [sha256, stated, asdict(job.labels), version()]
+    whole: list[Any] = [sha256, stated, job.labels.date, version()]
     if job.imus:
         # An unreadable type concerns only its units.
         texts = (_text_of_type(unit) for unit in load_units(job.imus))
@@ -277,7 +277,7 @@ def unread_key(job: Job, sha256: str = '') -> str:
     """
     path = job.recording if is_url(job.recording) else str(Path(job.recording).resolve())
     content = sha256 or _files_of(job.recording) or path
-    return _hashed(['unread', content, asdict(job.stated), asdict(job.labels), job.imus])
+    return _hashed(['unread', content, asdict(job.stated), job.labels.date, job.imus])
 
 
 def _files_of(recording: str) -> list[tuple[str, int, str]]:
@@ -316,7 +316,7 @@ def _common(job: Job, key: str, sha256: str) -> dict[str, Any]:
         'exit_code': 0,
         **{name: '' if value is None else str(value) for name, value in texts.items()},
         'topic': stated.imu_topic or '',
-        **{name: getattr(labels, name) for name in ('site', 'stand', 'operator', 'lot')},
+        **{name: getattr(labels, name) for name in NAMED},
         'version': version(),
         'at': datetime.now(timezone.utc),
     }

@@ -10,7 +10,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import datetime, timezone
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -215,7 +215,8 @@ def test_a_task_is_known_by_what_counts(recordings, tmp_path):
     assert key(replace(job, stated=Stated(imu=str(moved)))) == known
     assert key(replace(job, recording=str(recordings / 'b'))) != known
     assert key(replace(job, stated=replace(job.stated, latitude=10.0))) != known
-    assert key(replace(job, labels=Labels(stand='east'))) != known
+    assert key(replace(job, labels=Labels(stand='east'))) == known
+    assert key(replace(job, labels=Labels(date=NOW))) != known
     moved.write_text(imu.read_text() + '# changed\n')
     assert key(replace(job, stated=Stated(imu=str(moved)))) != known
 
@@ -422,19 +423,20 @@ def test_of_a_recording_that_is_listed_twice_the_corrected_manifest_counts(
 ):
     folder, manifest = tmp_path / 'c', tmp_path / 'list.csv'
     batch = ['batch', str(manifest), '-o', str(folder), '--workers', '1']
-    same = [f'{recordings / "a"},west\n', f'{recordings / "deeper" / "again"},east\n']
+    copy = recordings / 'deeper' / 'again'
+    same = [f'{recordings / "a"},2026-01-01\n', f'{copy},2026-01-02\n']
 
     def counting(*lines):
-        manifest.write_text('recording,stand\n' + ''.join(lines))
+        manifest.write_text('recording,date\n' + ''.join(lines))
         assert main(batch) == 0
-        return [row['stand'] for row in rows(folder) if row['status'] == 'calibrated']
+        return [row['date'].day for row in rows(folder) if row['status'] == 'calibrated']
 
-    assert counting(*same) == ['east']
+    assert counting(*same) == [2]
     # As long as both are listed the last counts, and nothing is done again.
-    assert counting(*same) == ['east']
+    assert counting(*same) == [2]
     assert '0 calibrated, 0 failed, 2 done before (1 superseded)' in capsys.readouterr().out
-    assert counting(same[0]) == ['west']
-    assert counting(*same) == ['east']
+    assert counting(same[0]) == [1]
+    assert counting(*same) == [2]
 
 
 def test_failed_rows_go_when_their_cause_is_corrected(recordings, tmp_path, capsys):
@@ -494,6 +496,30 @@ def test_a_recording_stated_in_two_ways_is_named_and_the_last_counts(first, tmp_
         'a': 'superseded',
         'b': 'calibrated',
     }
+
+
+def test_a_label_that_changes_calibrates_nothing_again(recordings, tmp_path, capsys):
+    listed, folder = tmp_path / 'list.csv', tmp_path / 'c'
+    batch = ['batch', str(listed), '-o', str(folder), '--workers', '1']
+    listed.write_text(f'recording,stand\n{recordings / "a"},west\n')
+    assert main(batch) == 0
+    (before,) = rows(folder)
+    listed.write_text(f'recording,stand,lot\n{recordings / "a"},east,7\n')
+    capsys.readouterr()
+    assert main(batch) == 0
+    out = capsys.readouterr().out
+    assert '0 calibrated, 0 failed, 1 done before' in out and '1 row relabelled' in out
+    (after,) = rows(folder)
+    assert (before['stand'], after['stand'], after['lot']) == ('west', 'east', '7')
+    assert {**after, 'stand': 'west', 'lot': ''} == before
+    # Of two names for one recording the last counts, and both are named.
+    copy = recordings / 'deeper' / 'again'
+    listed.write_text(f'recording,stand\n{copy},north\n{recordings / "a"},south\n')
+    assert main(batch) == 0
+    assert '(stand south) are the same recording: correct' in ' '.join(
+        capsys.readouterr().out.split()
+    )
+    assert [row['stand'] for row in rows(folder)] == ['south']
 
 
 class _NoEngine:
@@ -699,7 +725,8 @@ def test_one_corrupt_recording_of_twenty_costs_its_own_row(recordings, tmp_path)
     # All but the beginning, as a disk that lost its blocks gives it.
     content[4096:] = bytes(len(content) - 4096)
     storage.write_bytes(content)
-    sound = [Job(str(recordings / 'a'), labels=Labels(operator=str(k))) for k in range(19)]
+    days = [NOW + timedelta(days=k) for k in range(19)]
+    sound = [Job(str(recordings / 'a'), labels=Labels(date=day)) for day in days]
     jobs = [*sound[:10], Job(str(damaged)), *sound[10:]]
     kept = Catalogue(tmp_path / 'c', create=True)
     ended = run_batch(jobs, kept, Engine(workers=2))
