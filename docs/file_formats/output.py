@@ -306,6 +306,8 @@ _INFO = [
     _key('files', whole(0), 'how many'),
     _key('compensated', _TEXT, 'calibration that it was compensated with; empty if none'),
     _key('topics', _rows(_TOPIC), 'all of them'),
+    _key('units', _TEXTS, 'type and serial number of each unit, as far as stated'),
+    _key('simulated', flag(), 'whether the data were simulated'),
     _key('lost', _TEXTS, 'missing or damaged data of the topics that were read'),
     _key('streams', _maybe(_below(_STREAMS)), 'the streams; `null` if their meaning is not stated'),
     _key('missing_input', _TEXT, 'what must be stated for that; the exit code is 2 then'),

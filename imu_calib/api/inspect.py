@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..common.config import Section
 from ..common.errors import InputError, NotStated
 from ..common.progress import Progress, silent
 from ..common.units import counted
@@ -15,10 +16,16 @@ from ..recordings.cdr_codec import Kind
 from ..recordings.order import Extent
 from ..recordings.rosbag2 import Recording
 from ..session.keywords import Inspected, Stated, with_keywords
-from ..session.metadata import COMPENSATED
+from ..session.metadata import (
+    COMPENSATED,
+    SERIAL_NUMBER,
+    SIMULATED,
+    described_imu,
+    serial_key,
+)
 from .opening import open_session
 from .recorded import Recorded, recording_at
-from .streams import contradiction, difference
+from .streams import contradiction, difference, units_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -63,6 +70,8 @@ class Inspection:
     files: int  #: Number of files.
     compensated: str  #: The calibration that compensated it; empty without one.
     topics: tuple[Topic, ...]  #: All of them.
+    units: tuple[str, ...] = ()  #: Type and serial number of each unit, as far as it states them.
+    simulated: bool = False  #: Whether its data were simulated.
     lost: tuple[str, ...] = ()  #: Missing or broken data, as far as the topics were examined.
     #: Contents of the streams; None if it is unknown how to read them.
     streams: StreamContents | None = None
@@ -109,7 +118,20 @@ def topics(bag: Recorded, stated: Stated | None = None, progress: Progress = sil
         by = recording.custom_data.get(COMPENSATED, '')
         lost = tuple(recording.losses)
         path = bag if isinstance(bag, str | Path) else recording.path
-        return Inspection(str(path), seconds, len(recording.files), by, rows, lost)
+        units, simulated = _units(recording), SIMULATED in recording.custom_data
+        files = len(recording.files)
+        return Inspection(str(path), seconds, files, by, rows, units, simulated, lost)
+
+
+def _units(recording: Recording) -> tuple[str, ...]:
+    data, names = recording.custom_data, []
+    for topic in units_of(recording) or ('',):
+        imu = ''
+        with suppress(InputError):
+            imu = Section.parse(described_imu(data, topic) or '{}', '').text('id', '')
+        serial = data.get(serial_key(topic), data.get(SERIAL_NUMBER, ''))
+        names.append(f'{imu} {serial}'.strip())
+    return tuple(filter(None, names))
 
 
 def inspect_streams(

@@ -78,7 +78,9 @@ def _show_topics(found: Inspection) -> None:
         rate = '-' if topic.rate is None else f'{topic.rate:.1f}'
         rows.add_row(topic.name, topic.type, str(topic.messages), rate)
     OUTPUT.print(rows)
-    OUTPUT.print(f'\n{found.seconds:.1f} s, {counted(found.files, "file")}')
+    units = f', of {", ".join(found.units)}' if found.units else ''
+    units += ', simulated' if found.simulated else ''
+    OUTPUT.print(f'\n{found.seconds:.1f} s, {counted(found.files, "file")}{units}', markup=False)
     if found.compensated:
         OUTPUT.print(
             f'compensated by {found.compensated}: the compensated stream is in SI', markup=False

@@ -253,6 +253,7 @@ def test_a_look_is_a_document(program, folder):
     assert [t['name'] for t in result['topics']] == ['/imu/pulses']
     assert len(result['streams']['dwells']) == 30
     assert result['streams']['missing'] is None
+    assert result['simulated'] and result['units'] == ['mems_counts']
 
 
 SHELL = ['-c', 'import sys; from imu_calib.cli.main import main; sys.exit(main())']

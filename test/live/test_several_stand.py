@@ -11,6 +11,7 @@ import yaml
 from live import EMBEDDED, LIMIT, Progress, Stand, State, short_plan
 from loopback import patience
 
+from imu_calib.api.inspect import inspect
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import main
 from imu_calib.common.files import named_file
@@ -164,6 +165,9 @@ def test_the_journal_holds_all_units_and_says_whose_topic_is_whose(finished_sess
         assert counts[f'/{name}/imu/pulses'] > 0
         assert data[f'imu_calib.serial_number:/{name}/imu/pulses'] == serial
     assert counts['/unit_C3/imu/pulses'] < counts['/unit_B_2/imu/pulses']
+    # One that was left out is no unit of the recording.
+    units = inspect(finished_session.journal).units
+    assert units == tuple(f'fog_medium {SERIALS[name]}' for name in ('unit_A1', 'unit_B_2'))
 
 
 def test_reprocessing_gives_the_same_bits(finished_session, tmp_path):
