@@ -218,15 +218,21 @@ def _duration(facts: Facts) -> str:
 
 
 def gravity_won(facts: Facts) -> str:
-    """Return by how much the accelerometers at rest miss gravity, without calibration and with."""
-    off = [number(facts, f'gravity_off_{when}') for when in ('before', 'after')]
-    if None in off:
+    """Return by how much the accelerometers at rest miss gravity, raw and calibrated.
+
+    Samples that are off by half of it have another unit or another zero: of these it means nothing.
+    """
+    before, after = (number(facts, f'gravity_off_{when}') for when in ('before', 'after'))
+    if before is None or after is None:
         return ''
     least = 0.0 if facts.get('by_hand') else _IN_PERCENT
-    before, after = (_ratio(value or 0.0, least) for value in off)
-    return f'off by {before} before, {after} after'
+    raw = f'{_ratio(before, least)} raw, by ' if before < _ANOTHER else ''
+    return f'missed by {raw}{_ratio(after, least)} calibrated'
 
 
+_ANOTHER = 0.5
+"""Ratio from which raw samples are none of this scale: a scale factor off by more is implausible
+(`calibration.provenance`), and an ADC counts from any zero."""
 _IN_PERCENT = 1e-4
 """Ratio of a unit on a table from which on it is stated in percent, below in ppm. A choice."""
 
@@ -470,7 +476,8 @@ def _gravity_used(facts: Facts) -> str:
     height = f'height {number(facts, "height") or 0.0:g} m'
     if facts.get('height_assumed'):
         height += ' assumed'
-    return f'{used} (latitude {number(facts, "latitude_deg") or 0.0:.4g} deg, {height})'
+    north = number(facts, 'latitude_deg') or 0.0
+    return f'{used} ({abs(north):.4g} deg {"N" if north >= 0 else "S"}, {height})'
 
 
 def data_line(calibration: Calibration) -> str:
