@@ -6,6 +6,7 @@ What a sound session may show too is looked for in refused ones alone.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -62,9 +63,13 @@ def with_facts(session: Segmented) -> Iterator[None]:
         facts = session.facts.sentence
         if without := _without_gravity(session):
             raise Contradiction(without, facts) from None
-        if session.facts.unusual:
+        if unusual := session.facts.unusual:
             # With the cause, as what explains it.
-            raise error.followed_by(facts) from None
+            first, *rest = re.split(r'\.(?= [A-Z]|$)', error.cause, maxsplit=1)
+            error.args = (
+                f'{first}; of the samples {"; ".join(unusual)}.{"".join(rest)}',
+                *error.details,
+            )
         raise error.among(after=(facts,)) from None
 
 

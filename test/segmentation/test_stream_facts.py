@@ -1,5 +1,6 @@
 """What a refusal says of the stream; samples out of order; accelerations without gravity."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +103,7 @@ def test_a_refusal_ends_with_the_facts(hand, tmp_path):
     with pytest.raises((NotObservable, InputError), match='% have gyros of exactly 0') as no:
         imu_calib.calibrate(path, latitude=LATITUDE)
     assert '% have gyros of exactly 0' in no.value.cause
+    assert len(re.findall(r'[.] (?=[A-Z])', no.value.cause)) < 2, no.value.cause
 
 
 def test_infinite_samples_are_left_out_without_a_word_of_numpy(hand, tmp_path):
