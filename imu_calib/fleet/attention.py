@@ -208,7 +208,7 @@ def _failed(fleet: Fleet) -> Iterator[Issue]:
             f'imu-calib catalogue {fleet.name} --where "status = \'failed\'" lists all.'
         )
     headings = ['unit', 'date', 'stand', 'recording', 'why']
-    kind = 'fail' if units else 'plain'
+    kind = 'fail' if units or alone else 'plain'
     yield Issue('Failed recordings', kind, sentences, headings, cells)
 
 

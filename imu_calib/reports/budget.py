@@ -423,6 +423,20 @@ def errors_of_table(where: Mapping[str, Any], *keys: str) -> str:
     )
 
 
+def assumed_inputs(calibration: Calibration) -> str:
+    """Return inputs that were assumed, with what was used for them; empty without any."""
+    where = calibration.provenance
+    unstated = where.get('table_errors_assumed') or ()
+    found = [errors_of_table(where, *unstated).replace(' (assumed)', '')] if unstated else []
+    if calibration.imu.units.per_interval and where.get('table_clock_std') == 0:
+        found.append("the table's clock exact")
+    if where.get('height_assumed'):
+        found.append('height 0 m')
+    if where.get('latitude_std_deg') == LATITUDE_STD / DEG:
+        found.append(f'latitude known to {LATITUDE_STD / DEG:g} deg')
+    return ', '.join(found)
+
+
 def _picture(shown: _Shown, width: float) -> str:
     """Draw the shares of every variance as one bar for each parameter, as wide as the page."""
     colours = [_COLOURS[source] for source in shown.sources]

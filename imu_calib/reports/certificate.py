@@ -29,7 +29,7 @@ from ..model.earth import MEASURED
 from ..model.parameters import Parameter, engineering
 from ..session.imu import Specification
 from . import provenance
-from .budget import budget_parts, freedom_words
+from .budget import assumed_inputs, budget_parts, freedom_words
 from .certificate_fields import Conformity, Equipment, Fields, decide, missing
 from .charts import tag
 from .html import bullets, document, named_rows, paragraph, section, sheet, table
@@ -432,6 +432,7 @@ def _procedure(certificate: Certificate) -> str:
         ('SHA-256 of the recording', str(where.get('sha256') or '-')),
         ('latitude, (u) in its last digits', provenance.latitude(where) or '-'),
         ('gravity, (u) in its last digits', provenance.gravity(where) or '-'),
+        ('assumed', assumed_inputs(certificate.calibration) or 'nothing'),
         ('environment, limits', _environment(certificate)),
         *([('temperature of the item', unit)] if unit else []),
     ]

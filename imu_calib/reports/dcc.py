@@ -19,7 +19,7 @@ from ..common.stream import Units
 from ..common.units import ARCMIN, ARCSEC, DEG_H, PPM
 from ..model.parameters import Parameter
 from . import provenance
-from .budget import MANY
+from .budget import MANY, assumed_inputs
 from .certificate import OUTPUT, Certificate, Stated, groups
 from .certificate_fields import Contact, Equipment, Fields
 
@@ -204,7 +204,8 @@ def _described(calibration: Calibration) -> str:
         f'Plan {provenance.plan(where)}, estimator {where.get("method") or "-"}, recording '
         f'{where.get("recording") or "-"} (SHA-256 {where.get("sha256") or "-"}), begun '
         f'{provenance.date(where)}. input = (I + M)^-1 (output * scale factor - D), M with the '
-        'scale-factor errors K on its diagonal and the misalignments E beside it.'
+        'scale-factor errors K on its diagonal and the misalignments E beside it. '
+        f'Assumed: {assumed_inputs(calibration) or "nothing"}.'
     )
 
 

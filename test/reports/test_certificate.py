@@ -426,6 +426,24 @@ def test_the_angles_of_a_table_that_contribute_have_a_reference(calibration):
     assert made(used, equipment=[gravity, polygon]).missing == ()
 
 
+def test_inputs_that_nobody_stated_are_named(calibration):
+    sizes = {'positioning': 10 * ARCSEC, 'level': 20 * ARCSEC, 'zeros': 3 * ARCSEC}
+    known = {
+        'table_errors': sizes,
+        'table_errors_assumed': ['positioning', 'level'],
+        'table_clock_std': 0.0,
+        'height_assumed': False,
+        'latitude_std_deg': 0.001,
+    }
+    found = made(replace(calibration, provenance={**calibration.provenance, **known}))
+    expected = "positioning 10 arcsec, level 20 arcsec, the table's clock exact"
+    assert rows(certificate_page(found))['assumed'] == [expected]
+    assert f'Assumed: {expected}.' in words(validated(dcc(found)))
+    stated = {**known, 'table_errors_assumed': [], 'table_clock_std': 1e-6}
+    found = made(replace(calibration, provenance={**calibration.provenance, **stated}))
+    assert rows(certificate_page(found))['assumed'] == ['nothing']
+
+
 def test_a_certificate_has_the_words_of_the_gum_and_says_what_g_is(text):
     page = words(ET.fromstring(text.removeprefix('<!DOCTYPE html>\n')))
     assert not re.search(r'\b(std|dof|inf)\b', page)
