@@ -15,7 +15,7 @@ from ..api.noise import noise
 from ..api.verify import verify
 from ..calibration.noise_at_rest import NOISE_EXPORTS, NoiseAtRest
 from ..calibration.verify import Verdict, Verification
-from ..common.errors import InputError
+from ..common.errors import InputError, beginning
 from ..common.files import require, write_by, write_whole
 from ..common.units import counted, lasting
 from ..recordings.remote import located
@@ -98,7 +98,8 @@ def _show_units(found: UnitResults, *, verbose: bool) -> None:
     solved = [unit for unit in found.units if unit.result is not None]
     for unit in found.units:
         if unit.result is None:
-            text = f'No calibration of {unit.serial_number}{_place(unit)}: {unit.error}'
+            why = str(unit.error) if verbose else beginning(str(unit.error))
+            text = f'No calibration of {unit.serial_number}{_place(unit)}: {why}'
             OUTPUT.print(text, style='red', markup=False)
     for part in comparison_tables(
         [(u.serial_number, u.result.calibration) for u in solved if u.result is not None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from copy import copy
 from typing import TypeVar
 
@@ -68,3 +69,12 @@ class NotObservable(ImuCalibError):
 
 class Contradiction(NotObservable):
     """The data contradicts itself, or its description: no weighting resolves this."""
+
+
+_SENTENCES = 2  #: Of an error: what happened, and what it means.
+
+
+def beginning(error: str) -> str:
+    """Return the first two sentences of an error, where a list of several has no room for all."""
+    sentences = re.split(r'(?<=\.) (?=[A-Z])', error)
+    return ' '.join(sentences[:_SENTENCES]) + ' ...' * (len(sentences) > _SENTENCES)

@@ -10,6 +10,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from ..common.errors import beginning
 from ..common.stream import Floats
 from ..common.units import decimals, typeset
 from ..model.parameters import PARAMETERS, engineering
@@ -21,7 +22,6 @@ from .page_contents import PLACE_OF, Flag, Fleet, Unit, count, day
 from .results import Outlier, Population, Signal, UnitHistory
 from .sentences import (
     SCATTER_WORDS,
-    beginning,
     listed,
     percent,
     quantity,

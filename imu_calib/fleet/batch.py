@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ..api.session import as_list
-from ..common.errors import InputError
+from ..common.errors import InputError, beginning
 from ..common.files import user_path
 from ..common.parallel import MEMORY, Engine, WorkerDied, outcomes
 from ..common.progress import Progress, silent
@@ -19,7 +19,7 @@ from ..recordings.remote import is_url
 from ..session.keywords import Session, Stated, with_keywords
 from ..session.units_file import load_units
 from .recordings import OF_ONE, Job, convertible, find_jobs
-from .sentences import beginning, listed
+from .sentences import listed
 from .task import CALIBRATED, FAILED, SUPERSEDED, TaskResult, lost, run
 
 if TYPE_CHECKING:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
@@ -15,7 +14,6 @@ from ..reports.plain_table import plain_table
 from .results import Cause, Chart, Population, Rules, Signal, StandShift, Step, UnitHistory, day
 
 _BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
-_SENTENCES = 2  #: Of an error: what happened, and what it means.
 _MANY = 3  #: Sessions with signals of one parameter that share a sentence.
 _NAMED = 6  #: Number of parameters that a sentence names; of further ones it states the number.
 
@@ -31,12 +29,6 @@ def listed(names: Sequence[str], most: int = _NAMED) -> str:
     if len(names) > most:
         shown.append(f'{len(names) - most} more')
     return shown[0] if len(shown) == 1 else f'{", ".join(shown[:-1])} and {shown[-1]}'
-
-
-def beginning(error: str) -> str:
-    """Return the first two sentences of an error; the row of its recording has all."""
-    sentences = re.split(r'(?<=\.) (?=[A-Z])', error)
-    return ' '.join(sentences[:_SENTENCES]) + ' ...' * (len(sentences) > _SENTENCES)
 
 
 def quantity(

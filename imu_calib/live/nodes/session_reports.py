@@ -10,7 +10,7 @@ from typing import Any
 
 from ...calibration.calibration import Calibration
 from ...calibration.results import Review
-from ...common.errors import InputError
+from ...common.errors import InputError, beginning
 from ...common.finding import is_warning, without_label
 from ...common.stream import NS
 from ...common.units import significant
@@ -267,7 +267,7 @@ def _state(sessions: Sessions, imu_timeout: float) -> tuple[SessionPhase, str]:
         return SessionPhase.FAILED, trouble
     phase = sessions.phase
     failed = [s for s in sessions.open if s.phase is SessionPhase.FAILED]
-    reasons = ' '.join(f'{_name(s)}: {s.failure}' for s in failed)
+    reasons = ' '.join(f'{_name(s)}: {beginning(s.failure)}' for s in failed)
     if not sessions.open:
         return phase, 'All units are left out.'
     if phase in _ENDS:
