@@ -118,7 +118,8 @@ def _table(path: AnyPath, written: Sequence[str], delimiter: str | None) -> Text
     """Read a table from the lines of a file; as `read_text`."""
     lines = [row for row in written if not row.startswith(_COMMENTS)]
     if not lines:
-        raise _no_table(path, 'holds no lines, expected a table of numbers.')
+        comments = f' but comments, {" ".join(_COMMENTS)} first' if written else ''
+        raise _no_table(path, f'holds no lines{comments}: expected a table of numbers.')
     if delimiter is not None and len(delimiter) != 1:
         raise InputError(f'`delimiter`: found {delimiter!r}, expected one character.')
     whole = lines

@@ -275,7 +275,8 @@ def test_pulses_stay_pulses_and_need_a_description(tmp_path):
 @pytest.mark.parametrize(
     ('text', 'stated', 'sentence'),
     [
-        ('', {}, 'holds no lines'),
+        ('', {}, 'holds no lines: expected'),
+        ('%1,2\n', {}, 'holds no lines but comments, # % // first: expected'),
         (ROW, {}, 'log.csv: no row of numbers found'),
         (ROW + '1,2,3,4,5,6,7\n', {'gyro': 'wx,wy:deg/s'}, r'expected NAME,NAME,NAME:UNIT'),
         (ROW + '1,2,3,4,5,6,7\n', {'gyro': 'wx,wx,wz:deg/s'}, '`gyro`: .* names column wx twice'),
