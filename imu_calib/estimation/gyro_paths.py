@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,15 +174,10 @@ def _with_next(steps: Floats, which: NDArray[np.intp]) -> Floats:
 # Source: docs/mathematics.md, 'Velocities of moves'; the strapdown equations of Savage 1998, J.
 # Guidance 21, 208.
 
-_EACH = np.eye(3)[:, :, None] * np.eye(3)[:, None, :]
-"""For each channel the part of a vector that it measures: (3, 3, 3)."""
-
 _CROSS = np.ascontiguousarray(np.moveaxis(GENERATORS, 0, -1))
 """[v] = _CROSS @ v, the cross product by a vector from the left: (3, 3, 3)."""
 
 _ONE = np.zeros(1, dtype=np.intp)  #: Start index of a single motion.
-
-_SQUARES = tuple(combinations_with_replacement(range(3), 2))  #: Products of rates, each once.
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,37 +307,21 @@ def by_places(increments: Sequence[VelocityIncrement]) -> Floats:
 
     In the order x, y, z of accelerometer x, then of y and z. Accelerometer i reads row i of (I + M)
     a_i, a_i = ([alpha] + [w][w]) r_i. From dwell to dwell integration by parts removes alpha: the
-    integral of C P_i a_i is that of C (P_i [w] - [w] P_i) [w] r_i; this is minus that.
-    """
-    matrix = np.reshape(
-        _responses_alone(increments[0].model).reshape(3, 9) @ _by_responses(), (3, 18, 3)
-    )
-    return np.asarray(_moments(increments) @ np.swapaxes(matrix, 0, 1).reshape(18, 9))
-
-
-@lru_cache(maxsize=1)
-def _by_responses() -> Floats:
-    """Return P [w] - [w] P, times [w], as a matrix of P and products of w, (9, 18 * 3)."""
-    apart = np.einsum('mjp,klq->jkmpql', _CROSS, _CROSS)
-    apart -= np.einsum('kap,alq,jm->jkmpql', _CROSS, _CROSS, np.eye(3))
-    # Products of rates are symmetric.
-    folded = [apart[..., p, q, :] + (apart[..., q, p, :] if p != q else 0.0) for p, q in _SQUARES]
-    return np.stack(folded, axis=3).reshape(9, -1)
-
-
-def _moments(increments: Sequence[VelocityIncrement]) -> Floats:
-    """Return sums of C w_p w_q t over the steps, (m, 3, 3 * 6): of each product once.
-
-    A rate that changes by d within a step has a mean square of w^2 + d^2 / 12.
+    integral of C P_i a_i is that of C (P_i [w] - [w] P_i) [w] r_i; this is minus that. A rate that
+    changes by d within a step has a mean square of w^2 + d^2 / 12.
     """
     rates, axes, seconds, starts = _all_steps(increments)
     change = _change(rates, seconds, starts) * seconds[:, None] / np.sqrt(12)
-    first, second = np.array(_SQUARES).T
-    squares = rates[:, first] * rates[:, second]
-    squares += change[:, first] * change[:, second]
-    timed = squares * seconds[:, None]
-    parts = zip(np.split(axes, starts[1:]), np.split(timed, starts[1:]), strict=True)
-    return np.array([summed(axis, square) for axis, square in parts]).reshape(len(starts), 3, -1)
+    # The response P_i of accelerometer i alone is a column of (I + M)^-1 times a row of I + M.
+    rows = increments[0].model.accel.response
+    columns = np.linalg.inv(rows)
+    found = np.zeros((len(axes), 3, 3, 3))
+    for w in (np.einsum('ijk,nk->nij', _CROSS, each) for each in (rates, change)):
+        read = rows @ w
+        found += (axes @ w @ columns)[..., None] * read[:, None]
+        found -= (axes @ columns)[..., None] * (read @ w)[:, None]
+    found *= seconds[:, None, None, None]
+    return np.add.reduceat(found, starts).reshape(len(starts), 3, 9)
 
 
 def _all_steps(
@@ -355,12 +333,6 @@ def _all_steps(
         for name in ('rates', 'axes', 'seconds')
     )
     return rates, axes, seconds, np.cumsum([0, *(len(t.path.seconds) for t in increments[:-1])])
-
-
-def _responses_alone(model: SensorModel) -> Floats:
-    """Return P_i = (I + M)^-1 e_i e_i' (I + M): the response of accelerometer i alone."""
-    response = model.accel.response
-    return np.asarray(np.linalg.inv(response) @ _EACH @ response)
 
 
 def _change(rates: Floats, seconds: Floats, starts: NDArray[np.intp] = _ONE) -> Floats:
