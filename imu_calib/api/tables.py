@@ -186,13 +186,17 @@ def _likely_unit(option: str, values: Floats) -> str:
     known = values[np.isfinite(values).all(axis=1)]
     if len(known) < 2:
         return 'UNIT'
+    whole = not (known % 1).any()
     if option == 'gyro':
         # Slow turns may be in any unit.
-        return 'deg/s' if against_si(np.array([[0.0, 0.0, STANDARD_GRAVITY]]), known) else 'UNIT'
+        if not against_si(np.array([[0.0, 0.0, STANDARD_GRAVITY]]), known):
+            return 'UNIT'
+        return 'count' if whole else 'deg/s'
     if option == 'accel':
         length = float(np.median(np.linalg.norm(known, axis=1))) / STANDARD_GRAVITY
         units = {'m/s^2': 1.0, 'g': STANDARD_GRAVITY, 'mg': STANDARD_GRAVITY / 1000}
-        return next((u for u, one in units.items() if is_near_gravity(length * one)), 'UNIT')
+        other = 'count' if whole else 'UNIT'
+        return next((u for u, one in units.items() if is_near_gravity(length * one)), other)
     interval = float(np.median(np.diff(known[:, 0])))
     rates = {u: 1e9 / (interval * ns) for u, ns in _STAMP.items() if interval > 0}
     return next((u for u, rate in rates.items() if SLOWEST <= rate <= FASTEST), 'UNIT')

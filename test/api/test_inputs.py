@@ -216,6 +216,11 @@ def test_a_refusal_states_the_columns_with_the_units_that_the_numbers_allow(name
     slow.assign(az=named['az'] * 1000, t=named['t'] * 1e6).to_csv(tmp_path / 'log.csv')
     with pytest.raises(imu_calib.InputError, match=r't:us `gyro` gx,gy,gz:UNIT `accel` .*:mg'):
         imu_calib.calibrate(tmp_path / 'log.csv')
+    counts = (named.drop(columns='t') * 16384).round()
+    with pytest.raises(
+        imu_calib.InputError, match=r"gyro='gx,gy,gz:count', accel='ax,ay,az:count'"
+    ):
+        imu_calib.calibrate(counts)
 
 
 def test_units_that_the_numbers_contradict_are_refused(named, expected):
