@@ -71,7 +71,7 @@ once in 1e9."""
 _THE_SAME = (
     'The calibration was made from this recording, or from one of the same time: its parameters '
     'were fitted to it, and the residuals do not show their errors. Verify it with a recording of '
-    'another time; simulated ones begin at the same time unless their `seed` differs.'
+    'another time; simulated ones have the same time and noise unless their `seed` differs.'
 )
 
 
