@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from ..common.config import Section
 from ..common.errors import InputError, NotStated
 from ..common.progress import Progress, silent
-from ..common.units import counted
+from ..common.units import DEG, counted
+from ..model.earth import VAGUE
 from ..recordings.cdr_codec import Kind
 from ..recordings.order import Extent
 from ..recordings.rosbag2 import Recording
@@ -75,7 +76,8 @@ class Inspection:
     lost: tuple[str, ...] = ()  #: Missing or broken data, as far as the topics were examined.
     #: Contents of the streams; None if it is unknown how to read them.
     streams: StreamContents | None = None
-    missing_input: str = ''  #: What must be stated to read them, in a sentence.
+    missing_input: str = ''
+    """What must be stated to read them, or else to calibrate, in a sentence."""
     clocks: tuple[TopicClock, ...] = ()  #: Stamps of the topics with samples, if these were read.
 
     def __repr__(self) -> str:
@@ -139,10 +141,14 @@ def inspect_streams(
 ) -> Inspection:
     """Add the contents of the streams if their meaning is known."""
     try:
-        opened = open_session(bag, stated)
-    except NotStated as error:
-        clocks = _clocks_alone(bag, stated, progress)
-        return replace(outside, missing_input=str(error), clocks=clocks)
+        try:
+            opened = open_session(bag, stated)
+        except NotStated as error:
+            # Streams are read at any latitude, and calibrated at one.
+            outside = replace(outside, missing_input=str(error))
+            opened = open_session(bag, replace(stated, latitude=45.0, latitude_std=VAGUE / DEG))
+    except NotStated:
+        return replace(outside, clocks=_clocks_alone(bag, stated, progress))
 
     from .stream_contents import stream_contents
 

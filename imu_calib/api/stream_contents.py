@@ -14,6 +14,7 @@ from ..common.stream import Block
 from ..common.units import DEG, DEG_H, counted
 from ..estimation.latitude import contradicts, measured_latitude, vertical_earth_rate
 from ..estimation.setup import Setup
+from ..model.earth import VAGUE
 from ..recordings.rosbag2 import Recording
 from ..segmentation.labelling import Labelled, heading, label, up_by_accelerometers, up_words
 from ..segmentation.segmented import Segmented
@@ -96,7 +97,8 @@ def stream_contents(opened: Opened, progress: Progress) -> StreamContents:
     seen = vertical_earth_rate(session.segments)
     found = None if seen is None else measured_latitude(*seen)
     contradictions = [refusal] if refusal else []
-    if seen is not None and found is not None and contradicts(*seen, setup.site.latitude):
+    known = setup.site.latitude_std < VAGUE
+    if known and seen and found and contradicts(*seen, setup.site.latitude):
         contradictions.insert(0, _other_latitude(seen, found, setup))
     return StreamContents(
         tuple(_dwells(session, labelled, setup.plan, zero, free=free)),

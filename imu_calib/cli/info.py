@@ -66,6 +66,7 @@ def run_info(arguments: argparse.Namespace) -> CommandResult:
         message = f'{found.missing_input} Until then the topics alone are shown.'
         return CommandResult(found.to_dict(), WRONG_INPUT, message)
     _show(found.streams, verbose=arguments.verbose)
+    sentence_list('To calibrate', [found.missing_input] if found.missing_input else [])
     if arguments.segments_output is not None:
         write_segments(arguments.segments_output, found.streams.segments)
         OUTPUT.print(f'\nsegments written to {arguments.segments_output}', markup=False)

@@ -270,12 +270,13 @@ def test_info_ends_with_2_where_a_topic_is_not_there(bag, capsys):
     assert 'no such topic' in capsys.readouterr().err
 
 
-def test_info_shows_the_topics_and_asks_for_what_is_not_stated(bag, capsys):
-    assert main(['info', bag]) == 2
-    shown = capsys.readouterr()
-    assert 'sensor_msgs/msg/Imu' in shown.out
-    assert 'does not say where it was taken: give --latitude in degrees' in shown.err
-    assert main(['info', bag, '--topics']) == 0
+def test_info_needs_no_latitude_and_says_that_calibrate_does(bag, capsys):
+    assert main(['info', bag]) == 0
+    shown = ' '.join(capsys.readouterr().out.split())
+    assert 'does not say where it was taken: give --latitude in degrees' in shown
+    found, known = imu_calib.inspect(bag), imu_calib.inspect(bag, latitude=LATITUDE)
+    assert found.streams == known.streams
+    assert 'give `latitude`' in found.missing_input and not known.missing_input
 
 
 @pytest.mark.parametrize('size', [1000.0, 1e308])
