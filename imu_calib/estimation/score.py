@@ -50,7 +50,7 @@ _FREE_TABLE_ERROR = 300 * ARCSEC
 """Standard deviation of a practically free error of a table: a thousand times what the best
 accelerometers and dwells resolve, and small enough for the covariance to be inverted."""
 
-_FREE_STEP = 1 * DEG
+FREE_STEP = 1 * DEG
 """The same of attitudes that step: far more than a unit in its mount moves unseen."""
 
 _LARGEST_STEP = 5 * ARCMIN
@@ -118,7 +118,7 @@ class Family:
             start = np.concatenate([state, np.zeros(len(self.changes))])
             return excess(there, stepped(there, start))
         if self.of_attitudes:
-            step = replace(steps_of(equations)[round(shape)], size=_FREE_STEP)
+            step = replace(steps_of(equations)[round(shape)], size=FREE_STEP)
             evidence = equations.evidence.with_attitude_steps((step,))
             return excess(replace(equations, evidence=evidence), state)
         if self.term is None:
@@ -169,7 +169,9 @@ def columns_of(
             tried = shapes_of(family, equations).tolist()
             result[family] = tuple(_changing(ideal, family, base, shape) for shape in tried)
         elif family.of_attitudes:
-            result[family] = _stepping(ideal, state)
+            result[family] = _stepping(ideal, state, steps_of(ideal))
+        elif family == ISOLATORS:
+            result[family] = _stepping(ideal, state, (AttitudeStep(0, None),))
         elif family.term is None:
             table = equations.evidence.table
             stated = 0.0 if table is None else getattr(table.errors, family.name)
@@ -202,9 +204,11 @@ def steps_of(equations: Equations) -> tuple[AttitudeStep, ...]:
     return possible_steps(len(evidence.parts), joints)
 
 
-def _stepping(ideal: Equations, state: Floats) -> tuple[Pattern, ...]:
-    """Return the pattern of each step of the attitudes."""
-    evidence, steps = ideal.evidence, steps_of(ideal)
+def _stepping(
+    ideal: Equations, state: Floats, steps: tuple[AttitudeStep, ...]
+) -> tuple[Pattern, ...]:
+    """Return the pattern of each of some steps of the attitudes."""
+    evidence = ideal.evidence
     assert evidence.table is not None
     errors = step_errors(steps, evidence.segments, evidence.turns, evidence.table)
     columns = ideal.attitude_error_effects(state, *errors) * _LARGEST_STEP
@@ -269,6 +273,9 @@ TABLE_ERRORS = ('zeros', 'orthogonality', 'wobble', 'encoder')
 """Fields of `TableErrors`: errors that a table's file may state."""
 
 ATTITUDE_STEP = 'attitude_step'  #: Name of that family.
+
+ISOLATORS = Family('a unit that turns in its mount with the force on it')
+"""The step of the attitudes that follows the force, alone: the name says what it is."""
 
 
 def scores_of(

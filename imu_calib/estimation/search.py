@@ -34,6 +34,8 @@ from .information import Information, determined, nominal_information, useful_li
 from .modulation import interrupted
 from .score import (
     ATTITUDE_STEP,
+    FREE_STEP,
+    ISOLATORS,
     Family,
     Pattern,
     Score,
@@ -104,6 +106,12 @@ class SignificantFamily:
     scale: float = 1.0  #: Factor on the covariance by which their likelihoods are compared.
     #: Of the attitudes: the likeliest step, and those that explain the session equally well.
     steps: tuple[AttitudeStep, ...] = ()
+
+    @classmethod
+    def free(cls, family: Family) -> SignificantFamily:
+        """Return a family to be fitted in place of another."""
+        steps = (AttitudeStep(0, None, FREE_STEP),) if family == ISOLATORS else ()
+        return cls(family, 0.0, steps=steps)
 
 
 @dataclass(frozen=True)
@@ -393,7 +401,7 @@ def _with_carried_alternatives(
         model = start.with_found((*found[:k], *found[k + 1 :]))
         without = _common_std(*model.on(trial.equations, trial.state))
         for other in one.alternatives:
-            trying = model.with_found([SignificantFamily(other, 0.0)])
+            trying = model.with_found([SignificantFamily.free(other)])
             try:
                 ratios = _common_std(*trying.on(trial.equations, trial.state)) / without
             except NotObservable:
@@ -628,13 +636,17 @@ def _confirmed(
             continue
         model = start.with_found((*found[:k], *found[k + 1 :]))
         without, state = model.on(trial.equations, trial.state)
-        # An erroneous table has as many patterns as outputs: only terms are alternatives.
-        others = [f for f in families(without) if not f.of_table or f == one.family]
+        # An erroneous table has as many patterns as outputs: only terms are alternatives, and
+        # isolators, which turn into a quadratic term where gyros do not see them.
+        possible = families(without)
+        others = [f for f in possible if not f.of_table or f == one.family]
+        if not one.family.of_table and Family(ATTITUDE_STEP) in possible:
+            others.append(ISOLATORS)
         columns = columns_of(others, without, state)
         scattering = one.family.with_scatter(without, trial.scatter)
         residuals = WhitenedResiduals.at(scattering, state)
         scores = {f: residuals.score(f, columns[f]) for f in others}
-        here, limit = scores[one.family], _log_chance_limit(families(without))
+        here, limit = scores[one.family], _log_chance_limit(possible)
         if here.log_p >= limit:
             continue
         alternatives, scale = _alternatives(one.family, scores, limit), here.scale
@@ -652,13 +664,17 @@ def _confirmed(
 def _alternatives(
     family: Family, scores: Mapping[Family, Score], limit: float
 ) -> tuple[Family, ...]:
-    """Return significant families that explain a session as well as one that is significant."""
+    """Return families that explain a session as well as one that is significant.
+
+    Nearly significant ones too: isolators have twice the coefficients of a quadratic term.
+    """
     here = scores[family]
     least = here.statistic - _APART * here.scale
+    near = limit + _APART / 2
     return tuple(
         f
         for f, other in scores.items()
-        if f != family and max(here.log_p, other.log_p) < limit and other.statistic > least
+        if f != family and here.log_p < limit and other.log_p < near and other.statistic > least
     )
 
 
@@ -798,7 +814,7 @@ def _by_alternatives(current: Estimate, found: SignificantFamily) -> Floats:
     ).without(found.family)
     for alternative in found.alternatives:
         try:
-            other, start = model.with_found([SignificantFamily(alternative, 0.0)]).on(
+            other, start = model.with_found([SignificantFamily.free(alternative)]).on(
                 equations, current.state
             )
             state = fit(other, start)

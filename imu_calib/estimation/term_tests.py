@@ -21,7 +21,7 @@ from .attitude_steps import AttitudeStep, in_time
 from .components import whiten
 from .estimate import Estimate
 from .modulation import instant_of, temperatures, warms
-from .score import ATTITUDE_STEP, Family, Score
+from .score import ATTITUDE_STEP, ISOLATORS, Family, Score
 from .search import WIDER, SearchResult, SignificantFamily, UnobservableFamily
 
 _AMOUNT = 10.0  #: Amount of a coefficient, in its unit, for which the effect is reported.
@@ -350,7 +350,8 @@ def _step_sentence(
 def _possible(search: SearchResult) -> list[str]:
     """Report a step of the attitudes that is not shown, and widens standard deviations."""
     possible = search.possible_step
-    if possible is None:
+    alike = [other for one in search.found for other in one.alternatives]
+    if possible is None or (possible.step.by_force and ISOLATORS in alike):
         return []
     names = ', '.join(p.name for p in possible.parameters)
     chance = f'probability {min(possible.probability, 0.99):.2g}'
@@ -399,6 +400,8 @@ def _term_sentence(found: SignificantFamily, term: Term, chance: str) -> str:
     if found.alternatives:
         text += f'; {_as_well(found)}'
         needs = f' To tell them apart takes {term.needs}.'
+        if ISOLATORS in found.alternatives:
+            needs += ' Take the unit off its isolators, too.'
     return f'{text}.{needs}'
 
 

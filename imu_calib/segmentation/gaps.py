@@ -415,7 +415,7 @@ class CountsAfterGaps:
         usual = sides.mean(axis=1)
         deviations = (around - np.repeat(sides, _BESIDE, axis=1)) ** 2
         kept = np.sort(deviations, axis=1)[:, :_BESIDE]
-        floor = _READINGS
+        floor: float | Floats = _READINGS
         if not self._units.whole:
             gained = interval[:, None] / NS if self._units.per_interval else 1.0
             floor = (_LEAST * gained / self._scale) ** 2

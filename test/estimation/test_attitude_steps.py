@@ -92,6 +92,16 @@ def test_isolators_that_are_not_certain_widen_biases(seed, undescribed) -> None:
     assert any('may turn in its mount with the force on it' in one for one in found.findings)
 
 
+@pytest.mark.parametrize('seed', [2, again(5)])
+def test_isolators_that_look_like_a_quadratic_term_are_named_beside_it(seed, undescribed) -> None:
+    """At six faces accelerometers cannot tell them apart: D_a was off by seven deviations."""
+    calibrator, unit = fed_with('isolators, 10 arcsec/g', 'consumer', seed, undescribed)
+    found = calibrator.finish().calibration
+    assert np.abs(errors(found, unit)).max() < 4.5
+    (said,) = [one for one in found.findings if 'in its mount with the force on it' in one]
+    assert 'accel_quadratic' in said and 'would explain it as well' in said
+
+
 @pytest.mark.parametrize(
     ('grade', 'by'),
     [('consumer', 60 * ARCSEC), ('navigation', 10 * ARCSEC), again('medium', 60 * ARCSEC)],
