@@ -235,6 +235,7 @@ FAULTS = {
     'nothing': Fault(Session.blocks),
     'nothing, on an exact table': Fault(Session.blocks, exact=True),
     'nothing, pulses': Fault(Session.blocks, pulses=True, grades=('consumer',)),
+    'nothing, in SI': Fault(partial(_differenced_in_si, share=0.0), pulses=True, si=True),
     'counter differenced over 0.1 % lost': Fault(_DIFFERENCED, _OVER_LOST, pulses=True),
     'the same, delivered as it comes': Fault(_DIFFERENCED, _OVER_LOST, grades=('consumer',)),
     'the same, delivered in SI': Fault(_IN_SI, _OVER_LOST, pulses=True, si=True),
@@ -262,6 +263,8 @@ def sound(name: str, grade: str) -> str:
     """Return the name of the session in which nothing happens, with such a table and unit."""
     if FAULTS[name].exact:
         return 'nothing, on an exact table'
+    if FAULTS[name].si:
+        return 'nothing, in SI'
     return 'nothing, pulses' if FAULTS[name].pulses and GRADES[grade].counts else 'nothing'
 
 
