@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,6 +65,11 @@ class Compared:
     def agreement(self) -> Agreement:
         """Return which parameters differ by more than the covariances explain."""
         return self.side_by_side.agreement
+
+    @property
+    def same_data(self) -> bool:
+        """Return whether all were made from one recording, so that E_n and chance mean nothing."""
+        return [*range(len(self.names))] in _same_data(self.calibrations)
 
     @property
     def only(self) -> tuple[tuple[str, ...], ...]:
@@ -195,7 +200,11 @@ def compare(
         findings.append(
             f'These are different units, by their serial numbers {" and ".join(serials)}.'
         )
-    findings += _same_data(own, called)
+    findings += [
+        f'{" and ".join(called[k] for k in some)} were made from the same data, '
+        f'{own[some[0]].provenance.get("recording")}: their agreement says nothing of the unit.'
+        for some in _same_data(own)
+    ]
     if any(shown is not one for shown, one in zip(compared.calibrations, own, strict=True)):
         findings.append(f'Shown with the nominal scale factors of {called[0]}.')
     if len({c.provenance.get('frame') for c in own if c.provenance}) > 1:
@@ -214,19 +223,17 @@ def compare(
     return Compared(called, compared, tuple(findings))
 
 
-def _same_data(own: Sequence[Calibration], names: Sequence[str]) -> Iterator[str]:
-    """Yield a sentence on calibrations of one unit that were made from one recording."""
+def _same_data(own: Sequence[Calibration]) -> list[list[int]]:
+    """Return which calibrations of a unit were made from one recording, two or more of each."""
     made: dict[str, list[int]] = {}
     for k, one in enumerate(own):
         if content := one.provenance.get('sha256'):
             made.setdefault(str(content), []).append(k)
-    for some in made.values():
-        if len(some) > 1 and len({own[k].serial_number for k in some} - {''}) < 2:
-            yield (
-                f'{" and ".join(names[k] for k in some)} were made from the same data, '
-                f'{own[some[0]].provenance.get("recording")}: their agreement says nothing of the '
-                'unit. E_n and chance are those of independent data.'
-            )
+    return [
+        some
+        for some in made.values()
+        if len(some) > 1 and len({own[k].serial_number for k in some} - {''}) < 2
+    ]
 
 
 def _at_best(compared: SideBySide) -> str:

@@ -195,8 +195,9 @@ def run_compare(arguments: argparse.Namespace) -> CommandResult:
     # Another unit or the same table says what agreement means.
     print_findings(compared.findings, verbose=True)
     two = len(compared.names) == 2
-    errors = [error_line(compared.side_by_side)] if two and found.total_freedom else []
-    print_parts(['', *errors, *agreement_lines(found)])
+    if not compared.same_data:
+        errors = [error_line(compared.side_by_side)] if two and found.total_freedom else []
+        print_parts(['', *errors, *agreement_lines(found)])
     for name, only in zip(compared.names, compared.only, strict=True):
         if only:
             where = f'Only in {name}' if two else f'In {name}, and not in all'
@@ -209,9 +210,9 @@ def _heads(compared: Compared) -> list[str]:
     short = max(map(len, compared.names)) <= _LONG
     heads = list(compared.names) if short else [f'({k + 1})' for k in range(len(compared.names))]
     for head, name, one in zip(heads, compared.names, compared.calibrations, strict=True):
-        when = f'recorded {date(one.provenance)}' if one.provenance.get('recorded') else ''
-        known = ', '.join(filter(None, ('' if short else name, one.unit_name, when)))
-        OUTPUT.print(f'{head}: {known}', markup=False)
+        which = f'{head}: ' if short else f'{head} {name}, '
+        when = f', recorded {date(one.provenance)}' if one.provenance.get('recorded') else ''
+        OUTPUT.print(f'{which}{one.unit_name}{when}', markup=False)
     OUTPUT.print()
     return heads
 

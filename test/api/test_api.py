@@ -504,6 +504,7 @@ def test_agreement_of_the_same_data_is_said_to_be_none_of_the_unit(result):
 
     again = replace(result.calibration, serial_number='A1')
     assert said(result, again) == said(again, again) != []
+    assert imu_calib.compare(result, again).same_data
     # Two units on one table share a recording.
     assert said(again, replace(again, serial_number='A2')) == []
     other = {**again.provenance, 'sha256': 64 * 'f'}

@@ -38,7 +38,7 @@ def unit(*, with_g: bool = True, skewed: bool = True) -> Calibration:
 def rows(first: Calibration, second: Calibration) -> dict[str, tuple[str, ...]]:
     table = comparison_table(side_by_side([first, second]), ['a', 'b'])
     columns = [list(c.cells) for c in table.columns]
-    return {str(r[0]): tuple(map(str, r[1:6])) for r in zip(*columns, strict=True)}
+    return {str(r[0]): tuple(map(str, r[1:8])) for r in zip(*columns, strict=True)}
 
 
 def test_g_sensitivities_and_skewed_gyros_are_compared_too():
@@ -47,15 +47,16 @@ def test_g_sensitivities_and_skewed_gyros_are_compared_too():
     second = replace(second, model=replace(second.model, g_sensitivity=moved))
     found = rows(first, second)
     assert len(found) == 24 + 9 + 4
-    value, other, difference, ratio, shown = found['G_gyy']
+    value, expanded, other, _, difference, error, shown = found['G_gyy']
+    assert float(expanded) == pytest.approx(2e-6 * STANDARD_GRAVITY / DEG_H, abs=0.05)
     assert float(difference) == pytest.approx(
         -3e-6 * STANDARD_GRAVITY / DEG_H, abs=0.05
     )  # as shown
     assert float(value) - float(other) == pytest.approx(float(difference), abs=0.1)
-    # 3e-6 against two deviations of 1e-6.
-    assert float(ratio) == pytest.approx(-3 / np.sqrt(2), abs=0.06)
+    # E_n: 3e-6 over two expanded uncertainties of 2e-6.
+    assert float(error) == pytest.approx(-3 / (2 * np.sqrt(2)), abs=0.03)
     assert shown == '(deg/h)/g'
-    assert all(float(row[2]) == 0 for name, row in found.items() if name != 'G_gyy')
+    assert all(float(row[4]) == 0 for name, row in found.items() if name != 'G_gyy')
 
 
 def test_names_units_and_order_are_those_of_a_calibration():
@@ -64,7 +65,7 @@ def test_names_units_and_order_are_those_of_a_calibration():
     names, units = (list(shown.columns[k].cells) for k in (0, 3))
     found = rows(first, first)
     assert list(found) == names
-    assert [row[4] for row in found.values()] == units
+    assert [row[6] for row in found.values()] == units
     # Digits, too, up to those that the smaller difference needs.
     values = list(map(float, shown.columns[1].cells))
     assert [float(row[0]) for row in found.values()] == pytest.approx(values, abs=1e-3)
@@ -100,7 +101,7 @@ def test_another_nominal_scale_factor_is_no_difference_of_the_unit():
     ]
     for mine, theirs in zip(*compensated, strict=True):
         assert mine == pytest.approx(theirs, rel=1e-12)
-    assert all(abs(float(row[2])) < 1e-9 for row in rows(first, second).values())
+    assert all(abs(float(row[4])) < 1e-9 for row in rows(first, second).values())
 
 
 def test_rows_of_a_kind_have_the_same_decimals():
@@ -113,9 +114,9 @@ def test_rows_of_a_kind_have_the_same_decimals():
     step = np.where([p.name == 'D_ax' for p in parameters], 5e-8, 2e-6)
     moved = first.model.with_values(first.parameters, first.values + step)
     found = rows(first, replace(first, model=moved))
-    assert float(found['D_ax'][2]) == pytest.approx(-5e-8 / MICRO_G, rel=0.2)
+    assert float(found['D_ax'][4]) == pytest.approx(-5e-8 / MICRO_G, rel=0.2)
     for kind in ('K_g', 'K_a', 'E_g', 'E_a', 'D_a', 'G_g'):
-        cells = [row[:3] for name, row in found.items() if name.startswith(kind)]
+        cells = [row[:5] for name, row in found.items() if name.startswith(kind)]
         after = {len(cell.partition('.')[2]) for row in cells for cell in row}
         assert len(cells) >= 3 and len(after) == 1, kind
 
@@ -261,6 +262,10 @@ def test_the_gravity_of_one_place_makes_no_difference_between_its_calibrations()
     second = replace(first, model=SensorModel.from_vector(values))
     # 20 ppm are seven deviations of two sessions, and an eleventh of one of gravity.
     assert compare(first, second).agreement.names == ('K_ax',)
+    # It is in each U, and cancels in E_n: half of the difference over its deviation.
+    found = compare(first, second)
+    assert found.e_n == pytest.approx(found.normalised / 2)
+    assert -4 < found.e_n[scale] < -3
     elsewhere = replace(second, provenance={**here, 'latitude_deg': 50.0})
     assert compare(first, elsewhere).agreement.names == ()
 
@@ -277,4 +282,4 @@ def test_no_head_and_no_unit_is_cut_in_a_narrow_terminal(tmp_path, capsys, monke
     row = next(line for line in lines if line.startswith('K_gx'))
     assert row.rstrip().endswith('ppm')
     assert head.index('unit') == row.index('ppm')
-    assert lines[0] == '(1) a_long_name_of_a_unit_0'
+    assert lines[0] == '(1) a_long_name_of_a_unit_0, fog_skewed'
