@@ -402,7 +402,7 @@ class StreamBuffer:
         """Return sentences on losses; the IMU's clock is `ahead` (ns) of the table's."""
         lost = self._imu.after_gaps.found.sentences + self._skew.after_gaps.found.sentences
         lost += self.false_samples.sentences + self._skew.false.found.sentences
-        lost += self._losses.sentences() + self._imu.shared.words()
+        lost += self.facts.repeats + self._losses.sentences() + self._imu.shared.words()
         lost += self._skew.shared.words(' of the skewed gyro')
         cut = 'a motion during it is left out'
         if self._table is not None:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from ..common.finding import warning
 from ..common.stream import Floats, Stamps, Units, at
 from ..common.units import DEG, LARGEST, STANDARD_GRAVITY, counted
 from .counters import all_in_row, any_in_row, by_columns, runs_of
@@ -74,6 +75,10 @@ class StreamFacts:
         self._alone = np.zeros(2, np.int64)
         self._largest = np.zeros(6)
         self._at_largest = np.zeros(6, np.int64)
+        self._row = np.empty((0, 6))
+        self._length = 0  #: Samples so far that are equal to the last one, and follow each other.
+        self._runs = np.zeros(4, np.int64)
+        """Former ones: their number, samples, squares of these; channels that changed then."""
 
     @property
     def sensors_separate(self) -> bool:
@@ -116,6 +121,41 @@ class StreamFacts:
             before = self._at_largest[c] if largest[c] == self._largest[c] else 0
             self._at_largest[c] = before + np.count_nonzero(sizes[:, c] == largest[c])
         self._largest = np.maximum(largest, self._largest)
+        self._count_runs(values)
+
+    def _count_runs(self, values: Floats) -> None:
+        rows = np.concatenate([self._row, values])
+        changed = sum((rows[1:, c] != rows[:-1, c]).astype(np.int64) for c in range(rows.shape[1]))
+        begins = np.flatnonzero(changed) + 1 - len(self._row)
+        if len(begins):
+            lengths = np.diff(begins, prepend=-self._length)
+            self._runs += [len(lengths), lengths.sum(), lengths @ lengths, np.sum(changed)]
+        last = int(begins[-1]) if len(begins) else -self._length
+        self._row, self._length = values[-1:].copy(), len(values) - last
+
+    @property
+    def repeats(self) -> list[str]:
+        """That a driver delivers each sample more than once, without a full stop; else nothing.
+
+        The runs of equal samples are of nearly one length then; those of a quiet unit, of which a
+        channel changes now and then, are as of chance. Increments of a counter say nothing: at a
+        steady rate they are alike.
+        """
+        runs, samples, squares, changed = map(float, self._runs)
+        if self.units.per_interval or runs < _ENOUGH or changed < _TOGETHER * runs:
+            return []
+        mean = samples / runs
+        if mean < _MORE_OFTEN or squares / runs - mean**2 > _EVEN * mean * (mean - 1):
+            return []
+        rate = samples / ((self._last - self._first) * 1e-9)
+        return [
+            warning(
+                f'The driver delivers each sample {mean:.3g} times: {rate:.4g} Hz of a device that '
+                f'measures at {rate / mean:.4g} Hz. Standard deviations of biases and covariances '
+                f'are too small by up to {mean**0.5:.2g} times: set the driver to the rate of the '
+                'device, or record only the samples that differ from the one before'
+            )
+        ]
 
     @property
     def sentence(self) -> str:
@@ -230,6 +270,14 @@ _FEWEST = 8
 _ENOUGH = 100
 """Other samples that show the chance of a repetition, however long that is: a table that settles
 for a second is at rest for most of them. A judgement."""
+_TOGETHER = 3
+"""Channels that change from one sample of the device to the next, in the mean: half of them. Of
+coarse codes at rest one changes now and then."""
+_MORE_OFTEN = 1.4
+"""Times that each sample is delivered. A judgement: 1.2 is nearly as irregular as chance."""
+_EVEN = 0.45
+"""Largest variance of the lengths of runs, of that by chance, mean (mean - 1). Lengths of 1 and 2
+in the mean of 1.4 have 0.43 of it, of 1.5 a third; longer ones less."""
 _CHANCE = 1e-9  #: Probability of so long a repetition anywhere in a segment of sound samples.
 _AROUND = 32  #: Samples before and after a repetition that show whether codes are noisy.
 _SAME = 1e-3

@@ -90,6 +90,53 @@ def test_stamps_of_few_digits_are_counted():
     assert '75% have the stamp of the one before' in facts(rounded, NOISE)
 
 
+def repeats(values: Floats, size: int = 10**9, units: Units = Units.SI) -> list[str]:
+    stamp = 10**18 + np.arange(len(values)) * 5_000_000
+    found = StreamFacts(units)
+    for k in range(0, len(stamp), size):
+        found.count_samples(stamp[k : k + size], values[k : k + size])
+    return found.repeats
+
+
+@pytest.mark.parametrize('ratio', [1.5, 2.0, 2.5, 3.0])
+def test_a_driver_that_delivers_samples_more_than_once_is_named(ratio):
+    """It reads the last sample of the device at times of its own, with jitter."""
+    late = np.random.default_rng(1).normal(0, 0.02, 2500)
+    held = NOISE[np.clip(((np.arange(2500) + late) / ratio).astype(int), 0, 1999)]
+    (said,) = repeats(held)
+    assert f'delivers each sample {ratio:.1f}'.rstrip('0').rstrip('.') in said
+    assert [repeats(held, size) for size in (1, 7, 500)] == [[said]] * 3
+    # Increments would be gained again: equal ones are those of a steady rate.
+    assert repeats(held, units=Units.PULSES) == []
+
+
+@pytest.mark.parametrize('coarse', [0.5, 1.5, 3.0, 6.0])
+@pytest.mark.parametrize('filtered', [1, 20])
+def test_a_quiet_unit_of_coarse_codes_repeats_by_chance(coarse, filtered):
+    """Noise of one; also behind a low-pass filter, and with a motion now and then."""
+    calm = np.apply_along_axis(np.convolve, 0, NOISE, np.full(filtered, filtered**-0.5), 'same')
+    moved = (
+        calm + 20 * np.sin(np.arange(2000) / 30)[:, None] * (np.arange(2000) % 1000 > 800)[:, None]
+    )
+    for values in (calm, moved):
+        assert repeats(np.round(values / coarse)) == []
+
+
+def test_both_commands_warn_of_a_driver_that_repeats_samples(hand, tmp_path):
+    stamp, gyro, accel = hand
+    noise = np.random.default_rng(2).normal(size=(len(stamp), 6))
+    gyro, accel = gyro + 1e-3 * noise[:, :3], accel + 1e-2 * noise[:, 3:]
+    twice = np.repeat(np.arange(len(stamp)), 2)
+    stamps = stamp[0] + np.arange(len(twice)) * 5_000_000
+    path = bag(tmp_path / 'twice', stamps, gyro[twice], accel[twice])
+    result = imu_calib.calibrate(path, latitude=LATITUDE)
+    words = (
+        'Warning: The driver delivers each sample 2 times: 200 Hz of a device that measures at 100'
+    )
+    assert [text.startswith(words) for text in result.findings].count(True) == 1
+    assert any(text.startswith(words) for text in imu_calib.inspect(path).streams.lost)
+
+
 def test_a_refusal_ends_with_the_facts(hand, tmp_path):
     stamp, gyro, accel = hand
     kept = np.random.default_rng(2).random(len(stamp)) > 0.4
