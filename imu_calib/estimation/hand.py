@@ -56,7 +56,7 @@ from .score import Family, Pattern, Score, WhitenedResiduals, scores_of
 from .search import SignificantFamily
 from .solution import Solution
 from .solve import least_squares
-from .term_tests import TermState, TermTest, test_of
+from .term_tests import TermTest, test_of
 from .variances import Variance, choose_variances, restricted
 
 NAME = 'free_positions'  #: The method's name in plans.
@@ -650,14 +650,7 @@ def _tests(
     std = information.std[sensors]
     root = np.linalg.cholesky(equations.covariance(values))
     on = {one.family for one in found}
-    tests = []
-    for one in found:
-        if one.family.term is not None:
-            tests.append(TermTest.found(one.family.term, max(one.log_p, _LEAST_LOG)))
-        else:
-            log10_p = one.log_p / float(np.log(10))
-            changes = one.family.changes
-            tests.append(TermTest(one.family.name, TermState.FOUND, log10_p, changes=changes))
+    tests = [TermTest.found(replace(one, log_p=max(one.log_p, _LEAST_LOG))) for one in found]
     off = [f for f in _FAMILIES if f not in on and f.term is not G_SENSITIVITY]
     patterns = {family: (_pattern(state, family),) for family in off}
     for family, score in scores_of(patterns, equations, values).items():

@@ -104,9 +104,11 @@ class TermTest:
     amount: float = _AMOUNT  #: Of a coefficient, in its unit, for which the effect is reported.
 
     @classmethod
-    def found(cls, term: Term, log_p: float) -> TermTest:
-        """Return that of a term of the sensors that was found; the logarithm is natural."""
-        return cls(term.name, TermState.FOUND, log_p / _LN10, term.parameters)
+    def found(cls, found: SignificantFamily) -> TermTest:
+        """Return that of a family that was found."""
+        family = found.family
+        state = TermState.NOT_DETERMINED if found.considered else TermState.FOUND
+        return cls(family.name, state, found.log_p / _LN10, family.parameters, family.changes)
 
     def document(self) -> dict[str, object]:
         """Return its entries in calibration.yaml, SI units."""
@@ -136,11 +138,7 @@ def tested(
     for name in names_of(requested_changes):
         mine = tuple(c for c in requested_changes if c.course.value == name)
         result.append(TermTest(name, TermState.ASKED, changes=mine))
-    for one in search.found:
-        state = TermState.NOT_DETERMINED if one.considered else TermState.FOUND
-        family = one.family
-        found = TermTest(family.name, state, one.log_p / _LN10, family.parameters, family.changes)
-        result.append(found)
+    result += [TermTest.found(one) for one in search.found]
     equations = search.estimate.equations
     std = np.sqrt(np.diag(search.estimate.covariance)[: equations.sensors])
     for family, score in search.scores.items():

@@ -239,13 +239,19 @@ def solve_n_positions(evidence: Evidence) -> Solution:
         evidence.positions_in_words(),
         N_POSITIONS_ESTIMATES,
     )
-    g = evidence.site.gravity
+    at_rest = np.vstack([fitted[:1], fitted[1:] / evidence.site.gravity])
+    return _against_north(evidence, turned, at_rest, fitted, condition)
+
+
+def _against_north(
+    evidence: Evidence, turned: Floats, at_rest: Floats, fitted: Floats, condition: float
+) -> Solution:
+    """Solve by weights on turns (3, t), of gyros at rest (u, s), and by `force_weights` (4, s)."""
     rates = evidence.attitudes().transpose(0, 2, 1) @ evidence.site.earth_rate
-    at_rest = np.vstack([np.zeros_like(fitted[1:]), fitted[:1], fitted[1:] / g])
     # n_g - (I + M_g) w: the rate test enters all that is fitted to it.
     gyro = np.hstack([at_rest, -(at_rest @ rates) @ turned])
-    gyro[:BIAS, len(rates) :] = turned
-    accel = np.vstack([fitted[1:] / g, fitted[:1]])
+    gyro = np.vstack([np.pad(turned, ((0, 0), (len(rates), 0))), gyro])
+    accel = np.vstack([fitted[1:] / evidence.site.gravity, fitted[:1]])
     return Gains(gyro, accel, condition).conclude(evidence, north_known=True)
 
 
@@ -304,14 +310,7 @@ def solve_rate_24(evidence: Evidence) -> Solution:
         )
     turned, condition = rate_test_weights(evidence)
     count = len({s.position for s in evidence.segments})
-    mean = position_weights(evidence) / count
-    rates = evidence.attitudes().transpose(0, 2, 1) @ evidence.site.earth_rate
-    gyro = np.zeros((BIAS + 1, len(rates) + len(evidence.turns)))
-    gyro[:BIAS, len(rates) :] = turned
-    gyro[BIAS] = np.concatenate([mean, -(mean @ rates) @ turned])
-    ups = evidence.attitudes()[:, 2]
-    fitted, spread = force_weights(
-        ups, position_weights(evidence), f'{count} positions', PARAMETERS
-    )
-    accel = np.vstack([fitted[1:] / evidence.site.gravity, fitted[:1]])
-    return Gains(gyro, accel, max(condition, spread)).conclude(evidence, north_known=True)
+    ups, weights = evidence.attitudes()[:, 2], position_weights(evidence)
+    fitted, spread = force_weights(ups, weights, f'{count} positions', PARAMETERS)
+    condition = max(condition, spread)
+    return _against_north(evidence, turned, weights[None] / count, fitted, condition)
