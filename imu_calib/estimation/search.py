@@ -52,7 +52,6 @@ from .score import (
     undecided,
     values_of,
 )
-from .screening import Screen
 from .solve import NotConverged, fit, linear_step
 
 CHANCE = 1e-3
@@ -68,10 +67,10 @@ _STEP = Family(Course.STEP.value, course=Course.STEP)
 _AT_ONCE = 3
 """Families that are tried before one of them is accepted; the others wait until it is on."""
 
-_SCREENED = 0.5
-"""Of the logarithm of the chance below which a family is significant: families above it by the
-screen, which keeps the pattern of the scatter, are not tried further. A judgement: the square root
-of the chance, one in a hundred of families that are absent."""
+_HINTED = 0.5
+"""Of the logarithm of the chance below which a family is significant: from there on a step is tried
+from the beginning. A judgement: the square root of the chance, one in a hundred of families that
+are absent."""
 
 
 WIDER = 0.1
@@ -424,12 +423,11 @@ def _common_std(equations: Equations, state: Floats) -> Floats:
 
 def _may_step(start: _Model, first: Estimate) -> bool:
     """Return whether a step may explain the outputs that an estimate set aside."""
-    equations, state = _restored(start, first), first.state
+    equations = _restored(start, first)
     if _STEP not in (open_ones := families(equations)):
         return False
-    columns = columns_of([_STEP], equations, state)[_STEP]
-    limit = _SCREENED * _log_chance_limit(open_ones)
-    return Screen.at(equations, state).log_p(_STEP, columns) <= limit
+    score = _under_own_scatter(equations, first.state, [_STEP])[_STEP]
+    return score.log_p <= _HINTED * _log_chance_limit(open_ones)
 
 
 def _with_a_step(start: _Model) -> SearchResult | None:
@@ -584,13 +582,6 @@ def _under_own_scatter(
         for family, score in scores.items()
         if score.tested and scipy.special.chdtrc(score.rank, score.statistic) < CHANCE
     ]
-    if suspect:
-        screen, limit = Screen.at(equations, state), _SCREENED * _log_chance_limit(open_ones)
-        # The covariance that the screen uses allows for the motion terms themselves.
-        chances = {f: screen.log_p(f, columns[f]) for f in suspect if not f.held}
-        excluded = {f for f, chance in chances.items() if chance > limit}
-        scores |= {f: replace(scores[f], statistic=0.0) for f in excluded}
-        suspect = [family for family in suspect if family not in excluded]
     suspect.sort(key=lambda family: -scores[family].statistic)
     for k, family in enumerate(suspect):
         if k % _AT_ONCE == 0 and any(
