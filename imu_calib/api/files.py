@@ -39,10 +39,10 @@ def new_folder(output: Named, or_file: str = '') -> Path:
     path = _below_a_folder(output)
     ending = path.suffix.lower()
     if ending in ENDINGS and ending != or_file:
-        other = f', or in {or_file} for a text file' if or_file else ''
+        other = f', or write {or_file} for a text file' if or_file else ''
         raise InputError(
-            f'{path}: a recording is a folder with an .mcap file in it: expected a name that does '
-            f'not end in {path.suffix}{other}.'
+            f'{path}: a recording is a folder with an .mcap file in it: leave out '
+            f'{path.suffix}{other}.'
         )
     refuse_existing(path)
     return path

@@ -193,7 +193,10 @@ def test_a_combined_calibration_follows_the_recorded_temperature(tmp_path):
         (['--output-topic', 'imu raw'], ['--output-topic: found', 'expected the name of a topic']),
         (['--imu-topic', 'nobody'], ['no such topic']),
         (['-o', 'out.csv', '--keep'], ['out.csv', 'compensated samples alone', '--keep']),
-        (['-o', 'out.mcap'], ['out.mcap: a recording is a folder', 'or in .csv']),
+        (
+            ['-o', 'out.mcap'],
+            ['out.mcap: a recording is a folder', 'leave out .mcap, or write .csv'],
+        ),
         (['--calibration', 'both.yaml'], ['no topic of type sensor_msgs/msg/Temperature']),
     ],
 )
