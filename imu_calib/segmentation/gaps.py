@@ -368,7 +368,9 @@ class CountsAfterGaps:
         if len(self._rows.stamp):
             stamp = np.concatenate([self._rows.stamp, stamp])
             values = np.concatenate([self._rows.values, values])
-        return self._passed(Rows(stamp, values), len(stamp) - _BESIDE)
+        # The first ones are judged by as many.
+        end = len(stamp) - _BESIDE if len(stamp) > 2 * _BESIDE else 0
+        return self._passed(Rows(stamp, values), end)
 
     def finish(self) -> Rows:
         """End the stream: return the rows that wait."""
@@ -381,7 +383,7 @@ class CountsAfterGaps:
             self._rows = rows
             return Rows(rows.stamp[:0], rows.values[:0])
         where, missing = self._holding_more(rows, first, end)
-        begin = max(0, end - _BESIDE)
+        begin = max(0, end - 2 * _BESIDE)
         # Copies: views would keep the whole block.
         self._rows = Rows(rows.stamp[begin:].copy(), rows.values[begin:].copy())
         self._judged = end - begin
@@ -394,23 +396,24 @@ class CountsAfterGaps:
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """Return which rows of a range hold the counts of lost ones, and of how many, (k,)."""
         stamp, values = rows
-        asked = np.arange(max(first, _BESIDE), min(end, len(stamp) - _BESIDE))
+        asked = np.arange(max(first, 1), end)
         none = np.empty(0, dtype=np.intp)
-        if not len(asked):
+        if not len(asked) or len(stamp) <= 2 * _BESIDE:
             return none, none.astype(np.int64)
         steps = np.diff(stamp)
         # A cheap test first: a gap is longer than one of the two steps on either side.
-        least = np.minimum(steps[asked - 2], steps[asked])
-        least = np.minimum(least, np.minimum(steps[asked - 3], steps[asked + 1]))
-        asked = asked[steps[asked - 1] > MISSES_ONE * least]
-        beside = np.concatenate([np.arange(-_BESIDE, 0), np.arange(1, _BESIDE + 1)])
-        interval = np.median(steps[asked[:, None] + beside[1:] - 1], axis=1)
+        near = np.clip(asked + np.array([[-3], [-2], [0], [1]]), 0, len(steps) - 1)
+        asked = asked[steps[asked - 1] > MISSES_ONE * steps[near].min(axis=0)]
+        # At the ends of the stream more of them are on one side.
+        begin = np.clip(asked - _BESIDE, 0, len(stamp) - 2 * _BESIDE - 1)[:, None]
+        beside = begin + np.arange(2 * _BESIDE)
+        interval = np.median(steps[beside], axis=1)
         spans = np.rint(steps[asked - 1] / np.maximum(interval, 1.0)).astype(np.int64)
         several = spans > 1
-        asked, interval, spans = asked[several], interval[several], spans[several]
+        asked, beside, interval, spans = (x[several] for x in (asked, beside, interval, spans))
         if not len(asked):
             return none, none.astype(np.int64)
-        around = values[asked[:, None] + beside]
+        around = values[beside + (beside >= asked[:, None])]
         sides = np.median(around.reshape(len(asked), 2, _BESIDE, 6), axis=2)
         usual = sides.mean(axis=1)
         deviations = (around - np.repeat(sides, _BESIDE, axis=1)) ** 2

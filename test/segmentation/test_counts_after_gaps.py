@@ -69,6 +69,20 @@ def test_counts_are_divided_over_the_lost_ones_and_none_is_lost():
     assert counts.found.lost == len(every) - len(stamp)
 
 
+def test_counts_next_to_the_ends_of_the_stream_are_divided():
+    """One among the last eight samples widened K_a of a session nine times."""
+    stamp, values, scale = of(NAVIGATION, World())
+    for k in (1, 5, len(stamp) - 7, len(stamp) - 1):
+        held = values.copy()
+        held[k] += held[k - 1]
+        for cuts in ([], list(range(1, 40))):
+            stamps, _, counts = passed(
+                np.delete(stamp, k - 1), np.delete(held, k - 1, axis=0), scale, cuts
+            )
+            assert counts.found.count == (k > 1)
+            assert len(stamps) == len(stamp) - (k == 1)
+
+
 def test_the_result_does_not_depend_on_how_the_stream_is_cut():
     stamp, values, scale = of(MEDIUM, DIFFERENCED)
     stamp, values = stamp[:9000], values[:9000]
