@@ -422,6 +422,11 @@ units. What a session cannot show is in [limits.md](limits.md). Not honest yet:
 - a unit that drifts, but much less than its data sheet says, may seem calmer than it is: of 24 D_a
   each, with 4, 8, 13 and 20 % of the accelerometers' 20 ug (simulated by our own program), the
   errors are 0.9, 1.3, 1.5 and 1.4 of their standard deviations (root mean square; the worst 4.4)
+- gyros that drift more than their description states, by about the noise of a dwell: where the
+  drift becomes as likely as none, the stated deviation of D_g grows seven times at once. Drawn for
+  a medium unit, with drifts of 0.5, 1 and 1.6 times that noise and 60 sessions each, errors of D_g
+  are 1.7, 1.8 and 0.8 of their standard deviations (root mean square), and 1.7, 3.9 and 0.6 % of
+  them are beyond 4.5
 - a step of the mount costs 2.4 times the processor time of a session without (median of navigation
   grade), and up to 7 times
 - in 450 sessions of eleven plans and units at 50 to 400 Hz with two to four conditions at once:
