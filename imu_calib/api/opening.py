@@ -82,7 +82,7 @@ def assumed_si_imu(recording: Recording, topic: str) -> ImuSpec:
     rate = np.vstack([np.zeros((0, 3)), *(b.gyro for b in samples)])
     if halves(rate, force) is not None:
         raise InputError(f'{recording.path}: {separate_messages_sentence(topic, Units.SI)}')
-    if removed := gravity_removed(quiet_means(force)):
+    if removed := gravity_removed(quiet_means(force), quiet_means(rate)):
         raise InputError(f'{recording.path}: {topic}: {removed}')
     if seen := against_si(force, rate):
         known = '`imu` rates' if recording.files else "imu='rates'"

@@ -132,7 +132,9 @@ def from_columns(
         times, rates, forces = _interpolated_forces(*gyros, *accels, sentences, exactly=exactly)
         if len(sentences) > before:
             data |= interpolation_description(topic, rate_of(known))
-    if numbers is Units.SI and (removed := gravity_removed(quiet_means(forces))):
+    if numbers is Units.SI and (
+        removed := gravity_removed(quiet_means(forces), quiet_means(rates))
+    ):
         sentences.append(removed)
     elif numbers is Units.SI and (seen := against_si(forces, rates)):
         sentences.append(f'{units_in_doubt(seen)} Check the columns of `gyro` and `accel`.')

@@ -21,7 +21,7 @@ from ..common.rotations import angle_between, rotations
 from ..common.stream import Floats
 from ..segmentation.segmented import Move, Segmented
 from ..segmentation.segments import Segment
-from ..segmentation.stream_facts import gravity_removed, separate_messages_sentence
+from ..segmentation.stream_facts import gravity_removed, reads_gravity, separate_messages_sentence
 from ..session.table import Table
 from .results import Review
 
@@ -88,10 +88,12 @@ def _explained(refusal: str, session: Segmented) -> str:
 
 def _without_gravity(session: Segmented) -> str:
     means = np.array([segment.statistics.mean for segment in session.segments]).reshape(-1, 6)
-    if len(means) and np.median(np.linalg.norm(means[:, :3], axis=1)) > _NO_BIAS:
-        # Something else is in the columns of the gyros: gravity, maybe.
+    rates = means[:, :3]
+    biased = len(means) and np.median(np.linalg.norm(rates, axis=1)) > _NO_BIAS
+    if biased and not reads_gravity(rates):
+        # Something else is in the columns of the gyros.
         return ''
-    return gravity_removed(means[:, 3:])
+    return gravity_removed(means[:, 3:], rates)
 
 
 def dead_channels(session: Segmented) -> list[str]:

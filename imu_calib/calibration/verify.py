@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 
 from ..common.files import require
+from ..common.finding import warning
 from ..common.stream import Floats
 from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G, counted
 from ..estimation.free_dwells import Sensors, Up, noise_at_rest, squares, transformed_covariance
@@ -464,6 +465,44 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
     Raises:
         NotObservable: No parameters explain the session, or the model has no inverse.
     """
+    found = _verified(calibration, observed)
+    return _without_turned_hold(calibration, observed, found) or found
+
+
+_FEWEST_HOLDS = 10
+"""Holds of which one may be left out. A judgement: errors of a calibration show in several of so
+many attitudes."""
+
+
+def _without_turned_hold(
+    calibration: Calibration, observed: Observed, found: Verification
+) -> Verification | None:
+    """Leave out a hold in a hand if the gyros contradict in it alone; None if they do elsewhere.
+
+    A unit that still turns about the vertical rests by its accelerometers.
+    """
+    holds, failed = (
+        observed.evidence.segments,
+        [t.gyros for t in found.triads if t.verdict is Verdict.FAIL],
+    )
+    if observed.with_attitudes or failed != [True] or len(holds) < _FEWEST_HOLDS:
+        return None
+    worst = max(found.compared, key=lambda c: abs(c.ratio))
+    rest = tuple(hold for hold in holds if hold.position != worst.name)
+    evidence = replace(observed.evidence, segments=rest)
+    without = _verified(calibration, replace(observed, evidence=evidence))
+    if worst.quantity is not Quantity.UP_RATE or without.verdict is Verdict.FAIL:
+        return None
+    shown = warning(
+        f'In hold {worst.name}, at {worst.at:.1f} s, the gyros contradict all others by '
+        f'{worst.deviation / DEG:.2g} deg/s about the vertical: the unit was still turning, and it '
+        'is left out. Without it the recording does not contradict the calibration.'
+    )
+    return replace(without, findings=(shown, *without.findings))
+
+
+def _verified(calibration: Calibration, observed: Observed) -> Verification:
+    """Verify a calibration by all of a session; as `verify`."""
     # Refuse a model without an inverse here, with a message.
     calibration.model.compensate(np.zeros((1, 3)), np.zeros((1, 3)))
     gyros = _Trial.fit_triad(calibration, observed, gyros=True)

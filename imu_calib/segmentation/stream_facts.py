@@ -242,8 +242,10 @@ _QUIET = 0.2
 """Share of the windows that count as quiet. A judgement: half of most sessions is at rest."""
 
 
-def gravity_removed(means: Floats) -> str:
+def gravity_removed(means: Floats, rates: Floats | None = None) -> str:
     """Return a sentence that means (n, 3) of forces at rest lack gravity; empty if they do not.
+
+    Means (k, 3) of `rates` that have its length instead belong to exchanged columns.
 
     Gravity in other units may be as small, but it turns with the unit and keeps its length. A
     reading of exactly 0 means that the sensor does not measure.
@@ -254,11 +256,22 @@ def gravity_removed(means: Floats) -> str:
     turns = float(np.linalg.norm(means.mean(axis=0))) < _TURNED * float(lengths.mean())
     if turns and float(lengths.std()) < _ALIKE * float(lengths.mean()):
         return ''
+    if rates is not None and reads_gravity(rates):
+        return (
+            f'At rest the gyros read gravity in m/s^2, and the accelerometers {length:.2g}: the '
+            'columns of gyros and accelerometers are exchanged. State them the other way round.'
+        )
     return (
         f'Gravity was removed from the accelerations: at rest they read {length:.2g} m/s^2, '
         f'expected {STANDARD_GRAVITY:.2f}. Record the accelerometers themselves (on a phone the '
         'accelerometer, not the linear acceleration; of a fusion chip its raw output).'
     )
+
+
+def reads_gravity(means: Floats) -> bool:
+    """Return whether means (n, 3) at rest have the length of gravity in m/s^2."""
+    lengths = np.linalg.norm(means, axis=1)
+    return len(means) > 0 and abs(float(np.median(lengths)) / STANDARD_GRAVITY - 1) < _ALIKE
 
 
 def quiet_means(force: Floats) -> Floats:

@@ -474,6 +474,31 @@ def test_lengths_alone_tell_biases_and_scales(name: str) -> None:
     assert words in symptom(verification, gyros=gyros)
 
 
+def test_a_hold_in_which_the_unit_still_turned_is_named_and_left_out() -> None:
+    """Three of five calibrations of real units in the hand were rejected for one such hold."""
+    alone = by_the_imu_alone()
+    once = alone.evidence.segments
+    later = once[-1].end - once[0].start
+    again = (
+        replace(s, position=f'{s.position} again', start=s.start + later, end=s.end + later)
+        for s in once
+    )
+    holds = [*once, *again]
+    good = replace(alone, evidence=replace(alone.evidence, segments=tuple(holds)))
+    assert verify(calibration(), good).verdict is Verdict.PASS
+    mean = holds[3].statistics.mean
+    turned = mean + np.append(0.1 * DEG * mean[3:] / np.linalg.norm(mean[3:]), np.zeros(3))
+    holds[3] = replace(holds[3], statistics=replace(holds[3].statistics, mean=turned))
+    seen = replace(alone, evidence=replace(alone.evidence, segments=tuple(holds)))
+    found = verify(calibration(), seen)
+    assert found.verdict is Verdict.PASS
+    assert f'In hold {holds[3].position}, at ' in found.findings[0]
+    assert 'contradict all others by 0.1 deg/s about the vertical' in found.findings[0]
+    # Of a calibration that is wrong more than one hold tells.
+    spoil = DEFECTS['gyro biases negated'][0]
+    assert verify(spoil(), seen).verdict is Verdict.FAIL
+
+
 @pytest.mark.parametrize('name', ['accelerometer biases negated', 'gyro biases negated'])
 def test_by_lengths_what_cannot_explain_a_session_is_not_fitted(
     name: str, monkeypatch: pytest.MonkeyPatch

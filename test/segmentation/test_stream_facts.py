@@ -203,6 +203,13 @@ def test_gravity_that_was_removed_is_named(hand, tmp_path):
     assert any('Gravity was removed' in text for text in done.findings)
 
 
+def test_exchanged_gyros_and_accelerometers_are_named(hand):
+    _, gyro, accel = hand
+    for stated in ({}, {'imu': 'si', 'plan': 'free_positions'}):
+        with pytest.raises((InputError, NotObservable), match='accelerometers are exchanged'):
+            imu_calib.calibrate((accel, gyro), rate=100, latitude=LATITUDE, **stated)
+
+
 def test_gravity_removed_on_a_table_is_named(tmp_path):
     imu_calib.simulate(
         'six_position_by_hand', tmp_path / 'bag', imu='si', truth='mems_counts', seed=1
