@@ -46,8 +46,8 @@ class Mark(IntFlag):
 
 EXTRAPOLATED = '(its scale factors are extrapolated)'
 MARK_WORDS = {
-    Mark.GYRO_RANGE: 'a saturated gyro (covariance -1: no estimate)',
-    Mark.ACCEL_RANGE: 'a saturated accelerometer (covariance -1: no estimate)',
+    Mark.GYRO_RANGE: 'a saturated gyro (no estimate: covariance -1, in text nan)',
+    Mark.ACCEL_RANGE: 'a saturated accelerometer (no estimate: covariance -1, in text nan)',
     Mark.RATE: f'rotation faster than in the calibration {EXTRAPOLATED}',
     Mark.TEMPERATURE: 'temperature outside that of the calibration (the nearest is used)',
     Mark.PARITY: 'four gyros that contradict each other',

@@ -824,9 +824,13 @@ def _one_term(found: SignificantFamily, fit: FreeFit) -> str:
     log_p = max(found.log_p, _LEAST_LOG)
     effect = float(np.sqrt(-2 * log_p))
     if term is G_SENSITIVITY:
-        largest = np.abs(fit.model.g_sensitivity).max() * STANDARD_GRAVITY / DEG
-        # A vertical Earth rate that is wrong by at most twice its length turns with gravity.
-        latitude = ' A wrong latitude looks the same.' if largest * DEG < 2 * EARTH_RATE else ''
+        at_1_g = fit.model.g_sensitivity * STANDARD_GRAVITY
+        largest = np.abs(at_1_g).max() / DEG
+        # A vertical Earth rate that is wrong by at most twice its length turns with gravity: it is
+        # along the force, and alike for all gyros.
+        along = np.trace(at_1_g) / 3
+        alike = np.linalg.norm(at_1_g - along * np.eye(3)) < abs(along) < 2 * EARTH_RATE
+        latitude = ' A wrong latitude looks the same.' if alike else ''
         return Finding(
             f'The gyros respond to specific force, by up to {largest:.2g} deg/s per g '
             f'(probability of chance {np.exp(log_p):.0e}): {term.name} is estimated, too.'

@@ -568,8 +568,9 @@ class Segmenter:
             share = reader.bridged / (self._intake.samples + reader.bridged)
             lost.append(
                 Finding(
-                    f'{reader.bridged} IMU samples are missing ({100 * share:.2g} %), a few at a '
-                    'time: their values are interpolated from those around them',
+                    f'{counted(reader.bridged, "IMU sample is", "IMU samples are")} missing '
+                    f'({100 * share:.2g} %), a few at a time: their values are interpolated from '
+                    'those around them',
                     lost=share >= _NOTICED,
                 )
             )

@@ -394,9 +394,12 @@ def test_recording_on_the_command_line(tmp_path: Path) -> None:
     assert found.provenance['method'] == 'free_positions'
 
 
-@pytest.mark.parametrize(('size', 'alike'), [(0.003, True), (0.02, False)])
-def test_a_g_sensitivity_as_small_as_the_earth_rate_may_be_a_wrong_latitude(size, alike) -> None:
-    model = SensorModel(g_sensitivity=np.eye(3) * size * DEG / STANDARD_GRAVITY)
+@pytest.mark.parametrize(
+    ('size', 'pattern', 'alike'),
+    [(0.003, np.eye(3), True), (0.02, np.eye(3), False), (0.003, np.ones((3, 3)), False)],
+)
+def test_a_g_sensitivity_like_the_earth_rate_may_be_a_wrong_latitude(size, pattern, alike) -> None:
+    model = SensorModel(g_sensitivity=pattern * size * DEG / STANDARD_GRAVITY)
     found = SimpleNamespace(family=SimpleNamespace(term=G_SENSITIVITY), log_p=-20.0)
     (said,) = term_words(SimpleNamespace(found=[found], model=model, drifts=[]))
     assert ('A wrong latitude looks the same.' in said) == alike

@@ -157,7 +157,7 @@ def test_a_few_lost_samples_are_read_from_those_around_them():
     assert session.turns[0].statistics.mean[2] == pytest.approx(60 * DEG)
     assert session.moves[0].turned.sum(axis=0) == pytest.approx([0, 0, 840 * DEG])
     resting = found(only(imu, abs(time - 2) > 0.001), joint())
-    assert resting.losses[0].startswith('1 IMU samples are missing (0.025 %)')
+    assert resting.losses[0].startswith('1 IMU sample is missing (0.025 %)')
     assert resting.segments[0].statistics.missing == 1
     # Samples beside a motion are counted once.
     beside = found(only(imu, (abs(time - 4.5) > 0.001) & (abs(time - 20.5) > 0.001)), joint())
