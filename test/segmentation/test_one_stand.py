@@ -341,9 +341,9 @@ def test_how_still_it_stands_is_known_as_it_comes_in():
     reader.add_block(only(imu, slice(0, 255)))
     assert reader.quietest is None
     reader.add_block(only(imu, slice(255, 4000)))
-    # The last samples wait for those that show them sound, 0.6 s, and half a minute ahead is
+    # The last samples wait for those that show them sound, 0.7 s, and half a minute ahead is
     # looked at.
-    assert reader.still == (START + 110_000_000, START + 9_300_000_000)
+    assert reader.still == (START + 110_000_000, START + 9_200_000_000)
     assert reader.quietest.rate == pytest.approx(0.0, abs=1e-12)
     assert Segmenter(IDEAL, BENCH).still is None
 
