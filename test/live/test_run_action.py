@@ -305,3 +305,25 @@ def test_a_node_that_ends_answers_its_client(session):
     process.communicate(timeout=patience())
     assert process.returncode == 0
     assert session.ends_stopped()
+
+
+def test_a_node_that_ends_as_the_result_comes_answers_with_it(session):
+    """`imu-calib stand` ends it when the calibration comes, before the progress that says so."""
+    session.open(with_node=False)
+    process = session.start(**SUPERVISED, repeat_wait=0.5)
+    client = Client(session)
+    kinds, calibration = ros.messages.CalibrationProgress, ros.messages.ImuCalibration
+    session.watcher.progress.publish(kinds(plan='tiny', state=kinds.COLLECTING))
+    _, ended = client.run()
+    session.reaches(Phase.DONE)
+    publisher = session.watcher.create_publisher(calibration, 'calibration', qos.results())
+    assert session.until(lambda: publisher.get_subscription_count() > 0)
+    publisher.publish(calibration(status=calibration.VALID, serial_number='A1', k_gx=1e-4))
+    process.terminate()
+    assert not session.until(ended.done, 0.5)
+    session.watcher.progress.publish(kinds(plan='tiny', state=kinds.FINISHED, text='Known.'))
+    status, result = client.end(ended)
+    assert (status, result.message) == (Status.SUCCEEDED, 'Known.')
+    assert result.calibration.k_gx == 1e-4
+    process.communicate(timeout=patience())
+    assert process.returncode == 0

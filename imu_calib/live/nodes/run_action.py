@@ -197,6 +197,13 @@ class RunAction:
         else:
             self._follow(now)
 
+    @property
+    def awaits_result(self) -> bool:
+        """Whether a goal is open only because its plan is done before the calibrator."""
+        if self._goal is None or self._goal.is_cancel_requested:
+            return False
+        return self._sequencer.state().phase is Phase.DONE
+
     def end(self, reason: str) -> bool:
         """End the running goal because the node ends; return whether there was one."""
         if self._goal is None:

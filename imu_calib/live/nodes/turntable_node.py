@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -55,6 +56,9 @@ _LAST_HOLDS = 3
 """HOLDs sent as the node ends: two may be lost."""
 _LAST_ROUNDS = 20
 """Rounds of the executor to send the result of a goal as the node ends; it takes three."""
+_LAST_RESULT = 3.0
+"""s to wait for the calibrator's result as the node ends after its plan: `imu-calib stand` ends it
+as soon as it knows the result, and a launcher kills it 5 s later."""
 _ENDS = 'The turntable node ends.'
 
 
@@ -165,7 +169,12 @@ class TurntableNode(Node):
 
     def _answer_the_last(self) -> None:
         """End open goals: the client's, and the controller's, which is the stop."""
-        waits = self._action.end(_ENDS)
+        end = time.monotonic() + _LAST_RESULT
+        waits = self._action.awaits_result
+        while self._action.awaits_result and time.monotonic() < end:
+            # Its timers end the goal meanwhile.
+            spin_once(self, timeout_sec=_PERIOD)
+        waits |= self._action.end(_ENDS)
         if self._controller is not None:
             waits |= not self._controller.answered
         if waits:
