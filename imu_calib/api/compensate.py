@@ -338,7 +338,7 @@ def _read_ahead(
     compensator: Compensator, recording: Recording, topic: Topic, progress: Progress
 ) -> list[str]:
     """Read the data that belongs to samples before the samples; return its topics."""
-    temperature = temperature_topic(recording)
+    temperature = temperature_topic(recording, topic.name)
     named = {} if temperature is None else {temperature: Kind.TEMPERATURES}
     calibration = compensator.calibration
     if isinstance(calibration, ThermalCalibration) and temperature is None:

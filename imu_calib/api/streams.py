@@ -60,7 +60,7 @@ def streams_of(stated: Stated, recording: Recording) -> Streams:
     """Choose the topics: the stated ones, or the only candidate of each type."""
     imu = imu_topic(stated.imu_topic, recording, stated.serial)
     skew = skew_topic(recording, imu)
-    temperature = temperature_topic(recording)
+    temperature = temperature_topic(recording, imu)
     if stated.imu_only:
         return Streams(imu, None, None, skew, temperature)
     joints = _choose(recording, Kind.JOINTS, stated.joint_topic, '`joint_topic`')
@@ -136,10 +136,14 @@ def skew_topic(recording: Recording, imu: str) -> str | None:
     return skewed[0] if len(skewed) == 1 else None
 
 
-def temperature_topic(recording: Recording) -> str | None:
-    """Return the topic of the unit's thermometer: the only one, or the one with its name."""
+def temperature_topic(recording: Recording, imu: str) -> str | None:
+    """Return the topic of the unit's thermometer: its own, the only one, or the one with a name."""
     kind = Kind.TEMPERATURES.type_name
     filled = [t.name for t in recording.topics if t.message_type == kind and t.count != 0]
+    if serial := recording.custom_data.get(serial_key(imu)):
+        # Of several units each has its namespace.
+        own = f'/{namespace(serial)}/{_TEMPERATURE}'
+        filled = [name for name in filled if name.endswith(own)] or filled
     if len(filled) > 1:
         filled = [name for name in filled if name.endswith(_TEMPERATURE)]
     return filled[0] if len(filled) == 1 else None

@@ -1,6 +1,7 @@
 """Frames and arrays in place of recordings: the same bits, and refusals that say what to do."""
 
 import hashlib
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,11 @@ from sessions import brief_plan
 
 import imu_calib
 from imu_calib.api.recorded import recording_at
+from imu_calib.api.streams import temperature_topic
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
+from imu_calib.recordings.cdr_codec import Kind
 from imu_calib.session.keywords import Stated
+from imu_calib.session.metadata import serial_key
 
 NAMES = [f'{name}.{a}' for name in ('angular_velocity', 'linear_acceleration') for a in 'xyz']
 
@@ -258,3 +262,15 @@ def test_units_that_the_numbers_contradict_are_refused(named, expected):
 def test_what_is_no_samples_is_refused(frame, change, rate, message):
     with pytest.raises(imu_calib.InputError, match=message):
         imu_calib.calibrate(change(frame), rate=rate, **STATED)
+
+
+def test_each_of_several_units_has_its_own_thermometer():
+    """Without it the temperature of a session was lost when its journal was calibrated again."""
+    kind = Kind.TEMPERATURES.type_name
+    serials = {'/unit_A1/imu/pulses': 'A1', '/my/topic': 'B-2', '/third': 'C3'}
+    names = ['/unit_A1/imu/temperature', '/stand/unit_B_2/imu/temperature']
+    recording: Any = SimpleNamespace(
+        topics=[SimpleNamespace(name=name, message_type=kind, count=9) for name in names],
+        custom_data={serial_key(topic): serial for topic, serial in serials.items()},
+    )
+    assert [temperature_topic(recording, imu) for imu in serials] == [*names, None]
