@@ -41,7 +41,7 @@ from .opening import (
 )
 from .recorded import Recorded, is_text, recording_at
 from .session import as_units
-from .streams import clock_findings, refused_by_stamps, units_of
+from .streams import clock_findings, excluded_from, refused_by_stamps, units_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -264,6 +264,8 @@ class UnitResults:
     shared: tuple[str, ...] = ()  #: Serial numbers of the units used for `table`.
     #: Reasons why other units are calibrated separately, by serial number.
     left_out: Mapping[str, str] = field(default_factory=dict)
+    #: Serial numbers of the units that were excluded from the session as it was recorded.
+    excluded: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         failed = sum(unit.result is None for unit in self.units)
@@ -349,7 +351,8 @@ def units_of_recording(
         if separate
         else estimate_together(alone, [one.unit.serial_number for one in sessions])
     )
-    return _documented(sessions, found)
+    excluded = excluded_from(recording) if imus is None else ()
+    return replace(_documented(sessions, found), excluded=excluded)
 
 
 def _documented(sessions: Sequence[_UnitSession], found: SharedResults) -> UnitResults:

@@ -123,6 +123,13 @@ def units_of(recording: Recording) -> tuple[str, ...]:
     return tuple(sorted(kept)) if len(topics) > 1 else ()
 
 
+def excluded_from(recording: Recording) -> tuple[str, ...]:
+    """Return the serial numbers of the units with data that were excluded from the session."""
+    data, kept = recording.custom_data, units_of(recording)
+    topics = [t.name for t in recording.topics if serial_key(t.name) in data]
+    return tuple(sorted(data[serial_key(t)] for t in topics if t not in kept)) if kept else ()
+
+
 def skew_topic(recording: Recording, imu: str) -> str | None:
     """Return the topic of an IMU's skewed gyro; None without one, or with several."""
     skewed = [

@@ -101,6 +101,8 @@ def _show_units(found: UnitResults, *, verbose: bool) -> None:
             why = str(unit.error) if verbose else beginning(str(unit.error))
             text = f'No calibration of {unit.serial_number}{_place(unit)}: {why}'
             OUTPUT.print(text, style='red', markup=False)
+    for serial in found.excluded:
+        OUTPUT.print(f'{serial}: excluded by --without', markup=False)
     for part in comparison_tables(
         [(u.serial_number, u.result.calibration) for u in solved if u.result is not None]
     ):

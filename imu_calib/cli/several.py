@@ -204,6 +204,10 @@ def print_results(
     if missing:
         words = f'No calibration of {", ".join(missing)}. {text}'.strip()
         OUTPUT.print(words, style='red', markup=False)
+    kept = [unit.serial_number for unit in units_of(arguments)]
+    for unit in load_units(arguments.imus):
+        if unit.serial_number not in kept:
+            OUTPUT.print(f'{unit.serial_number}: excluded by --without', markup=False)
     print_whole(rows)
     # Missing data of the site or the table is reported for every unit alike.
     sentences = [_of_units(finding, of) for finding, of in findings.items()]

@@ -53,11 +53,13 @@ def wire():
     return found
 
 
-def begin(folder):
+def begin(folder, without=()):
     topics = {topic: kind for kind, topic in COMMON.items()}
     topics |= dict.fromkeys(TOPICS.values(), Kind.IMU)
-    own = [{Kind.IMU: topic} for topic in TOPICS.values()]
-    return Sessions(units(), own, Journal(folder, DESCRIPTION, topics), COMMON)
+    here = [unit for unit in units() if unit.setup.serial_number not in without]
+    own = [{Kind.IMU: TOPICS[unit.setup.serial_number]} for unit in here]
+    journal = Journal(folder, DESCRIPTION, topics)
+    return Sessions(here, own, journal, COMMON, [f'unit_{serial}' for serial in without])
 
 
 def send(sessions, wire, start=0.0, stop=1.0, without=()):
@@ -149,6 +151,19 @@ def test_a_unit_that_is_left_out_ends_without_a_result_and_the_others_go_on(wire
         assert recording.custom_data[LEFT_OUT] == 'unit_B2'
     assert counts[TOPICS['B2']] < 0.4 * counts[TOPICS['A1']]
     assert counts[COMMON[Kind.JOINTS]] == len(wire[COMMON[Kind.JOINTS]])
+
+
+def test_a_unit_that_is_excluded_as_a_session_is_resumed_is_so_offline_too(tmp_path):
+    """However often it is resumed, and with another one left out meanwhile."""
+    begin(tmp_path / 'journal').close()
+    for without in (['C3'], ['C3'], []):
+        again = begin(tmp_path / 'journal', without)
+        if not again.left_out:
+            again.leave_out(1)
+        again.close()
+        with open_recording(tmp_path / 'journal') as recording:
+            assert recording.custom_data[LEFT_OUT] == 'unit_B2,unit_C3'
+    assert again.left_out == {1, 2}
 
 
 def test_the_first_unit_may_be_left_out_and_the_table_is_recorded_all_the_same(wire, tmp_path):

@@ -25,7 +25,7 @@ from .live_session import SessionPhase
 from .parameters import declare, declare_path
 from .programs import entry_point
 from .qos import OnePublisher
-from .session_parameters import StatedUnit, declared_units
+from .session_parameters import StatedUnit, absent_units, declared_units
 from .session_reports import (
     IMU_TIMEOUT,
     UnitResults,
@@ -221,7 +221,10 @@ class CalibratorNode(ros.Node):
         self._told_at = -math.inf
         if self._simulated:
             description |= {SIMULATED: 'true', SIMULATED_CLOCK: 'true'}
-        self._factory = SessionFactory(self._units, description, journal, state, self._tell_read)
+        absent = absent_units(self) if self._several else ()
+        self._factory = SessionFactory(
+            self._units, description, journal, state, self._tell_read, absent
+        )
         self._sessions = self._new_sessions()
         self.create_timer(_TICK, self._on_tick, clock=steady)
         self.create_timer(_SECOND, self._on_second, clock=steady)

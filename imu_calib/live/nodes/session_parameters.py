@@ -80,6 +80,14 @@ def declared_units(node: Node) -> tuple[tuple[StatedUnit, ...], dict[str, str]]:
     return units, shared_description(description)
 
 
+def absent_units(node: Node) -> tuple[str, ...]:
+    """Return the names of the units of the declared file that are left out."""
+    file, without = (str(node.get_parameter(name).value) for name in ('units', 'without'))
+    units = load_units(file)
+    kept = {unit.name for unit in remaining(units, without)}
+    return tuple(unit.name for unit in units if unit.name not in kept)
+
+
 def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
     """Declare and read the set-up of a session.
 

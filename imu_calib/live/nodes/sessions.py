@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,8 +40,10 @@ class Sessions:
         topics: Sequence[Mapping[Kind, str]],
         journal: Journal,
         common: Mapping[Kind, str],
+        absent: Iterable[str] = (),
     ) -> None:
         self.left_out: set[int] = set()  #: Places of the units that the user has excluded.
+        self._absent = set(absent)  # Names of those that are not among the units at all.
         self.journal = journal
         self._names = [unit.name for unit in units]
         self._solver = SharedSolver(concluded)
@@ -57,6 +59,8 @@ class Sessions:
         else:
             for session in self.all:
                 session.notes += journal.losses
+        if self._absent:
+            self._note_left_out()
 
     def _replay_journal(self) -> None:
         """Feed the sessions with the journal's data from before a crash."""
@@ -70,7 +74,10 @@ class Sessions:
         for session in self.all:
             session.end_of_journal(self.journal.losses)
         for name in filter(None, self.journal.former.get(LEFT_OUT, '').split(',')):
-            self.leave_out(self._names.index(name))
+            if name in self._names:
+                self.leave_out(self._names.index(name))
+            else:
+                self._absent.add(name)
 
     @property
     def is_over(self) -> bool:
@@ -106,9 +113,12 @@ class Sessions:
         The recording states this, so that reprocessing excludes it too.
         """
         self.left_out.add(place)
-        names = ','.join(self._names[k] for k in sorted(self.left_out))
-        self.journal.note({LEFT_OUT: names})
+        self._note_left_out()
         self.all[place].fail(_LEFT_OUT)
+
+    def _note_left_out(self) -> None:
+        names = self._absent | {self._names[k] for k in self.left_out}
+        self.journal.note({LEFT_OUT: ','.join(sorted(names))})
 
     def poll(self) -> list[int]:
         """Check for results of the solver and for the end; return the units with news."""
@@ -211,6 +221,7 @@ class SessionFactory:
         journal: Folder of the first; later ones have a number at the end of their names.
         state: Full name of turntable/state; None without a table.
         progress: Called now and then with the read share of a journal that is resumed, 0 to 1.
+        absent: Names of the units that are excluded from the start.
     """
 
     def __init__(
@@ -220,8 +231,10 @@ class SessionFactory:
         journal: Path,
         state: str | None,
         progress: Callable[[float], None] = lambda _: None,
+        absent: Iterable[str] = (),
     ) -> None:
         self._units = units
+        self._absent = tuple(absent)
         self._description = description
         self._journal = journal
         self._state = state
@@ -238,7 +251,7 @@ class SessionFactory:
         journal = Journal(path, self._described(of_units), kinds, self._progress)
         if self._state is not None:
             journal.add_latched_topic(self._state, STATE_TYPE)
-        return Sessions(self._units, of_units, journal, common)
+        return Sessions(self._units, of_units, journal, common, self._absent)
 
     def _described(self, of_units: Sequence[Mapping[Kind, str]]) -> dict[str, str]:
         """Return the set-up, with that of each of several units."""
