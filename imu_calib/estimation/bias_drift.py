@@ -1,4 +1,4 @@
-"""Bias drift as a Gauss-Markov process, observed in the means of segments.
+"""Bias drift as a Gauss-Markov process, observed in the means and slopes of segments.
 
 Source: docs/mathematics.md, 'Joint estimate'.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..common.stream import Floats
 
@@ -20,20 +21,35 @@ _NODES = 8
 
 @dataclass(frozen=True, eq=False)
 class BiasDrift:
-    """Instants at which a process is evaluated: nodes in time, and means over them."""
+    """Instants at which a process is evaluated: nodes in time, means and slopes over them."""
 
     nodes: Floats  #: (n, 8) instants of each segment, s.
-    responses: Floats  #: (n, 3, 3) responses of three outputs to three biases.
+    segment: NDArray[np.intp]  #: (k,) index of the segment of each mean or slope, all means first.
+    weights: Floats  #: (k, 8) weights of the nodes of that segment.
+    #: (k, 3, 3) responses of three outputs to three biases, for each mean or slope.
+    responses: Floats
 
     @classmethod
-    def over(cls, starts: Floats, durations: Floats, responses: Floats) -> BiasDrift:
-        """Place nodes in n segments (s).
+    def over(
+        cls, starts: Floats, durations: Floats, responses: Floats, with_slope: NDArray[np.bool_]
+    ) -> BiasDrift:
+        """Place nodes in n segments (s), whose means come first, then the slopes where used.
 
         `responses` (n, 3, 3) are derivatives of the outputs by constant biases. In a move the
         effect of biases rotates with the unit, so that it is not that of its duration alone.
         """
         grid = (np.arange(_NODES) + 0.5) / _NODES
-        return cls(starts[:, None] + durations[:, None] * grid, responses)
+        centred = grid - 0.5
+        means = np.full((len(starts), _NODES), 1 / _NODES)
+        slopes = np.outer(1 / durations, centred / (centred @ centred))
+        every = np.arange(len(starts))
+        identity = np.broadcast_to(np.eye(3), (int(np.sum(with_slope)), 3, 3))
+        return cls(
+            starts[:, None] + durations[:, None] * grid,
+            np.concatenate([every, every[with_slope]]),
+            np.vstack([means, slopes[with_slope]]),
+            np.concatenate([responses, identity]),
+        )
 
     @property
     def span(self) -> float:
@@ -46,7 +62,7 @@ class BiasDrift:
         return STATED_TIME / self.span
 
     def kernel(self, time: float) -> Floats:
-        """Return the covariance of means of three channels for unit variance, (3n, 3n).
+        """Return the covariance of means and slopes of three channels for unit variance, (3k, 3k).
 
         The correlation time is a fraction of the session.
         """
@@ -65,31 +81,50 @@ class BiasDrift:
     def entering(self, project: Floats) -> Floats:
         """Return the factors (3, r, n) of the segments' biases in means projected by (3n, r)."""
         parts = project.T.reshape(project.shape[1], -1, 3)
-        return np.asarray(np.einsum('rni,nic->crn', parts, self.responses[: parts.shape[1]]))
+        responses = self.responses[: parts.shape[1]]
+        return np.asarray(np.einsum('rni,nic->crn', parts, responses))
 
-    def projected(self, time: float, entering: Floats) -> Floats:
-        """Return `kernel` projected on means, (r, r), by their factors (3, r, n).
+    def projected(self, time: float, entering: Floats, slopes: Floats) -> Floats:
+        """Return `kernel` projected on means and slopes, (r + 3s, r + 3s).
 
-        Channels drift independently: only the kernel of one is needed.
+        `entering` are the factors (3, r, n) of the means, `slopes` those (3s,) of the slopes.
+
+        Channels drift independently, and slopes are those of the biases: only the kernel of one
+        channel is needed.
         """
-        drifting = entering @ self.one_channel(time * self.span)
-        return np.asarray(np.hstack(list(drifting)) @ np.hstack(list(entering)).T)
+        alone, (_, rows, count) = self.one_channel(time * self.span), entering.shape
+        drifting = entering @ alone[:count]
+        found = np.empty((rows + len(slopes),) * 2)
+        found[:rows, :rows] = _columns(drifting[..., :count]) @ _columns(entering).T
+        crossed = np.moveaxis(drifting[..., count:], 0, -1).reshape(rows, -1) * slopes
+        found[:rows, rows:], found[rows:, :rows] = crossed, crossed.T
+        found[rows:, rows:] = np.kron(alone[count:, count:], np.eye(3))
+        found[rows:, rows:] *= np.outer(slopes, slopes)
+        return found
 
     def one_channel(self, time: float) -> Floats:
-        """Return the covariance of one channel, (n, n), for a correlation time in s.
+        """Return the covariance of one channel, (k, k), for a correlation time in s.
 
         From one segment to a later one the process decays with the time between them: the kernel is
         a product of a factor of each segment and one of that time.
         """
-        first, last = self.nodes[:, 0], self.nodes[:, -1]
-        until = np.exp((self.nodes - last[:, None]) / time).mean(axis=1)
-        since = np.exp((first[:, None] - self.nodes) / time).mean(axis=1)
+        nodes, weights = self.nodes[self.segment], self.weights
+        first, last = nodes[:, 0], nodes[:, -1]
+        until = (weights * np.exp((nodes - last[:, None]) / time)).sum(axis=1)
+        since = (weights * np.exp((first[:, None] - nodes) / time)).sum(axis=1)
         between = first - last[:, None]
         later = between >= 0
         decayed = np.exp(-np.where(later, between, 0.0) / time)
         found = np.where(later, until[:, None] * decayed * since, 0.0)
         found += found.T
         one, other = np.nonzero(~(later | later.T))
-        apart = np.abs(self.nodes[one][:, :, None] - self.nodes[other][:, None])
-        found[one, other] = np.exp(-apart / time).mean(axis=(1, 2))
+        apart = np.abs(nodes[one][:, :, None] - nodes[other][:, None])
+        found[one, other] = np.einsum(
+            'ki,kij,kj->k', weights[one], np.exp(-apart / time), weights[other]
+        )
         return np.asarray(found)
+
+
+def _columns(each: Floats) -> Floats:
+    """Return the (r, n) of three channels side by side, (r, 3n)."""
+    return np.hstack(list(each))

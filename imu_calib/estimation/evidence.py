@@ -499,6 +499,7 @@ def _retimed_statistics(statistics: Statistics, faster: float, on_rates: float) 
         mean=statistics.mean * on_rates,
         end_points=statistics.end_points * on_rates,
         blocks=tuple(b * np.array([on_rates, 1.0, 1.0, 1 / faster]) for b in statistics.blocks),
+        drift=statistics.drift * on_rates * faster,
     )
 
 

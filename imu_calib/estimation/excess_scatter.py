@@ -2,11 +2,12 @@
 
 All are variances of the residuals that the parameters cannot explain, found together by their
 restricted likelihood (`variances`). A bias drifts as a first-order Gauss-Markov process, from dwell
-to dwell or over the session; gyros and accelerometers see the same positioning errors. Motions may
-scatter more than dwells, where motors shake the unit: the ends of all motions have a variance of
-their own. None is used unless one of them alone raises the likelihood enough, so that a session of
-pure noise keeps its optimal weights. Then all are, since a few positioning errors and a drift are
-hard to separate, each with its mean: the most likely one would understate the uncertainty.
+to dwell or over the session, observed between the segments by their means and within them by their
+slopes; gyros and accelerometers see the same positioning errors. Motions may scatter more than
+dwells, where motors shake the unit: the ends of all motions have a variance of their own. None is
+used unless one of them alone raises the likelihood enough, so that a session of pure noise keeps
+its optimal weights. Then all are, since a few positioning errors and a drift are hard to separate,
+each with its mean: the most likely one would understate the uncertainty.
 
 A drift that the data sheet states (bias instability) is a floor: a session of half an hour does not
 show a drift of the size of its own noise, but its mean still has that error. A unit is
@@ -22,6 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ..common.budget import AS_STATED, ErrorSource
@@ -59,6 +61,10 @@ with the mean by 1.3."""
 _ODDS_BESIDE_OUTLIERS = 10.0
 """The same where an outlier is tested against the scatter of the others: a stated drift that is
 absent would hide it. A judgement."""
+
+_BLOCKS_FOR_A_SLOPE = 4
+"""Fewest blocks of 10 s for a slope: a line has two unknowns, and two degrees of freedom remain for
+its standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +241,7 @@ def _drift_parts(
 ) -> tuple[tuple[Component, ...], tuple[Component, ...]]:
     """Return the covariance by drift, and the part of the drift stated that is lacking."""
     drifting, means, rows = triad.bias_drift, len(triad.rows), triad.rows[None]
-    stated = triad.stated_variance * drifting.kernel(drifting.stated_time)
+    stated = triad.stated_variance * drifting.kernel(drifting.stated_time)[:means, :means]
     parts = []
     if kept * triad.stated_variance:
         source = ErrorSource.BIAS_STATED if kept > AS_STATED else ErrorSource.BIAS_CALM
@@ -243,7 +249,7 @@ def _drift_parts(
     if variances.any():
         found = sum(
             (
-                variance * drifting.kernel(time)
+                variance * drifting.kernel(time)[:means, :means]
                 for time, variance in zip(_TIMES, variances, strict=True)
             ),
             np.zeros((means, means)),
@@ -319,30 +325,32 @@ def _triads(plain: Equations, state: Floats, hidden: float, in_motion: Floats) -
     ends = _ends_of_motions(plain.evidence)
     motions = (np.diag(math.sqrt(v) * one) for v, one in zip(in_motion, ends, strict=True))
     common = (*positioning, *motions)
-    parts = (jacobian, residuals, plain.covariance(state), common)
+    parts = (jacobian, residuals, plain.slopes(state), plain.covariance(state), common)
     return [_triad(plain, first, parts, state) for first in (0, 3)]
 
 
 def _triad(
     equations: Equations,
     first: int,
-    parts: tuple[Floats, Floats, Floats, tuple[Floats, ...]],
+    parts: tuple[Floats, Floats, Floats, Floats, tuple[Floats, ...]],
     state: Floats,
 ) -> _Triad:
     """Select gyros (first = 0) or accelerometers (first = 3)."""
     evidence = equations.evidence
     rows, segments, moves = _outputs_of_triad(evidence, first)
-    jacobian, residuals, covariance, common = parts
+    jacobian, residuals, rising, covariance, common = parts
     seen = np.flatnonzero(np.any(jacobian[rows] != 0, axis=0))
     prior = equations.prior_rows(state)
+    slopes = _Slopes.from_segments(segments, rising[rows].reshape(-1, 3), evidence.walk, first)
     biases = np.array(indices_of(BIASES[first : first + 3], equations.parameters))
-    drift = _bias_drift([*segments, *moves], jacobian[np.ix_(rows, biases)])
+    drift = _bias_drift([*segments, *moves], slopes.used, jacobian[np.ix_(rows, biases)])
     project, z = restricted(
         jacobian[np.ix_(rows, seen)],
         residuals[rows],
         covariance[np.ix_(rows, rows)],
         prior[:, np.append(seen, equations.size)],
     )
+    weights = slopes.weights
     entering = drift.entering(project)
     unit_variance = float(
         np.median(equations.own_variances[equations.layout.dwell[:, first : first + 3]])
@@ -350,11 +358,11 @@ def _triad(
     stated = float(evidence.instability[first] ** 2)
 
     def projected_by(time: float, variance: float) -> Floats:
-        return variance * drift.projected(time, entering)
+        return variance * drift.projected(time, entering, weights)
 
     def entered(columns: Floats) -> Floats:
         found = project.T @ columns[rows]
-        return np.asarray(found @ found.T)
+        return np.pad(found @ found.T, (0, len(weights)))
 
     every, by_drift = rows, drift
     if first == 0 and len(equations.layout.velocity):
@@ -362,14 +370,16 @@ def _triad(
         used = [link.move for link in evidence.used_moves.linked]
         carried = [used[k] for k in equations.layout.moves_with_accels]
         every = np.concatenate([rows, equations.layout.velocity.ravel()])
-        by_drift = _bias_drift([*segments, *moves, *carried], jacobian[np.ix_(every, biases)])
+        by_drift = _bias_drift(
+            [*segments, *moves, *carried], slopes.used, jacobian[np.ix_(every, biases)]
+        )
     return _Triad(
         every,
-        z,
+        np.concatenate([z, slopes.residuals * weights]),
         projected_by(drift.stated_time, stated),
         tuple(projected_by(time, unit_variance) for time in _TIMES),
         tuple(entered(columns) for columns in common),
-        _noise_of_channels(equations.own[first : first + 3], rows, project),
+        _noise_of_channels(equations.own[first : first + 3], rows, project, slopes),
         by_drift,
         unit_variance,
         stated,
@@ -392,15 +402,18 @@ def _outputs_of_triad(
     return layout.gyros, [*evidence.segments, *turns], moves
 
 
-def _bias_drift(parts: Sequence[Segment | Turn | Move], derivatives: Floats) -> BiasDrift:
-    """Return where biases drift: in k dwells, turns and moves.
+def _bias_drift(
+    parts: Sequence[Segment | Turn | Move], sloped: NDArray[np.bool_], derivatives: Floats
+) -> BiasDrift:
+    """Return where biases drift: n dwells and turns, `sloped` some of them (n,), and moves.
 
-    `derivatives` (3 k, 3) are those of their outputs by the biases.
+    `derivatives` (3 k, 3) are those of the outputs of all k parts by the biases.
     """
     starts = np.array([part.start for part in parts], dtype=np.int64)
     durations = [p.duration if isinstance(p, Move) else p.statistics.duration for p in parts]
+    with_slope = np.append(sloped, np.zeros(len(parts) - len(sloped), dtype=bool))
     since = np.asarray((starts - starts.min()) * 1e-9)
-    return BiasDrift.over(since, np.array(durations), derivatives.reshape(-1, 3, 3))
+    return BiasDrift.over(since, np.array(durations), derivatives.reshape(-1, 3, 3), with_slope)
 
 
 def drift_about_mean(evidence: Evidence, first: int) -> Floats:
@@ -414,20 +427,71 @@ def drift_about_mean(evidence: Evidence, first: int) -> Floats:
         session = SessionModel(evidence)
         biases = BIASES[first : first + 3]
         by_biases = session.parameter_derivatives(session.nominal(), biases)[rows]
-    return _bias_drift([*segments, *moves], by_biases).about_mean()
+    return _bias_drift([*segments, *moves], np.zeros(len(segments), bool), by_biases).about_mean()
+
+
+@dataclass(frozen=True, eq=False)
+class _Slopes:
+    """Slopes of a triad's outputs within those s of n dwells and turns that have enough blocks."""
+
+    used: NDArray[np.bool_]  #: (n,) mask of these dwells and turns.
+    residuals: Floats  #: (3 s,) slopes less those that the parameters explain, rad/s^2 or m/s^3.
+    variances: Floats  #: (s, 3, 2) their variances by random walk alone, and in total.
+
+    @classmethod
+    def from_segments(
+        cls, segments: Sequence[Segment | Turn], explained: Floats, walk: Floats, first: int
+    ) -> _Slopes:
+        """Collect the slopes of gyros (first = 0) or accelerometers (first = 3).
+
+        `explained` are the slopes (n or more, 3) by the parameters, those of the segments first.
+        """
+        channels = range(first, first + 3)
+        every = [x.statistics for x in segments]
+        used = np.array(
+            [all(len(x.blocks[c]) >= _BLOCKS_FOR_A_SLOPE for c in channels) for x in every],
+            dtype=bool,
+        )
+        sloped = [x for x, good in zip(every, used, strict=True) if good]
+        drifts = np.array([x.drift[first : first + 3] for x in sloped]).reshape(-1, 3)
+        variances = [[_slope_variance(x.blocks[c], walk[c]) for c in channels] for x in sloped]
+        return cls(
+            used,
+            (drifts - explained[np.flatnonzero(used)]).ravel(),
+            np.array(variances).reshape(-1, 3, 2),
+        )
+
+    @property
+    def weights(self) -> Floats:
+        """(3 s,) inverse standard deviations of the slopes."""
+        return np.asarray(1 / np.sqrt(self.variances[..., 1].ravel()))
 
 
 def _noise_of_channels(
-    own: Sequence[Component], rows: NDArray[np.intp], project: Floats
+    own: Sequence[Component], rows: NDArray[np.intp], project: Floats, slopes: _Slopes
 ) -> tuple[tuple[Floats, float], ...]:
     """Return `_Triad.noise`: the effect of the random walk of each channel, and its freedom.
 
     `own` are the variances of all outputs by it, `project` is the projection (k, r) of the outputs
     `rows` by `restricted`.
     """
+    projection = scipy.linalg.block_diag(project, np.diag(slopes.weights))
     noise = []
-    for component in own:
+    for channel, component in enumerate(own):
         assert isinstance(component.part, Diagonal)
-        columns = project.T * np.sqrt(component.part.variances[rows])
+        walk = np.zeros_like(slopes.variances[..., 0])
+        walk[:, channel] = slopes.variances[:, channel, 0]
+        deviations = np.sqrt(np.concatenate([component.part.variances[rows], walk.ravel()]))
+        noisy = deviations > 0
+        columns = projection.T[:, noisy] * deviations[noisy]
         noise.append((columns @ columns.T, component.freedom))
     return tuple(noise)
+
+
+def _slope_variance(blocks: Floats, walk: float) -> tuple[float, float]:
+    """Return the variance of the slope `Statistics.drift`: that by random walk, and the total."""
+    centred = blocks[:, 3] - blocks[:, 3].mean()
+    weights = centred / (centred @ centred)
+    noise = walk**2 * blocks[:, 1]
+    own = np.maximum(noise + blocks[:, 2], SMALLEST_VARIANCE)
+    return float(weights**2 @ noise), float(weights**2 @ own)

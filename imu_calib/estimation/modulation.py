@@ -9,7 +9,7 @@ Source: docs/mathematics.md, 'Terms of a session'.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,9 +107,34 @@ def courses(evidence: Evidence, course: Course, shape: float) -> Floats:
         lasting = np.maximum(ends - starts, 1e-9) / tau
         return np.asarray(np.exp(-starts / tau) * -np.expm1(-lasting) / lasting - mean)
     if course is Course.STEP:
-        lasting = np.maximum(ends - starts, 1e-9)
-        return np.asarray(shape - np.clip((shape * whole - starts) / lasting, 0.0, 1.0))
+        return np.asarray(shape - _share_before(starts, ends, shape * whole))
     return temperatures(evidence) - reference(evidence)
+
+
+def rates(evidence: Evidence, course: Course, shape: float) -> Floats:
+    """Return the slope of a course over each dwell, turn and move, (s + t + m,) per s."""
+    starts, ends = spans(evidence)
+    lasting = np.maximum(ends - starts, 1e-9)
+    if course is Course.TREND:
+        return np.ones_like(starts)
+    if course is Course.WARM_UP:
+        tau = seconds_of(evidence, shape)
+        return np.asarray(np.exp(-starts / tau) * np.expm1(-lasting / tau) / lasting)
+    if course is Course.STEP:
+        # The line through a step by least squares.
+        share = _share_before(starts, ends, seconds_of(evidence, shape))
+        return np.asarray(6 * share * (1 - share) / lasting)
+    assert evidence.temperature is not None
+    first, last = _instants(evidence)
+    half = np.asarray((last - first) // 2, dtype=np.int64)
+    early = evidence.temperature.over(first, first + half)
+    late = evidence.temperature.over(first + half, last)
+    return np.asarray((late - early) / (lasting / 2))
+
+
+def _share_before(starts: Floats, ends: Floats, instant: float) -> Floats:
+    """Return the share of each part of a session (n,) that lies before an instant, s."""
+    return np.clip((instant - starts) / np.maximum(ends - starts, 1e-9), 0.0, 1.0)
 
 
 def temperatures(evidence: Evidence) -> Floats:
@@ -151,6 +176,7 @@ def columns(
     derivatives: Floats,
     parameters: Sequence[Parameter],
     shape: float,
+    along: Callable[[Evidence, Course, float], Floats] = courses,
 ) -> Floats:
     """Return the derivatives of the outputs by coefficients, (m, k).
 
@@ -160,10 +186,11 @@ def columns(
         derivatives: (m, n) of the outputs by parameters.
         parameters: Parameters of the first columns of these.
         shape: As in `shapes`.
+        along: `courses`; or `rates`, for slopes of the outputs within their segment, per s.
     """
     found = np.zeros((len(derivatives), len(changes)))
     place = {p: k for k, p in enumerate(parameters)}
-    known = {c: courses(evidence, c, shape) for c in {change.course for change in changes}}
+    known = {c: along(evidence, c, shape) for c in {change.course for change in changes}}
     for k, change in enumerate(changes):
         own = [place[p] for p in change.parameters]
         course = known[change.course][evidence.layout.segment]

@@ -80,6 +80,7 @@ def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = N
 
 def duration_alone(seconds: float) -> Statistics:
     """Return statistics that hold the duration alone, s."""
+    nothing = np.full(6, np.nan)
     return Statistics(
         samples=0,
         missing=0,
@@ -89,6 +90,8 @@ def duration_alone(seconds: float) -> Statistics:
         quantisation_variance=np.zeros(6),
         end_points=np.zeros(6),
         blocks=tuple(np.empty((0, 4)) for _ in range(6)),
+        drift=nothing,
+        drift_std=nothing,
     )
 
 
@@ -504,8 +507,8 @@ def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
     dwells, turns = evidence.segments, evidence.turns
     parts = [*evidence.parts, *(link.move for link in evidence.used_moves.linked)]
     begin, end = np.array([(p.start, p.end) for p in parts]).reshape(-1, 2).T * 1e-9
-    none = np.zeros((len(parts), 3, 3))
-    means = BiasDrift.over(begin, end - begin, none).one_channel(STATED_TIME)
+    none = np.zeros((len(parts), 3, 3)), np.zeros(len(parts), dtype=bool)
+    means = BiasDrift.over(begin, end - begin, *none).one_channel(STATED_TIME)
     askew = [len(dwells) + k for k, t in enumerate(turns) if t.skewed is not None]
     which = np.concatenate([evidence.layout.segment, np.array(askew, dtype=int)])
     figures = [t.bias_instability for t in (*triads(spec), spec.skewed or TriadSpec())]

@@ -26,7 +26,7 @@ from ..model.sensors import SensorModel
 from ..model.session_terms import Change
 from .arms import mean_over_turn
 from .evidence import Evidence
-from .modulation import columns
+from .modulation import columns, rates
 from .outputs import OutputLayout
 
 # The table stands turned by the azimuth about up and tilted by two small angles, R_nb = Rz(azimuth)
@@ -330,6 +330,12 @@ class SessionModel:
         `derivatives` (m, n) are those by the parameters of the sensors, as `jacobian` begins.
         """
         return columns(self.evidence, changes, derivatives, self.parameters, self.shape)
+
+    def slopes(self, state: Floats) -> Floats:
+        """Return the slopes of outputs within their segment, (m,) per s, by changing parameters."""
+        jacobian, known = self.jacobian(state), (self.parameters, self.shape)
+        found = columns(self.evidence, self.changes, jacobian, *known, rates)
+        return np.asarray(found @ state[self.change_slice])
 
     @cached_by_state
     def world_derivatives(self, state: Floats) -> Floats:

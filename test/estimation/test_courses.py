@@ -18,6 +18,7 @@ from imu_calib.estimation.modulation import (
     instant_of,
     interrupted,
     outermost,
+    rates,
     reference,
     seconds_of,
     shapes,
@@ -99,6 +100,29 @@ def test_a_temperature_counts_from_the_sessions_mean() -> None:
     np.testing.assert_allclose(found, np.array(means) - 21.5, atol=1e-8)
 
 
+def test_a_rate_is_by_how_much_a_course_rises_over_a_part() -> None:
+    held = session(course_of_temperature())
+    assert rates(held, Course.TREND, TAU).tolist() == [1.0] * 4
+    for k, (begin, end) in enumerate(PARTS):
+        first, last = at(Course.WARM_UP, np.array([begin, end]))
+        wanted = (last - first) / (end - begin)
+        assert rates(held, Course.WARM_UP, TAU)[k] == pytest.approx(wanted, rel=1e-12)
+        middle = (begin + end) / 2
+        early, late = (
+            at(Course.THERMAL, instants(*half)).mean() for half in ((begin, middle), (middle, end))
+        )
+        wanted = (late - early) / ((end - begin) / 2)
+        assert rates(held, Course.THERMAL, TAU)[k] == pytest.approx(wanted, abs=1e-8)
+
+
+def test_the_rate_of_a_step_is_that_of_the_line_through_it() -> None:
+    held = session()
+    for k, part in enumerate(PARTS):
+        seconds = instants(*part)
+        wanted = np.polyfit(seconds - seconds.mean(), at(Course.STEP, seconds), 1)[0]
+        assert rates(held, Course.STEP, TAU)[k] == pytest.approx(wanted, abs=1e-6)
+
+
 def test_a_step_is_tried_where_parts_begin_and_in_their_middle() -> None:
     held = session()
     # Two dwells or turns lie before it, and two after.
@@ -128,12 +152,13 @@ def test_a_coefficient_acts_through_the_parameters_that_it_changes() -> None:
         Change(Course.WARM_UP, 'both', (PARAMETERS[0], PARAMETERS[7])),
     ]
     held = session()
-    found = columns(held, changes, derivatives, PARAMETERS, TAU)
-    for row, part in enumerate([0, 1, 1, 2, 3]):
-        trend = courses(held, Course.TREND, TAU)[part] * derivatives[row, 3]
-        both = derivatives[row, 0] + derivatives[row, 7]
-        fading = courses(held, Course.WARM_UP, TAU)[part] * both
-        assert found[row].tolist() == pytest.approx([trend, fading], rel=1e-14)
+    for course in (courses, rates):
+        found = columns(held, changes, derivatives, PARAMETERS, TAU, course)
+        for row, part in enumerate([0, 1, 1, 2, 3]):
+            trend = course(held, Course.TREND, TAU)[part] * derivatives[row, 3]
+            both = derivatives[row, 0] + derivatives[row, 7]
+            fading = course(held, Course.WARM_UP, TAU)[part] * both
+            assert found[row].tolist() == pytest.approx([trend, fading], rel=1e-14)
 
 
 def test_what_follows_a_temperature_needs_one_that_moves() -> None:

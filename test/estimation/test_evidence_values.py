@@ -170,6 +170,7 @@ def test_a_session_is_put_into_the_time_of_its_table(
 ) -> None:
     drifting = replace(
         CLEAN.segments[0].statistics,
+        drift=np.full(6, 3.0),
         blocks=tuple(np.array([[2.0, 3.0, 5.0, 7.0]]) for _ in range(6)),
     )
     segment = replace(CLEAN.segments[0], statistics=drifting)
@@ -191,6 +192,7 @@ def test_a_session_is_put_into_the_time_of_its_table(
         assert one.duration == pytest.approx(before.duration / 1.25)
         np.testing.assert_allclose(one.mean, before.mean * more)
         np.testing.assert_allclose(one.end_points, before.end_points * more)
+        np.testing.assert_allclose(one.drift, 3.0 * more * 1.25)
         np.testing.assert_allclose(one.blocks[0], [[2.0 * more, 3.0, 5.0, 5.6]])
     np.testing.assert_allclose(found.turns[0].statistics.mean, turn.statistics.mean * more)
     assert found.turns[0].each is not None

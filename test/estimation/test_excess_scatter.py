@@ -23,6 +23,7 @@ from imu_calib.estimation.excess_scatter import (
     _hidden_variance,
     _is_fast,
     _motion_variances,
+    _slope_variance,
     _Triad,
     _triads,
     excess,
@@ -30,6 +31,7 @@ from imu_calib.estimation.excess_scatter import (
 )
 from imu_calib.estimation.positioning_errors import NO_POSITIONING_ERRORS
 from imu_calib.estimation.variances import restricted
+from imu_calib.model.session_terms import session_term
 
 
 def normal(left: Any, covariance: Any) -> float:
@@ -69,7 +71,7 @@ def test_drift_is_swift_within_a_thirtieth_of_a_session_and_sooner_than_stated(
 ) -> None:
     # A thirtieth and a tenth have a seventeenth between them: 577 s of 10 000, 1155 s of 20 000.
     answers = np.tile(np.eye(3), (2, 1, 1))
-    drift = BiasDrift.over(np.array([0.0, length]), np.full(2, 1.0), answers)
+    drift = BiasDrift.over(np.array([0.0, length]), np.full(2, 1.0), answers, np.zeros(2, bool))
     there: Any = SimpleNamespace(bias_drift=drift)
     assert _is_fast(there, np.array([3.0, 1, 1, 0, 0] if fast else [1.0, 3, 0, 0, 0])) is swift
 
@@ -129,10 +131,35 @@ def test_columns_that_say_the_same_take_up_one_direction(rounding: float) -> Non
     assert rest @ rest == pytest.approx(z @ z)
 
 
+def test_a_slope_varies_as_the_line_through_its_blocks() -> None:
+    # Blocks at 10, 20 and 30 s: their line rises by half of the last less the first, over 10 s.
+    blocks = np.array([[0.0, 0.1, 5.0, 10.0], [0.0, 0.2, 6.0, 20.0], [0.0, 0.3, 7.0, 30.0]])
+    walk, whole = _slope_variance(blocks, 3.0)
+    assert walk == pytest.approx(9 * (0.1 + 0.3) / 20**2)
+    assert whole == pytest.approx((9 * (0.1 + 0.3) + 5 + 7) / 20**2)
+    # Without noise the smallest variance that is claimed: 1e-24.
+    none = _slope_variance(blocks * [0, 0, 0, 1], 3.0)
+    assert none == (0.0, pytest.approx(2e-24 / 20**2))
+
+
 def session() -> Equations:
-    """Twelve positions of gyros and accelerometers that drift as said."""
+    """Twelve positions whose dwells have blocks, of gyros and accelerometers that drift as said."""
     evidence = evidence_of(noise=np.random.default_rng(1))
-    segments = [replace(s, end=s.start + 120 * 10**9) for s in evidence.segments]
+    rng, second = np.random.default_rng(2), 10**9
+    segments = []
+    for k, segment in enumerate(evidence.segments):
+        # The third has three blocks only, which give no slope.
+        count = 3 if k == 2 else 12
+        block = np.column_stack(
+            [np.zeros(count), np.full(count, 0.1), np.zeros(count), 5.0 + 10 * np.arange(count)]
+        )
+        there = replace(
+            segment.statistics,
+            blocks=(block,) * 6,
+            drift=rng.standard_normal(6) * np.repeat([1e-9, 1e-7], 3),
+        )
+        end = segment.start + 120 * second
+        segments.append(replace(segment, statistics=there, end=end))
     # The second turn is one by hand, whose accelerometers do not count.
     by_hand = replace(evidence.turns[1], seconds=None)
     turns = (evidence.turns[0], by_hand, *evidence.turns[2:])
@@ -149,7 +176,7 @@ def session() -> Equations:
     )
 
 
-def test_gyros_and_accelerometers_are_cut_out_with_their_noise() -> None:
+def test_gyros_and_accelerometers_are_cut_out_with_their_slopes_and_their_noise() -> None:
     equations = session()
     state = equations.nominal()
     layout = equations.layout
@@ -158,17 +185,41 @@ def test_gyros_and_accelerometers_are_cut_out_with_their_noise() -> None:
         assert found.rows.tolist() == rows.tolist()
         assert found.unit_variance == np.median(equations.own_variances[layout.dwell[:, first]])
         assert found.stated_variance == pytest.approx((2e-7 if first == 0 else 3e-5) ** 2)
+        # Eleven dwells have slopes, of three channels each.
+        seen = [k for k in range(12) if k != 2]
+        slopes = np.array(
+            [equations.evidence.segments[k].statistics.drift[first : first + 3] for k in seen]
+        )
+        offsets = 10.0 * np.arange(12) - 55
+        variance = 0.1 * equations.evidence.walk[first] ** 2 / (offsets**2).sum()
+        assert found.residuals[-33:] == pytest.approx(slopes.ravel() / np.sqrt(variance))
         # What the parameters leave, and the noise in it: white, one degree for each output freed.
         white = sum(kernel for kernel, _ in found.noise)
         # Less what is no walk of each output: the level Earth rate that turns leave, say.
         assert np.diag(white).max() < 1 + 1e-6
-        assert np.diag(white).sum() == pytest.approx(len(white), abs=12)
+        assert np.diag(white).sum() == pytest.approx(len(white), rel=0.1)
+        assert white[-33:, -33:] == pytest.approx(np.eye(33))
+        assert white[-33:, :-33] == pytest.approx(np.zeros((33, len(white) - 33)))
         assert [freedom for _, freedom in found.noise] == [11 + first, 12 + first, 13 + first]
-        assert len(found.bias_drift.nodes) == len(rows) // 3
+        assert len(found.bias_drift.segment) == len(rows) // 3 + 11
         # The first node is a sixteenth into the first turn, of 36 s; a rest of 120 s comes after
         # six turns, 100 s from one to the next.
         assert found.bias_drift.nodes.min() == pytest.approx(36 / 16)
         assert found.bias_drift.nodes[0] == pytest.approx(600 + 120 * (np.arange(8) + 0.5) / 8)
+
+
+def test_slopes_are_what_is_left_of_drifts_that_are_estimated() -> None:
+    equations = replace(session(), changes=session_term('trend'))
+    state = np.append(session().nominal(), np.zeros(8))
+    gyros, _ = triads(equations, state)
+    state[-7] = 3e-9
+    drifting, _ = triads(equations, state)
+    # The bias of y rises by 3e-9 rad/s each second: by so much each of eleven slopes is too high.
+    off = (gyros.residuals - drifting.residuals)[-33:].reshape(11, 3)
+    residuals = gyros.residuals[-33:].reshape(11, 3)
+    drift = equations.evidence.segments[0].statistics.drift[1]
+    assert off[:, 1] == pytest.approx(np.full(11, 3e-9 * residuals[0, 1] / drift), rel=1e-6)
+    assert off[:, [0, 2]] == pytest.approx(np.zeros((11, 2)), abs=1e-9)
 
 
 def drifting(scale: float, kind: str) -> tuple[Equations, Floats]:

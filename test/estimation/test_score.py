@@ -298,11 +298,15 @@ CORRELATION = 1000.0
 """Of such wandering, s, as a simulated unit has it."""
 
 
-def changed(evidence: Evidence, biases: Floats) -> Evidence:
-    """The evidence whose biases are off by (n, 6), rests, then turns."""
+def changed(evidence: Evidence, biases: Floats, slopes: Floats) -> Evidence:
+    """The evidence whose biases are off by (n, 6) and rise by (n, 6) per s, rests, then turns."""
     parts: list[Segment | Turn] = []
     for k, part in enumerate((*evidence.segments, *evidence.turns)):
-        there = replace(part.statistics, mean=part.statistics.mean + biases[k])
+        there = replace(
+            part.statistics,
+            mean=part.statistics.mean + biases[k],
+            drift=part.statistics.drift + slopes[k],
+        )
         parts.append(replace(part, statistics=there))
     rests = len(evidence.segments)
     segments = tuple(p for p in parts[:rests] if isinstance(p, Segment))
@@ -329,7 +333,8 @@ def wandering(evidence: Evidence, seed: int) -> Evidence:
         now = kept * now + np.sqrt(1 - kept**2) * rng.standard_normal(6)
         path[k], last = now, times[k]
     path = path.reshape(-1, 8, 6) * INSTABILITY
-    return changed(evidence, path.mean(axis=1))
+    slopes = np.einsum('j,kjc->kc', grid / (grid @ grid), path) / lengths[:, None]
+    return changed(evidence, path.mean(axis=1), slopes)
 
 
 def drifting(evidence: Evidence, size: float) -> Evidence:
@@ -338,7 +343,7 @@ def drifting(evidence: Evidence, size: float) -> Evidence:
     span = float(np.ptp(middles))
     signs = np.array([1, -1, 0.7, 1, -0.8, 1.2])
     biases = np.outer((middles - middles.mean()) / span, size * signs * INSTABILITY)
-    return changed(evidence, biases)
+    return changed(evidence, biases, np.tile(size * signs * INSTABILITY / span, (len(middles), 1)))
 
 
 def chances(evidence: Evidence, *, drifting: bool = True) -> dict[str, float]:

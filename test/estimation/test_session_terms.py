@@ -29,7 +29,7 @@ from imu_calib.estimation.estimate import Estimate, estimate
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.joint import solve
 from imu_calib.estimation.methods import method
-from imu_calib.estimation.modulation import instant_of, spans
+from imu_calib.estimation.modulation import instant_of, rates, spans
 from imu_calib.estimation.score import families
 from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.term_tests import TermState, summary
@@ -381,6 +381,22 @@ def test_what_was_asked_for_is_on_the_screen(drifting: Evidence) -> None:
     assert states['trend'].state is TermState.ASKED
     assert states['trend'].changes == asked
     assert summary(found.tests)[0] == 'terms: trend'
+
+
+def test_outputs_rise_within_a_stretch_as_their_course_does(drifting: Evidence) -> None:
+    starts, ends = spans(drifting)
+    whole = ends.max()
+    tau = 0.25 * whole
+    courses = {
+        Course.TREND: lambda t: t,
+        Course.WARM_UP: lambda t: np.exp(-t / tau),
+        Course.THERMAL: lambda t: RISE * t,
+    }
+    for course, at in courses.items():
+        exact = (at(ends) - at(starts)) / (ends - starts)
+        # A thermometer is read every second and kept in cells of some: a tenth.
+        within = 0.1 if course is Course.THERMAL else 1e-9
+        assert rates(drifting, course, 0.25) == pytest.approx(exact, rel=within)
 
 
 def test_terms_that_the_session_cannot_tell_are_refused(drifting: Evidence) -> None:

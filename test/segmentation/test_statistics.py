@@ -78,6 +78,18 @@ def test_a_short_dwell_has_four_blocks():
     assert len(statistics_at_rest(samples(noise(1200)), WALK).blocks[0]) == 6
 
 
+def test_a_line_through_the_blocks_is_the_drift():
+    increments = noise(1000)
+    increments += 1e-4 * np.arange(1000)[:, None] * PERIOD
+    found = statistics_at_rest(samples(increments), WALK)
+    for channel, blocks in enumerate(found.blocks):
+        line, covariance = np.polyfit(blocks[:, 3], blocks[:, 0], 1, cov=True)
+        assert found.drift[channel] == pytest.approx(line[0])
+        assert found.drift_std[channel] == pytest.approx(np.sqrt(covariance[0, 0]))
+    brief = statistics_at_rest(samples(noise(3)), WALK)
+    assert np.isnan(brief.drift).all()
+
+
 def test_runs_between_gaps_count_by_their_variances():
     increments = noise(900)
     rows = np.concatenate([np.arange(300), np.arange(400, 1000)])
@@ -177,6 +189,8 @@ def test_between_instants_samples_are_shared_in_proportion():
     assert found.samples == 41 - 3
     assert found.walk_gain == pytest.approx(np.full(6, 1 / found.duration))
     assert found.missing == 0
+    assert np.isnan(found.drift).all()
+    assert np.isnan(found.drift_std).all()
 
 
 # What a sensor delivers

@@ -23,6 +23,8 @@ def mean_of(outputs: Floats, duration: float = 100.0) -> Statistics:
         quantisation_variance=np.zeros(6),
         end_points=np.asarray(outputs, dtype=float),
         blocks=tuple(np.empty((0, 4)) for _ in range(6)),
+        drift=np.full(6, np.nan),
+        drift_std=np.full(6, np.nan),
     )
 
 
