@@ -79,7 +79,7 @@ def walk_of_sensors(segments: tuple[Segment, ...], spec: ImuSpec) -> Floats:
     found = np.full(6, np.nan)
     variances = np.array([s.statistics.sample_variance for s in segments]).reshape(-1, 6)
     variances = variances[np.isfinite(variances).all(axis=1)]
-    if spec.units is not Units.PULSES and len(variances):
+    if len(variances) and not any(s.statistics.pulse.any() for s in segments):
         rounding = spec.scale**2 / 12 if spec.units is Units.COUNTS else np.zeros(6)
         period = np.median([s.statistics.duration / s.statistics.samples for s in segments])
         # The median: one hold may have been knocked.

@@ -125,7 +125,9 @@ def test_samples_of_other_units_than_si_are_a_warning(tmp_path):
         (raw[:, :3], raw[:, 3:] / 9.80665e-3, 'mg:'),
         (np.degrees(raw[:, :3]), raw[:, 3:], 'deg/s:'),
     ):
-        with pytest.warns(UserWarning, match=f'as in {unit} the calibration of bag takes rad/s'):
+        with pytest.warns(
+            UserWarning, match=f'as in {unit} the calibration of bag .simulated. takes rad/s'
+        ):
             apply(gyro, accel)
 
 
@@ -168,8 +170,10 @@ def test_a_notebook_shows_no_zero_that_is_a_choice_of_axes(tmp_path):
     calibration = imu_calib.calibrate(tmp_path / 'bag').calibration
     page = calibration._repr_html_()
     told = replace(calibration, findings=('Warning: Off.', 'One.', 'Two.'))
-    assert repr(told) == '<Calibration of mems_counts: 21 parameters, 1 warning, 2 notes>'
-    assert 'mems_counts: 1 warning, 2 notes' in told._repr_html_()
+    assert (
+        repr(told) == '<Calibration of mems_counts (simulated): 21 parameters, 1 warning, 2 notes>'
+    )
+    assert 'mems_counts (simulated): 1 warning, 2 notes' in told._repr_html_()
     frame = calibration.to_dataframe()
     assert len(frame) == 21 and 'E_ayx' in frame.index and 'E_axy' not in frame.index
     drawn = [t.get_text() for a in calibration.plot().axes for t in a.get_xticklabels()]

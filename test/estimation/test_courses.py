@@ -50,6 +50,7 @@ def session(temperature: Temperature | None = None) -> Any:
     first, second, turn, move = (
         SimpleNamespace(start=EPOCH + round(a * NS), end=EPOCH + round(b * NS)) for a, b in PARTS
     )
+    move.span = move.start, move.end
     return SimpleNamespace(
         parts=[first, second, turn],
         used_moves=SimpleNamespace(linked=[SimpleNamespace(move=move)]),
