@@ -99,7 +99,7 @@ class Compared:
 
     @property
     def e_n(self) -> Floats:
-        """E_n of the difference, same shape (ISO 13528): over its expanded uncertainty, 95 %."""
+        """Difference over its expanded uncertainty of 95 % (E_n of ISO 13528), same shape."""
         return self.side_by_side.e_n.reshape(self.std.shape)
 
     @property
