@@ -494,13 +494,11 @@ class HandCalibrator:
             free=True,
             sensor_walk=own,
         )
-        links, variances = (
-            evidence.used_moves.linked,
-            evidence.used_moves.variances(evidence.walk_of_moves)[:, :3],
-        )
+        used = evidence.used_moves
+        variances = used.variances(evidence.walk_of_moves)[:, :3]
         kept = tuple(
             link.move
-            for link, variance in zip(links, variances, strict=True)
+            for link, variance in zip(used.linked, variances, strict=True)
             if link.move.filled <= _LOST * (variance.mean() - link.move.filled)
             # A hold that slides is in another attitude at its end.
             and not (holds[link.first].sliding or holds[link.second].sliding)

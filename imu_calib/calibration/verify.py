@@ -481,17 +481,17 @@ def _without_turned_hold(
 
     A unit that still turns about the vertical rests by its accelerometers.
     """
-    holds, failed = (
-        observed.evidence.segments,
-        [t.gyros for t in found.triads if t.verdict is Verdict.FAIL],
-    )
+    holds = observed.evidence.segments
+    failed = [t.gyros for t in found.triads if t.verdict is Verdict.FAIL]
     if observed.with_attitudes or failed != [True] or len(holds) < _FEWEST_HOLDS:
         return None
     worst = max(found.compared, key=lambda c: abs(c.ratio))
+    if worst.quantity is not Quantity.UP_RATE:
+        return None
     rest = tuple(hold for hold in holds if hold.position != worst.name)
     evidence = replace(observed.evidence, segments=rest)
     without = _verified(calibration, replace(observed, evidence=evidence))
-    if worst.quantity is not Quantity.UP_RATE or without.verdict is Verdict.FAIL:
+    if without.verdict is Verdict.FAIL:
         return None
     shown = warning(
         f'In hold {worst.name}, at {worst.at:.1f} s, the gyros contradict all others by '

@@ -381,10 +381,6 @@ class SampleGrid:
         return np.asarray(stamp[0] + np.rint(line * 1e9).astype(np.int64))
 
 
-_FEW_SKIPS = 0.05
-"""Of the steps: with more the scatter about a line shows what rounding does to its slope."""
-
-
 def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
     """Fit equal intervals, about `hint`, s, where known, to increasing stamps (n,), ns."""
     if (ticks := _grid_of_ticks(stamp)) is not None:
@@ -403,6 +399,10 @@ def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
         grid = _laid(time, counted, period)
         period, window = grid.period, _WINDOW
     return grid
+
+
+_FEW_SKIPS = 0.05
+"""Of the steps: with more the scatter about a line shows what rounding does to its slope."""
 
 
 def skip(stamp: Stamps) -> float:

@@ -1,4 +1,4 @@
-"""A hand that begins and ends turns gently, and trembles: K_g was too small by a percent."""
+"""A hand that begins and ends turns gently, and trembles: K_g was 1 to 2 percent too small."""
 
 from __future__ import annotations
 
