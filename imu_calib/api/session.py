@@ -116,16 +116,19 @@ _APART = 0.1
 a session of a fibre-optic unit determines, and far within any specification."""
 
 
-def load_truth(truth: Calibration | Named | None, imu: ImuSpec, serial: str = '') -> Calibration:
+def load_truth(
+    truth: Calibration | Named | None, imu: ImuSpec, serial: str = '', usual: str = DEFAULT_TRUTH
+) -> Calibration:
     """Return the true parameters of a simulated unit.
 
     Args:
-        truth: Value, name or file; None for `DEFAULT_TRUTH`, from which a unit with a serial number
+        truth: Value, name or file; None for `usual`, from which a unit with a serial number
             departs by a tenth of each parameter.
         imu: Its type.
         serial: Its serial number; the same one gives the same unit.
+        usual: Name of the true parameters where none are stated.
     """
-    known = as_truth(truth or DEFAULT_TRUTH)
+    known = as_truth(truth or usual)
     if imu.skewed is not None and known.model.skewed is None:
         name = 'of this unit' if isinstance(truth, Calibration) else truth
         raise InputError(
@@ -175,8 +178,8 @@ class _Unit(TypedDict, total=False):
         Named | None,
         "The unit's true parameters: name or file; None for those of the default IMU.",
         Option(
-            f"the unit's true parameters (default: {DEFAULT_TRUTH}, from which each of several "
-            f'units departs by a tenth; {HELD_UNIT} where it is held by hand)',
+            f"the unit's true parameters (default: {DEFAULT_TRUTH}, or {HELD_UNIT} if it is held "
+            'by hand; a unit with a serial number departs from it by a tenth)',
             'NAME|FILE',
         ),
     ]

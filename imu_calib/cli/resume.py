@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 
 from ..api.stand import OPTIONS, SETTINGS, can_be_resumed, end_of_journal
+from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.files import named_file, read_text, user_path, write_whole
 from ..recordings.rosbag2 import JOURNAL
@@ -49,10 +50,13 @@ _PATIENCE = 30.0
 acknowledgement."""
 
 
-def save_settings(arguments: argparse.Namespace, folder: Path) -> None:
+def save_settings(
+    arguments: argparse.Namespace, folder: Path, truth: Calibration | None = None
+) -> None:
     """Write the settings of a session into its folder, with paths of the copies there.
 
-    Files are copied: the session is resumed unchanged even if the originals change.
+    Files are copied: the session is resumed unchanged even if the originals change. `truth` is of
+    a single simulated unit, whose node takes it from there.
     """
     settings = folder / SETTINGS
     settings.mkdir()
@@ -62,6 +66,8 @@ def save_settings(arguments: argparse.Namespace, folder: Path) -> None:
             write_whole(settings / f'{option}.yaml', read_text(named_file(kind, name)))
     if arguments.imus:
         several.save_settings(arguments, settings)
+    elif truth is not None and not arguments.truth:
+        truth.save(settings / 'truth.yaml')
     kept = {k: v for k, v in vars(arguments).items() if k not in {*_OF_THE_RUN, *_FILES, 'imus'}}
     # Last: a folder without it does not belong to a stand.
     write_whole(settings / OPTIONS, yaml.safe_dump(kept))

@@ -112,8 +112,16 @@ def truths(arguments: argparse.Namespace) -> dict[str, Calibration]:
 
 
 def _truth_of(unit: MountedUnit, arguments: argparse.Namespace) -> Calibration:
-    """Return a unit's true parameters; those of several differ unless they are stated."""
-    return load_truth(unit.truth or arguments.truth, load_imu(unit.imu), unit.serial_number)
+    """Return a unit's true parameters; its own with a serial number unless stated."""
+    truth, imu = unit.truth or arguments.truth, load_imu(unit.imu)
+    if unit.serial_number:
+        return load_truth(truth, imu, unit.serial_number)
+    return load_truth(truth, imu, arguments.serial or '', usual_truth(arguments))
+
+
+def usual_truth(arguments: argparse.Namespace) -> str:
+    """Return the name of the true parameters of a simulated unit without a serial number."""
+    return HELD_UNIT if load_plan(arguments.plan).by_hand else DEFAULT_TRUTH
 
 
 def node_parameters(
@@ -239,10 +247,6 @@ def _largest_error(found: Calibration, true: Calibration) -> float:
 
 
 def complete(arguments: argparse.Namespace) -> None:
-    """Set defaults for one unit: its type, and its true parameters if it is simulated."""
-    if arguments.imus:
-        return
-    held = load_plan(arguments.plan).by_hand
-    arguments.imu = arguments.imu or (HELD_UNIT if held else USUAL_IMU)
-    if not is_real(arguments):
-        arguments.truth = arguments.truth or (HELD_UNIT if held else DEFAULT_TRUTH)
+    """Set the type of a single unit, if none is stated."""
+    if not arguments.imus and not arguments.imu:
+        arguments.imu = HELD_UNIT if load_plan(arguments.plan).by_hand else USUAL_IMU

@@ -138,30 +138,30 @@ def run_stand(arguments: argparse.Namespace) -> None:
 
 def _begin(arguments: argparse.Namespace) -> None:
     """Run a session from its start."""
-    has_truth = bool(arguments.truth)
     several.complete(arguments)
     folder = _new_folder(arguments)
     several.check(arguments)
     reports = NodeReports(real=several.is_real(arguments))
     truth = _check(arguments, reports)
-    if '' in truth and not has_truth and not is_shipped('imus', arguments.imu):
-        OUTPUT.print(f'simulated unit: {arguments.truth}; yours: --truth FILE', markup=False)
+    if '' in truth and not arguments.truth and not is_shipped('imus', arguments.imu):
+        usual = several.usual_truth(arguments)
+        OUTPUT.print(f'simulated unit: {usual}; yours: --truth FILE', markup=False)
     from . import resume, stand_session
 
     folder.mkdir(parents=True)
     with resume.locked_folder(folder) as claim, stand_session.signals():
-        _save_settings(arguments, folder)
+        _save_settings(arguments, folder, truth.get(''))
         stand_session.run(arguments, folder, truth, claim, reports)
 
 
-def _save_settings(arguments: argparse.Namespace, folder: Path) -> None:
+def _save_settings(arguments: argparse.Namespace, folder: Path, truth: Calibration | None) -> None:
     """Write the settings of a new session, or leave no folder that could not be resumed."""
     from ..api.files import removed_on_failure
     from . import resume
 
     try:
         with removed_on_failure(folder):
-            resume.save_settings(arguments, folder)
+            resume.save_settings(arguments, folder, truth)
     except OSError as error:
         raise InputError(unwritable(folder, error)) from None
 

@@ -16,7 +16,7 @@ from rich.console import Group
 from rich.live import Live
 from rich.text import Text
 
-from ..api.session import DEFAULT_TRUTH, TRUE_TABLE
+from ..api.session import TRUE_TABLE
 from ..api.stand import (
     can_be_resumed,
     check_stand,
@@ -294,8 +294,8 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
     }
     # The node that simulates the stand, or the hand.
     played = {
-        # Of several units the settings state that of each.
-        'truth': arguments.truth or DEFAULT_TRUTH,
+        # The settings of a session state that of each unit.
+        'truth': arguments.truth or several.usual_truth(arguments),
         'imperfections': arguments.imperfections or '',
         'sample_rate': arguments.sample_rate,
         'seed': arguments.seed,

@@ -18,9 +18,10 @@ from loopback import CHECKOUT, completed, patience, until
 from sequenced_table import Stand as Simulated
 
 from imu_calib.api.calibrate import calibrate
+from imu_calib.api.session import load_truth
 from imu_calib.api.simulate import simulate
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.cli import dispatch, main, resume, stand_session
+from imu_calib.cli import dispatch, main, resume, several, stand_session
 from imu_calib.cli.processes import Processes
 from imu_calib.cli.terminal import NodeReports
 from imu_calib.common.errors import InputError
@@ -31,6 +32,7 @@ from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import Kind, encode_imu
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.writer import Journal, RecordingWriter
+from imu_calib.session.imu import load_imu
 from imu_calib.simulation.options import DAY
 
 TURN = 7
@@ -254,6 +256,27 @@ def ended(folder, *, finished, result=False):
     if result:
         (folder / 'calibration.yaml').write_text('x')
     return folder
+
+
+@pytest.mark.parametrize(('plan', 'imu'), [('six_position', None), ('free_positions', 'si')])
+def test_one_serial_number_is_one_unit_simulated_live_or_not(tmp_path, plan, imu):
+    """It departs from the usual one, and stays itself when its session is resumed."""
+    words = ['stand', plan, '-o', str(tmp_path / 'stand'), *(['--imu', imu] if imu else [])]
+    with_serial = dispatch.build_parser().parse_args([*words, '--serial', 'A1'])
+    several.complete(with_serial)
+    (truth,), usual = several.truths(with_serial).values(), several.usual_truth(with_serial)
+    assert not np.allclose(truth.values, Calibration.load(named_file('truths', usual)).values)
+    if imu is None:
+        drawn = load_truth(None, load_imu(with_serial.imu), 'A1')
+        assert np.array_equal(truth.values, drawn.values)
+    folder = tmp_path / 'stand'
+    folder.mkdir()
+    resume.save_settings(with_serial, folder, truth)
+    again = dispatch.build_parser().parse_args(['stand', '--resume', str(folder)])
+    resume.restore(again)
+    given = stand_session.parameters(again, folder)
+    node = given.get('stand_node') or given['hand_node']
+    assert np.array_equal(Calibration.load(node['truth']).values, truth.values)
 
 
 def write(journal, seconds):
