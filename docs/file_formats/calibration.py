@@ -296,8 +296,8 @@ VALUES.update(
         provenance.texts: lambda: array(text(), 0, words='list of texts'),
         provenance.number_within: _at_least,
         provenance.possible: number,
-        provenance.numbers: lambda count: array(
-            _MAYBE, count, count, f'list of {count} numbers, 0 or more'
+        provenance.numbers: lambda count=None: array(
+            _MAYBE, count or 0, count, f'list of {f"{count} " if count else ""}numbers, 0 or more'
         ),
         provenance.temperature: lambda: _noted(_TEMPERATURE),
         provenance.entries: lambda known: _noted(_entries(known)),

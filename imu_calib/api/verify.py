@@ -250,6 +250,8 @@ def _same_samples(calibration: Calibration, session: Segmented, random_walk: Flo
         spans = ((first, origin['duration']), (began, session.duration))
         ends = [start + timedelta(seconds=seconds) for start, seconds in spans]
         return max(first, began) + timedelta(seconds=1) < min(ends)
+    if np.isin(session.facts.marks, origin.get('marks') or ()).any():
+        return True
     walk = np.array(origin.get('random_walk', [np.nan] * 6), float)
     facts = {'recorded': None, 'duration': session.duration}
     return facts.items() <= origin.items() and bool(np.allclose(walk, random_walk, _SAME_NOISE, 0))

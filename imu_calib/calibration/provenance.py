@@ -232,6 +232,10 @@ ENTRIES = {
     'turns': _entry('turns', Section.whole, 0),
     'samples': _entry('samples used', Section.whole, 0),
     'duration': _entry('from the first to the last sample, s', number_within, 0),
+    'marks': _entry(
+        'hashes of samples: verification knows a recording without dates by them, or a part of it',
+        numbers,
+    ),
     'random_walk': _entry('of the channels, rad/sqrt(s) and (m/s)/sqrt(s)', numbers, _CHANNELS),
     'sensor_random_walk': _entry(
         'of the sensors without the hand: by the data sheet, else by neighbouring samples',

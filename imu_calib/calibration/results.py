@@ -239,6 +239,7 @@ def provenance(
         'segments': len(evidence.segments),
         'turns': len(evidence.turns),
         'duration': session.duration,
+        **({'marks': session.facts.marks.tolist()} if len(session.facts.marks) else {}),
         'samples': sum(s.statistics.samples for s in evidence.segments)
         + sum(t.statistics.samples for t in evidence.turns),
         'random_walk': [float(v) for v in evidence.walk],

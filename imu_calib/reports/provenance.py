@@ -33,8 +33,8 @@ from .tables import (
 Facts = Mapping[str, object]
 
 _APART = ' \u00b1 '
-_ELSEWHERE = frozenset({'noise', 'tests_of_terms'})
-"""Entries that have separate sections."""
+_ELSEWHERE = frozenset({'noise', 'tests_of_terms', 'marks'})
+"""Entries that have separate sections, or tell a person nothing."""
 _CHANNELS = ('gx', 'gy', 'gz', 'ax', 'ay', 'az')
 _PER_CHANNEL = (
     ('random_walk', 'random walk used', ('deg/\u221ah', DEG / 60), ('(m/s)/\u221ah', 1 / 60)),
@@ -218,7 +218,7 @@ def _duration(facts: Facts) -> str:
 
 
 def gravity_won(facts: Facts) -> str:
-    """Return by how much the accelerometers at rest miss gravity, raw and calibrated.
+    """Return by how much the accelerometers miss gravity at the worst rest, raw and calibrated.
 
     Samples that are off by half of it have another unit or another zero: of these it means nothing.
     """
@@ -226,8 +226,8 @@ def gravity_won(facts: Facts) -> str:
     if before is None or after is None:
         return ''
     least = 0.0 if facts.get('by_hand') else _IN_PERCENT
-    raw = f'{_ratio(before, least)} raw, by ' if before < _ANOTHER else ''
-    return f'missed by {raw}{_ratio(after, least)} calibrated'
+    raw = f'{_ratio(before, least)} off raw, ' if before < _ANOTHER else ''
+    return f'at worst {raw}{_ratio(after, least)}{"" if raw else " off"} calibrated'
 
 
 _ANOTHER = 0.5

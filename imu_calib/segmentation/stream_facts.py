@@ -9,7 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ..common.finding import warning
-from ..common.stream import Floats, Stamps, Units, at
+from ..common.stream import Floats, Stamps, Units, at, utc
 from ..common.units import DEG, LARGEST, STANDARD_GRAVITY, counted
 from .counters import all_in_row, any_in_row, by_columns, runs_of
 
@@ -79,6 +79,11 @@ class StreamFacts:
         self._length = 0  #: Samples so far that are equal to the last one, and follow each other.
         self._runs = np.zeros(4, np.int64)
         """Former ones: their number, samples, squares of these; channels that changed then."""
+        self.marks = np.empty(0, np.uint64)
+        """Of a stream without dates: the least hashes of samples that follow each other. Streams
+        that share samples share those that lie in them, whatever else they hold (Broder 1997, On
+        the resemblance and containment of documents)."""
+        self._hashes = np.empty(0, np.uint64)
 
     @property
     def sensors_separate(self) -> bool:
@@ -123,6 +128,17 @@ class StreamFacts:
         self._largest = np.maximum(largest, self._largest)
         if (left := _LOOKED_AT - self.samples + len(values)) > 0:
             self._count_runs(values[:left])
+        if utc(self._first) is None:
+            self._mark(np.ascontiguousarray(values, np.float64).view(np.uint64))
+
+    def _mark(self, bits: NDArray[np.uint64]) -> None:
+        rows = np.concatenate([self._hashes, _hashed(bits)])
+        # A sample that repeats the one before tells nothing.
+        rows = rows[np.append(True, rows[1:] != rows[:-1])]
+        self._hashes = rows[1 - _MARKED :]
+        if len(rows) >= _MARKED:
+            found = _hashed(sliding_window_view(rows, _MARKED)) >> np.uint64(11)
+            self.marks = np.unique(np.append(self.marks, found))[:_MARKS]
 
     def _count_runs(self, values: Floats) -> None:
         rows = np.concatenate([self._row, values])
@@ -282,6 +298,22 @@ def quiet_means(force: Floats) -> Floats:
     windows = sliding_window_view(force, _WINDOW, axis=0)[::_WINDOW]
     scatter = windows.std(axis=2).max(axis=1)
     return np.asarray(windows[scatter <= np.quantile(scatter, _QUIET)].mean(axis=2))
+
+
+_MARKED = 8
+"""Samples in a row of one mark. A choice: of coarse codes one equals another's by chance."""
+_MARKS = 64  #: A choice: a part of a tenth holds none of them once in 800 times.
+
+
+def _hashed(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Return a hash of each row (n, k), by the steps of SplitMix64 (Steele et al. 2014)."""
+    found = np.zeros(len(values), np.uint64)
+    for column in values.T:
+        found += column
+        for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+            found = (found ^ (found >> np.uint64(shift))) * np.uint64(factor)
+        found ^= found >> np.uint64(31)
+    return found
 
 
 _FEWEST = 8

@@ -143,9 +143,9 @@ def test_a_session_in_the_hand_speaks_of_its_grade(folder, monkeypatch, capsys):
     # Zero by the choice of the axes: no estimates.
     assert 'E_axy' not in units
     assert 'K: scale-factor error' in out
-    (won,) = re.findall(r'Gravity .*: missed by (\S+) % raw, by (\S+) % calibrated', out)
+    (won,) = re.findall(r'Gravity .*: at worst (\S+) % off raw, (\S+) % calibrated', out)
     # Data in the hand cannot show that it is wrong, nor whence.
-    assert 'Gravity 9.7970 m/s^2 (34.65 deg N, height 0 m assumed): missed' in out
+    assert 'Gravity 9.7970 m/s^2 (34.65 deg N, height 0 m assumed): at worst' in out
     found = Calibration.load('units.yaml')
     # The unit's biases of 25 mg and 0.5 % of scale, and what noise leaves of them.
     assert 2.0 < float(won[0]) < 4.0
@@ -153,7 +153,7 @@ def test_a_session_in_the_hand_speaks_of_its_grade(folder, monkeypatch, capsys):
     assert found.provenance['gravity_off_before'] == pytest.approx(float(won[0]) / 100, rel=0.05)
     # What is off by half of gravity has another zero or unit.
     far = {**found.provenance, 'gravity_off_before': 0.5, 'gravity_off_after': 0.001}
-    assert gravity_won(far) == 'missed by 0.1 % calibrated'
+    assert gravity_won(far) == 'at worst 0.1 % off calibrated'
 
 
 def test_a_refusal_has_its_cause_first_and_the_rest_on_request(folder, monkeypatch, capsys):
