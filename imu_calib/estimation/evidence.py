@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import NotObservable
-from ..common.stream import Floats, Units
+from ..common.stream import Floats, Stamps, Units
 from ..model.earth import Site
 from ..segmentation.clock import ClockFit
 from ..segmentation.course import Temperature
@@ -41,6 +41,14 @@ _WEIGHED = 6
 solutions used alternately and of the last step."""
 _OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms', 'rest_to_rest_rates'}
 """Cached properties of `Evidence` that depend on dwells and turns alone."""
+_OF_ATTITUDES = _OF_DWELLS | {
+    'positioning_attitude_errors',
+    'used_moves',
+    'layout',
+    'instants',
+    'state_cache',
+}
+"""Cached properties that do not depend on errors of the table and steps of the attitudes."""
 
 _QUARTZ = 50e-6
 """Standard deviation of the rate between clocks that are not compared by motions, as a ratio:
@@ -145,19 +153,13 @@ class Evidence:
             raise ValueError('no table, and none of its errors')
         key = 'table', errors
         if key not in self.cache:
-            kept = _OF_DWELLS | {
-                'positioning_attitude_errors',
-                'used_moves',
-                'layout',
-                'state_cache',
-            }
-            self.cache[key] = self._replaced(kept, table=replace(self.table, errors=errors))
+            table = replace(self.table, errors=errors)
+            self.cache[key] = self._replaced(_OF_ATTITUDES, table=table)
         return cast(Evidence, self.cache[key])
 
     def with_attitude_steps(self, steps: tuple[AttitudeStep, ...]) -> Evidence:
         """Return the session with these steps of the attitudes; the same is kept as above."""
-        kept = _OF_DWELLS | {'positioning_attitude_errors', 'used_moves', 'layout', 'state_cache'}
-        return self._replaced(kept, attitude_steps=steps)
+        return self._replaced(_OF_ATTITUDES, attitude_steps=steps)
 
     def _replaced(self, kept: set[str], **changed: Any) -> Evidence:
         """Return the session with other fields; the cached properties named in `kept` stay."""
@@ -237,6 +239,14 @@ class Evidence:
             accel_turns,
             self.used_moves.with_accels,
         )
+
+    @cached_property
+    def instants(self) -> tuple[Stamps, Stamps]:
+        """First and last stamp of each dwell, turn and move, (s + t + m,) ns."""
+        spans = [(part.start, part.end) for part in self.parts]
+        spans += [link.move.span for link in self.used_moves.linked]
+        starts, ends = np.array(spans, dtype=np.int64).reshape(-1, 2).T
+        return starts, ends
 
     @cached_property
     def arms(self) -> Arms:

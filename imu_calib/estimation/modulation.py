@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import NotObservable
-from ..common.stream import Floats, Stamps
+from ..common.stream import Floats
 from ..model.parameters import Parameter, ParameterKind
 from ..model.session_terms import Change, Course
 from .evidence import Evidence
@@ -58,7 +58,7 @@ def interrupted(evidence: Evidence) -> NDArray[np.bool_]:
 def _interruptions(evidence: Evidence) -> Floats:
     """Return last and first instant of each interruption, (k, 2) s since the first part began."""
     stamps = np.array(evidence.interruptions, dtype=np.int64).reshape(-1, 2)
-    return np.asarray((stamps - _instants(evidence)[0].min()) * 1e-9)
+    return np.asarray((stamps - evidence.instants[0].min()) * 1e-9)
 
 
 def outermost(evidence: Evidence) -> Floats:
@@ -73,16 +73,9 @@ def outermost(evidence: Evidence) -> Floats:
 
 def spans(evidence: Evidence) -> tuple[Floats, Floats]:
     """Return start and end of each dwell, turn and move, (s + t + m,) s since the first began."""
-    starts, ends = _instants(evidence)
+    starts, ends = evidence.instants
     origin = starts.min(initial=np.iinfo(np.int64).max)
     return np.asarray((starts - origin) * 1e-9), np.asarray((ends - origin) * 1e-9)
-
-
-def _instants(evidence: Evidence) -> tuple[Stamps, Stamps]:
-    spans = [(part.start, part.end) for part in evidence.parts]
-    spans += [link.move.span for link in evidence.used_moves.linked]
-    starts, ends = np.array(spans, dtype=np.int64).reshape(-1, 2).T
-    return starts, ends
 
 
 def seconds_of(evidence: Evidence, shape: float) -> float:
@@ -92,7 +85,7 @@ def seconds_of(evidence: Evidence, shape: float) -> float:
 
 def instant_of(evidence: Evidence, shape: float) -> int:
     """Return the instant at a fraction of the session, ns by the stamps: that of a step."""
-    return int(_instants(evidence)[0].min()) + round(1e9 * seconds_of(evidence, shape))
+    return int(evidence.instants[0].min()) + round(1e9 * seconds_of(evidence, shape))
 
 
 def courses(evidence: Evidence, course: Course, shape: float) -> Floats:
@@ -125,7 +118,7 @@ def rates(evidence: Evidence, course: Course, shape: float) -> Floats:
         share = _share_before(starts, ends, seconds_of(evidence, shape))
         return np.asarray(6 * share * (1 - share) / lasting)
     assert evidence.temperature is not None
-    first, last = _instants(evidence)
+    first, last = evidence.instants
     half = np.asarray((last - first) // 2, dtype=np.int64)
     early = evidence.temperature.over(first, first + half)
     late = evidence.temperature.over(first + half, last)
@@ -144,7 +137,7 @@ def temperatures(evidence: Evidence) -> Floats:
             'Term thermal: the session has no temperature (topic imu/temperature), so that its '
             'coefficients cannot be determined. Record one, or leave the term out (`terms`).'
         )
-    return evidence.temperature.over(*_instants(evidence))
+    return evidence.temperature.over(*evidence.instants)
 
 
 def reference(evidence: Evidence) -> float:
@@ -188,13 +181,21 @@ def columns(
         shape: As in `shapes`.
         along: `courses`; or `rates`, for slopes of the outputs within their segment, per s.
     """
+    known = {c: along(evidence, c, shape) for c in {change.course for change in changes}}
+    found = of_constants(changes, derivatives, parameters)
+    for k, change in enumerate(changes):
+        found[:, k] *= known[change.course][evidence.layout.segment]
+    return found
+
+
+def of_constants(
+    changes: Sequence[Change], derivatives: Floats, parameters: Sequence[Parameter]
+) -> Floats:
+    """Return `columns` as if the courses were one throughout."""
     found = np.zeros((len(derivatives), len(changes)))
     place = {p: k for k, p in enumerate(parameters)}
-    known = {c: along(evidence, c, shape) for c in {change.course for change in changes}}
     for k, change in enumerate(changes):
-        own = [place[p] for p in change.parameters]
-        course = known[change.course][evidence.layout.segment]
-        found[:, k] = course * derivatives[:, own].sum(axis=1)
+        found[:, k] = derivatives[:, [place[p] for p in change.parameters]].sum(axis=1)
     return found
 
 

@@ -27,13 +27,12 @@ from ..model.session_terms import LOOKED_FOR, Change, Course, session_term
 from ..model.terms import TERMS, Term
 from ..session.table_errors import TableErrors
 from .attitude_steps import AttitudeStep, possible_steps, step_errors
-from .changing import USEFUL_CHANGE, change_of
+from .changing import USEFUL_CHANGE
 from .components import whiten
 from .equations import Equations
 from .excess_scatter import ExcessScatter, excess
 from .information import Information, useful_limit, with_nominal_attitudes
-from .modulation import columns as modulated
-from .modulation import interrupted, shapes, warms
+from .modulation import courses, interrupted, of_constants, shapes, warms
 
 SEEN = 10.0
 """Standard deviations by which a coefficient of the largest useful size must move the outputs: a
@@ -160,18 +159,18 @@ def columns_of(
     Nominal attitudes are used: information in the last digits of an encoder is ignored.
     """
     ideal = replace(equations, evidence=with_nominal_attitudes(equations.evidence))
-    parameters = tuple(p for family in found for p in family.parameters)
+    # The same families are tested under several weights.
+    known: dict[Family, tuple[Pattern, ...]] = ideal.remembered('patterns', state, lambda *_: {})
+    missing = [family for family in found if family not in known]
+    parameters = tuple(p for family in missing for p in family.parameters)
     slopes = ideal.parameter_derivatives(state, (*parameters, *PARAMETERS))
-    result: dict[Family, tuple[Pattern, ...]] = {}
-    for family in found:
+    for family in missing:
         if family.course is not None:
-            base = slopes[:, len(parameters) :]
-            tried = shapes_of(family, equations).tolist()
-            result[family] = tuple(_changing(ideal, family, base, shape) for shape in tried)
+            known[family] = _changing(ideal, family, slopes[:, len(parameters) :])
         elif family.of_attitudes:
-            result[family] = _stepping(ideal, state, steps_of(ideal))
+            known[family] = _stepping(ideal, state, steps_of(ideal))
         elif family == ISOLATORS:
-            result[family] = _stepping(ideal, state, (AttitudeStep(0, None),))
+            known[family] = _stepping(ideal, state, (AttitudeStep(0, None),))
         elif family.term is None:
             table = equations.evidence.table
             stated = 0.0 if table is None else getattr(table.errors, family.name)
@@ -182,12 +181,12 @@ def columns_of(
                 else max(_LARGEST_TABLE_ERROR, _LARGEST_OVER_STATED * stated)
             )
             columns = family.freed(ideal, size, alone=True).table_error_effects(state)
-            result[family] = ((columns, np.full(columns.shape[1], size)),)
+            known[family] = ((columns, np.full(columns.shape[1], size)),)
         else:
             sizes = np.array([useful_limit(p) for p in family.parameters])
             places = indices_of(family.parameters, parameters)
-            result[family] = ((slopes[:, places] * sizes, sizes),)
-    return result
+            known[family] = ((slopes[:, places] * sizes, sizes),)
+    return {family: known[family] for family in found}
 
 
 def shapes_of(family: Family, equations: Equations) -> Floats:
@@ -217,18 +216,22 @@ def _stepping(
     return tuple((part, np.full(part.shape[1], _LARGEST_STEP)) for part in parts)
 
 
-def _changing(ideal: Equations, family: Family, derivatives: Floats, shape: float) -> Pattern:
-    """Return the pattern of a term of the session, (m, n) derivatives by the 24 parameters given.
+def _changing(ideal: Equations, family: Family, derivatives: Floats) -> tuple[Pattern, ...]:
+    """Return the patterns of a term of the session, by (m, n) derivatives by the 24 parameters.
 
     Scale factors that cannot be separated from it would depend on the last digits of the others:
     directions that no output shows are left out with them.
     """
-    there = replace(ideal, changes=family.changes, shape=shape)
-    columns = modulated(ideal.evidence, family.changes, derivatives, PARAMETERS, shape)
-    # All coefficients of a term have its course.
-    moved = change_of(there, family.changes[0])
-    sizes = [_largest(change) / moved for change in family.changes]
-    return columns * sizes, np.array(sizes)
+    assert family.course is not None
+    evidence = ideal.evidence
+    largest = np.array([_largest(change) for change in family.changes])
+    constant = of_constants(family.changes, derivatives, PARAMETERS) * largest
+    result = []
+    for shape in shapes(evidence, family.course).tolist():
+        course = courses(evidence, family.course, shape)
+        whole = np.ptp(course)
+        result.append((constant * (course / whole)[ideal.layout.segment, None], largest / whole))
+    return tuple(result)
 
 
 def _largest(change: Change) -> float:
@@ -406,37 +409,46 @@ class WhitenedResiduals:
             family.judged(self.equations), np.zeros(len(white) - len(every), dtype=bool)
         )
         freedom = float(judged.sum() - (self.basis[judged] ** 2).sum())
-        ends = np.cumsum([len(sizes) for _, sizes in patterns])[:-1]
-        return [
-            self._score(each, sizes, judged, freedom)
-            for each, (_, sizes) in zip(np.split(white, ends, axis=1), patterns, strict=True)
-        ]
+        widths = np.array([len(sizes) for _, sizes in patterns])
+        parts = np.split(white, np.cumsum(widths)[:-1], axis=1)
+        found: dict[int, Score] = {}
+        for width in np.unique(widths):
+            mine = np.flatnonzero(widths == width).tolist()
+            stacked = np.array([parts[k] for k in mine])
+            sizes = np.array([patterns[k][1] for k in mine])
+            found |= zip(mine, self._scores(stacked, sizes, judged, freedom), strict=True)
+        return [found[k] for k in range(len(patterns))]
 
-    def _score(
+    def _scores(
         self, white: Floats, sizes: Floats, judged: NDArray[np.bool_], freedom: float
-    ) -> Score:
-        """Test a family by whitened columns (m + 4, k) for coefficients of sizes (k,).
+    ) -> list[Score]:
+        """Test a family by p patterns: whitened (p, m + 4, k) columns for coefficients of (p, k).
 
         The outputs that are `judged` have the given degrees of freedom without the family.
         """
         directions, values, axes = np.linalg.svd(white, full_matrices=False)
         sound = values > SEEN
-        directions, values, axes = directions[:, sound], values[sound], axes[sound]
-        along = directions.T @ self.whitened
-        rest = (self.whitened - directions @ along)[judged]
-        freedom -= float((directions[judged] ** 2).sum())
-        scale = float(rest @ rest) / freedom if freedom >= 1 else 1.0
-        root = sizes[:, None] * axes.T / values
-        seen = (axes**2).sum(axis=0) > 1 - _WHOLE
-        return Score(
-            float(along @ along),
-            int(sound.sum()),
-            max(1.0, scale),
-            max(0.0, freedom),
-            sizes * (axes.T @ (along / values)),
-            np.where(seen, np.sqrt((root**2).sum(axis=1)), np.inf),
-            root @ root.T,
-        )
+        directions, axes = directions * sound[:, None], axes * sound[..., None]
+        inverse = np.where(sound, 1 / np.maximum(values, SEEN), 0.0)
+        along = self.whitened @ directions
+        rest = (self.whitened - (directions @ along[..., None])[..., 0])[:, judged]
+        left = freedom - (directions[:, judged] ** 2).sum(axis=(1, 2))
+        scale = np.where(left >= 1, (rest**2).sum(axis=1) / np.maximum(left, 1.0), 1.0)
+        root = sizes[..., None] * np.swapaxes(axes, 1, 2) * inverse[:, None]
+        seen = (axes**2).sum(axis=1) > 1 - _WHOLE
+        return [
+            Score(*each)
+            for each in zip(
+                (along**2).sum(axis=1).tolist(),
+                sound.sum(axis=1).tolist(),
+                np.maximum(1.0, scale).tolist(),
+                np.maximum(0.0, left).tolist(),
+                (root @ along[..., None])[..., 0],
+                np.where(seen, np.sqrt((root**2).sum(axis=2)), np.inf),
+                root @ np.swapaxes(root, 1, 2),
+                strict=True,
+            )
+        ]
 
 
 def most_significant(scores: Sequence[Score], tries: Sequence[int] = ()) -> Score:

@@ -46,14 +46,17 @@ def course_of_temperature() -> Temperature:
     return Temperature(21.5, 20.0, 22.0, points)
 
 
+def stamps(*every: SimpleNamespace) -> Any:
+    return np.array([(part.start, part.end) for part in every]).T
+
+
 def session(temperature: Temperature | None = None) -> Any:
     first, second, turn, move = (
         SimpleNamespace(start=EPOCH + round(a * NS), end=EPOCH + round(b * NS)) for a, b in PARTS
     )
-    move.span = move.start, move.end
     return SimpleNamespace(
         parts=[first, second, turn],
-        used_moves=SimpleNamespace(linked=[SimpleNamespace(move=move)]),
+        instants=stamps(first, second, turn, move),
         layout=SimpleNamespace(segment=np.array([0, 1, 1, 2, 3])),
         temperature=temperature,
         interruptions=(),
@@ -128,7 +131,9 @@ def test_a_step_is_tried_where_parts_begin_and_in_their_middle() -> None:
     held = session()
     # Two dwells or turns lie before it, and two after.
     assert not len(shapes(held, Course.STEP))
-    held.parts.append(SimpleNamespace(start=EPOCH + 120 * NS, end=EPOCH + 132 * NS))
+    last = SimpleNamespace(start=EPOCH + 120 * NS, end=EPOCH + 132 * NS)
+    held.parts.append(last)
+    held.instants = np.insert(held.instants, 3, stamps(last).T, axis=1)
     assert (shapes(held, Course.STEP) * 132.0).tolist() == pytest.approx([100.0])
     assert not interrupted(held).any()
     # A stream that was silent from the 91st second to the 99th, and one before the session.

@@ -53,8 +53,8 @@ def searched(
     """A search by 24 parameters, all known to the same deviation."""
     covariance = std**2 * np.eye(30)
     begin = 1_700_000_000 * 10**9
-    whole = SimpleNamespace(start=begin, end=begin + 120 * 10**9)
-    evidence = SimpleNamespace(table=table, parts=[whole], used_moves=SimpleNamespace(linked=[]))
+    whole = np.array([[begin], [begin + 120 * 10**9]])
+    evidence = SimpleNamespace(table=table, instants=whole)
     equations = SimpleNamespace(parameters=PARAMETERS, sensors=24, evidence=evidence, shape=0.5)
     return SimpleNamespace(
         broken_off=False,
