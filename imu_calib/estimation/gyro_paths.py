@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -315,13 +316,20 @@ def by_places(increments: Sequence[VelocityIncrement]) -> Floats:
     # The response P_i of accelerometer i alone is a column of (I + M)^-1 times a row of I + M.
     rows = increments[0].model.accel.response
     columns = np.linalg.inv(rows)
-    found = np.zeros((len(axes), 3, 3, 3))
-    for w in (np.einsum('ijk,nk->nij', _CROSS, each) for each in (rates, change)):
-        read = rows @ w
-        found += (axes @ w @ columns)[..., None] * read[:, None]
-        found -= (axes @ columns)[..., None] * (read @ w)[:, None]
-    found *= seconds[:, None, None, None]
-    return np.add.reduceat(found, starts).reshape(len(starts), 3, 9)
+    both = np.stack([rates, change])
+    # P_i [w] and P_i [w] [w], row by row.
+    read = cross(rows, both[:, :, None])
+    square = (both**2).sum(axis=(0, 2))[:, None, None]
+    twice = ((both @ rows.T)[..., None] * both[:, :, None]).sum(axis=0) - square * rows
+    timed = axes * seconds[:, None, None]
+    turning = timed @ np.tensordot(both, GENERATORS @ columns, axes=1)
+    left = np.concatenate([turning, -(timed @ columns)[None]])
+    right = np.concatenate([read, twice[None]])
+    found = np.empty((len(starts), 3, 3, 3))
+    for k, (first, end) in enumerate(pairwise([*starts.tolist(), len(seconds)])):
+        of_left, of_right = (x[:, first:end].reshape(-1, 3, 3) for x in (left, right))
+        found[k] = np.swapaxes(of_left.transpose(2, 1, 0) @ of_right.transpose(1, 0, 2), 0, 1)
+    return found.reshape(-1, 3, 9)
 
 
 def _all_steps(

@@ -100,9 +100,9 @@ def hold_errors(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Attit
 
 
 def around(angles: Floats, joint: int) -> Floats:
-    """Return the joint angles (8, k) at equal steps of a turn of one joint, from (k,) rad on."""
-    steps = np.repeat(angles[None], _HEADINGS, axis=0)
-    steps[:, joint] += TURN / _HEADINGS * np.arange(_HEADINGS)
+    """Return joint angles (..., 8, k) at equal steps of a turn of one joint, from (..., k) rad."""
+    steps = np.repeat(angles[..., None, :], _HEADINGS, axis=-2)
+    steps[..., joint] += TURN / _HEADINGS * np.arange(_HEADINGS)
     return steps
 
 
@@ -113,11 +113,10 @@ def axes_of(table: Table, joint: int, angles: Floats, turns: tuple[Turn, ...]) -
     """
     about = np.array(table.joint_axis(joint, angles), dtype=float)
     first = len(angles) - len(turns)
-    for k, turn in enumerate(turns, start=first):
-        if turn.joint == joint:
-            about[k] = 0.0
-        elif turn.joint is not None:
-            about[k] = table.joint_axis(joint, around(angles[k], turn.joint)).mean(axis=0)
+    for turning in {turn.joint for turn in turns if turn.joint is not None}:
+        mine = first + np.flatnonzero([turn.joint == turning for turn in turns])
+        means = table.joint_axis(joint, around(angles[mine], turning)).mean(axis=1)
+        about[mine] = 0.0 if turning == joint else means
     return about
 
 
