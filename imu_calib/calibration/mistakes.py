@@ -10,15 +10,15 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import reduce
 from itertools import combinations
 from typing import TypeVar
 
 import numpy as np
 
 from ..common.errors import Contradiction, InputError, NotObservable
-from ..common.rotations import angle_between, rotations
+from ..common.rotations import angle_between, rotations_last
 from ..common.stream import Floats
+from ..estimation.gyro_paths import propagated
 from ..segmentation.segmented import Move, Segmented
 from ..segmentation.segments import Segment
 from ..segmentation.stream_facts import gravity_removed, reads_gravity, separate_messages_sentence
@@ -217,7 +217,9 @@ def _with_reversed(table: Table, joints: Sequence[int]) -> Table:
 
 def _turned(move: Move, bias: Floats) -> Floats:
     """Return the rotation of a move by gyros with (3,) biases: its end from its start, (3, 3)."""
-    return np.asarray(reduce(np.matmul, rotations(move.turned - move.seconds[:, None] * bias)))
+    back = rotations_last(move.seconds[:, None] * bias - move.turned)
+    (whole,), _ = propagated(back, [len(move.seconds)])
+    return np.asarray(whole.T)
 
 
 def _joints_over_rotation(move: Move, first: Segment, last: Segment) -> tuple[float, float]:

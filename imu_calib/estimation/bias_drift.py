@@ -5,7 +5,7 @@ Source: docs/mathematics.md, 'Joint estimate'.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ class BiasDrift:
     weights: Floats  #: (k, 8) weights of the nodes of that segment.
     #: (k, 3, 3) responses of three outputs to three biases, for each mean or slope.
     responses: Floats
+    known: dict[float, Floats] = field(default_factory=dict)  #: Results of `one_channel`.
 
     @classmethod
     def over(
@@ -108,6 +109,8 @@ class BiasDrift:
         From one segment to a later one the process decays with the time between them: the kernel is
         a product of a factor of each segment and one of that time.
         """
+        if time in self.known:
+            return self.known[time]
         nodes, weights = self.nodes[self.segment], self.weights
         first, last = nodes[:, 0], nodes[:, -1]
         until = (weights * np.exp((nodes - last[:, None]) / time)).sum(axis=1)
@@ -122,7 +125,8 @@ class BiasDrift:
         found[one, other] = np.einsum(
             'ki,kij,kj->k', weights[one], np.exp(-apart / time), weights[other]
         )
-        return np.asarray(found)
+        self.known[time] = found
+        return found
 
 
 def _columns(each: Floats) -> Floats:

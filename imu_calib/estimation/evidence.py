@@ -36,9 +36,9 @@ table and less than half of the 45 deg to the next attitude of any plan."""
 _CACHED = 30
 """Results kept in `Evidence.state_cache`: ten at each of three states, that of the last step and
 two from which the next fits start."""
-_WEIGHED = 6
+_WEIGHED = 12
 """Results kept in `Evidence.cached_results`: covariance, and equations whitened by it, of two
-solutions used alternately and of the last step."""
+solutions used alternately and of the steps from one to the other."""
 _OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms', 'rest_to_rest_rates'}
 """Cached properties of `Evidence` that depend on dwells and turns alone."""
 _OF_ATTITUDES = _OF_DWELLS | {

@@ -323,7 +323,9 @@ def _triads(plain: Equations, state: Floats, hidden: float, in_motion: Floats) -
     jacobian, residuals = plain.jacobian(state), plain.outputs - plain.predict(state)
     positioning = [math.sqrt(hidden) * one for one in plain.positioning_error_effects(state)]
     ends = _ends_of_motions(plain.evidence)
-    motions = (np.diag(math.sqrt(v) * one) for v, one in zip(in_motion, ends, strict=True))
+    motions = (
+        math.sqrt(v) * np.diag(one)[:, one > 0] for v, one in zip(in_motion, ends, strict=True)
+    )
     common = (*positioning, *motions)
     parts = (jacobian, residuals, plain.slopes(state), plain.covariance(state), common)
     return [_triad(plain, first, parts, state) for first in (0, 3)]
@@ -344,6 +346,8 @@ def _triad(
     slopes = _Slopes.from_segments(segments, rising[rows].reshape(-1, 3), evidence.walk, first)
     biases = np.array(indices_of(BIASES[first : first + 3], equations.parameters))
     drift = _bias_drift([*segments, *moves], slopes.used, jacobian[np.ix_(rows, biases)])
+    # Solutions of a session differ in the responses alone.
+    drift = replace(drift, known=evidence.cache.setdefault(('drift kernels', first), {}))
     project, z = restricted(
         jacobian[np.ix_(rows, seen)],
         residuals[rows],

@@ -77,6 +77,14 @@ class OutputLayout:
         return np.concatenate([part.ravel() for part in parts])
 
     @cached_property
+    def _turns_with_accels(self) -> Indices:
+        return np.array(self.turns_with_accels, dtype=np.intp)
+
+    @cached_property
+    def _moves_with_accels(self) -> Indices:
+        return np.array(self.moves_with_accels, dtype=np.intp)
+
+    @cached_property
     def channels(self) -> Indices:
         """Channel of each output, 0 to 5; an axis of a move counts as one."""
         result = np.empty(len(self), dtype=np.intp)
@@ -93,10 +101,8 @@ class OutputLayout:
         result[self.turn] = self.dwells + np.arange(self.turns)[:, None]
         moves = self.dwells + self.turns + np.arange(self.moves)[:, None]
         result[self.move] = moves
-        result[self.turn_accels] = (
-            self.dwells + np.array(self.turns_with_accels, dtype=np.intp)[:, None]
-        )
-        result[self.velocity] = moves[list(self.moves_with_accels)]
+        result[self.turn_accels] = self.dwells + self._turns_with_accels[:, None]
+        result[self.velocity] = moves[self._moves_with_accels]
         return result
 
     def joined(self, dwell: Floats, turn: Floats, move: Floats) -> Floats:
@@ -109,7 +115,7 @@ class OutputLayout:
             (dwell, self.dwell),
             (turn[:, :3], self.turn),
             (move[:, :3], self.move),
-            (turn[list(self.turns_with_accels), 3:], self.turn_accels),
-            (move[list(self.moves_with_accels), 3:], self.velocity),
+            (turn[self._turns_with_accels, 3:], self.turn_accels),
+            (move[self._moves_with_accels, 3:], self.velocity),
         )
         return np.concatenate([part.reshape(at.size, *dwell.shape[2:]) for part, at in parts])

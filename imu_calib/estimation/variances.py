@@ -316,7 +316,8 @@ class _Point:
                 return cls(logs, -np.inf, slope, curvature, ())
             likelihood -= float(np.log(np.diag(root)).sum())
             inverse = scipy.linalg.lapack.dpotri(root, lower=1, overwrite_c=1)[0]
-            inverse += np.tril(inverse, -1).T
+            inverse += inverse.T
+            inverse[np.diag_indices_from(inverse)] /= 2
             pulled = inverse @ left
             weighted.append((inverse, pulled))
             likelihood -= 0.5 * float(left @ pulled)

@@ -52,8 +52,9 @@ def session_noise(statistics: Sequence[Statistics], walk: Floats) -> dict[str, C
     """
     with_sums = [s for s in statistics if s.allan is not None and len(s.allan.counts)]
     found = {}
+    sums = pooled([s.allan for s in with_sums if s.allan is not None]) if with_sums else None
     for c, name in enumerate(CHANNELS):
-        points = _points(with_sums, c, float(walk[c])) if with_sums else None
+        points = None if sums is None else _points(with_sums, sums, c, float(walk[c]))
         if points is not None:
             count = int(points.usable.sum())
             found[name] = fit(points, _distinguishable(count, counter=points.pulse > 0)).noise
@@ -74,8 +75,9 @@ class AllanPoints:
     timed: bool = False  #: See `ChannelNoise`.
 
 
-def _points(statistics: Sequence[Statistics], channel: int, walk: float) -> AllanPoints | None:
-    sums = pooled([s.allan for s in statistics if s.allan is not None])
+def _points(
+    statistics: Sequence[Statistics], sums: AllanSums, channel: int, walk: float
+) -> AllanPoints | None:
     variance = sums.variance[:, channel]
     pulse = float(statistics[0].pulse[channel])
     if not variance.any():
