@@ -273,7 +273,7 @@ def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> SearchResu
     unobservable: list[UnobservableFamily] = []
     broken_off = False
     search: SearchResult | None = None
-    rival: _Rival | None = None
+    rivals: list[_Rival] = []
     while find_terms and noisy and search is None:
         try:
             found = _found_families(start, first, rejected)
@@ -288,7 +288,7 @@ def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> SearchResu
             rejected.add(found[-1].family)
             continue
         kept = _confirmed(start, first, trial, found)
-        rival = _rival(first, trial, found, kept) or rival
+        rivals += _rival(first, trial, found, kept)
         if len(kept) < len(found):
             rejected |= {one.family for one in found} - {one.family for one in kept}
         elif costly := _without_use(start, trial, kept):
@@ -302,7 +302,7 @@ def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> SearchResu
         search = _search_of(first, (), first, weigh_drifts=find_terms and noisy)
     if broken_off or unobservable:
         search = replace(search, broken_off=broken_off, unobservable=tuple(unobservable))
-    return search if rival is None else _with_rival(search, rival)
+    return _with_rivals(search, rivals)
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +310,7 @@ class _Rival:
     """An estimate that explains a session nearly as well as the one that is chosen."""
 
     estimate: Estimate
-    probability: float
+    odds: float  #: Its probability over that of the one chosen.
     step: SignificantFamily | None  #: The step of the attitudes that is on in it.
 
 
@@ -319,39 +319,38 @@ def _rival(
     trial: Estimate,
     found: Sequence[SignificantFamily],
     kept: Sequence[SignificantFamily],
-) -> _Rival | None:
-    """Return families that are nearly as likely as the outliers preferred to them."""
+) -> list[_Rival]:
+    """Return families that are nearly as likely as the outliers preferred to them, if any."""
     if len(kept) == len(found) or not any(one.against_outliers for one in found):
-        return None
-    apart = _ahead_of_outliers(first, trial, found)
-    if abs(apart) >= _APART:
-        return None
-    chance = float(scipy.special.expit(-abs(apart) / 2))
-    return _Rival(trial, chance, next((one for one in found if one.steps), None))
+        return []
+    apart = abs(_ahead_of_outliers(first, trial, found))
+    if apart >= _APART:
+        return []
+    step = next((one for one in found if one.steps), None)
+    return [_Rival(trial, float(np.exp(-apart / 2)), step)]
 
 
-def _with_rival(search: SearchResult, rival: _Rival) -> SearchResult:
-    """Return a search whose covariance allows for a rival."""
-    here, there = search.estimate, rival.estimate
-    if here is there:
-        return search
-    mine, other = here.equations.parameters, there.equations.parameters
-    common = [k for k, p in enumerate(mine) if p in other]
-    off = np.zeros(len(mine))
-    places = indices_of([mine[k] for k in common], other)
-    off[common] = there.state[places] - here.state[common]
-    more = rival.probability * np.outer(off, off)
-    possible = search.possible_step
-    if rival.step is not None:
-        std = np.sqrt(np.diag(here.covariance)[: len(mine)])
-        moved = tuple(p for p, yes in zip(mine, _widened(more, std), strict=True) if yes)
-        step, size = rival.step.steps[0], rival.step.seen
-        possible = PossibleStep(step, size, rival.probability, moved) if moved else possible
-    return replace(
-        search,
-        undecided_covariance=search.undecided_covariance + more,
-        possible_step=possible,
-    )
+def _with_rivals(search: SearchResult, rivals: Sequence[_Rival]) -> SearchResult:
+    """Return a search whose covariance allows for its rivals."""
+    here = search.estimate
+    mine = here.equations.parameters
+    every = 1 + sum(rival.odds for rival in rivals)
+    undecided_covariance, possible = search.undecided_covariance, search.possible_step
+    for rival in (one for one in rivals if one.estimate is not here):
+        there, probability = rival.estimate, rival.odds / every
+        other = there.equations.parameters
+        common = [k for k, p in enumerate(mine) if p in other]
+        off = np.zeros(len(mine))
+        places = indices_of([mine[k] for k in common], other)
+        off[common] = there.state[places] - here.state[common]
+        more = probability * np.outer(off, off)
+        undecided_covariance = undecided_covariance + more
+        if rival.step is not None:
+            std = np.sqrt(np.diag(here.covariance)[: len(mine)])
+            moved = tuple(p for p, yes in zip(mine, _widened(more, std), strict=True) if yes)
+            step, size = rival.step.steps[0], rival.step.seen
+            possible = PossibleStep(step, size, probability, moved) if moved else possible
+    return replace(search, undecided_covariance=undecided_covariance, possible_step=possible)
 
 
 def _widened(more: Floats, std: Floats) -> NDArray[np.bool_]:
