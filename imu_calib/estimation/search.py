@@ -302,7 +302,7 @@ def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> SearchResu
         search = _search_of(first, (), first, weigh_drifts=find_terms and noisy)
     if broken_off or unobservable:
         search = replace(search, broken_off=broken_off, unobservable=tuple(unobservable))
-    return _with_rivals(search, rivals)
+    return _with_rivals(search, rivals) if rivals else search
 
 
 @dataclass(frozen=True, eq=False)
