@@ -419,7 +419,7 @@ units. What a session cannot show is in [limits.md](limits.md). Not honest yet:
   one parameter 680 times in one session, and zero samples 75 times in one
 - single samples that repeat the one before, 0.1 % of them, are seen among noise, and else while
   a joint speeds up or slows down: those that a counter of a medium unit repeats at rest are not,
-  and its K_a is known up to 15 times worse, with a scatter named that is none. No parameter is off
+  and its K_a is known up to 25 times worse, with a scatter named that is none. No parameter is off
   by more than 4.2 standard deviations
 - stamps slewed for more than a quarter of the session, or while a crystal warms up: what is stamped
   at another pace is left out and named, and the session refused if that is much (for a fifth, by 50

@@ -250,7 +250,8 @@ def _same_samples(calibration: Calibration, session: Segmented, random_walk: Flo
         spans = ((first, origin['duration']), (began, session.duration))
         ends = [start + timedelta(seconds=seconds) for start, seconds in spans]
         return max(first, began) + timedelta(seconds=1) < min(ends)
-    if np.isin(session.facts.marks, origin.get('marks') or ()).any():
+    # One alone may be by chance, of coarse codes.
+    if np.isin(session.facts.marks, origin.get('marks') or ()).sum() > 1:
         return True
     walk = np.array(origin.get('random_walk', [np.nan] * 6), float)
     facts = {'recorded': None, 'duration': session.duration}
