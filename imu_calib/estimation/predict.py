@@ -80,7 +80,6 @@ def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = N
 
 def duration_alone(seconds: float) -> Statistics:
     """Return statistics that hold the duration alone, s."""
-    nothing = np.full(6, np.nan)
     return Statistics(
         samples=0,
         missing=0,
@@ -90,8 +89,7 @@ def duration_alone(seconds: float) -> Statistics:
         quantisation_variance=np.zeros(6),
         end_points=np.zeros(6),
         blocks=tuple(np.empty((0, 4)) for _ in range(6)),
-        drift=nothing,
-        drift_std=nothing,
+        drift=np.full(6, np.nan),
     )
 
 

@@ -312,9 +312,7 @@ class Statistics:
     #: Per channel (b, 4): mean, walk gain, quantisation variance of blocks of 10 s or more, and the
     #: middle of each, s after the segment began.
     blocks: tuple[Floats, ...]
-    drift: Floats  #: (6,) slope of the block means, rad/s^2 and m/s^3.
-    #: (6,) its standard deviation by the scatter of the blocks; NaN below 4 blocks.
-    drift_std: Floats
+    drift: Floats  #: (6,) slope of the block means, rad/s^2 and m/s^3; NaN below 4 blocks.
     #: (6,) size of one pulse, rad and m/s; 0 where the values are not whole pulses.
     pulse: Floats = field(default_factory=lambda: np.zeros(6))
     allan: AllanSums | None = None  #: Sums for the Allan variance; None where not computed.

@@ -164,7 +164,6 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
     best = [_combine([row[c][0] for row in found], walk[c]) for c in range(6)]
     starts = [float(part.stamp[0] - parts[0].stamp[0]) * 1e-9 for part in parts]
     blocks = tuple(_joined(starts, [row[c][1] for row in found]) for c in range(6))
-    drift, drift_std = _drifts(blocks)
     return Statistics(
         samples=used,
         missing=max(0, span - used) + samples.lost,
@@ -174,8 +173,7 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
         quantisation_variance=np.array([m.quantisation_variance for m in best]) + gap_variance,
         end_points=samples.increments.sum(axis=0) / (used * samples.period),
         blocks=blocks,
-        drift=drift,
-        drift_std=drift_std,
+        drift=_drifts(blocks),
         pulse=samples.pulse,
         allan=allan_sums([part.increments for part in parts], samples.period),
         timing=samples.timing,
@@ -227,7 +225,6 @@ def statistics_between(samples: Samples, first: float, last: float, walk: Floats
         end_points=mean,
         blocks=empty,
         drift=np.full(6, np.nan),
-        drift_std=np.full(6, np.nan),
         timing=samples.timing,
     )
 
@@ -323,18 +320,14 @@ def _joined(starts: list[float], blocks: list[_Blocks]) -> Floats:
     return np.array(rows).reshape(-1, 4)
 
 
-def _drifts(blocks: tuple[Floats, ...]) -> tuple[Floats, Floats]:
-    """Fit a line through the block means: slopes and their standard deviations, per second."""
-    slopes, deviations = np.full(6, np.nan), np.full(6, np.nan)
+def _drifts(blocks: tuple[Floats, ...]) -> Floats:
+    """Return the slopes of the lines through block means, (6,) per second."""
+    slopes = np.full(6, np.nan)
     for c, (rates, middles) in enumerate((b[:, 0], b[:, 3]) for b in blocks):
-        n = len(rates)
-        if n < _MINIMUM_BLOCKS:
-            continue
-        centred = middles - middles.mean()
-        slopes[c] = rates @ centred / (centred @ centred)
-        residuals = rates - rates.mean() - slopes[c] * centred
-        deviations[c] = np.sqrt(residuals @ residuals / (n - 2) / (centred @ centred))
-    return slopes, deviations
+        if len(rates) >= _MINIMUM_BLOCKS:
+            centred = middles - middles.mean()
+            slopes[c] = rates @ centred / (centred @ centred)
+    return slopes
 
 
 @dataclass(frozen=True, eq=False)

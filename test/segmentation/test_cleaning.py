@@ -278,7 +278,7 @@ def statistics(rows: Floats, channel: int = 0) -> Statistics:
     flat = rows.copy()
     flat[:, 0] = 0.0
     blocks = tuple(rows if c == channel else flat for c in range(6))
-    return Statistics(1, 0, 1.0, NONE, NONE, NONE, NONE, blocks, NONE, NONE)
+    return Statistics(1, 0, 1.0, NONE, NONE, NONE, NONE, blocks, NONE)
 
 
 def blocks_of(means: Sequence[float], gain: float = 0.1, rounding: float = 0.0) -> Floats:
@@ -361,7 +361,7 @@ def test_the_channel_with_the_clearest_step_is_named():
     step = blocks_of([0, 0, 0, 1, 1, 1])
     rows = list(statistics(step).blocks)
     rows[4] = blocks_of([0, 0, 2, 2, 2, 2])
-    many = Statistics(1, 0, 1.0, NONE, NONE, NONE, NONE, tuple(rows), NONE, NONE)
+    many = Statistics(1, 0, 1.0, NONE, NONE, NONE, NONE, tuple(rows), NONE)
     found = find_step(many, np.full(6, 0.01))
     assert found[0] == pytest.approx((10.0, 30.0))
     assert found[1].startswith('the mean of ay')

@@ -258,7 +258,7 @@ def blocks(means: list[float], middles: list[float], gain: float = 0.1) -> Stati
     """Statistics whose blocks of all channels have these means."""
     row = np.array([[m, gain, 0.0, t] for m, t in zip(means, middles, strict=True)])
     zeros = np.zeros(6)
-    return Statistics(1, 0, 1.0, zeros, zeros, zeros, zeros, (row,) * 6, zeros, zeros)
+    return Statistics(1, 0, 1.0, zeros, zeros, zeros, zeros, (row,) * 6, zeros)
 
 
 @pytest.mark.parametrize('count', [2, 3, 12])

@@ -24,12 +24,10 @@ SECOND = 1_000_000_000
 
 def statistics(mean: Floats, seconds: float) -> Statistics:
     """What unquantised samples with a random walk give."""
-    nothing = np.full(6, np.nan)
     gain = np.full(6, 1 / seconds)
     blocks = tuple(np.empty((0, 4)) for _ in range(6))
-    return Statistics(
-        int(seconds * 100), 0, seconds, mean, gain, np.zeros(6), mean, blocks, nothing, nothing
-    )
+    drift = np.full(6, np.nan)
+    return Statistics(int(seconds * 100), 0, seconds, mean, gain, np.zeros(6), mean, blocks, drift)
 
 
 def evidence_of(

@@ -24,7 +24,6 @@ def mean_of(outputs: Floats, duration: float = 100.0) -> Statistics:
         end_points=np.asarray(outputs, dtype=float),
         blocks=tuple(np.empty((0, 4)) for _ in range(6)),
         drift=np.full(6, np.nan),
-        drift_std=np.full(6, np.nan),
     )
 
 
