@@ -21,7 +21,7 @@ from imu_calib.session.table import load_table
 
 TABLE = load_table('three_axis')
 SMALL = 1e-6
-STATISTICS = Statistics(1, 0, 1.0, *(np.zeros(6) for _ in range(4)), (), np.zeros(6), np.zeros(6))
+STATISTICS = Statistics(1, 0, 1.0, *(np.zeros(6) for _ in range(4)), (), np.zeros(6))
 
 
 def rest(start: int, *degrees: float) -> Segment:

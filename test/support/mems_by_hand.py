@@ -70,7 +70,7 @@ def held(
         rate, force = model.predict(np.zeros(3), up * SITE.gravity)
         gyro, accel = rate + at_rest * rng.standard_normal(3), force + 1e-3 * rng.standard_normal(3)
         mean, start = np.concatenate([gyro, accel]), 2_000_000_000 * k
-        seen = Statistics(100, 0, 1.0, mean, gain, none, mean, (), none, none)
+        seen = Statistics(100, 0, 1.0, mean, gain, none, mean, (), none)
         holds.append(Segment(start, start + 1_000_000_000, seen, np.eye(3), str(k + 1)))
         if k + 1 == len(ups):
             continue
