@@ -368,7 +368,8 @@ def _on_all_axes(rows: _PlacedRows, triad: int, limits: _Limits) -> NDArray[np.i
     # Most sound rows of one number are like those beside them.
     jumps = any_in_row(np.abs(values[first] - values[first - 1]) > limits.least[channels])
     jumps |= any_in_row(np.abs(values[last] - values[(last + 1) % len(x)]) > limits.least[channels])
-    short = lengths <= _LONGEST
+    # A motion may begin or end as near to an end of the stream as a longer run.
+    short = lengths <= np.where((first == 0) | (last == len(x) - 1), _SUCCESSION, _LONGEST)
     if not (short & jumps).any():
         return np.empty(0, dtype=np.intp)
     others = np.ones(len(x), dtype=bool)
@@ -534,13 +535,15 @@ def _ratios(
 ) -> _Ratios:
     """Compare (m,) of the rows with others around, in the channels of one triad or both.
 
-    Rows that are not beyond both neighbours by the least limit are not looked at closer.
+    Rows that are not beyond both neighbours by the least limit are not looked at closer. At the
+    ends of a stream two on one side are its neighbours.
     """
     values = rows.values[:, channels]
     found = _Ratios(*np.zeros((2, len(asked), values.shape[1])))
     after = np.searchsorted(others, asked)
-    some = np.flatnonzero((after >= _FEWEST) & (after <= len(others) - _FEWEST))
-    first, own, last = others[after[some] - 1], asked[some], others[after[some]]
+    some = np.arange(len(asked) if len(others) >= 2 * _FEWEST else 0)
+    before, behind = np.where(after > 0, after - 1, 1), np.where(after < len(others), after, -2)
+    first, own, last = others[before[some]], asked[some], others[behind[some]]
     silence = np.maximum(rows.stamp[own] - rows.stamp[first], rows.stamp[last] - rows.stamp[own])
     beyond = _beyond(values[first], values[own], values[last])
     some = some[any_in_row(beyond > limits.least[channels]) & (silence < INTERRUPTION)]
@@ -551,12 +554,13 @@ def _ratios(
         scale = np.maximum(_roughness(around, near), limits.step)
         if not limits.step:
             scale = np.maximum(scale, _step(around, near, values[own], limits.coarsest[channels]))
-        enough = near[:, _BESIDE - _FEWEST] & near[:, _BESIDE + _FEWEST - 1]
+        enough = near[:, _BESIDE - _FEWEST] | (k < _FEWEST)
+        enough &= near[:, _BESIDE + _FEWEST - 1] | (k > len(others) - _FEWEST)
         scale[~enough] = np.inf
-        first, last = others[k - 1], others[k]
+        first, last = others[before[part]], others[behind[part]]
         found.beyond[part] = _beyond(values[first], values[own], values[last]) / scale
-        before, after_it = (own - first)[:, None], (last - own)[:, None]
-        line = (values[first] * after_it + values[last] * before) / (before + after_it)
+        since, until = np.abs(own - first)[:, None], np.abs(last - own)[:, None]
+        line = (values[first] * until + values[last] * since) / (since + until)
         found.off[part] = np.abs(values[own] - line) / scale
     return found
 

@@ -287,6 +287,13 @@ def test_the_result_does_not_depend_on_blocks(units):
     assert min(cut.found.on_all_axes, cut.found.repeats, cut.found.spikes) > 50
 
 
+@pytest.mark.parametrize('where', [0, 1, 3, -1, -2, -4, slice(-2, None), slice(0, 2)])
+def test_failed_reads_at_the_ends_of_a_stream_are_seen(where):
+    values = noise(4)
+    values[where] = 0
+    assert passed(values, Units.COUNTS).on_all_axes == len(values[where].reshape(-1, 6))
+
+
 def test_runs_of_up_to_eight_are_false_and_longer_ones_frozen():
     for length, count in ((1, 1), (2, 2), (8, 8), (9, 0), (50, 0)):
         values = np.random.default_rng(length).normal([0, 0, 0, 10, 500, 2000], 3.0, (400, 6))
