@@ -236,13 +236,13 @@ def add_calibrate_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--budget',
         action='store_true',
-        help='show the sources of the uncertainty of each parameter; with --verbose what they are',
+        help='show the sources of each uncertainty; with --verbose what they are',
     )
     parser.add_argument(
         '--specification',
         action='store_true',
-        help="exit code 3 where a parameter is outside the specification in the IMU's file, its "
-        'uncertainty considered; the verdict is printed without it, too',
+        help="exit code 3 outside the specification: that in the IMU's file, uncertainties "
+        'considered; the verdict is printed without it, too',
     )
     add_json_option(parser)
     add_verbose_option(parser)
@@ -278,15 +278,13 @@ _FILTERS = {
     'kalibr': 'imu.yaml of Kalibr',
     'openvins': 'kalibr_imu_chain.yaml of OpenVINS',
     'vins': 'noise of the configuration of VINS-Fusion',
-    'robot_localization': 'covariances of the messages that robot_localization takes',
+    'robot_localization': 'covariances that robot_localization takes',
 }
 
 
 def add_noise_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument(
-        'bag', help='recording of a unit that lies still for hours, a URL of one, or a text file'
-    )
+    parser.add_argument('bag', help='recording of hours at rest (or a URL of one, or a text file)')
     options.add_statements(parser, Columned)
     parser.add_argument(
         '--full-overlap',
@@ -383,7 +381,7 @@ def add_verify_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--another-unit',
         action='store_true',
-        help='compare even if calibration and recording name different units',
+        help='compare even if calibration and bag differ: in the units that they name',
     )
     add_json_option(parser)
     add_verbose_option(parser)

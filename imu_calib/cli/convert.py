@@ -71,8 +71,8 @@ def add_compensate_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--output-topic',
         metavar='TOPIC',
-        help='default: imu/data_raw for imu/pulses, '
-        'imu/data_calibrated for imu/data_raw and imu/data',
+        help='topic of the result (default: imu/data_raw for imu/pulses, '
+        'imu/data_calibrated for imu/data_raw and imu/data)',
     )
     parser.add_argument('--frame-id', default='', metavar='FRAME', help="default: the input's own")
     parser.add_argument('--keep', action='store_true', help='write the raw stream as well')

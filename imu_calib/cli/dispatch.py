@@ -12,7 +12,7 @@ from copy import copy
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
-from textwrap import fill, shorten
+from textwrap import fill
 from typing import Any, NoReturn
 
 from ..common.errors import ImuCalibError, InputError
@@ -163,13 +163,11 @@ _MISSING = 'the following arguments are required: '  #: As argparse begins its m
 
 
 def _in_a_line(action: argparse.Action, formatter: argparse.HelpFormatter) -> argparse.Action:
-    """Return an option whose help is cut after its first part where it does not fit a line."""
+    """Return an option with the first part of its help where all of it does not fit a line."""
     shown = copy(action)
     text = formatter._expand_help(action) if action.help else ''
-    width = formatter._width - _NAME_WIDTH
-    if len(text) > width:
+    if len(text) > formatter._width - _NAME_WIDTH:
         text = _PART.match(text)[0]  # type: ignore[index]
-    text = shorten(text, width, placeholder=' ...')
     shown.help = text.replace('%', '%%')
     return shown
 

@@ -42,7 +42,7 @@ def add_report_options(parser: argparse.ArgumentParser) -> None:
         '-o',
         '--output',
         metavar='FILE',
-        help=f'default: {_FILE}, which is not overwritten; a file that is named here is',
+        help=f'default: {_FILE} (not overwritten; a file that is named here is)',
     )
     add_json_option(parser)
     parser.epilog = EXIT_CODES
@@ -92,12 +92,12 @@ def add_certificate_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--imu',
         metavar='NAME|FILE',
-        help="the unit's file with its specification, for statements of conformity",
+        help="the unit's file with its specification: for statements of conformity",
     )
     parser.add_argument(
         '--draft',
         action='store_true',
-        help='leave gaps where something is missing, and mark every page as a draft',
+        help='leave gaps where something is missing; mark every page as a draft',
     )
     parser.add_argument(
         '-o',

@@ -53,7 +53,7 @@ def add_batch_options(parser: argparse.ArgumentParser) -> None:
         'sources',
         nargs='+',
         metavar='SOURCE',
-        help='recordings, folders of some, patterns, manifests (.csv, .yaml), URLs (s3://...)',
+        help='recordings: folders of some, patterns, manifests (.csv, .yaml), URLs (s3://...)',
     )
     parser.add_argument(
         '-o',
@@ -171,7 +171,7 @@ def add_fleet_options(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=AHEAD,
         metavar='DAYS',
-        help='how many days ahead the page announces a recalibration (default: %(default)g)',
+        help='announce recalibrations so many days ahead (default: %(default)g)',
     )
 
 
@@ -215,7 +215,7 @@ def add_catalogue_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--columns',
         metavar='NAME,NAME',
-        help='columns in their order, * for all in a file, or for their names on the screen '
+        help='columns in their order: * for all in a file, or for their names on the screen '
         f'(default: {",".join(_SHOWN)})',
     )
     parser.add_argument(
@@ -225,7 +225,7 @@ def add_catalogue_options(parser: argparse.ArgumentParser) -> None:
         '-o',
         '--output',
         metavar='FILE',
-        help='.csv or .json file to write, with all columns unless --columns is given',
+        help='.csv or .json file to write: all columns, unless --columns is given',
     )
 
 
@@ -338,7 +338,7 @@ def add_history_options(parser: argparse.ArgumentParser) -> None:
         '--on',
         type=_day,
         metavar='DATE',
-        help='date for which it is stated which units are due (default: today)',
+        help='date for which due units are stated (default: today)',
     )
     parser.add_argument(
         '-o',

@@ -45,7 +45,7 @@ def add_info_options(parser: argparse.ArgumentParser) -> None:
         '--segments',
         dest='segments_output',
         metavar='FILE.csv',
-        help='write the holds and turns that were found, to be edited for calibrate --segments',
+        help='write the holds and turns found; edit them for calibrate --segments',
     )
     add_verbose_option(parser)
     add_json_option(parser)

@@ -83,8 +83,8 @@ def add_history_options(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar='NAME|FILE',
         help=(
-            'IMU file whose specification counts for its type, instead of that by which its newest '
-            'calibration was judged; may be given several times'
+            'IMU file whose specification counts: for its type, instead of that by which its '
+            'newest calibration was judged; may be given several times'
         ),
     )
 
@@ -104,5 +104,5 @@ def add_bag(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         'bag',
         metavar='BAG',
-        help='folder of rosbag2, one .mcap or .db3 file, a text file, or a URL of one (s3://...)',
+        help='rosbag2, .mcap, .db3, a text file or a URL (s3://...)',
     )

@@ -231,7 +231,7 @@ def add_plans_options(parser: argparse.ArgumentParser) -> None:
         action='append',
         default=[],
         metavar='NAME=STD',
-        help='the shortest dwells that reach a standard deviation, for instance D_gx=0.05deg/h; '
+        help='find the shortest dwells that reach it: a standard deviation, as D_gx=0.05deg/h; '
         'may be given several times',
     )
     options.add_scheduler_option(parser)
@@ -240,8 +240,8 @@ def add_plans_options(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar='MINUTES',
         help=(
-            'find the plan that determines the parameters best in this time on the table, and '
-            'write it to -o'
+            'find the best plan of this duration: it determines the parameters best in this time '
+            'on the table, and is written to -o'
         ),
     )
     parser.add_argument(
@@ -251,7 +251,7 @@ def add_plans_options(parser: argparse.ArgumentParser) -> None:
         help='rate of the turns of --optimise (default: 60, or that of the slowest joint)',
     )
     parser.add_argument(
-        '-o', '--output', metavar='FILE', help='file for the plan that --optimise or --reach finds'
+        '-o', '--output', metavar='FILE', help='file for the plan of --optimise or --reach'
     )
     parser.add_argument(
         '--truth',

@@ -50,7 +50,7 @@ def add_simulate_options(parser: argparse.ArgumentParser) -> None:
         '--units',
         type=int,
         metavar='N',
-        help='write N recordings, each of a unit of its own, with the next seed',
+        help='write N recordings: each of a unit of its own, with the next seed',
     )
     options.add_statements(parser, Simulation)
     options.add_statements(parser, Numbered)
@@ -156,8 +156,8 @@ def add_montecarlo_options(parser: argparse.ArgumentParser) -> None:
         '--azimuth',
         type=float,
         metavar='DEG',
-        help="heading of the table's zero, known to the calibrator; without it each run has "
-        'another heading, which the calibrator does not know',
+        help="heading of the table's zero, if known; without it each run has another heading, "
+        'which the calibrator does not know',
     )
     options.add_statements(parser, Solved)
     options.add_statements(parser, Drifting)

@@ -75,7 +75,7 @@ def add_stand_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--verbose',
         action='store_true',
-        help='print all tables and notes, and the network variables by which other programs watch',
+        help='print all tables and notes; also the network variables by which other programs watch',
     )
     web_page.add_options(parser)
     real = parser.add_argument_group(
@@ -97,8 +97,8 @@ def add_stand_options(parser: argparse.ArgumentParser) -> None:
         '--table-port',
         metavar='URL',
         help=(
-            "where the table's controller is, if it speaks the line protocol of docs/tables.md: a "
-            'serial port or socket://host:port; all nodes then run in this process, without ROS'
+            "the table's port, serial or socket://host:port; its controller speaks the line "
+            'protocol of docs/tables.md, and all nodes run in this process, without ROS'
         ),
     )
     real.add_argument(

@@ -49,7 +49,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--control',
         action='store_true',
         help=(
-            'let the page start, pause, abort and resume the plan, for those who have the token '
+            'let the page lead the plan: start, pause, abort and resume it, by who has the token '
             'that is printed; the session then survives a stop of the table'
         ),
     )

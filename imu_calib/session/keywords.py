@@ -244,7 +244,7 @@ class Solved(TypedDict, total=False):
             'Terms that the joint estimate adds to the 24 parameters, names separated by commas: '
             "'auto' (those that the session shows, as None), 'none', or terms by name."
         ),
-        Option(f'what the joint estimate adds to the 24 parameters: {_TERM_CHOICES}', 'NAME,NAME'),
+        Option(f'estimated beyond the 24 parameters: {_TERM_CHOICES}', 'NAME,NAME'),
         NodeParameter(
             f'Terms that the joint estimate adds: {AUTO_TERMS}, those that the session shows, '
             f'looked for when it ends; {NO_TERMS}; or names with commas between.',
@@ -328,7 +328,7 @@ class InColumns(TypedDict, total=False):
     joints: Annotated[
         str | None,
         "Columns with the names of the table's joints, 'outer,inner:deg'.",
-        Option("the table's joints, for instance outer,inner:deg", 'NAME,...:UNIT'),
+        Option("the table's joints, as outer,inner:deg", 'NAME,...:UNIT'),
     ]
     temperature: Annotated[
         str | None,

@@ -188,6 +188,7 @@ def test_the_help_of_a_command_fits_a_screen_and_explains_every_usual_option(
     usual = short.partition('rarely used')[0]
     without_words = r'^  (?:-\w[^-\n]*, )?--[a-z][\w-]*(?: \S*[A-Z{]\S*)*$(?!\n {9})'
     assert re.findall(without_words, usual, re.MULTILINE) == []
+    assert re.findall(r'.* \.\.\.$', usual, re.MULTILINE) == []
     with pytest.raises(SystemExit):
         main([command, '--help-all'])
     named = re.compile(r'^  (?:-\w[^-\n]*, )?(--[a-z][\w-]*)', re.MULTILINE)
