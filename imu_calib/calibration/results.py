@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ import scipy
 from ..common.budget import Budget, ErrorSource
 from ..common.errors import ImuCalibError, InputError, NotObservable
 from ..common.files import version
-from ..common.finding import Finding, with_full_stop
+from ..common.finding import Finding, warning, with_full_stop
 from ..common.stream import Floats, iso
 from ..common.units import DEG, counted
 from ..estimation.evidence import Evidence
@@ -325,7 +326,8 @@ def bad_samples_first(error: ImuCalibError, session: Segmented) -> ImuCalibError
     sentence = sentence or session.mistimed or session.turning
     if not sentence:
         return error
-    others = tuple(text.replace(f'{sentence}.', '').strip() for text in error.args)
+    said = re.compile(f'({warning("")})?{re.escape(sentence)}\\.')
+    others = tuple(said.sub('', text).strip() for text in error.args)
     refusal = error.among(before=(f'{sentence}.',))
     refusal.args = (refusal.args[0], *others)
     return refusal

@@ -15,7 +15,7 @@ from ..common.units import DEG, MICRO_G, counted, significant
 from .segmented import MountShift, Rejected
 from .segments import CHANNELS, Segment, Statistics
 from .statistics import Samples, Sensor, gap_free, statistics_at_rest
-from .stream_facts import repeating_a_turn, repeating_samples
+from .stream_facts import FROZEN, repeating_a_turn, repeating_samples
 
 _WINDOW_SECONDS = 0.5  #: s: long enough to average noise, short compared with a dwell.
 _OUTLIER = 7.0  #: Times the scatter of the windows' means: exceeded by 3e-12 of Gaussian ones.
@@ -381,7 +381,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
     frozen &= ~saturated
     if frozen.any():
         seconds = frozen.sum() * samples.period
-        note = f'its samples are frozen for {seconds:.1f} s, repeating one'
+        note = f'its {FROZEN} for {seconds:.1f} s, repeating one'
         rest = again(~frozen, stamp[frozen])
         if not rest:
             return [Rejected(int(stamp[0]), int(stamp[-1]), note)]

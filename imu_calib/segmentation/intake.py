@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.stream import (
+    NS,
     Floats,
     ImuBlock,
     JointBlock,
@@ -30,7 +31,7 @@ from .stamp_faults import (
     set_back_sentences,
 )
 from .stamps import RowBuffer
-from .stream_facts import LastRun, StreamFacts
+from .stream_facts import EqualRun, EqualRuns, StreamFacts
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +181,7 @@ class _Samples:
         self.shared = SharedStamps(rate)
         self.after_gaps = CountsAfterGaps(units, scale, of)
         self.false = FalseSampleFilter(units, scale, of, self.after_gaps.parts)
-        self.last_run = LastRun()
+        self.runs = EqualRuns(2 * NS)
         self.first: int | None = None  #: Stamp of the first sample, ns; None before it.
         self.last: int | None = None  #: Stamp of the last one, likewise.
         self.certain: int | None = None  #: Stamp up to which they are buffered, likewise.
@@ -215,7 +216,7 @@ class _Samples:
     def _buffer(self, rows: Rows) -> None:
         if self._rows is not None and len(rows.stamp):
             self.certain = int(rows.stamp[-1])
-            self.last_run.add(*rows)
+            self.runs.add(*rows)
             self._rows.append(rows.stamp, rows.values)
 
 
@@ -287,9 +288,9 @@ class StreamBuffer:
         return (self.last_stamp - self.first_stamp) * 1e-9
 
     @property
-    def last_run(self) -> LastRun:
-        """The run of equal samples of the IMU at the end."""
-        return self._imu.last_run
+    def runs(self) -> list[EqualRun]:
+        """The longer runs of equal samples of the IMU, the one at the end included."""
+        return [*self._imu.runs.found, self._imu.runs.last]
 
     @property
     def false_samples(self) -> FalseSamples:

@@ -90,10 +90,10 @@ class MoveReader:
         """
         self._add(samples, delivered, len(samples.stamp))
 
-    def leave_out_after(self, last: int) -> None:
-        """Leave out what ends after an instant, ns."""
-        self._moves = [one for one in self._moves if one[1] <= last]
-        self._lost = [one for one in self._lost if one.end <= last]
+    def leave_out(self, since: int, until: int) -> None:
+        """Leave out what reaches into a time between two instants, ns."""
+        self._moves = [one for one in self._moves if one[1] <= since or one[0] > until]
+        self._lost = [one for one in self._lost if one.end <= since or one.start > until]
 
     def lose(self, reason: str) -> None:
         """Drop the motion since the last segment, for a reason."""

@@ -26,7 +26,7 @@ from .segments import Pace, Segment, Turn
 from .stamp_faults import Lateness
 from .stamps import RowBuffer, clock_steps, rate_changes, sampling_times
 from .statistics import Rounding, Samples, Sensor
-from .stream_facts import Repetition
+from .stream_facts import EqualRun, Repetition
 from .table_motion import Motion, Rest
 from .turns import MARGIN_NS, MotionReadings, read_free_motion, read_turns
 
@@ -170,6 +170,7 @@ class TableMotion(NamedTuple):
     start: int
     end: int
     angle: float
+    offset_ns: int | None  #: IMU clock minus table clock when it was read; None if unknown.
 
 
 class SeenMotion(NamedTuple):
@@ -212,12 +213,16 @@ class ReadParts:
         self.segments = [one for one in self.segments if not is_rejected(one)]
         self.turns = [one for one in self.turns if not (turns and is_rejected(one))]
 
-    def leave_out_after(self, last: int) -> None:
-        """Leave out what ends after an instant, ns."""
-        self.segments = [one for one in self.segments if one.end <= last]
-        self.turns = [one for one in self.turns if one.end <= last]
-        self.mount_shifts = [one for one in self.mount_shifts if one.instant <= last]
-        self.rejected = [one for one in self.rejected if one.end <= last]
+    def leave_out(self, since: int, until: int) -> None:
+        """Leave out what reaches into a time between two instants, ns."""
+
+        def is_apart(one: Segment | Turn | Rejected) -> bool:
+            return one.end <= since or one.start > until
+
+        self.segments = list(filter(is_apart, self.segments))
+        self.turns = list(filter(is_apart, self.turns))
+        self.rejected = list(filter(is_apart, self.rejected))
+        self.mount_shifts = [s for s in self.mount_shifts if not since < s.instant <= until]
 
     def retime(self, pace: Pace) -> None:
         """Retime everything with the sample interval of the whole session."""
@@ -350,7 +355,8 @@ class IntervalReader:
         if self._table is not None and len(motion.stamp):
             self._judge_silences(motion, self._table)
             angle = float(motion.travel.max())
-            self.table_motions.append(TableMotion(motion.start, motion.end, angle))
+            known = self.offset_ns if self.offset_known else None
+            self.table_motions.append(TableMotion(motion.start, motion.end, angle, known))
         start = motion.start + self.offset_ns - MARGIN_NS
         end = motion.end + self.offset_ns + MARGIN_NS
         begins, ends_at = motion.start + self.offset_ns, motion.end + self.offset_ns
@@ -390,38 +396,46 @@ class IntervalReader:
         self._note_seen(motion, values, samples, self._table)
         self.found.store(read_turns(around, motion, self._table, self.offset_ns))
 
-    def froze_at(self) -> int | None:
-        """Return the stamp, ns, from which on the IMU repeats one sample to the end; None if not.
+    def frozen_runs(self) -> list[EqualRun]:
+        """Return the runs of equal samples in which the IMU was frozen.
 
         A unit at rest may repeat itself for as long as it rests, where it has little noise. But no
         sample is that of a table at rest as well as that of one that turns by ten steps of the
         gyros a sample: the run must go on from a second before to a second after a motion begins,
         or ends. If no motion has shown how far the clocks are apart, it is as much longer.
         """
-        run, last = self._intake.last_run, self._intake.last_stamp
-        if run.since is None or last is None or not self.pace.interval:
-            return None
-        beyond = MARGIN_NS if self.offset_known else round(FARTHEST * 1e9)
-        first, until = (at - self.offset_ns for at in (run.since + beyond, last - beyond))
-        least = _STEPS * float(self.sensor.step(self.pace.interval, run.sample[None])[0])
-        for motion in self.table_motions:
-            rate = motion.angle / max(motion.end - motion.start, 1) * 1e9
-            crossed = first <= motion.start <= until or first <= motion.end <= until
-            if motion.angle > _SIGNIFICANT and rate > least and crossed:
-                return run.since
-        return None
+        return [run for run in self._intake.runs if self.pace.interval and self._is_frozen(run)]
 
-    def leave_out_after(self, last: int) -> None:
-        """Leave out what was read of samples after an instant, ns."""
-        self.found.leave_out_after(last)
-        self.moves.leave_out_after(last)
-        # A motion that goes on beyond it gives no offset of the clocks.
-        ends = [m.start for m in self.table_motions if m.end + self.offset_ns > last]
-        until = min(ends, default=last - self.offset_ns)
-        self.clock = [one for one in self.clock if one.time < until]
-        until += self.offset_ns
-        self.comparisons = [one for one in self.comparisons if one.instant < until]
-        self.seen_motions = [one for one in self.seen_motions if one.middle < until]
+    def _is_frozen(self, run: EqualRun) -> bool:
+        beyond = MARGIN_NS if self.offset_known else round(FARTHEST * 1e9)
+        first, until = run.since + beyond, run.until - beyond
+        least = _STEPS * float(self.sensor.step(self.pace.interval, run.sample[None])[0])
+        for motion in self.table_motions if first <= until else ():
+            rate = motion.angle / max(motion.end - motion.start, 1) * 1e9
+            start, end = self._by_imu(motion)
+            crossed = first <= start <= until or first <= end <= until
+            if motion.angle > _SIGNIFICANT and rate > least and crossed:
+                return True
+        return False
+
+    def _by_imu(self, motion: TableMotion) -> tuple[int, int]:
+        """Return start and end of a motion by the clock of the IMU, ns."""
+        offset = self.offset_ns if motion.offset_ns is None else motion.offset_ns
+        return motion.start + offset, motion.end + offset
+
+    def leave_out(self, run: EqualRun) -> None:
+        """Leave out what was read of the samples of a run."""
+        since, until = run.since, run.until
+        self.found.leave_out(since, until)
+        self.moves.leave_out(since, until)
+        # A motion that reaches into it gives no offset of the clocks.
+        for motion in self.table_motions:
+            start, end = self._by_imu(motion)
+            if end <= since or start > until:
+                continue
+            self.clock = [c for c in self.clock if not motion.start <= c.time <= motion.end]
+            self.comparisons = [c for c in self.comparisons if not start <= c.instant <= end]
+            self.seen_motions = [m for m in self.seen_motions if not start <= m.middle <= end]
 
     def _set_back_within(self, motion: Motion) -> str:
         """Return that a clock was set back within a motion, as a reason; else an empty text."""

@@ -148,7 +148,7 @@ class Segmented:
     facts: StreamFacts = field(default_factory=StreamFacts)  #: Of the IMU's stream, as it came in.
     #: Samples of the IMU that are false, and count as missing.
     false_samples: FalseSamples = NONE_FALSE
-    #: That the IMU froze for good, as one of `losses`; empty if it did not.
+    #: That the IMU froze while the table moved, as one of `losses`; empty if it did not.
     frozen: str = ''
     #: That many dwells and turns are left out for their stamps; empty if not.
     mistimed: str = ''

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..common.finding import Finding
+from ..common.finding import Finding, warning
 from ..common.stream import (
     Block,
     Floats,
@@ -35,7 +35,7 @@ from .segments import Segment, Turn
 from .stamp_faults import interruptions
 from .statistics import Sensor, sample_period, to_samples
 from .stillness import WINDOW_SECONDS, Quietest, StillnessTracker
-from .stream_facts import frozen_sentence
+from .stream_facts import FROZEN, frozen_sentence
 from .table_motion import JointTracker, Motion, Rest
 from .turns import MARGIN_NS
 
@@ -102,7 +102,7 @@ def reject_hidden(reader: IntervalReader) -> tuple[int, int]:
         mean = dwell.statistics.mean
         return any(frozen[k] and repetitions[k].continues_in(mean) for k in adjacent)
 
-    reason = 'its samples are frozen, repeating the one of the motion next to it'
+    reason = f'its {FROZEN}, repeating the one of the motion next to it'
     found.reject(reason, is_frozen, turns=False)
     unseen = np.concatenate([[False], unseen & ~frozen, [False]])
 
@@ -246,7 +246,7 @@ class Segmenter:
         self._patterns_differ = False
         # Number of motions in which the device repeated one sample, and when the first was, ns.
         self._frozen_motions = 0, 0
-        self._frozen_for_good = ''  # Sentence on a device that froze for good.
+        self._frozen = ''  # Sentence on a device that froze while the table moved.
         self._slews: list[str] = []  # Sentences on slewed clocks.
         self._ended: Segmented | None = None
 
@@ -327,10 +327,10 @@ class Segmenter:
             last, alone = self._intake.last_stamp or 0, self._joints is None
             is_left_out = self._choice.left_out(found.turns, last, alone=alone)
             found.reject('the file of segments does not list it', is_left_out)
-        if (froze := reader.froze_at()) is not None:
-            reader.leave_out_after(froze)
-            seconds = ((self._intake.last_stamp or froze) - froze) * 1e-9
-            self._frozen_for_good = frozen_sentence(froze, seconds)
+        for run in (frozen := reader.frozen_runs()):
+            reader.leave_out(run)
+        if frozen:
+            self._frozen = frozen_sentence(frozen, self._intake.last_stamp or 0)
         reject_untimed(reader, self._intake)
         before = len(found.rejected)
         reject_uncounted(reader)
@@ -373,7 +373,7 @@ class Segmenter:
             tuple(self._intake.interruptions.found),
             self._intake.facts,
             self._intake.false_samples,
-            self._frozen_for_good,
+            self._frozen,
             mistimed,
             turning,
         )
@@ -536,10 +536,25 @@ class Segmenter:
         near = [one.near for one in self._reader.comparisons]
         return self._patterns_differ and 2 * sum(near) < len(near)
 
+    def _frozen_parts(self) -> str:
+        """Return what is left out as frozen besides that of `_frozen`; empty if nothing is."""
+        found, (motions, first) = self._reader.found, self._frozen_motions
+        reasons = [note for one in found.segments for note in one.notes]
+        reasons += [one.reason for one in found.rejected]
+        rests = sum(FROZEN in reason for reason in reasons)
+        where = [f'{counted(motions, "motion")} of the table, first at {at(first)}'] * (motions > 0)
+        where += [counted(rests, 'dwell or turn', 'dwells or turns')] * (rests > 0)
+        if not where:
+            return ''
+        return (
+            f'The {FROZEN} (one is repeated) in {" and in ".join(where)}: left out. Look at the '
+            'bus of the IMU and at its driver'
+        )
+
     def _loss_sentences(self) -> tuple[str, ...]:
         """Return sentences on all data that was lost or corrected on input."""
         reader = self._reader
-        froze = [self._frozen_for_good] if self._frozen_for_good else []
+        froze = [warning(one) for one in [self._frozen or self._frozen_parts()] if one]
         ahead_ns = reader.large_offset_ns
         lost = self._intake.losses(ahead_ns)
         lost += self._jumps.sentences if self._jumps is not None else []
@@ -573,12 +588,6 @@ class Segmenter:
                     'those around them',
                     lost=share >= _NOTICED,
                 )
-            )
-        motions, first = self._frozen_motions
-        if motions:
-            lost.append(
-                f'The samples are frozen (one is repeated) in {counted(motions, "motion")} of the '
-                f'table, first at {at(first)}: left out'
             )
         if self._clocks_unknown:
             lost.append(

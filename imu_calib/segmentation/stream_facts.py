@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -318,6 +320,7 @@ def _hashed(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
     return np.asarray(found ^ (found >> np.uint64(31)), np.uint64)
 
 
+FROZEN = 'samples are frozen'  #: Of the reasons to leave out what repeats one sample.
 _FEWEST = 8
 """Fewest repeated samples in a row that count as frozen: a judgement, fewer cost nothing."""
 _ENOUGH = 100
@@ -376,30 +379,54 @@ def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
     return found
 
 
-class LastRun:
-    """The run of equal samples at the end of a stream, however it was cut into blocks."""
+class EqualRun(NamedTuple):
+    """A run of equal samples."""
 
-    def __init__(self) -> None:
-        self.since: int | None = None  #: Stamp of its first sample, ns; None before any.
-        self.sample: Floats = np.full(6, np.nan)  #: (6,) as delivered.
+    since: int  #: Stamp of its first sample, ns.
+    until: int  #: Of its last one.
+    sample: Floats  #: (6,) as delivered.
+
+
+class EqualRuns:
+    """The runs of equal samples in a stream, however it was cut into blocks.
+
+    Args:
+        shortest: Those that last no longer, ns, are not kept once they have ended.
+    """
+
+    def __init__(self, shortest: int) -> None:
+        self.found: list[EqualRun] = []  #: Those that ended, in order.
+        self.last = EqualRun(0, 0, np.full(6, np.nan))  #: The one that goes on.
+        self._shortest = shortest
 
     def add(self, stamp: Stamps, values: Floats) -> None:
         """Add (n,) stamps, ns, with (n, 6) values."""
         if not len(stamp):
             return
-        others = np.flatnonzero(any_in_row(values != values[-1]))
-        if len(others):
-            self.since = int(stamp[others[-1] + 1])
-        elif not np.array_equal(values[-1], self.sample):
-            self.since = int(stamp[0])
-        self.sample = values[-1].copy()
+        begins = np.flatnonzero(any_in_row(values[1:] != values[:-1])) + 1
+        if not np.array_equal(values[0], self.last.sample):
+            begins = np.append(0, begins)
+        since = np.append(self.last.since, stamp[begins])
+        until = np.append(self.last.until, stamp)[begins]
+        for k in np.flatnonzero(until - since[:-1] > self._shortest).tolist():
+            sample = values[begins[k - 1]].copy() if k else self.last.sample
+            self.found.append(EqualRun(int(since[k]), int(until[k]), sample))
+        self.last = EqualRun(int(since[-1]), int(stamp[-1]), values[-1].copy())
 
 
-def frozen_sentence(since: int, seconds: float) -> str:
-    """Return that a device repeats one sample since a stamp, ns, without a full stop."""
+def frozen_sentence(runs: Sequence[EqualRun], last: int) -> str:
+    """Return that a device repeats one sample, at least once, without a full stop.
+
+    Args:
+        runs: The repetitions, in order.
+        last: Stamp of the last sample of the stream, ns.
+    """
+    first, seconds = runs[0], sum(run.until - run.since for run in runs) * 1e-9
+    until = 'the end of its stream' if first.until == last else at(first.until)
+    more = f' and {counted(len(runs) - 1, "time")} more' if len(runs) > 1 else ''
     return (
-        f'The IMU repeats one sample from {at(since)} to the end of its stream ({seconds:.0f} s), '
-        'while the table turns and stops: it froze, and all from there on counts as missing. '
+        f'The IMU repeats one sample from {at(first.since)} to {until}{more} ({seconds:.0f} s), '
+        'while the table turns and stops: it froze, and all of this counts as missing. '
         'Switch it on again, look at its bus and its driver, and record again what is missing'
     )
 

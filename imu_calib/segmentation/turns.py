@@ -18,7 +18,7 @@ from .plateaus import WholeTurns, find_turns, no_turn_reason
 from .segmented import FreeMotion, Rejected
 from .segments import RestToRest, Statistics, Turn
 from .statistics import Samples, Sensor, gap_free, statistics_between
-from .stream_facts import repeating_samples
+from .stream_facts import FROZEN, repeating_samples
 from .table_motion import Motion, averaged
 
 MARGIN_NS = NS  #: Time read before and after a motion, ns.
@@ -276,7 +276,7 @@ def _unreadable(readings: MotionReadings, where: slice) -> str:
     if readings.sensor.saturated(readings.values[where], part).any():
         return _SATURATED
     if repeating_samples(readings.values[where], counted=readings.sensor.counted).any():
-        return 'the samples are frozen within it, repeating one'
+        return f'the {FROZEN} within it, repeating one'
     return ''
 
 

@@ -1,4 +1,4 @@
-"""A unit that repeats one sample to the end of a recording: its bus or its driver froze."""
+"""A unit that repeats one sample, for a while or for good: its bus or its driver froze."""
 
 from dataclasses import replace
 
@@ -10,6 +10,7 @@ from other_sessions import EPOCH, MEDIUM, NAVIGATION, errors, fed, recorded
 from other_world import Unit, World, schedule
 
 from imu_calib.common.errors import NotObservable
+from imu_calib.common.finding import is_warning
 from imu_calib.common.stream import ImuBlock, JointBlock, at
 
 SHORT = World(dwell=12.0)
@@ -33,14 +34,14 @@ INSTANTS = {
 
 @pytest.fixture
 def freeze(monkeypatch):
-    """Freeze the unit at an instant, s from the start, in the sessions that `fed` feeds."""
+    """Freeze the unit between instants, s from the start, in the sessions that `fed` feeds."""
 
-    def apply(instant: float) -> None:
+    def apply(instant: float, until: float = np.inf) -> None:
         def blocks(world: World, unit: Unit, seed: int) -> tuple[JointBlock, ImuBlock]:
             of_table, of_imu = recorded(world, unit, seed)
             rows = np.arange(len(of_imu.stamp))
             last = np.searchsorted(of_imu.stamp, EPOCH * 10**9 + round(instant * 1e9))
-            rows = np.minimum(rows, last)
+            rows[(rows > last) & (of_imu.stamp < (EPOCH + until) * 1e9)] = last
             return of_table, ImuBlock(of_imu.stamp, of_imu.gyro[rows], of_imu.accel[rows])
 
         monkeypatch.setattr(other_sessions, 'recorded', blocks)
@@ -79,3 +80,26 @@ def test_a_unit_without_noise_that_rests_is_not_frozen(offset):
     world = replace(SHORT, offset=offset)
     findings = fed(world, UNITS['without noise']).finish().calibration.findings
     assert not [one for one in findings if 'froze' in one]
+
+
+def test_a_unit_that_froze_and_came_back_is_left_out_for_as_long_and_warned_of(freeze):
+    """What it repeats across motions of the table is no rest, nor axes that answer to others."""
+    freeze(INSTANTS['a move'], INSTANTS['a move'] + 30.0)
+    found = fed(SHORT, MEDIUM, find_terms=True).finish().calibration
+    assert np.abs(errors(found, MEDIUM)).max() < 4.5
+    (warned,) = [one for one in found.findings if 'it froze' in one]
+    assert is_warning(warned)
+    assert '(30 s), while the table turns and stops' in warned
+
+
+def test_a_unit_that_freezes_within_a_dwell_is_warned_of(freeze):
+    freeze(INSTANTS['a dwell'], INSTANTS['a dwell'] + 2.0)
+    findings = fed(SHORT, MEDIUM).finish().calibration.findings
+    assert any(is_warning(one) and 'in 1 dwell or turn' in one for one in findings)
+
+
+def test_samples_that_froze_for_most_of_the_motions_are_the_cause_of_a_refusal(freeze):
+    freeze(MOTIONS[1].start, TURNS[-1].start)
+    with pytest.raises(NotObservable) as refused:
+        fed(SHORT, MEDIUM, find_terms=True).finish()
+    assert refused.value.cause.startswith('The IMU repeats one sample from')

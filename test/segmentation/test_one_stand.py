@@ -274,7 +274,9 @@ def test_ramps_alone_are_no_turn():
 
 def test_rests_beside_a_motion_that_gyros_do_not_see_are_left_out():
     def blind(rates, time):
-        rates[(time > 24) & (time < 29)] = 0.0
+        within = (time > 24) & (time < 29)
+        # Noise below what is looked for: a unit that repeats one sample is frozen, not blind.
+        rates[within] = 1e-9 * (np.arange(within.sum()) % 2)[:, None]
 
     session = found(gyros(blind), joint())
     assert rests(session) == [RESTS[0], (36.18, 39.99)]

@@ -255,6 +255,6 @@ def test_counts_that_freeze_within_a_motion_leave_it_out_and_are_named():
     findings = [f for f in found.findings if 'are frozen' in f]
     assert len(findings) == 1, found.findings
     assert findings[0].startswith(
-        'The samples are frozen (one is repeated) in 1 motion of the table'
+        'Warning: The samples are frozen (one is repeated) in 1 motion of the table'
     )
     assert not [f for f in found.findings if 'clocks that jump' in f]
