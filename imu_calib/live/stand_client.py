@@ -63,10 +63,12 @@ class Stand:
 
     def __init__(self, namespace: str = '', timeout: float = 10.0) -> None:
         self.feedback: RunFeedback | None = None
-        """The newest of the present run; None before the first."""
+        """The newest of a run that a script started; None before the first, as of a run that the
+        stand began by itself."""
         self._timeout = timeout
         self._asked: Any = None
         self._goal: Any = None
+        self._present = self._former = b''
         self._end: Any = None
         self._gone_since = 0.0
         # Loaded by who has a stand: the package is imported where no runtime is, too.
@@ -120,8 +122,8 @@ class Stand:
     def start(self, plan: str = '', *, resume: bool = False) -> None:
         """Begin a run; return when the stand has accepted it.
 
-        Where the stand runs its plan already, `pause` comes first: `start(resume=True)` then goes
-        on with the run, `start` begins it anew.
+        Where the stand runs its plan already, `pause` comes first, whoever started the run:
+        `start(resume=True)` then goes on with it, `start` begins it anew.
 
         Args:
             plan: Name of the stand's plan, to be sure of it; empty: whatever it is.
@@ -132,8 +134,11 @@ class Stand:
                 the text names, or runs another plan.
             ImuCalibError: A run of this script or of another client is in progress.
         """
-        if self._end is not None and not self._end.done():
-            raise ImuCalibError('The run that this script started has not ended: abort it first.')
+        if self._in_progress and not self._is_paused:
+            raise ImuCalibError(
+                'The run that this script started has not ended: pause or abort it first.'
+            )
+        self._former = self._present
         self.feedback, self._end, self._gone_since = None, None, time.monotonic()
         self._asked = self._client.send_goal_async(self._kind.Goal(plan=plan, resume=resume))
         self._await_acceptance()
@@ -169,25 +174,29 @@ class Stand:
         return False
 
     def pause(self) -> str:
-        """Stop the table, and keep the run; return the stand's sentence.
+        """Stop the table, and keep the run; return the stand's sentence when `feedback` has it.
 
         Raises:
             ImuCalibError: The stand refuses, with its reason.
         """
-        return self._call('pause')
+        answer = self._call('pause')
+        self._wait(lambda: self._is_paused or not self._in_progress, 'No feedback of the pause')
+        return answer
 
     def resume(self) -> str:
-        """Go on with the interrupted step after a pause; return the stand's sentence.
+        """Go on with the interrupted step after a pause; return the stand's sentence as it does.
 
         A fault ends the run: `start(resume=True)` goes on after it.
 
         Raises:
             ImuCalibError: The run has ended, or the stand refuses, with its reason.
         """
-        if self._end is None or self._end.done():
+        if not self._in_progress:
             # Otherwise the plan would run without a client that stops it.
             raise ImuCalibError('No run is in progress: start(resume=True) continues one.')
-        return self._call('start')
+        answer = self._call('start')
+        self._wait(lambda: not (self._is_paused and self._in_progress), 'The run does not go on')
+        return answer
 
     def abort(self) -> str:
         """Stop the table, and end the run; return the stand's sentence when the table stands.
@@ -228,7 +237,7 @@ class Stand:
                 # Interrupted before the answer: what was asked for may run.
                 with suppress(ImuCalibError):
                     self._await_acceptance()
-            if self._end is not None and not self._end.done():
+            if self._in_progress:
                 self.abort()
         finally:
             self._node.destroy_node()
@@ -236,7 +245,21 @@ class Stand:
             if self._initialised:
                 self._ros.try_shutdown()
 
+    @property
+    def _in_progress(self) -> bool:
+        """Whether a run of this script has not ended."""
+        return self._end is not None and not self._end.done()
+
+    @property
+    def _is_paused(self) -> bool:
+        return self.feedback is not None and self.feedback.phase == Phase.PAUSED.name
+
     def _on_feedback(self, message: Any) -> None:
+        identity = bytes(message.goal_id.uuid)
+        if identity == self._former:
+            # Still in flight as the next run begins.
+            return
+        self._present = identity
         one = message.feedback
         self.feedback = RunFeedback(
             one.step + 1,

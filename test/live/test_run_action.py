@@ -192,6 +192,22 @@ def test_a_pause_keeps_the_goal_and_a_goal_may_go_on_with_what_was_paused(sessio
     assert client.cancel(handle) == 1
 
 
+def test_a_goal_takes_over_a_paused_run_whose_client_may_be_gone(session):
+    client = Client(session.turn_at(90).open(**PATIENT))
+    _, ended = client.run()
+    session.reaches(Phase.TURNING)
+    assert session.press('pause')[0]
+    session.reaches(Phase.PAUSED)
+    handle, _ = client.run(resume=True)
+    status, result = client.end(ended)
+    assert (status, result.message) == (
+        Status.ABORTED,
+        'Another goal took over the paused run.',
+    )
+    session.reaches(Phase.TURNING)
+    assert client.cancel(handle) == 1
+
+
 def test_a_goal_that_is_refused_leaves_what_was_paused(session):
     client = Client(session.turn_at(90).open(**PATIENT))
     assert session.press('start')[0]

@@ -151,7 +151,7 @@ class RunAction:
     """Runs the plan for a client of the action.
 
     A goal ends with the calibrator's final result; it is aborted by anything that stops the plan
-    except a requested pause.
+    except a requested pause, and by another goal that takes over during one.
     """
 
     def __init__(
@@ -215,16 +215,19 @@ class RunAction:
         self._calibrations[message.serial_number] = message
 
     def _accept(self, goal: Any) -> bool:  # noqa: ARG002
-        """Reject a second goal: the first one continues."""
-        if self._goal is not None:
-            self._node.get_logger().warning(
-                'A second goal for run_calibration is rejected: the first one is still running. '
-                'Cancel it first.'
-            )
-        return self._goal is None
+        """Reject a second goal while the first one runs; a paused one can be taken over."""
+        if self._goal is None or self._sequencer.state().phase is Phase.PAUSED:
+            return True
+        self._node.get_logger().warning(
+            'A second goal for run_calibration is rejected: the first one is still running. Pause '
+            'or cancel it first.'
+        )
+        return False
 
     def _begin(self, goal: Any) -> None:
         """Start; a refusal is sent as a result, because a rejection carries no text."""
+        if self._goal is not None:
+            self._end(GoalStatus.ABORTED, 'Another goal took over the paused run.')
         self._goal, self._since, self._refused = goal, math.nan, ''
         self._calibrations.clear()
         try:
