@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from copy import copy
 from importlib import import_module
 from itertools import pairwise
+from os.path import exists
 from pathlib import Path
 from textwrap import fill
 from typing import Any, NoReturn
@@ -302,11 +303,16 @@ def _parsed(argv: Sequence[str]) -> argparse.Namespace:
     arguments, unknown = build_parser(argv).parse_known_args(argv)
     if unknown:
         # parse_args would print the usage of all commands.
-        raise _WrongUsage(
-            arguments.command,
-            f'unrecognized arguments: {" ".join(unknown)}; imu-calib {arguments.command} --help '
-            'lists all.',
-        )
+        name = arguments.command
+        text = f'unrecognized arguments: {" ".join(unknown)}; imu-calib {name} --help lists all.'
+        if 'bag' in arguments and all(map(exists, unknown)):
+            text = (
+                f'found {len(unknown) + 1} files, expected one recording. Join the text files of a '
+                f'session in their order, with the turns between its positions (cat '
+                f'{arguments.bag} {unknown[0]} ... > all.csv); imu-calib batch calibrates '
+                'recordings one by one.'
+            )
+        raise _WrongUsage(name, text)
     return arguments
 
 

@@ -92,6 +92,15 @@ def test_an_unknown_option_is_said_of_its_command(capsys):
     )
 
 
+def test_several_files_of_a_session_are_to_be_joined(tmp_path, capsys):
+    files = [tmp_path / f'{k}.csv' for k in range(3)]
+    for file in files:
+        file.write_text('')
+    assert main(['calibrate', *map(str, files)]) == 2
+    said = ' '.join(capsys.readouterr().err.split())
+    assert 'found 3 files, expected one recording. Join the text files of a session' in said
+
+
 def test_a_catalogue_is_not_written_into_a_recording(tmp_path):
     pytest.importorskip('pyarrow')
     (tmp_path / 'metadata.yaml').write_text('')
