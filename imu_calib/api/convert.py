@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from ..common.errors import InputError
-from ..common.files import BAG_OF_ROS_1, refuse_device, require
+from ..common.files import BAG_OF_ROS_1, first_bytes, refuse_device, require
 from ..common.progress import Progress, silent
 from ..recordings.cdr_codec import Kind
 from ..recordings.remote import AnyPath, local, located
@@ -59,7 +59,7 @@ def convert(
     target = new_folder(output)
     path, stated = located(source), Stated(**columns)
     refuse_device(path)
-    of_ros_1 = path.suffix.lower() == '.bag' or _is_bag_of_ros_1(path)
+    of_ros_1 = path.suffix.lower() == '.bag' or first_bytes(path).startswith(BAG_OF_ROS_1)
     if of_ros_1 or path.is_dir() or is_storage(path):
         refuse_columns(stated)
         if of_ros_1:
@@ -78,14 +78,6 @@ def convert(
             samples.write(writer, topic)
     counts = {topic: len(samples) for topic, samples in table.samples.items()}
     return Converted(target, counts, tuple(table.losses))
-
-
-def _is_bag_of_ros_1(path: AnyPath) -> bool:
-    try:
-        with path.open('rb') as file:
-            return file.read(len(BAG_OF_ROS_1)) == BAG_OF_ROS_1
-    except OSError:
-        return False
 
 
 def _from_ros1(path: AnyPath, target: Path) -> Converted:

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..common.errors import InputError
-from ..common.files import TEXT_FILES
+from ..common.files import TEXT_FILES, first_bytes
 from ..common.stream import LAST_SECOND, NS, Floats, Stamps
 from ..recordings.cdr_codec import Kind
 from ..recordings.remote import AnyPath, RemotePath, located
 from ..recordings.rosbag2 import Recording, is_storage, open_recording
-from ..recordings.text import Text, table_of_frame
+from ..recordings.text import CONTROLS, Text, table_of_frame
 from ..session.keywords import InColumns, Named, Stated
 from .in_memory import Samples, SamplesInMemory
 from .tables import (
@@ -88,9 +88,12 @@ def recording_at(
 
 
 def is_text(bag: Named | AnyPath) -> bool:
-    """Return whether a path is that of a text file, by its ending."""
+    """Return whether a path is that of a text file, by its ending; .mat is also one of MATLAB."""
     path = located(bag)
-    return path.suffix.lower() in TEXT_FILES and path.is_file() and not is_storage(path)
+    ending = path.suffix.lower()
+    if ending not in {*TEXT_FILES, '.mat'} or not path.is_file() or is_storage(path):
+        return False
+    return ending != '.mat' or CONTROLS.search(first_bytes(path)) is None
 
 
 def refuse_columns(stated: Stated) -> None:

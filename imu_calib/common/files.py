@@ -86,6 +86,15 @@ def read_bytes(path: AnyFile) -> bytes:
         raise InputError(unreadable(path, error)) from None
 
 
+def first_bytes(path: AnyFile) -> bytes:
+    """Return how a file begins; empty if it cannot be read."""
+    try:
+        with path.open('rb') as file:
+            return bytes(file.read(512))
+    except OSError:
+        return b''
+
+
 def read_text(path: AnyFile) -> str:
     """Return the text of a file in UTF-8, without a byte order mark."""
     try:
@@ -214,7 +223,7 @@ def require(library: str, what: str, extra: str) -> None:
 # Recordings of other software, by file ending, and the way to make recordings of them.
 
 _TABLES = ('.csv', '.txt', '.tsv', '.dat')
-TEXT_FILES = (*_TABLES, '.log')
+TEXT_FILES = (*_TABLES, '.log', '.asc')
 """Endings of tables of numbers, of which .log is that of other texts as well."""
 _TEXT = (
     'a text file',

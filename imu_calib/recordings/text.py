@@ -24,7 +24,7 @@ from .remote import AnyPath
 _COMMENTS = ('#', '%', '//')
 _DELIMITERS = (';', '\t', ',')
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-_CONTROLS = re.compile(rb'[\x00-\x08\x0e-\x1f]')
+CONTROLS = re.compile(rb'[\x00-\x08\x0e-\x1f]')
 """Bytes that no text has, in any code page of one byte per character."""
 _LABEL = re.compile(r'(?:(?<=[\s,;])|^)([^\W\d][\w.]*)\s*[:=]\s*(?=[-+.\d])')
 """Name before a number in its field, as 'ax: 0.1' and 'ax=0.1' for a plotter of serial lines."""
@@ -178,7 +178,7 @@ def _decoded(path: AnyPath) -> str:
     try:
         return data.decode('utf-16' if data.startswith(_UTF_16) else 'utf-8-sig')
     except UnicodeDecodeError:
-        if _CONTROLS.search(data):
+        if CONTROLS.search(data):
             raise _no_table(path, 'is not a text file, expected a table of numbers.') from None
         # A heading with degrees or micro of a Windows program in western Europe; of another
         # code page names alone are misread, and the numbers are those of ASCII.

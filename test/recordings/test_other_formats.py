@@ -123,6 +123,13 @@ def test_a_recording_in_place_of_another_file_says_what_that_is(load, expected, 
         load(tmp_path / 'run.db3')
 
 
+@pytest.mark.parametrize('name', ['run.mat', 'run.ASC'])
+def test_text_under_the_name_of_another_format_is_read_as_text(name, tmp_path, capsys):
+    (tmp_path / name).write_bytes(FILES['run.csv'][0])
+    assert main(['calibrate', str(tmp_path / name)]) == 2
+    assert 'its columns are t, wx, wy. State' in ' '.join(capsys.readouterr().err.split())
+
+
 def test_what_is_right_inside_may_have_any_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path('plan.txt').write_text(named_file('plans', 'six_position').read_text())
