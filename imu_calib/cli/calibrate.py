@@ -37,6 +37,7 @@ from .outcome import (
     WRONG_INPUT,
     CommandResult,
     add_json_option,
+    add_specification_option,
     add_verbose_option,
     error_document,
     judged_result,
@@ -238,12 +239,7 @@ def add_calibrate_options(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='show the sources of each uncertainty; with --verbose what they are',
     )
-    parser.add_argument(
-        '--specification',
-        action='store_true',
-        help="exit code 3 outside the specification: that in the IMU's file, uncertainties "
-        'considered; the verdict is printed without it, too',
-    )
+    add_specification_option(parser)
     add_json_option(parser)
     add_verbose_option(parser)
     parser.epilog = f'{EXIT_CODES} Methods: {", ".join(sorted(METHOD_NAMES))}.'

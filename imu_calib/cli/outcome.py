@@ -97,6 +97,16 @@ def discard_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def add_specification_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option that makes a proven violation of the specification an exit code."""
+    parser.add_argument(
+        '--specification',
+        action='store_true',
+        help="exit code 3 where a parameter is outside the specification in the IMU's file, its "
+        'uncertainty considered; the verdict is printed without it, too',
+    )
+
+
 def judged_result(result: Mapping[str, Any], found: Conformity | None) -> CommandResult:
     """Return the outcome of a command, with the conformity of the unit if it was assessed."""
     if found is None or not found.outside:

@@ -39,6 +39,7 @@ _OF_THE_RUN = frozenset(
 """Options of one run, which do not belong to the session."""
 _MAY_CHANGE = frozenset(
     {'port', 'baud', 'speed', 'network', 'without', 'processes', 'table_port', 'table_baud'}
+    | {'specification'}
 )
 """A device or a network may have another name after a power failure; the speed of a simulation has
 no effect; a unit may have failed permanently."""

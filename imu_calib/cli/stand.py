@@ -31,6 +31,7 @@ from ..session.keywords import AtSite, Numbered, Solved, azimuth_of
 from ..session.plan import load_plan
 from ..session.table import load_table
 from . import options, several, web_page
+from .outcome import OUTSIDE, CommandResult, add_specification_option
 from .processes import network_of_hardware
 from .terminal import OUTPUT, NodeReports
 
@@ -77,6 +78,7 @@ def add_stand_options(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='print all tables and notes; also the network variables by which other programs watch',
     )
+    add_specification_option(parser)
     web_page.add_options(parser)
     real = parser.add_argument_group(
         'real hardware',
@@ -126,18 +128,33 @@ def add_stand_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(start=0.0, default_of=parser.get_default)
 
 
-def run_stand(arguments: argparse.Namespace) -> None:
+def run_stand(arguments: argparse.Namespace) -> CommandResult:
     """Run a plan live, on a real or a simulated stand."""
     if arguments.resume:
-        _resume_session(arguments)
+        folder = _resume_session(arguments)
     elif arguments.plan:
-        _begin(arguments)
+        folder = _begin(arguments)
     else:
         raise InputError('Give a PLAN (imu-calib plans lists them), or --resume FOLDER.')
+    return judged(arguments, folder) if arguments.specification else CommandResult()
 
 
-def _begin(arguments: argparse.Namespace) -> None:
-    """Run a session from its start."""
+def judged(arguments: argparse.Namespace, folder: Path) -> CommandResult:
+    """Compare the results of a session with the specifications of the units' types."""
+    from ..api.compare import conformity
+    from .resume import RESULT
+
+    sentences = []
+    for unit in several.units_of(arguments):
+        serial = unit.serial_number
+        file = f'{several.CALIBRATIONS}/{serial}.yaml' if arguments.imus else RESULT
+        if text := conformity(folder / file, unit.imu).sentence():
+            sentences.append(f'{serial}: {text}' if arguments.imus else text)
+    return CommandResult(None, OUTSIDE, ' '.join(sentences)) if sentences else CommandResult()
+
+
+def _begin(arguments: argparse.Namespace) -> Path:
+    """Run a session from its start; return its folder."""
     several.complete(arguments)
     folder = _new_folder(arguments)
     several.check(arguments)
@@ -152,6 +169,7 @@ def _begin(arguments: argparse.Namespace) -> None:
     with resume.locked_folder(folder) as claim, stand_session.signals():
         _save_settings(arguments, folder, truth.get(''))
         stand_session.run(arguments, folder, truth, claim, reports)
+    return folder
 
 
 def _save_settings(arguments: argparse.Namespace, folder: Path, truth: Calibration | None) -> None:
@@ -166,8 +184,8 @@ def _save_settings(arguments: argparse.Namespace, folder: Path, truth: Calibrati
         raise InputError(unwritable(folder, error)) from None
 
 
-def _resume_session(arguments: argparse.Namespace) -> None:
-    """Resume an interrupted session."""
+def _resume_session(arguments: argparse.Namespace) -> Path:
+    """Resume an interrupted session; return its folder."""
     from . import resume, stand_session
 
     folder = resume.restore(arguments)
@@ -181,6 +199,7 @@ def _resume_session(arguments: argparse.Namespace) -> None:
         truth = _check(arguments, reports)
         arguments.start = 0.0 if real else resume.switched_on_at(folder)
         stand_session.run(arguments, folder, truth, claim, reports)
+    return folder
 
 
 def _new_folder(arguments: argparse.Namespace) -> Path:
@@ -229,9 +248,12 @@ def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Cal
             rate = arguments.sample_rate
             listen(unit.port, frames, imu, baud, reports, several.node_of(unit), rate)
     # Loading what runs a session takes longer than the check of the IMU.
+    from ..api.compare import specification_of
     from . import stand_session
 
     for imu in types.values():
+        if arguments.specification:
+            specification_of(imu)
         if not real:
             check_live(imu)
         stand_session.check(arguments, imu, plan, table, site)

@@ -20,8 +20,11 @@ from processes import start
 from turntable_bench import TABLE as NIMBLE
 
 import imu_calib
+from imu_calib.api.session import USUAL_IMU
 from imu_calib.calibration.calibration import Calibration
+from imu_calib.cli.dispatch import build_parser
 from imu_calib.cli.main import main
+from imu_calib.cli.stand import judged
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.units import DEG
@@ -36,6 +39,7 @@ from imu_calib.simulation.hardware import SimulatedHardware
 from imu_calib.simulation.options import StandOptions
 from imu_calib.simulation.stand import SimulatedUnit
 
+IMU = named_file('imus', USUAL_IMU).read_text()
 MAIN = [sys.executable, '-m', 'imu_calib.cli.main']
 
 
@@ -80,6 +84,19 @@ def test_the_same_seed_gives_the_same_bits_of_journal_and_calibration(finished):
     )
     assert first.model.vector().tolist() == second.model.vector().tolist()
     assert first.covariance.tolist() == second.covariance.tolist()
+
+
+def test_a_stand_judges_a_unit_as_calibrate_does(finished, tmp_path, capsys):
+    bare, narrow = tmp_path / 'bare.yaml', tmp_path / 'narrow.yaml'
+    bare.write_text(re.sub(r'specification:.*?(?=^\S|\Z)', '', IMU, flags=re.M | re.S))
+    narrow.write_text(bare.read_text() + 'specification:\n  gyro: {scale_factor_error: 1 ppm}\n')
+    words = ['stand', str(finished / 'short.yaml'), '-o', str(tmp_path / 'new'), '--specification']
+    outcome = judged(build_parser().parse_args([*words, '--imu', str(narrow)]), finished / 'first')
+    assert outcome.exit_code == 3
+    assert outcome.message.startswith('The unit is outside its specification in K_gx, K_gy, K_gz')
+    # A unit without limits is refused before anything moves.
+    assert main([*words, '--imu', str(bare)]) == 2
+    assert 'has no limits' in capsys.readouterr().err
 
 
 def test_a_calibration_is_not_verified_by_the_journal_that_made_it(finished):

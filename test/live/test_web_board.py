@@ -107,6 +107,9 @@ def test_deviations_shrink_towards_what_the_plan_predicts(expected):
     board.on_calibration(calibration('PROVISIONAL', K_gx=0.004))
     row = board.snapshot(0.0).rows[0]
     assert row.verdict.value == 'fail'
+    (problem,) = board.snapshot(0.0).problems
+    assert problem.text == 'The unit is outside its specification in K_gx.'
+    assert 'outside its specification' in drawing.troubles(board.snapshot(0.0))
     assert board.snapshot(0.0).outcome is SessionOutcome.OPEN
     # Another session has nothing of the one before.
     board.on_progress(progress(500.0, math.nan), 0.0)

@@ -19,7 +19,7 @@ from ...estimation.setup import Setup
 from ...model.parameters import Parameter
 from ...model.sensors import SensorModel
 from ...reports.convergence import Converging, Courses, Pace, in_words
-from ...session.imu import ChannelNoise, Specification, load_imu
+from ...session.imu import ChannelNoise, Specification, Verdict, load_imu
 from ...session.units_file import MountedUnit
 from ..rules import Phase, Severity
 
@@ -143,12 +143,21 @@ class Snapshot:
     def problems(self) -> tuple[Sentence, ...]:
         """Reports that need attention, the worst first, after the outcome of the session."""
         over = self.outcome is not SessionOutcome.OPEN
-        return tuple(
+        found = [
             sentence
             for sentence in self.sentences
             if sentence.level is not Severity.OK
             and not (over and sentence.source.endswith('calibrator_node: calibration'))
-        )
+        ]
+        if self.outside:
+            text = f'The unit is outside its specification in {", ".join(self.outside)}.'
+            found.append(Sentence('specification', Severity.WARN, text))
+        return tuple(found)
+
+    @property
+    def outside(self) -> tuple[str, ...]:
+        """Names of the parameters that are proven to be beyond their limits, so far."""
+        return tuple(row.parameter.name for row in self.rows if row.verdict is Verdict.FAIL)
 
     @property
     def silent(self) -> bool:
@@ -551,8 +560,9 @@ class UnitsBoard:
     ) -> tuple[Severity, str]:
         if self._is_left_out(name):
             return Severity.WARN, 'Left out'
+        outside = Severity.WARN, 'Calibrated, outside its specification'
         ends = {
-            SessionOutcome.DONE: (Severity.OK, 'Calibrated'),
+            SessionOutcome.DONE: outside if shown.outside else (Severity.OK, 'Calibrated'),
             SessionOutcome.INCOMPLETE: (Severity.WARN, 'Calibrated, positions are missing'),
             SessionOutcome.FAILED: (Severity.ERROR, f'No calibration: {shown.outcome_text}'),
         }
