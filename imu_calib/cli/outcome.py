@@ -102,8 +102,8 @@ def add_specification_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--specification',
         action='store_true',
-        help="exit code 3 where a parameter is outside the specification in the IMU's file, its "
-        'uncertainty considered; the verdict is printed without it, too',
+        help="exit code 3 outside the specification: that in the IMU's file, uncertainties "
+        'considered; the verdict is printed without it, too',
     )
 
 
