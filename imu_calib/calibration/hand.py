@@ -589,14 +589,13 @@ def _lost_turns(evidence: Evidence, session: Segmented) -> list[str]:
 
 def _clipped_gyros(session: Segmented, imu: ImuSpec) -> list[str]:
     """Report gyros that stay at their largest value, where no turn is left out for a range."""
-    found = session.facts.clipped_gyros
+    found = [one for one in session.facts.clipped if one[0].startswith('gyro')]
     if not found or any(lost.reason == SATURATED for lost in session.lost_moves):
         return []
     # Increments over a sample interval are shown as they are.
     scale, unit = (1.0, '') if imu.units.per_interval else (imu.gyro.scale_factor / DEG, ' deg/s')
     each = ', '.join(
-        f'{share:.0%} of gyro {axis} at {largest * scale:.3g}{unit}'
-        for axis, share, largest in found
+        f'{share:.0%} of {name} at {largest * scale:.3g}{unit}' for name, share, largest in found
     )
     return [
         warning(

@@ -64,7 +64,8 @@ def with_facts(session: Segmented) -> Iterator[None]:
         if without := _without_gravity(session):
             raise Contradiction(without, facts) from None
         if unusual := session.facts.unusual:
-            # With the cause, as what explains it.
+            # With the cause, as what explains it, and there alone.
+            facts = f'{facts.partition(";")[0]}.'
             first, *rest = re.split(r'\.(?= [A-Z]|$)', error.cause, maxsplit=1)
             error.args = (
                 f'{first}; of the samples {"; ".join(unusual)}.{"".join(rest)}',

@@ -60,6 +60,9 @@ def halves(gyro: Floats, accel: Floats) -> Halves | None:
 
 _SHOWN = 0.01
 """Least share of samples that is stated: fewer do not make a session fail. A judgement."""
+_STAYS = 0.5
+"""Least share of samples at the largest value that repeat it, and of all that change. A judgement:
+published units change in 0.75 and more, and clipped ones repeat in 0.83 and more."""
 _INTERVALS = 4096  #: First stamps by which the sample interval is judged. A choice.
 _CHANNELS = tuple(f'{triad} {axis}' for triad in ('gyro', 'accelerometer') for axis in 'xyz')
 
@@ -76,11 +79,12 @@ class StreamFacts:
         self._zero = np.zeros(2, np.int64)
         self._alone = np.zeros(2, np.int64)
         self._largest = np.zeros(6)
-        self._at_largest = np.zeros(6, np.int64)
+        self._at_largest, self._stays = np.zeros((2, 6), np.int64)
+        self._latest = np.zeros(6)
         self._row = np.empty((0, 6))
         self._length = 0  #: Samples so far that are equal to the last one, and follow each other.
-        self._runs = np.zeros(4, np.int64)
-        """Former ones: their number, samples, squares of these; channels that changed then."""
+        self._runs = np.zeros(3, np.int64)  #: Former ones: their number, samples, squares of these.
+        self._changed = np.zeros(6, np.int64)  #: Of the samples that `_count_runs` looked at.
         self.marks = np.empty(0, np.uint64)
         """Of a stream without dates: the least hashes of samples that follow each other. Streams
         that share samples share those that lie in them, whatever else they hold (Broder 1997, On
@@ -125,9 +129,12 @@ class StreamFacts:
         self._alone += [np.count_nonzero(rows) for rows in alone]
         largest = by_columns(np.maximum, sizes)
         for c in np.flatnonzero(largest >= self._largest).tolist():
-            before = self._at_largest[c] if largest[c] == self._largest[c] else 0
-            self._at_largest[c] = before + np.count_nonzero(sizes[:, c] == largest[c])
-        self._largest = np.maximum(largest, self._largest)
+            if largest[c] > self._largest[c]:
+                self._at_largest[c] = self._stays[c] = 0
+            at_largest = np.append(self._latest[c], sizes[:, c]) == largest[c]
+            self._at_largest[c] += np.count_nonzero(at_largest[1:])
+            self._stays[c] += np.count_nonzero(at_largest[1:] & at_largest[:-1])
+        self._largest, self._latest = np.maximum(largest, self._largest), sizes[-1].copy()
         if (left := _LOOKED_AT - self.samples + len(values)) > 0:
             self._count_runs(values[:left])
         if utc(self._first) is None:
@@ -148,12 +155,8 @@ class StreamFacts:
         begins = np.flatnonzero(any_in_row(changed)) + 1 - len(self._row)
         if len(begins):
             lengths = np.diff(begins, prepend=-self._length)
-            self._runs += [
-                len(lengths),
-                lengths.sum(),
-                lengths @ lengths,
-                np.count_nonzero(changed),
-            ]
+            self._runs += [len(lengths), lengths.sum(), lengths @ lengths]
+            self._changed += changed.sum(axis=0)
         last = int(begins[-1]) if len(begins) else -self._length
         self._row, self._length = values[-1:].copy(), len(values) - last
 
@@ -165,8 +168,8 @@ class StreamFacts:
         channel changes now and then, are as of chance. Increments of a counter say nothing: at a
         steady rate they are alike.
         """
-        runs, samples, squares, changed = map(float, self._runs)
-        if self.units.per_interval or runs < _ENOUGH or changed < _TOGETHER * runs:
+        runs, samples, squares = map(float, self._runs)
+        if self.units.per_interval or runs < _ENOUGH or self._changed.sum() < _TOGETHER * runs:
             return []
         mean = samples / runs
         if mean < _MORE_OFTEN or squares / runs - mean**2 > _EVEN * mean * (mean - 1):
@@ -202,18 +205,25 @@ class StreamFacts:
                 for count, what in self._counts()
                 if count >= max(_SHOWN * self.samples, 1)
             ),
+            *(
+                f'{share:.0%} of {name} are its largest value, {largest:.4g}'
+                for name, share, largest in self.clipped
+            ),
         ]
 
     @property
-    def clipped_gyros(self) -> list[tuple[str, float, float]]:
-        """Axis, share of samples and value of each gyro that stays at its largest value.
+    def clipped(self) -> list[tuple[str, float, float]]:
+        """Name, share of samples and value of each channel that stays at its largest value.
 
-        For a unit in the hand alone: gyros on a table that turns evenly do so, too.
+        A clipped channel repeats that value, and changes from sample to sample otherwise. Without
+        noise, or with that of less than a code, an even rate and a rest repeat theirs, too.
         """
+        repeats = self._stays >= _STAYS * self._at_largest
+        noisy = self._changed > _STAYS * min(self.samples, _LOOKED_AT)
+        many = self._at_largest >= max(_SHOWN * self.samples, 2)
         return [
-            (axis, count / self.samples, largest)
-            for axis, count, largest in zip('xyz', self._at_largest, self._largest, strict=False)
-            if largest > 0 and count >= max(_SHOWN * self.samples, 2)
+            (_CHANNELS[c], float(self._at_largest[c] / self.samples), float(self._largest[c]))
+            for c in np.flatnonzero(repeats & noisy & many & (self._largest > 0)).tolist()
         ]
 
     @property
@@ -227,22 +237,13 @@ class StreamFacts:
 
     def _counts(self) -> list[tuple[int, str]]:
         """Return numbers of samples, and what they have in common."""
-        # A channel that counts few pulses a sample has each of their numbers in a share of them.
-        pulses = self.units is Units.PULSES
-        least = 1 / _SHOWN if pulses else 0.0
-        clipped = [
-            (int(count), f'of {name} are its largest value, {largest:.4g}')
-            for name, count, largest in zip(_CHANNELS, self._at_largest, self._largest, strict=True)
-            if largest > least
-        ]
-        still = 0 if pulses else int(self._zero[0])
+        still = 0 if self.units is Units.PULSES else int(self._zero[0])
         return [
             (self._back, 'come after one with a later stamp'),
             (self._same, 'have the stamp of the one before'),
             (self._no_number, 'hold values that are not numbers'),
             (still, 'have gyros of exactly 0 (not measured, or a dead band)'),
             (int(self._zero[1]), 'have accelerometers of exactly 0 (not measured)'),
-            *clipped,
         ]
 
 

@@ -85,6 +85,12 @@ def test_few_pulses_a_sample_are_not_unusual():
     assert 'gyros of exactly 0' in facts(STAMP, pulses)
 
 
+def test_an_even_turn_of_a_unit_without_noise_is_not_clipped():
+    codes = np.zeros((2000, 6))
+    codes[500:700, 1], codes[:, 5] = 1638.0, 2048.0
+    assert facts(STAMP, codes + 1.0).endswith('none missing, in order.')
+
+
 def test_stamps_of_few_digits_are_counted():
     rounded = (STAMP - STAMP[0]) // 40_000_000 * 40_000_000 + STAMP[0]
     assert '75% have the stamp of the one before' in facts(rounded, NOISE)
@@ -150,6 +156,7 @@ def test_a_refusal_ends_with_the_facts(hand, tmp_path):
     with pytest.raises((NotObservable, InputError), match='% have gyros of exactly 0') as no:
         imu_calib.calibrate(path, latitude=LATITUDE)
     assert '% have gyros of exactly 0' in no.value.cause
+    assert str(no.value).count('of exactly 0') == 1
     assert len(re.findall(r'[.] (?=[A-Z])', no.value.cause)) < 2, no.value.cause
 
 
