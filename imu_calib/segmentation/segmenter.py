@@ -15,6 +15,7 @@ from ..common.stream import (
     Floats,
     ImuBlock,
     JointBlock,
+    Mode,
     SetpointBlock,
     SkewBlock,
     TemperatureBlock,
@@ -32,7 +33,7 @@ from .reading import NEAR, IntervalReader, ReadParts, SegmentChoice
 from .reading_jumps import ReadingJumps
 from .segmented import Move, Rejected, Segmented
 from .segments import Segment, Turn
-from .stamp_faults import interruptions
+from .stamp_faults import INTERRUPTION, interruption, interruptions
 from .statistics import Sensor, sample_period, to_samples
 from .stillness import WINDOW_SECONDS, Quietest, StillnessTracker
 from .stream_facts import FROZEN, frozen_sentence
@@ -603,7 +604,10 @@ class Segmenter:
             )
         silences = self._intake.interruptions.found
         silences = [one for one in silences if one not in reader.set_on]
-        lost += [Finding(text, lost=True) for text in interruptions(silences)]
+        stops = [one for one in silences if self._was_stopped(one[0])]
+        texts = [interruption(*one, 'The session was stopped and resumed') for one in stops]
+        texts += interruptions([one for one in silences if one not in stops])
+        lost += [Finding(text, lost=True) for text in texts]
         lost += [
             f'The clock of the IMU was set forward by {(begins - last) * 1e-9:.1f} s at '
             f'{at(last)}: the motions of the table show that no samples are missing'
@@ -612,6 +616,14 @@ class Segmenter:
         if self._table is not None and self._joints is not None and self._joints.silent:
             lost.append(f'There are no joint states of table {self._table.name}')
         return (*froze, *lost, *self._thermometer.losses)
+
+    def _was_stopped(self, last: int) -> bool:
+        """Return whether the table was told to stop before the stream's silence from a stamp, ns.
+
+        So ends a stand that is asked to, as by Ctrl-C; a plan begins with HOLD, too.
+        """
+        modes = [one.mode for one in self._intake.setpoints if one.stamp <= last + INTERRUPTION]
+        return len(set(modes)) > 1 and modes[-1] is Mode.HOLD
 
 
 _NOTICED = 0.01  #: Share of missing samples that counts as lost data: as in `stream_facts`.

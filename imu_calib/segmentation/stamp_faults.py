@@ -102,10 +102,9 @@ def sample_interval(stamp: Stamps) -> float:
     return min(float(np.median(apart)), float(np.median(stamp[lag:] - stamp[:-lag])) / lag)
 
 
-def interruption(last: int, begins: int) -> str:
+def interruption(last: int, begins: int, what: str = 'The IMU stream was interrupted') -> str:
     """Return a sentence on an interruption of the IMU's stream: last stamp to next, ns."""
-    gap = (begins - last) * 1e-9
-    return f'The IMU stream was interrupted: {gap:.1f} s are missing, from {at(last)}'
+    return f'{what}: {(begins - last) * 1e-9:.1f} s are missing, from {at(last)}'
 
 
 def interruptions(found: Sequence[tuple[int, int]]) -> list[str]:

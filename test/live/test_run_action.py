@@ -7,7 +7,7 @@ from turntable_bench import PATIENT
 
 from imu_calib.common.stream import Mode
 from imu_calib.live import middleware as ros
-from imu_calib.live.nodes import qos
+from imu_calib.live.nodes import qos, turntable_node
 from imu_calib.live.rules import Phase
 
 session = turntable_bench.session
@@ -317,7 +317,7 @@ def test_a_node_that_ends_answers_its_client(session):
     assert session.until(lambda: session.watcher.phase is Phase.TURNING or ended.done())
     process.terminate()
     status, result = client.end(ended)
-    assert (status, result.message) == (Status.ABORTED, 'The turntable node ends.')
+    assert (status, result.message) == (Status.ABORTED, turntable_node._ENDS)
     process.communicate(timeout=patience())
     assert process.returncode == 0
     assert session.ends_stopped()

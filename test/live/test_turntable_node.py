@@ -437,7 +437,7 @@ def test_ctrl_c_stops_the_table_before_the_node_ends(session):
     assert session.until(lambda: session.table.setpoints[-1].mode is Mode.HOLD)
     assert session.table.table.advance(session.table.now()).stopped == ''
     assert session.ends_stopped()
-    assert session.watcher.states[-1].reason == 'The turntable node ends.'
+    assert session.watcher.states[-1].reason == turntable_node._ENDS
 
 
 def test_an_error_in_a_callback_stops_the_table(session):

@@ -7,7 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imu_calib.common.stream import Block, Floats, ImuBlock, JointBlock, SkewBlock, Units
+from imu_calib.common.stream import (
+    NS,
+    Block,
+    Floats,
+    ImuBlock,
+    JointBlock,
+    Mode,
+    Setpoint,
+    SetpointBlock,
+    SkewBlock,
+    Units,
+)
 from imu_calib.common.units import DEG
 from imu_calib.segmentation import segmenter
 from imu_calib.segmentation.segmented import Segmented
@@ -191,6 +202,27 @@ def test_a_second_without_samples_is_an_interruption():
     # Between two blocks as well.
     parts = only(imu, time < 22.005), only(imu, time > 23.995)
     assert found(parts[0], parts[1], joint()).losses == session.losses
+
+
+def test_a_silence_after_the_table_was_stopped_is_no_fault_of_the_stream():
+    imu = unit()
+    time = when(imu)
+    silent = only(imu, (time < 22.005) | (time > 23.995))
+
+    def losses(*modes):
+        stated = [
+            Setpoint(START + seconds * NS, 'p', 0, '1', mode, ('j',), (0.0,), (0.0,), 0.0, 1.0)
+            for seconds, mode in modes
+        ]
+        return found(silent, joint(), SetpointBlock(tuple(stated))).losses
+
+    hold, go = Mode.HOLD, Mode.POSITION
+    assert losses((0, hold), (1, go), (21, hold), (60, go)) == (
+        'The session was stopped and resumed: 2.0 s are missing, from 2023-11-14 22:13:42.000 UTC',
+    )
+    for modes in ([(0, hold)], [(0, hold), (1, go)], [(1, go), (24, hold)]):
+        (text,) = losses(*modes)
+        assert text.startswith('The IMU stream was interrupted: 2.0 s')
 
 
 @pytest.mark.parametrize('count', [3, 4])

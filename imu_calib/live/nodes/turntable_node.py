@@ -59,7 +59,7 @@ _LAST_ROUNDS = 20
 _LAST_RESULT = 3.0
 """s to wait for the calibrator's result as the node ends after its plan: `imu-calib stand` ends it
 as soon as it knows the result, and a launcher kills it 5 s later."""
-_ENDS = 'The turntable node ends.'
+_ENDS = 'The turntable node ends: the operator or a program asked for it, as by Ctrl-C.'
 
 
 class TurntableNode(Node):
