@@ -116,7 +116,7 @@ class Result:
     def terms(self) -> tuple[str, ...]:
         """Sentences on each term, estimated or not, and its smallest detectable size."""
         if self.solution.tests:
-            return tuple(summary(self.solution.tests))
+            return tuple(summary(self.solution.tests, by_hand=self.calibration.by_hand))
         names = ', '.join(term.name for term in terms_of(self.solution.parameters))
         return (f'terms: {names or "none"}',)
 

@@ -838,11 +838,11 @@ def _one_term(found: SignificantFamily, fit: FreeFit) -> str:
             effect=effect,
         )
     places = indices_of(term.parameters, fit.parameters)
-    unit = term.parameters[0].unit
+    unit = term.parameters[0].unit.engineering(by_hand=True)
     largest = np.abs(fit.model.values(fit.parameters)[places]).max() / unit.scale
     text = (
         f'The session shows {term.kind.value.words} ({term.name}, by up to '
-        f'{significant(largest)} {unit.shown}, by chance once in '
+        f'{significant(largest)} {unit.unit}, by chance once in '
         f'10^{max(3, round(-found.log_p / np.log(10)))} sessions): it is estimated'
     )
     if found.alternatives:

@@ -412,7 +412,7 @@ _TABLE_WORDS = {
 }
 
 
-def summary(tests: tuple[TermTest, ...]) -> list[str]:
+def summary(tests: tuple[TermTest, ...], *, by_hand: bool = False) -> list[str]:
     """Return lines for the screen: families found, those off with their limits, those not seen."""
     lines = []
     on = [
@@ -422,7 +422,7 @@ def summary(tests: tuple[TermTest, ...]) -> list[str]:
     ]
     terms = [t for t in tests if t.parameters or t.changes]
     off = [t for t in terms if t.state is TermState.OFF]
-    seen = [_power(t) for t in off if t.changes or np.isfinite(t.smallest).any()]
+    seen = [_power(t, by_hand) for t in off if t.changes or np.isfinite(t.smallest).any()]
     unseen = [t.name for t in off if not (t.changes or np.isfinite(t.smallest).any())]
     lines.append(f'terms: {", ".join(on) or "none"}')
     if seen:
@@ -436,35 +436,35 @@ def summary(tests: tuple[TermTest, ...]) -> list[str]:
             if moved is not None and not np.isfinite(least)
         ]
         if held:
-            lines.append(_held(one, held))
+            lines.append(_held(one, held, by_hand))
         below = [
             (p, least, moved)
             for p, least, moved in zip(one.parameters, one.smallest, one.hidden, strict=False)
             if moved is not None
         ]
         if below:
-            lines.append(_below_detection(one, below))
-        if hidden := _hidden(one):
+            lines.append(_below_detection(one, below, by_hand))
+        if hidden := _hidden(one, by_hand):
             lines.append(hidden)
     return lines
 
 
 def _below_detection(
-    one: TermTest, below: list[tuple[Parameter, float, tuple[Parameter, float]]]
+    one: TermTest, below: list[tuple[Parameter, float, tuple[Parameter, float]]], by_hand: bool
 ) -> str:
     """Report parameters that hold only without a term that the session shows too badly."""
     names = list(dict.fromkeys(moved.name for *_, (moved, _) in below))
     # The largest effect, in the parameter's deviations or not: the coefficients are of one kind.
     coefficient, least, (moved, slope) = max(below, key=lambda part: abs(part[2][1]) * part[1])
-    size = f'{significant(least / coefficient.unit.scale)} {coefficient.unit.shown}'
-    by = f'{significant(abs(slope) * least / moved.unit.scale)} {moved.unit.shown}'
+    size = _shown(coefficient, least, by_hand)
+    by = _shown(moved, abs(slope) * least, by_hand)
     return (
         f'An undetected {one.name} of up to {size} could bias {", ".join(names)}: {moved.name} by '
         f'up to {by}'
     )
 
 
-def _hidden(one: TermTest) -> str:
+def _hidden(one: TermTest, by_hand: bool) -> str:
     """Report parameters that hold only if others do not change, with the possible change.
 
     On a table changes of scale factors are tested; in the hand those of biases, by name.
@@ -481,12 +481,10 @@ def _hidden(one: TermTest) -> str:
     most: dict[Parameter, float] = {}
     for _, least, (moved, slope) in seen:
         most[moved] = max(most.get(moved, 0.0), abs(slope) * least)
-    by = [
-        f'{moved.name} by {significant(size / moved.unit.scale)} {moved.unit.shown}'
-        for moved, size in most.items()
-    ]
+    by = [f'{moved.name} by {_shown(moved, size, by_hand)}' for moved, size in most.items()]
+    up_to = largest(changes, smallest, by_hand=by_hand)
     may = (
-        f'An undetected {one.name} of up to {largest(changes, smallest)} could bias '
+        f'An undetected {one.name} of up to {up_to} could bias '
         f'{", ".join(names)}: {" and ".join(by)}'
     )
     if one.probability is None:
@@ -494,24 +492,31 @@ def _hidden(one: TermTest) -> str:
     return f'{may}. The standard deviations allow for it by its probability, {one.probability:.2g}'
 
 
-def _power(one: TermTest) -> str:
+def _power(one: TermTest, by_hand: bool) -> str:
     if one.changes:
-        return f'{one.name.partition(":")[0]} {largest(one.changes, one.smallest)}'
-    unit = one.parameters[0].unit
+        seen = largest(one.changes, one.smallest, by_hand=by_hand)
+        return f'{one.name.partition(":")[0]} {seen}'
     largest_seen = max(v for v in one.smallest if np.isfinite(v))
-    return f'{one.name} {significant(largest_seen / unit.scale)} {unit.shown}'
+    return f'{one.name} {_shown(one.parameters[0], largest_seen, by_hand)}'
 
 
-def _held(one: TermTest, held: list[tuple[Parameter, tuple[Parameter, float]]]) -> str:
+def _shown(parameter: Parameter, value: float, by_hand: bool) -> str:
+    unit = parameter.unit.engineering(by_hand=by_hand)
+    return f'{significant(value / unit.scale)} {unit.unit}'
+
+
+def _held(
+    one: TermTest, held: list[tuple[Parameter, tuple[Parameter, float]]], by_hand: bool
+) -> str:
     """Report parameters that hold only without a term that the session does not show."""
     names = ', '.join(moved.name for _, (moved, _) in held)
     # The first of those that are equal to the digits shown.
     coefficient, (moved, slope) = max(held, key=lambda pair: float(f'{abs(pair[1][1]):.2g}'))
-    unit = coefficient.unit
-    by = abs(slope) * one.amount * unit.scale / moved.unit.scale
+    amount = one.amount * coefficient.unit.scale
     return (
-        f'This session does not show {one.name}, which could bias {names}: {one.amount:g} '
-        f'{unit.shown} would move {moved.name} by {significant(by)} {moved.unit.shown}. To '
+        f'This session does not show {one.name}, which could bias {names}: '
+        f'{_shown(coefficient, amount, by_hand)} would move {moved.name} by '
+        f'{_shown(moved, abs(slope) * amount, by_hand)}. To '
         f'determine it takes {terms_of(one.parameters)[0].needs}'
     )
 

@@ -43,6 +43,11 @@ class Unit:
     #: Largest plausible amount for a strapdown IMU, SI; None if judged otherwise.
     limit: float | None = None
 
+    def engineering(self, *, by_hand: bool = False) -> Shown:
+        """Return what engineers use, on a table or of a unit in the hand."""
+        own = Shown(self.shown, self.scale)
+        return _BY_HAND.get(self.shown, own) if by_hand else own
+
 
 @dataclass(frozen=True)
 class Kind:
@@ -402,18 +407,26 @@ class Shown:
         return typeset(self.unit)
 
 
+_MILLI_G = 1e3 * MICRO_G  #: m/s^2.
 _BY_HAND = {
-    (ParameterKind.SCALE_FACTOR_ERROR, 'g'): Shown('%', 0.01),
-    (ParameterKind.SCALE_FACTOR_ERROR, 'a'): Shown('%', 0.01),
-    (ParameterKind.MISALIGNMENT, 'g'): Shown('deg', DEG),
-    (ParameterKind.MISALIGNMENT, 'a'): Shown('deg', DEG),
-    (ParameterKind.BIAS, 'g'): Shown('deg/s', DEG),
-    (ParameterKind.BIAS, 'a'): Shown('mg', 1e3 * MICRO_G),
+    'ppm': Shown('%', 0.01),
+    'arcmin': Shown('deg', DEG),
+    'deg/h': Shown('deg/s', DEG),
+    'ug': Shown('mg', _MILLI_G),
+    '(deg/h)/g': Shown('(deg/s)/g', DEG / STANDARD_GRAVITY),
+    '(deg/h)/g^2': Shown('(deg/s)/g^2', DEG / STANDARD_GRAVITY**2),
+    'ug/g^2': Shown('mg/g^2', _MILLI_G / STANDARD_GRAVITY**2),
+    'ug/g^3': Shown('mg/g^3', _MILLI_G / STANDARD_GRAVITY**3),
 }
-"""Units of the grade of the units that are calibrated in the hand."""
+"""Units of the grade of the units that are calibrated in the hand, by those of the others."""
 
 
 def engineering(parameter: Parameter, *, by_hand: bool = False) -> Shown:
     """Return the unit that engineers use for a parameter, on a table or of a unit in the hand."""
-    own = Shown(parameter.unit.shown, parameter.unit.scale)
-    return _BY_HAND.get((parameter.kind, parameter.triad), own) if by_hand else own
+    return parameter.unit.engineering(by_hand=by_hand)
+
+
+def bias_units(*, by_hand: bool) -> tuple[Shown, Shown]:
+    """Return the units of rates and accelerations as small as a bias."""
+    of = ParameterKind.BIAS.value.units
+    return of['g'].engineering(by_hand=by_hand), of['a'].engineering(by_hand=by_hand)

@@ -24,7 +24,7 @@ from ..common.errors import InputError
 from ..common.gaussian import is_covariance
 from ..common.stream import Floats
 from ..common.units import significant
-from .parameters import PARAMETERS, Parameter, ParameterKind, Unit
+from .parameters import PARAMETERS, Parameter, ParameterKind, Shown, Unit
 
 _ALL = ('D_g', 'D_a', 'K_g', 'K_a')
 _SECONDS_PER_HOUR = 3600.0  #: Engineers write drifts per hour.
@@ -102,6 +102,11 @@ class Change:
         """Its unit in files."""
         return f'{self.unit.si}{self.course.per}'
 
+    def engineering(self, *, by_hand: bool = False) -> Shown:
+        """Return its unit as engineers use it, on a table or of a unit in the hand."""
+        (words, per), of = self.course.shown_per, self.unit.engineering(by_hand=by_hand)
+        return Shown(f'{of.unit}{words}', of.scale * per)
+
     @property
     def of_scale_factor(self) -> bool:
         """Whether it changes scale factors."""
@@ -176,7 +181,9 @@ def terms_in_words(changes: Sequence[Change]) -> list[str]:
     return found
 
 
-def largest(changes: Sequence[Change], values: Sequence[float | None]) -> str:
+def largest(
+    changes: Sequence[Change], values: Sequence[float | None], *, by_hand: bool = False
+) -> str:
     """Return the largest coefficient of each kind as text: 'D_g 0.2 deg/h per h, K_a ...'.
 
     Values are in SI units; None or infinite if unknown.
@@ -187,11 +194,9 @@ def largest(changes: Sequence[Change], values: Sequence[float | None]) -> str:
         kind = one.name[: len('D_g')]
         if value is None or not math.isfinite(value) or abs(value) <= found.get(kind, -1.0):
             continue
-        words, scale = one.course.shown_per
+        of = one.engineering(by_hand=by_hand)
         found[kind] = abs(value)
-        shown[kind] = (
-            f'{kind} {significant(abs(value) / (one.unit.scale * scale))} {one.unit.shown}{words}'
-        )
+        shown[kind] = f'{kind} {significant(abs(value) / of.scale)} {of.unit}'
     return ', '.join(shown.values())
 
 
@@ -246,19 +251,18 @@ class Changes:
                 found[[parameters.index(p) for p in one.parameters], k] = 1.0
         return found
 
-    def shown(self) -> list[tuple[str, str, float, float, str]]:
+    def shown(self, *, by_hand: bool = False) -> list[tuple[str, str, float, float, str]]:
         """Return term, coefficient, value, standard deviation and unit as shown to engineers."""
         rows = []
         for one, value, std in zip(self.changes, self.values, self.std, strict=True):
-            words, per = one.course.shown_per
-            scale = one.unit.scale * per
+            of = one.engineering(by_hand=by_hand)
             rows.append(
                 (
                     one.course.value,
                     one.name,
-                    float(value / scale),
-                    float(std / scale),
-                    f'{one.unit.shown}{words}',
+                    float(value / of.scale),
+                    float(std / of.scale),
+                    of.unit,
                 )
             )
         return rows

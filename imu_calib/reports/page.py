@@ -12,8 +12,8 @@ from ..calibration.calibration import Calibration
 from ..calibration.results import Result
 from ..calibration.thermal import ThermalCalibration, temperature_range
 from ..common.stream import Floats
-from ..common.units import DEG_H, MICRO_G, rounded, typeset
-from ..model.parameters import engineering
+from ..common.units import rounded, typeset
+from ..model.parameters import bias_units, engineering
 from ..session.imu import COVERAGE, ImuSpec
 from . import course, provenance, repeatability
 from .assessment import (
@@ -91,13 +91,18 @@ def residuals_of(calibration: Calibration, result: Result | None) -> Residuals:
     return Residuals(tuple(r.position for r in rows), value, std)
 
 
-def residual_plots(residuals: Residuals) -> str:
+def residual_plots(residuals: Residuals, *, by_hand: bool) -> str:
     """Draw the residuals of both triads, and below them the same in standard deviations."""
     if not residuals.positions:
         return ''
     both = [
-        ('gyros, deg/h', slice(0, 3), DEG_H),
-        ('accelerometers, \u00b5g', slice(3, 6), MICRO_G),
+        (f'{name}, {unit.symbol}', channels, unit.scale)
+        for name, channels, unit in zip(
+            ('gyros', 'accelerometers'),
+            (slice(0, 3), slice(3, 6)),
+            bias_units(by_hand=by_hand),
+            strict=True,
+        )
     ]
     shown = [b for b in both if np.isfinite(residuals.value[:, b[1]]).any()]
     parts = [legend('XYZ', _WIDTH - 220, 14)]
@@ -154,18 +159,20 @@ def _panel(
     return panel
 
 
-def residual_notes(residuals: Residuals, rms: Sequence[object] | None) -> str:
+def residual_notes(residuals: Residuals, rms: Sequence[object] | None, *, by_hand: bool) -> str:
     """Return sentences on the size of the residuals, and on outliers."""
     parts = []
     if residuals.numbered:
         named = '; '.join(f'{k + 1} {name}' for k, name in enumerate(residuals.positions))
         parts.append(paragraph(f'Static dwells in order of time: {named}.', 'note'))
     if rms is not None and len(rms) == 6:
+        units = zip('ga', bias_units(by_hand=by_hand), strict=True)
+        channels = [(f'{triad}{axis}', unit) for triad, unit in units for axis in 'xyz']
         cells = [
-            '-' if not isinstance(v, (int, float)) else three_digits(float(v) / scale)
-            for v, scale in zip(rms, [DEG_H] * 3 + [MICRO_G] * 3, strict=True)
+            '-' if not isinstance(v, (int, float)) else three_digits(float(v) / unit.scale)
+            for v, (_, unit) in zip(rms, channels, strict=True)
         ]
-        headings = ['RMS', *(f'g{a}, deg/h' for a in 'xyz'), *(f'a{a}, \u00b5g' for a in 'xyz')]
+        headings = ['RMS', *(f'{name}, {unit.symbol}' for name, unit in channels)]
         parts.append(table(headings, [['', *cells]], 'plain', 'lrrrrrr'))
     normalised = residuals.normalised
     if normalised is not None:
@@ -304,11 +311,12 @@ def _course(result: Result | None) -> str:
 def _residuals(contents: Contents) -> str:
     found = residuals_of(contents.calibration, contents.result)
     rms = contents.calibration.provenance.get('residual_rms')
-    plots = residual_plots(found)
+    by_hand = contents.calibration.by_hand
+    plots = residual_plots(found, by_hand=by_hand)
     if not plots:
         return ''
     listed = rms if isinstance(rms, Sequence) else None
-    return section('Residuals', plots, residual_notes(found, listed))
+    return section('Residuals', plots, residual_notes(found, listed, by_hand=by_hand))
 
 
 def _noise(contents: Contents) -> str:

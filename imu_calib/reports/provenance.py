@@ -10,8 +10,9 @@ from rich.table import Table
 
 from ..calibration.calibration import Calibration
 from ..common.finding import is_warning
-from ..common.units import DEG, DEG_H, MICRO_G, PPM, counted, rounded, significant
+from ..common.units import DEG, PPM, counted, rounded, significant
 from ..model.earth import MEASURED, VAGUE
+from ..model.parameters import bias_units
 from ..session.imu import TRIAD_NAMES, Coefficient
 from .budget import budget_tables, errors_of_table
 from .charts import tag
@@ -44,10 +45,10 @@ _PER_CHANNEL = (
         ('deg/\u221ah', DEG / 60),
         ('(m/s)/\u221ah', 1 / 60),
     ),
-    ('residual_rms', 'RMS of the residuals', ('deg/h', DEG_H), ('\u00b5g', MICRO_G)),
-    ('bias_drift', 'bias drift allowed for', ('deg/h', DEG_H), ('\u00b5g', MICRO_G)),
+    ('residual_rms', 'RMS of the residuals'),
+    ('bias_drift', 'bias drift allowed for'),
 )
-"""Key, text, and the units of gyros and accelerometers."""
+"""Key, text, and the units of gyros and accelerometers; without any, those of biases."""
 
 
 def number(facts: Facts, key: str) -> float | None:
@@ -325,18 +326,17 @@ def origin_rows(calibration: Calibration) -> list[tuple[str, str]]:
     facts = calibration.provenance
     rows = [(name, words(facts)) for _, group in _GROUPS[1:] for name, words, _ in group]
     rows.append(('temperature of the unit', temperature(facts)))
-    rows.append(('bias drift allowed for', _bias_drift(facts)))
+    rows.append(('bias drift allowed for', _bias_drift(calibration)))
     return [(name, text.replace('\u00a0', ' ')) for name, text in rows if text]
 
 
-def _bias_drift(facts: Facts) -> str:
-    drift = facts.get('bias_drift')
+def _bias_drift(calibration: Calibration) -> str:
+    drift = calibration.provenance.get('bias_drift')
     if not isinstance(drift, Sequence) or len(drift) != len(_CHANNELS) or not any(drift):
         return ''
-    return (
-        f'{significant(drift[0] / DEG_H)} deg/h and {significant(drift[3] / MICRO_G)} ug over some '
-        '1000 s, by the data sheet and the session'
-    )
+    units = zip(drift[::3], bias_units(by_hand=calibration.by_hand), strict=True)
+    each = ' and '.join(f'{significant(value / unit.scale)} {unit.unit}' for value, unit in units)
+    return f'{each} over some 1000 s, by the data sheet and the session'
 
 
 def provenance(calibration: Calibration) -> str:
@@ -349,7 +349,7 @@ def provenance(calibration: Calibration) -> str:
         texts = [(name, words(facts)) for name, words, keys in rows if set(keys) & set(facts)]
         shown = named_rows([(name, text) for name, text in texts if text])
         parts.append(tag('div', tag('h3', title) + shown, class_='whole') if shown else '')
-    per_channel = _per_channel(facts)
+    per_channel = _per_channel(calibration)
     if per_channel:
         parts.append(tag('div', tag('h3', 'By channel') + per_channel, class_='whole across'))
     others = {k: v for k, v in facts.items() if k not in _SHOWN | _ELSEWHERE | {'versions'}}
@@ -360,15 +360,16 @@ def provenance(calibration: Calibration) -> str:
     return tag('div', ''.join(parts), class_='provenance')
 
 
-def _per_channel(facts: Facts) -> str:
-    """Return a table of the entries for each channel, in units of data sheets."""
-    rows = []
+def _per_channel(calibration: Calibration) -> str:
+    """Return a table of the entries for each channel."""
+    rows, facts = [], calibration.provenance
+    usual = [(unit.symbol, unit.scale) for unit in bias_units(by_hand=calibration.by_hand)]
     for key, words, *units in _PER_CHANNEL:
         values = facts.get(key)
         if not isinstance(values, Sequence) or len(values) != len(_CHANNELS):
             continue
         cells = [words]
-        for k, (unit, scale) in enumerate(units):
+        for k, (unit, scale) in enumerate(units or usual):
             cells += [_scaled(v, scale) for v in values[3 * k : 3 * k + 3]] + [unit]
         rows.append(cells)
     headings = ['', *_CHANNELS[:3], '', *_CHANNELS[3:], '']

@@ -184,7 +184,8 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
             continue
         value = np.array([c.values[k] for c, k in zip(calibrations, rows, strict=True)])
         std = np.sqrt([square[k] for square, k in zip(squares, rows, strict=True)])
-        if np.isfinite(std).all():
+        # A parameter that a choice of axes makes zero has no deviation.
+        if np.isfinite(std).all() and std.any():
             start = None if days is None else min(known)
             found.append(RepeatedParameter(parameter, value, std, days, start, first.by_hand))
     if not found:

@@ -45,7 +45,8 @@ CHANGE_HEADINGS = ('term', 'of', 'value', 'std', 'unit')
 def change_rows(calibration: Calibration) -> list[list[str]]:
     """Return the estimated terms of the session as rows; none without requested terms."""
     rows = []
-    for term, name, value, std, unit in calibration.changes.shown() if calibration.changes else ():
+    changes, by_hand = calibration.changes, calibration.by_hand
+    for term, name, value, std, unit in changes.shown(by_hand=by_hand) if changes else ():
         rows.append([term, name, *rounded(value, std), unit])
     return rows
 
@@ -159,8 +160,8 @@ def term_rows(calibration: Calibration) -> list[list[str]]:
                 _kind(coefficients),
                 _state(test),
                 _chance(test.get('log10_p')),
-                _smallest(coefficients, test.get('found_from')),
-                _moved(coefficients, test.get('would_move')),
+                _smallest(coefficients, test.get('found_from'), calibration.by_hand),
+                _moved(coefficients, test.get('would_move'), calibration.by_hand),
             ]
         )
     return rows
@@ -179,15 +180,6 @@ def _state(test: Mapping[str, Any]) -> str:
     return test['state'] if probability is None else f'{test["state"]} ({probability:.2g} likely)'
 
 
-def _unit(coefficient: Parameter | Change) -> tuple[str, float]:
-    """Return the unit in which a coefficient is shown, and its SI value."""
-    unit = coefficient.unit
-    if not isinstance(coefficient, Change):
-        return unit.shown, unit.scale
-    words, scale = coefficient.course.shown_per
-    return f'{unit.shown}{words}', unit.scale * scale
-
-
 def _chance(log10_p: float | None) -> str:
     if log10_p is None:
         return '-'
@@ -195,27 +187,33 @@ def _chance(log10_p: float | None) -> str:
 
 
 def _smallest(
-    coefficients: Sequence[Parameter | Change], found_from: Sequence[float | None] | None
+    coefficients: Sequence[Parameter | Change],
+    found_from: Sequence[float | None] | None,
+    by_hand: bool,
 ) -> str:
     """Return the largest coefficient among the detection limits."""
     if not coefficients or found_from is None:
         return '-'
     changes = [one for one in coefficients if isinstance(one, Change)]
     if changes:
-        return largest(changes, found_from) or 'not shown'
+        return largest(changes, found_from, by_hand=by_hand) or 'not shown'
     seen = [value for value in found_from if value is not None]
-    unit, scale = _unit(coefficients[0])
-    return f'{significant(max(seen) / scale)} {unit}' if seen else 'not shown'
+    of = coefficients[0].unit.engineering(by_hand=by_hand)
+    return f'{significant(max(seen) / of.scale)} {of.unit}' if seen else 'not shown'
 
 
 def _moved(
-    coefficients: Sequence[Parameter | Change], moved: Mapping[str, Mapping[str, Any]] | None
+    coefficients: Sequence[Parameter | Change],
+    moved: Mapping[str, Mapping[str, Any]] | None,
+    by_hand: bool,
 ) -> str:
     """Return the effect of the most important coefficient on a parameter, per unit."""
     if not coefficients or not moved:
         return '-'
     name, entry = max(moved.items(), key=lambda pair: abs(pair[1]['by']))
     other = by_name([entry['parameter']])[0]
-    unit, scale = _unit(next(one for one in coefficients if one.name == name))
-    by = abs(entry['by']) * scale / other.unit.scale
-    return f'{other.name}: {significant(by)} {other.unit.shown} for 1 {unit}'
+    (one,) = (one for one in coefficients if one.name == name)
+    of = (one if isinstance(one, Change) else one.unit).engineering(by_hand=by_hand)
+    there = engineering(other, by_hand=by_hand)
+    by = abs(entry['by']) * of.scale / there.scale
+    return f'{other.name}: {significant(by)} {there.unit} for 1 {of.unit}'

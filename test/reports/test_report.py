@@ -28,8 +28,8 @@ from imu_calib.reports.assessment import assess, limits_tables
 from imu_calib.reports.budget import budget_section
 from imu_calib.reports.charts import Axis
 from imu_calib.reports.noise import noise_notes
-from imu_calib.reports.page import Contents, page, terms_section
-from imu_calib.reports.provenance import verdict_line
+from imu_calib.reports.page import Contents, _residuals, page, terms_section
+from imu_calib.reports.provenance import provenance, verdict_line
 from imu_calib.reports.repeatability import (
     RepeatedParameter,
     Variation,
@@ -511,6 +511,28 @@ def test_budgets_of_units_in_the_hand_have_the_units_of_their_grade(contents):
     assert units == [{'ppm', 'arcmin', 'deg/h', 'µg'}, {'%', 'deg', 'deg/s', 'mg'}]
 
 
+def test_pages_of_units_in_the_hand_have_no_units_of_data_sheets(contents):
+    own = contents.calibration
+    trend = {
+        'state': 'off',
+        'found_from': [1e-9] * 6 + [1e-8] * 2,
+        'would_move': {'K_g': {'parameter': 'K_gz', 'by': 360.0}},
+    }
+    g_sensitivity = {'state': 'off', 'found_from': [1e-6] * 9}
+    tests = {'trend': trend, 'g_sensitivity': g_sensitivity}
+    facts = {**own.provenance, 'tests_of_terms': tests}
+
+    def units(by_hand):
+        held = replace(own, provenance={**facts, 'by_hand': by_hand})
+        by_channel = provenance(held).partition('By channel')[2].partition('</table>')[0]
+        plots = _residuals(replace(contents, calibration=held))
+        terms = ''.join(terms_section(held))
+        return [set(re.findall('ppm|arcmin|deg/h|µg', text)) for text in (by_channel, plots, terms)]
+
+    assert units(by_hand=False) == [{'deg/h', 'µg'}, {'deg/h', 'µg'}, {'ppm', 'deg/h', 'µg'}]
+    assert units(by_hand=True) == [set()] * 3
+
+
 def test_a_zero_by_the_choice_of_axes_has_no_row(contents):
     calibration = contents.calibration
     k = PARAMETER_NAMES.index('E_axy')
@@ -520,6 +542,8 @@ def test_a_zero_by_the_choice_of_axes_has_no_row(contents):
     fixed = replace(calibration, model=model, covariance=covariance)
     shown = limits_tables(assess(fixed, None)) + ''.join(budget_section(fixed))
     assert 'E_axy' not in shown and shown.count('E_axz') > 2
+    again = repeated([fixed, moved(fixed, 1.0)], ['a', 'b'])
+    assert 'E_axy' not in [row.parameter.name for row in again]
 
 
 def test_units_in_the_hand_have_the_units_of_their_grade():
