@@ -55,7 +55,7 @@ class ErrorSource(Enum):
     BIAS_CALM = (
         'bias_drift_below_stated',
         'A',
-        'bias-',
+        'calm-bias',
         'bias drift, less than the IMU description states, as the session shows it: a mean size, '
         'without degrees of freedom',
     )

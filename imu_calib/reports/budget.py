@@ -26,6 +26,7 @@ from .tables import minus
 
 _LEAST = 0.005
 """A source below half a percent of every variance has no column: it would be shown as zero."""
+_LAST_DIGIT = 0.001  #: The last digit of a share.
 _ZERO = 0.0005  #: A share below this is shown as 0.0 percent.
 _COLUMNS = 100
 """Characters of a line on a terminal; as many headings fit beside each other on A4."""
@@ -144,6 +145,8 @@ class _Shown:
             return words
         fractions = line.std[self.rows] ** 2 / self.budget.std[self.rows] ** 2
         most = int(np.argmax(fractions))
+        if fractions[most] < _LAST_DIGIT:
+            return f'{words} (< {100 * _LAST_DIGIT:g} %)'
         parameter = self.parameters[most]
         shown = engineering(parameter, by_hand=self.by_hand)
         std = line.std[self.rows[most]] / shown.scale

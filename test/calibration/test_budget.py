@@ -566,15 +566,18 @@ def test_drifts_are_stated_each_by_its_own_size():
         assert words.endswith(f'{source.words}: {size}')
 
 
-def test_a_source_without_a_column_says_what_it_does():
+@pytest.mark.parametrize(
+    ('share', 'said'), [(0.003, '(at most 0.3 %, '), (0.0009, '(< 0.1 %)'), (6e-19, '(< 0.1 %)')]
+)
+def test_a_source_without_a_column_says_what_it_does(share, said):
     calibration = made('twelve_position', 'joint')
-    (words,) = (text for text in budget_sources(calibration) if text.startswith('latitude '))
-    (line,) = (x for x in calibration.budget.lines if x.source is ErrorSource.LATITUDE)
-    known = calibration.std > 0
-    shares = np.where(known, line.std**2 / np.where(known, calibration.std, 1.0) ** 2, 0.0)
-    most = int(np.argmax(shares))
-    assert f'(at most {100 * shares[most]:.1g} %, ' in ' '.join(words.split())
-    assert f' of {NAMES[most]})' in ' '.join(words.split())
+    line = calibration.budget.lines[0]
+    small = replace(line, source=ErrorSource.BIAS_CALM, std=share**0.5 * calibration.std)
+    budget = Budget((*(x for x in calibration.budget.lines if x.source is not small.source), small))
+    sources = budget_sources(replace(calibration, budget=budget))
+    (words,) = (' '.join(text.split()) for text in sources if text.startswith('calm-bias'))
+    assert said in words
+    assert ('%, ' not in said) or any(words.endswith(f' of {name})') for name in NAMES)
 
 
 def test_a_method_that_does_not_tell_says_so():
