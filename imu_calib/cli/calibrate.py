@@ -255,12 +255,7 @@ def run_calibrate(arguments: argparse.Namespace) -> CommandResult:
     judged = arguments.specification
     result = calibrated(arguments.bag, options.stated(arguments), progress_bar, to_be_judged=judged)
     result.calibration.save(path)
-    show_calibration(
-        result.calibration,
-        verbose=arguments.verbose,
-        budget=arguments.budget,
-        limits=result.calibration.imu.specification,
-    )
+    show_calibration(result.calibration, verbose=arguments.verbose, budget=arguments.budget)
     if arguments.budget and arguments.verbose:
         print_parts(['', *budget_sources(result.calibration)])
     found = conformity(result) if judged else None

@@ -8,6 +8,7 @@ import signal
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -168,12 +169,12 @@ def _print_result(
             f'{folder / JOURNAL}, results: {folder / several.CALIBRATIONS}'
         )
         return missing
-    calibration = Calibration.load(folder / RESULT)
+    # The file of a result lacks what the data sheet states: noise and limits.
+    calibration = replace(Calibration.load(folder / RESULT), imu=load_imu(arguments.imu))
     true = truth.get('')
     if true is not None:
         true.save(folder / 'truth.yaml')
-    limits = load_imu(arguments.imu).specification
-    show_calibration(calibration, true, verbose=arguments.verbose, limits=limits)
+    show_calibration(calibration, true, verbose=arguments.verbose)
     findings = [*_true_table_hint(arguments, folder), *calibration.findings]
     print_findings(findings, verbose=arguments.verbose, room=ROOM)
     print_text(

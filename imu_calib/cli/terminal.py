@@ -20,7 +20,6 @@ from ..live.rules import Severity
 
 if TYPE_CHECKING:
     from ..calibration.calibration import Calibration
-    from ..session.imu import Specification
 
 WIDEST_LINE = 100
 """Characters of a line of text, at most; of tables, too, where the output is a file."""
@@ -238,7 +237,6 @@ def show_calibration(
     *,
     verbose: bool,
     budget: bool = False,
-    limits: Specification | None = None,
 ) -> None:
     """Print the parameters, the data and the verdicts; with `verbose` all that the file holds."""
     # Loaded here: most commands show no calibration.
@@ -246,7 +244,7 @@ def show_calibration(
     from ..reports.provenance import details, overview
 
     print_parts(overview(calibration, truth, budget=budget))
-    if limits is not None:
+    if (limits := calibration.imu.specification) is not None:
         print_text(summary(assess(calibration, limits)))
     if verbose:
         print_parts(details(calibration, truth))

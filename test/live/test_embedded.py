@@ -22,8 +22,10 @@ from turntable_bench import TABLE as NIMBLE
 import imu_calib
 from imu_calib.api.session import USUAL_IMU
 from imu_calib.calibration.calibration import Calibration
+from imu_calib.cli import several, stand_session
 from imu_calib.cli.dispatch import build_parser
 from imu_calib.cli.main import main
+from imu_calib.cli.processes import SessionEnd
 from imu_calib.cli.stand import judged
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
@@ -97,6 +99,16 @@ def test_a_stand_judges_a_unit_as_calibrate_does(finished, tmp_path, capsys):
     # A unit without limits is refused before anything moves.
     assert main([*words, '--imu', str(bare)]) == 2
     assert 'has no limits' in capsys.readouterr().err
+
+
+def test_a_stand_prints_stated_noise_beside_the_measured(finished, tmp_path, capsys):
+    arguments = build_parser().parse_args(['stand', str(finished / 'short.yaml'), '--verbose'])
+    several.complete(arguments)
+    end = SessionEnd(finished=True, text='', duration=9.0)
+    assert not stand_session._print_result(arguments, finished / 'first', {}, end, 1.0)
+    (row,) = re.findall('^gx .*', capsys.readouterr().out, re.M)
+    walk = load_imu(USUAL_IMU).gyro.random_walk / DEG * 60
+    assert f'{walk:.3g} deg/sqrt(h)' in row
 
 
 def test_a_calibration_is_not_verified_by_the_journal_that_made_it(finished):
