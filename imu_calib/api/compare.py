@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..calibration.agreement import FALSE_ALARM, Agreement
+from ..calibration.agreement import FALSE_ALARM, Agreement, two_units
 from ..calibration.calibration import Calibration
 from ..calibration.results import Result
 from ..calibration.thermal import AnyCalibration, ThermalCalibration
@@ -200,6 +200,7 @@ def compare(
         findings.append(
             f'These are different units, by their serial numbers {" and ".join(serials)}.'
         )
+    findings += two_units(compared.calibrations, called)
     findings += [
         f'{" and ".join(called[k] for k in some)} were made from the same data, '
         f'{own[some[0]].provenance.get("recording")}: their agreement says nothing of the unit.'

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from ..common.budget import ErrorSource, Share
 from ..common.finding import Finding
+from ..common.gaussian import FIVE_SIGMA
 from ..common.stream import Floats
-from ..common.units import PPM
+from ..common.units import DEG, PPM, significant
 from ..model.earth import Site
 from ..model.parameters import Parameter, indices_of
 from ..model.sensors import gravity_covariance, gravity_slope
@@ -133,6 +134,36 @@ class Agreement:
     def consistent(self) -> bool:
         """Whether all of them together are consistent with chance."""
         return self.total_freedom == 0 or self.total_chance >= FALSE_ALARM
+
+
+def two_units(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[str]:
+    """Return sentences on calibrations, without serial numbers, that differ as units do.
+
+    The angles between input axes are those of the sensors to each other. Of ten pairs of five
+    MPU-9150 all differ so in one of them, recordings of one unit by 2.3 deviations at most.
+    """
+    first, found = calibrations[0], []
+    for other, name in zip(calibrations[1:], names[1:], strict=True):
+        if first.serial_number and other.serial_number:
+            continue
+        pairs = zip(first.free_of_frame, other.free_of_frame, strict=False)
+        far = [
+            (abs(apart) / std, abs(apart) / DEG, f'{one.group.words} {axis}')
+            for one, its in pairs
+            if one.group == its.group
+            for axis, apart, std in zip(
+                one.group.names, one.values - its.values, np.hypot(one.std, its.std), strict=True
+            )
+            if std > 0
+        ]
+        deviations, degrees, angle = max(far, default=(0.0, 0.0, ''))
+        if deviations > FIVE_SIGMA:
+            found.append(
+                f'{name} and {names[0]} may be of two units: {angle} differs by '
+                f'{significant(degrees)} deg, {deviations:.0f} standard deviations, and angles '
+                'between input axes hardly change. Calibrate each unit with its serial number.'
+            )
+    return found
 
 
 def agreement(

@@ -8,6 +8,7 @@ from html import escape
 
 import numpy as np
 
+from ..calibration.agreement import two_units
 from ..calibration.calibration import Calibration
 from ..calibration.results import Result
 from ..calibration.thermal import ThermalCalibration, temperature_range
@@ -343,6 +344,7 @@ def _repeatability(contents: Contents) -> str:
         'Repeatability',
         repeatability.dates_table(all_of_them, names),
         repeatability.repeatability_table(rows),
+        bullets(two_units(all_of_them, names)),
         repeatability.repeatability_notes(rows),
         repeatability.overlay(rows),
     )

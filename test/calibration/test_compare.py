@@ -129,6 +129,21 @@ def test_two_units_are_said_to_be_two():
     assert compare(first, first, unit()).findings == ()
 
 
+def test_other_angles_between_axes_may_be_those_of_another_unit():
+    own = unit()
+    values = own.values.copy()
+    values[[p.name for p in own.parameters].index('E_ayz')] += 8e-6
+    other = replace(own, model=own.model.with_values(own.parameters, values))
+    (said,) = compare(own, other, names=('a', 'b')).findings
+    # 8e-6 rad, where each has a deviation of 1.4e-6: that of two misalignments.
+    assert said.startswith(
+        'b and a may be of two units: accelerometers yz differs by 0.00046 deg, 4'
+    )
+    assert compare(own, own).findings == ()
+    numbered = [replace(one, serial_number='A1') for one in (own, other)]
+    assert compare(*numbered).findings == ()
+
+
 def test_before_units_agree_they_are_said_to_be_two(tmp_path, capsys):
     files = [str(tmp_path / f'{number}.yaml') for number in ('A1004', 'A1005')]
     for file, number in zip(files, ('A1004', 'A1005'), strict=True):
