@@ -132,13 +132,12 @@ def test_two_units_are_said_to_be_two():
 def test_other_angles_between_axes_may_be_those_of_another_unit():
     own = unit()
     values = own.values.copy()
-    values[[p.name for p in own.parameters].index('E_ayz')] += 8e-6
+    values[[p.name for p in own.parameters].index('E_ayz')] += 16e-6
     other = replace(own, model=own.model.with_values(own.parameters, values))
     (said,) = compare(own, other, names=('a', 'b')).findings
-    # 8e-6 rad, where each has a deviation of 1.4e-6: that of two misalignments.
-    assert said.startswith(
-        'b and a may be of two units: accelerometers yz differs by 0.00046 deg, 4'
-    )
+    # Of 16e-6 rad, where the angle, of two misalignments, has a deviation of 1.4e-6 in each.
+    words = 'b and a may be of two units: accelerometers yz differs by 0.00092 deg, 8 standard'
+    assert said.startswith(words)
     assert compare(own, own).findings == ()
     numbered = [replace(one, serial_number='A1') for one in (own, other)]
     assert compare(*numbered).findings == ()
