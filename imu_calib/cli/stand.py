@@ -123,7 +123,9 @@ def add_stand_options(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='nothing moves without a heartbeat on the topic heartbeat',
     )
-    simulated = parser.add_argument_group('simulated hardware')
+    simulated = parser.add_argument_group(
+        'simulated hardware', 'Faults come on a topic while it runs: docs/stand.md lists them.'
+    )
     options.add_statements(simulated, SimulatedHardware)
     parser.set_defaults(start=0.0, default_of=parser.get_default)
 

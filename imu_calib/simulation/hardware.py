@@ -30,6 +30,7 @@ _OF_LINE = {
     'garbage': 'BYTES',
     'damage': 'PERCENT',
     'clock_jump': 'S',
+    'dead': 'CHANNEL (1 to 6)',
 }
 
 
@@ -54,6 +55,7 @@ class LineFaults:
     garbage: int = 0  #: Number of random bytes inserted into the line.
     damage: float = 0.0  #: Percentage of frames in which one byte is changed.
     clock_jump: float = 0.0  #: Added to the device's clock, s.
+    dead: float = 0.0  #: Channel that reads zero, of gyros and accelerometers, from 1; 0: none.
 
 
 def order(text: str, table: TableFaults, line: LineFaults) -> None:
@@ -78,7 +80,11 @@ def order(text: str, table: TableFaults, line: LineFaults) -> None:
         vars(line).update(vars(LineFaults(clock_jump=line.clock_jump)))
     elif name in {'stall', 'refuse'}:
         table.stalled, table.refusing = table.stalled or name == 'stall', True
-    elif name not in _OF_TABLE | _OF_LINE or value is None:
+    elif (
+        name not in _OF_TABLE | _OF_LINE
+        or value is None
+        or (name == 'dead' and value not in range(1, 7))
+    ):
         known = ', '.join(f'{name} {unit}' for name, unit in (_OF_TABLE | _OF_LINE).items())
         raise InputError(f'Fault {text!r}: expected one of clear, stall, refuse, {known}.')
     elif name == 'overshoot':
@@ -153,6 +159,10 @@ class ImuLine:
             self._frozen_until = begin + faults.freeze
             faults.freeze = 0.0
         samples = self._as_frozen(samples, end)
+        if faults.dead:
+            counts = np.hstack([samples.gyro, samples.accel])
+            counts[:, int(faults.dead) - 1] = 0.0
+            samples = replace(samples, gyro=counts[:, :3], accel=counts[:, 3:])
         celsius = self._warming.celsius(np.full(len(samples), end))
         line = b'' if end <= self._silent_until else pack(samples, celsius, counter, skew=skew)
         if faults.garbage and line:

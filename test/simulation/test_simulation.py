@@ -788,3 +788,20 @@ def test_hardware_rests_until_a_setpoint_moves_it():
     assert not all(rested)
     assert rested[-1]
     assert not joints.velocity.any()
+
+
+def test_a_dead_channel_reads_zero_until_it_is_cleared():
+    unit = SimulatedUnit('', PULSES, SensorModel(), np.eye(3), (0.0, 0.0, 0.0), None)
+    hardware = SimulatedHardware(THREE_AXIS, [unit], SITE, StandOptions(start_time=0), 0)
+
+    def forces():
+        return unpack(hardware.advance(1.0).lines[0])['accel']
+
+    assert forces()[:, 2].all()
+    hardware.fault('dead 6')
+    assert not forces()[:, 2].any()
+    hardware.fault('clear')
+    assert forces()[:, 2].all()
+    for wrong in ('dead', 'dead 0', 'dead 7', 'dead 1.5'):
+        with pytest.raises(InputError, match='dead CHANNEL'):
+            hardware.fault(wrong)
