@@ -124,7 +124,9 @@ class ImuLine:
         line_rng: np.random.Generator,
     ) -> None:
         check_live(unit.spec)
-        own = replace(options, lever=unit.lever)
+        # Frames carry the device's own time, which a wait on the line does not change.
+        prompt = replace(options.delivery, late=0.0, bunch=1)
+        own = replace(options, lever=unit.lever, delivery=prompt)
         self.faults = LineFaults()
         self.frames = 0
         self._unit = unit

@@ -22,6 +22,7 @@ from imu_calib.simulation.hardware import SimulatedHardware
 from imu_calib.simulation.imu import SimulatedImu
 from imu_calib.simulation.motion import trapezoid
 from imu_calib.simulation.options import (
+    Delivery,
     ImuOptions,
     Shock,
     StandOptions,
@@ -805,3 +806,13 @@ def test_a_dead_channel_reads_zero_until_it_is_cleared():
     for wrong in ('dead', 'dead 0', 'dead 7', 'dead 1.5'):
         with pytest.raises(InputError, match='dead CHANNEL'):
             hardware.fault(wrong)
+
+
+def test_frames_carry_the_time_of_the_device_however_late_they_come():
+    """A sample held up by 25 ms had the time of its arrival: imu_node saw the clock jump."""
+    unit = SimulatedUnit('', PULSES, SensorModel(), np.eye(3), (0.0, 0.0, 0.0), None)
+    late = Delivery(late=0.1, delay=0.05, bunch=4)
+    options = StandOptions(start_time=0, delivery=late)
+    hardware = SimulatedHardware(THREE_AXIS, [unit], SITE, options, 0)
+    steps = np.diff(unpack(hardware.advance(10.0).lines[0])['time'])
+    assert np.ptp(steps) <= 1000
