@@ -35,6 +35,7 @@ from ..session.imu import ImuSpec
 from ..session.keywords import Named, Stated, Verified, with_keywords
 from ..session.metadata import compensated_already
 from ..session.plan import UNPLANNED
+from ..session.segments_file import read_segments
 from .recorded import Recorded, recording_at
 from .session import (
     as_applied,
@@ -155,7 +156,8 @@ def _verify(
             raise
         raise error.followed_by(f'{name} was made at latitude {own:g}.') from None
     table = table_of(stated, recording) if streams.joints is not None else None
-    segmenter, moving = Segmenter(imu, table), TurnsSeen()
+    listed = None if stated.segments is None else read_segments(stated.segments)
+    segmenter, moving = Segmenter(imu, table, listed), TurnsSeen()
     kinds = {t: kind for t, kind in streams.kinds().items() if t != streams.skew}
     order = StampSorter()
     with refused_by_stamps(recording, streams):

@@ -352,7 +352,20 @@ class InColumns(TypedDict, total=False):
     ]
 
 
-class Verified(Read, Numbered, InColumns, total=False):
+class Listed(TypedDict, total=False):
+    """The holds and turns to use."""
+
+    segments: Annotated[
+        Named | None,
+        'File of the holds and turns to use, as edited by hand; None for those that are found.',
+        Option(
+            'holds and turns to use: what info --segments writes, edited (default: as found)',
+            'FILE.csv',
+        ),
+    ]
+
+
+class Verified(Read, Numbered, Listed, InColumns, total=False):
     """A recorded session for verification, without an estimate."""
 
 
@@ -366,19 +379,6 @@ class Session(Read, Solved, Numbered, Corrected, total=False):
 
 class Inspected(Session, InColumns, total=False):
     """A recorded session of one unit that is examined."""
-
-
-class Listed(TypedDict, total=False):
-    """The holds and turns to use."""
-
-    segments: Annotated[
-        Named | None,
-        'File of the holds and turns to use, as edited by hand; None for those that are found.',
-        Option(
-            'holds and turns to use: what info --segments writes, edited (default: as found)',
-            'FILE.csv',
-        ),
-    ]
 
 
 class Calibrated(Session, Listed, InColumns, total=False):

@@ -100,6 +100,18 @@ def test_holds_of_a_frame_are_chosen_too(hand, tmp_path):
     np.testing.assert_array_equal(by_frame.calibration.values, by_path.calibration.values)
 
 
+def test_verify_takes_holds_that_were_chosen_too(hand, tmp_path):
+    file, rows = written(hand, tmp_path)
+    calibration = imu_calib.calibrate(hand)
+    found, chosen = (
+        imu_calib.verify(hand, calibration, latitude=48.1, **listed)
+        for listed in ({}, {'segments': edited(file, rows[5:])})
+    )
+    # Each hold has a row of its gravity.
+    holds = [len({one.at for one in of.compared if one.at >= 0}) for of in (found, chosen)]
+    assert holds == [len(rows), len(rows) - 5]
+
+
 def test_dwells_and_turns_of_a_table_are_chosen(table, tmp_path):
     file, rows = written(table, tmp_path)
     holds = [row for row in rows if row['kind'] == 'hold']
