@@ -17,6 +17,7 @@ from ..model.sensors import terms_of
 from ..model.session_terms import Change, Course, change, largest, names_of
 from ..model.terms import Term
 from ..session.table import Table
+from ..session.table_errors import FINEST
 from .attitude_steps import AttitudeStep, in_time
 from .components import whiten
 from .estimate import Estimate
@@ -350,6 +351,8 @@ def _possible(search: SearchResult) -> list[str]:
     possible = search.possible_step
     alike = [other for one in search.found for other in one.alternatives]
     if possible is None or (possible.step.by_force and ISOLATORS in alike):
+        return []
+    if possible.size < FINEST:  # No real table shows it; that on exact tables has its own finding.
         return []
     names = ', '.join(p.name for p in possible.parameters)
     chance = f'probability {min(possible.probability, 0.99):.2g}'

@@ -94,6 +94,14 @@ def test_isolators_that_are_not_certain_widen_biases(seed, undescribed) -> None:
     assert any('may turn in its mount with the force on it' in one for one in found.findings)
 
 
+@pytest.mark.parametrize('seed', [4, again(0), again(16)])
+def test_turns_smaller_than_any_table_shows_are_not_named(seed) -> None:
+    """Units that do not turn were to be taken off isolators, for 0.2 arcsec per g."""
+    name = 'nothing, on an exact table'
+    found = fed_with(name, 'navigation', seed, load_table('three_axis'))[0].finish().calibration
+    assert not any('in its mount' in one for one in found.findings)
+
+
 @pytest.mark.parametrize('seed', [2, again(5)])
 def test_isolators_that_look_like_a_quadratic_term_are_named_beside_it(seed, undescribed) -> None:
     """At six faces accelerometers cannot tell them apart: D_a was off by seven deviations."""
