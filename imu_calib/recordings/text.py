@@ -33,6 +33,9 @@ _SENSOR = re.compile(r'(?:^|[,;\s])"?((?:gyr|acc)[a-z]*)"?(?=[,;\s]+"?[-+.\d])',
 """Name of a sensor as a field of a row, before a number."""
 _OF_SENSOR = 0.05
 """Share of the lines that name each sensor. A judgement: a log of a phone has ten of them."""
+_NOVATEL = ('%RAWIMU', '#RAWIMU')
+"""Beginnings of raw samples in ASCII (OEM7 Commands and Logs Reference Manual, Message Formats)."""
+_TO_COMMAS = str.maketrans(';*', ',,')  #: What ends its header, and its values.
 _LOOKED_AT = 100
 """Number of lines, spread over the file, that determine how many fields a row has: lines above a
 table and broken lines are few in comparison."""
@@ -49,9 +52,11 @@ class Text:
     broken: int  #: Number of lines with too few fields or no number; they are skipped.
 
     def column(self, name: str, option: str) -> Floats:
-        """Return a column by its name in the heading, or by its place, counted from 1."""
+        """Return a column by its name in the heading, or by its place from 1 on; negated by -."""
         if name in self.names:
             return self.values[:, self.names.index(name)]
+        if name.startswith('-'):
+            return -self.column(name[1:], option)
         if name.isdigit() and 0 < int(name) <= len(self.names):
             return self.values[:, int(name) - 1]
         raise InputError(
@@ -110,8 +115,9 @@ def _by_label(written: Sequence[str]) -> tuple[list[str], list[str]] | None:
 
 
 def _written(path: AnyPath) -> list[str]:
-    """Return the lines of a file that are not empty."""
-    return [row for row in _decoded(path).splitlines() if row.strip()]
+    """Return the lines of a file that are not empty; of a log of NovAtel its raw samples."""
+    rows = [row for row in _decoded(path).splitlines() if row.strip()]
+    return [row[1:].translate(_TO_COMMAS) for row in rows if row.startswith(_NOVATEL)] or rows
 
 
 def _table(path: AnyPath, written: Sequence[str], delimiter: str | None) -> Text:

@@ -135,6 +135,19 @@ def test_a_table_in_utf_16_is_read_and_a_file_of_matlab_is_named(tmp_path):
         converted(tmp_path / 'data.mat')
 
 
+def test_a_log_of_novatel_is_read_by_its_raw_samples_and_a_minus_negates(tmp_path):
+    rows = [
+        f'%RAWIMUSA,2387,{k / 100:.3f};2387,{k / 100:.9f},00000077,414,-262,6,{k},-3,2*c2ce6f44'
+        for k in range(3)
+    ]
+    path = write(tmp_path / 'log.asc', '\n'.join(['#BESTPOSA,COM1,0;SOL_COMPUTED*1', *rows, '']))
+    words = {'gyro': '12,-11,10:count', 'accel': '9,-8,7:count', 'imu': 'mems_counts'}
+    imu_calib.convert(path, tmp_path / 'out', stamp='5:s', **words)
+    found = imu_calib.read(tmp_path / 'out', '/imu/pulses')
+    assert [found[f'angular_velocity.{a}'].tolist() for a in 'xyz'] == [[2] * 3, [3] * 3, [0, 1, 2]]
+    assert [found[f'linear_acceleration.{a}'][0] for a in 'xyz'] == [6, 262, 414]
+
+
 def test_columns_without_a_heading_have_places_and_rows_may_have_a_rate(tmp_path):
     path = write(tmp_path / 'log.txt', '1 2 3 4 5 6\n7 8 9 10 11 12\n')
     out = tmp_path / 'out'
