@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from copy import copy
+from copyreg import __newobj__  # type: ignore[attr-defined]
 from typing import TypeVar
 
 _Error = TypeVar('_Error', bound='ImuCalibError')
@@ -19,6 +20,10 @@ class ImuCalibError(Exception):
 
     def __init__(self, cause: str = '', *details: str) -> None:
         super().__init__(cause, *details)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Copy, and cross processes, without constructors: some take no details."""
+        return __newobj__, (type(self), *self.args), self.__dict__
 
     def __str__(self) -> str:
         """Return the cause and the details."""

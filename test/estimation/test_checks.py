@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
@@ -185,6 +186,16 @@ def test_what_is_seen_and_what_fits_is_said() -> None:
     # The less known of the two level rates counts.
     with pytest.raises(WrongLatitude, match=r'10\.64 \+- 0\.03 deg/h horizontal'):
         check_latitude(at(40.0), turned, covariance[[1, 0, 2]][:, [1, 0, 2]])
+
+
+def test_details_are_added_to_what_is_seen() -> None:
+    """Of a session with lost samples it was a TypeError; a fleet takes it from other processes."""
+    refused = WrongLatitude('elsewhere.', 0.7, 2.0).among(
+        after=('Samples are lost.', 'So are more.')
+    )
+    refused = pickle.loads(pickle.dumps(refused.among(after=('A note.',)).followed_by('State it.')))
+    assert str(refused) == 'elsewhere. State it. Samples are lost. So are more. A note.'
+    assert (refused.seen, refused.misfit) == (0.7, 2.0)
 
 
 def test_a_rate_that_is_no_latitudes_is_said_to_be_none() -> None:
