@@ -93,6 +93,7 @@ _RARE = frozenset(
         *('--baud', '--table-baud', '--network', '--stop-required', '--web-host', '--without'),
         *('--sample-rate', '--bias-instability', '--scheduler', '--start', '--speed'),
         *('--processes', '--delimiter', '--accel-stamp', '--recorded-serial', '--accel-file'),
+        '--imperfections',
     }
 )
 """Options that few sessions need: --help names them together, --help-all explains them."""
