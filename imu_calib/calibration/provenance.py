@@ -214,6 +214,9 @@ ENTRIES = {
     'plan': _entry('its name', Section.text),
     'by_hand': _entry('whether the unit was held by hand', Section.flag),
     'table': _entry('its name', Section.text),
+    'table_simulated': _entry(
+        'whether its file says that it is a simulated one', Section.flag, otherwise='a real one'
+    ),
     'table_errors': _entry(
         'standard deviations of its errors, as stated or assumed, rad', each, Section.number
     ),

@@ -225,6 +225,7 @@ def provenance(
         'plan': setup.plan.name or None,
         'by_hand': setup.plan.by_hand,
         'table': None if table is None else table.name,
+        **({'table_simulated': True} if table is not None and table.simulated else {}),
         'table_errors': None if table is None else table.error_sizes,
         'table_errors_assumed': None if table is None else list(table.assumed),
         'table_clock_std': None if table is None else table.clock,

@@ -431,6 +431,8 @@ def assumed_inputs(calibration: Calibration) -> str:
     where = calibration.provenance
     unstated = where.get('table_errors_assumed') or ()
     found = [errors_of_table(where, *unstated).replace(' (assumed)', '')] if unstated else []
+    if where.get('table_simulated') and not where.get('simulated'):
+        found.append(f'table {where.get("table")} (simulated)')
     if calibration.imu.units.per_interval and where.get('table_clock_std') == 0:
         found.append("the table's clock exact")
     if where.get('height_assumed'):

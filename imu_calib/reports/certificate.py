@@ -148,6 +148,16 @@ def certificate_of(
         )
     if calibration.simulated:
         lacking.append('measured data: those of this calibration were simulated (7.2.1)')
+    elif calibration.provenance.get('table_simulated'):
+        lacking.append(
+            f'a real table: {calibration.provenance.get("table")} is a simulated one by its file; '
+            'calibrate again, and name the table by `table` (7.8.4.1 c)'
+        )
+    if provenance.impossible_gravity(calibration.provenance):
+        lacking.append(
+            'a possible gravity: what was stated lies beyond that of any place of this latitude '
+            'and height; calibrate again with the measured `gravity` (7.6.1)'
+        )
     if not provenance.number(calibration.provenance, 'gravity_std'):
         lacking.append(
             'a standard uncertainty of gravity, which the calibration takes as exact: calibrate '

@@ -11,7 +11,7 @@ from rich.table import Table
 from ..calibration.calibration import Calibration
 from ..common.finding import is_warning
 from ..common.units import DEG, PPM, counted, rounded, significant
-from ..model.earth import MEASURED, VAGUE
+from ..model.earth import MEASURED, VAGUE, Site
 from ..model.parameters import bias_units
 from ..session.imu import TRIAD_NAMES, Coefficient
 from .budget import budget_tables, errors_of_table
@@ -167,6 +167,18 @@ def gravity(facts: Facts) -> str:
     return f'{_spread(value, std, 6, chr(0xA0) + "m/s" + chr(0xB2))} ({source}{exact})'
 
 
+def impossible_gravity(facts: Facts) -> bool:
+    """Return whether gravity was stated as measured, and is beyond that of any such place."""
+    names = ('latitude_deg', 'gravity', 'gravity_std', 'height', 'latitude_std_deg')
+    latitude, gravity, std, height, latitude_std = (number(facts, name) for name in names)
+    if facts.get('gravity_source') != MEASURED:
+        return False
+    if latitude is None or gravity is None or latitude_std is None:
+        return False
+    site = Site(latitude * DEG, gravity, MEASURED, std or 0.0, height, latitude_std * DEG)
+    return bool(site.contradictions)
+
+
 def _height(facts: Facts) -> str:
     value = number(facts, 'height')
     if value is None:
@@ -273,6 +285,10 @@ def _condition(facts: Facts) -> str:
     return '' if value is None else three_digits(value)
 
 
+def _table(facts: Facts) -> str:
+    return f'{_text("table")(facts)}{" (simulated)" if facts.get("table_simulated") else ""}'
+
+
 _GROUPS: tuple[tuple[str, tuple[tuple[str, Callable[[Facts], str], tuple[str, ...]], ...]], ...] = (
     (
         'Recording',
@@ -309,7 +325,7 @@ _GROUPS: tuple[tuple[str, tuple[tuple[str, Callable[[Facts], str], tuple[str, ..
             ('latitude', latitude, ('latitude_deg', 'latitude_std_deg')),
             ('gravity', gravity, ('gravity', 'gravity_source', 'gravity_std')),
             ('height', _height, ('height', 'height_assumed')),
-            ('table', _text('table'), ('table',)),
+            ('table', _table, ('table', 'table_simulated')),
             ("the table's errors", errors_of_table, ('table_errors', 'table_errors_assumed')),
             ('heading found', _azimuth, ('azimuth_seen_deg', 'azimuth_seen_std_deg')),
             ("the table's clock", _table_clock, ('table_clock_std',)),

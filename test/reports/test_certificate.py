@@ -47,6 +47,8 @@ PLAN = at_one_rate(quick_plan('twelve_position', 20.0))
 def calibration():
     found = calibrate(session(PLAN, stand(), 1), PLAN).calibration
     setup = {**found.provenance, 'gravity_std': 2e-5, 'gravity_source': 'measured'}
+    # As if its table were a real one.
+    assert setup.pop('table_simulated')
     return replace(found, serial_number='A1234', provenance=setup)
 
 
@@ -254,6 +256,18 @@ def test_simulated_data_give_a_draft_alone(calibration):
         made(simulated)
     draft = certificate_of(simulated, fields(), draft=True)
     assert 'were simulated' in certificate_page(draft)
+
+
+def test_a_simulated_table_and_an_impossible_gravity_give_a_draft_alone(calibration):
+    for wrong, sentence in (
+        ({'table_simulated': True}, 'a real table: three_axis is a simulated one.*by `table`'),
+        ({'gravity': calibration.provenance['gravity'] * 1.006}, 'a possible gravity: .*7.6.1'),
+    ):
+        found = replace(calibration, provenance={**calibration.provenance, **wrong})
+        with pytest.raises(InputError, match=f'1 of .* is missing: {sentence}'):
+            made(found)
+        draft = certificate_page(certificate_of(found, fields(), draft=True))
+        assert ('table three_axis (simulated)' in draft) is ('table_simulated' in wrong)
 
 
 def test_a_file_that_was_edited_is_not_certified(calibration, tmp_path):

@@ -79,8 +79,12 @@ def calibration(result):
         found,
         imu=replace(found.imu, id=MARKUP),
         serial_number=MARKUP,
-        # Gravity taken as exact gives no certificate.
-        provenance={**marked(dict(found.provenance), kept), 'gravity_std': 2e-5},
+        # Gravity taken as exact and a simulated table give no certificate.
+        provenance={
+            **marked(dict(found.provenance), kept),
+            'gravity_std': 2e-5,
+            'table_simulated': False,
+        },
         findings=(MARKUP,),
     )
 
