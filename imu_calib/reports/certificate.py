@@ -56,6 +56,12 @@ _HINT = re.compile(
 """A sentence, or its last clause, that tells the operator what to do."""
 
 
+_TOO_UNCERTAIN = (
+    'Not assessed: U exceeds the limit, so that the measurement cannot show that a value conforms '
+    '(measurement capability index below 1; JCGM 106:2012, 7.6).'
+)
+
+
 @dataclass(frozen=True)
 class Stated:
     """A result, SI units."""
@@ -104,8 +110,12 @@ class Certificate:
     @property
     def rule(self) -> str:
         """The decision rule and its risk, as text; empty without one."""
-        rule = self.fields.conformity.rule
-        return rule.words(sum(r.conformity is not None for r in self.results)) if rule else ''
+        rule, none = self.fields.conformity.rule, {None, Conformity.NOT_ASSESSED}
+        if rule is None:
+            return ''
+        found = [r.conformity for r in self.results]
+        words = rule.words(sum(one not in none for one in found))
+        return f'{words} {_TOO_UNCERTAIN}' if Conformity.NOT_ASSESSED in found else words
 
 
 def certificate_of(

@@ -58,10 +58,11 @@ _WORDS = {
 
 
 class Conformity(Enum):
-    """The statement on a value, in the terms of the DCC; the worst last."""
+    """The statement on a value, in the terms of the DCC if it has one; the worst last."""
 
     PASS = 'pass'
     CONDITIONAL_PASS = 'conditionalPass'
+    NOT_ASSESSED = ''
     CONDITIONAL_FAIL = 'conditionalFail'
     FAIL = 'fail'
 
@@ -72,8 +73,14 @@ class Conformity(Enum):
 
 
 def decide(value: float, expanded: float, limit: float, rule: Rule) -> Conformity:
-    """Return the statement on a value with a limit on both sides of zero."""
+    """Return the statement on a value with a limit on both sides of zero.
+
+    Where U exceeds the limit, a measurement capability index below 1 (JCGM 106:2012, 7.6), no value
+    could pass with confidence: only what lies beyond the limit by more than U is decided.
+    """
     amount = abs(value)
+    if expanded > limit and amount <= limit + expanded:
+        return Conformity.NOT_ASSESSED
     guard = 0.0 if rule is Rule.SIMPLE else expanded
     if amount <= limit - guard:
         return Conformity.PASS

@@ -21,7 +21,7 @@ from ..model.parameters import Parameter
 from . import provenance
 from .budget import MANY, assumed_inputs
 from .certificate import OUTPUT, Certificate, Stated, groups
-from .certificate_fields import Contact, Equipment, Fields
+from .certificate_fields import Conformity, Contact, Equipment, Fields
 
 DCC, SI = 'https://ptb.de/dcc', 'https://ptb.de/si'
 
@@ -78,6 +78,10 @@ def statement(
         more.get('data'),
         refType=kind,
     )
+
+
+def _status(conformity: Conformity) -> ET.Element | None:
+    return text_element('conformity', conformity.value) if conformity.value else None
 
 
 def number_with_unit(
@@ -269,10 +273,10 @@ def _quantity(result: Stated) -> ET.Element:
         limit = number_with_unit(result.limit / unit.scale, unit.unit)
         metadata.append(
             statement(
-                'Largest amount to either side of zero.',
+                f'Largest amount to either side of zero; {result.conformity.words}.',
                 'basic_conformity',
                 'metaData',
-                conformity=text_element('conformity', result.conformity.value),
+                conformity=_status(result.conformity),
                 data=element('data', element('quantity', limit)),
             )
         )
@@ -470,10 +474,10 @@ def _statements(certificate: Certificate) -> list[ET.Element]:
     if fields.conformity.rule is not None and worst is not None:
         found.append(
             statement(
-                f'{fields.conformity.requirement}. {certificate.rule}',
+                f'{fields.conformity.requirement}. {certificate.rule} Statement: {worst.words}.',
                 'basic_conformity',
                 norm=text_element('norm', 'ILAC-G8:09/2019'),
-                conformity=text_element('conformity', worst.value),
+                conformity=_status(worst),
             )
         )
     found += [statement(remark, 'basic_remark') for remark in certificate.remarks]

@@ -143,6 +143,22 @@ def test_conformity_by_the_stated_rule(value, rule, stated):
     assert decide(value, 0.1, 1.0, rule) is stated
 
 
+@pytest.mark.parametrize('rule', Rule)
+def test_a_limit_below_the_uncertainty_decides_nothing_but_a_clear_fail(calibration, example, rule):
+    # Limit 6 arcmin, U 18: any value up to 24 is as likely within the limit as its neighbours.
+    stated = [decide(value, 18.0, 6.0, rule) for value in (0.0, 5.0, -7.0, 23.9)]
+    assert set(stated) == {Conformity.NOT_ASSESSED}
+    assert decide(-24.1, 18.0, 6.0, rule) is Conformity.FAIL
+    passed, *_ = (r for r in example.results if r.conformity is Conformity.PASS)
+    unknown = replace(passed, conformity=Conformity.NOT_ASSESSED)
+    found = replace(example, results=(passed, unknown))
+    assert found.conformity is Conformity.NOT_ASSESSED
+    page, root = certificate_page(found), validated(dcc(found))
+    assert 'Statement: not assessed. 1 of 2 parameters: pass; 1 of 2 ' in page
+    assert 'Not assessed: U exceeds the limit' in page and 'Not assessed: U exc' in words(root)
+    assert [e.text for e in root.iter(f'{{{DCC}}}conformity')] == ['pass']
+
+
 def test_a_guarded_pass_is_wrong_as_seldom_as_the_rule_says():
     rng, limit, std = np.random.default_rng(5), 1.0, 0.1
     measured = limit - 1.96 * std
@@ -545,8 +561,9 @@ def test_budgets_of_all_sources_stay_on_their_paper(calibration, by, monkeypatch
     try:
         texts = [sheet.get_textpage() for sheet in document]
         assert all(s.heading in ''.join(t.get_text_range() for t in texts) for s in ErrorSource)
-        right = [t.get_rect(k)[2] for t in texts for k in range(t.count_rects())]
-        # A4 less its right margin, mm in pt.
+        boxes = [t.get_rect(k) for t in texts for k in range(t.count_rects())]
+        # A4 less its right margin, mm in pt; the number of the page stands in the lower margin.
+        right = [right for _, bottom, right, _ in boxes if bottom > 18 * 72 / 25.4]
         assert max(right) <= (210 - 16) * 72 / 25.4
         [t.close() for t in texts]
     finally:
