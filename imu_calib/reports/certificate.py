@@ -446,7 +446,7 @@ def _procedure(certificate: Certificate) -> str:
     unit = provenance.temperature(where)
     rows = [
         ('procedure', f'{_or_dash(fields.procedure.name)}; {_or_dash(fields.procedure.reference)}'),
-        ('plan and estimator', f'{provenance.plan(where)}, {where.get("method") or "-"}'),
+        ('plan and estimator', provenance.procedure(where)),
         ('software', _software(where)),
         ('recording', f'{where.get("recording") or "-"}, begun {provenance.date(where)}'),
         ('SHA-256 of the recording', str(where.get('sha256') or '-')),

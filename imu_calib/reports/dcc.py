@@ -205,7 +205,7 @@ def measurement(certificate: Certificate) -> ET.Element:
 def _described(calibration: Calibration) -> str:
     where = calibration.provenance
     return (
-        f'Plan {provenance.plan(where)}, estimator {where.get("method") or "-"}, recording '
+        f'Plan and estimator: {provenance.procedure(where)}. Recording '
         f'{where.get("recording") or "-"} (SHA-256 {where.get("sha256") or "-"}), begun '
         f'{provenance.date(where)}. input = (I + M)^-1 (output * scale factor - D), M with the '
         'scale-factor errors K on its diagonal and the misalignments E beside it. '

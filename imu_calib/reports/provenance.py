@@ -98,6 +98,13 @@ def plan(facts: Facts) -> str:
     return str(facts.get('plan') or 'none')
 
 
+def procedure(facts: Facts) -> str:
+    """Return plan and estimator, and which positions of the plan were not measured."""
+    missing = _listed('missing_positions')(facts)
+    incomplete = f'; not completed, without position {missing}' if missing else ''
+    return f'{plan(facts)}, {facts.get("method") or "-"}{incomplete}'
+
+
 def _text(key: str) -> Callable[[Facts], str]:
     return lambda facts: str(facts[key]) if facts.get(key) not in (None, '') else ''
 
@@ -516,7 +523,9 @@ def verdict_line(*calibrations: Calibration) -> str:
     if not findings:
         return 'Verdict: sound. Nothing in the data contradicts the result.'
     if not warnings:
-        return 'Verdict: no warnings. The notes below say what limits the numbers.'
+        incomplete = any(c.provenance.get('missing_positions') for c in calibrations)
+        but = ', but positions of the plan are missing' if incomplete else ''
+        return f'Verdict: no warnings{but}. The notes below say what limits the numbers.'
     return f'Verdict: {counted(warnings, "warning")}. Read below before you use the numbers.'
 
 

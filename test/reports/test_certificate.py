@@ -36,6 +36,7 @@ from imu_calib.reports import certificate as printing
 from imu_calib.reports.certificate import Certificate, certificate_of, certificate_page
 from imu_calib.reports.certificate_fields import Conformity, Rule, decide, read_fields
 from imu_calib.reports.dcc import DCC, SI, dcc, digital
+from imu_calib.reports.provenance import verdict_line
 from imu_calib.session.imu import load_imu
 
 EXAMPLE = CHECKOUT / 'config' / 'certificates' / 'example.yaml'
@@ -284,6 +285,18 @@ def test_a_simulated_table_and_an_impossible_gravity_give_a_draft_alone(calibrat
             made(found)
         draft = certificate_page(certificate_of(found, fields(), draft=True))
         assert ('table three_axis (simulated)' in draft) is ('table_simulated' in wrong)
+
+
+def test_a_procedure_that_was_not_completed_is_stated_as_such(calibration):
+    missing = {'missing_positions': ['9', '10']}
+    sound = replace(calibration, findings=('A note.',))
+    found = replace(sound, provenance={**sound.provenance, **missing})
+    for one, ends in ((sound, ''), (found, '; not completed, without position 9, 10')):
+        shown = rows(certificate_page(made(one)))['plan and estimator'][0]
+        assert shown == f'twelve_position, {one.provenance["method"]}{ends}'
+        assert f'{shown}. Recording' in words(validated(dcc(made(one))))
+        but = ', but positions of the plan are missing' if ends else ''
+        assert verdict_line(one).startswith(f'Verdict: no warnings{but}.')
 
 
 def test_a_file_that_was_edited_is_not_certified(calibration, tmp_path):
