@@ -253,10 +253,10 @@ class Verdict(IntEnum):
 
 _OTHER_ATTITUDE = np.cos(np.radians(20))
 """Attitudes count as different where up differs by more, as in `stillness`."""
-_UNTESTED = 1000.0
+_UNTESTED = 50.0
 """Standard deviations of a parameter from which on an error of it alone reaches the limit of
-rejection, by which it is not tested. A judgement: in sessions of all positions 5 to 30 reach it,
-and without the positions or turns that show a parameter 10 000 and more."""
+rejection, by which it is not tested. A judgement: in sessions of all positions 5 to 25 reach it,
+and without the positions or turns that show a parameter 100 to millions."""
 
 _OUTCOMES = {
     Verdict.PASS: 'ACCEPTED: the recording is consistent with the calibration.',
@@ -655,10 +655,12 @@ class _Trial:
         return 'gyros' if self.system.gyros else 'accelerometers'
 
     def untested(self, calibration: Calibration, limit: float) -> list[str]:
-        """Return the parameters of which only errors of very many deviations reach a limit."""
+        """Return the parameters of which only errors of many deviations reach a limit."""
         parameters = self.system.sensors.parameters
         own = calibration.std[list(indices_of(parameters, calibration.parameters))]
-        shown = own * self.system.sensitivities(self.values, self.fit.unknown)
+        # Of biases that drift between sessions, the deviations are those of the drift.
+        allowed = np.maximum(own, np.linalg.norm(self.factor, axis=1))
+        shown = allowed * self.system.sensitivities(self.values, self.factor, self.fit.unknown)
         return [
             p.name
             for p, std, by in zip(parameters, own, shown, strict=True)

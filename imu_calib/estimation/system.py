@@ -487,15 +487,20 @@ class TriadSystem:
 
         return system
 
-    def sensitivities(self, values: Floats, unknown: Floats) -> Floats:
+    def sensitivities(self, values: Floats, factor: Floats, unknown: Floats) -> Floats:
         """Return by how many deviations an error of one unit of each parameter (p,) would show.
 
-        What the other unknowns (u,) take up of it, such as the tilt of the table, is left out.
+        Deviations are those of the noise and of the parameters, by the factor (p, k) of their
+        covariance. What the other unknowns (u,) take up of it, such as the tilt of the table, is
+        left out.
         """
         rows = self._whitened(values, unknown)
         columns, others = rows[:, : len(values)], rows[:, len(values) : -1]
         taken_up = others @ np.linalg.lstsq(others, columns, rcond=None)[0] if others.size else 0.0
-        return np.asarray(np.linalg.norm(columns - taken_up, axis=0))
+        seen = np.linalg.qr(columns - taken_up, mode='r')
+        by_parameters = seen @ factor
+        root = np.linalg.cholesky(np.eye(len(seen)) + by_parameters @ by_parameters.T)
+        return np.asarray(np.linalg.norm(np.linalg.solve(root, seen), axis=0))
 
     def _whitened(self, values: Floats, unknown: Floats) -> Floats:
         """Return derivatives and residuals (m + q, p + u + 1) in deviations, priors last."""

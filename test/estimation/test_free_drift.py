@@ -150,6 +150,27 @@ def test_verify_names_no_mistake_in_one_attitude() -> None:
     )
 
 
+def test_one_attitude_tests_what_it_rejects_and_names_the_others_whatever_their_errors() -> None:
+    """One length of gravity accepted D_ay off by 14 standard deviations, and did not name it."""
+    observed = observe(session(NONE, 16, 0).session, IMU, SITE, load_plan('free_positions'), None)
+    evidence = observed.evidence
+    alone = replace(observed, evidence=replace(evidence, segments=evidence.segments[:1], moves=()))
+    calibration = session(NONE, 16, 1).calibration
+    own = [k for k, p in enumerate(calibration.parameters) if p.triad == 'a' and calibration.std[k]]
+    mine = [calibration.parameters[k] for k in own]
+    found = verify(calibration, alone)
+    for parameter, value, std in zip(
+        mine, calibration.model.values(mine), calibration.std[own], strict=True
+    ):
+        # An error half as large again as one that would reach the limit exactly.
+        model = calibration.model.with_values([parameter], np.array([value + 75 * std]))
+        other = verify(replace(calibration, model=model), alone)
+        if other.accepted:
+            assert parameter.name in found.untested
+            assert set(found.untested) == set(other.untested)
+    assert {'K_ax', 'K_ay', 'K_az'} - set(found.untested)
+
+
 def test_biases_that_stay_have_no_drift() -> None:
     for seed in range(16 if ALL else 3):
         found = session(NONE, 10, seed)
