@@ -220,7 +220,9 @@ ENTRIES = {
     'table_errors': _entry(
         'standard deviations of its errors, as stated or assumed, rad', each, Section.number
     ),
-    'table_errors_assumed': _entry('those that its file does not state', texts),
+    'table_errors_assumed': _entry(
+        'those that its file does not state, or states smaller than any known', texts
+    ),
     'table_clock_std': _entry("of the table's clock, a ratio", number_within, 0),
     'latitude_deg': _entry('of the site, deg', number_within, *SITE_BOUNDS['latitude']),
     'latitude_std_deg': _entry('its standard deviation, deg', number_within, 0),
@@ -257,6 +259,9 @@ ENTRIES = {
     'gravity_off_after': _entry('the same of the calibrated ones', number_within, 0),
     'bias_drift': _entry(
         'bias drift included in the standard deviations, rad/s and m/s^2', numbers, _CHANNELS
+    ),
+    'bias_instability': _entry(
+        "as the IMU's description stated it, rad/s and m/s^2", numbers, _CHANNELS
     ),
     'condition_number': _entry('of the equations', Section.number),
     'highest_rate': _entry('of the turns, rad/s', number_within, 0),

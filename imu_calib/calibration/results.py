@@ -207,6 +207,10 @@ def provenance(
         special['missing_positions'] = missing
     if solution.bias_drift is not None:
         special['bias_drift'] = [float(v) for v in solution.bias_drift]
+        special['bias_instability'] = [float(v) for v in evidence.instability]
+    if table is not None and solution.search is not None:
+        # As good as the best known one, where the session contradicts an exact one.
+        table = solution.search.estimate.equations.evidence.table or table
     changes = () if solution.changes is None else solution.changes.changes
     # About any axis of the unit. Turns by hand are faster in their middle than on average, and
     # moves between positions turn several joints at once: the session itself is within this rate.
@@ -227,7 +231,7 @@ def provenance(
         'table': None if table is None else table.name,
         **({'table_simulated': True} if table is not None and table.simulated else {}),
         'table_errors': None if table is None else table.error_sizes,
-        'table_errors_assumed': None if table is None else list(table.assumed),
+        'table_errors_assumed': None if table is None else list(table.not_stated),
         'table_clock_std': None if table is None else table.clock,
         'latitude_deg': setup.site.latitude / DEG,
         'latitude_std_deg': setup.site.latitude_std / DEG,

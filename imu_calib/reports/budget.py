@@ -18,7 +18,7 @@ from ..common.stream import Floats, Units
 from ..common.units import ARCSEC, DEG, PPM, rounded, significant, typeset
 from ..model.earth import LATITUDE_STD
 from ..model.parameters import TRIADS, Parameter, engineering
-from ..session.imu import TRIAD_NAMES, ImuSpec
+from ..session.imu import TRIAD_NAMES
 from .charts import drawing, label, tag
 from .html import paragraph, table
 from .plain_table import plain_table
@@ -140,7 +140,10 @@ class _Shown:
 
     def words(self, line: BudgetLine, inputs: Mapping[ErrorSource, str]) -> str:
         """Return what a source is and, with inputs, its size, and what it does without a column."""
-        words = ': '.join(filter(None, (line.source.words, inputs.get(line.source))))
+        words, size = line.source.words, inputs.get(line.source)
+        if size:
+            origin = 'assumed where marked' if '(assumed)' in size else 'as stated'
+            words = f'{words.replace("as stated or assumed", origin)}: {size}'
         if line.source in self.sources or not inputs:
             return words
         fractions = line.std[self.rows] ** 2 / self.budget.std[self.rows] ** 2
@@ -376,19 +379,23 @@ def _inputs(calibration: Calibration) -> dict[ErrorSource, str]:
             ((ARCSEC, 'arcsec'), (1.0, 'm/s')),
         )
     if drift:
-        found |= _drifts(np.reshape(drift, (2, 3)), imu, rates)
+        stated = imu.gyro.bias_instability, imu.accel.bias_instability
+        if not any(stated):
+            # The description in a file of a calibration has none, its provenance has.
+            stated = tuple((where.get('bias_instability') or [0.0] * 6)[::3])
+        found |= _drifts(np.reshape(drift, (2, 3)), stated, rates)
     return found
 
 
 def _drifts(
-    whole: Floats, imu: ImuSpec, units: Sequence[tuple[float, str]]
+    whole: Floats, instability: Sequence[float], units: Sequence[tuple[float, str]]
 ) -> dict[ErrorSource, str]:
     """Return the sizes of the parts of the drift (2, 3) of gyros and accelerometers, by source."""
     sizes: dict[ErrorSource, list[Sequence[float]]] = {
         source: [(), ()]
         for source in (ErrorSource.BIAS_STATED, ErrorSource.BIAS_CALM, ErrorSource.BIAS_FOUND)
     }
-    for k, stated in enumerate((imu.gyro.bias_instability, imu.accel.bias_instability)):
+    for k, stated in enumerate(instability):
         square = float(np.mean(whole[k] ** 2))
         if square < AS_STATED * stated**2:
             sizes[ErrorSource.BIAS_CALM][k] = (square**0.5,)

@@ -47,6 +47,7 @@ _PER_CHANNEL = (
     ),
     ('residual_rms', 'RMS of the residuals'),
     ('bias_drift', 'bias drift allowed for'),
+    ('bias_instability', 'bias instability stated'),
 )
 """Key, text, and the units of gyros and accelerometers; without any, those of biases."""
 

@@ -11,6 +11,7 @@ import pytest
 from extent import again
 from sessions import SITE, fed, quick_plan, session, stand, truth
 
+from imu_calib.calibration.results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.config import Section
 from imu_calib.common.stream import Floats
@@ -47,15 +48,19 @@ OTHERS = re.compile('positioning errors|attitude errors|The session shows|Outlie
 """What findings would blame."""
 
 
-@cache
 def solved(wrong: str, seed: int) -> Solution:
+    return finished(wrong, seed).solution
+
+
+@cache
+def finished(wrong: str, seed: int) -> Result:
     """A navigation-grade unit on a table that is wrong by as much, and is stated exact."""
     options = dict(WRONG.get(wrong, {}))
     if 'true' in options:
         options['true'] = TrueTable.drawn(TABLE, options['true'], seed)
     blocks = session(PLAN, stand(**options), seed=seed, spec=NAVIGATION)
     setup = Setup(NAVIGATION, PLAN, TABLE, SITE, search_terms=True)
-    return fed(blocks, setup).finish().solution
+    return fed(blocks, setup).finish()
 
 
 def off(solution: Solution) -> Floats:
@@ -96,6 +101,9 @@ def test_what_a_session_shows_of_them_is_counted_as_of_the_best_tables() -> None
     assert table is not None
     assert table.raised == KEYS and table.described is TABLE and table.understated_errors == ()
     assert table.errors == TableErrors(*[FINEST] * 4) and table.positioning == FINEST
+    stated = finished('all', 0).calibration.provenance
+    assert stated['table_errors'] == {**dict.fromkeys(KEYS, FINEST), 'level': TABLE.level}
+    assert stated['table_errors_assumed'] == list(KEYS)
 
 
 def test_an_exact_table_widens_nothing_and_says_what_that_rests_on() -> None:

@@ -33,6 +33,7 @@ from imu_calib.common.units import ARCSEC
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.terms import TERMS
 from imu_calib.reports import certificate as printing
+from imu_calib.reports.budget import budget_parts
 from imu_calib.reports.certificate import Certificate, certificate_of, certificate_page
 from imu_calib.reports.certificate_fields import Conformity, Rule, decide, read_fields
 from imu_calib.reports.dcc import DCC, SI, dcc, digital
@@ -485,6 +486,27 @@ def test_inputs_that_nobody_stated_are_named(calibration):
     stated = {**known, 'table_errors_assumed': [], 'table_clock_std': 1e-6}
     found = made(replace(calibration, provenance={**calibration.provenance, **stated}))
     assert rows(certificate_page(found))['assumed'] == ['nothing']
+
+
+def test_sources_have_their_sizes_from_the_file_and_say_assumed_of_what_was(tmp_path):
+    imu = load_imu('fog_medium')
+    calibrate(session(PLAN, stand(), 1, spec=imu), PLAN, spec=imu).calibration.save(
+        tmp_path / 'c.yaml'
+    )
+    read = Calibration.load(tmp_path / 'c.yaml')
+    share = Share.known(read.covariance)
+    for source in (ErrorSource.POSITIONING_STATED, ErrorSource.TABLE):
+        read = replace(read, budget=read.budget.with_share(source, share))
+    sizes = {'table_errors': {'positioning': 2 * ARCSEC, 'zeros': 3 * ARCSEC}}
+    assumed = {'table_errors_assumed': ['zeros'], **sizes}
+    read = replace(read, provenance={**read.provenance, **assumed})
+    told = words(ET.fromstring(f'<p>{"".join(budget_parts(read, read.budget))}</p>'))
+    for said in (
+        'as the IMU description states it: gyros 0.1 deg/h, accelerometers 20 \u00b5g',
+        'positioning errors, as stated: positioning 2 arcsec',
+        'encoders of the table, assumed where marked: zeros 3 arcsec (assumed)',
+    ):
+        assert said in told
 
 
 def test_a_certificate_has_the_words_of_the_gum_and_says_what_g_is(text):
