@@ -60,6 +60,8 @@ class Compensated:
     samples_out: int  #: Number of samples written.
     marked: Mapping[Mark, int]  #: Number of samples by mark, for instance beyond the range.
     findings: tuple[str, ...]  #: Messages for the user, in sentences.
+    #: Whether gravity or the turns show that the samples are not what the calibration was made of.
+    contradicted: bool = False
 
     def __repr__(self) -> str:
         findings = counted(len(self.findings), 'finding')
@@ -175,6 +177,7 @@ def compensate(
                 *stamps.words(),
                 *recording.losses,
             ),
+            not compensator.gravity.is_gravity or stream.turns.contradict,
         )
 
 

@@ -10,6 +10,7 @@ from ..api.inspect import Topic, topics
 from ..common.units import counted
 from ..session.keywords import Columned, InColumns
 from . import options
+from .outcome import WRONG_INPUT, CommandResult
 from .terminal import OUTPUT, print_findings, progress_bar
 
 
@@ -81,7 +82,7 @@ def add_compensate_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run_compensate(arguments: argparse.Namespace) -> None:
+def run_compensate(arguments: argparse.Namespace) -> CommandResult:
     """Convert a recording's raw IMU stream to rates and forces; copy the rest."""
     done = compensate(
         arguments.bag,
@@ -98,3 +99,10 @@ def run_compensate(arguments: argparse.Namespace) -> None:
         markup=False,
     )
     print_findings(done.findings, verbose=True)
+    if not done.contradicted:
+        return CommandResult()
+    return CommandResult(
+        exit_code=WRONG_INPUT,
+        message=f'{arguments.output} is not to be used: {arguments.bag} is not in the units of '
+        f'{arguments.calibration}, or lacks gravity (the warning above).',
+    )

@@ -26,7 +26,11 @@ from imu_calib.recordings.storage import Described, Topic
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.metadata import SERIAL_NUMBER
 
+GRAVITY = 9.8 / 200 / truth().imu.accel.scale_factor  #: Pulses per sample at 200 Hz.
 SESSION = session(seconds=12, rate=200)
+# As at rest: samples without gravity end with exit code 2.
+AT_REST = np.rint([0.0, 0.0, GRAVITY]) + np.sign(SESSION[IMU].accel)
+SESSION[IMU] = replace(SESSION[IMU], accel=AT_REST)
 ROWS = timeline(SESSION)
 OUT = '/stand/imu/data_raw'
 
@@ -154,13 +158,12 @@ def test_a_malformed_message_is_left_out_and_said(tmp_path, calibration, capsys)
 
 @pytest.mark.parametrize('gravity', [True, False])
 def test_samples_without_gravity_are_named(tmp_path, calibration, capsys, gravity):
-    # At 200 Hz.
-    pulses = 9.8 / 200 / truth().imu.accel.scale_factor * gravity
-    samples = replace(SESSION[IMU], accel=np.tile([0.0, 0.0, pulses], (len(SESSION[IMU]), 1)))
+    up = [0.0, 0.0, GRAVITY * gravity]
+    samples = replace(SESSION[IMU], accel=np.tile(up, (len(SESSION[IMU]), 1)))
     with RecordingWriter(tmp_path / 'bag') as writer:
         writer.write(IMU, Kind.IMU.type_name, encode_imu(samples), samples.stamp)
     words = ['compensate', str(tmp_path / 'bag'), '--calibration', calibration]
-    assert main([*words, '-o', str(tmp_path / 'out')]) == 0
+    assert main([*words, '-o', str(tmp_path / 'out')]) == (0 if gravity else 2)
     assert ('expected gravity' in ' '.join(capsys.readouterr().out.split())) is not gravity
 
 

@@ -239,7 +239,7 @@ def test_numbers_in_other_units_than_those_of_the_calibration_are_named(
     found = imu_calib.verify(other, made, latitude=LATITUDE).triads[sensors]
     assert found.verdict is Verdict.FAIL and words in found.diagnosis.symptom
     assert 'another unit' not in found.diagnosis.symptom
-    assert main(['compensate', other, '--calibration', made, '-o', str(tmp_path / 'out')]) == 0
+    assert main(['compensate', other, '--calibration', made, '-o', str(tmp_path / 'out')]) == 2
     shown = capsys.readouterr().out
     assert 'written to' in shown and 'as /imu/data_calibrated' in ' '.join(shown.split())
     assert 'Warnings' in shown and 'not in the units of the calibration' in ' '.join(shown.split())
