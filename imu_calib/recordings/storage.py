@@ -102,6 +102,9 @@ class MessageBatch:
     times: Callable[[], Times]  #: Returns log and publish times of the messages.
 
 
+UNSORTED = 'its messages do not lie in the order of their log times and are sorted'
+
+
 class Losses:
     """Sentences on unreadable data, each once."""
 
@@ -116,9 +119,7 @@ class Losses:
 
     def add_order(self, name: str) -> None:
         """State that a file holds messages in another order than that of their log times."""
-        self.add_loss(
-            f'{name}: its messages do not lie in the order of their log times and are sorted.'
-        )
+        self.add_loss(f'{name}: {UNSORTED}.')
 
 
 class Sized(Protocol):

@@ -27,6 +27,7 @@ from ..common.stream import Units
 from ..common.units import ARCSEC, STANDARD_GRAVITY, counted, rounded
 from ..model.earth import MEASURED
 from ..model.parameters import Parameter, engineering
+from ..recordings.storage import UNSORTED
 from ..session.imu import Specification
 from . import provenance
 from .budget import assumed_inputs, budget_parts, freedom_words
@@ -49,8 +50,9 @@ _ZONES = timedelta(days=1)
 
 
 _HINT = re.compile(
-    r'(?:^|(?<=[.;:]) )(?:Calibrate|Check|Describe|Give|Hold|Keep|Leave|Let|Level|Look|Measure|'
-    r'Mount|Name|Raise|Record|Repeat|Run|Set|State|Turn|Use|Wait) (?=[a-z`]).*?(?:[.](?= |$)|$)',
+    r'(?:^|(?<=[.;:]) )(?:Calibrate|Check|Describe|Fasten|Give|Hold|Keep|Leave|Let|Level|Look|'
+    r'Measure|Mount|Name|Raise|Record|Repeat|Run|Set|State|Take|To tell,|Turn|Use|Wait) (?=[a-z`])'
+    r'.*?(?:[.](?= |$)|$)',
     re.IGNORECASE,
 )
 """A sentence, or its last clause, that tells the operator what to do."""
@@ -95,7 +97,9 @@ class Certificate:
     @property
     def remarks(self) -> tuple[str, ...]:
         """The laboratory's remarks, and the findings without what they advise the operator."""
-        found = (_HINT.sub('', text).strip() for text in self.calibration.findings)
+        # Messages that were sorted have no effect on the result.
+        findings = (text for text in self.calibration.findings if UNSORTED not in text)
+        found = (_HINT.sub('', text).strip() for text in findings)
         return (
             *self.fields.remarks,
             *(re.sub('[;:]$|;(?= [A-Z])', '.', text) for text in found if text),

@@ -352,6 +352,12 @@ HINTS = [
     ('Known to 1.5 ppm. State `height`, or `gravity` as measured.', 'Known to 1.5 ppm.'),
     ('Assumed: zeros 30 arcsec; state its own under these keys.', 'Assumed: zeros 30 arcsec.'),
     ('Hold the unit still for 2.5 s.', None),
+    (
+        'It turns in it. Take it off its isolators, or fasten it, and record again.',
+        'It turns in it.',
+    ),
+    ('It moved: this is estimated. Fasten it, and record again.', 'It moved: this is estimated.'),
+    ('a.mcap: its messages do not lie in the order of their log times and are sorted.', None),
     ('Turn 5 was left out. Check the cable. It moved.', 'Turn 5 was left out. It moved.'),
 ]
 
