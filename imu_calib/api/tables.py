@@ -120,8 +120,9 @@ def from_columns(
         gyros = _sensor_rows(text, stamps, rates, sentences)
         accels = _sensor_rows(accel_text, forces_at, forces, sentences)
     else:
+        others = _rows_of_others(text, stamps, columns, np.hstack([rates, forces]))
         times, (rates, forces) = _sound(stamps, rates, forces)
-        sentences += _left_out(text, len(stamps) - len(times))
+        sentences += _left_out(text, len(stamps) - len(times) - others)
         gyros, accels = (times, rates), (times, forces)
     if not len(gyros[0]):
         raise InputError(f'{text.path}: no row holds a number in each of the columns named.')
@@ -221,6 +222,18 @@ def _other_topics(
         _refuse_no_celsius(celsius, temperature)
         others[TEMPERATURE] = Samples(Kind.TEMPERATURES, at, [celsius[:, 0]])
     return others
+
+
+def _rows_of_others(text: Text, stamps: Floats, columns: InColumns, values: Floats) -> int:
+    """Return how many rows have no value of the IMU, and those of joints or a temperature."""
+    used = np.zeros(len(stamps), dtype=bool)
+    if (joints := columns.get('joints')) is not None:
+        angles, _ = columns_of(text, joints, '`joints`', _ANGLE, len(parted(joints)[0]))
+        used |= np.isfinite(angles).all(axis=1)
+    if (temperature := columns.get('temperature')) is not None:
+        celsius, _ = columns_of(text, temperature, '`temperature`', _CELSIUS, 1)
+        used |= np.isfinite(celsius[:, 0])
+    return int(np.count_nonzero(used & np.isfinite(stamps) & np.isnan(values).all(axis=1)))
 
 
 def _in_time(

@@ -172,6 +172,18 @@ def test_broken_rows_are_left_out_and_counted(tmp_path):
     )
 
 
+def test_rows_of_joints_alone_are_used_and_not_said_to_be_left_out(tmp_path):
+    rows = (
+        '.1,9,0,0,0,0,1,\n.15,,,,,,,3\n.2,9,0,0,0,0,1,\n.25,,,,,,,4\n.3,,0,0,0,0,1,\n.35,,,,,,,\n'
+    )
+    path = write(tmp_path / 'log.csv', ROW.replace('\n', ',yaw\n') + rows)
+    words = {'gyro': 'wx,wy,wz:deg/s', 'accel': 'ax,ay,az:g', 'joints': 'yaw:deg'}
+    done = imu_calib.convert(path, tmp_path / 'out', stamp='t:s', **words)
+    assert done.counts == {'/imu/data_raw': 2, '/turntable/joint_states': 2}
+    said = '2 rows hold no number in a column that is needed; left out.'
+    assert done.findings == (said,)
+
+
 def logged(times: list[str]) -> str:
     return ROW + ''.join(f'{time},9,0,0,0,0,1\n' for time in times)
 
