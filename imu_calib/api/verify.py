@@ -142,7 +142,10 @@ def _verify(
     imu, says = (_described(first_of(loaded)), str(recording.path)) if known is None else known
     if not another_unit:
         serial = serial_of(stated, recording, streams.imu)
-        _check_identity(loaded, name, imu, says, serial)
+        # The number is that of the option where the recording states none.
+        said = serial_of(replace(stated, serial=None), recording, streams.imu)
+        where = says if said or not serial else '`serial`'
+        _check_identity(loaded, name, imu, says, serial, where)
     # A skewed gyro is not verified: do not wait for it.
     imu = replace(imu, skewed=None)
     try:
@@ -261,11 +264,12 @@ def _same_samples(calibration: Calibration, session: Segmented, random_walk: Flo
 
 
 def _check_identity(
-    calibration: AnyCalibration, name: str, imu: ImuSpec, where: str, serial: str
+    calibration: AnyCalibration, name: str, imu: ImuSpec, where: str, serial: str, by: str
 ) -> None:
     """Refuse the calibration of another unit, if calibration and recording name their units."""
     try:
-        check_identity(calibration, name, imu, where, serial)
+        check_identity(calibration, name, imu, where)
+        check_identity(calibration, name, imu, by, serial)
     except InputError as error:
         raise InputError(
             f'{error} Give the calibration of that unit, or compare them with `another_unit`.'

@@ -161,7 +161,10 @@ def _guidance(
     elif enough:
         stage, text = Stage.ENOUGH, f'Enough: {holds} holds. Further ones still gain: {best}.'
     else:
-        stage, text = Stage.TURN, f'{holds} holds so far. Turn to {best}, and hold still.'
+        stage, text = (
+            Stage.TURN,
+            f'{counted(holds, "hold")} so far. Turn to {best}, and hold still.',
+        )
     return Guidance(stage, text, holds, std, candidates)
 
 

@@ -470,8 +470,8 @@ def _robot_localization(
     }
     note = (
         f'# Of each sensor_msgs/Imu on {topic}, at {noise.rate:.6g} Hz, row by row: white noise\n'
-        '# alone. robot_localization reads them from the messages: give them to the driver, but\n'
-        '# for compensator_node, whose messages hold covariances.\n'
+        '# alone. robot_localization reads them from the messages: give them to the driver.\n'
+        '# Do not set them where compensator_node is used: it writes its own.\n'
     )
     return '{head}' + note + _dump(covariances)
 

@@ -393,9 +393,15 @@ def run_verify(arguments: argparse.Namespace) -> CommandResult:
         )
         return CommandResult(verification.to_dict(), NO_ANSWER, message)
     if verification.untested:
+        # No recording in the hand tests the scale factors and misalignments of the gyros.
+        how = (
+            f'calibrate {arguments.bag} too, and compare the two (imu-calib compare).'
+            if verification.by_hand
+            else 'verify those with another recording.'
+        )
         message = (
             f'{arguments.bag} does not test {counted(len(verification.untested), "parameter")} of '
-            f'{arguments.calibration}: verify those with another recording.'
+            f'{arguments.calibration}: {how}'
         )
         return CommandResult(verification.to_dict(), UNTESTED, message)
     return CommandResult(verification.to_dict())

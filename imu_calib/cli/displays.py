@@ -18,7 +18,7 @@ from rich.table import Table as Rows
 from rich.text import Text
 
 from ..common.errors import InputError
-from ..common.units import DEG, significant
+from ..common.units import DEG, counted, significant
 from ..live.rules import Severity
 from ..live.web.board import Snapshot, UnitRow
 from ..live.web.sentences import headline, time_left
@@ -216,7 +216,7 @@ def reached(progress: Any) -> str:
     """Return the number of holds, and the deviations of scale factors and angles so far."""
     std = np.array(progress.standard_deviations)
     kinds = np.array([name[0] for name in progress.parameter_names])
-    words = [f'{progress.step} holds']
+    words = [counted(progress.step, 'hold')]
     for letter, what, unit, scale in (
         ('K', 'scale factors', '%', 0.01),
         ('E', 'misalignments', 'deg', DEG),

@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import imu_calib
 from imu_calib.api.simulate import serialised
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.verify import Verdict
+from imu_calib.cli.displays import reached
 from imu_calib.cli.main import main
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError, NotObservable
@@ -243,6 +245,21 @@ def test_numbers_in_other_units_than_those_of_the_calibration_are_named(
     shown = capsys.readouterr().out
     assert 'written to' in shown and 'as /imu/data_calibrated' in ' '.join(shown.split())
     assert 'Warnings' in shown and 'not in the units of the calibration' in ' '.join(shown.split())
+
+
+def test_a_number_that_an_option_states_is_not_called_that_of_the_recording(
+    made, bag, tmp_path, capsys
+):
+    other = tmp_path / 'a0.yaml'
+    replace(Calibration.load(made), serial_number='A0').save(other)
+    assert main(['verify', str(bag), '--serial', 'A1', '--calibration', str(other)]) == 2
+    shown = ' '.join(capsys.readouterr().err.split())
+    assert 'serial_number: found A0, expected A1 as in --serial.' in shown
+
+
+def test_one_hold_is_no_plural():
+    progress = SimpleNamespace(step=1, standard_deviations=[], parameter_names=[])
+    assert reached(progress).startswith('1 hold, ')
 
 
 def test_few_holds_are_said_on_the_screen_with_what_to_do(tmp_path, capsys):
