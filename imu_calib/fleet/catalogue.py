@@ -305,10 +305,11 @@ class Catalogue:
 
     def _files_of(self, row: dict[str, Any]) -> tuple[Path, Path]:
         """Return the file of a row, and that of the unit's newest calibration."""
-        date = row['date'] or _NO_DATE
+        # Names sort by date: those without one come first.
+        date = f'{row["date"]:%Y-%m-%dT%H%M%SZ}' if row['date'] else '0000_no_date'
         serial = _file_name(row['serial'] or '') or _UNNAMED
         kind = self.folder / 'calibrations' / _file_name(row['imu'] or '')
-        name = f'{date:%Y-%m-%dT%H%M%SZ}_{row["key"][:8]}.yaml'
+        name = f'{date}_{row["key"][:8]}.yaml'
         return kind / serial / name, kind / f'{serial}.yaml'
 
     def _with_file(

@@ -21,7 +21,7 @@ from ..api.streams import imu_topic, units_of
 from ..calibration.results import Result
 from ..common.errors import ImuCalibError, InputError
 from ..common.files import named_file, read_text, unreadable, user_path, version
-from ..common.stream import NS
+from ..common.stream import utc
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS, indices_of
 from ..recordings.metadata_yaml import NAME as METADATA
 from ..recordings.remote import AnyPath, is_url, located
@@ -323,12 +323,8 @@ def _common(job: Job, key: str, sha256: str) -> dict[str, Any]:
 
 
 def _when(job: Job, start_ns: int | None) -> dict[str, Any]:
-    if job.labels.date is not None or start_ns is None:
-        return {'date': job.labels.date}
-    # In integer microseconds: a float of seconds is exact only to a tenth of one.
-    seconds, rest = divmod(start_ns, NS)
-    whole = datetime.fromtimestamp(seconds, timezone.utc)
-    return {'date': whole.replace(microsecond=rest // 1000)}
+    # Stamps without dates count from the start of a device, or are none.
+    return {'date': job.labels.date or utc(start_ns)}
 
 
 def _calibrated(result: Result) -> dict[str, Any]:

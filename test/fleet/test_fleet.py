@@ -27,10 +27,13 @@ from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.parallel import Engine
+from imu_calib.common.stream import ImuBlock
 from imu_calib.fleet.batch import run_batch
 from imu_calib.fleet.catalogue import Catalogue, schema
 from imu_calib.fleet.recordings import COLUMNS, Job, Labels, convertible, find_jobs, read_manifest
 from imu_calib.fleet.task import DEFECT, LOST, TaskResult, content_of, failed, key_of, run
+from imu_calib.recordings.cdr_codec import Kind, encode_imu
+from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.keywords import Stated
 
 needs_modules('pyarrow', 'duckdb', 'distributed')
@@ -68,6 +71,18 @@ def done(recordings, tmp_path_factory):
 
 def rows(folder: Path) -> list[dict]:
     return Catalogue(folder).table().to_pylist()
+
+
+def test_recordings_whose_stamps_are_no_dates_are_not_of_1970(tmp_path):
+    folder = tmp_path / 'bag'
+    block = ImuBlock(np.arange(3) * 10**7, np.zeros((3, 3)), np.ones((3, 3)))
+    with RecordingWriter(folder) as writer:
+        writer.write('/imu', Kind.IMU.type_name, encode_imu(block), block.stamp)
+    found = run(Job(str(folder)))
+    assert found.row['date'] is None
+    (tmp_path / 'rows').mkdir()
+    own, _ = Catalogue(tmp_path)._files_of(found.row)
+    assert own.name.startswith('0000_no_date_')
 
 
 def a_row(k: int, **values: object) -> TaskResult:
