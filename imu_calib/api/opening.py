@@ -213,6 +213,8 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
     steps = load_plan('free_positions') if plan is None else plan
     statements = (*([] if known else [ASSUMED_SI]), *([] if plan else [ASSUMED_BY_HAND]))
     statements += (*corrected_serial(stated), *contradicted_latitude(stated, recording))
+    if stated.rate is not None:
+        statements += (f'The samples have no stamps: K_g is only as good as `rate` {stated.rate}.',)
     site = site_of(stated, recording, by_hand=steps.by_hand)
     statements += gravity_as_exact(site, stated)
     if stated.segments is not None:

@@ -82,6 +82,7 @@ def test_arrays_give_the_bits_of_a_frame_of_their_rate(frame):
     by_rate = imu_calib.calibrate(frame.reset_index(drop=True), rate=100.0, **STATED).calibration
     one = imu_calib.calibrate(values, rate=100.0, **STATED).calibration
     two = imu_calib.calibrate((values[:, :3], values[:, 3:]), rate=100, **STATED).calibration
+    assert any('K_g is only as good as `rate` 100' in text for text in two.findings)
     assert same_bits(one, by_rate)
     assert same_bits(two, by_rate)
     assert imu_stamps(values, 100.0)[:2].tolist() == [10_000_000, 20_000_000]
