@@ -402,9 +402,20 @@ class IntervalReader:
         A unit at rest may repeat itself for as long as it rests, where it has little noise. But no
         sample is that of a table at rest as well as that of one that turns by ten steps of the
         gyros a sample: the run must go on from a second before to a second after a motion begins,
-        or ends. If no motion has shown how far the clocks are apart, it is as much longer.
+        or ends. If no motion has shown how far the clocks are apart, it is as much longer. From the
+        first of these on, others are frozen that last twice as long as any before the motion it
+        follows.
         """
-        return [run for run in self._intake.runs if self.pace.interval and self._is_frozen(run)]
+        runs = self._intake.runs if self.pace.interval else []
+        frozen = [run for run in runs if self._is_frozen(run)]
+        starts = [self._by_imu(motion)[0] for motion in self.table_motions]
+        before = [start for start in starts if frozen and start < frozen[0].since]
+        if not before:
+            return frozen
+        sound = [run.until - run.since for run in runs if run.until < before[-1]]
+        least = max(2 * max(sound, default=0), MARGIN_NS)
+        later = (run for run in runs if run.since >= before[-1])
+        return [run for run in later if run in frozen or run.until - run.since > least]
 
     def _is_frozen(self, run: EqualRun) -> bool:
         beyond = MARGIN_NS if self.offset_known else round(FARTHEST * 1e9)

@@ -183,7 +183,7 @@ def test_what_few_holds_do_not_show_is_said() -> None:
     """In ten holds a drift of the accelerometers hides in their parameters."""
     found = session(NONE, 10, 0)
     (held,) = [text for text in found.terms if 'undetected trend:D_a of up to D_a' in text]
-    assert 'ug per h could bias' in held
+    assert 'mg per h could bias' in held
 
 
 def test_a_drift_that_settles_is_allowed_for() -> None:

@@ -193,8 +193,7 @@ def test_units_that_freeze_again_and_again_or_end_half_way_do_not_spoil_others(d
     cut, frozen = (next(u for u in found.units if u.topic == t) for t in (CUT, FROZEN))
     assert isinstance(cut.error, NotObservable)
     assert 'the IMU stream does not span it' in str(cut.error)
-    assert frozen.result is not None
-    assert 'ended, froze or began late' in found.left_out['A2']
+    assert 'The IMU repeats one sample from' in str(frozen.error)
     mine, alone = found['A1'].calibration, separate['A1'].calibration
     np.testing.assert_array_equal(mine.values, alone.values)
     np.testing.assert_array_equal(mine.covariance, alone.covariance)
