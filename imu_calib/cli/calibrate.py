@@ -395,7 +395,7 @@ def run_verify(arguments: argparse.Namespace) -> CommandResult:
     if verification.untested:
         # No recording in the hand tests the scale factors and misalignments of the gyros.
         how = (
-            f'calibrate {arguments.bag} too, and compare the two (imu-calib compare).'
+            'calibrate one of twenty attitudes, and compare both calibrations (imu-calib compare).'
             if verification.by_hand
             else 'verify those with another recording.'
         )
