@@ -164,8 +164,8 @@ def _show_rows(
         OUTPUT.print(f'{left} more: --verbose')
 
 
-_OF_DWELLS = ('dwell', 'at, s', 'for, s', 'left out', 'up', 'heading, deg', 'position')
-_OF_TURNS = ('turn', 'at, s', 'for, s', 'up', 'rate, deg/s', 'turns', 'position')
+_OF_DWELLS = ('dwell', 'at, s', 'for, s', 'left out', 'up, deg', 'heading, deg', 'position')
+_OF_TURNS = ('turn', 'at, s', 'for, s', 'up, deg', 'rate, deg/s', 'turns', 'position')
 
 
 def _dwells(contents: StreamContents) -> list[list[str]]:
