@@ -294,16 +294,18 @@ def _table_error_sentence(found: SignificantFamily, chance: str, table: Table | 
     name = found.family.name
     size = f'{significant(found.size / ARCSEC, 3)} arcsec'
     if table is not None and (known := getattr(table.errors, name)):
-        stated = f'{significant(known / ARCSEC)} arcsec'
-        whose = (
-            f'{stated} are assumed of the table'
-            if name in table.not_stated
-            else f'the description of the table states {stated}'
-        )
-        return (
+        assumed = name in table.not_stated
+        whose = 'arcsec are assumed of the' if assumed else 'arcsec are stated by the file of the'
+        text = (
             f'The session shows {_TABLE_WORDS[name]} ({name}, {chance}), by '
-            f'{significant(found.seen / ARCSEC, 3)} arcsec where {whose}: the standard '
-            f'deviations allow for {size} each.'
+            f'{significant(found.seen / ARCSEC, 3)} arcsec where {significant(known / ARCSEC)} '
+            f'{whose} table: the standard deviations allow for {size} each.'
+        )
+        if assumed:
+            return text
+        return warning(
+            f'{text} What the file states of zeros, which no session shows, may be as wrong: '
+            'measure the table.'
         )
     return (
         f'The session shows {_TABLE_WORDS[name]} ({chance}): the standard deviations '

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imu_calib.common.finding import is_warning, without_label
 from imu_calib.common.units import ARCSEC, DEG_H
 from imu_calib.estimation import term_tests
 from imu_calib.estimation.score import Family, Score
@@ -278,21 +279,29 @@ def test_the_screen_says_what_is_on_what_is_off_and_what_is_not_seen() -> None:
 
 
 @pytest.mark.parametrize(
-    ('assumed', 'whose'),
+    ('assumed', 'whose', 'more'),
     [
-        ({'wobble'}, '2 arcsec are assumed of the table'),
-        ((), 'the description of the table states 2 arcsec'),
+        ({'wobble'}, 'assumed of', ''),
+        (
+            (),
+            'stated by the file of',
+            ' What the file states of zeros, which no session shows, may '
+            'be as wrong: measure the table.',
+        ),
     ],
 )
 def test_an_error_of_the_table_is_said_beside_what_was_known_of_it(
-    assumed: Any, whose: str
+    assumed: Any, whose: str, more: str
 ) -> None:
     table = SimpleNamespace(errors=TableErrors(wobble=2 * ARCSEC), not_stated=assumed)
     found = SignificantFamily(WOBBLE, -20 * LN10, size=151 * ARCSEC, seen=110 * ARCSEC)
-    assert findings(searched((found,), table=table)) == [
+    (said,) = findings(searched((found,), table=table))
+    assert is_warning(said) is bool(more)
+    assert without_label(said) == (
         'The session shows joint axes that wobble (wobble, by chance once in 10^20 sessions), by '
-        f'110 arcsec where {whose}: the standard deviations allow for 151 arcsec each.'
-    ]
+        f'110 arcsec where 2 arcsec are {whose} the table: the standard deviations allow for '
+        f'151 arcsec each.{more}'
+    )
 
 
 def test_errors_of_the_table_are_untold_where_outputs_are_too_few_to_test_them() -> None:

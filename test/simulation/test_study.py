@@ -132,8 +132,8 @@ def test_axes_further_off_than_is_stated_are_named_and_nothing_else(stated):
     findings = calibrator.finish().calibration.findings
     # The closed form takes the table as it is stated.
     (finding,) = [f for f in findings if not f.startswith('The closed form twelve_position')]
-    assert finding.startswith('The session shows joint axes that are not at right angles')
-    assert f'the description of the table states {stated} arcsec' in finding
+    assert finding.startswith('Warning: The session shows joint axes that are not at right angles')
+    assert f'{stated} arcsec are stated by the file of the table' in finding
 
 
 def test_steps_of_encoders_do_not_limit_what_counters_know_of_turns():
