@@ -106,7 +106,7 @@ class TrueUnit(TypedDict, total=False):
         "The unit's true parameters; None for `cao2022_table1`, which a unit with a serial number "
         'has with departures of its own, a tenth of each parameter.',
         Option(
-            "the unit's true parameters: a calibration file (default: cao2022_table1; units "
+            "the unit's true parameters (a calibration file; default: cao2022_table1; units "
             'with serial numbers differ from it, and from each other, by a tenth)',
             'NAME|FILE',
         ),

@@ -65,7 +65,7 @@ def with_facts(session: Segmented) -> Iterator[None]:
             raise Contradiction(without, facts) from None
         if unusual := session.facts.unusual:
             # With the cause, as what explains it, and there alone.
-            facts = f'{facts.partition(";")[0]}.'
+            facts = f'{session.facts.received}.'
             first, *rest = re.split(r'\.(?= [A-Z]|$)', error.cause, maxsplit=1)
             error.args = (
                 f'{first}; of the samples {"; ".join(unusual)}.{"".join(rest)}',

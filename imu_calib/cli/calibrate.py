@@ -372,7 +372,7 @@ def add_verify_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--another-unit',
         action='store_true',
-        help='compare even if calibration and bag differ: in the units that they name',
+        help='compare all the same (where calibration and recording name different units)',
     )
     add_json_option(parser)
     add_verbose_option(parser)

@@ -53,7 +53,7 @@ def add_batch_options(parser: argparse.ArgumentParser) -> None:
         'sources',
         nargs='+',
         metavar='SOURCE',
-        help='recordings: folders of some, patterns, manifests (.csv, .yaml), URLs (s3://...)',
+        help='recordings (folders of some, patterns, manifests in .csv or .yaml, URLs as s3://...)',
     )
     parser.add_argument(
         '-o',
@@ -215,8 +215,8 @@ def add_catalogue_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--columns',
         metavar='NAME,NAME',
-        help='columns in their order: * for all in a file, or for their names on the screen '
-        f'(default: {",".join(_SHOWN)})',
+        help='columns in their order (* for all in a file, or for their names on the screen; '
+        f'default: {",".join(_SHOWN)})',
     )
     parser.add_argument(
         '--sql', metavar='QUERY', help='an SQL query of your own; the table is called rows'

@@ -83,8 +83,8 @@ def add_history_options(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar='NAME|FILE',
         help=(
-            'IMU file whose specification counts: for its type, instead of that by which its '
-            'newest calibration was judged; may be given several times'
+            'IMU file whose specification counts (for its type, instead of that by which its '
+            'newest calibration was judged; may be given several times)'
         ),
     )
 

@@ -231,7 +231,7 @@ def add_plans_options(parser: argparse.ArgumentParser) -> None:
         action='append',
         default=[],
         metavar='NAME=STD',
-        help='find the shortest dwells that reach it: a standard deviation, as D_gx=0.05deg/h; '
+        help='find the shortest dwells for a precision (a standard deviation, as D_gx=0.05deg/h); '
         'may be given several times',
     )
     options.add_scheduler_option(parser)

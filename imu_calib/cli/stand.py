@@ -138,10 +138,10 @@ def run_stand(arguments: argparse.Namespace) -> CommandResult:
         folder = _begin(arguments)
     else:
         raise InputError('Give a PLAN (imu-calib plans lists them), or --resume FOLDER.')
-    return judged(arguments, folder) if arguments.specification else CommandResult()
+    return _judged(arguments, folder) if arguments.specification else CommandResult()
 
 
-def judged(arguments: argparse.Namespace, folder: Path) -> CommandResult:
+def _judged(arguments: argparse.Namespace, folder: Path) -> CommandResult:
     """Compare the results of a session with the specifications of the units' types."""
     from ..api.compare import conformity
     from .resume import RESULT

@@ -49,8 +49,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--control',
         action='store_true',
         help=(
-            'let the page lead the plan: start, pause, abort and resume it, by who has the token '
-            'that is printed; the session then survives a stop of the table'
+            'let the page lead the plan (start, pause, abort and resume it, with the token '
+            'that is printed); the session then survives a stop of the table'
         ),
     )
 

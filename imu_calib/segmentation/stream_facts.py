@@ -185,14 +185,20 @@ class StreamFacts:
         ]
 
     @property
-    def sentence(self) -> str:
-        """The facts as one sentence; empty without samples."""
+    def received(self) -> str:
+        """How much came in, without a full stop; empty without samples."""
         if not self.samples:
             return ''
         seconds = (self._last - self._first) * 1e-9
         rate = f', {(self.samples - 1) / seconds:.4g} Hz' if seconds > 0 else ''
-        received = f'The stream: {counted(self.samples, "sample")} in {seconds:.4g} s{rate}'
-        return '; '.join([received, *(self.unusual or ['none missing, in order'])]) + '.'
+        return f'The stream: {counted(self.samples, "sample")} in {seconds:.4g} s{rate}'
+
+    @property
+    def sentence(self) -> str:
+        """The facts as one sentence; empty without samples."""
+        if not self.samples:
+            return ''
+        return '; '.join([self.received, *(self.unusual or ['none missing, in order'])]) + '.'
 
     @property
     def unusual(self) -> list[str]:
