@@ -212,7 +212,7 @@ def test_a_verdict_is_a_document_and_rejected_is_exit_code_1(program, folder, tm
     # In the hand no recording tests the scale factors of gyros.
     document = program('verify', folder / 'two', '--calibration', folder / 'one.yaml', code=4)
     assert document['result']['verdict'] == 'pass' and 'K_gx' in document['result']['untested']
-    assert 'does not test' in program.told and 'and compare the two' in program.told
+    assert 'does not test' in program.told and 'and compare both calibrations' in program.told
     assert {row['unit'] for row in document['result']['compared']} == {'m/s^2', 'rad/s'}
     made = Calibration.load(folder / 'one.yaml')
     record, facts = document['result']['record'], made.provenance

@@ -26,7 +26,6 @@ from imu_calib.cli import several, stand_session
 from imu_calib.cli.dispatch import build_parser
 from imu_calib.cli.main import main
 from imu_calib.cli.processes import SessionEnd
-from imu_calib.cli.stand import judged
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
 from imu_calib.common.units import DEG
@@ -88,16 +87,23 @@ def test_the_same_seed_gives_the_same_bits_of_journal_and_calibration(finished):
     assert first.covariance.tolist() == second.covariance.tolist()
 
 
-def test_a_stand_judges_a_unit_as_calibrate_does(finished, tmp_path, capsys):
-    bare, narrow = tmp_path / 'bare.yaml', tmp_path / 'narrow.yaml'
+@pytest.fixture(scope='module')
+def narrow(finished):
+    """Return another run, of a unit whose specification is too narrow for it."""
+    bare, file = finished / 'bare.yaml', finished / 'narrow.yaml'
     bare.write_text(re.sub(r'specification:.*?(?=^\S|\Z)', '', IMU, flags=re.M | re.S))
-    narrow.write_text(bare.read_text() + 'specification:\n  gyro: {scale_factor_error: 1 ppm}\n')
-    words = ['stand', str(finished / 'short.yaml'), '-o', str(tmp_path / 'new'), '--specification']
-    outcome = judged(build_parser().parse_args([*words, '--imu', str(narrow)]), finished / 'first')
-    assert outcome.exit_code == 3
-    assert outcome.message.startswith('The unit is outside its specification in K_gx, K_gy, K_gz')
+    file.write_text(bare.read_text() + 'specification:\n  gyro: {scale_factor_error: 1 ppm}\n')
+    words = ['--seed', 4, '--specification', '--imu', file]
+    return stand(finished / 'short.yaml', '-o', finished / 'other', *words)
+
+
+def test_a_stand_judges_a_unit_as_calibrate_does(finished, narrow, capsys):
+    assert narrow.returncode == 3, narrow.stderr
+    told = ' '.join(narrow.stderr.split())
+    assert 'The unit is outside its specification in K_gx, K_gy, K_gz' in told
     # A unit without limits is refused before anything moves.
-    assert main([*words, '--imu', str(bare)]) == 2
+    words = [finished / 'short.yaml', '-o', finished / 'new', '--imu', finished / 'bare.yaml']
+    assert main(['stand', *map(str, words), '--specification']) == 2
     assert 'has no limits' in capsys.readouterr().err
 
 
@@ -111,9 +117,8 @@ def test_a_stand_prints_stated_noise_beside_the_measured(finished, tmp_path, cap
     assert f'{walk:.3g} deg/sqrt(h)' in row
 
 
+@pytest.mark.usefixtures('narrow')
 def test_a_calibration_is_not_verified_by_the_journal_that_made_it(finished):
-    other = stand(finished / 'short.yaml', '-o', finished / 'other', '--seed', 4)
-    assert other.returncode == 0, other.stderr
     live = finished / 'first' / 'calibration.yaml'
     own = imu_calib.verify(finished / 'first' / 'journal', live)
     assert own.own_recording and not own.accepted
