@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.finding import warning
+from ..common.finding import Finding, warning
 from ..common.stream import Floats
-from ..common.units import DEG, PPM
+from ..common.units import DEG, PPM, STANDARD_GRAVITY
 
 EARTH_RATE = 7.292115e-5  #: Rotation of the Earth, rad/s (WGS 84).
 
@@ -26,6 +26,9 @@ of some 30 mGal. They are larger in mountains."""
 _LARGEST_ANOMALY = 400e-5
 """m/s^2: free-air anomalies on land reach 300 to 400 mGal, and that only in high mountains
 (EGM2008)."""
+
+_TEXTBOOK = {round(STANDARD_GRAVITY, digits) for digits in (1, 2, 3, 5)}
+"""m/s^2: standard gravity and its roundings, which people type who know no other."""
 
 HEIGHT_STD = 500.0
 """Standard deviation of a height that is not stated and taken as 0, m.
@@ -163,7 +166,10 @@ class Site:
 
     @property
     def contradictions(self) -> tuple[str, ...]:
-        """A warning of a measured gravity that no place of this latitude and height has."""
+        """A warning of a measured gravity that no place of this latitude and height has.
+
+        Or a note of one that is standard gravity, which is not that of the place.
+        """
         if self.gravity_source != MEASURED or self.latitude_std > 0.99 * VAGUE:
             return ()
         south, here, north = (
@@ -171,9 +177,20 @@ class Site:
             for sign in (-1, 0, 1)
         )
         off = self.gravity - here
-        if abs(off) <= _LARGEST_ANOMALY + abs(north - south) / 2 + self.gravity_std:
-            return ()
         height = '0 m (none is stated)' if self.height is None else f'{self.height:g} m'
+        if abs(off) <= _LARGEST_ANOMALY + abs(north - south) / 2 + self.gravity_std:
+            if self.gravity not in _TEXTBOOK or abs(off) <= NORMAL_GRAVITY_STD + self.gravity_std:
+                return ()
+            return (
+                Finding(
+                    f'The stated gravity of {self.gravity:g} m/s^2 is standard gravity or a '
+                    f'rounding of it, and normal gravity at latitude {self.latitude / DEG:.2f} deg '
+                    f'and height {height} is {here:.5f} m/s^2: without a measurement every K_a is '
+                    f'wrong by about {abs(off) / here / PPM:.0f} ppm. Leave `gravity` out, and '
+                    'state `height`, if it was not measured at the site.',
+                    effect=math.inf,
+                ),
+            )
         return (
             warning(
                 f'The stated gravity of {self.gravity:.5f} m/s^2 is {off / here / PPM:+.0f} ppm '

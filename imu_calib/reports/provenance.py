@@ -184,7 +184,7 @@ def impossible_gravity(facts: Facts) -> bool:
     if latitude is None or gravity is None or latitude_std is None:
         return False
     site = Site(latitude * DEG, gravity, MEASURED, std or 0.0, height, latitude_std * DEG)
-    return bool(site.contradictions)
+    return any(map(is_warning, site.contradictions))
 
 
 def _height(facts: Facts) -> str:

@@ -282,6 +282,23 @@ def test_a_gravity_that_no_place_of_the_latitude_and_height_has_is_a_warning(pla
     assert [is_warning(text) and said in text for text in found] == [True] * bool(said)
 
 
+@pytest.mark.parametrize(
+    ('gravity', 'latitude', 'std', 'said'),
+    [
+        # WGS 84 gives 9.80900 m/s^2 at 48.1 deg: 9.80665 would be that of 760 m.
+        (9.80665, 48.1, 0.0, '9.80900 m/s^2: without a measurement every K_a is wrong by'),
+        (9.81, 48.1, 0.0, 'about 102 ppm'),
+        # Measured, one that agrees with the place, and one that is stated as uncertain.
+        (9.80723, 48.1, 0.0, ''),
+        (9.81, 49.2, 0.0, ''),
+        (9.81, 48.1, 0.005, ''),
+    ],
+)
+def test_standard_gravity_that_is_not_that_of_the_place_is_a_note(gravity, latitude, std, said):
+    found = Site.at(math.radians(latitude), None, gravity, gravity_std=std).contradictions
+    assert [not is_warning(text) and said in text for text in found] == [True] * bool(said)
+
+
 def test_the_textbook_value_of_gravity_is_a_warning_of_calibration_and_verification(tmp_path):
     """9.80665 m/s^2 is 0.1 % more than the Luoyang of the session has."""
     imu_calib.simulate('six_position', tmp_path / 'day1', azimuth=0.0)
