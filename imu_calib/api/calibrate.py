@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -9,18 +10,23 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from ..calibration.calibration import Calibration
 from ..calibration.calibrator import Calibrator, SharedResults, calibrator_of, estimate_together
 from ..calibration.hand import HandCalibrator
 from ..calibration.results import MISSING, Result
 from ..common.arguments import checked
 from ..common.errors import Contradiction, ImuCalibError, InputError, NotObservable, NotStated
 from ..common.files import printable, unwritable
+from ..common.finding import warning
 from ..common.processes import by_one_thread
 from ..common.progress import Progress, silent
 from ..common.stream import Block, Floats, ImuBlock
 from ..common.units import counted
 from ..estimation.common_unknowns import TableEstimate
 from ..estimation.hand import NAME as FREE_POSITIONS
+from ..model.parameters import ParameterKind
 from ..recordings.order import StampSorter
 from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording
@@ -47,6 +53,10 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 _HOLDS_AND_TURNS = 'six_position_by_hand'
+_COMMON_SCALE, _ALIKE = 0.01, 4.0
+"""Of scale-factor errors by a wrong rate: what gyros have without one, a ratio (data sheets of MEMS
+units state 1 %, the cheapest 3 %), and how many times the differences of the three their mean is,
+which of three independent ones hardly happens. Both a judgement."""
 _FEWEST_HOLDS, _MOST_HOLDS = 6, 18
 """Of a session that may be of that plan: one for each position, up to three beside each turn. A
 judgement."""
@@ -185,11 +195,45 @@ def documented(opened: Opened, result: Result) -> Result:
     already = compensated_already(opened.recording.custom_data, opened.streams.imu)
     assumed = (*opened.assumed, *already, *([] if rate is None else [_interpolated(rate)]))
     assumed += tuple(clock_findings(opened.recording, opened.streams, opened.setup.imu.units))
+    assumed += tuple(_wrong_rate(opened, calibration))
     assumed += tuple(_kelvin(calibration.provenance.get('temperature')))
     findings = (*assumed, *calibration.findings, *opened.losses)
     findings = tuple(t if printable(t) == t else printable(t) for t in findings)
     calibration = replace(calibration, provenance=provenance, findings=findings)
     return replace(result, calibration=calibration)
+
+
+def _wrong_rate(opened: Opened, calibration: Calibration) -> list[str]:
+    """Return a warning of scale factors that are all off alike, as by a wrong stated rate.
+
+    The rotation of a hand is rate times time, so that K_g has the error of the rate; values gained
+    over an interval show it in K_a.
+    """
+    units, specification = calibration.imu.units, calibration.imu.specification
+    triad = 'a' if units.per_interval else 'g'
+    errors = [
+        (p, value)
+        for p, value in zip(calibration.parameters, calibration.values, strict=True)
+        if p.triad == triad and p.kind is ParameterKind.SCALE_FACTOR_ERROR
+    ]
+    if opened.rate is None or not errors:
+        return []
+    values = np.array([value for _, value in errors])
+    mean = float(values.mean())
+    limit = None if specification is None else specification.limit(errors[0][0])
+    differ = float(np.abs(values - mean).max())
+    if not abs(mean) > max(limit or _COMMON_SCALE, _ALIKE * differ):
+        return []
+    rate = opened.rate / (1 + mean) if units.per_interval else opened.rate * (1 + mean)
+    return [
+        warning(
+            f'{", ".join(p.name for p, _ in errors)} are all near {100 * mean:+.1f} %, as of a '
+            f'wrong `rate`: by {rate:.4g} Hz in place of {opened.rate:.4g} Hz they would be near '
+            'zero. Count the rows of some minutes, or record the time of each; if the rate is '
+            'right, the nominal scale factor is another.',
+            effect=math.inf,
+        )
+    ]
 
 
 def _kelvin(temperature: object) -> list[str]:

@@ -40,6 +40,7 @@ from .session import (
 if TYPE_CHECKING:
     from ..segmentation.segmented import Segmented
 from .streams import Streams, against_si, refuse_doubtful_units, streams_of
+from .tables import rows_per_second
 
 _BLOCKS = 200
 """Blocks that are examined: some minutes of most recordings, and never more than fit into
@@ -153,6 +154,7 @@ class Opened:
     setup: Setup  #: Set-up for the calibrator.
     streams: Streams  #: Its topics.
     assumed: tuple[str, ...] = ()  #: Assumptions about what is not stated, in sentences.
+    rate: float | None = None  #: As stated of samples without stamps, Hz; None if they have some.
     order: StampSorter = field(default_factory=StampSorter)  #: Sorts the samples of the IMU.
 
     def blocks(self, progress: Progress = silent) -> Iterator[Block]:
@@ -213,8 +215,12 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
     steps = load_plan('free_positions') if plan is None else plan
     statements = (*([] if known else [ASSUMED_SI]), *([] if plan else [ASSUMED_BY_HAND]))
     statements += (*corrected_serial(stated), *contradicted_latitude(stated, recording))
-    if stated.rate is not None:
-        statements += (f'The samples have no stamps: K_g is only as good as `rate` {stated.rate}.',)
+    rate = rows_per_second(stated.rate)
+    if rate is not None:
+        shown = 'K_a' if imu.units.per_interval else 'K_g'
+        statements += (
+            f'The samples have no stamps: {shown} is only as good as `rate` {stated.rate}.',
+        )
     site = site_of(stated, recording, by_hand=steps.by_hand)
     statements += gravity_as_exact(site, stated)
     if stated.segments is not None:
@@ -234,4 +240,4 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
         stated.search_terms,
         None if stated.segments is None else read_segments(stated.segments),
     )
-    return Opened(recording, setup, streams, statements)
+    return Opened(recording, setup, streams, statements, rate)

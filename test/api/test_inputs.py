@@ -12,6 +12,7 @@ from sessions import brief_plan
 import imu_calib
 from imu_calib.api.recorded import recording_at
 from imu_calib.api.streams import temperature_topic
+from imu_calib.common.finding import is_warning
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.recordings.cdr_codec import Kind
 from imu_calib.session.keywords import Stated
@@ -86,6 +87,28 @@ def test_arrays_give_the_bits_of_a_frame_of_their_rate(frame):
     assert same_bits(one, by_rate)
     assert same_bits(two, by_rate)
     assert imu_stamps(values, 100.0)[:2].tolist() == [10_000_000, 20_000_000]
+
+
+def warned(samples: Any, rate: float, imu: str = 'mems_counts', **stated: Any) -> list[str]:
+    """Return the warnings of a calibration from samples with a stated rate."""
+    session = {**STATED, 'imu': imu, 'rate': rate, **stated}
+    return [text for text in imu_calib.calibrate(samples, **session).findings if is_warning(text)]
+
+
+def test_a_wrong_rate_that_moves_all_scale_factors_alike_is_a_warning(frame, tmp_path):
+    """Of values of rates K_g, of values over an interval K_a; stamps show the rate themselves."""
+    counts = frame[NAMES].to_numpy()
+    (said,) = warned(counts, 104.0)
+    assert 'K_gx, K_gy, K_gz are all near -3.' in said
+    assert 'by 100 Hz in place of 104 Hz' in said
+    assert warned(counts, 100.0) == []
+    assert warned(frame.set_index(frame.index[0] + (frame.index - frame.index[0]) / 1.04), None) == []
+    mine = {'imu': 'increments', 'truth': 'mems_counts', 'latitude': 48.1}
+    imu_calib.simulate('free_positions', tmp_path / 'bag', **mine)
+    gained = imu_calib.read(tmp_path / 'bag', '/imu/pulses').to_dataframe()[NAMES].to_numpy()
+    (said,) = warned(gained, 105.0, 'increments')
+    assert 'K_ax, K_ay, K_az are all near +5.' in said
+    assert 'by 99.8' in said
 
 
 def test_degrees_and_g_are_named_and_compare_with_si(frame):
