@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -22,6 +22,7 @@ from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording
 from ..session.imu import GENERIC, GRAVITY_FACTOR, ImuSpec, load_imu
 from ..session.keywords import Stated
+from ..session.metadata import file_hashes
 from ..session.plan import UNPLANNED, load_plan
 from ..session.segments_file import read_segments
 from .recorded import Recorded, recording_at
@@ -154,6 +155,8 @@ class Opened:
     setup: Setup  #: Set-up for the calibrator.
     streams: Streams  #: Its topics.
     assumed: tuple[str, ...] = ()  #: Assumptions about what is not stated, in sentences.
+    #: SHA-256 of the files of IMU and table, by key of the provenance.
+    hashes: Mapping[str, str] = field(default_factory=dict)
     rate: float | None = None  #: As stated of samples without stamps, Hz; None if they have some.
     order: StampSorter = field(default_factory=StampSorter)  #: Sorts the samples of the IMU.
 
@@ -240,4 +243,9 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
         stated.search_terms,
         None if stated.segments is None else read_segments(stated.segments),
     )
-    return Opened(recording, setup, streams, statements, rate)
+    hashes = file_hashes(
+        recording.custom_data, streams.imu, {'imu': stated.imu, 'table': stated.table}
+    )
+    if setup.table is None:
+        hashes.pop('table_sha256', None)
+    return Opened(recording, setup, streams, statements, hashes, rate)

@@ -198,6 +198,8 @@ ENTRIES = {
     'recording': _entry('name of the recording', Section.text),
     'sha256': _entry('of its files', Section.text),
     'simulated': _entry('whether the data were simulated', Section.flag, otherwise='measured'),
+    'imu_sha256': _entry("of the IMU's file, as stated or as in the recording", Section.text),
+    'table_sha256': _entry("of the table's file, likewise", Section.text),
     'segments_file': _entry('file of the holds and turns that were chosen by hand', Section.text),
     'topics': _entry('topics that were read', texts),
     'accel_interpolated_from_hz': _entry(
@@ -270,7 +272,7 @@ ENTRIES = {
     'shared_with': _entry('other units of its table', texts),
     'closed_form': _entry('the closed form of the plan beside it', entries, _CLOSED_FORM),
     'clock': _entry('comparison of the clocks', entries, _CLOCK),
-    'versions': _entry('of the software', each, Section.text),
+    'versions': _entry('of the software: imu_calib, Python, NumPy, SciPy', each, Section.text),
     'frame': _entry('accelerometers: the axes are those of a session in the hand', Section.text),
     'tests_of_terms': _entry('terms, as tested', each, test_of_term),
     'noise': _entry('noise of the session', each, channel_noise),

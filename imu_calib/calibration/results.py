@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import platform
 import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -261,7 +262,12 @@ def provenance(
             'rate_std_ppm': clock.rate_std * 1e6,
             'motions': clock.motions,
         },
-        'versions': {'imu_calib': version(), 'numpy': np.__version__, 'scipy': scipy.__version__},
+        'versions': {
+            'imu_calib': version(),
+            'python': platform.python_version(),
+            'numpy': np.__version__,
+            'scipy': scipy.__version__,
+        },
     }
 
 

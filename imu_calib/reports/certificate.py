@@ -420,7 +420,7 @@ def _draft(certificate: Certificate) -> str:
 
 
 def _parties(certificate: Certificate) -> str:
-    fields, calibration = certificate.fields, certificate.calibration
+    fields = certificate.fields
     item = fields.item
     period = _MISSING
     if fields.calibrated is not None:
@@ -440,7 +440,6 @@ def _parties(certificate: Certificate) -> str:
         ('received', _or_dash(fields.received)),
         ('calibrated', period),
         ('issued', _or_dash(fields.issued)),
-        ('IMU description', calibration.imu.id),
     ]
     return section('Item and parties', named_rows(rows))
 
@@ -454,6 +453,8 @@ def _procedure(certificate: Certificate) -> str:
         ('software', _software(where)),
         ('recording', f'{where.get("recording") or "-"}, begun {provenance.date(where)}'),
         ('SHA-256 of the recording', str(where.get('sha256') or '-')),
+        ('IMU description', provenance.file_words(certificate.calibration.imu.id, where, 'imu')),
+        ('table', provenance.file_words(where.get('table'), where, 'table')),
         ('latitude, (u) in its last digits', provenance.latitude(where) or '-'),
         ('gravity, (u) in its last digits', provenance.gravity(where) or '-'),
         ('assumed', assumed_inputs(certificate.calibration) or 'nothing'),

@@ -209,6 +209,8 @@ def _described(calibration: Calibration) -> str:
         f'{where.get("recording") or "-"} (SHA-256 {where.get("sha256") or "-"}), begun '
         f'{provenance.date(where)}. input = (I + M)^-1 (output * scale factor - D), M with the '
         'scale-factor errors K on its diagonal and the misalignments E beside it. '
+        f'IMU description: {provenance.file_words(calibration.imu.id, where, "imu")}. '
+        f'Table: {provenance.file_words(where.get("table"), where, "table")}. '
         f'Assumed: {assumed_inputs(calibration) or "nothing"}.'
     )
 

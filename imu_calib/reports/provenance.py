@@ -297,6 +297,11 @@ def _table(facts: Facts) -> str:
     return f'{_text("table")(facts)}{" (simulated)" if facts.get("table_simulated") else ""}'
 
 
+def file_words(name: object, facts: Facts, kind: str) -> str:
+    """Return a name of IMU or table (`kind`) with the SHA-256 of its file."""
+    return f'{name or "-"} (SHA-256 of its file {facts.get(f"{kind}_sha256") or "-"})'
+
+
 _GROUPS: tuple[tuple[str, tuple[tuple[str, Callable[[Facts], str], tuple[str, ...]], ...]], ...] = (
     (
         'Recording',
@@ -304,6 +309,7 @@ _GROUPS: tuple[tuple[str, tuple[tuple[str, Callable[[Facts], str], tuple[str, ..
             ('recording', _text('recording'), ('recording',)),
             ('begun', date, ('recorded',)),
             ('SHA-256', _text('sha256'), ('sha256',)),
+            ("SHA-256 of the IMU's file", _text('imu_sha256'), ('imu_sha256',)),
             ('data', lambda facts: 'simulated' * bool(facts['simulated']), ('simulated',)),
             ('topics', _listed('topics'), ('topics',)),
             ('accelerometers', _interpolated, ('accel_interpolated_from_hz',)),
@@ -334,6 +340,7 @@ _GROUPS: tuple[tuple[str, tuple[tuple[str, Callable[[Facts], str], tuple[str, ..
             ('gravity', gravity, ('gravity', 'gravity_source', 'gravity_std')),
             ('height', _height, ('height', 'height_assumed')),
             ('table', _table, ('table', 'table_simulated')),
+            ('SHA-256 of its file', _text('table_sha256'), ('table_sha256',)),
             ("the table's errors", errors_of_table, ('table_errors', 'table_errors_assumed')),
             ('heading found', _azimuth, ('azimuth_seen_deg', 'azimuth_seen_std_deg')),
             ("the table's clock", _table_clock, ('table_clock_std',)),

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..common.errors import InputError, NotStated
-from ..common.files import named_file, read_text
+from ..common.files import named_file, read_bytes, read_text
 from ..common.stream import Floats
 from ..common.units import DEG
 from ..model.earth import MEASURED, NORMAL_GRAVITY, Site
@@ -171,6 +172,30 @@ def compensated_already(data: Mapping[str, str], topic: str) -> list[str]:
 def described_origin(data: Mapping[str, str]) -> dict[str, Any]:
     """Return the entry `simulated` of a calibration's provenance; none of measured data."""
     return {'simulated': True} if SIMULATED in data else {}
+
+
+def file_hashes(
+    data: Mapping[str, str], topic: str, stated: Mapping[str, object] | None = None
+) -> dict[str, str]:
+    """Return the SHA-256 of the files of IMU and table by key of the provenance.
+
+    Args:
+        data: A recording's own entries: texts of the files.
+        topic: Of the IMU.
+        stated: What is used in their place, by 'imu' and 'table': a name or file, or a value, which
+            has no file; None where it is that of the recording.
+    """
+    hashes = {}
+    for kind, text in (('imu', described_imu(data, topic)), ('table', data.get(TABLE))):
+        given = None if stated is None else stated.get(kind)
+        content = (text or '').encode()
+        if given is not None:
+            content = b''
+            if isinstance(given, str | Path):
+                content = read_bytes(named_file(f'{kind}s', given))
+        if content:
+            hashes[f'{kind}_sha256'] = sha256(content).hexdigest()
+    return hashes
 
 
 def states_site(data: Mapping[str, str]) -> bool:

@@ -1,6 +1,7 @@
 """Frames and arrays in place of recordings: the same bits, and refusals that say what to do."""
 
 import hashlib
+import platform
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +13,7 @@ from sessions import brief_plan
 import imu_calib
 from imu_calib.api.recorded import recording_at
 from imu_calib.api.streams import temperature_topic
+from imu_calib.common.files import named_file
 from imu_calib.common.finding import is_warning
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.recordings.cdr_codec import Kind
@@ -87,6 +89,21 @@ def test_arrays_give_the_bits_of_a_frame_of_their_rate(frame):
     assert same_bits(one, by_rate)
     assert same_bits(two, by_rate)
     assert imu_stamps(values, 100.0)[:2].tolist() == [10_000_000, 20_000_000]
+
+
+def test_a_calibration_states_the_hashes_of_the_files_it_used(hand, frame, tmp_path):
+    """Of the recording's own texts, or of the file that is stated in their place."""
+    mine = tmp_path / 'mine.yaml'
+    mine.write_bytes(named_file('imus', 'mems_counts').read_bytes() + b'# Mine.\r\n')
+    shipped = hashlib.sha256(named_file('imus', 'mems_counts').read_bytes()).hexdigest()
+    assert imu_calib.calibrate(hand).calibration.provenance['imu_sha256'] == shipped
+    stated = imu_calib.calibrate(hand, imu=mine).calibration.provenance
+    assert stated['imu_sha256'] == hashlib.sha256(mine.read_bytes()).hexdigest()
+    # Held in a hand, without a table; a value has no file.
+    assert 'table_sha256' not in stated
+    by_value = imu_calib.calibrate(frame, **{**STATED, 'imu': imu_calib.load_imu('mems_counts')})
+    assert 'imu_sha256' not in by_value.calibration.provenance
+    assert stated['versions']['python'] == platform.python_version()
 
 
 def warned(samples: Any, rate: float | None, imu: str = 'mems_counts') -> list[str]:

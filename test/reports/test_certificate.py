@@ -853,6 +853,18 @@ def test_the_file_with_the_covariance_is_named_with_its_hash(calibration, tmp_pa
         assert f'the file of the calibration ({name}, SHA-256 {digest})' in page
 
 
+def test_the_files_of_imu_and_table_are_named_with_their_hashes(calibration):
+    hashes = {'imu_sha256': '1a2b', 'table_sha256': '3c4d'}
+    found = replace(calibration, provenance={**calibration.provenance, **hashes})
+    page, xml = certificate_page(made(found)), words(validated(dcc(made(found))))
+    for name, said in (
+        ('table', 'three_axis (SHA-256 of its file 3c4d)'),
+        ('IMU description', f'{calibration.imu.id} (SHA-256 of its file 1a2b)'),
+    ):
+        assert rows(page)[name] == [said]
+        assert said in xml
+
+
 def test_the_command_and_the_function_write_the_same(calibration, tmp_path):
     source, names = tmp_path / 'c.yaml', ('one.html', 'one.xml')
     calibration.save(source)

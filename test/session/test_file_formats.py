@@ -128,6 +128,8 @@ CURVE = {'tau': [1.0, 2.0], 'deviation': [1e-6, 1e-6], 'std': [1e-7, 1e-7]}
 ORIGIN = {
     'recording': 'session',
     'sha256': 'a1',
+    'imu_sha256': 'b2',
+    'table_sha256': 'c3',
     'topics': ['/imu/pulses'],
     'recorded': '2026-01-31T12:00:00Z',
     'terms': ['g_sensitivity'],

@@ -21,7 +21,7 @@ from ...model.parameters import Parameter
 from ...recordings.cdr import Malformed, Messages
 from ...recordings.cdr_codec import Kind
 from ...recordings.writer import Journal
-from ...session.metadata import described_origin
+from ...session.metadata import described_origin, file_hashes
 from ..middleware import in_step
 from .intake import CalibratorFeed, FormerSession, TopicIntake
 
@@ -95,6 +95,7 @@ class JournalPart:
         journal = self._shared.journal
         content = {'sha256': journal.sha256} if journal.sha256 else {}
         described = described_origin(journal.description)
+        described |= file_hashes(journal.description, '')
         return {'recording': journal.path.name, **content, **described}
 
     def write(self, topic: str, type_name: str, messages: Messages, now: int) -> None:
