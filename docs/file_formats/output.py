@@ -185,7 +185,11 @@ _RECORD = [
     _key('version', _TEXT, 'of imu_calib that verified'),
 ]
 _VERIFY = [
-    _key('verdict', _VERDICT, '`fail` is exit code 1: rejected; `marginal` is accepted'),
+    _key(
+        'verdict',
+        choice(['pass', 'marginal', 'fail', 'not tested']),
+        '`fail` and `not tested` are exit code 1; `marginal` is accepted',
+    ),
     _key(
         'own_recording',
         flag(),

@@ -259,13 +259,13 @@ rejection, by which it is not tested. A judgement: in sessions of all positions 
 and without the positions or turns that show a parameter 100 to millions."""
 
 _OUTCOMES = {
-    Verdict.PASS: 'ACCEPTED: the recording is consistent with the calibration.',
+    Verdict.PASS: 'PASS: the recording is consistent with the calibration.',
     Verdict.MARGINAL: (
         'MARGINAL, accepted: the recording casts doubt on the calibration but does not '
         'contradict it. Verify with another one: one sound session in a hundred is marginal by '
         'chance, two in a row are not.'
     ),
-    Verdict.FAIL: 'REJECTED: the recording contradicts the calibration.',
+    Verdict.FAIL: 'FAIL: the recording contradicts the calibration.',
     Verdict.NOT_TESTED: (
         'NOT TESTED: the calibration was made from this recording or from one of the same time. '
         'Take one of another time.'
@@ -343,7 +343,7 @@ class Verification:
         """The verdict in a sentence, or two."""
         if self.own_recording and self.verdict is Verdict.FAIL:
             return (
-                'REJECTED: the recording contradicts the calibration, which was made from it or '
+                'FAIL: the recording contradicts the calibration, which was made from it or '
                 'from one of the same time. Something is stated otherwise than then (latitude, '
                 'gravity, IMU, table, plan), or parameters changed during it.'
             )
@@ -374,7 +374,7 @@ class Verification:
                 'only if you calibrate this recording and compare the two (imu-calib compare).'
             )
         return (
-            f'REJECTED: the biases moved ({", ".join(parts)}){why}, and nothing else is seen: '
+            f'FAIL: the biases moved ({", ".join(parts)}){why}, and nothing else is seen: '
             f'measure them anew. {others}'
         )
 
@@ -424,10 +424,10 @@ class Verification:
         return pd.DataFrame(rows).set_index(['position', 'quantity'])
 
     def _repr_html_(self) -> str:
-        """Return the verdict, and what moved, as a small table for a notebook."""
-        triads = [str(triad) for triad in self.triads]
+        """Return what `str` does, and what moved, as a small table for a notebook."""
+        _, *lines = str(self).splitlines()
         moved = [(m.parameter, m.difference, m.std) for m in self.moved]
-        return verification_page(self.outcome, triads, moved, by_hand=self.by_hand)
+        return verification_page(self.outcome, lines, moved, by_hand=self.by_hand)
 
     @property
     def accepted(self) -> bool:
@@ -437,18 +437,14 @@ class Verification:
     @property
     def verdict(self) -> Verdict:
         """The worse of the two triads' verdicts, or that they were not tested."""
-        worst = self._worst
+        worst = max(t.verdict for t in self.triads)
         return Verdict.NOT_TESTED if self.own_recording and worst < Verdict.FAIL else worst
-
-    @property
-    def _worst(self) -> Verdict:
-        return max(t.verdict for t in self.triads)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units, by the keys of docs/files/output.md."""
         doubt, rejection = self.limits
         return {
-            'verdict': str(self._worst),
+            'verdict': str(self.verdict),
             'own_recording': self.own_recording,
             'untested': list(self.untested),
             'limits': {'doubt': doubt, 'rejection': rejection},

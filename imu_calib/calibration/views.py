@@ -147,15 +147,13 @@ def parameter_page(
 
 def verification_page(
     outcome: str,
-    triads: Sequence[str],
+    lines: Sequence[str],
     moved: Sequence[tuple[Parameter, float, float]],
     *,
     by_hand: bool,
 ) -> str:
-    """Return a verdict, a line on each triad and the (parameter, shift, std) as a table of HTML."""
-    rows = [
-        f'<tr><td colspan="3" style="text-align:left">{escape(one)}</td></tr>' for one in triads
-    ]
+    """Return a verdict, lines on it and each (parameter, shift, std) as a table of HTML."""
+    rows = [f'<tr><td colspan="3" style="text-align:left">{escape(one)}</td></tr>' for one in lines]
     for parameter, difference, std in moved:
         unit = engineering(parameter, by_hand=by_hand)
         number, std_text = rounded(difference / unit.scale, std / unit.scale)

@@ -360,8 +360,8 @@ _WORST = 4  #: Static dwells and turns that are shown without --verbose. A choic
 def add_verify_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.epilog = (
-        'Exit codes: 0 accepted, and every parameter tested; 1 rejected or no verdict possible; 2 '
-        'wrong usage or unreadable input; 4 accepted, but parameters were not tested; 130 '
+        'Exit codes: 0 pass or marginal, and every parameter tested; 1 fail, or not tested; 2 '
+        'wrong usage or unreadable input; 4 pass or marginal, but parameters were not tested; 130 '
         'interrupted.'
     )
     options.add_bag(parser)
@@ -384,7 +384,7 @@ def run_verify(arguments: argparse.Namespace) -> CommandResult:
     verification = verify(arguments.bag, arguments.calibration, **stated, progress=progress_bar)
     _show_verification(verification, verbose=arguments.verbose)
     if verification.verdict is Verdict.FAIL:
-        message = f'{arguments.calibration} is rejected by {arguments.bag}.'
+        message = f'FAIL: {arguments.bag} contradicts {arguments.calibration}.'
         return CommandResult(verification.to_dict(), NO_ANSWER, message)
     if not verification.accepted:
         message = (

@@ -253,6 +253,9 @@ class Parameter:
     column: int | None
     second: int | None = None
 
+    def __str__(self) -> str:
+        return self.name
+
     @property
     def name(self) -> str:
         """Name after Cao 2022, subscripts as in eqs. (1)-(2): E_gxy is row x, column y."""

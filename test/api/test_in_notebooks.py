@@ -1,5 +1,6 @@
 """A calibration in a notebook: labelled numbers, samples in memory, a table for the eye."""
 
+import html
 import re
 import warnings
 from dataclasses import replace
@@ -144,7 +145,7 @@ def test_a_verification_is_a_frame_and_a_table(bag, result, tmp_path):
     assert row['deviation'] / row['std'] == pytest.approx(one.deviation / one.std)
     assert found.moved_frame.empty
     page = found._repr_html_()
-    assert 'ACCEPTED' in page and 'chi-square' in page
+    assert '<caption>PASS: ' in page and 'chi-square' in page
     assert not re.search(r'color|background|#[0-9a-f]{3}', page)
     # Of a unit whose bias moved by 50 deg/h.
     mine = result.calibration
@@ -154,7 +155,11 @@ def test_a_verification_is_a_frame_and_a_table(bag, result, tmp_path):
     moved = imu_calib.verify(tmp_path / 'other', other)
     row = moved.moved_frame.loc['D_gx']
     assert row['difference'] == pytest.approx(-50, rel=0.02) and row['unit'] == 'deg/h'
-    assert '<th>D_gx</th>' in moved._repr_html_()
+    page = moved._repr_html_()
+    assert '<caption>FAIL: ' in page and '<th>D_gx</th>' in page
+    (gyros, _) = moved.triads
+    assert html.escape(gyros.diagnosis.symptom) in page
+    assert str(moved.moved[0].parameter) == moved.moved[0].parameter.name
 
 
 def test_pulses_need_a_rate_and_both_sensors_their_columns(result):

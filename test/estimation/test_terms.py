@@ -157,7 +157,7 @@ def test_the_commands_take_terms_from_simulation_to_firmware(
     assert any('accel_asymmetry would explain it as well' in f for f in found.findings)
     shown = run('calibrate', 'one', '--terms', requested_terms(truth), '-o', 'c.yaml')
     assert all(name in shown for name in ('A_gx', 'N_gz', 'K2_ay', 'ug/g^2'))
-    assert 'ACCEPTED' in run('verify', 'two', '--calibration', 'c.yaml')
+    assert 'PASS: ' in run('verify', 'two', '--calibration', 'c.yaml')
     # The truth is of a paper; it is outside the limits of the file's example.
     run('report', 'c.yaml', 'one', '-o', 'c.html', code=3)
     report = (tmp_path / 'c.html').read_text(encoding='utf-8')

@@ -642,11 +642,11 @@ def test_the_command_accepts_rejects_and_refuses_by_its_exit_code(
     gyro(g().error_matrix.T).save(bad)
     assert main(['verify', str(bag), '--calibration', str(good)]) == 0
     output = capsys.readouterr().out
-    assert 'ACCEPTED' in output
+    assert 'PASS: ' in output
     assert 'x_down' in output
     assert main(['verify', str(bag), '--calibration', str(bad)]) == 1
     output = capsys.readouterr().out
-    assert 'REJECTED' in output
+    assert 'FAIL: ' in output
     assert 'vanish when the gyro error matrix is transposed' in output
     assert main(['verify', str(bag), '--calibration', str(tmp_path / 'none.yaml')]) == 2
 
