@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Hashable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -61,11 +60,13 @@ class _Loader(SafeLoader):
         return found
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        if twice := sorted(key for key, count in Counter(keys).items() if count > 1):
-            raise yaml.constructor.ConstructorError(
-                problem=f'found the key {twice[0]} more than once', problem_mark=node.start_mark
-            )
+        keys = set()
+        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+            if key.value in keys:
+                raise yaml.constructor.ConstructorError(
+                    problem=f'found the key {key.value} more than once', problem_mark=key.start_mark
+                )
+            keys.add(key.value)
         return super().construct_mapping(node, deep)
 
 
@@ -95,6 +96,26 @@ def load(text: str) -> Any:
         raise yaml.YAMLError('found lists or mappings within each other without end') from None
     finally:
         loader.dispose()
+
+
+def told(error: yaml.YAMLError, text: str) -> str:
+    """Return what is wrong with a text, which line it is, and what was expected there."""
+    if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
+        return ' '.join(str(error).split())
+    if isinstance(error, yaml.constructor.ConstructorError):
+        return f'{error.problem} in line {error.problem_mark.line + 1}'
+    said, met = f'{error.context} {error.problem}', error.problem_mark
+    for part, words in _OPENED.items():
+        if part in said:
+            return _told_of_line((error.context_mark or met).line, text, words)
+    words = next((words for part, words in _MET.items() if part in said), _PAIR)
+    return _told_of_line(met.line, text, words)
+
+
+def _told_of_line(number: int, text: str, expected: str) -> str:
+    lines = text.splitlines()
+    number = min(number, len(lines) - 1)
+    return f'line {number + 1} is {lines[number].rstrip()[:_SHOWN]!r}, expected {expected}'
 
 
 def _values(node: yaml.Node, counts: dict[int, float]) -> float:
@@ -127,6 +148,19 @@ _KINDS = {
 }
 """What the files of a folder below config are."""
 _ANY = 'a YAML file'
+_PAIR = "'key: value'"
+_OPENED = {
+    'simple key': _PAIR,
+    'flow': 'a bracket that is closed, with commas between the values',
+    'quoted scalar': 'a quote that is closed',
+}
+"""What is expected where PyYAML's error began, by words of it."""
+_MET = {
+    'mapping values': f'one {_PAIR} in a line, with quotes around a value that has a colon',
+    'block': 'the indent of the lines above',
+    'start any token': 'blanks to indent a line, no tab, and quotes around a value that begins so',
+}
+"""The same, where PyYAML met it."""
 _SIGNS = {
     'the file of a plan': {'positions[]'},
     'the file of an IMU': {'id', 'units'},
@@ -164,10 +198,12 @@ class Section:
         try:
             text = read_bytes(path).decode('utf-8')
         except UnicodeDecodeError:
-            sentence = f'{path}: found binary data, expected YAML text.'
+            sentence = (
+                f'{path}: found binary data, expected YAML text. Give {expected} in its place.'
+            )
             raise InputError(other_format(path, expected) or sentence) from None
         try:
-            section = cls.parse(text, str(path))
+            section = cls.parse(text, str(path), expected)
         except InputError as error:
             raise InputError(other_format(path, expected) or str(error)) from None
         section._refuse_other_kind(expected)
@@ -179,14 +215,22 @@ class Section:
         return cls.load(named_file(kind, name), _KINDS[kind])
 
     @classmethod
-    def parse(cls, text: str, where: str) -> Section:
-        """Read the mapping at the top of a YAML text."""
+    def parse(cls, text: str, where: str, expected: str = '') -> Section:
+        """Read the mapping at the top of a YAML text, of a file as of `load` if that is stated."""
+        instead = f' Give {expected} in its place.' if expected else ''
+        advice = f' Mend that line, or give {expected}.' if expected else ''
+        if text.lstrip().startswith('<'):
+            page = 'line 1 is of a web page (HTML or XML). Download the file itself.'
+            raise InputError(f'{where}: not YAML: {page}{instead}')
         try:
-            return cls(load(text), where)
+            value = load(text)
         except ReaderError:
-            raise InputError(f'{where}: found binary data, expected YAML text.') from None
+            raise InputError(f'{where}: found binary data, expected YAML text.{instead}') from None
         except yaml.YAMLError as error:
-            raise InputError(f'{where}: not YAML: {" ".join(str(error).split())}') from None
+            raise InputError(f'{where}: not YAML: {told(error, text)}.{advice}') from None
+        if isinstance(value, str):
+            raise InputError(f'{where}: not YAML: {_told_of_line(0, text, _PAIR)}.{instead}')
+        return cls(value, where)
 
     def _refuse_other_kind(self, expected: str) -> None:
         """Refuse a file with the keys of another kind, and without those of what is `expected`."""

@@ -72,6 +72,33 @@ def test_a_wrong_imu_file_is_refused_in_words(text, message):
         read_imu(Section.parse(text, 'my.yaml'))
 
 
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        (b'time,gx,gy\n0,1,2\n', "line 1 is 'time,gx,gy', expected 'key: value'. Give the file of"),
+        (b'<!DOCTYPE html>\n<p a="b: c">', 'line 1 is of a web page.* Download the file itself'),
+        (b'PK\x03\x04\x00', 'found binary data, expected YAML text. Give the file of an IMU'),
+        (b'\xff\xfei\x00', 'found binary data, expected YAML text. Give the file of an IMU'),
+        (
+            b'id: a\nunits si\nb: c',
+            "line 2 is 'units si', expected 'key: value'. Mend that line, or",
+        ),
+        (b'id: a\ngyro:\n\trange: 1', r"line 3 is '.trange: 1', expected blanks to indent a line"),
+        (b'id: a\nb: [1,\n', r"line 2 is 'b: \[1,', expected a bracket that is closed"),
+        (b'id: a: b', "line 1 is 'id: a: b', expected one 'key: value' in a line, with quotes"),
+        (b'id: a\n b: c\n', "line 2 is ' b: c', expected "),
+        (b'id: a\nb:\n  c: 1\n d: 2', "line 4 is ' d: 2', expected the indent of the lines above"),
+        (b'id: "a\n', "line 1 is 'id: \"a', expected a quote that is closed"),
+        (b'id: a\nid: b', 'found the key id more than once in line 2. Mend that line'),
+    ],
+)
+def test_a_file_that_is_no_yaml_is_refused_with_its_line_and_what_to_do(text, message, tmp_path):
+    (tmp_path / 'my.yaml').write_bytes(text)
+    with pytest.raises(InputError, match=message) as refused:
+        load_imu(tmp_path / 'my.yaml')
+    assert 'unicode string' not in str(refused.value)
+
+
 def test_every_shipped_file_reads():
     config = named_file('imus', 'si').parent.parent
     for path in (config / 'imus').glob('*.yaml'):
