@@ -33,7 +33,7 @@ from ..fleet.sentences import (
     unit_table,
 )
 from ..model.parameters import PARAMETER_NAMES
-from ..session.keywords import Session
+from ..session.keywords import Inspected
 from . import options
 from .outcome import OUTSIDE, CommandResult, add_json_option, row_file, write_rows
 from .terminal import ERRORS, OUTPUT, print_text, print_whole, progress_bar, sentence_list
@@ -81,7 +81,7 @@ def add_batch_options(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='run failed recordings again',
     )
-    options.add_statements(parser, Session)
+    options.add_statements(parser, Inspected)
     options.add_imus_option(parser)
     parser.epilog = (
         'Exit code 1: a recording, or a unit of one, gave no calibration; its row says why '
@@ -141,8 +141,8 @@ def run_batch(arguments: argparse.Namespace) -> CommandResult:
         endings = ', '.join(sorted({path.suffix.lower() for path in done.convertible}))
         are = 'is no recording' if count == 1 else 'are no recordings'
         OUTPUT.print(
-            f'{counted(count, "file")} ({endings}) {are}; imu-calib convert makes recordings of '
-            'text files and of bags of ROS 1, and imu-calib info FILE says the way for others'
+            f'{counted(count, "file")} ({endings}) {are}: --stamp, --gyro and --accel read text '
+            'files, and imu-calib info FILE says the way for others'
         )
     OUTPUT.print(f'written to {done.catalogue}', markup=False)
     failed = done.failed + done.known_failed

@@ -16,7 +16,7 @@ from ..common.parallel import MEMORY, Engine, WorkerDied, outcomes
 from ..common.progress import Progress, silent
 from ..common.units import counted
 from ..recordings.remote import is_url
-from ..session.keywords import Session, Stated, with_keywords
+from ..session.keywords import Inspected, Stated, with_keywords
 from ..session.units_file import load_units
 from .recordings import OF_ONE, Job, convertible, find_jobs
 from .sentences import listed
@@ -71,7 +71,7 @@ class Batch:
         )
 
 
-@with_keywords(Session)
+@with_keywords(Inspected)
 def batch(
     sources: str | Path | Sequence[str | Path],
     catalogue: str | Path,
@@ -83,7 +83,7 @@ def batch(
     retry: bool = False,
     progress: Progress = silent,
     connected: Callable[[str], None] = lambda _: None,
-    **stated: Unpack[Session],
+    **stated: Unpack[Inspected],
 ) -> Batch:
     """Calibrate from many recordings in parallel; each result is a row of a catalogue.
 
@@ -93,7 +93,8 @@ def batch(
     A script that calls it needs `if __name__ == '__main__':`, because workers load the script too.
 
     Args:
-        sources: Recordings, folders, patterns, manifests or URLs (docs/fleet.md).
+        sources: Recordings, folders, patterns, manifests or URLs (docs/fleet.md). Text files count
+            as recordings if their columns are stated.
         catalogue: Its folder; created if missing.
         imus: File of several units on one table (docs/files/units.md), for every recording whose
             manifest states neither one nor several.
@@ -127,7 +128,8 @@ def batch(
         connected=connected,
         below=_folders(listed),
     )
-    return replace(done, convertible=tuple(convertible(listed)))
+    named = {job.recording for job in jobs}
+    return replace(done, convertible=tuple(p for p in convertible(listed) if str(p) not in named))
 
 
 def _folders(sources: Sequence[str | Path]) -> list[Path]:

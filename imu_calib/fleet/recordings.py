@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import glob
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -13,23 +13,24 @@ from typing import Any
 
 import yaml
 
-from ..common.config import load
+from ..api.recorded import is_text, recording_at
+from ..common.config import load, told
 from ..common.errors import InputError
-from ..common.files import OTHERS, other_format, read_text, user_path
+from ..common.files import OTHERS, first_bytes, other_format, read_text, user_path
 from ..common.units import point_for_comma
 from ..recordings.metadata_yaml import KEY as METADATA_KEY
 from ..recordings.metadata_yaml import NAME as _METADATA
 from ..recordings.remote import AnyPath, RemotePath, is_url, located
 from ..recordings.rosbag2 import is_storage
-from ..session.keywords import Session, Stated, numeric
+from ..session.keywords import InColumns, Inspected, Session, Stated, numeric, statements
 
 _MANIFESTS = ('.csv', '.yaml', '.yml')
 _RECORDING = 'recording'
-_LONGEST_HEADING = 10_000
-"""Characters: more than the names of all columns have. A file may be one line."""
+_ONLY = frozenset({_RECORDING})  #: The column that every manifest has.
 _IMUS = 'imus'
 OF_ONE = ('imu', 'serial', 'recorded_serial', 'imu_topic')
 """Statements on one unit, which for several units are in their file."""
+_FILES = ('imu', 'table', 'plan', 'accel_file', _IMUS)  #: Columns that may name files.
 _FLAGS = {'yes': True, 'true': True, '1': True, 'no': False, 'false': False, '0': False}
 
 NUMBERS = frozenset(numeric(Session))
@@ -54,7 +55,7 @@ NAMED = ('site', 'stand', 'operator', 'lot')  #: Labels that are names: they may
 class Job:
     """One recording with the statements on it."""
 
-    recording: str  #: Path of a rosbag2 folder or storage file, or a URL of one.
+    recording: str  #: Path of a rosbag2 folder, storage file or text file, or a URL of one.
     stated: Stated = field(default_factory=Stated)  #: Statements for `calibrate`.
     labels: Labels = field(default_factory=Labels)  #: Statements for the catalogue.
     #: File of several units on one table; empty for one unit, or if the recording states them.
@@ -64,10 +65,12 @@ class Job:
 COLUMNS = (
     _RECORDING,
     _IMUS,
-    *Session.__annotations__,
+    *Inspected.__annotations__,
     *(one.name for one in fields(Labels)),
 )
 """Columns of a manifest."""
+_ABOUT = frozenset(COLUMNS) - statements(InColumns).keys()
+"""Those that no log of an IMU has among its own, as `stamp` and `temperature`."""
 
 
 def find_jobs(sources: Iterable[str | Path], stated: Stated, imus: str = '') -> list[Job]:
@@ -76,7 +79,7 @@ def find_jobs(sources: Iterable[str | Path], stated: Stated, imus: str = '') -> 
     Args:
         sources: Recordings, folders that contain some (at any depth), patterns (*, ?, **),
             manifests (.csv, .yaml), local or as URLs (s3://...).
-        stated: Applies to each, unless its manifest states otherwise.
+        stated: Applies to each, unless its manifest states otherwise; columns to text files alone.
         imus: File of the units of each, likewise.
     """
     jobs: dict[Job, None] = {}
@@ -84,19 +87,31 @@ def find_jobs(sources: Iterable[str | Path], stated: Stated, imus: str = '') -> 
         found = list(_jobs(str(source), Job('', stated, imus=imus)))
         if not found:
             raise InputError(
-                f'{source}: holds no recording (folders of rosbag2, .mcap, .db3). imu-calib '
-                'convert makes recordings of text files and of bags of ROS 1; packed files (.gz, '
-                '.zip) are unpacked first.'
+                f'{source}: holds no recording (folders of rosbag2, .mcap, .db3; text files if '
+                '`stamp`, `gyro` and `accel` name their columns). imu-calib convert makes '
+                'recordings of bags of ROS 1; packed files (.gz, .zip) are unpacked first.'
             )
-        jobs.update(dict.fromkeys(found))
+        jobs.update(dict.fromkeys(map(_without_columns, found)))
     return list(jobs)
 
 
+def _without_columns(job: Job) -> Job:
+    """Return a job without statements on columns, unless it is of a text file."""
+    if not job.stated.columns or is_text(job.recording):
+        return job
+    return replace(job, stated=replace(job.stated, **dict.fromkeys(statements(InColumns))))
+
+
 def _jobs(source: str, usual: Job) -> Iterator[Job]:
-    path = located(source)
+    path, columns = located(source), bool(usual.stated.columns)
     if path.is_dir():
-        for recording in recordings_below(path):
+        for recording in recordings_below(path, text=columns):
             yield replace(usual, recording=str(recording))
+    elif is_text(path) and not _is_manifest(path, _ONLY if columns else _ABOUT):
+        if not columns:
+            # It is refused, with the columns that it has.
+            recording_at(path)
+        yield replace(usual, recording=str(path))
     elif path.suffix.lower() in _MANIFESTS and path.name != _METADATA:
         yield from read_manifest(path, usual.stated, usual.imus)
     elif path.is_file() and (sentence := other_format(path)) is not None:
@@ -105,7 +120,7 @@ def _jobs(source: str, usual: Job) -> Iterator[Job]:
         yield replace(usual, recording=str(path))
     elif glob.has_magic(source):
         for one in _matching(path):
-            if one.is_dir() or is_storage(one):
+            if one.is_dir() or is_storage(one) or (columns and _is_log(one)):
                 yield from _jobs(str(one), usual)
     else:
         raise InputError(
@@ -124,13 +139,13 @@ def _matching(path: AnyPath) -> Iterator[AnyPath]:
         yield Path(name)
 
 
-def recordings_below(folder: AnyPath) -> Iterator[AnyPath | str]:
-    """Yield recordings: folders of rosbag2, and storage files outside such folders."""
+def recordings_below(folder: AnyPath, *, text: bool = False) -> Iterator[AnyPath | str]:
+    """Yield recordings: folders of rosbag2, and storage files (`text`: logs too) outside them."""
     if isinstance(folder, RemotePath):
         yield from _among(folder.below())
         return
     for path in _below(folder):
-        if path.is_dir() or is_storage(path):
+        if path.is_dir() or is_storage(path) or (text and _is_log(path)):
             yield path
 
 
@@ -196,11 +211,18 @@ def convertible(sources: Iterable[str | Path]) -> list[Path]:
 
 def _is_convertible(path: Path) -> bool:
     """Return whether a file has such an ending, and is no manifest."""
-    if not path.is_file() or path.suffix.lower() not in OTHERS:
-        return False
-    with path.open(encoding='utf-8-sig', errors='replace') as file:
-        heading = file.readline(_LONGEST_HEADING)
-    return _RECORDING not in [name.strip().lower() for name in re.split('[,;\t]', heading)]
+    return path.is_file() and path.suffix.lower() in OTHERS and not _is_manifest(path, _ONLY)
+
+
+def _is_log(path: AnyPath) -> bool:
+    """Return whether a file may be a log of an IMU, in text: .log files are of programs too."""
+    return isinstance(path, Path) and _is_convertible(path) and is_text(path)
+
+
+def _is_manifest(path: AnyPath, names: Container[str]) -> bool:
+    """Return whether the first line of a file has one of these columns."""
+    line = first_bytes(path).partition(b'\n')[0].decode('utf-8-sig', 'replace')
+    return any(name.strip().lower() in names for name in re.split('[,;\t]', line))
 
 
 def _among(files: Iterable[RemotePath]) -> Iterator[str]:
@@ -249,7 +271,7 @@ def _rows(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
         try:
             rows = load(text)
         except yaml.YAMLError as error:
-            raise InputError(f'{path}: not YAML: {" ".join(str(error).split())}') from None
+            raise InputError(f'{path}: not YAML: {told(error, text)}.') from None
         first = 1
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise InputError(f'{path}: expected a list of recordings, each with keys and values.')
@@ -275,8 +297,7 @@ def _rows_of_csv(path: AnyPath, lines: list[str]) -> list[Any]:
     names, *table = [[cell.strip() for cell in row] for row in read] or [[]]
     names = [name.lower() for name in names]
     if not set(COLUMNS) & set(names):
-        # Not one column of a manifest: the text file of a recording.
-        raise InputError(str(other_format(path, f'a manifest with the column {_RECORDING}')))
+        raise InputError(f'{path}: expected a manifest with the column {_RECORDING}.')
     twice = [name for name in names if name and names.count(name) > 1]
     if twice:
         raise InputError(f'{path}: found the column {twice[0]} more than once.')
@@ -339,7 +360,7 @@ def _next_to_manifest(manifest: AnyPath, name: str) -> str:
 
 def _named(text: str, manifest: AnyPath, column: str) -> str:
     """Return the name of a supplied file, or the path of one next to the manifest."""
-    if column not in {'imu', 'table', 'plan', _IMUS} or isinstance(manifest, RemotePath):
+    if column not in _FILES or isinstance(manifest, RemotePath):
         return text
     candidate = manifest.parent / text
     return str(candidate) if candidate.is_file() else text

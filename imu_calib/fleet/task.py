@@ -15,7 +15,7 @@ from typing import Any
 
 from ..api.calibrate import serials_in, solve, units_of_recording
 from ..api.opening import session_of
-from ..api.recorded import recording_at
+from ..api.recorded import is_text, recording_at
 from ..api.session import serial_of, stated_imu
 from ..api.streams import imu_topic, units_of
 from ..calibration.results import Result
@@ -100,9 +100,11 @@ def _text_of_type(unit: MountedUnit) -> str:
         return ''
 
 
-def content_of(path: AnyPath) -> str:
-    """Return the SHA-256 of a recording's storage files, its `sha256`, without opening it."""
+def content_of(path: AnyPath, accel_file: str | None = None) -> str:
+    """Return the SHA-256 of a recording's files, its `sha256`, without opening it."""
     try:
+        if is_text(path):
+            return content_hash([path, *([] if accel_file is None else [located(accel_file)])])
         return content_hash(find_files(path, Losses()).paths)
     except OSError as error:
         raise InputError(unreadable(path, error)) from None
@@ -115,11 +117,11 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> TaskResult:
     known_unit: dict[str, Any] = {}
     try:
         path = located(job.recording)
-        sha256 = content_of(path)
+        sha256 = content_of(path, job.stated.accel_file)
         key = key_of(job, sha256)
         if key in known:
             return TaskResult(key, sha256=sha256)
-        with recording_at(path, sha256=sha256) as recording:
+        with recording_at(path, job.stated, sha256=sha256) as recording:
             if _is_of_several(job, recording):
                 return _several(job, recording, key, known, begun)
             known_unit = _unit_in(recording, job)
@@ -257,7 +259,7 @@ def lost(job: Job) -> TaskResult:
     """Return the row of a recording that killed its workers, one after the other."""
     key, sha256 = '', ''
     try:
-        sha256 = content_of(located(job.recording))
+        sha256 = content_of(located(job.recording), job.stated.accel_file)
         key = key_of(job, sha256)
     except ImuCalibError:
         # Its row has another key.

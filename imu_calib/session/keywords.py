@@ -378,7 +378,7 @@ class Session(Read, Solved, Numbered, Corrected, total=False):
 
 
 class Inspected(Session, InColumns, total=False):
-    """A recorded session of one unit that is examined."""
+    """A recorded session of one unit, also in columns of text."""
 
 
 class Calibrated(Session, Listed, InColumns, total=False):

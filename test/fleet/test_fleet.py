@@ -196,6 +196,36 @@ def test_the_page_names_every_column_of_a_manifest():
     assert not [name for name in COLUMNS if f'`{name}`' not in section]
 
 
+def test_logs_are_calibrated_by_their_columns_beside_recordings(recordings, tmp_path, capsys):
+    raw = imu_calib.read(recordings / 'a', '/imu/pulses').to_dataframe()
+    raw = raw.set_axis(['gx', 'gy', 'gz', 'ax', 'ay', 'az'], axis=1)
+    for name in ('log.csv', 'log.mat'):
+        raw.set_index(raw.index.astype('int64')).to_csv(tmp_path / name, index_label='t')
+    shutil.copytree(recordings / 'a', tmp_path / 'bag')
+    for name in ('log.csv', 'log.mat'):
+        with pytest.raises(InputError, match=r'columns are t, gx, .*State `stamp` t:ns `gyro` gx,'):
+            find_jobs([tmp_path / name], Stated())
+    (tmp_path / 'list.csv').write_text('recording,serial\nlog.csv,A1\nbag,\n')
+    columns = {'stamp': 't:ns', 'gyro': 'gx,gy,gz:pulse', 'accel': 'ax,ay,az:pulse'}
+    found = find_jobs([tmp_path], Stated(**columns))
+    assert [Path(job.recording).name for job in found] == ['log.csv', 'log.mat', 'bag']
+    assert found[2] == Job(str(tmp_path / 'bag'))
+    words = [f'--{option}={value}' for option, value in columns.items()]
+    stated = {'plan': recordings / 'brief.yaml', 'imu': 'fog_medium', 'latitude': 34.65}
+    words += [f'--{name}={value}' for name, value in stated.items()]
+    command = ['batch', str(tmp_path / 'list.csv'), '-o', str(tmp_path / 'c'), *words]
+    assert main(command) == 0
+    log, bag = sorted(rows(tmp_path / 'c'), key=lambda row: row['serial'])
+    assert (log['serial'], log['recording']) == ('A1', str(tmp_path / 'log.csv'))
+    assert bag['serial'] == 'S1'
+    # As `calibrate` of it, and known again.
+    one = imu_calib.calibrate(tmp_path / 'log.csv', **columns, **stated)
+    assert log['K_ax'] == one.calibration.labelled.values['K_ax']
+    assert log['sha256'] == one.calibration.provenance['sha256']
+    assert main(command) == 0
+    assert '0 calibrated, 0 failed, 2 done before' in capsys.readouterr().out
+
+
 def test_a_copied_part_counts_once_and_hinders_nothing(tmp_path):
     catalogue = Catalogue(tmp_path / 'c', create=True)
     catalogue.add([a_row(1), a_row(2)])
@@ -290,7 +320,9 @@ def test_what_is_done_is_not_done_again_and_what_failed_is_said(recordings, done
     assert '0 calibrated, 0 failed, 3 done before (1 failed)' in out
     again = [str(recordings / 'a'), str(recordings / 'deeper' / 'again')]
     assert f'{again[0]} and {again[1]} are the same recording' in out.replace('\n', '')
-    assert '1 file (.csv) is no recording; imu-calib convert' in out
+    assert '1 file (.csv) is no recording: --stamp, --gyro and --accel read text' in ' '.join(
+        out.split()
+    )
     assert '1 without a calibration; imu-calib catalogue' in err.replace('\n', ' ')
     assert '1 failed before and did not change: --retry repeats them.' in err.replace('\n', ' ')
     assert rows(done) == before

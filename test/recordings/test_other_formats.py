@@ -30,7 +30,7 @@ CONVERTED = {
     '.txt': 'its columns are t, wx, wy. State',
 }
 """convert knows the way itself."""
-READ = ('calibrate', 'verify', 'compensate', 'noise', 'info', 'report', 'convert')
+READ = ('calibrate', 'verify', 'compensate', 'noise', 'info', 'report', 'convert', 'batch')
 """Commands that read text files."""
 NO_FILE = {'keystore': 'the folder of keys is created'}
 """Arguments that name no file to be read, and why."""
@@ -91,7 +91,9 @@ def test_any_command_names_the_way(name, argument, file, tmp_path, monkeypatch, 
     monkeypatch.chdir(tmp_path)
     assert main(command_line(name, argument, path)) == 2
     said = ' '.join(capsys.readouterr().err.split())
-    if name == 'convert' or (name in READ and argument == 'bag' and path.suffix != '.bag'):
+    if name == 'convert' or (
+        name in READ and argument in {'bag', 'sources'} and path.suffix != '.bag'
+    ):
         sentence = CONVERTED.get(path.suffix, sentence)
     assert re.search(sentence, said), said
 
