@@ -199,7 +199,7 @@ class Section:
             text = read_bytes(path).decode('utf-8')
         except UnicodeDecodeError:
             sentence = (
-                f'{path}: found binary data, expected YAML text. Give {expected} in its place.'
+                f'{path}: found binary data, expected YAML text. Give in its place {expected}.'
             )
             raise InputError(other_format(path, expected) or sentence) from None
         try:
@@ -217,7 +217,7 @@ class Section:
     @classmethod
     def parse(cls, text: str, where: str, expected: str = '') -> Section:
         """Read the mapping at the top of a YAML text, of a file as of `load` if that is stated."""
-        instead = f' Give {expected} in its place.' if expected else ''
+        instead = f' Give in its place {expected}.' if expected else ''
         advice = f' Mend that line, or give {expected}.' if expected else ''
         if text.lstrip().startswith('<'):
             page = 'line 1 is of a web page (HTML or XML). Download the file itself.'

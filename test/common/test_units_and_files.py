@@ -75,10 +75,19 @@ def test_a_wrong_imu_file_is_refused_in_words(text, message):
 @pytest.mark.parametrize(
     ('text', 'message'),
     [
-        (b'time,gx,gy\n0,1,2\n', "line 1 is 'time,gx,gy', expected 'key: value'. Give the file of"),
+        (
+            b'time,gx,gy\n0,1,2\n',
+            "line 1 is 'time,gx,gy', expected 'key: value'. Give in its place the file of",
+        ),
         (b'<!DOCTYPE html>\n<p a="b: c">', 'line 1 is of a web page.* Download the file itself'),
-        (b'PK\x03\x04\x00', 'found binary data, expected YAML text. Give the file of an IMU'),
-        (b'\xff\xfei\x00', 'found binary data, expected YAML text. Give the file of an IMU'),
+        (
+            b'PK\x03\x04\x00',
+            'found binary data, expected YAML text. Give in its place the file of an IMU',
+        ),
+        (
+            b'\xff\xfei\x00',
+            'found binary data, expected YAML text. Give in its place the file of an IMU',
+        ),
         (
             b'id: a\nunits si\nb: c',
             "line 2 is 'units si', expected 'key: value'. Mend that line, or",
