@@ -24,7 +24,6 @@ from ..estimation.hand import (
     NAME,
     FreeFit,
     initial_equations,
-    is_clear,
     scatter_words,
     solve,
     term_words,
@@ -317,8 +316,7 @@ class HandCalibrator:
     def refusal(self, session: Segmented) -> str:
         """Return why a result of `segmented` gives no calibration; empty if it does."""
         try:
-            if not (session.segments and is_clear(self.evidence(session))):
-                self._solve(session)
+            self._solve(session)
         except (InputError, NotObservable) as error:
             return str(bad_samples_first(error, session))
         return ''

@@ -44,7 +44,6 @@ from .hand_findings import (
     Drift,
     DriftKind,
     check_turns,
-    contradicts_latitude,
     drift_words,
     other_latitudes,
     wrong_latitude,
@@ -72,9 +71,6 @@ FREE = np.array([(p.triad, p.row, p.column) not in _KEPT for p in PARAMETERS])
 """(24,) mask of the 24 that exist in the frame of the accelerometers: 21."""
 
 ESTIMATES = tuple(p for p, found in zip(PARAMETERS, FREE, strict=True) if found)
-
-_RATIOS = np.array([p.kind is not ParameterKind.BIAS for p in ESTIMATES])
-"""(21,) mask of those that are not biases."""
 
 FEWEST = 9  #: Holds below which gravity does not determine nine parameters of the accelerometers.
 
@@ -141,12 +137,6 @@ within a hold or a turn little remains, and of an even walk or a warm-up a third
 
 _USELESS = 0.05
 """Standard deviation of a ratio from which on it is useless: data sheets are better."""
-_CLEAR = 10.0
-"""Factor: margin of a session from all limits to be accepted by its first step alone. A judgement:
-the further steps change standard deviations and residuals by percents."""
-_STRAIGHT = 0.1
-"""Largest first step, of ratios and rotations (rad), for which the equations are nearly linear: the
-error is of the order of its square, 1 %."""
 _LIKELIER = 2 * np.log(1000)
 """Decrease of chi-square at another latitude for that to be meant: odds of a thousand."""
 _ACCELS = ('accelerometers', 'gravity')  #: Sensors whose response is checked, and its input.
@@ -674,52 +664,6 @@ def _check_latitude(state: _State) -> None:
             and _score(elsewhere, _FAMILIES[0]).log_p >= _LOG_SHOWN
         ):
             raise wrong_latitude(evidence, latitude)
-
-
-def is_clear(evidence: Evidence) -> bool:
-    """Return whether one linear step shows that `solve` will accept the session; False in doubt.
-
-    The equations are nearly linear over the step, no turn is an outlier, and the standard
-    deviations that `solve` may widen by scatter remain far from useless: factors up to s on the
-    noise of groups inflate the covariance by s^2 at most.
-
-    Source: docs/mathematics.md, 'Free positions'.
-    """
-    if len(evidence.segments) < FEWEST:
-        return False
-    try:
-        state = _State(*initial_equations(evidence))
-        equations, values = state.equations, state.values
-        check_axes(equations.model(values).accel.response, *_ACCELS)
-    except (InputError, NotObservable):
-        return False
-    jacobian, residuals = equations.jacobian(values), equations.outputs - equations.predict(values)
-    # Not `whitened`: loading its triangular solver takes longer than this computation.
-    root = np.linalg.cholesky(equations.covariance(values))
-    rows = np.linalg.solve(root, np.column_stack([jacobian, residuals]))
-    rows = np.vstack([rows, equations.prior_rows(values)])
-    information = Information.from_jacobian(rows[:, :-1])
-    if not information.observed.all():
-        return False
-    step = information.gain @ rows[:, -1]
-    rest = rows[:, -1] - rows[:, :-1] @ step
-    if _largest(step, equations) > _STRAIGHT or contradicts_latitude(equations.evidence):
-        return False
-    if _outlying_turn(state, np.linalg.qr(rows[:, :-1])[0], rest) is not None:
-        return False
-    taken = (information.gain * rows[:, :-1].T).sum(axis=0)
-    scatter = max(
-        float(rest[of] @ rest[of]) / max(1.0, float(len(of) - taken[of].sum()) - 2)
-        for of in state.groups
-    )
-    std = np.sqrt(np.diag(information.covariance)[: len(ESTIMATES)] * max(1.0, scatter))
-    return bool((std[_RATIOS] * _CLEAR < _USELESS).all())
-
-
-def _largest(step: Floats, equations: FreeEquations) -> float:
-    """Return the largest of a step's changes of ratios and rotations."""
-    ratios, turned = step[: len(ESTIMATES)][_RATIOS], step[equations.north_slice.stop :]
-    return float(np.abs(np.concatenate([ratios, turned])).max())
 
 
 def initial_equations(evidence: Evidence) -> tuple[FreeEquations, Floats]:

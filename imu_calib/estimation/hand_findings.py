@@ -34,8 +34,6 @@ in half a turn."""
 _BETTER = 3.0
 """Factor by which exchanged axes or other units must fit better to be named. A judgement: the right
 one leaves the few degrees of `_ASTRAY`, the wrong one some ninety."""
-_DOUBT = 3.0
-"""Standard deviations: three sessions in a thousand are solved in full before they are accepted."""
 _UNITS = (1.0, 1 / DEG, DEG, 2.0, 0.5)
 """Responses of gyros in rad/s where deg/s are stated as rad/s or rad/s as deg/s, and where half or
 twice the rate of the samples, or the next range of a converter, is stated."""
@@ -92,16 +90,6 @@ def other_latitudes(evidence: Evidence) -> tuple[float, ...]:
     found = None if seen is None else measured_latitude(*seen)
     stated = evidence.site.latitude
     return (-stated,) if found is None else (-stated, found[0])
-
-
-def contradicts_latitude(evidence: Evidence) -> bool:
-    """Return whether the gyros at rest contradict the Earth rate of the stated latitude.
-
-    By three standard deviations: a doubt, not a contradiction. The attitudes have the ups of the
-    accelerometers.
-    """
-    seen = vertical_earth_rate(evidence.segments)
-    return seen is not None and abs(seen[0] - evidence.site.up_rate) > _DOUBT * seen[1]
 
 
 def wrong_latitude(evidence: Evidence, latitude: float) -> Contradiction:

@@ -23,10 +23,6 @@ to 1 / sqrt(20) = 22 %. A judgement of how far units of a type differ."""
 _BY_CHANCE = 1e-3
 """Probability that by chance any static dwell of a session gets its own noise. A judgement, as of
 groups that scatter (`hand`)."""
-_NEAR, _NEAR_FREEDOM = 3.6, 8.0
-"""Ratio of variances up to which one of so many degrees of freedom is no larger than by chance:
-chi-square of eight is 28.8 once in 2900 times, that of fewer more often, and three dwells or more
-require once in 6000."""
 _STEADILY = 0.9
 """Share of the squares of the blocks about their mean that a line explains in a dwell that slides:
 of four blocks of noise it explains as much in one direction once in twenty times, in both once in
@@ -173,11 +169,7 @@ def _alike(squares: Floats, freedom: Floats, chance: float) -> NDArray[np.bool_]
     for _ in range(len(squares) // 2):
         sums = np.where(alike, freedom * squares, 0.0)
         others = (sums.sum() - sums) / (np.where(alike, freedom, 0.0).sum() - freedom)
-        ratios = squares / others
-        if not (alike & ((ratios > _NEAR) | (freedom > _NEAR_FREEDOM))).any():
-            # Without `scipy.special`: loading it takes longer than this computation.
-            break
-        odds = scipy.special.fdtrc(freedom, (alike @ freedom) - freedom, ratios)
+        odds = scipy.special.fdtrc(freedom, (alike @ freedom) - freedom, squares / others)
         worst = int(np.argmin(np.where(alike, odds, 1.0)))
         if not odds[worst] < chance:
             break

@@ -12,7 +12,7 @@ from imu_calib.common.errors import Contradiction, InputError
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG, DEG_H
 from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.hand import in_frame_of_accelerometers, is_clear, solve
+from imu_calib.estimation.hand import in_frame_of_accelerometers, solve
 from imu_calib.model.terms import G_SENSITIVITY
 from imu_calib.session.plan import load_plan
 
@@ -48,7 +48,6 @@ def test_gyros_in_other_units_are_refused_with_the_factor(scale: float) -> None:
     wrong = seen_by(session(), scale * np.eye(3), np.eye(3))
     with pytest.raises(InputError, match=f'The gyros turn gravity {scale:.3g} times as far'):
         solve(wrong)
-    assert not is_clear(wrong)
 
 
 @pytest.mark.parametrize('scale', [2.0, 0.5])
@@ -58,7 +57,6 @@ def test_half_and_twice_the_rate_of_the_samples_are_refused(scale: float) -> Non
     words = r'The gyros turn gravity (1\.9[89]|2(\.0[12])?|0\.(49\d|50\d|5)) times as far'
     with pytest.raises(InputError, match=f'{words}.* A wrong sample rate'):
         solve(wrong)
-    assert not is_clear(wrong)
 
 
 @pytest.mark.parametrize('scale', [0.6, 1.7])
@@ -72,7 +70,6 @@ def test_accelerometers_in_other_units_are_refused_with_the_factor(scale: float)
     wrong = seen_by(session(), np.eye(3), scale * np.eye(3))
     with pytest.raises(InputError, match=r'The accelerometers read (0\.10|9\.8)\d* times'):
         solve(wrong)
-    assert not is_clear(wrong)
 
 
 EXCHANGED = [
@@ -95,7 +92,6 @@ def test_exchanged_and_mirrored_channels_are_named(
     with pytest.raises(Contradiction) as error:
         solve(wrong)
     assert words in str(error.value)
-    assert not is_clear(wrong)
 
 
 def on_the_earth(latitude: float) -> Evidence:

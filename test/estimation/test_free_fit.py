@@ -21,13 +21,11 @@ from imu_calib.estimation.hand import (
     FREE,
     Scatter,
     _check_observable,
-    _largest,
     _outlying_turn,
     _State,
     ellipsoid,
     in_frame_of_accelerometers,
     initial_equations,
-    is_clear,
     refuse,
     scatter_words,
     solve,
@@ -155,17 +153,6 @@ def test_a_wild_turn_of_a_short_session_is_left_out_though_the_fit_bends_to_it(s
     assert wrong @ np.linalg.solve(covariance, wrong) < chi2.isf(1e-4, len(wrong))
 
 
-def test_the_largest_change_is_of_ratios_and_rotations() -> None:
-    equations: Any = Linear(np.zeros((1, 26)), np.zeros(1), LAYOUT)
-    step = np.zeros(26)
-    step[[NAMES.index('D_gx'), NAMES.index('D_az'), 21, 22]] = 9.0
-    assert _largest(step, equations) == 0.0
-    step[NAMES.index('E_azy')] = -0.2
-    assert _largest(step, equations) == 0.2
-    step[23] = -0.3
-    assert _largest(step, equations) == 0.3
-
-
 def known_to(**std: float) -> _State:
     """A state whose parameters are known to a millionth, but for some."""
     deviations = np.array([std.get(name, 1e-6) for name in NAMES])
@@ -235,102 +222,6 @@ def test_drifts_are_told_by_their_size_and_their_chance() -> None:
         'Warning: Biases drift unevenly during the session, of the accelerometers by up to 30 mg '
         '(by chance once in 10^9 sessions): no term describes this'
     )
-
-
-# Clear by one step
-
-
-def clear(
-    step: dict[int, float] | None = None,
-    std: float = 1e-3,
-    turn: float = 0.0,
-    at_rest: float = 0.0,
-    noise: float = 1.0,
-    lost: int | None = None,
-    *,
-    doubted: bool = False,
-) -> bool:
-    """Ask of a linear system whose outputs see one unknown each, and the last turn none.
-
-    Args:
-        step: Of which unknowns, from where it starts.
-        std: Of each unknown.
-        turn: Residual of the last turn, in its noise.
-        at_rest: Residual of each of the last hold's accelerometers, likewise.
-        noise: Standard deviation of the outputs.
-        lost: An unknown that nothing sees.
-    """
-    layout = OutputLayout(dwells=10, moves=10)
-    columns = np.zeros((90, 26))
-    # The last hold's accelerometers and the last turn see nothing.
-    for row in range(90):
-        if row not in (57, 58, 59, 87, 88, 89):
-            columns[row, row % 26] = 1.0
-    columns /= np.linalg.norm(columns, axis=0) * std / noise
-    biases = [k for k in range(21) if k not in RATIOS]
-    columns[:, biases] *= 1e-3
-    if lost is not None:
-        columns[:, lost] = 0.0
-    wanted = np.zeros(26)
-    for k, size in (step or {}).items():
-        wanted[k] = size
-    outputs = columns @ wanted
-    outputs[87] += turn * noise
-    outputs[57:60] += at_rest * noise
-    equations: Any = Linear(columns, outputs, layout, noise=noise)
-    given: Any = SimpleNamespace(segments=(0,) * 9)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(free_positions, 'initial_equations', lambda _: (equations, np.zeros(26)))
-        patch.setattr(free_positions, 'contradicts_latitude', lambda _: doubted)
-        return is_clear(given)
-
-
-def test_a_doubted_latitude_is_not_clear() -> None:
-    assert not clear(doubted=True)
-
-
-def test_a_step_that_is_straight_leaves_it_clear() -> None:
-    assert clear()
-    ratio, bias, north, turned = RATIOS[2], NAMES.index('D_gy'), 22, 24
-    assert clear({ratio: 0.099, turned: -0.099, bias: 5.0, north: 5.0})
-    assert not clear({ratio: -0.101})
-    assert not clear({turned: 0.101})
-
-
-def test_a_wild_turn_leaves_doubt() -> None:
-    assert clear(turn=5.9)
-    assert not clear(turn=6.1)
-    assert clear(turn=5.9, noise=0.2)
-
-
-def test_deviations_far_below_what_is_useless_are_clear() -> None:
-    # A tenth of 0.05.
-    assert clear(std=0.0049)
-    assert not clear(std=0.0051)
-    assert not clear(lost=3)
-
-
-def test_deviations_are_those_that_scatter_may_leave() -> None:
-    # 30 outputs of accelerometers, less their share in the 26 unknowns.
-    rows = [r for k in range(9) for r in range(6 * k + 3, 6 * k + 6)]
-    seen = [r for r in range(90) if r not in (57, 58, 59, 87, 88, 89)]
-    taken = sum(1 / sum(1 for other in seen if other % 26 == r % 26) for r in rows)
-    scatter = 3 * 4.0**2 / (30 - taken - 2)
-    limit = 0.005 / np.sqrt(scatter)
-    assert scatter > 2
-    assert clear(std=limit * 0.99, at_rest=4.0)
-    assert not clear(std=limit * 1.01, at_rest=4.0)
-
-
-def test_what_cannot_be_begun_is_not_clear(monkeypatch: pytest.MonkeyPatch) -> None:
-    few: Any = SimpleNamespace(segments=(0,) * 8)
-    assert not is_clear(few)
-
-    def refusing(_: Any) -> None:
-        raise NotObservable('no ellipsoid')
-
-    monkeypatch.setattr(free_positions, 'initial_equations', refusing)
-    assert not is_clear(SimpleNamespace(segments=(0,) * 9))  # type: ignore[arg-type]
 
 
 # Whole fits

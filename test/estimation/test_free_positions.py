@@ -19,14 +19,12 @@ from imu_calib.common.errors import NotObservable
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCMIN, DEG, PPM, STANDARD_GRAVITY
 from imu_calib.estimation import hand as free_positions
-from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.forecast import forecast
 from imu_calib.estimation.free_dwells import FreeEquations, at_headings_by_moves
 from imu_calib.estimation.hand import (
     ESTIMATES,
     FREE,
     in_frame_of_accelerometers,
-    is_clear,
     solve,
     term_words,
 )
@@ -91,41 +89,15 @@ def test_the_covariance_is_that_of_the_errors_to_a_sixth() -> None:
     assert low < square < high
 
 
-def refused(evidence: Evidence) -> bool:
-    try:
-        solve(evidence)
-    except NotObservable:
-        return True
-    return False
-
-
-def test_what_one_step_calls_clear_is_not_refused() -> None:
+def test_too_few_attitudes_and_no_turns_are_refused() -> None:
     model, rng = in_frame_of_accelerometers(unit(3)), np.random.default_rng(5)
     ups = np.array([p.up for p in load_plan('free_positions').positions])[::2]
-    good = held(model, ups, rng)
-    assert is_clear(good)
-    # Noise of a thousandth to a million times what is stated: residuals that scatter by as much,
-    # and standard deviations beyond use.
-    noisy = [replace(good, walk=good.walk * 10.0**k) for k in range(-3, 7)]
-    clear = [is_clear(one) for one in noisy]
-    lost = [refused(one) for one in noisy]
-    assert not any(one and other for one, other in zip(clear, lost, strict=True))
-    assert any(clear[4:])
-    assert lost[-1]
-
-
-def test_what_is_refused_or_stands_out_is_not_clear() -> None:
-    model, rng = in_frame_of_accelerometers(unit(3)), np.random.default_rng(5)
-    ups = np.array([p.up for p in load_plan('free_positions').positions])[::2]
-    good = held(model, ups, rng)
     angles = np.arange(12) * 1.3
     level = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(12)])
-    for evidence in (held(model, ups[:5], rng), held(model, level, rng), replace(good, moves=())):
-        assert refused(evidence)
-        assert not is_clear(evidence)
-    # A turn that fits nothing is left out: what is left then decides.
-    wild = replace(good.moves[3], turned=good.moves[3].turned * 1.05)
-    assert not is_clear(replace(good, moves=(*good.moves[:3], wild, *good.moves[4:])))
+    without_turns = replace(held(model, ups, rng), moves=())
+    for evidence in (held(model, ups[:5], rng), held(model, level, rng), without_turns):
+        with pytest.raises(NotObservable):
+            solve(evidence)
 
 
 def test_the_level_earth_rate_is_one_vector_and_no_noise_of_each_hold() -> None:
