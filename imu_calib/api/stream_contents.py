@@ -12,7 +12,7 @@ from ..common.errors import InputError, NotObservable
 from ..common.progress import Progress
 from ..common.stream import Block
 from ..common.units import DEG, DEG_H, counted
-from ..estimation.latitude import contradicts, measured_latitude, vertical_earth_rate
+from ..estimation.checks import contradicts, measured_latitude, vertical_earth_rate
 from ..estimation.setup import Setup
 from ..model.earth import VAGUE
 from ..recordings.rosbag2 import Recording

@@ -25,10 +25,9 @@ from ..common.errors import NotObservable
 from ..common.stream import Floats
 from .components import Component, unwhiten, whiten
 from .components import parts as parts_of
-from .equations import Equations
+from .equations import ENCODER_FREEDOM, Equations
 from .estimate import Estimate
 from .evidence import SMALLEST_VARIANCE
-from .output_noise import ENCODER_FREEDOM
 from .session_model import Nuisance
 from .table_effects import SHARED, TABLE_STATE, CommonSizes, CommonTable, dwell_counts
 

@@ -23,11 +23,18 @@ from ..session.plan import Plan
 from ..session.table import Table
 from ..session.table_errors import LEVELLED, TableErrors
 from .arms import Arms, headings
-from .attitude_steps import AttitudeStep, step_errors
 from .known_noise import known_noise
 from .moves import Moves
 from .outputs import OutputLayout
-from .positioning_errors import AttitudeErrors, around, hold_errors, joint_errors, stop_errors
+from .positioning_errors import (
+    AttitudeErrors,
+    AttitudeStep,
+    around,
+    hold_errors,
+    joint_errors,
+    step_errors,
+    stop_errors,
+)
 
 UP = np.array([0.0, 0.0, 1.0])  #: In east, north, up.
 _AXIS_TOLERANCE = 0.05

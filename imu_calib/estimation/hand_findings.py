@@ -24,8 +24,8 @@ from ..model.parameters import AXES
 from ..model.sensors import SensorModel, Triad, wrong_turns_sentences
 from ..model.session_terms import session_term
 from ..session.imu import SCALE_LIMIT
+from .checks import measured_latitude, vertical_earth_rate
 from .evidence import Evidence
-from .latitude import measured_latitude, vertical_earth_rate
 
 _ASTRAY = 10 * DEG
 """rad, root mean square over the turns: gravity turned by the gyros misses the next hold by more

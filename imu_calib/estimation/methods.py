@@ -14,7 +14,7 @@ from ..model.session_terms import Change, names_of
 from ..model.terms import G_SENSITIVITY, Term
 from ..session.plan import Plan
 from . import hand, joint
-from .closed_forms import gyros_only, positions, skewed
+from .closed_forms import positions, skewed
 from .evidence import Evidence, in_table_time
 from .solution import Solution
 
@@ -49,7 +49,7 @@ METHODS: dict[str, Method] = {
         joint='joint_33',
     ),
     'off_axis_four': Method(
-        gyros_only.solve_off_axis_four, gyros_only.GYRO_ESTIMATES, gyros_only.check_off_axis_four
+        positions.solve_off_axis_four, positions.GYRO_ESTIMATES, positions.check_off_axis_four
     ),
     'rate_24': Method(
         positions.solve_rate_24,
@@ -62,7 +62,7 @@ METHODS: dict[str, Method] = {
         skewed.solve_skewed, skewed.SKEWED_ESTIMATES, lambda plan, _: positions.check_turns(plan)
     ),
     'static_six': Method(
-        gyros_only.solve_static_six, gyros_only.GYRO_ESTIMATES, gyros_only.check_static_six
+        positions.solve_static_six, positions.GYRO_ESTIMATES, positions.check_static_six
     ),
     'twelve_position': Method(positions.solve_twelve_position, PARAMETERS, joint='joint'),
 }

@@ -26,13 +26,13 @@ from ..model.sensors import motion_parameters, parameters_of, terms_of
 from ..model.session_terms import LOOKED_FOR, Change, Course, session_term
 from ..model.terms import TERMS, Term
 from ..session.table_errors import TableErrors
-from .attitude_steps import AttitudeStep, possible_steps, step_errors
 from .changing import USEFUL_CHANGE
 from .components import whiten
 from .equations import Equations
 from .excess_scatter import ExcessScatter, excess
 from .information import Information, useful_limit, with_nominal_attitudes
 from .modulation import courses, interrupted, of_constants, shapes, warms
+from .positioning_errors import AttitudeStep, possible_steps, step_errors
 
 SEEN = 10.0
 """Standard deviations by which a coefficient of the largest useful size must move the outputs: a

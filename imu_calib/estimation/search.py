@@ -24,7 +24,6 @@ from ..common.stream import Floats
 from ..model.parameters import PARAMETERS, Parameter, indices_of
 from ..model.sensors import parameters_of, terms_of
 from ..model.session_terms import Change, Course
-from .attitude_steps import AttitudeStep
 from .changing import with_changes, with_shape
 from .components import unwhiten
 from .equations import Equations
@@ -32,6 +31,7 @@ from .estimate import Estimate, estimate
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .information import Information, determined, nominal_information, useful_limit
 from .modulation import interrupted
+from .positioning_errors import AttitudeStep
 from .score import (
     ATTITUDE_STEP,
     FREE_STEP,

@@ -18,10 +18,10 @@ from ..model.session_terms import Change, Course, change, largest, names_of
 from ..model.terms import Term
 from ..session.table import Table
 from ..session.table_errors import FINEST
-from .attitude_steps import AttitudeStep, in_time
 from .components import whiten
 from .estimate import Estimate
 from .modulation import instant_of, temperatures, warms
+from .positioning_errors import AttitudeStep, in_time
 from .score import ATTITUDE_STEP, ISOLATORS, Family, Score
 from .search import WIDER, SearchResult, SignificantFamily, UnobservableFamily
 

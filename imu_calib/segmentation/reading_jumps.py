@@ -2,7 +2,7 @@
 
 The table went on meanwhile as before. Later readings are taken less the jump, so that attitudes and
 clocks are those of one frame; what remains of it is small, and may be found by the sensors
-(`estimation/attitude_steps`).
+(`estimation/positioning_errors`).
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from imu_calib.common.budget import ErrorSource
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG, DEG_H
-from imu_calib.estimation.closed_forms import gyros_only, positions
+from imu_calib.estimation.closed_forms import positions
 from imu_calib.estimation.closed_forms.linear import (
     Gains,
     inverse,
@@ -303,17 +303,17 @@ def off_axis(latitude: float) -> Site:
 def test_four_positions_are_differences_and_a_mean(latitude: float) -> None:
     site = off_axis(latitude)
     north, up = EARTH_RATE * np.cos(34 * DEG), EARTH_RATE * np.sin(latitude * DEG)
-    found = gyros_only._off_axis_weights(four(), site, 'here')
+    found = positions._off_axis_weights(four(), site, 'here')
     n, u = 1 / (2 * north), 1 / (4 * up)
     wanted = [[0, -n, n, 0], [n, 0, 0, -n], [u, -u, -u, u], [0.25] * 4]
     np.testing.assert_allclose(found, wanted, atol=1e-9 * n)
     # The first position twice: each half.
-    found = gyros_only._off_axis_weights(four()[[0, 0, 1, 2, 3]], site, 'here')
+    found = positions._off_axis_weights(four()[[0, 0, 1, 2, 3]], site, 'here')
     np.testing.assert_allclose(found[1], [n / 2, n / 2, 0, 0, -n], atol=1e-9 * n)
     np.testing.assert_allclose(found[3], [0.125, 0.125, 0.25, 0.25, 0.25])
     inputs = np.array([[0, 1, 1], [-1, 0, -1], [1, 0, -1], [0, -1, 1]]) * [north, north, abs(up)]
     design = np.column_stack([inputs / EARTH_RATE, np.ones(4)])
-    assert gyros_only._condition(site) == pytest.approx(np.linalg.cond(design))
+    assert positions._condition(site) == pytest.approx(np.linalg.cond(design))
 
 
 @pytest.mark.parametrize(
@@ -327,9 +327,9 @@ def test_four_positions_are_differences_and_a_mean(latitude: float) -> None:
 def test_an_input_of_half_a_degree_an_hour_is_the_least(
     good: float, bad: float, words: str
 ) -> None:
-    gyros_only._off_axis_weights(four(), off_axis(good), 'here')
+    positions._off_axis_weights(four(), off_axis(good), 'here')
     with pytest.raises(NotObservable, match=f'too small {words}'):
-        gyros_only._off_axis_weights(four(), off_axis(bad), 'here')
+        positions._off_axis_weights(four(), off_axis(bad), 'here')
 
 
 @pytest.mark.parametrize(
@@ -347,14 +347,14 @@ def test_a_position_that_is_missing_is_named(index: int, words: str, lost: str) 
         'cannot be determined.'
     )
     with pytest.raises(NotObservable, match=wanted):
-        gyros_only._off_axis_weights(np.delete(four(), index, axis=0), SITE, 'here')
+        positions._off_axis_weights(np.delete(four(), index, axis=0), SITE, 'here')
     # 8 degrees from where it should be are the most: their cosine is 0.990.
     about_z = [Rotation.from_rotvec([0, 0, off * DEG]).as_matrix() for off in (8.0, 8.2)]
     near, far = four(), four()
     near[index], far[index] = about_z[0] @ near[index], about_z[1] @ far[index]
-    gyros_only._off_axis_weights(near, SITE, 'here')
+    positions._off_axis_weights(near, SITE, 'here')
     with pytest.raises(NotObservable, match=f'with {words}'):
-        gyros_only._off_axis_weights(far, SITE, 'here')
+        positions._off_axis_weights(far, SITE, 'here')
 
 
 def test_z_must_be_up_twice_and_down_twice() -> None:
@@ -362,15 +362,15 @@ def test_z_must_be_up_twice_and_down_twice() -> None:
     wrong = four()
     wrong[0] = about_north @ wrong[0]
     with pytest.raises(NotObservable, match=r'twice in here, found \[-1\.0, -1\.0, -1\.0, 1\.0\]'):
-        gyros_only._off_axis_weights(wrong, SITE, 'here')
+        positions._off_axis_weights(wrong, SITE, 'here')
     leaning = four()
     # About where X or Y point: they stay, and Z leaves the vertical.
     lean = [Rotation.from_rotvec([0, off * DEG, 0]).as_matrix() for off in (8.0, 8.2)]
     near, far = leaning.copy(), leaning.copy()
     near[0], far[0] = lean[0] @ near[0], lean[1] @ far[0]
-    gyros_only._off_axis_weights(near, SITE, 'here')
+    positions._off_axis_weights(near, SITE, 'here')
     with pytest.raises(NotObservable, match='Z must be up twice'):
-        gyros_only._off_axis_weights(far, SITE, 'here')
+        positions._off_axis_weights(far, SITE, 'here')
 
 
 def alone(name: str, walk: float = 1e-9) -> Evidence:
@@ -381,8 +381,8 @@ def alone(name: str, walk: float = 1e-9) -> Evidence:
 @pytest.mark.parametrize(
     ('name', 'solve'),
     [
-        ('off_axis_four', gyros_only.solve_off_axis_four),
-        ('static_six', gyros_only.solve_static_six),
+        ('off_axis_four', positions.solve_off_axis_four),
+        ('static_six', positions.solve_static_six),
     ],
 )
 def test_gyros_alone_give_twelve_numbers(name: str, solve: Any) -> None:
@@ -398,7 +398,7 @@ def test_gyros_alone_give_twelve_numbers(name: str, solve: Any) -> None:
 
 def test_static_six_is_least_squares_over_its_positions() -> None:
     evidence = alone('static_six')
-    found = gyros_only.solve_static_six(evidence)
+    found = positions.solve_static_six(evidence)
     rates = np.array([s.attitude.T @ SITE.earth_rate for s in evidence.segments]) / EARTH_RATE
     design = np.column_stack([rates, np.ones(len(rates))])
     assert found.condition == pytest.approx(np.linalg.cond(design))
@@ -410,7 +410,7 @@ def test_static_six_is_least_squares_over_its_positions() -> None:
     assert noise[NAMES.index('D_gz'), NAMES.index('D_gz')] == pytest.approx(covariance[3, 3])
     # A position held twice counts as one.
     twice = replace(evidence, segments=(*evidence.segments, evidence.segments[0]))
-    assert gyros_only.solve_static_six(twice).condition == pytest.approx(found.condition)
+    assert positions.solve_static_six(twice).condition == pytest.approx(found.condition)
 
 
 def test_a_response_known_to_a_tenth_is_the_least() -> None:
@@ -419,10 +419,10 @@ def test_a_response_known_to_a_tenth_is_the_least() -> None:
     tenth = 0.1 * np.sqrt(2) * SITE.north_rate * np.sqrt(dwell)
     of_z = 0.1 * SITE.north_rate / (np.sqrt(2) * SITE.up_rate)
     assert of_z == pytest.approx(0.1023, abs=1e-4)
-    weights = gyros_only._off_axis_weights(four(), SITE, 'here')
-    gyros_only.gyros_only(alone('off_axis_four', tenth * 0.97), weights, 1.0)
+    weights = positions._off_axis_weights(four(), SITE, 'here')
+    positions.gyros_only(alone('off_axis_four', tenth * 0.97), weights, 1.0)
     with pytest.raises(NotObservable) as refusal:
-        gyros_only.solve_off_axis_four(alone('off_axis_four', tenth * 1.03))
+        positions.solve_off_axis_four(alone('off_axis_four', tenth * 1.03))
     assert str(refusal.value) == (
         'The Earth rate is too small for the noise of these gyros and these dwells: '
         'K_gx (0.1), K_gy (0.1), K_gz (0.11), E_gxy (0.1), E_gxz (0.11), '

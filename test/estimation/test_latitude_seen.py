@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imu_calib.common.stream import Floats
-from imu_calib.estimation.latitude import contradicts, measured_latitude, vertical_earth_rate
+from imu_calib.estimation.checks import contradicts, measured_latitude, vertical_earth_rate
 
 RATE = 7.292115e-5
 LATITUDE = np.radians(40.0)

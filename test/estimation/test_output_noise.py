@@ -13,12 +13,12 @@ from evidence import four_rests
 from imu_calib.common.budget import ErrorSource
 from imu_calib.common.stream import Floats
 from imu_calib.estimation.components import Component, Diagonal
-from imu_calib.estimation.evidence import Evidence
-from imu_calib.estimation.output_noise import (
+from imu_calib.estimation.equations import (
     level_gravity,
     own_parts,
     unknown_north,
 )
+from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.outputs import OutputLayout
 from imu_calib.estimation.session_model import SessionModel
 

@@ -8,7 +8,7 @@ follows.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,47 +33,26 @@ UNKNOWNS = 4  #: Of a channel: three responses and a bias.
 BIAS = 3  #: Its index among them.
 
 
-@dataclass(eq=False)
-class ChannelSystem:
-    """Equations of one channel: four of them determine it."""
-
-    size: int  #: Number of outputs that the weights refer to.
-    #: (4,) of responses and bias in each equation.
-    coefficients: list[Floats] = field(default_factory=list)
-    weights: list[Floats] = field(default_factory=list)  #: (size,) of the outputs in each equation.
-
-    def add_equation(self, coefficients: Floats, weights: Floats) -> None:
-        """Add an equation: (4,) coefficients of responses and bias, (size,) weights of outputs."""
-        self.coefficients.append(coefficients)
-        self.weights.append(weights)
-
-    def solve(self) -> tuple[Floats, float]:
-        """Return the weights (4, size) of outputs for the unknowns, and the condition number."""
-        matrix, weights = np.array(self.coefficients), np.array(self.weights)
-        if matrix.shape != (UNKNOWNS, UNKNOWNS):
-            raise NotObservable(
-                f'{len(matrix)} equations for the {UNKNOWNS} unknowns of a channel.'
-            )
-        scaled = matrix / np.linalg.norm(matrix, axis=0)
-        return np.asarray(np.linalg.solve(matrix, weights)), float(np.linalg.cond(scaled))
-
-
 @dataclass(frozen=True, eq=False)
 class SolvedTriad:
     """Three channels by the weights on their outputs."""
 
     triad: Triad  #: The parameters.
     gain: Floats  #: (3, 4, size) weights of each channel's outputs for responses and bias.
-    condition: float  #: The worst condition number.
+    condition: float  #: Condition number of the coefficients, columns scaled to unit length.
 
+    @classmethod
+    def solve(cls, coefficients: Floats, weights: Floats, outputs: Floats) -> SolvedTriad:
+        """Solve channels x, y and z, whose equations differ in the weights alone.
 
-def solve_triad(systems: Sequence[ChannelSystem], outputs: Floats) -> SolvedTriad:
-    """Solve channels x, y and z by their systems, for (size, 3) mean outputs."""
-    solved = [system.solve() for system in systems]
-    gain = np.array([weights for weights, _ in solved])
-    unknowns = np.einsum('ium,mi->iu', gain, outputs)
-    triad = Triad(unknowns[:, :BIAS] - np.eye(3), unknowns[:, BIAS])
-    return SolvedTriad(triad, gain, max(condition for _, condition in solved))
+        (4, 4) coefficients of responses and bias in each equation, (3, 4, size) weights of each
+        channel's outputs in it, (size, 3) mean outputs.
+        """
+        gain = np.asarray(np.linalg.solve(coefficients, weights))
+        unknowns = np.einsum('ium,mi->iu', gain, outputs)
+        triad = Triad(unknowns[:, :BIAS] - np.eye(3), unknowns[:, BIAS])
+        scaled = coefficients / np.linalg.norm(coefficients, axis=0)
+        return cls(triad, gain, float(np.linalg.cond(scaled)))
 
 
 ILL_CONDITIONED = 100.0
@@ -100,7 +79,7 @@ class Gains:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the weighted sums of the outputs, those of accelerometers included."""
+        """The parameters that the weights give, those of accelerometers included."""
         return parameters_of([G_SENSITIVITY] if self.gyro.shape[-2] > BIAS + 1 else [])
 
     @property
@@ -280,8 +259,8 @@ class RateTestEquations:
         outputs = np.array([t.statistics.mean[:3] for t in evidence.turns])
         return cls(outputs, np.array(inputs), np.array(axes), np.array(off))
 
-    def add_to(self, system: ChannelSystem, axis: int, first: int) -> None:
-        """Add the equation for the response to one body axis to the system of one channel.
+    def equation(self, axis: int) -> tuple[Floats, Floats]:
+        """Return the equation for the response to one body axis: (4,) coefficients, (t,) weights.
 
         Turns at several rates or in both senses: the slope of the output on the input, independent
         of bias and vertical Earth rate. One sense at one rate (a turn by hand): output less bias
@@ -291,12 +270,12 @@ class RateTestEquations:
         inputs = self.inputs[mine]
         centred = inputs - inputs.mean()
         coefficients = np.zeros(UNKNOWNS)
-        weights = np.zeros(system.size)
+        weights = np.zeros(len(self.axes))
         spread = float(centred @ centred)
         if np.sqrt(spread / len(mine)) > _ONE_RATE * np.abs(inputs).max():
             coefficients[axis] = 1.0
-            weights[first + mine] = centred / spread
+            weights[mine] = centred / spread
         else:
             coefficients[axis], coefficients[BIAS] = inputs.mean(), 1.0
-            weights[first + mine] = 1 / len(mine)
-        system.add_equation(coefficients, weights)
+            weights[mine] = 1 / len(mine)
+        return coefficients, weights

@@ -280,10 +280,3 @@ def _groups(rates: Floats) -> Floats:
         current += int(rates[after] > rates[before] * (1 + _SAME_RATE))
         numbers[after] = current
     return numbers
-
-
-# Four positions about an axis between X and Y, gyros only (off-axis 2019, section 2).
-#
-# The inner axis of a two-axis table lies at 45 degrees to X and Y, so that half a turn moves all
-# three axes: X points north and south once each and is level twice, so does Y; Z is up and down
-# twice.
