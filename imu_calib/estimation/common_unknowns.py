@@ -292,7 +292,7 @@ class _System:
         """Return the information of the priors on the common unknowns, and their gradient."""
         first = len(TABLE_STATE)
         # If one unit shows another north, or a less level table, this holds for all.
-        deviations = np.max([unit.prior[1][:first] for unit in self._units], axis=0)
+        deviations = np.max([unit.prior_deviations[:first] for unit in self._units], axis=0)
         known = np.ones(first + len(self._values))
         known[:first] = 1 / deviations**2
         pulled = -known * np.concatenate([self._table, self._values])

@@ -50,13 +50,8 @@ def cached_by_weights(method: Callable[[Any, Floats], Value]) -> Callable[[Any, 
 
     @wraps(method)
     def remembered(self: Equations, state: Floats) -> Value:
-        key = (method.__name__, type(self), state.tobytes(), self.weights)
-        for known, inflation, value in reversed(self.evidence.cached_results):
-            if known == key and inflation is self.inflation:
-                return cast(Value, value)
-        found = method(self, state)
-        self.evidence.cached_results.append((key, self.inflation, found))
-        return found
+        what = method.__name__, type(self), self.weights
+        return self.remembered(what, state, method, self.inflation)
 
     return remembered
 
@@ -88,25 +83,24 @@ class Equations(SessionModel):
         return self.evidence.azimuth is not None and not self.any_heading
 
     @cached_property
-    def prior(self) -> tuple[Floats, Floats]:
-        """Prior means and standard deviations of the nuisances, (k,) each."""
+    def prior_deviations(self) -> Floats:
+        """Prior standard deviations of the nuisances about zero, (k,)."""
         evidence = self.evidence
         azimuth = GIVEN_AZIMUTH if self.north_known else ANY_AZIMUTH
         clock_std = evidence.clock_rate()[1]
         # Whitening divides by each deviation: one of zero is replaced by 1e-15.
         level = evidence.levelling if self.levelled is None else self.levelled
-        deviations = [azimuth, level, level, max(clock_std, 1e-15), *evidence.arms.deviations]
-        return np.zeros(self.nuisances), np.array(deviations)
+        return np.array([azimuth, level, level, max(clock_std, 1e-15), *evidence.arms.deviations])
 
     def prior_rows(self, state: Floats) -> Floats:
         """Return the priors as equations: (k, n + 1), derivatives and residuals.
 
         An unknown azimuth has residual zero: its prior only bounds the standard deviations.
         """
-        mean, deviation = self.prior
+        deviation = self.prior_deviations
         rows = np.zeros((self.nuisances, self.size + 1))
         rows[:, self.nuisance_slice] = np.diag(1 / deviation)
-        rows[:, -1] = (mean - state[self.nuisance_slice]) / deviation
+        rows[:, -1] = -state[self.nuisance_slice] / deviation
         if not self.north_known:
             rows[Nuisance.AZIMUTH, -1] = 0.0
         return rows
@@ -140,7 +134,7 @@ class Equations(SessionModel):
                 for error in errors.T
             ),
             unknown_north(evidence, ups, response),
-            level_gravity(evidence, turning, float(self.prior[1][Nuisance.TILT_X])),
+            level_gravity(evidence, turning, float(self.prior_deviations[Nuisance.TILT_X])),
             *self.extra,
             *self._positioning_error_parts(state),
         ]

@@ -125,7 +125,7 @@ def estimate(
     resting = replace(
         equations,
         parameters=tuple(p for p in parameters if p not in moving),
-        evidence=evidence.with_moves(()),
+        evidence=replace(evidence, moves=()),
     )
     resting, state = with_shape(resting, start(resting))
     state = fit(resting, state)

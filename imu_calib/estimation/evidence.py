@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,22 +40,9 @@ UP = np.array([0.0, 0.0, 1.0])  #: In east, north, up.
 _AXIS_TOLERANCE = 0.05
 """Largest amount by which the cosine of a vertical axis is below one: 18 deg, beyond any error of a
 table and less than half of the 45 deg to the next attitude of any plan."""
-_CACHED = 30
-"""Results kept in `Evidence.state_cache`: ten at each of three states, that of the last step and
-two from which the next fits start."""
-_WEIGHED = 12
-"""Results kept in `Evidence.cached_results`: covariance, and equations whitened by it, of two
-solutions used alternately and of the steps from one to the other."""
-_OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms', 'rest_to_rest_rates'}
-"""Cached properties of `Evidence` that depend on dwells and turns alone."""
-_OF_ATTITUDES = _OF_DWELLS | {
-    'positioning_attitude_errors',
-    'used_moves',
-    'layout',
-    'instants',
-    'state_cache',
-}
-"""Cached properties that do not depend on errors of the table and steps of the attitudes."""
+_CACHED = 48
+"""Results kept in `Evidence.state_cache`: a dozen at each of four states, those of the last step
+and of solutions used alternately or from which the next fits start."""
 
 _QUARTZ = 50e-6
 """Standard deviation of the rate between clocks that are not compared by motions, as a ratio:
@@ -145,34 +132,10 @@ class Evidence:
             interruptions=session.interruptions,
         )
 
-    def with_moves(self, moves: tuple[Move, ...]) -> Evidence:
-        """Return the session with other moves, or none; results of dwells and turns are kept."""
-        return self._replaced(
-            _OF_DWELLS | {'table_attitude_errors', 'positioning_attitude_errors'}, moves=moves
-        )
-
     def with_table_errors(self, errors: TableErrors) -> Evidence:
-        """Return the session on its table with other errors.
-
-        Only `table_attitude_errors` depends on them.
-        """
-        if self.table is None:
-            raise ValueError('no table, and none of its errors')
-        key = 'table', errors
-        if key not in self.cache:
-            table = replace(self.table, errors=errors)
-            self.cache[key] = self._replaced(_OF_ATTITUDES, table=table)
-        return cast(Evidence, self.cache[key])
-
-    def with_attitude_steps(self, steps: tuple[AttitudeStep, ...]) -> Evidence:
-        """Return the session with these steps of the attitudes; the same is kept as above."""
-        return self._replaced(_OF_ATTITUDES, attitude_steps=steps)
-
-    def _replaced(self, kept: set[str], **changed: Any) -> Evidence:
-        """Return the session with other fields; the cached properties named in `kept` stay."""
-        found = replace(self, **changed)
-        vars(found).update({name: vars(self)[name] for name in kept & vars(self).keys()})
-        return found
+        """Return the session on its table with other errors."""
+        assert self.table is not None, 'no table, and none of its errors'
+        return replace(self, table=replace(self.table, errors=errors))
 
     @property
     def parts(self) -> list[Segment | Turn]:
@@ -183,11 +146,6 @@ class Evidence:
     def state_cache(self) -> deque[tuple[Any, ...]]:
         """Cached results at the last few states (`Equations`)."""
         return deque(maxlen=_CACHED)
-
-    @cached_property
-    def cached_results(self) -> deque[tuple[Any, ...]]:
-        """Cached results at the last states with the last weights (`Equations`)."""
-        return deque(maxlen=_WEIGHED)
 
     @cached_property
     def cache(self) -> dict[Any, Any]:
@@ -345,19 +303,9 @@ class Evidence:
         return self.walk if self.sensor_walk is None else np.fmin(self.walk, self.sensor_walk)
 
     def with_attitudes(self, attitudes: Floats) -> Evidence:
-        """Return the session in other attitudes, (s, 3, 3) R_nb.
-
-        Results that do not depend on them are kept: those of turns, and of a unit in the hand the
-        choice of moves and the outputs' own noise, which there are taken without attitudes.
-        """
+        """Return the session in other attitudes, (s, 3, 3) R_nb."""
         pairs = zip(self.segments, attitudes, strict=True)
-        segments = tuple(replace(s, attitude=a) for s, a in pairs)
-        found = self._replaced(_OF_DWELLS - {'dwell_attitudes'} | {'layout'}, segments=segments)
-        if self.free:
-            moves = replace(self.used_moves, attitudes=found.dwell_attitudes)
-            vars(found)['used_moves'] = moves
-            found.cache.update({key: self.cache[key] for key in self.cache.keys() & {'own'}})
-        return found
+        return replace(self, segments=tuple(replace(s, attitude=a) for s, a in pairs))
 
     def outputs(self) -> Floats:
         """Return the mean outputs at rest, (s, 6)."""

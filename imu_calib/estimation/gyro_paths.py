@@ -29,7 +29,7 @@ class GyroPath:
     """A motion from rest to rest by a model."""
 
     rates: Floats  #: (n, 3) mean rate of each interval about the body axes, rad/s.
-    forces: Floats  #: (n, 3) specific force in its middle, m/s^2; zeros where not stated.
+    forces: Floats  #: (n, 3) specific force in its middle, m/s^2.
     seconds: Floats  #: (n,) its length, s.
     #: (3, 3) transforms the components of a vector fixed in inertial space from the start to the
     #: end.
@@ -41,7 +41,7 @@ class GyroPath:
 
     @classmethod
     def of_each(
-        cls, motions: Sequence[tuple[Floats, Floats, Floats | None]], model: SensorModel
+        cls, motions: Sequence[tuple[Floats, Floats, Floats]], model: SensorModel
     ) -> tuple[GyroPath, ...]:
         """Integrate motions.
 
@@ -51,8 +51,7 @@ class GyroPath:
 
         Args:
             motions: Of each the (n, 3) rotation vectors of its intervals by the gyros, rad, their
-                lengths (n,), s, and the (3,) specific force at rest at the end, body axes, m/s^2;
-                None if not needed.
+                lengths (n,), s, and the (3,) specific force at rest at the end, body axes, m/s^2.
             model: The sensors.
         """
         if not motions:
@@ -62,13 +61,11 @@ class GyroPath:
         forces = [np.zeros_like(turned) for turned, *_ in motions]
         rates, middles, wholes = _integrated(outputs, seconds, model, forces)
         ends = np.cumsum([len(each) for each in seconds])[:-1]
-        if any(force is not None for *_, force in motions):
-            known = np.array([np.zeros(3) if force is None else force for *_, force in motions])
-            each = np.repeat(known, [len(one) for one in seconds], axis=0).T
-            specific_force = each[0] * middles[0] + each[1] * middles[1] + each[2] * middles[2]
-            forces = np.split(np.ascontiguousarray(specific_force.T), ends)
-            if model.gyros_sense_force:
-                rates, middles, wholes = _integrated(outputs, seconds, model, forces)
+        each = np.repeat([force for *_, force in motions], [len(s) for s in seconds], axis=0).T
+        specific_force = each[0] * middles[0] + each[1] * middles[1] + each[2] * middles[2]
+        forces = np.split(np.ascontiguousarray(specific_force.T), ends)
+        if model.gyros_sense_force:
+            rates, middles, wholes = _integrated(outputs, seconds, model, forces)
         # An error over an interval acts as one in its middle, to the second order of its angle.
         transfer = product(middles, np.asarray(np.linalg.inv(model.gyro.response))[..., None])
         first = (np.ascontiguousarray(np.moveaxis(each, -1, 0)) for each in (middles, transfer))

@@ -91,7 +91,7 @@ class Moves:
     #: Their outputs, to count pulses; None where the attitudes are unknown.
     approximate_sensors: ApproximateSensors | None = None
     _paths: dict[bytes, tuple[GyroPath, ...]] = field(default_factory=dict, init=False, repr=False)
-    _increments_cache: dict[bytes, tuple[VelocityIncrement | None, ...]] = field(
+    _increments_cache: dict[bytes, tuple[VelocityIncrement, ...]] = field(
         default_factory=dict, init=False, repr=False
     )
 
@@ -167,22 +167,16 @@ class Moves:
 
         return _cached(self._paths, model.gyros_fingerprint(), integrated)
 
-    def velocity_increments(self, model: SensorModel) -> tuple[VelocityIncrement | None, ...]:
-        """Return the velocities gained by a model's accelerometers; None where not used."""
+    def velocity_increments(self, model: SensorModel) -> tuple[VelocityIncrement, ...]:
+        """Return the velocities gained by a model's accelerometers in the moves `with_accels`."""
 
-        def gained() -> tuple[VelocityIncrement | None, ...]:
+        def gained() -> tuple[VelocityIncrement, ...]:
             paths = self.paths(model)
             each = [link.move.velocity_steps for link in self.linked]
-            known = [one for one in each if one is not None]
             used = [paths[k] for k in self.with_accels]
-            computed = iter(VelocityIncrement.of_each(known, used, model))
-            return tuple(None if one is None else next(computed) for one in each)
+            return VelocityIncrement.of_each([one for one in each if one is not None], used, model)
 
         return _cached(self._increments_cache, model.fingerprint(), gained)
-
-    def _used_increments(self, model: SensorModel) -> list[VelocityIncrement]:
-        """Return the velocity increments of the moves in `with_accels`, in order."""
-        return [one for one in self.velocity_increments(model) if one is not None]
 
     @cached_property
     def _with_accels(self) -> NDArray[np.intp]:
@@ -216,7 +210,7 @@ class Moves:
         back = np.swapaxes(self.attitudes[first], -1, -2) @ rotations(rates * seconds) @ ends
         rotated = np.array([path.rotation for path in self.paths(model)])
         found[:, :3] = rotation_vector(rotated @ back)
-        if increments := self._used_increments(model):
+        if increments := self.velocity_increments(model):
             mine = self._with_accels
             half_way = rotations(_times(ends[mine], found[mine, :3]) / -2)
             gained = _times(ends[mine], np.array([p.velocity + p.correction for p in increments]))
@@ -245,7 +239,7 @@ class Moves:
             [summed(path.timed_transfer, c) for path, c in zip(paths, courses, strict=True)]
         )
         result[:, :3, gyros] = turned[:, :, by.channels[gyros], by.index[gyros]]
-        increments, own = self._used_increments(model), motion_parameters(parameters)
+        increments, own = self.velocity_increments(model), motion_parameters(parameters)
         if not increments:
             return result
         mine = [
@@ -280,7 +274,7 @@ class Moves:
         shorter seconds turn by less. The specific force is that of `misclosures`.
         """
         found = np.zeros((len(self), 6))
-        increments, mine = self._used_increments(model), self._with_accels
+        increments, mine = self.velocity_increments(model), self._with_accels
         if counted:
             if increments:
                 gained = _times(
@@ -343,7 +337,7 @@ class Moves:
         apart, late = (kind not in known for kind in (ParameterKind.PLACE, ParameterKind.DELAY))
         arms = np.zeros((len(self), 6, 12 if apart else 3))
         delays = np.zeros((len(self), 6, 1 if late else 0))
-        increments = self._used_increments(model)
+        increments = self.velocity_increments(model)
         if not increments:
             return arms, delays
         mine, reached = self._with_accels, self._reached

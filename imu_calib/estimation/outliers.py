@@ -23,13 +23,7 @@ from .equations import Equations
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .excess_scatter import excess, scatter_of_motions
 from .information import Information
-from .solve import (
-    ITERATIONS,
-    fit,
-    least_squares,
-    linear_step,
-    with_scatter,
-)
+from .solve import ITERATIONS, fit, least_squares, linear_step, with_scatter
 
 _OUTLYING = 1e-6
 """Chance by which a sound dwell or turn gets less weight: with fifty of them, one session in 20 000
@@ -100,7 +94,7 @@ def moves_that_fit(
     A gyro beyond its range or nonlinear, or a table whose joints differ from its description, makes
     errors of many times the noise within seconds: such a move must not affect the parameters.
     """
-    evidence = resting.evidence.with_moves(moves)
+    evidence = replace(resting.evidence, moves=moves)
     if not len(evidence.used_moves):
         return resting.evidence, ()
     scatter = excess(resting, state)
@@ -111,11 +105,11 @@ def moves_that_fit(
         if not astray:
             return evidence, ()
         if _count(fitting) <= _count(kept):
-            return evidence.with_moves(fitting), astray
+            return replace(evidence, moves=fitting), astray
         # Moves show positioning errors hidden in the noise of dwells, and how much motors shake the
         # unit: with those, others may agree.
         kept = fitting
-        found = excess(replace(resting, evidence=evidence.with_moves(kept)), state)
+        found = excess(replace(resting, evidence=replace(evidence, moves=kept)), state)
         scatter = replace(scatter, positioning=found.positioning, in_motion=found.in_motion)
 
 
@@ -129,7 +123,7 @@ def start_from_moves(resting: Equations, state: Floats, moves: tuple[Move, ...])
     parameters = resting.parameters
     own = np.array([k for k, p in enumerate(parameters) if p.triad == 'g' and p in RESPONSES])
     turned = tuple(replace(move, velocity_steps=None) for move in moves)
-    evidence = resting.evidence.with_moves(turned)
+    evidence = replace(resting.evidence, moves=turned)
     variances = np.diag(Information.from_jacobian(resting.whitened(state)[0]).covariance)[own]
     if not len(evidence.used_moves) or (variances < _LOOSE**2).all():
         return state
@@ -145,7 +139,7 @@ def start_from_moves(resting: Equations, state: Floats, moves: tuple[Move, ...])
     state = least_squares(begin, near_nominal, np.add, ITERATIONS)
     known = Information.from_jacobian(near_nominal(state)[0]).covariance
     fitting, _ = _judged(resting, state, evidence, known)
-    return fit(replace(resting, evidence=evidence.with_moves(fitting)), state)
+    return fit(replace(resting, evidence=replace(evidence, moves=fitting)), state)
 
 
 def _count(moves: Sequence[Move]) -> int:

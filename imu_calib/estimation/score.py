@@ -118,7 +118,7 @@ class Family:
             return excess(there, stepped(there, start))
         if self.of_attitudes:
             step = replace(steps_of(equations)[round(shape)], size=FREE_STEP)
-            evidence = equations.evidence.with_attitude_steps((step,))
+            evidence = replace(equations.evidence, attitude_steps=(step,))
             return excess(replace(equations, evidence=evidence), state)
         if self.term is None:
             return excess(self.freed(equations, _FREE_TABLE_ERROR), state)

@@ -191,7 +191,7 @@ class _Model:
             if one.family.course is not None:
                 model = replace(model, changes=one.family.changes)
             elif one.steps:
-                evidence = model.evidence.with_attitude_steps(one.steps)
+                evidence = replace(model.evidence, attitude_steps=one.steps)
                 model = replace(model, evidence=evidence)
             elif one.family.of_table and table is not None:
                 errors = replace(table.errors, **{one.family.name: one.size})
@@ -217,7 +217,7 @@ class _Model:
         if (table := self.evidence.table) and evidence.table != table:
             evidence = evidence.with_table_errors(table.errors)
         if evidence.attitude_steps != steps:
-            evidence = evidence.with_attitude_steps(steps)
+            evidence = replace(evidence, attitude_steps=steps)
         sensors = values_of(self.parameters, equations, state)
         here = replace(
             equations, parameters=self.parameters, considered=self.considered, evidence=evidence
@@ -562,7 +562,7 @@ def _restored(start: _Model, first: Estimate) -> Equations:
     """Return the equations with all moves, nothing set aside, and the stated noise."""
     evidence = first.equations.evidence
     if evidence.moves != start.evidence.moves:
-        evidence = evidence.with_moves(start.evidence.moves)
+        evidence = replace(evidence, moves=start.evidence.moves)
     return replace(first.without_scatter, evidence=evidence, inflation=None)
 
 

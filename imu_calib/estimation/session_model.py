@@ -193,16 +193,21 @@ class SessionModel:
         return np.tile(self.surroundings(state).rate, (len(self.evidence.segments), 1))
 
     def remembered(
-        self, what: Hashable, state: Floats, worked_out: Callable[[Any, Floats], Value]
+        self,
+        what: Hashable,
+        state: Floats,
+        worked_out: Callable[[Any, Floats], Value],
+        *held: object,
     ) -> Value:
-        """Return the cached result for a state (n,), or compute it from these and it."""
+        """Return the cached result for a state (n,) and the same objects, or compute it."""
         key = (what, state.tobytes(), self.shape)
+        held = (self.parameters, self.changes, *held)
         # Most requests are for the last state.
-        for known, parameters, changes, value in reversed(self.evidence.state_cache):
-            if known == key and parameters is self.parameters and changes is self.changes:
+        for known, objects, value in reversed(self.evidence.state_cache):
+            if known == key and all(a is b for a, b in zip(objects, held, strict=True)):
                 return cast(Value, value)
         found = worked_out(self, state)
-        self.evidence.state_cache.append((key, self.parameters, self.changes, found))
+        self.evidence.state_cache.append((key, held, found))
         return found
 
     @cached_by_state
@@ -359,17 +364,10 @@ class SessionModel:
         at_rest, turned = (np.broadcast_to(-np.eye(3), (count, 3, 3)) for count in every)
         return self.attitude_error_effects(state, at_rest, turned)
 
+    @cached_by_state
     def table_error_effects(self, state: Floats) -> Floats:
         """Return the effect of the table's stated errors on the outputs, (m, e): one deviation."""
-        at_rest, turning = self.evidence.table_attitude_errors
-        if not at_rest.shape[2]:
-            return np.zeros((len(self.layout), 0))
-        assert self.evidence.table is not None
-        # Trials with other errors of the table share the results of the session.
-        what = 'table', self.evidence.table.errors, self.evidence.attitude_steps
-        return self.remembered(
-            what, state, lambda me, there: me.attitude_error_effects(there, at_rest, turning)
-        )
+        return self.attitude_error_effects(state, *self.evidence.table_attitude_errors)
 
     def attitude_error_effects(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
         """Return the effect of e errors of attitudes on the outputs, (m, e).

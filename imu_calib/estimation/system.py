@@ -332,10 +332,10 @@ class TriadSystem:
         """Return the lower root of a covariance of the triad's equations, with their scatter."""
         return np.asarray(np.linalg.cholesky(covariance) * self._inflation)
 
-    @cached_property
+    @property
     def _known(self) -> Floats:
         """(u,) prior values of the nuisances; empty with lengths."""
-        return np.zeros(0) if self.up is not None else self.equations.prior[0]
+        return np.zeros(0 if self.up is not None else self.equations.nuisances)
 
     @cached_property
     def _free(self) -> NDArray[np.bool_]:
@@ -355,7 +355,7 @@ class TriadSystem:
         if self.up is not None:
             every = np.arange(len(self.outputs))
             return np.asarray(self._noise_at_rest[every, :, every])
-        state, deviations = np.append(values, self._known), self.equations.prior[1]
+        state, deviations = np.append(values, self._known), self.equations.prior_deviations
         further = self.equations.jacobian(state)[self._mine, len(values) :] * deviations
         further = further[:, ~self._free[: len(deviations)]]
         parts = np.hstack([self._root(self._covariance(state)), further])
@@ -442,7 +442,7 @@ class TriadSystem:
             return self
         known, key = self.observed.evidence.cache, 'without moves'
         if key not in known:
-            known[key] = replace(self.observed, evidence=self.observed.evidence.with_moves(()))
+            known[key] = replace(self.observed, evidence=replace(self.observed.evidence, moves=()))
         return replace(self, observed=cast('Observed', known[key]))
 
     def fit(self, values: Floats, factor: Floats, chance: float = 0.0) -> Fit:
@@ -519,13 +519,7 @@ class TriadSystem:
         return np.vstack([whiten(root, rows), prior])
 
     def _fit_at(
-        self,
-        columns: Floats,
-        residuals: Floats,
-        point: Floats,
-        factor: Floats,
-        *,
-        converged: bool,
+        self, columns: Floats, residuals: Floats, point: Floats, factor: Floats, *, converged: bool
     ) -> Fit:
         k, count = factor.shape[1], len(self._kinds)
         found = Information.from_jacobian(columns)

@@ -89,13 +89,13 @@ class Dense:
             block[:, 3:shared], block[:, place] = common.columns[k], jacobian[:, own[k]]
             rows.append(white @ block)
             left.append(white @ (unit.outputs - unit.predict(state)))
-            mean, deviation = unit.prior
+            deviation = unit.prior_deviations
             below = np.zeros((unit.nuisances - 3, width))
             below[:, place[unit.sensors :]] = np.diag(1 / deviation[3:])
             rows.append(below)
-            left.append((mean - state[unit.sensors :])[3:] / deviation[3:])
+            left.append(-state[unit.sensors :][3:] / deviation[3:])
         if priors:
-            deviation = np.append(units[0].prior[1][:3], np.ones(shared - 3))
+            deviation = np.append(units[0].prior_deviations[:3], np.ones(shared - 3))
             rows.append(np.hstack([np.diag(1 / deviation), np.zeros((shared, width - shared))]))
             table = states[0][units[0].sensors :][:3]
             left.append(np.append(-table / deviation[:3], np.zeros(shared - 3)))
@@ -155,7 +155,7 @@ def test_units_are_where_one_dense_system_of_them_all_has_them() -> None:
     assert (table_estimate.values - values) / deviations == pytest.approx(0, abs=1e-4)
     assert table_estimate.std == pytest.approx(deviations)
     assert table_estimate.prior == pytest.approx(
-        np.append(alone()[0].equations.prior[1][:3], sizes)
+        np.append(alone()[0].equations.prior_deviations[:3], sizes)
     )
     # Joints are known to two arcseconds stated and three found.
     assert sizes == pytest.approx([13**0.5 * ARCSEC] * len(sizes))
@@ -198,7 +198,7 @@ def test_the_likelihood_is_that_of_all_outputs_but_for_a_constant() -> None:
         for part in [Dense(states, (k,), priors=False).rows[:, dense.common :]]
         for part in [part[:, part.any(axis=0)]]
     )
-    deviation = alone()[0].equations.prior[1][:3]
+    deviation = alone()[0].equations.prior_deviations[:3]
     gained = values - own + 2 * np.log(deviation).sum()
     assert system().log_likelihood == pytest.approx(-0.5 * (square + gained), abs=1e-3)
 

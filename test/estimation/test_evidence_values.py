@@ -292,20 +292,6 @@ def test_turns_are_read_by_the_table_where_it_times_them() -> None:
     assert timed.tolist() == [True, False]
 
 
-def test_other_moves_or_errors_keep_what_rests_say() -> None:
-    held = replace(CLEAN, table=TABLE)
-    attitudes, arms = held.dwell_attitudes, held.arms
-    without = held.with_moves(())
-    assert without.dwell_attitudes is attitudes
-    assert without.arms is arms
-    errors = replace(TABLE.errors)
-    other = held.with_table_errors(errors)
-    assert other.dwell_attitudes is attitudes
-    assert held.with_table_errors(errors) is other
-    with pytest.raises(ValueError, match='no table'):
-        CLEAN.with_table_errors(errors)
-
-
 # Positioning errors
 
 

@@ -38,7 +38,6 @@ from imu_calib.segmentation.segmented import VelocitySteps
 from imu_calib.segmentation.segments import Segment
 from imu_calib.segmentation.statistics import Samples, Sensor, statistics_at_rest
 from imu_calib.session.table import load_table
-from imu_calib.session.table_errors import TableErrors
 
 PERIOD, FINE = 0.01, 200
 
@@ -390,7 +389,7 @@ def test_a_velocity_that_does_not_fit_is_left_out_and_named() -> None:
 def test_moves_led_on_together_have_the_bits_of_each_alone() -> None:
     model = Calibration.load(named_file('truths', 'fog_navigation_terms')).model
     links = evidence().used_moves.linked
-    motions = [(link.move.turned, link.move.seconds, None) for link in links]
+    motions = [(link.move.turned, link.move.seconds, GRAVITY) for link in links]
     together = GyroPath.of_each(motions, model)
     assert len(together) == len(links) > 5
     for path, motion in zip(together, motions, strict=True):
@@ -398,33 +397,6 @@ def test_moves_led_on_together_have_the_bits_of_each_alone() -> None:
         for name in ('rates', 'seconds', 'rotation', 'error_transfer'):
             assert getattr(path, name).tobytes() == getattr(alone, name).tobytes(), name
     assert GyroPath.of_each([], model) == ()
-
-
-def test_other_moves_leave_what_rests_and_turns_say() -> None:
-    known = evidence()
-    state = Equations(known).nominal()
-    Equations(known).whitened(state)
-    for fresh, kept in (
-        (replace(known, moves=()), known.with_moves(())),
-        (replace(known, moves=known.moves[:3]), known.with_moves(known.moves[:3])),
-    ):
-        assert kept.arms is known.arms
-        for one, other in zip(*(Equations(e).whitened(state) for e in (fresh, kept)), strict=True):
-            assert np.array_equal(one, other)
-
-
-def test_other_errors_of_the_table_lead_no_move_again(monkeypatch) -> None:
-    known, errors = evidence(), TableErrors(orthogonality=1e-3)
-    state = Equations(known).nominal()
-    Equations(known).jacobian(state)
-    fresh = Equations(
-        replace(known, table=replace(known.table, errors=errors))
-    ).table_error_effects(state)
-    monkeypatch.setattr(GyroPath, 'of_each', None)
-    assert np.array_equal(
-        Equations(known.with_table_errors(errors)).table_error_effects(state), fresh
-    )
-    assert fresh.any()
 
 
 def test_a_fit_ends_where_its_derivatives_are_known(monkeypatch) -> None:
