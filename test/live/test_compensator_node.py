@@ -96,7 +96,9 @@ def test_without_a_calibration_nothing_comes_and_it_says_so_until_the_file_is_th
             lambda: bench.node._applied.compensator.calibration.model.gyro.bias[0] < 2e-6
         )
         late.write_text('hello')
-        assert bench.until(lambda: bench.has_status('calibration offered', 'late.yaml', "is 'hello'"))
+        assert bench.until(
+            lambda: bench.has_status('calibration offered', 'late.yaml', "is 'hello'")
+        )
         assert bench.has_status('calibration', 'late.yaml is applied')
 
 
