@@ -557,8 +557,10 @@ def _another_unit(system: TriadSystem, values: Floats, factor: Floats) -> Diagno
     determined = np.flatnonzero(fit.std < _DETERMINED * np.diag(_wide(system)))
     changed = replace(fit, delta=apart, std=np.hypot(fit.std, np.linalg.norm(factor, axis=1)))
     far = _shifted_parameters(system.sensors.parameters, changed, determined.tolist())
-    changing = fit.chance <= _NOISE or system.drift > 0 or not far
-    if changing and all(m.parameter.kind is ParameterKind.BIAS for m in far):
+    only_biases = all(m.parameter.kind is ParameterKind.BIAS for m in far)
+    # Not by the stated drift, which no data need show. Lengths hardly do.
+    changing = shows_scatter(replace(system, drift=0.0)) or (system.up is not None and not far)
+    if changing and only_biases:
         return Diagnosis(
             f'No constant parameters explain the {name}, and none but biases is off: these drifted '
             'or stepped within the recording, or the unit moved in its static dwells. Record anew '
@@ -573,9 +575,8 @@ def _another_unit(system: TriadSystem, values: Floats, factor: Floats) -> Diagno
             'another unit, or the unit has changed.',
             far,
         )
-    return Diagnosis(
-        f'No single mistake explains the {name}, other parameters do: these have moved.', far
-    )
+    which = 'these have moved' if far else 'several moved, none by five standard deviations'
+    return Diagnosis(f'No single mistake explains the {name}, other parameters do: {which}.', far)
 
 
 def _wide(system: TriadSystem) -> Floats:

@@ -287,6 +287,19 @@ def test_what_passes_by_the_drift_stated_alone_is_said() -> None:
     assert not [f for f in verify(calibration(), generous).findings if 'Without' in f]
 
 
+def test_no_drift_is_blamed_that_is_merely_stated() -> None:
+    """Biases and scale factors that moved at once: constant parameters explain the session."""
+    matrix, bias = a().error_matrix, a().bias
+    moved = accel(
+        matrix + np.diag([60, 12, -30]) * PPM, bias + np.array([200, 100, -120]) * MICRO_G
+    )
+    # By the gravity of another place no scale factor alone is significant.
+    elsewhere = replace(SITE, latitude=SITE.latitude + 1e-9, gravity_std=3e-4)
+    judged = verify(moved, stating(at(elsewhere), accel=20 * MICRO_G))
+    assert 'other parameters do' in symptom(judged, gyros=False)
+    assert 'nothing else is seen' not in judged.outcome
+
+
 def gyro(matrix: Floats | None = None, bias: Floats | None = None) -> Calibration:
     return _spoilt('gyro', matrix, bias)
 
