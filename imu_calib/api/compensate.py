@@ -16,7 +16,13 @@ import numpy as np
 from ..calibration.compensate import Mark, TurnsSeen, noise_gains
 from ..calibration.compensator import Compensator, Reading
 from ..calibration.sample_clock import WholeStream
-from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_unit, first_of
+from ..calibration.thermal import (
+    AnyCalibration,
+    ThermalCalibration,
+    check_unit,
+    first_of,
+    unknown_temperature,
+)
 from ..common.errors import InputError, NotObservable
 from ..common.finding import warning
 from ..common.progress import Progress, silent
@@ -374,6 +380,9 @@ def _findings(stream: _Stream) -> list[str]:
         for m, words in compensator.mark_words.items()
         if compensator.counts[m]
     ]
+    known += unknown_temperature(
+        compensator.calibration, recorded=bool(np.isfinite(compensator.celsius))
+    )
     if not compensator.gravity.is_gravity:
         known.append(warning(compensator.gravity.contradiction(imu)))
     if compensator.alone:

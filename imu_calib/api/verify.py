@@ -14,7 +14,13 @@ from ..calibration.calibration import Calibration, is_as_saved
 from ..calibration.compensate import TurnsSeen
 from ..calibration.diagnosis import Diagnosis
 from ..calibration.results import bad_samples_first
-from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_identity, first_of
+from ..calibration.thermal import (
+    AnyCalibration,
+    ThermalCalibration,
+    check_identity,
+    first_of,
+    unknown_temperature,
+)
 from ..calibration.verify import Verdict, Verification
 from ..calibration.verify import verify as judge
 from ..common.errors import InputError, NotObservable, NotStated
@@ -304,7 +310,7 @@ def _at_temperature(
         return loaded.at(seen.mean), []
     made_at = loaded.provenance.get('temperature')
     if seen is None or not isinstance(made_at, dict):
-        return loaded, []
+        return loaded, unknown_temperature(loaded, recorded=seen is not None)
     if abs(seen.mean - float(made_at['mean'])) < _OTHER_TEMPERATURE:
         return loaded, []
     return loaded, [

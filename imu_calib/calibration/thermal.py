@@ -217,6 +217,23 @@ def temperature_range(calibration: AnyCalibration) -> tuple[float, float]:
     return float(seen_once['lowest']) - _MARGIN, float(seen_once['highest']) + _MARGIN
 
 
+def unknown_temperature(calibration: AnyCalibration, *, recorded: bool) -> list[str]:
+    """Return a note where either calibration or recording has a temperature, and not both."""
+    made_at = first_of(calibration).provenance.get('temperature')
+    if recorded is isinstance(made_at, dict):
+        return []
+    if recorded:
+        return [
+            'The recording has the temperature of the unit and the calibration none: whether it '
+            'holds there is unknown. Record imu/temperature when you calibrate, too.'
+        ]
+    return [
+        f'The calibration was made at {float(made_at["mean"]):.1f} degrees Celsius, and the '
+        'recording has no temperature: whether it holds there is unknown. Record imu/temperature, '
+        'too.'
+    ]
+
+
 def load_calibration(path: str | Path) -> AnyCalibration:
     """Read a calibration file, single or combined."""
     return read_calibration(calibration_section(path))

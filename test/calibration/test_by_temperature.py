@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from calibrations import BIAS, BRICK, brick_at
 
+import imu_calib
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.thermal import (
     ThermalCalibration,
@@ -102,6 +103,27 @@ def test_chords_are_doubted_by_the_larger_bend_beside_them(celsius, doubt):
     assert found.std[BIAS] == pytest.approx(doubt, abs=1e-12)
     # Of two points nobody knows how much they bend.
     assert combine(bends[:2], list('ab')).at(5.0).std[BIAS] == 0.0
+
+
+@pytest.mark.parametrize(
+    ('made_at', 'recorded_at', 'said'),
+    [
+        (20.0, None, 'made at 20.0 degrees Celsius, and the recording has no temperature'),
+        (None, 20.0, 'The recording has the temperature of the unit and the calibration none'),
+        (20.0, 20.0, ''),
+        (None, None, ''),
+    ],
+)
+def test_one_temperature_without_the_other_is_a_note(tmp_path, made_at, recorded_at, said):
+    unit: dict[str, Any] = {'imu': 'mems_counts', 'latitude': 48.1}
+    imu_calib.simulate('free_positions', tmp_path / 'one', temperature=made_at, **unit)
+    imu_calib.simulate('free_positions', tmp_path / 'two', temperature=recorded_at, seed=1, **unit)
+    made = imu_calib.calibrate(tmp_path / 'one').calibration
+    verified = imu_calib.verify(tmp_path / 'two', made)
+    compensated = imu_calib.compensate(tmp_path / 'two', made, tmp_path / 'out')
+    for findings in (verified.findings, compensated.findings):
+        notes = [text for text in findings if 'whether it holds there is unknown' in text]
+        assert [said in text for text in notes] == [True] * bool(said)
 
 
 def test_a_session_that_follows_its_temperature_is_led_along_its_coefficients():
