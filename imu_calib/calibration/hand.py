@@ -46,7 +46,14 @@ from ..segmentation.segments import Segment
 from ..session.imu import SCALE_LIMIT, ImuSpec
 from .calibration import BY_ACCELEROMETERS
 from .mistakes import dead_channels, explained, refuse_separate_messages, with_facts
-from .results import Result, Review, bad_samples_first, calibrated, provenance
+from .results import (
+    Result,
+    Review,
+    bad_samples_first,
+    calibrated,
+    provenance,
+    rounding_findings,
+)
 
 # Guide a user with the unit in hand: what to do next, and the gain of each further hold.
 #
@@ -515,7 +522,9 @@ class HandCalibrator:
             Residual(str(s.position), s.start, value, deviation)
             for s, value, deviation in zip(segments, fit.residuals, std, strict=True)
         )
-        findings = [*far_scales(fit.model), *term_words(fit), *scatter_words(fit)]
+        deviations = np.sqrt(np.diag(fit.covariance))
+        rounded = rounding_findings(setup, evidence, fit.parameters, deviations)
+        findings = [*far_scales(fit.model), *term_words(fit), *(rounded or scatter_words(fit))]
         if len(segments) < CHECKED:
             findings.append(
                 Finding(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import platform
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,14 +16,15 @@ from ..common.budget import Budget, ErrorSource
 from ..common.errors import ImuCalibError, InputError, NotObservable
 from ..common.files import version
 from ..common.finding import Finding, warning, with_full_stop
-from ..common.stream import Floats, iso
+from ..common.stream import Floats, Units, iso
 from ..common.units import DEG, counted
 from ..estimation.evidence import Evidence
 from ..estimation.joint import Comparison
 from ..estimation.setup import Setup
 from ..estimation.solution import Solution
 from ..estimation.term_tests import summary
-from ..model.parameters import Parameter
+from ..model.earth import EARTH_RATE
+from ..model.parameters import Parameter, ParameterKind, bias_units
 from ..model.sensors import terms_of
 from ..model.session_terms import terms_in_words
 from ..segmentation.course import Signals
@@ -176,6 +178,7 @@ class Basis:
             *(comparison.finding() if comparison is not None else []),
             *self.lost,
             *assumption_findings(setup, solution),
+            *rounding_findings(setup, self.evidence, solution.parameters, solution.std),
         )
         origin = provenance(setup, self.evidence, self.session, solution, comparison)
         origin |= noise(self.evidence) if self.final else {}
@@ -409,4 +412,50 @@ def assumption_findings(setup: Setup, solution: Solution) -> list[str]:
     return [
         *([table.assumption] if table.assumption else []),
         *([clock] if table.clock_assumed and forces and setup.imu.units.per_interval else []),
+    ]
+
+
+def rounding_findings(
+    setup: Setup, evidence: Evidence, parameters: Sequence[Parameter], deviations: Floats
+) -> list[str]:
+    """Return a warning of gyros without the noise that makes rounding errors average out.
+
+    They read nearly the same rate in every attitude, so that a mean of counts has one error in all
+    of them: of noise s and counts q up to q exp(-2 pi^2 s^2 / q^2) / pi, at most q / 2. From
+    s = q / 2 on it is a uniform error of q^2 / 12 in each sample.
+
+    Args:
+        setup: Of the session.
+        evidence: Its static dwells.
+        parameters: The n that are estimated.
+        deviations: (n,) their standard deviations, SI.
+
+    Source: Widrow, Kollar, Liu 1996, Statistical theory of quantization, IEEE Trans. Instrum. Meas.
+    45(2), 353-361: the first term of the characteristic function's series.
+    """
+    seen = np.array([s.statistics.sample_variance for s in evidence.segments]).reshape(-1, 6)
+    seen = seen[np.isfinite(seen).all(axis=1)]
+    count = setup.imu.gyro.scale_factor
+    # The rate of the Earth moves readings over finer counts.
+    if setup.imu.units is not Units.COUNTS or not len(seen) or count < EARTH_RATE:
+        return []
+    noise = np.maximum(np.median(seen[:, :3], axis=0) / count**2 - 1 / 12, 0.0)
+    error = count * np.exp(-2 * np.pi**2 * noise) / np.pi
+    names = [
+        p.name
+        for p, std in zip(parameters, deviations, strict=True)
+        if p.triad == 'g' and p.kind is ParameterKind.BIAS and p.row < 3 and error[p.row] > std
+    ]
+    if not names:
+        return []
+    shown = bias_units(by_hand=setup.plan.by_hand)[0]
+    return [
+        warning(
+            f'The gyros at rest have less noise than their counts of {count / shown.scale:.2g} '
+            f'{shown.unit} resolve, so that rounding has the same error in every static dwell: '
+            f'{", ".join(names)} may be off by up to half a count, more than the standard '
+            'deviation, and the residuals of turns exceed their noise. Set a smaller range or a '
+            'wider bandwidth of the unit.',
+            effect=math.inf,
+        )
     ]

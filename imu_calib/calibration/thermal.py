@@ -219,19 +219,19 @@ def temperature_range(calibration: AnyCalibration) -> tuple[float, float]:
 
 def unknown_temperature(calibration: AnyCalibration, *, recorded: bool) -> list[str]:
     """Return a note where either calibration or recording has a temperature, and not both."""
-    made_at = first_of(calibration).provenance.get('temperature')
-    if recorded is isinstance(made_at, dict):
-        return []
-    if recorded:
-        return [
+    made_at, text = first_of(calibration).provenance.get('temperature'), ''
+    if recorded and not isinstance(made_at, dict):
+        text = (
             'The recording has the temperature of the unit and the calibration none: whether it '
             'holds there is unknown. Record imu/temperature when you calibrate, too.'
-        ]
-    return [
-        f'The calibration was made at {float(made_at["mean"]):.1f} degrees Celsius, and the '
-        'recording has no temperature: whether it holds there is unknown. Record imu/temperature, '
-        'too.'
-    ]
+        )
+    elif isinstance(made_at, dict) and not recorded:
+        text = (
+            f'The calibration was made at {float(made_at["mean"]):.1f} degrees Celsius, and the '
+            'recording has no temperature: whether it holds there is unknown. Record '
+            'imu/temperature, too.'
+        )
+    return [text] if text else []
 
 
 def load_calibration(path: str | Path) -> AnyCalibration:

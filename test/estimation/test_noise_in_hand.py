@@ -17,7 +17,7 @@ from imu_calib.calibration.hand import HandCalibrator
 from imu_calib.calibration.verify import Quantity
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Units
-from imu_calib.common.units import DEG_H
+from imu_calib.common.units import DEG, DEG_H
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.model.sensors import SensorModel
@@ -158,3 +158,27 @@ def test_a_length_of_rates_that_noise_hides_is_not_shown(tmp_path: Path, tremble
         for cell in column.cells
     ]
     assert sum(map(bool, cells)) == lengths - len(hidden)
+
+
+@pytest.mark.parametrize('walk', [0.0, 0.3])
+def test_gyros_whose_counts_hide_their_noise_are_a_warning(tmp_path, walk):
+    """Rounding then has one error in every hold, and no hand is blamed for the turns."""
+    (tmp_path / 'mine.yaml').write_text(
+        'id: mine\nunits: counts\nsample_rate: 100 Hz\n'
+        f'gyro: {{scale_factor: 0.061 deg/s/count, angle_random_walk: {walk} deg/sqrt(h)}}\n'
+        'accelerometer: {scale_factor: 0.5e-3 g/count, velocity_random_walk: 0.1 (m/s)/sqrt(h)}\n'
+    )
+    imu_calib.simulate(
+        'free_positions', tmp_path / 'bag', imu=tmp_path / 'mine.yaml', truth='mems_counts'
+    )
+    found = imu_calib.calibrate(tmp_path / 'bag').calibration
+    words = 'less noise than their counts of 0.061 deg/s resolve', 'D_gx, D_gy, D_gz may be off by'
+    said = [all(word in text for word in words) for text in found.findings]
+    assert sum(said) == (walk == 0.0)
+    assert not any('times their noise' in text for text in found.findings)
+    if walk == 0.0:
+        # Of half a count, and far from what the deviations of D_g would allow.
+        truth = Calibration.load(tmp_path / 'bag' / 'truth.yaml')
+        error = np.abs(found.values - truth.values)[9:12]
+        assert (error < 0.061 * DEG / 2).all()
+        assert (error > 5 * found.std[9:12]).any()
