@@ -45,7 +45,7 @@ from ..session.keywords import Named, Optimised, Planned, Stated, as_imu, as_pla
 from ..session.plan import Plan
 from ..session.table import Table
 from .files import output_path
-from .session import as_truth
+from .session import DEFAULT_TRUTH, as_truth, usual_unit
 
 if TYPE_CHECKING:
     import pandas
@@ -105,7 +105,7 @@ def predict(
     plan: Plan | Named,
     imu: ImuSpec | Named,
     *,
-    truth: Calibration | Named = 'cao2022_table1',
+    truth: Calibration | Named | None = None,
     bias_instability: bool = False,
     temperature_rise: float | None = None,
     **stated: Unpack[Planned],
@@ -115,7 +115,8 @@ def predict(
     Args:
         plan: Name, file or value.
         imu: Likewise; its noise and the size of its pulses matter.
-        truth: Assumed true parameters of the unit: its counters use them.
+        truth: Assumed true parameters of the unit, which its counters use; None for cao2022_table1,
+            or mems_counts if the plan is run by hand.
         bias_instability: Let the biases drift by the IMU's figure.
         temperature_rise: Linear rise of a recorded temperature over the session, K: predicts the
             parameters that follow it.
@@ -126,10 +127,9 @@ def predict(
         InputError: A file is missing or broken, or they do not match each other.
         NotObservable: The plan cannot determine the parameters with its method.
     """
-    session = Stated(plan=plan, imu=imu, **stated)
-    return predicted(
-        setup_of(session), as_truth(truth).model, drifting=bias_instability, rise=temperature_rise
-    )
+    setup = setup_of(Stated(plan=plan, imu=imu, **stated))
+    model = as_truth(truth or usual_unit(setup.plan)[1]).model
+    return predicted(setup, model, drifting=bias_instability, rise=temperature_rise)
 
 
 @with_keywords(Optimised)
@@ -139,7 +139,7 @@ def optimise(
     minutes: float,
     *,
     output: Named | None = None,
-    truth: Calibration | Named = 'cao2022_table1',
+    truth: Calibration | Named | None = None,
     rate: float | None = None,
     progress: Progress = silent,
     **stated: Unpack[Optimised],
@@ -150,7 +150,7 @@ def optimise(
         imu: Name, file or value; its noise and the size of its pulses matter.
         minutes: Time on the table.
         output: File to write the plan to, which determines its name; or None.
-        truth: Assumed true parameters of the unit: its counters use them.
+        truth: Assumed true parameters of the unit, which its counters use; None for cao2022_table1.
         rate: Of the turns, deg/s; None for 60, or the limit of the table's slowest joint.
         progress: Called with the progress.
 
@@ -163,7 +163,8 @@ def optimise(
             fast.
     """
     target = None if output is None else plan_file(output)
-    setup, model = setup_of(Stated(plan=_ANY_PLAN, imu=imu, **stated)), as_truth(truth).model
+    setup = setup_of(Stated(plan=_ANY_PLAN, imu=imu, **stated))
+    model = as_truth(truth or DEFAULT_TRUTH).model
     if rate is None:
         slowest = () if setup.table is None else (j.max_rate / DEG for j in setup.table.joints)
         rate = min((_USUAL_RATE, *slowest))
@@ -189,7 +190,7 @@ def reach(
     wanted: Mapping[str, str | float],
     *,
     output: Named | None = None,
-    truth: Calibration | Named = 'cao2022_table1',
+    truth: Calibration | Named | None = None,
     bias_instability: bool = True,
     scheduler: str | None = None,
     **stated: Unpack[Planned],
@@ -202,7 +203,7 @@ def reach(
         wanted: Standard deviations by the names of parameters: texts with a unit, for instance
             {'D_gx': '0.05 deg/h'}, or numbers in SI units.
         output: File for the plan, which ends in .yaml; None for none.
-        truth: Assumed true parameters of the unit.
+        truth: As for `predict`.
         bias_instability: Let the biases drift by the IMU's figure, as a session has it.
         scheduler: Address of a Dask scheduler whose worker runs the search; None for this process.
 
@@ -216,7 +217,7 @@ def reach(
     """
     target = None if output is None else plan_file(output)
     setup = setup_of(Stated(plan=plan, imu=imu, **stated))
-    model = as_truth(truth).model
+    model = as_truth(truth or usual_unit(setup.plan)[1]).model
     found = shortest(setup, model, wanted, scheduler, drifting=bias_instability)
     if target is not None:
         write_whole(target, found.plan.text(target.stem))

@@ -111,6 +111,13 @@ def as_truth(truth: Calibration | Named) -> Calibration:
 DEFAULT_TRUTH = 'cao2022_table1'
 USUAL_IMU, HELD_UNIT = 'fog_medium', 'mems_counts'
 """Simulated units: on a table, and in a hand; in the hand with true parameters of the same name."""
+
+
+def usual_unit(plan: Plan) -> tuple[str, str]:
+    """Return the names of a simulated unit's type and true parameters where none are stated."""
+    return (HELD_UNIT, HELD_UNIT) if plan.by_hand else (USUAL_IMU, DEFAULT_TRUTH)
+
+
 _APART = 0.1
 """Standard deviation between units, as a share of each true parameter. A choice: many times what
 a session of a fibre-optic unit determines, and far within any specification."""

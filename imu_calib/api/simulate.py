@@ -75,7 +75,16 @@ from ..simulation.stand import (
     SimulatedUnit,
 )
 from .files import new_folder, removed_on_failure
-from .session import TRUE_TABLE, Drifting, Imperfect, as_units, load_truth
+from .session import (
+    DEFAULT_TRUTH,
+    HELD_UNIT,
+    TRUE_TABLE,
+    Drifting,
+    Imperfect,
+    as_units,
+    load_truth,
+    usual_unit,
+)
 
 if TYPE_CHECKING:
     import pandas
@@ -103,11 +112,13 @@ class TrueUnit(TypedDict, total=False):
 
     truth: Annotated[
         Calibration | Named | None,
-        "The unit's true parameters; None for `cao2022_table1`, which a unit with a serial number "
-        'has with departures of its own, a tenth of each parameter.',
+        f"The unit's true parameters; None for `{DEFAULT_TRUTH}`, or `{HELD_UNIT}` if the plan is "
+        'by hand, which a unit with a serial number has with departures of its own, a tenth of '
+        'each parameter.',
         Option(
-            "the unit's true parameters (a calibration file; default: cao2022_table1; units "
-            'with serial numbers differ from it, and from each other, by a tenth)',
+            f"the unit's true parameters (a calibration file; default: {DEFAULT_TRUTH}, or "
+            f'{HELD_UNIT} where the plan is run by hand; units with serial numbers differ from it, '
+            'and from each other, by a tenth)',
             'NAME|FILE',
         ),
     ]
@@ -180,7 +191,7 @@ def simulate(
     plan: Plan | Named,
     output: Named,
     *,
-    imu: ImuSpec | Named = 'fog_medium',
+    imu: ImuSpec | Named | None = None,
     serial: str | None = None,
     progress: Progress = silent,
     **stated: Unpack[SimulationAt],
@@ -191,7 +202,8 @@ def simulate(
         plan: Name, file or value. A value is not written to the recording, and `calibrate` must be
             given it.
         output: Folder to create.
-        imu: Likewise: units and noise of the IMU's samples.
+        imu: Likewise: units and noise of the IMU's samples; None for fog_medium, or mems_counts if
+            the plan is run by hand.
         serial: Serial number of the unit.
         progress: Shows the progress; nothing by default.
         KEYWORDS
@@ -205,7 +217,9 @@ def simulate(
     """
     given = with_defaults(SimulationAt, stated)
     target, place, steps = _prepared(plan, output, given)
-    spec, true = _true_unit(imu, given['truth'], serial or '')
+    usual, usual_truth = usual_unit(steps)
+    imu = imu or usual
+    spec, true = _true_unit(imu, given['truth'], serial or '', usual_truth)
     named = None if steps.by_hand else given['table'] or _TABLE
     blocks: Iterator[tuple[str, Block]]
     stands = None if named is None else as_table(named)
@@ -239,11 +253,14 @@ def _prepared(plan: Plan | Named, output: Named, given: SimulationAt) -> tuple[P
 
 
 def _true_unit(
-    imu: ImuSpec | Named, truth: Calibration | Named | None, serial: str
+    imu: ImuSpec | Named,
+    truth: Calibration | Named | None,
+    serial: str,
+    usual: str = DEFAULT_TRUTH,
 ) -> tuple[ImuSpec, Calibration]:
     """Return a unit's description and true parameters, relative to its nominal scale factors."""
     spec = as_imu(imu)
-    known = load_truth(truth, spec, serial)
+    known = load_truth(truth, spec, serial, usual)
     return spec, replace(known, imu=spec, serial_number=serial or known.serial_number)
 
 
@@ -480,13 +497,13 @@ class MonteCarloResult:
 @by_one_thread
 def montecarlo(
     plan: Plan | Named,
-    imu: ImuSpec | Named = 'fog_medium',
+    imu: ImuSpec | Named | None = None,
     *,
     runs: int = 100,
     seed: int = 0,
     jobs: int = 1,
     scheduler: str | None = None,
-    truth: Calibration | Named = 'cao2022_table1',
+    truth: Calibration | Named | None = None,
     bias_instability: bool = False,
     progress: Progress = silent,
     **stated: Unpack[Planned],
@@ -495,14 +512,14 @@ def montecarlo(
 
     Args:
         plan: Name, file or value.
-        imu: Likewise.
+        imu: Likewise; None for fog_medium, or mems_counts if the plan is run by hand.
         runs: Number of sessions.
         seed: Of the first; the outcome depends only on the seeds.
         jobs: Number of processes. More than one require a program whose code is below
             `if __name__ == '__main__':`, as multiprocessing does.
         scheduler: Address of a Dask scheduler whose workers run them (tcp://host:8786); requires
             the extra fleet.
-        truth: The unit's true parameters.
+        truth: The unit's true parameters; None for cao2022_table1, or mems_counts likewise.
         bias_instability: Let the biases drift by the IMU's figure.
         progress: Shows the progress; nothing by default.
         **stated: The session, by keywords of `calibrate`; by default on the three-axis table (on
@@ -520,7 +537,10 @@ def montecarlo(
             raise InputError(f'`{name}`: found {value}, expected a whole number from {least} on.')
     if runs > _MOST_RUNS:
         raise InputError(f'`runs`: found {runs}, expected at most {_MOST_RUNS}.')
-    study = _study(Stated(**stated), as_plan(plan), as_imu(imu), truth, drifting=bias_instability)
+    steps = as_plan(plan)
+    usual, usual_truth = usual_unit(steps)
+    spec, true = as_imu(imu or usual), truth or usual_truth
+    study = _study(Stated(**stated), steps, spec, true, drifting=bias_instability)
     with progress('simulating and calibrating') as show:
         outcome = repeat(study, runs, seed, jobs, show, scheduler)
     refusals = sorted({r.refusal for r in outcome.refused})

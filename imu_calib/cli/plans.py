@@ -19,7 +19,7 @@ from ..api.predict import (
     times_on,
     with_best_deviations,
 )
-from ..api.session import Drifting, as_truth
+from ..api.session import DEFAULT_TRUTH, HELD_UNIT, Drifting, as_truth, usual_unit
 from ..common.errors import InputError, NotObservable
 from ..common.files import share_folder, write_whole
 from ..common.finding import by_effect
@@ -58,7 +58,7 @@ _TURNS_AND_DWELLS = 'the same dwells and turns early and late'
 def show_prediction(arguments: argparse.Namespace) -> None:
     """Print the prediction of a plan, by the options."""
     setup = setup_of(options.stated(arguments))
-    truth = as_truth(arguments.truth).model
+    truth = as_truth(arguments.truth or usual_unit(setup.plan)[1]).model
     plan, imu, held, site = setup.plan, setup.imu, setup.table, setup.site
     if arguments.reach:
         _show_reach(arguments, setup, truth)
@@ -255,11 +255,10 @@ def add_plans_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--truth',
-        default='cao2022_table1',
         metavar='NAME|FILE',
         help=(
             'assumed true parameters of the unit; pulse rates follow from them (default: '
-            '%(default)s)'
+            f'{DEFAULT_TRUTH}, or {HELD_UNIT} where the plan is run by hand)'
         ),
     )
     parser.add_argument(

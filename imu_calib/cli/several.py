@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from ..api.session import DEFAULT_TRUTH, HELD_UNIT, USUAL_IMU, load_truth
+from ..api.session import load_truth, usual_unit
 from ..calibration.calibration import Calibration
 from ..common.config import load
 from ..common.errors import InputError
@@ -121,7 +121,7 @@ def _truth_of(unit: MountedUnit, arguments: argparse.Namespace) -> Calibration:
 
 def usual_truth(arguments: argparse.Namespace) -> str:
     """Return the name of the true parameters of a simulated unit without a serial number."""
-    return HELD_UNIT if load_plan(arguments.plan).by_hand else DEFAULT_TRUTH
+    return usual_unit(load_plan(arguments.plan))[1]
 
 
 def node_parameters(
@@ -249,4 +249,4 @@ def _largest_error(found: Calibration, true: Calibration) -> float:
 def complete(arguments: argparse.Namespace) -> None:
     """Set the type of a single unit, if none is stated."""
     if not arguments.imus and not arguments.imu:
-        arguments.imu = HELD_UNIT if load_plan(arguments.plan).by_hand else USUAL_IMU
+        arguments.imu = usual_unit(load_plan(arguments.plan))[0]

@@ -11,7 +11,7 @@ import numpy as np
 from rich.table import Table as Rows
 
 from ..api.files import new_folder, output_path, removed_on_failure
-from ..api.session import Drifting
+from ..api.session import DEFAULT_TRUTH, HELD_UNIT, USUAL_IMU, Drifting
 from ..api.simulate import (
     TRUTH,
     Simulated,
@@ -37,14 +37,14 @@ from .terminal import OUTPUT, print_findings, print_text, progress_bar
 if TYPE_CHECKING:
     from ..simulation.repetition import RunStatistics
 
-_IMU = 'fog_medium'
+_IMU = f'default: {USUAL_IMU}; {HELD_UNIT} where the plan is run by hand'
 
 
 def add_simulate_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument('plan', metavar='PLAN', help='name of a plan, or a file')
     parser.add_argument('-o', '--output', required=True, metavar='DIR', help='folder to create')
-    parser.add_argument('--imu', metavar='NAME|FILE', help=f'default: {_IMU}')
+    parser.add_argument('--imu', metavar='NAME|FILE', help=_IMU)
     options.add_imus_option(parser)
     parser.add_argument(
         '--units',
@@ -62,7 +62,6 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     if arguments.imus is not None:
         _run_several(arguments)
         return
-    arguments.imu = arguments.imu or _IMU
     if arguments.units is not None:
         _run_each(arguments)
         return
@@ -145,12 +144,12 @@ def add_montecarlo_options(parser: argparse.ArgumentParser) -> None:
         help='processes (default: all cores)',
     )
     options.add_scheduler_option(parser)
-    parser.add_argument(
-        '--imu', default='fog_medium', metavar='NAME|FILE', help='default: %(default)s'
-    )
+    parser.add_argument('--imu', metavar='NAME|FILE', help=_IMU)
     options.add_statements(parser, SimulatedTable)
     parser.add_argument(
-        '--truth', default='cao2022_table1', metavar='NAME|FILE', help='default: %(default)s'
+        '--truth',
+        metavar='NAME|FILE',
+        help=f'default: {DEFAULT_TRUTH}; {HELD_UNIT} where the plan is run by hand',
     )
     parser.add_argument(
         '--azimuth',

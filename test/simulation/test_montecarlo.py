@@ -10,6 +10,7 @@ from sessions import study
 import imu_calib
 from imu_calib.api import simulate as repeating
 from imu_calib.cli.main import main
+from imu_calib.common.files import named_file
 from imu_calib.model.parameters import PARAMETERS
 from imu_calib.simulation.repetition import Run, RunStatistics, repeat
 
@@ -79,6 +80,21 @@ def test_a_plot_that_cannot_be_drawn_is_refused_before_the_first_run(
 def test_what_draws_is_an_extra_of_its_own():
     extras = [r for r in requires('imu_calib') or [] if r.startswith('matplotlib')]
     assert {r.split('extra ==')[1].strip(' "\'') for r in extras} == {'plot', 'test', 'dev'}
+
+
+def test_a_plan_in_the_hand_is_of_a_unit_that_is_held(tmp_path):
+    free, held = 'free_positions', 'mems_counts'
+    true = {
+        n: imu_calib.Calibration.load(named_file('truths', n)) for n in (held, 'cao2022_table1')
+    }
+    done = imu_calib.simulate(free, tmp_path / 'bag', seed=1)
+    assert done.truth.imu.id == held
+    np.testing.assert_array_equal(done.truth.values, true[held].values)
+    assert imu_calib.montecarlo(free, runs=1).setup.imu.id == held
+    assert imu_calib.predict(free, held).std == imu_calib.predict(free, held, truth=held).std
+    on_table = imu_calib.simulate('static_six', tmp_path / 'table').truth
+    assert on_table.imu.id == 'fog_medium'
+    np.testing.assert_array_equal(on_table.values, true['cao2022_table1'].values)
 
 
 @pytest.mark.parametrize('plan', ['free_positions', 'six_position_by_hand'])
