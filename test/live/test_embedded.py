@@ -107,6 +107,27 @@ def test_a_stand_judges_a_unit_as_calibrate_does(finished, narrow, capsys):
     assert 'has no limits' in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures('narrow')
+def test_a_stand_judges_each_of_several_units(finished, tmp_path, capsys):
+    units = tmp_path / 'units.yaml'
+    listed = 'units:\n- {serial_number: A1, imu: %s}\n- {serial_number: B2, imu: wide.yaml}\n'
+    narrow = (finished / 'narrow.yaml').read_text()
+    (tmp_path / 'wide.yaml').write_text(narrow.replace('1 ppm', '1 %'))
+    words = [finished / 'short.yaml', '--imus', units, '--specification', '-o', tmp_path / 'two']
+    # A type without limits is refused before anything moves.
+    units.write_text(listed % (finished / 'bare.yaml'))
+    assert main(['stand', *map(str, words)]) == 2
+    assert 'has no limits' in capsys.readouterr().err and not (tmp_path / 'two').exists()
+    units.write_text(listed % (finished / 'narrow.yaml'))
+    ended = stand(*words)
+    assert ended.returncode == 3, ended.stderr
+    told = ' '.join(ended.stderr.split())
+    assert 'A1: The unit is outside its specification in K_gx, K_gy, K_gz' in told
+    assert 'B2' not in told
+    verdicts = dict(re.findall('^(A1|B2) .*(pass|marginal|fail)', ended.stdout, re.M))
+    assert verdicts == {'A1': 'fail', 'B2': 'pass'}
+
+
 def test_a_stand_prints_stated_noise_beside_the_measured(finished, tmp_path, capsys):
     arguments = build_parser().parse_args(['stand', str(finished / 'short.yaml'), '--verbose'])
     several.complete(arguments)
