@@ -64,9 +64,9 @@ def dimension_words(dimension: Dimension) -> str:
 
 def pattern(dimension: Dimension, sign: str = '') -> str:
     """Return the regular expression of a number with a unit, as ECMA 262 and Python read it."""
-    units = [unit.translate(_ESCAPED) for unit in dimension.value if not unit[0].isdigit()]
+    units = [unit.translate(_ESCAPED) for unit in dimension.spellings if not unit[0].isdigit()]
     # What begins with a digit would be part of the number.
-    spaced = [unit.translate(_ESCAPED) for unit in dimension.value if unit[0].isdigit()]
+    spaced = [unit.translate(_ESCAPED) for unit in dimension.spellings if unit[0].isdigit()]
     ways = [rf'\s*(?:{"|".join(units)})'] * bool(units) + [rf'\s+(?:{"|".join(spaced)})'] * bool(
         spaced
     )

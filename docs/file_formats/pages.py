@@ -57,7 +57,7 @@ def units() -> str:
     """Return the table of dimensions and the units that each may be written in."""
     rows = ['| quantity | units |', '|---|---|']
     for dimension in Dimension:
-        names = ', '.join(f'`{unit}`' for unit in dimension.value)
+        names = ', '.join(f'`{unit}`' for unit in dimension.spellings)
         rows.append(f'| {dimension_words(dimension)} | {names} |')
     return '\n'.join(rows)
 

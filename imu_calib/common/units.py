@@ -24,7 +24,7 @@ PPM = 1e-6  #: A ratio.
 _ANGLES: dict[str, float] = {'rad': 1.0, 'deg': DEG, 'arcmin': ARCMIN, 'arcsec': ARCSEC}
 """rad per unit."""
 _ACCELERATIONS: dict[str, float] = {
-    'm/s^2': 1.0,
+    **dict.fromkeys(('m/s^2', 'm/s2', 'm/s\u00b2'), 1.0),
     'g': STANDARD_GRAVITY,
     'mg': STANDARD_GRAVITY * 1e-3,
     'ug': MICRO_G,
@@ -34,8 +34,11 @@ _RATES: dict[str, float] = {
     f'{angle}/{time}': value / seconds
     for angle, value in _ANGLES.items()
     for time, seconds in {'s': 1.0, 'min': 60.0, 'h': HOUR}.items()
-} | {'dps': DEG, 'mdps': 1e-3 * DEG}
-"""rad/s per unit; the last two as data sheets of MEMS units have them."""
+} | {'\u00b0/s': DEG, 'dps': DEG, 'mdeg/s': 1e-3 * DEG, 'mdps': 1e-3 * DEG}
+"""rad/s per unit; the last four as data sheets of MEMS units have them."""
+_SHEET_RATES = {unit: _RATES[unit] for unit in ('deg/s', '\u00b0/s', 'dps', 'mdeg/s', 'mdps')}
+_SHEET_ACCELERATIONS = {unit: _ACCELERATIONS[unit] for unit in ('g', 'mg', 'ug', 'm/s^2')}
+"""Units of sensitivities in data sheets of MEMS units, which call a count LSB."""
 _VELOCITIES = {'m/s': 1.0, 'mm/s': 1e-3}  #: m/s per unit of a velocity.
 _ROOT_HOUR = math.sqrt(HOUR)
 
@@ -67,10 +70,10 @@ class Dimension(Enum):
     LENGTH = {'m': 1.0, 'mm': 1e-3, 'km': 1e3}
     RATIO = {'ppm': PPM, '%': 0.01}
     ANGLE_PER_PULSE = _per('pulse', _ANGLES)
-    RATE_PER_COUNT = _per('count', _RATES)
+    RATE_PER_COUNT = _per('count', _RATES) | _per('LSB', _SHEET_RATES)
     VELOCITY = _VELOCITIES
     VELOCITY_PER_PULSE = _per('pulse', _VELOCITIES)
-    ACCELERATION_PER_COUNT = _per('count', _ACCELERATIONS)
+    ACCELERATION_PER_COUNT = _per('count', _ACCELERATIONS) | _per('LSB', _SHEET_ACCELERATIONS)
     ANGLE_RANDOM_WALK = {
         'rad/sqrt(s)': 1.0,
         'deg/sqrt(s)': DEG,
@@ -109,6 +112,31 @@ class Dimension(Enum):
         'ug/sqrt(Hz)': MICRO_G,
         'mg/sqrt(Hz)': MICRO_G * 1e3,
     }
+
+    @property
+    def inverses(self) -> Mapping[str, float]:
+        """Units of its inverse, as 16384 LSB/g: the SI value of what they are per."""
+        return _INVERSES.get(self, {})
+
+    @property
+    def spellings(self) -> tuple[str, ...]:
+        """All accepted units."""
+        return (*self.value, *self.inverses)
+
+
+def _counts_per(units: Mapping[str, float]) -> dict[str, float]:
+    return {
+        spelling: value
+        for word in ('LSB', 'count')
+        for unit, value in units.items()
+        for spelling in (f'{word}/{unit}', f'{word}/({unit})')[: 1 + ('/' in unit)]
+    }
+
+
+_INVERSES = {
+    Dimension.RATE_PER_COUNT: _counts_per(_SHEET_RATES),
+    Dimension.ACCELERATION_PER_COUNT: _counts_per(_SHEET_ACCELERATIONS),
+}
 
 
 _QUANTITY = re.compile(r'^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*$', re.ASCII)
@@ -244,15 +272,21 @@ def parse(text: object, dimension: Dimension, key: str) -> float:
     Examples:
         >>> parse('180 deg', Dimension.ANGLE, 'mount')
         3.141592653589793
+        >>> parse('100 LSB/(m/s^2)', Dimension.ACCELERATION_PER_COUNT, 'scale_factor')
+        0.01
     """
     units: Mapping[str, float] = dimension.value
     match = _QUANTITY.match(text) if isinstance(text, str) else None
-    if match is None or match[2] not in units:
+    if match is None or match[2] not in dimension.spellings:
         raise InputError(
             f'{key}: found {text!r}, expected a number with a unit, one of {_listed(units)}.'
             f'{point_for_comma(text)}'
         )
-    value = float(match[1]) * units[match[2]]
+    number, unit = float(match[1]), match[2]
+    if unit in units:
+        value = number * units[unit]
+    else:
+        value = dimension.inverses[unit] / number if number else math.inf
     if not math.isfinite(value):
         raise InputError(f'{key}: found {text!r}, expected a finite number.')
     return value

@@ -23,6 +23,15 @@ from imu_calib.session.table import load_table
         ('15.041067 deg/h', Dimension.RATE, 7.292115e-5),
         ('2000 dps', Dimension.RATE, 34.9065850),
         ('8.75 mdps/count', Dimension.RATE_PER_COUNT, 1.527163095e-4),
+        ('17.5 mdps/LSB', Dimension.RATE_PER_COUNT, 3.05432619e-4),
+        ('17.5 mdeg/s/count', Dimension.RATE_PER_COUNT, 3.05432619e-4),
+        ('0.0175 deg/s/LSB', Dimension.RATE_PER_COUNT, 3.05432619e-4),
+        ('65.5 LSB/dps', Dimension.RATE_PER_COUNT, 2.66462480e-4),
+        ('65.5 LSB/(\u00b0/s)', Dimension.RATE_PER_COUNT, 2.66462480e-4),
+        ('16384 LSB/g', Dimension.ACCELERATION_PER_COUNT, 5.98550415e-4),
+        ('0.061 mg/LSB', Dimension.ACCELERATION_PER_COUNT, 5.98205650e-4),
+        ('9.8 m/s2', Dimension.ACCELERATION, 9.8),
+        ('9.8 m/s\u00b2', Dimension.ACCELERATION, 9.8),
         ('5 mdps/sqrt(Hz)', Dimension.ANGLE_RANDOM_WALK, 8.726646e-5),
         ('-90 deg', Dimension.ANGLE, -math.pi / 2),
         ('2 min', Dimension.TIME, 120.0),
@@ -36,6 +45,11 @@ def test_quantities_become_si(text, dimension, value):
 def test_what_is_no_quantity_of_the_kind_is_refused_with_key_and_units(text):
     with pytest.raises(InputError, match=r'gyro\.scale: found .*expected'):
         parse(text, Dimension.ANGLE_PER_PULSE, 'gyro.scale')
+
+
+def test_no_counts_per_unit_are_refused():
+    with pytest.raises(InputError, match=r"found '0 LSB/g', expected a finite number"):
+        parse('0 LSB/g', Dimension.ACCELERATION_PER_COUNT, 'gyro.scale')
 
 
 def test_pages_set_units_and_leave_names_alone():
