@@ -220,7 +220,10 @@ def _dwells(
 
 
 def _listed(session: Segmented, labelled: Labelled, *, free: bool) -> list[ListedSegment]:
-    """List dwells and turns by the first sample of the IMU, in order of time."""
+    """List dwells and turns by the first sample of the IMU, in order of time.
+
+    A dwell begins and ends half an interval beyond its samples: their stamps jitter.
+    """
     zero = session.start or 0
     by_plan = {} if free else {s.start: s.attitude for s in labelled.segments}
     found: list[tuple[SegmentKind, Segment | Turn, Any]] = [
@@ -231,9 +234,20 @@ def _listed(session: Segmented, labelled: Labelled, *, free: bool) -> list[Liste
     found += [(SegmentKind.TURN, turn, turn.up) for turn in session.turns]
     found.sort(key=lambda one: one[1].start)
     return [
-        ListedSegment(kind, (s.start - zero) * 1e-9, (s.end - zero) * 1e-9, up_words(up))
+        ListedSegment(
+            kind,
+            max((s.start - zero) * 1e-9 - beyond, 0.0),
+            (s.end - zero) * 1e-9 + beyond,
+            up_words(up),
+        )
         for kind, s, up in found
+        for beyond in [_half_interval(s) if kind is SegmentKind.HOLD else 0.0]
     ]
+
+
+def _half_interval(segment: Segment | Turn) -> float:
+    """Return half the sample interval of a segment, s."""
+    return segment.statistics.duration / segment.statistics.samples / 2
 
 
 def _up(segment: Segment, *, free: bool) -> Any:

@@ -331,7 +331,7 @@ def _largest_step(blocks: Floats, walk: float) -> _Step | None:
     )
 
 
-_SHORTEST_DWELL = 1.0  #: s: the settling of a shorter dwell costs more than the dwell gives.
+SHORTEST_DWELL = 1.0  #: s: the settling of a shorter dwell costs more than the dwell gives.
 _MOSTLY = 0.5  #: Share of saturated samples. A judgement: of a shock few samples are.
 _NOTHING: Stamps = np.empty(0, dtype=np.int64)
 
@@ -347,6 +347,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
     attitude_error: float = 0.0,
     *,
     left_out: Stamps = _NOTHING,
+    shortest: float = SHORTEST_DWELL,
 ) -> list[_DwellPart]:
     """Turn samples at rest into segments, or return the reasons for rejecting them.
 
@@ -361,17 +362,18 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
         attitude: (3, 3) R_nb from these angles; None without a table.
         attitude_error: Standard deviation of the attitude by the encoders' noise, rad.
         left_out: Stamps of frozen samples, ns: they do not count as missing.
+        shortest: Least time from the first to the last sample, s.
 
     Returns:
         In order of time; empty where the dwell was too short.
     """
     stamp = samples.stamp
-    if len(stamp) < 2 or (stamp[-1] - stamp[0]) * 1e-9 < _SHORTEST_DWELL:
+    if len(stamp) < 2 or (stamp[-1] - stamp[0]) * 1e-9 < shortest:
         return []
 
     def again(part: slice | NDArray[np.bool_], left_out: Stamps) -> list[_DwellPart]:
         arguments = samples.at(part), values[part], angles, attitude, attitude_error
-        return read_dwell(sensor, *arguments, left_out=left_out)
+        return read_dwell(sensor, *arguments, left_out=left_out, shortest=shortest)
 
     saturated = sensor.saturated(values, samples)
     # A saturated value repeats itself, too.
@@ -395,7 +397,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
             again(part, left_out) for part in (slice(0, start), slice(stop, len(stamp)))
         )
         return [*before, MountShift(int(stamp[start]), sound.mount_shift.angle), *after]
-    found = _sound_statistics(samples, sound, saturated, sensor.walk, left_out)
+    found = _sound_statistics(samples, sound, saturated, sensor.walk, left_out, shortest)
     if isinstance(found, str):
         return [Rejected(int(stamp[0]), int(stamp[-1]), found)]
     statistics, used, notes = found
@@ -422,14 +424,19 @@ def _with_note(note: str, found: _DwellPart) -> _DwellPart:
 
 
 def _sound_statistics(
-    samples: Samples, sound: Sound, saturated: NDArray[np.bool_], walk: Floats, left_out: Stamps
+    samples: Samples,
+    sound: Sound,
+    saturated: NDArray[np.bool_],
+    walk: Floats,
+    left_out: Stamps,
+    shortest: float,
 ) -> tuple[Statistics, Stamps, tuple[str, ...]] | str:
     """Estimate over the sound part of a static dwell, or return why it is impossible."""
     notes = list(sound.notes)
     if saturated.any():
         notes.append(f'{counted(int(saturated.sum()), "sample is", "samples are")} saturated')
     kept = samples.at(sound.mask)
-    if len(kept.stamp) * samples.period < _SHORTEST_DWELL:
+    if len(kept.stamp) * samples.period < shortest:
         return '; '.join(notes) or 'too little of it was quiet'
     gaps = gap_free(samples.stamp, samples.period)
     missing = _missing(samples, gaps, left_out)
@@ -445,7 +452,7 @@ def _sound_statistics(
         ).tolist()
         n = len(kept.stamp)
         kept = kept.part(0, first) if first >= n - last else kept.part(last, n)
-        if len(kept.stamp) * samples.period < _SHORTEST_DWELL:
+        if len(kept.stamp) * samples.period < shortest:
             return f'the unit was moved: {what}'
         statistics = statistics_at_rest(kept, walk)
         notes.append(f'{what}: the unit was moved; only the longer part is used')

@@ -17,7 +17,7 @@ from ..common.units import DEG
 from ..session.segments_file import ListedSegments, SegmentKind
 from ..session.table import TURN, Table
 from .clock import FARTHEST, ClockSample, MeasuredShare, cells, clock_sample, measured_share
-from .dwells import read_dwell
+from .dwells import SHORTEST_DWELL, read_dwell
 from .gaps import LONGEST, Bridged, bridged
 from .intake import StreamBuffer
 from .moves import MoveReader
@@ -33,6 +33,9 @@ from .turns import MARGIN_NS, MotionReadings, read_free_motion, read_turns
 _NEAR = 20_000_000
 """ns by which a hold may reach beyond the rest of the table: times in a file are in milliseconds,
 and joint states may come at 50 Hz."""
+_INTERVALS = 1.5
+"""Sample intervals by which a listed hold may last less than the shortest: the one after its last
+sample, and a half by which the interval may be judged anew."""
 _NO_ANGLES = np.empty((0, 0))
 _NO_STAMPS: Stamps = np.empty(0, np.int64)
 
@@ -311,9 +314,20 @@ class IntervalReader:
             self.rounding.check_dwell(delivered)
             found = []
             if self.choice is None or self.choice.has_hold_at(stamp[piece]):
+                # What was found before, and listed, ends at its last sample.
+                less = 0.0 if self.choice is None else _INTERVALS * whole.samples.period
                 found = read_dwell(
-                    self.sensor, whole.samples, delivered, rest.angles, attitude, rest.angle_error
+                    self.sensor,
+                    whole.samples,
+                    delivered,
+                    rest.angles,
+                    attitude,
+                    rest.angle_error,
+                    shortest=SHORTEST_DWELL - less,
                 )
+                if self.choice is not None and not found:
+                    ends = int(stamp[piece][0]), int(stamp[piece][-1])
+                    found = [Rejected(*ends, 'less than 1 s of it holds samples')]
             self.moves.dwell(whole.samples, delivered, found)
             self.found.store(found)
 

@@ -16,7 +16,8 @@ from pathlib import Path
 from ..common.errors import InputError
 from ..common.files import read_text, user_path, write_whole
 
-SHORTEST = 1.0  #: s: the settling of a shorter hold costs more than it gives.
+_SHORTEST = 1.0  #: s: the settling of a shorter hold costs more than it gives.
+_ROUNDED = 0.05  #: s: a hold that is found may be half a sample shorter, at 10 Hz or faster.
 _HEADINGS = ('kind', 'start', 'end', 'attitude')
 
 
@@ -120,10 +121,10 @@ def _segment(where: str, cells: dict[str, str]) -> ListedSegment:
             f'{where}: kind: found {cells.get("kind", "")!r}, expected {" or ".join(kinds)}.'
         )
     start, end = (_seconds(where, key, cells.get(key, '')) for key in ('start', 'end'))
-    if not end - start >= SHORTEST:
+    if not end - start >= _SHORTEST - _ROUNDED:
         raise InputError(
-            f'{where}: end: found {end:g}, expected {start + SHORTEST:g} or more: '
-            f'{SHORTEST:g} s after the start.'
+            f'{where}: end: found {end:g}, expected {start + _SHORTEST:g} or more: '
+            f'{_SHORTEST:g} s after the start.'
         )
     return ListedSegment(SegmentKind(cells['kind']), start, end, cells.get('attitude', ''))
 

@@ -5,6 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hand_sessions import spread_holds
+from mems_by_hand import SPEC, unit
+from sessions import SITE
 
 import imu_calib
 from imu_calib.cli.main import main
@@ -61,6 +64,26 @@ def test_a_file_as_it_was_written_gives_the_result_of_the_search(hand, tmp_path)
     assert (moved <= 0.5 * found.calibration.std + 1e-12).all()
     assert again.calibration.provenance['segments_file'] == 'found.csv'
     assert 'found.csv' in ' '.join(again.calibration.findings)
+
+
+def test_holds_of_one_second_with_late_stamps_are_used_as_they_were_written(tmp_path):
+    log, file = tmp_path / 'log.csv', tmp_path / 'found.csv'
+    blocks = list(spread_holds(20).blocks(SPEC, unit(0), SITE))
+    stamps = np.concatenate([block.stamp for block in blocks]) // 1000
+    late = np.random.default_rng(0).integers(0, 2000, len(stamps))
+    rows = np.vstack([np.hstack([block.gyro, block.accel]) for block in blocks])
+    np.savetxt(log, np.column_stack([stamps - stamps[0] + late, rows]), fmt='%d', delimiter=',')
+    columns = {'stamp': '1:us', 'gyro': '2,3,4:count', 'accel': '5,6,7:count', **HAND}
+    options = [f'--{name}={value}' for name, value in columns.items()]
+    assert main(['info', str(log), *options, '--segments', str(file)]) == 0
+    found, again = (imu_calib.calibrate(log, **columns, **s) for s in ({}, {'segments': file}))
+    np.testing.assert_allclose(holds_of(again), holds_of(found), rtol=0, atol=1e-6)
+    with file.open(newline='') as lines:
+        rows = [{**row, 'end': f'{float(row["start"]) + 1:.3f}'} for row in csv.DictReader(lines)]
+    # A hundred samples lie 0.99 s apart.
+    used = holds_of(imu_calib.calibrate(log, segments=edited(file, rows), **columns))
+    np.testing.assert_allclose(used[:, 0], holds_of(found)[:, 0], rtol=0, atol=1e-3)
+    np.testing.assert_allclose(used[:, 1] - used[:, 0], 0.99, rtol=0, atol=2e-3)
 
 
 def test_holds_in_the_hand_are_removed_moved_and_added(hand, tmp_path):
