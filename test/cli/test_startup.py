@@ -352,6 +352,18 @@ def test_bytes_without_a_frame_are_another_device_after_a_greeting():
     assert word.text.startswith('Bytes are received, but no frame of the format simulated')
 
 
+def test_lines_of_text_are_told_from_another_device():
+    reception = Reception(SIMULATED, FOG)
+    for second in (10, 11):
+        lines = b'1234670,95,15934,1061,-383,-324,705\r\n' * 20
+        # At first the boot loader speaks at another baud rate.
+        data = b'\x80\xff' * 30 + lines if second == 10 else lines
+        reception.decode_chunks([Chunk(data, second * NS, second * NS)], second * NS, second)
+    word = format_status(reception, 11.0)
+    assert word.severity is Severity.ERROR
+    assert 'no frame of the format simulated: they are lines of text. Log them to a' in word.text
+
+
 @pytest.mark.parametrize('data', [b'', b'U' * 100])
 def test_a_recording_without_a_frame_is_one_of_another_device(data):
     reception = Reception(SIMULATED, FOG)

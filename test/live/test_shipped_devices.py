@@ -485,14 +485,31 @@ def test_every_real_device_has_an_imu_that_says_what_its_numbers_are():
     assert units == {'kvh_1750': Units.SI, 'stim300': Units.PULSES, 'xsens_mti': Units.SI}
 
 
-def test_the_device_that_the_documentation_writes_down_reads_the_frame_beside_it():
-    text = (CHECKOUT / 'docs' / 'devices.md').read_text()
+def documented(page):
+    """Text of a page, and the format and the IMU that it writes down."""
+    text = (CHECKOUT / 'docs' / page).read_text()
 
     def block(name):
         found = re.search(rf'<!-- {name} -->\n```yaml\n(.*?)```', text, re.DOTALL)
         return Section.parse(found[1], name)
 
-    form, imu = read_format(block('device')), read_imu(block('imu'))
+    return text, read_format(block('device')), read_imu(block('imu'))
+
+
+def test_the_device_at_home_reads_what_its_sketch_sends():
+    _, form, imu = documented('at_home.md')
+    # Little-endian micros() of the board, then the registers from 0x3B on, high byte first.
+    body = struct.pack('<I', 5000) + struct.pack('>7h', 0, 0, 16384, -2218, 655, 0, -6550)
+    samples = Decoder(form).decode_bytes(b'\xaa\x55' + body + bytes([sum(body) & 255]))
+    assert samples.time[0] * form.time.unit == 5_000_000
+    assert samples.celsius[0] == pytest.approx(30.0, abs=0.01)
+    rate = np.degrees(samples.gyro[0] * imu.gyro.scale_factor)
+    np.testing.assert_allclose(rate, [10, 0, -100], rtol=1e-9)
+    np.testing.assert_allclose(samples.accel[0] * imu.accel.scale_factor, [0, 0, 9.80665])
+
+
+def test_the_device_that_the_documentation_writes_down_reads_the_frame_beside_it():
+    text, form, imu = documented('devices.md')
     frame = bytes.fromhex(re.search(r'<!-- frame -->\n +([0-9A-F ]+)\n', text)[1])
     samples = Decoder(form).decode_bytes(frame)
     assert len(samples) == 1

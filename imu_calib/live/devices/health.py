@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -97,6 +98,11 @@ _DRIFT_TOLERANCE = 500.0
 _STRANGE = 20
 """Bytes, in frames, that contain a frame if the device is the described one."""
 
+_PRINTABLE = re.compile(rb'[\t\r\n -~]')
+_OF_TEXT = 0.9
+"""Share of printable bytes in lines of text: of random bytes they are 38 %, and a boot loader may
+greet at another baud rate. A judgement."""
+
 _GREETING = 0.5
 """s: longest output of a device before its frames. A judgement: 5 kB at 115200 bit/s, ten times the
 output of a boot loader."""
@@ -141,6 +147,8 @@ class Health:
         self._nominal = nominal
         self._gap_timeout = gap_timeout
         self._bytes = 0
+        self._printable = 0
+        self._lines = 0
         self._first_bytes: float | None = None
         self._last_bytes: float | None = None
         self._received_at: int | None = None
@@ -187,6 +195,12 @@ class Health:
         longest = float(np.diff(elapsed, prepend=before).max()) / NS
         if longest > self._gap_timeout:
             self._gap = longest
+
+    def note_text(self, data: bytes) -> None:
+        """Note which of the bytes received before the first frame are text."""
+        if self._received_at is None:
+            self._printable += len(_PRINTABLE.findall(data))
+            self._lines += data.count(b'\n')
 
     def _collect_faults(self, samples: Samples) -> None:
         if not samples.faults.any():
@@ -338,11 +352,19 @@ class Health:
     def _what_comes(self, state: ReaderState, steady: float) -> PartStatus:
         """Return whether the data agrees with the files of device and IMU."""
         if self._received_at is None and (what := self._strange(state, steady)):
+            why = (
+                'it is another device, set up differently, or the baud rate is wrong. Set it up as '
+                'the top of its file says.'
+            )
+            if self._lines and self._printable >= _OF_TEXT * self._bytes:
+                why = (
+                    'they are lines of text. Log them to a file for imu-calib calibrate '
+                    '(docs/recordings.md), or let the device send binary frames (docs/at_home.md).'
+                )
             return PartStatus(
                 'format',
                 Severity.ERROR,
-                f'{what} no frame of the format {self._format.name}: it is another device, set up '
-                'differently, or the baud rate is wrong. Set it up as the top of its file says.',
+                f'{what} no frame of the format {self._format.name}: {why}',
             )
         if self._misfit:
             return PartStatus('format', Severity.ERROR, self._misfit)
@@ -466,6 +488,7 @@ class Reception:
         if self._simulated and len(samples) and self.clock.offset is not None:
             # Frames are sent before the clock that they reach up to.
             now = max(now, self.clock.offset + int(elapsed[-1]))
+        self.health.note_text(data)
         self.health.add_received(samples, elapsed, len(data), now, steady)
         return samples, elapsed
 
