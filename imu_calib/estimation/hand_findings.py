@@ -19,7 +19,7 @@ import numpy as np
 from ..common.errors import Contradiction, InputError
 from ..common.finding import warning
 from ..common.stream import Floats
-from ..common.units import DEG, STANDARD_GRAVITY, significant
+from ..common.units import DEG, HOUR, STANDARD_GRAVITY, significant
 from ..model.parameters import AXES
 from ..model.sensors import SensorModel, Triad, wrong_turns_sentences
 from ..model.session_terms import session_term
@@ -34,9 +34,10 @@ in half a turn."""
 _BETTER = 3.0
 """Factor by which exchanged axes or other units must fit better to be named. A judgement: the right
 one leaves the few degrees of `_ASTRAY`, the wrong one some ninety."""
-_UNITS = (1.0, 1 / DEG, DEG, 2.0, 0.5)
-"""Responses of gyros in rad/s where deg/s are stated as rad/s or rad/s as deg/s, and where half or
-twice the rate of the samples, or the next range of a converter, is stated."""
+_UNITS = (1.0, 1 / DEG, DEG, 2.0, 0.5, 1e-3, 1e3, 1 / HOUR, HOUR)
+"""Responses of gyros in rad/s where deg/s are stated as rad/s or rad/s as deg/s, where half or
+twice the rate of the samples, or the next range of a converter, is stated, and where units of
+1/1000 (mdps) or of an hour are confused."""
 
 _AROUND = np.geomspace(0.8, 1.25, 41).tolist()
 """Of a named response, by 1.1 %: from those in `_UNITS` to those that are solved and reported."""
@@ -47,7 +48,7 @@ def check_turns(evidence: Evidence, model: SensorModel) -> None:
 
     The attitudes have the ups of the accelerometers; only the gyro biases of the model are used.
 
-    All exchanges and signs of axes, in rad/s and in deg/s, are tried; the one with the fewest
+    All exchanges and signs of axes, in rad/s and in other units, are tried; the one with the fewest
     changes of those that fit is named. If none fits, this function does not raise.
 
     Raises:

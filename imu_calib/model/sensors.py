@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..common.errors import NotObservable
 from ..common.stream import Floats
-from ..common.units import DEG, STANDARD_GRAVITY
+from ..common.units import DEG, HOUR, STANDARD_GRAVITY
 from .parameters import (
     AXES,
     MOST_SKEWED,
@@ -519,6 +519,10 @@ _MISTAKES = {
         **_RANGES,
         1 / DEG: 'Rates in deg/s, stated as rad/s,',
         DEG: 'Rates in rad/s, stated as deg/s,',
+        1e-3: 'Rates in deg/s, stated as mdps,',
+        1e3: 'Rates in mdps, stated as deg/s,',
+        1 / HOUR: 'Rates in deg/s, stated as deg/h,',
+        HOUR: 'Rates in deg/h, stated as deg/s,',
     },
     'accelerometers': {
         **_RANGES,
