@@ -16,9 +16,9 @@ from ..session.imu import check_live
 from ..session.table import Table
 from .frames import pack
 from .imu import SimulatedImu
-from .motion import MEMORY, Motion
+from .motion import MEMORY, Motion, Ringing
 from .options import StandOptions
-from .stand import SimulatedUnit, instants
+from .stand import SimulatedUnit, instants, jittered, ringing, shaking
 from .table import SimulatedTable, TableState
 
 # Present faults of simulated hardware, set by commands in words.
@@ -239,7 +239,7 @@ class SimulatedHardware:
         Raises:
             InputError: The table or an option cannot be simulated.
         """
-        table_rng, imu_rng, rng = np.random.default_rng(seed).spawn(3)
+        table_rng, imu_rng, rng, self._jitter, self._mounting = np.random.default_rng(seed).spawn(5)
         self._options = options
         self._table = SimulatedTable(table, options, table_rng, epoch=options.start_time)
         self._phase = float(rng.uniform())
@@ -256,6 +256,8 @@ class SimulatedHardware:
         self._faults = TableFaults()
         self._waiting: deque[tuple[float, Setpoint]] = deque()
         self._stands = False
+        self._rings: list[Ringing] = []
+        self._shaking = shaking(options.shake, self._mounting)
         self.time = 0.0
         self._long_step = 0.0
         self.refusals: list[str] = []
@@ -319,15 +321,26 @@ class SimulatedHardware:
         rate = self._faults.joint_rate or self._options.joint_state_rate
         times = instants(begin, end, rate, self._phase)
         angles, rates = self._table.read(times)
+        times = jittered(times, self._options.joint_stamp_jitter, rate, self._jitter)
         stamps = self._options.start_time + np.rint(times * 1e9).astype(np.int64)
         joints = JointBlock(stamps, self._table.table.names, angles, rates)
-        motion = self._table.motion(end)
+        motion = self._vibrating(self._table.motion(end), begin, end)
         lines = tuple(line.bytes_up_to(end, begin, motion) for line in self._lines)
         self._table.drop_before(begin - MEMORY)
         self.time = end
         # Within a shorter one a setpoint is as old as its sender lets it become.
         self._long_step = seconds if seconds > self._options.setpoint_timeout else 0.0
         return Output(joints, lines)
+
+    def _vibrating(self, motion: Motion, begin: float, end: float) -> Motion:
+        """Return a motion with the ringing after the last stops, and the floor's vibration."""
+        vibration, rest = self._options.vibration, self._table.rest_time
+        if (vibration.rate or vibration.force) and begin < rest <= end:
+            self._rings.append(ringing(vibration, rest, self._mounting))
+        self._rings = [ring for ring in self._rings if not ring.has_decayed(begin)]
+        if not self._rings and self._shaking is None:
+            return motion
+        return replace(motion, ringing=tuple(self._rings), shaking=self._shaking)
 
     def _command_table(self) -> None:
         faults = self._faults

@@ -193,6 +193,10 @@ class Ringing:
         swing = np.sin(2 * math.pi * self.frequency * elapsed)
         return np.asarray(np.exp(-elapsed / self.decay) * swing)
 
+    def has_decayed(self, time: float) -> bool:
+        """Return whether it is below rounding at a time, s: exp(-40) is 4e-18."""
+        return time >= self.time + 40 * self.decay
+
 
 @dataclass(frozen=True, eq=False)
 class Shaking:
@@ -403,7 +407,7 @@ class Motion:
 
     def _add_ringing(self, edges: Floats, angle: Floats, velocity: Floats) -> None:
         for ring in self.ringing:
-            if ring.time < edges[-1] and edges[0] < ring.time + 40 * ring.decay:
+            if ring.time < edges[-1] and not ring.has_decayed(edges[0]):
                 change = np.diff(ring.course(edges))[:, None]
                 angle += change * ring.angle
                 velocity += change * ring.velocity

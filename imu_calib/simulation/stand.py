@@ -26,7 +26,7 @@ from ..session.plan import Plan, Step
 from ..session.table import Table
 from .imu import SimulatedImu
 from .motion import Motion, Ringing, Shaking, Track, side_by_side, trapezoid
-from .options import Shake, Shock, StandOptions
+from .options import Shake, Shock, StandOptions, Vibration
 from .table import SimulatedTable
 
 SETPOINT_TOPIC = 'turntable/setpoint'
@@ -147,18 +147,10 @@ class SimulatedStand:
     def _true_motion(self, rng: np.random.Generator) -> Motion:
         motion = self._table.motion(self.duration)
         vibration = self.options.vibration
-        swing = 2 * math.pi * vibration.frequency
-        rings = []
-        for visit in self.visits:
-            angle, velocity = rng.standard_normal((2, 3))
-            angle *= vibration.rate / swing / np.linalg.norm(angle)
-            velocity *= vibration.force / swing / np.linalg.norm(velocity)
-            rings.append(Ringing(visit.rest, angle, velocity, vibration.frequency, vibration.decay))
+        rings = tuple(ringing(vibration, visit.rest, rng) for visit in self.visits)
         if vibration.rate or vibration.force:
-            motion = replace(motion, ringing=tuple(rings))
-        shake = self.options.shake
-        if shake.rate or shake.force:
-            motion = replace(motion, shaking=_shaking(shake, rng.spawn(1)[0]))
+            motion = replace(motion, ringing=rings)
+        motion = replace(motion, shaking=shaking(self.options.shake, rng))
         return motion if self.options.shock is None else _shocked(motion, self.options.shock)
 
     def _setpoint(self, step: Step, stamp: int) -> Setpoint:
@@ -183,11 +175,7 @@ class SimulatedStand:
         rate = self.options.joint_state_rate
         times = instants(begin, end, rate, self._joint_phase)
         angles, rates = self._table.read(times)
-        stamped = times
-        if self.options.joint_stamp_jitter:
-            noise = self._joint_jitter.standard_normal(len(times))
-            jitter = self.options.joint_stamp_jitter * noise
-            stamped = times + np.clip(jitter, -0.45 / rate, 0.45 / rate)
+        stamped = jittered(times, self.options.joint_stamp_jitter, rate, self._joint_jitter)
         return JointBlock(self._stamps(stamped), self._table.table.names, angles, rates)
 
     def _temperatures(self, begin: float, end: float) -> TemperatureBlock:
@@ -236,8 +224,27 @@ def instants(begin: float, end: float, rate: float, phase: float) -> Floats:
     return times[(times >= begin) & (times < end)]
 
 
-def _shaking(shake: Shake, rng: np.random.Generator) -> Shaking:
+def jittered(times: Floats, std: float, rate: float, rng: np.random.Generator) -> Floats:
+    """Return the times of stamps that scatter by `std` s, up to 0.45 of their spacing."""
+    if not std:
+        return times
+    return times + np.clip(std * rng.standard_normal(len(times)), -0.45 / rate, 0.45 / rate)
+
+
+def ringing(vibration: Vibration, time: float, rng: np.random.Generator) -> Ringing:
+    """Draw the directions of the ringing after a stop at a time, s."""
+    swing = 2 * math.pi * vibration.frequency
+    angle, velocity = rng.standard_normal((2, 3))
+    angle *= vibration.rate / swing / np.linalg.norm(angle)
+    velocity *= vibration.force / swing / np.linalg.norm(velocity)
+    return Ringing(time, angle, velocity, vibration.frequency, vibration.decay)
+
+
+def shaking(shake: Shake, parent: np.random.Generator) -> Shaking | None:
     """Draw the tones of a vibration, enough of them to resemble noise within the band."""
+    if not (shake.rate or shake.force):
+        return None
+    rng = parent.spawn(1)[0]
     frequency = rng.uniform(shake.lowest, shake.highest, _TONES)
     swing = 2 * math.pi * frequency[:, None]
     # The directions are random, the root mean square about each axis is as stated.
