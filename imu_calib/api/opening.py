@@ -28,6 +28,7 @@ from ..session.segments_file import read_segments
 from .recorded import Recorded, recording_at
 from .session import (
     contradicted_latitude,
+    contradicted_type,
     corrected_serial,
     gravity_as_exact,
     mounted_on,
@@ -218,6 +219,7 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
     steps = load_plan('free_positions') if plan is None else plan
     statements = (*([] if known else [ASSUMED_SI]), *([] if plan else [ASSUMED_BY_HAND]))
     statements += (*corrected_serial(stated), *contradicted_latitude(stated, recording))
+    statements += contradicted_type(stated, recording, streams.imu)
     rate = rows_per_second(stated.rate)
     if rate is not None:
         shown = 'K_a' if imu.units.per_interval else 'K_g'

@@ -24,7 +24,7 @@ from ..common.files import named_file, shipped
 from ..common.finding import Finding, warning
 from ..common.units import DEG
 from ..model.earth import MEASURED, VAGUE, Site
-from ..session.imu import ImuSpec, read_imu
+from ..session.imu import GENERIC, ImuSpec, read_imu
 from ..session.keywords import NO_PLAN, Named, Option, Stated, as_imu, as_plan
 from ..session.metadata import (
     PLAN,
@@ -324,6 +324,27 @@ def contradicted_latitude(stated: Stated, recording: Recording) -> tuple[str, ..
             f'The recording states latitude {own:.6g}, and {stated.latitude:.6g} is used as given: '
             'gravity, and so every K_a, and the Earth rate follow from it. Leave `latitude` out if '
             'the recording is right.'
+        ),
+    )
+
+
+def contradicted_type(stated: Stated, recording: Recording, topic: str) -> tuple[str, ...]:
+    """Return a warning that the recording itself states another type of IMU than is stated.
+
+    A description of the same type may replace the recorded one: it has another text, or units.
+    """
+    text = described_imu(recording.custom_data, topic)
+    if stated.imu is None or text is None:
+        return ()
+    own = read_imu(Section.parse(text, f'{recording.path}: its IMU')).id
+    given = as_imu(stated.imu).id
+    if own in {given, GENERIC}:
+        return ()
+    return (
+        warning(
+            f'The recording is of a {own}, and `imu` states a {given}: the noise, and the limits '
+            f'of the specification, are those of a {given}. Leave `imu` out, or give a file of '
+            f'type {own}.'
         ),
     )
 

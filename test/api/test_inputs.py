@@ -2,6 +2,7 @@
 
 import hashlib
 import platform
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -171,6 +172,16 @@ def test_a_latitude_that_the_recording_contradicts_is_a_warning(hand, expected):
     assert text in ' '.join(imu_calib.verify(hand, expected, latitude=50.0).findings)
     same = imu_calib.calibrate(hand, plan='free_positions', latitude=48.14)
     assert 'states latitude' not in ' '.join(same.calibration.findings)
+
+
+def test_limits_of_another_type_than_the_recordings_are_a_warning(hand, tmp_path):
+    def findings(imu):
+        return ' '.join(imu_calib.calibrate(hand, imu=imu).calibration.findings)
+
+    own = imu_calib.load_imu('mems_counts')
+    said = 'The recording is of a mems_counts, and `imu` states a '
+    assert f'{said}wider: the noise, and the limits' in findings(replace(own, id='wider'))
+    assert said not in findings(replace(own, sample_rate=90.0))
 
 
 def test_a_frame_is_verified_and_compensated_as_its_recording(hand, frame, expected, tmp_path):
