@@ -28,7 +28,14 @@ from ..session.imu import ImuSpec
 from ..session.keywords import Named, OnStand, Stated, with_keywords
 from ..session.plan import Plan
 from ..session.table import Table
-from ..simulation.options import DAY, StandOptions, load_imperfections
+from ..simulation.options import (
+    DAY,
+    BiasStep,
+    StandOptions,
+    ThermalDrift,
+    WarmUp,
+    load_imperfections,
+)
 from ..simulation.true_table import TrueTable
 from .session import TRUE_TABLE, SimulatedHardware
 
@@ -173,6 +180,37 @@ def has_simulated_hands(setup: Setup) -> bool:
 def true_table_of(imperfections: Named, table: Table | None, seed: int) -> TrueTable | None:
     """Return the simulated table where imperfections differ from its description."""
     return load_imperfections(imperfections, StandOptions(), table, seed).true
+
+
+def truth_in_session(
+    true: Calibration, found: Calibration, imperfections: Named, table: Table | None
+) -> tuple[Calibration, list[str]]:
+    """Return the true parameters at the temperature of a session, and what they leave out.
+
+    Args:
+        true: As stated, at the reference temperature of the imperfections.
+        found: The result of the session, at its mean temperature.
+        imperfections: Of the simulated unit.
+        table: Description of the table; None in a hand.
+    """
+    options = load_imperfections(imperfections, StandOptions(), table, 0)
+    notes = []
+    excess = 0.0
+    if (seen := found.provenance.get('temperature')) is not None:
+        excess = float(seen['mean']) - options.warming.reference
+    if excess and options.thermal_drift != ThermalDrift():
+        true = replace(true, model=options.thermal_drift.on(true.model, excess))
+        notes.append(
+            f'The truth above is that of {seen["mean"]:.2f} degC, the mean of the session; '
+            f'truth.yaml has it at {options.warming.reference:g} degC.'
+        )
+    parts = {'warm-up': options.warm_up != WarmUp(), 'step': options.bias_step != BiasStep()}
+    if left_out := ' and '.join(name for name, there in parts.items() if there):
+        notes.append(
+            f'The truth above is that without the {left_out} of the biases, which the imperfections'
+            ' add: error/std of D_g and D_a contains them.'
+        )
+    return true, notes
 
 
 # Journals of live sessions: whether one is complete, and when it ends.

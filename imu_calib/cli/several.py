@@ -26,6 +26,7 @@ from ..reports.assessment import assess, worst
 from ..reports.plain_table import plain_table
 from ..session.imu import load_imu
 from ..session.plan import load_plan
+from ..session.table import load_table
 from ..session.units_file import PULSES, TRUTHS, MountedUnit, load_units, remaining
 from .options import refuse_with_imus
 from .terminal import OUTPUT, print_findings, print_whole
@@ -207,7 +208,7 @@ def print_results(
         cells = [serial, found.imu.id, str(found.provenance['samples']), _least(found)]
         cells.append('' if verdict is None else verdict.value)
         if serial in true:
-            cells.append(f'{_largest_error(found, true[serial]):.2f}')
+            cells.append(f'{_largest_error(arguments, found, true[serial]):.2f}')
         rows.add_row(*cells)
     if missing:
         words = f'No calibration of {", ".join(missing)}. {text}'.strip()
@@ -240,7 +241,13 @@ def _least(found: Calibration) -> str:
     return f'{parameter.name} \u00b1{significant(std / shown.scale, 3)} {shown.unit}'
 
 
-def _largest_error(found: Calibration, true: Calibration) -> float:
+def _largest_error(arguments: argparse.Namespace, found: Calibration, true: Calibration) -> float:
+    if arguments.imperfections:
+        # Loaded here: most of the command needs no forecast of a session.
+        from ..api.stand import truth_in_session
+
+        table = load_table(arguments.table)
+        true, _ = truth_in_session(true, found, arguments.imperfections, table)
     error = found.values - true.model.values(found.parameters)
     known = found.std > 0
     return float(max(abs(error[known] / found.std[known]), default=0.0))

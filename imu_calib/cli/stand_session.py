@@ -24,6 +24,7 @@ from ..api.stand import (
     has_simulated_hands,
     setup_of_stand,
     true_table_of,
+    truth_in_session,
 )
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError, NotObservable
@@ -174,8 +175,13 @@ def _print_result(
     true = truth.get('')
     if true is not None:
         true.save(folder / 'truth.yaml')
+    hints = _true_table_hint(arguments, folder)
+    if true is not None and arguments.imperfections:
+        table = None if load_plan(arguments.plan).by_hand else load_table(arguments.table)
+        true, of_unit = truth_in_session(true, calibration, arguments.imperfections, table)
+        hints += of_unit
     show_calibration(calibration, true, verbose=arguments.verbose)
-    findings = [*_true_table_hint(arguments, folder), *calibration.findings]
+    findings = [*hints, *calibration.findings]
     print_findings(findings, verbose=arguments.verbose, room=ROOM)
     print_text(
         f'{outcome.duration:.0f} s of the stand in {seconds:.0f} s; recording: '

@@ -14,6 +14,7 @@ from ..common.errors import InputError
 from ..common.keys import key, part, read_onto, read_part, record
 from ..common.stream import NS, Floats
 from ..common.units import ARCSEC, Dimension
+from ..model.sensors import SensorModel, Triad
 from ..session.table import TURN, Table
 from .true_table import TableSizes, TrueTable
 
@@ -203,6 +204,17 @@ class ThermalDrift:
     gyro_scale: Channels = _per_kelvin('gyro', Dimension.RATIO_PER_KELVIN, '0 ppm/K')
     accel_bias: Channels = _per_kelvin('accelerometer', Dimension.ACCELERATION_PER_KELVIN, '0 ug/K')
     accel_scale: Channels = _per_kelvin('accelerometer', Dimension.RATIO_PER_KELVIN, '0 ppm/K')
+
+    def on(self, model: SensorModel, excess: float) -> SensorModel:
+        """Return a model that holds at the reference as it is so much above it, K."""
+        gyro = _warmed(model.gyro, excess, self.gyro_scale, self.gyro_bias)
+        accel = _warmed(model.accel, excess, self.accel_scale, self.accel_bias)
+        return replace(model, gyro=gyro, accel=accel)
+
+
+def _warmed(triad: Triad, excess: float, scale: Channels, bias: Channels) -> Triad:
+    gain = 1 + excess * np.broadcast_to(scale, 3)[:, None]
+    return Triad(gain * triad.response - np.eye(3), triad.bias + excess * np.broadcast_to(bias, 3))
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """`imu_calib.stand`: a simulated stand from Python."""
 
 import argparse
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from live import LIMIT, short_plan
 
 import imu_calib
 from imu_calib.api.session import TRUE_TABLE
+from imu_calib.api.stand import truth_in_session
 from imu_calib.cli import resume, stand_session
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError, NotObservable
@@ -39,6 +41,23 @@ def test_a_stand_is_run_to_its_calibration(tmp_path):
     assert (np.abs(off) < LIMIT * found.calibration.std[:3]).all()
     with pytest.raises(InputError, match='exists already; recordings are not overwritten'):
         imu_calib.stand('twelve_position', folder)
+
+
+def test_the_truth_beside_a_result_is_that_of_its_temperature(tmp_path):
+    """K_gy of a unit with 2 ppm/K was 12 standard deviations off the truth at 25 degC."""
+    file = tmp_path / 'warm.yaml'
+    file.write_text(
+        'temperature: {offset: 2 K, gyro: {scale_factor: 2 ppm/K}, warm_up: {gyro: 1 deg/h}}'
+    )
+    true = imu_calib.Calibration.load(named_file('truths', 'cao2022_table1'))
+    found = replace(true, provenance={'temperature': {'mean': 27.0}})
+    there, notes = truth_in_session(true, found, file, None)
+    wanted = true.values[:3] + 4e-6 * (1 + true.values[:3])
+    assert there.values[:3] == pytest.approx(wanted, abs=1e-12)
+    assert 'that of 27.00 degC' in notes[0] and 'truth.yaml has it at 25 degC' in notes[0]
+    assert 'without the warm-up of the biases' in notes[1]
+    file.write_text('stamps: {jitter: 0.1 ms}')
+    assert truth_in_session(true, found, file, None) == (true, [])
 
 
 def test_it_says_what_the_command_says(tmp_path, capsys):

@@ -307,6 +307,22 @@ def test_biases_fade_step_and_follow_the_temperature_as_stated():
     assert np.abs(hot - still - rise).max() < 2e-4 * np.abs(rise).max()
 
 
+def test_a_unit_above_the_reference_is_one_of_other_parameters():
+    scale = (1e-5, -2e-5, 3e-5)
+    drift = ThermalDrift(1 * DEG_H, scale, (2 * MICRO_G, 0.0, MICRO_G), 4e-6)
+    quiet = replace(EXACT, noise=False, quantise=False)
+    warm = replace(quiet, warming=Warming(offset=5.0), thermal_drift=drift)
+    model = truth().model
+
+    def samples(options, model):
+        blocks = [b for _, b in stand(options, model, BRIEF).blocks() if isinstance(b, ImuBlock)]
+        return np.vstack([np.hstack([b.gyro, b.accel]) for b in blocks])
+
+    wanted = samples(warm, model)
+    np.testing.assert_allclose(samples(quiet, drift.on(model, 5.0)), wanted, rtol=1e-9, atol=1e-9)
+    assert np.abs(samples(quiet, model) - wanted).max() > 1e-3
+
+
 def test_a_floor_shakes_as_hard_as_stated_and_goes_nowhere():
     shake = Shake(rate=1e-3, force=0.02, lowest=5.0, highest=40.0)
     shaken, still = (stand(o).motion for o in (replace(EXACT, shake=shake), EXACT))
