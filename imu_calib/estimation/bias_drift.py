@@ -5,7 +5,7 @@ Source: docs/mathematics.md, 'Joint estimate'.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,6 @@ class BiasDrift:
     weights: Floats  #: (k, 8) weights of the nodes of that segment.
     #: (k, 3, 3) responses of three outputs to three biases, for each mean or slope.
     responses: Floats
-    known: dict[float, Floats] = field(default_factory=dict)  #: Results of `one_channel`.
 
     @classmethod
     def over(
@@ -79,38 +78,12 @@ class BiasDrift:
         rows = self.responses.reshape(-1, 3)
         return np.asarray(np.kron(alone, np.ones((3, 3))) * (rows @ rows.T))
 
-    def entering(self, project: Floats) -> Floats:
-        """Return the factors (3, r, n) of the segments' biases in means projected by (3n, r)."""
-        parts = project.T.reshape(project.shape[1], -1, 3)
-        responses = self.responses[: parts.shape[1]]
-        return np.asarray(np.einsum('rni,nic->crn', parts, responses))
-
-    def projected(self, time: float, entering: Floats, slopes: Floats) -> Floats:
-        """Return `kernel` projected on means and slopes, (r + 3s, r + 3s).
-
-        `entering` are the factors (3, r, n) of the means, `slopes` those (3s,) of the slopes.
-
-        Channels drift independently, and slopes are those of the biases: only the kernel of one
-        channel is needed.
-        """
-        alone, (_, rows, count) = self.one_channel(time * self.span), entering.shape
-        drifting = entering @ alone[:count]
-        found = np.empty((rows + len(slopes),) * 2)
-        found[:rows, :rows] = _columns(drifting[..., :count]) @ _columns(entering).T
-        crossed = np.moveaxis(drifting[..., count:], 0, -1).reshape(rows, -1) * slopes
-        found[:rows, rows:], found[rows:, :rows] = crossed, crossed.T
-        found[rows:, rows:] = np.kron(alone[count:, count:], np.eye(3))
-        found[rows:, rows:] *= np.outer(slopes, slopes)
-        return found
-
     def one_channel(self, time: float) -> Floats:
         """Return the covariance of one channel, (k, k), for a correlation time in s.
 
         From one segment to a later one the process decays with the time between them: the kernel is
         a product of a factor of each segment and one of that time.
         """
-        if time in self.known:
-            return self.known[time]
         nodes, weights = self.nodes[self.segment], self.weights
         first, last = nodes[:, 0], nodes[:, -1]
         until = (weights * np.exp((nodes - last[:, None]) / time)).sum(axis=1)
@@ -125,10 +98,4 @@ class BiasDrift:
         found[one, other] = np.einsum(
             'ki,kij,kj->k', weights[one], np.exp(-apart / time), weights[other]
         )
-        self.known[time] = found
         return found
-
-
-def _columns(each: Floats) -> Floats:
-    """Return the (r, n) of three channels side by side, (r, 3n)."""
-    return np.hstack(list(each))

@@ -346,27 +346,24 @@ def _triad(
     slopes = _Slopes.from_segments(segments, rising[rows].reshape(-1, 3), evidence.walk, first)
     biases = np.array(indices_of(BIASES[first : first + 3], equations.parameters))
     drift = _bias_drift([*segments, *moves], slopes.used, jacobian[np.ix_(rows, biases)])
-    # Solutions of a session differ in the responses alone.
-    drift = replace(drift, known=evidence.cache.setdefault(('drift kernels', first), {}))
     project, z = restricted(
         jacobian[np.ix_(rows, seen)],
         residuals[rows],
         covariance[np.ix_(rows, rows)],
         prior[:, np.append(seen, equations.size)],
     )
-    weights = slopes.weights
-    entering = drift.entering(project)
+    projection = scipy.linalg.block_diag(project, np.diag(slopes.weights))
     unit_variance = float(
         np.median(equations.own_variances[equations.layout.dwell[:, first : first + 3]])
     )
     stated = float(evidence.instability[first] ** 2)
 
     def projected_by(time: float, variance: float) -> Floats:
-        return variance * drift.projected(time, entering, weights)
+        return np.asarray(variance * projection.T @ drift.kernel(time) @ projection)
 
     def entered(columns: Floats) -> Floats:
         found = project.T @ columns[rows]
-        return np.pad(found @ found.T, (0, len(weights)))
+        return np.pad(found @ found.T, (0, len(slopes.weights)))
 
     every, by_drift = rows, drift
     if first == 0 and len(equations.layout.velocity):
@@ -379,11 +376,11 @@ def _triad(
         )
     return _Triad(
         every,
-        np.concatenate([z, slopes.residuals * weights]),
+        np.concatenate([z, slopes.residuals * slopes.weights]),
         projected_by(drift.stated_time, stated),
         tuple(projected_by(time, unit_variance) for time in _TIMES),
         tuple(entered(columns) for columns in common),
-        _noise_of_channels(equations.own[first : first + 3], rows, project, slopes),
+        _noise_of_channels(equations.own[first : first + 3], rows, projection, slopes),
         by_drift,
         unit_variance,
         stated,
@@ -472,14 +469,13 @@ class _Slopes:
 
 
 def _noise_of_channels(
-    own: Sequence[Component], rows: NDArray[np.intp], project: Floats, slopes: _Slopes
+    own: Sequence[Component], rows: NDArray[np.intp], projection: Floats, slopes: _Slopes
 ) -> tuple[tuple[Floats, float], ...]:
     """Return `_Triad.noise`: the effect of the random walk of each channel, and its freedom.
 
-    `own` are the variances of all outputs by it, `project` is the projection (k, r) of the outputs
-    `rows` by `restricted`.
+    `own` are the variances of all outputs by it, `projection` is that of the outputs `rows`, by
+    `restricted`, and of the slopes.
     """
-    projection = scipy.linalg.block_diag(project, np.diag(slopes.weights))
     noise = []
     for channel, component in enumerate(own):
         assert isinstance(component.part, Diagonal)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -124,35 +124,23 @@ def propagated(passed: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
         interval to the end of its motion.
     """
     ends = np.cumsum(counts)
-    _follow(passed, _order(tuple(counts)))
+    _follow(passed, np.repeat(ends, counts) - np.arange(ends[-1]) - 1)
     after = np.concatenate([passed[..., 1:], np.eye(3)[..., None]], axis=-1)
     after[..., ends - 1] = np.eye(3)[..., None]
     return np.moveaxis(passed[..., ends - counts], -1, 0), after
 
 
-@lru_cache(maxsize=16)
-def _order(counts: tuple[int, ...]) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...]:
-    """Return which steps of motions of so many are multiplied by their next, in rounds.
+def _follow(steps: Floats, follow: NDArray[np.intp]) -> None:
+    """Multiply each of (3, 3, n) steps, in place, by those that follow it, (n,) of them.
 
     Pairs of neighbours are multiplied first, then those between: two products for each step, for
-    any number of steps (Brent and Kung 1982, IEEE Trans. Comput. C-31, 260). Each round pairs the
-    results of the one before.
+    any number of steps (Brent and Kung 1982, IEEE Trans. Comput. C-31, 260).
     """
-    follow = np.repeat(np.cumsum(counts), counts) - np.arange(sum(counts)) - 1
-    turns = []
-    while len(odd := np.flatnonzero(follow % 2)):
-        turns.append((odd, np.flatnonzero((follow % 2 == 0) & (follow > 0))))
-        follow = follow[odd] // 2
-    return tuple(turns)
-
-
-def _follow(steps: Floats, order: tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...]) -> None:
-    """Multiply each of (3, 3, n) steps, in place, by all that follow it, in an `_order`."""
-    if not order:
+    odd, between = np.flatnonzero(follow % 2), np.flatnonzero((follow % 2 == 0) & (follow > 0))
+    if not len(odd):
         return
-    (odd, between), *rest = order
     pairs = _with_next(steps, odd)
-    _follow(pairs, tuple(rest))
+    _follow(pairs, follow[odd] // 2)
     steps[..., odd] = pairs
     steps[..., between] = _with_next(steps, between)
 
