@@ -159,12 +159,10 @@ def columns_of(
     Nominal attitudes are used: information in the last digits of an encoder is ignored.
     """
     ideal = replace(equations, evidence=with_nominal_attitudes(equations.evidence))
-    # The same families are tested under several weights.
-    known: dict[Family, tuple[Pattern, ...]] = ideal.remembered('patterns', state, lambda *_: {})
-    missing = [family for family in found if family not in known]
-    parameters = tuple(p for family in missing for p in family.parameters)
+    known: dict[Family, tuple[Pattern, ...]] = {}
+    parameters = tuple(p for family in found for p in family.parameters)
     slopes = ideal.parameter_derivatives(state, (*parameters, *PARAMETERS))
-    for family in missing:
+    for family in found:
         if family.course is not None:
             known[family] = _changing(ideal, family, slopes[:, len(parameters) :])
         elif family.of_attitudes:
@@ -186,7 +184,7 @@ def columns_of(
             sizes = np.array([useful_limit(p) for p in family.parameters])
             places = indices_of(family.parameters, parameters)
             known[family] = ((slopes[:, places] * sizes, sizes),)
-    return {family: known[family] for family in found}
+    return known
 
 
 def shapes_of(family: Family, equations: Equations) -> Floats:
