@@ -194,15 +194,13 @@ def truth_in_session(
         table: Description of the table; None in a hand.
     """
     options = load_imperfections(imperfections, StandOptions(), table, 0)
-    notes = []
-    excess = 0.0
-    if (seen := found.provenance.get('temperature')) is not None:
-        excess = float(seen['mean']) - options.warming.reference
-    if excess and options.thermal_drift != ThermalDrift():
-        true = replace(true, model=options.thermal_drift.on(true.model, excess))
+    notes, reference = [], options.warming.reference
+    seen = found.provenance.get('temperature')
+    if seen is not None and options.thermal_drift != ThermalDrift():
+        true = replace(true, model=options.thermal_drift.on(true.model, seen['mean'] - reference))
         notes.append(
             f'The truth above is that of {seen["mean"]:.2f} degC, the mean of the session; '
-            f'truth.yaml has it at {options.warming.reference:g} degC.'
+            f'truth.yaml has it at {reference:g} degC.'
         )
     parts = {'warm-up': options.warm_up != WarmUp(), 'step': options.bias_step != BiasStep()}
     if left_out := ' and '.join(name for name, there in parts.items() if there):
