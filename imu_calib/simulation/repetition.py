@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,9 +17,11 @@ from ..estimation.hand import in_frame_of_accelerometers
 from ..estimation.setup import Setup
 from ..model.parameters import PARAMETERS, Parameter, indices_of
 from ..model.sensors import SensorModel
+from ..session.table import Table
 from .hand import as_planned
 from .options import StandOptions
 from .stand import simulate
+from .true_table import TableSizes, TrueTable
 
 _BLOCK_SECONDS = 300.0
 """s computed at once: longer blocks take less time."""
@@ -116,7 +119,7 @@ def run_once(study: Study, seed: int) -> Run:
     setup, azimuth = study.setup, study.azimuth
     if azimuth is None:
         azimuth = float(np.random.default_rng([seed, 1]).uniform(-np.pi, np.pi))
-    options = replace(study.options, azimuth=azimuth)
+    options = _with_table_errors(replace(study.options, azimuth=azimuth), setup.table, seed)
     # The true site is drawn from the uncertainty stated to the calibrator.
     off, north = np.random.default_rng([seed, 2]).standard_normal(2)
     here = setup.site
@@ -148,6 +151,28 @@ def run_once(study: Study, seed: int) -> Run:
     std = calibration.std[places]
     wrong = calibration.values[places] - truth.values(parameters)
     return Run(seed, parameters, np.where(np.isfinite(std), wrong, np.nan), std)
+
+
+def _with_table_errors(options: StandOptions, table: Table | None, seed: int) -> StandOptions:
+    """Return hardware whose table errs as its file states, or as is assumed of it."""
+    if table is None or options.true is not None:
+        return options
+    if table.positioning:
+        # Of that standard deviation, uniform.
+        options = replace(options, positioning_error=math.sqrt(3) * table.positioning)
+    if table.errors.exact:
+        return options
+    stated = table.errors
+    sizes = TableSizes(
+        zeros=stated.zeros,
+        orthogonality=stated.orthogonality,
+        wobble=(stated.wobble, stated.wobble),
+        encoder=(stated.encoder, stated.encoder),
+    )
+    first, *others = TrueTable.drawn(table, sizes, seed).joints
+    # Its zero is the azimuth.
+    first = replace(first, zero=table.joints[0].zero)
+    return replace(options, true=TrueTable((first, *others)))
 
 
 def economical(options: StandOptions) -> StandOptions:

@@ -1,6 +1,7 @@
 """Repeated sessions: seeds decide, and the table says what they came to."""
 
 import sys
+from dataclasses import replace
 from importlib.metadata import requires
 
 import numpy as np
@@ -11,7 +12,10 @@ import imu_calib
 from imu_calib.api import simulate as repeating
 from imu_calib.cli.main import main
 from imu_calib.common.files import named_file
-from imu_calib.model.parameters import PARAMETERS
+from imu_calib.common.units import ARCSEC
+from imu_calib.model.parameters import PARAMETERS, ParameterKind
+from imu_calib.session.table import load_table
+from imu_calib.session.table_errors import TableErrors
 from imu_calib.simulation.repetition import Run, RunStatistics, repeat
 
 
@@ -107,3 +111,16 @@ def test_a_plan_in_the_hand_is_repeated(plan):
     # deviations of a chi-square of 72.
     square = float((outcome.normalised[:, known] ** 2).mean())
     assert square == pytest.approx(1.0, abs=5 * np.sqrt(2 / (4 * known.sum())))
+
+
+def test_the_errors_that_a_table_states_are_drawn_for_each_run():
+    """As the standard deviations count them: of an exact table their ratio is far below one."""
+    errors = TableErrors(zeros=300 * ARCSEC, orthogonality=300 * ARCSEC, wobble=0.0, encoder=0.0)
+    one = study()
+    leaning = replace(load_table('three_axis'), errors=errors)
+    runs = repeat(replace(one, setup=replace(one.setup, table=leaning, method=None)), 4, jobs=1)
+    exact = repeat(replace(one, setup=replace(one.setup, method=None)), 4, jobs=1)
+    of_angles = [k for k, p in enumerate(runs.parameters) if p.kind is ParameterKind.MISALIGNMENT]
+    assert np.abs(runs.errors[:, of_angles]).max() > 5 * np.abs(exact.errors[:, of_angles]).max()
+    # Some tens of standard normal numbers, of few independent errors.
+    assert 0.3 < np.sqrt((runs.normalised[:, of_angles] ** 2).mean()) < 2.0
