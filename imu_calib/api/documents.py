@@ -19,7 +19,7 @@ from ..calibration.thermal import AnyCalibration, ThermalCalibration, first_of, 
 from ..common.arguments import checked
 from ..common.config import Section
 from ..common.errors import InputError, NotStated
-from ..common.files import user_path, write_whole
+from ..common.files import is_shipped, user_path, write_whole
 from ..common.progress import Progress, silent
 from ..common.stream import Units
 from ..estimation.methods import JOINT
@@ -34,7 +34,7 @@ from ..reports.certificate import Certificate, certificate_of, certificate_page,
 from ..reports.certificate_fields import Fields, read_fields
 from ..reports.dcc import dcc
 from ..reports.page import Contents, page, thermal_page
-from ..session.imu import ImuSpec
+from ..session.imu import ImuSpec, load_imu
 from ..session.keywords import NO_PLAN, Named, Stated, as_imu
 from ..session.metadata import PLAN
 from ..session.plan import Plan, load_plan
@@ -43,7 +43,9 @@ from .compare import of_its_type
 from .files import output_path, page_path
 from .opening import session_of
 from .recorded import recording_at
-from .session import as_applied, as_calibration, as_combined, as_list, single_of
+from .session import as_applied, as_calibration, as_combined, as_list, single_of, stated_imu
+from .streams import imu_topic
+from .verify import described_by
 
 _ALIKE = 0.1
 """In standard deviations: two results of one recording that are closer are the same. A judgement:
@@ -166,7 +168,9 @@ def _recalibrate(
     origin = calibration.provenance
     method = origin.get('method') if stated.method is None else stated.method
     terms = _terms(calibration) if stated.terms is None and method in JOINT else stated.terms
-    recording = recording_at(located(bag), stated)
+    # Columns are read as the calibration means them, and so is what nothing else describes.
+    known = _type_of(calibration) if stated.imu is None else stated.imu
+    recording = recording_at(located(bag), replace(stated, imu=known))
     plan = _plan_it_was(stated, origin, recording, name)
     serial = stated.serial or calibration.serial_number
     stated = replace(stated, method=method, terms=terms, plan=plan, serial=serial)
@@ -179,15 +183,29 @@ def _recalibrate(
                 f'{recording.path}: is not the recording that {name} was made '
                 f'from (sha256 {found[:12]}..., expected {str(expected)[:12]}...).'
             )
+        if stated.imu is None and imus is None:
+            topic = imu_topic(stated.imu_topic, recording, serial)
+            if stated_imu(stated, recording, topic) is None:
+                stated = replace(stated, imu=known)
         result = _solved_again(recording, imus, stated, origin, progress)
     again = result.calibration
     if again.parameters != calibration.parameters or _far_apart(again, calibration):
         raise InputError(
-            f'{bag}, calibrated again, does not give the numbers of {name}. It is another '
-            'recording, or something was stated when it was calibrated: state the same `plan`, '
-            '`imu`, `table`, `latitude`, `height`, `gravity`, `method`, `terms` and `segments`.'
+            f'{bag}, calibrated again, does not give the numbers of {name}. Something was stated '
+            'when it was calibrated: state the same `imu` (its noise counts), `plan`, `table`, `latitude`, `height`, `gravity`, `method`, `terms` and `segments`.'
         )
     return result
+
+
+def _type_of(calibration: Calibration) -> ImuSpec:
+    """Return the IMU of a calibration: its shipped file, or without its data sheet as used."""
+    own = described_by(calibration)
+    shipped = load_imu(own.id) if is_shipped('imus', own.id) else own
+
+    def nominal(imu: ImuSpec) -> tuple[object, ...]:
+        return imu.units, imu.gyro.scale_factor, imu.accel.scale_factor
+
+    return shipped if nominal(shipped) == nominal(own) else own
 
 
 def _solved_again(

@@ -145,7 +145,7 @@ def _verify(
     # Omit what is not stated: a plan gives names, a table attitudes.
     plan = stated_plan(stated, recording) or UNPLANNED
     known = stated_imu(stated, recording, streams.imu)
-    imu, says = (_described(first_of(loaded)), str(recording.path)) if known is None else known
+    imu, says = (described_by(first_of(loaded)), str(recording.path)) if known is None else known
     if not another_unit:
         serial = serial_of(stated, recording, streams.imu)
         # The number is that of the option where the recording states none.
@@ -282,7 +282,7 @@ def _check_identity(
         ) from None
 
 
-def _described(calibration: Calibration) -> ImuSpec:
+def described_by(calibration: Calibration) -> ImuSpec:
     """Return the calibration's description of its IMU, with the noise and drift used for it."""
     # A calibration's file has the drift that was used, and no longer the data sheet.
     imu, origin = calibration.imu, calibration.provenance

@@ -2,6 +2,7 @@
 
 import hashlib
 import platform
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ from sessions import brief_plan
 import imu_calib
 from imu_calib.api.recorded import recording_at
 from imu_calib.api.streams import temperature_topic
+from imu_calib.cli.main import main
 from imu_calib.common.files import named_file
 from imu_calib.common.finding import is_warning
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
@@ -341,3 +343,27 @@ def test_each_of_several_units_has_its_own_thermometer():
         custom_data={serial_key(topic): serial for topic, serial in serials.items()},
     )
     assert [temperature_topic(recording, imu) for imu in serials] == [*names, None]
+
+
+@pytest.mark.parametrize('name', ['mems_counts', 'mine'])
+def test_the_imu_is_stated_once(frame, tmp_path, name):
+    """A log in counts needs it for `calibrate`; other commands find it in the calibration."""
+    log, mine = tmp_path / 'log.csv', tmp_path / 'mine.yaml'
+    frame[NAMES].set_axis(['gx', 'gy', 'gz', 'ax', 'ay', 'az'], axis=1).set_index(
+        frame.index.astype('int64')
+    ).to_csv(log, index_label='t')
+    text = named_file('imus', 'mems_counts').read_text()
+    mine.write_text(re.sub('^id: .*', f'id: {name}', text, flags=re.M))
+    words = ['--stamp=t:ns', '--gyro=gx,gy,gz:count', '--accel=ax,ay,az:count']
+    made = tmp_path / 'c.yaml'
+    stated = [f'--imu={mine}', '--latitude=48.1', '-o', str(made)]
+    assert main(['calibrate', str(log), *words, *stated]) == 0
+    # With the data sheet of a type that is not shipped, which a calibration does not hold, a
+    # report needs its file.
+    again = [] if name == 'mems_counts' else stated[:1]
+    for command, code in (
+        (['verify', str(log), '--calibration', str(made), '--latitude=48.1'], 1),
+        (['compensate', str(log), '--calibration', str(made), '-o', str(tmp_path / 'o')], 0),
+        (['report', str(made), str(log), *again, '-o', str(tmp_path / 'r.html')], 0),
+    ):
+        assert main([*command, *words]) == code, command
