@@ -181,7 +181,7 @@ def compare(
 
     Raises:
         InputError: There are fewer than two, a file cannot be read or is of several temperatures,
-            or the streams have different units (but SI, deg/s and g).
+            or some are of pulses or increments and others are not.
     """
     own = [_single(one) for one in calibrations]
     if len(calibrations) < _FEWEST:
@@ -208,6 +208,11 @@ def compare(
     ]
     if any(shown is not one for shown, one in zip(compared.calibrations, own, strict=True)):
         findings.append(f'Shown with the nominal scale factors of {called[0]}.')
+    if len({c.imu.units.physical for c in own}) > 1:
+        findings.append(
+            'Some are of counts, others of rates and accelerations: these compare only if the '
+            'rates were made of counts with the scale factors stated for those.'
+        )
     if len({c.provenance.get('frame') for c in own if c.provenance}) > 1:
         findings.append(
             'The axes differ (in the hand those of the accelerometers, on a table those of the '

@@ -38,7 +38,7 @@ from ..session.keywords import Columned, Named, Stated, with_keywords
 from ..session.metadata import COMPENSATED, compensated_already, compensated_key, stream_description
 from ..session.units_file import TOPIC
 from .files import new_folder, removed_on_failure
-from .recorded import NAMES, Recorded, recording_at
+from .recorded import NAMES, Recorded, recording_for
 from .session import as_applied, serial_of, stated_imu
 from .streams import another_topic, imu_topic, sample_findings, skew_topic, temperature_topic
 
@@ -117,9 +117,7 @@ def compensate(
             '`compression` and `output_topic`, or name a folder.'
         )
     session = Stated(**stated)
-    # Columns are read as the calibration means them.
-    opened = replace(session, imu=session.imu or first_of(loaded).imu)
-    with recording_at(bag, opened) as recording, removed_on_failure(written):
+    with recording_for(bag, session, loaded, name) as recording, removed_on_failure(written):
         serial = session.serial or first_of(loaded).serial_number
         topic = _topic(session.imu_topic, recording, serial)
         spec = _check_unit(loaded, name, session, recording, topic)

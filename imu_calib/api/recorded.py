@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Union
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..calibration.thermal import AnyCalibration, first_of
 from ..common.errors import InputError
 from ..common.files import TEXT_FILES, first_bytes
 from ..common.stream import LAST_SECOND, NS, Floats, Stamps
 from ..recordings.cdr_codec import Kind
 from ..recordings.remote import AnyPath, RemotePath, located
 from ..recordings.rosbag2 import Recording, is_storage, open_recording
-from ..recordings.text import CONTROLS, Text, table_of_frame
+from ..recordings.text import CONTROLS, OtherNumbers, Text, table_of_frame
 from ..session.keywords import InColumns, Named, Stated
 from .in_memory import Samples, SamplesInMemory
 from .tables import (
@@ -85,6 +86,20 @@ def recording_at(
             'taken.'
         )
     return open_recording(bag, sha256)
+
+
+def recording_for(
+    bag: Recorded | AnyPath, stated: Stated, calibration: AnyCalibration, name: str
+) -> Recording:
+    """Open a recording; columns are read as the calibration means them if no IMU is stated."""
+    if stated.imu is not None:
+        return recording_at(bag, stated)
+    try:
+        return recording_at(bag, replace(stated, imu=first_of(calibration).imu))
+    except OtherNumbers as error:
+        raise InputError(
+            f'{name}: {error.contradiction} A calibration applies to the numbers it was made of.'
+        ) from None
 
 
 def is_text(bag: Named | AnyPath) -> bool:

@@ -42,7 +42,7 @@ from ..session.keywords import Named, Stated, Verified, with_keywords
 from ..session.metadata import compensated_already
 from ..session.plan import UNPLANNED
 from ..session.segments_file import read_segments
-from .recorded import Recorded, recording_at
+from .recorded import Recorded, recording_for
 from .session import (
     as_applied,
     contradicted_latitude,
@@ -111,9 +111,7 @@ def verify(
     """
     loaded, name = as_applied(calibration)
     session = Stated(**stated)
-    # Columns are read as the calibration means them.
-    opened = replace(session, imu=session.imu or first_of(loaded).imu)
-    with recording_at(bag, opened) as recording:
+    with recording_for(bag, session, loaded, name) as recording:
         found = _verify(loaded, name, recording, session, another_unit, progress)
     if not isinstance(calibration, str | Path):
         return found

@@ -301,12 +301,20 @@ _NUMBERS = {
 }
 
 
+class OtherNumbers(InputError):
+    """What is stated of an IMU does not fit the columns; `contradiction` says so without names."""
+
+    def __init__(self, name: str, contradiction: str) -> None:
+        super().__init__(f'{name}: {contradiction}')
+        self.contradiction = contradiction
+
+
 def fitting(spec: ImuSpec, name: str, numbers: Units) -> ImuSpec:
     """Return what is stated of an IMU if it fits columns of these numbers."""
     if spec.units not in _FITTING[numbers]:
-        raise InputError(
-            f'`imu` {name}: units: found {spec.units.value}, but the numbers are '
-            f'{_NUMBERS[numbers]}.'
+        raise OtherNumbers(
+            f'`imu` {name}',
+            f'units: found {spec.units.value}, but the numbers are {_NUMBERS[numbers]}.',
         )
     return spec
 
@@ -383,7 +391,10 @@ def outputs_of_frame(frame: Any, gyro: str, accel: str, imu: ImuSpec) -> tuple[F
     text = table_of_frame(frame)
     rates, gyro_unit = columns_of(text, gyro, '`gyro`', GYRO, 3)
     forces, accel_unit = columns_of(text, accel, '`accel`', ACCEL, 3)
-    fitting(imu, imu.id, numbers_of(gyro_unit, accel_unit))
+    try:
+        fitting(imu, imu.id, numbers_of(gyro_unit, accel_unit))
+    except OtherNumbers as error:
+        raise InputError(f'calibration of {imu.id}: {error.contradiction}') from None
     return as_outputs(rates, forces, imu)
 
 

@@ -235,14 +235,16 @@ def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:
     """Return a calibration converted to the nominal scale factors of another.
 
     With twice the nominal scale factor the same unit has twice the response: I + M, bias and the
-    coefficients of terms double.
+    coefficients of terms double. Errors of counts and of rates are those in SI units: they are the
+    same if the rates were made with the nominal scale factors of the counts.
     """
     mine, its = calibration.imu, other.imu
     if mine.units is not its.units:
-        if mine.units.physical and its.units.physical:
+        if not (mine.units.per_interval or its.units.per_interval):
             return calibration
         raise InputError(
-            f'Calibrations of {its.units.value} and of {mine.units.value} cannot be compared.'
+            f'Calibrations of {its.units.value} and of {mine.units.value} cannot be compared: '
+            'with which sample interval one was made of the other is not known.'
         )
     gyro = its.gyro.scale_factor / mine.gyro.scale_factor
     accel = its.accel.scale_factor / mine.accel.scale_factor

@@ -303,7 +303,9 @@ def test_units_that_the_numbers_contradict_are_refused(named, expected):
         imu_calib.calibrate(named, latitude=48.1, **columns)
     with pytest.raises(imu_calib.InputError, match=message):
         imu_calib.verify(named, expected, latitude=48.1, imu='si', **columns)
-    with pytest.raises(imu_calib.InputError, match='units: found counts, but the numbers are rat'):
+    # No IMU is stated: the calibration is named.
+    message = '^calibration of mems_counts: units: found counts, but the numbers are rates'
+    with pytest.raises(imu_calib.InputError, match=message):
         imu_calib.verify(named, expected, latitude=48.1, **columns)
 
 

@@ -169,6 +169,15 @@ def test_errors_of_one_table_are_said_to_count_as_independent():
         assert compare(first, other).findings == ()
 
 
+def test_counts_and_rates_are_compared_under_a_condition():
+    first = replace(unit(), imu=replace(unit().imu, units=Units.COUNTS))
+    nominal = replace(first.imu.gyro, scale_factor=1.0)
+    second = replace(first, imu=replace(first.imu, units=Units.SI, gyro=nominal))
+    compared = compare(first, second)
+    assert not compared.difference.any()
+    assert 'compare only if the rates were made of counts with the scale' in compared.findings[0]
+
+
 def test_pulses_and_si_are_not_compared(tmp_path):
     first = unit()
     second = replace(first, imu=replace(first.imu, units=Units.SI))
