@@ -316,7 +316,7 @@ class Segmenter:
 
     def _end_of_streams(self) -> Segmented:
         """Read the remaining samples, reject mistimed and frozen data, and time the rest anew."""
-        self._follow_joints(self._intake.finish())
+        self._follow_joints(self._intake.finish(), last=True)
         if self._joints is None and self._listed is None:
             self._watch_stillness(last=True)
         tracker = self._tracker
@@ -384,11 +384,13 @@ class Segmenter:
         """What detects dwells and motions; None for the IMU alone before its first samples."""
         return self._joints if self._joints is not None else self._stillness
 
-    def _follow_joints(self, joints: Ordered) -> None:
+    def _follow_joints(self, joints: Ordered, *, last: bool = False) -> None:
         """Detect dwells and motions from joint states."""
-        if self._joints is not None and self._jumps is not None and len(joints.stamp):
-            position = self._jumps.take_out(joints.stamp, joints.values)
-            self._pending.extend(self._joints.track(joints.stamp, position))
+        if self._joints is None or self._jumps is None:
+            return
+        stamp, position = self._jumps.take_out(joints.stamp, joints.values, last=last)
+        if len(stamp):
+            self._pending.extend(self._joints.track(stamp, position))
 
     def _process(self, *, last: bool = False) -> None:
         """Process every interval whose samples have all come in."""

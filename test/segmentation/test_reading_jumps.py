@@ -43,13 +43,16 @@ def test_an_encoder_that_is_homed_anew_is_named_and_puts_nothing_off(joint, unit
     assert any(re.match(words, one) for one in found.findings)
 
 
-def taken_out(stamp: Stamps, position: Floats, cut: int = 10**6) -> tuple[Floats, list[str]]:
+def taken_out(
+    stamp: Stamps, position: Floats, cut: int = 10**6
+) -> tuple[Stamps, Floats, list[str]]:
     jumps = ReadingJumps(TABLE)
     parts = [
-        jumps.take_out(stamp[a:b], position[a:b])
+        jumps.take_out(stamp[a:b], position[a:b], last=b == len(stamp))
         for a, b in pairwise([*range(0, len(stamp), cut), len(stamp)])
     ]
-    return np.concatenate(parts), jumps.sentences
+    stamps, positions = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return stamps, positions, jumps.sentences
 
 
 def course(rate: float) -> tuple[Stamps, Floats]:
@@ -68,10 +71,10 @@ def test_fast_turns_and_readings_within_one_turn_have_no_jumps(rate):
     kept = np.sort(rng.choice(len(stamp), len(stamp) * 9 // 10, replace=False))
     bunched = np.maximum(stamp, stamp // 200_000_000 * 200_000_000 + np.arange(len(stamp)) % 7)
     for some, when in ((np.arange(len(stamp)), stamp), (kept, stamp)):
-        found, sentences = taken_out(when[some], position[some])
+        _, found, sentences = taken_out(when[some], position[some])
         assert not sentences
         assert (found == position[some]).all()
-    assert not taken_out(np.maximum.accumulate(bunched), position)[1]
+    assert not taken_out(np.maximum.accumulate(bunched), position)[2]
 
 
 def test_a_jump_is_taken_out_however_the_stream_is_cut():
@@ -79,11 +82,33 @@ def test_a_jump_is_taken_out_however_the_stream_is_cut():
     for at in (300, 700, 1000):
         position = true.copy()
         position[at:, 0] += 7 * DEG
-        position[at + 50 : at + 51, 1] -= 90 * DEG
+        position[at + 50, 1] -= 90 * DEG
+        right = np.delete(true, at + 50, axis=0)
         for cut in (10**6, 1, 13):
-            found, sentences = taken_out(stamp, position, cut)
-            off = np.angle(np.exp(1j * (found - true)))
+            stamps, found, sentences = taken_out(stamp, position, cut)
+            assert (stamps == np.delete(stamp, at + 50)).all()
+            off = np.angle(np.exp(1j * (found - right)))
             # By the change of the rate within one step: 200 deg/s^2 over a hundredth of a second.
             assert np.abs(off).max() <= 0.04 * DEG
             assert len(sentences) == 2
             assert 'joint outer jump by 7' in sentences[0]
+            assert '1 reading of joint middle came late or false, off by up to 90' in sentences[1]
+
+
+@pytest.mark.parametrize('speed', [5.0, 40.0, 400.0])
+@pytest.mark.parametrize('lag', [1, 4])
+def test_readings_that_come_late_are_left_out_and_are_no_jump(lag, speed):
+    """A reading 40 ms old was a jump and back: of 60, no turn was left with a constant rate."""
+    rng = np.random.default_rng(7)
+    time = np.arange(3000) / 100
+    stamp = np.rint(time * 1e9).astype(np.int64)
+    outer = speed * DEG * time + rng.normal(0, 1e-5 * DEG, len(time))
+    true = np.stack([outer, np.zeros_like(outer), np.zeros_like(outer)], axis=1)
+    late = np.sort(rng.choice(np.arange(20, 2980, 20), 60, replace=False))
+    position = true.copy()
+    position[late] = true[late - lag]
+    stamps, found, sentences = taken_out(stamp, position)
+    assert (stamps == np.delete(stamp, late)).all()
+    assert (found == np.delete(true, late, axis=0)).all()
+    (said,) = sentences
+    assert '60 readings of joint outer came late or false' in said
