@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -53,15 +54,26 @@ def turns_scatter_finding(scatter: float) -> str:
     )
 
 
-def clock_finding(evidence: Evidence) -> list[str]:
-    """Report clocks that the session does not compare well: their rate directly changes K_g."""
+_SET_BY_CLOCKS = 0.7
+"""Of the clocks' deviation: K_g that is known better does not rest on them, but on moves, which are
+angles. A judgement: less than half of the variance."""
+
+
+def clock_finding(evidence: Evidence, best: float = math.inf) -> list[str]:
+    """Report clocks that the session does not compare well: their rate directly changes K_g.
+
+    Args:
+        evidence: The session.
+        best: Least standard deviation of a K_g; infinite where all rest on turns.
+    """
     std = evidence.turns_clock_std
-    if std < _WELL_KNOWN_CLOCKS:
+    if std < _WELL_KNOWN_CLOCKS or best < _SET_BY_CLOCKS * std:
         return []
     return [
         Finding(
             f'The clocks of IMU and table could be compared to {std / PPM:.0f} ppm only: K_g is '
-            'known no better. Joint states at 20 Hz or more would improve it.',
+            'known no better. Joint states at 20 Hz or more, of stamps that do not jitter, would '
+            'improve it.',
             ErrorSource.CLOCK,
         )
     ]

@@ -19,7 +19,7 @@ from ..common.errors import Contradiction, NotObservable
 from ..common.finding import Finding, warning
 from ..common.stream import Floats
 from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G, significant
-from ..model.parameters import Parameter, indices_of
+from ..model.parameters import Parameter, ParameterKind, indices_of
 from ..model.sensors import parameters_of
 from ..model.session_terms import Change, Changes, Course, names_of
 from ..model.terms import Term
@@ -421,13 +421,23 @@ def _checked_solution(found: Estimate, confounded: Sequence[str] = ()) -> Soluti
         (
             *estimate_findings(found, confounded),
             *far_scales(model),
-            *clock_finding(evidence),
+            *clock_finding(evidence, _best_scale_factor(found)),
             *encoder_finding(evidence),
         ),
         found.scatter.bias_drift,
         equations.parameters,
         changes=_changes(found),
     )
+
+
+def _best_scale_factor(found: Estimate) -> float:
+    """Return the least standard deviation of the scale factors of the gyros."""
+    own = [
+        k
+        for k, one in enumerate(found.equations.parameters)
+        if one.triad == 'g' and one.kind is ParameterKind.SCALE_FACTOR_ERROR
+    ]
+    return float(np.sqrt(np.diag(found.covariance)[own]).min(initial=math.inf))
 
 
 def _changes(found: Estimate) -> Changes | None:

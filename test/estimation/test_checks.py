@@ -129,6 +129,9 @@ def test_turns_and_clocks_have_their_sentences() -> None:
     known.turns_clock_std = 7.2e-6
     (sentence,) = clock_finding(known)
     assert 'compared to 7 ppm only' in sentence
+    assert clock_finding(known, best=7e-6) == [sentence]
+    # Of moves, which are angles: K_g needs no clock.
+    assert clock_finding(known, best=1.1e-6) == []
     turns = [SimpleNamespace(step=0.05 * DEG, rate_std=lambda _, e=e: e) for e in (4.9e-6, 2.3e-5)]
     coarse: Any = SimpleNamespace(turns=turns, walk=None, encoder_step=0.05 * DEG)
     (sentence,) = encoder_finding(coarse)
