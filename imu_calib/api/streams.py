@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
@@ -16,7 +17,7 @@ from ..common.errors import InputError, NotObservable, NotStated
 from ..common.files import other_encoding
 from ..common.finding import is_warning, warning, without_label
 from ..common.stream import Floats, ImuBlock, Units
-from ..common.units import LARGEST, PPM, STANDARD_GRAVITY
+from ..common.units import DEG, LARGEST, PPM, STANDARD_GRAVITY, Dimension
 from ..recordings.cdr_codec import Kind
 from ..recordings.rosbag2 import Recording
 from ..session.imu import read_imu
@@ -364,22 +365,51 @@ _MOST_FALSE = 0.01
 unit turns for a fifth of the time or more, on a table at rates for longer."""
 
 
-def against_si(force: Floats, rate: Floats) -> str:
-    """Return which of (n, 3) forces and rates are not in SI units; else empty."""
+_SLOWEST_TURN = 1 * DEG
+"""rad/s: the fastest turn of a session is faster, by hand or on a table. A judgement."""
+_RATES = ('deg/s', 'deg/h', 'mdps')  #: Units of rates in logs besides rad/s.
+_ACCELERATIONS = ('m/s^2', 'g', 'mg')  #: Units of accelerations in logs.
+
+
+def against_si(
+    force: Floats, rate: Floats, gyro_unit: str = 'rad/s', accel_unit: str = 'm/s^2'
+) -> str:
+    """Return which of (n, 3) forces and rates are not in SI units; else empty.
+
+    Args:
+        force: As converted from `accel_unit`, in which they were stated to be.
+        rate: Likewise from `gyro_unit`.
+        gyro_unit: Named in the text, with those that are possible.
+        accel_unit: Likewise.
+    """
     lengths = np.linalg.norm(force[(np.abs(force) <= LARGEST).all(axis=1)], axis=1)
     length = float(np.median(lengths)) if len(lengths) else float('nan')
+    accelerations, rates = Dimension.ACCELERATION.value, Dimension.RATE.value
     if not is_near_gravity(length / STANDARD_GRAVITY):
-        unit = '; 1 would be g' if is_near_gravity(length) else ''
-        return f'the median length of the acceleration is {length:.4g}, not 9.8{unit}'
+        one = accelerations[accel_unit]
+        read, expected = length / one, STANDARD_GRAVITY / one
+        ratios = {u: read * accelerations[u] / STANDARD_GRAVITY for u in _ACCELERATIONS}
+        fitting = [unit for unit, ratio in ratios.items() if is_near_gravity(ratio)]
+        text = f'the median length of the acceleration is {read:.4g}, not'
+        if accel_unit == 'm/s^2':
+            return f'{text} 9.8; 1 would be g' if 'g' in fitting else f'{text} 9.8'
+        return f'{text} {expected:.4g} {accel_unit}{_possible(fitting)}'
     fast = np.abs(rate[np.isfinite(rate).all(axis=1)]).max(axis=1)
     # The fastest motion, not false samples: these are fewer.
     fastest = float(np.quantile(fast, 1 - _MOST_FALSE)) if len(fast) else 0.0
     if fastest > _FASTEST:
+        read = fastest / rates[gyro_unit]
+        fitting = [u for u in _RATES if _SLOWEST_TURN < read * rates[u] <= _FASTEST]
         return (
-            f'the gyros read up to {fastest:.4g}, faster than any IMU turns in rad/s; '
-            'deg/s is possible'
+            f'the gyros read up to {read:.4g}, faster than any IMU turns in {gyro_unit}'
+            f'{_possible(fitting)}'
         )
     return ''
+
+
+def _possible(units: Sequence[str]) -> str:
+    """Return the end of a clause that names units that fit; empty without any."""
+    return f'; {" or ".join(units)} is possible' if units else ''
 
 
 def units_in_doubt(seen: str) -> str:

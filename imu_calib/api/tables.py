@@ -137,7 +137,7 @@ def from_columns(
         removed := gravity_removed(quiet_means(forces), quiet_means(rates))
     ):
         sentences.append(removed)
-    elif numbers is Units.SI and (seen := against_si(forces, rates)):
+    elif numbers is Units.SI and (seen := against_si(forces, rates, gyro_unit, accel_unit)):
         sentences.append(f'{units_in_doubt(seen)} Check the columns of `gyro` and `accel`.')
     rates, forces = as_outputs(rates, forces, spec)
     topics = {topic: imu_samples(topic, times, np.hstack([rates, forces]))}

@@ -347,11 +347,23 @@ def test_other_commands_name_the_way(tmp_path, capsys):
             {'accel': 'ax,ay,az:m/s^2'},
             'length of the acceleration is 1, not 9.8; 1 w',
         ),
-        ({'gyro': 'wx,wy,wz:rad/s'}, 'the gyros read up to 90, faster than any IMU turns in rad/s'),
+        (
+            {'gyro': 'wx,wy,wz:rad/s'},
+            'up to 90, faster than any IMU turns in rad/s; deg/s is possible.',
+        ),
+        # What was stated is not offered: 180000 of a log in deg/h.
+        (
+            {'gyro': 'vx,wy,wz:deg/s'},
+            'up to 1.8e+05, faster than any IMU turns in deg/s; deg/h or mdps is possible.',
+        ),
+        ({'accel': 'ax,ay,az:mg'}, 'is 1, not 1000 mg; g is possible.'),
     ],
 )
 def test_numbers_of_other_units_than_stated_are_said(stated, sentence, tmp_path):
-    path = write(tmp_path / 'log.csv', ROW + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n')
+    path = write(
+        tmp_path / 'log.csv',
+        't,wx,wy,wz,ax,ay,az,vx\n1.5,90,0,0,0,0,1,180000\n1.6,90,0,0,0,0,1,180000\n',
+    )
     words = {'gyro': 'wx,wy,wz:deg/s', 'accel': 'ax,ay,az:g', 'stamp': 't:s'} | stated
     (finding,) = imu_calib.convert(path, tmp_path / 'out', **words).findings
     assert finding.startswith('Warning: The stated units may be wrong: ') and sentence in finding
