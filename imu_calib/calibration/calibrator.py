@@ -124,9 +124,9 @@ class Calibrator:
         """End the session and solve."""
         session = self._segmenter.finish()
         refuse_separate_messages(session)
+        if session.foreign_joints:
+            raise InputError(session.foreign_joints)
         with with_facts(session):
-            if session.foreign_joints:
-                raise InputError(session.foreign_joints)
             return self._solve(session, self._labelled(session), final=True)
 
     def snapshot(self) -> Calibrator:

@@ -263,6 +263,7 @@ class StreamBuffer:
         self._first_joint: int | None = None
         self._last_joint: int | None = None
         self._strange: dict[str, int] = {}
+        self._named = 0  # Joints that the last of them named.
         self._further_joints: set[str] = set()
 
     @property
@@ -328,6 +329,7 @@ class StreamBuffer:
         if joints is None:
             named = ', '.join(block.names) or 'no joint'
             self._strange[named] = self._strange.get(named, 0) + len(block)
+            self._named = len(block.names)
             return self._joint_order.drop_disordered(
                 block.stamp[:0], np.empty((0, len(self._table.names)))
             )
@@ -343,10 +345,14 @@ class StreamBuffer:
         """Sentence on joint states of other joints than the table's; empty if some were its own."""
         if self._table is None or self._of_the_table or not self._strange:
             return ''
-        return (
+        own = self._table.names
+        text = (
             f'The joint states name {"; ".join(self._strange)}; table {self._table.name} has '
-            f'{", ".join(self._table.names)}.'
+            f'{", ".join(own)}.'
         )
+        if len(self._strange) > 1 or self._named != len(own):
+            return text
+        return f"{text} If they are the same joints, give them these names in the table's file."
 
     def add_setpoints(self, block: SetpointBlock) -> None:
         """Add setpoints."""

@@ -53,10 +53,11 @@ class _Reading:
     def off_course(self, stamp: Stamps, position: Floats, first: int = 1) -> Floats:
         """Return by how much the `first` one after it and the following are off even steps."""
         gone = position - self.position
-        gone -= TURN * np.rint(gone / TURN)
+        gone = np.asarray(gone - TURN * np.rint(gone / TURN))
         count = np.arange(first, first + len(stamp), dtype=np.float64)
-        elapsed = (stamp - self.stamp) * 1e-9
-        return gone - _expected(gone, count[:, None] * self.step, elapsed, count * self.pace)
+        elapsed = np.asarray((stamp - self.stamp) * 1e-9)
+        expected = _expected(gone, count[:, None] * self.step, elapsed, count * self.pace)
+        return np.asarray(gone - expected)
 
 
 class ReadingJumps:
@@ -124,7 +125,7 @@ class ReadingJumps:
     def _accept_even(self, stamp: Stamps, position: Floats) -> int:
         """Accept the readings before the first that stands out; return their number."""
         last = self._last or _Reading(int(stamp[0]), position[0], np.zeros(len(self._limit)), 0.0)
-        elapsed = steps_since(last.stamp, stamp) * 1e-9
+        elapsed = np.asarray(steps_since(last.stamp, stamp) * 1e-9)
         steps = np.diff(position, axis=0, prepend=last.position[None])
         steps -= TURN * np.rint(steps / TURN)
         lasts = np.vstack([last.step, steps[:-1]])
@@ -150,7 +151,8 @@ class ReadingJumps:
     def _most_before(self, beyond: Floats) -> Floats:
         """Return the largest of the deviations before each of (n, k)."""
         rows = np.vstack([self._recent, beyond])[:-1]
-        return np.lib.stride_tricks.sliding_window_view(rows, _LATE_BY, axis=0).max(axis=2)
+        windows = np.lib.stride_tricks.sliding_window_view(rows, _LATE_BY, axis=0)
+        return np.asarray(windows.max(axis=2))
 
     def _back_after(self, stamp: Stamps, position: Floats) -> int:
         """Return after how many readings they are back on the course before; 0 if they are not.
@@ -182,7 +184,7 @@ class ReadingJumps:
             # Or the one before was off, by less than stood out.
             off = before.off_course(stamp[:1], position[:1], first=2)[0]
             late = jumps & (np.abs(off) <= _BACK * np.abs(beyond))
-            self._off += [(last.stamp, j, -float(beyond[j])) for j in np.flatnonzero(late)]
+            self._off += [(last.stamp, j, -float(beyond[j])) for j in np.flatnonzero(late).tolist()]
             jumps &= ~late
         now = _Reading(int(stamp[0]), position[0].copy(), step, elapsed)
         if jumps.any() and len(stamp) > 1:
@@ -193,7 +195,7 @@ class ReadingJumps:
             )
             jumps &= as_before < with_it
         size = np.where(jumps, beyond, 0.0)
-        self._jumps += [(now.stamp, j, float(size[j])) for j in np.flatnonzero(jumps)]
+        self._jumps += [(now.stamp, j, float(size[j])) for j in np.flatnonzero(jumps).tolist()]
         self._jumped = self._jumped + size
         self._last_but_one, self._last = last, replace(now, step=step - size)
         self._recent = np.vstack([self._recent[1:], np.abs(beyond - size)])

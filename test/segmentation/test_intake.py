@@ -231,6 +231,12 @@ def test_joints_come_in_the_order_of_the_table():
     other.add_joints(joints([1], ('x', 'y')))
     other.add_joints(joints([2], ('z',)))
     assert other.foreign_joints == 'The joint states name x, y; z; table bench has a, b.'
+    as_many = StreamBuffer(TABLE, skewed=False)
+    as_many.add_joints(joints([1], ('x', 'y')))
+    assert as_many.foreign_joints == (
+        'The joint states name x, y; table bench has a, b. If they are the same joints, give them '
+        "these names in the table's file."
+    )
     alone = StreamBuffer(None, skewed=False)
     assert alone.add_joints(joints([1, 2])).stamp.tolist() == []
     assert (alone.foreign_joints, alone.losses()) == ('', [])
