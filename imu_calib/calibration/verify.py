@@ -162,7 +162,7 @@ def _forces(
     if system.up is None:
         state = np.append(fit.delta, fit.unknown)
         level = system.equations.surroundings(state).force[:2]
-        attitudes = system.evidence.attitudes()
+        attitudes = system.evidence.dwell_attitudes
     for place, f, c, attitude in zip(_at_rest(system), forces, covariances, attitudes, strict=True):
         length = float(np.linalg.norm(f))
         std = float(np.sqrt(f @ c @ f)) / length

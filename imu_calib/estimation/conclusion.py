@@ -299,7 +299,7 @@ def _means_by_up(evidence: Evidence) -> Floats:
     Between the positions of such a group only the vertical axis turned. A positioning error of the
     other axes is common to them, and is hidden from the scatter within the group.
     """
-    ups = evidence.attitudes()[:, 2]
+    ups = evidence.dwell_attitudes[:, 2]
     groups = np.argmax(ups @ ups.T > SAME_UP, axis=1)
     alike = groups == np.unique(groups)[:, None]
     return np.kron(alike / alike.sum(axis=1, keepdims=True), np.eye(3))

@@ -154,8 +154,8 @@ class Evidence:
 
     @cached_property
     def dwell_attitudes(self) -> Floats:
-        """R_nb of the static dwells, (s, 3, 3): `attitudes`, cached."""
-        return self.attitudes()
+        """R_nb of the static dwells, (s, 3, 3), in the frame of the table's azimuth."""
+        return np.array([s.attitude for s in self.segments]).reshape(-1, 3, 3)
 
     @cached_property
     def turn_inputs(self) -> tuple[Floats, Floats, NDArray[np.bool_]]:
@@ -316,10 +316,6 @@ class Evidence:
         rows = [s.variance(self.walk, self.site.gravity) for s in self.segments]
         return np.maximum(np.array(rows).reshape(-1, 6), SMALLEST_VARIANCE)
 
-    def attitudes(self) -> Floats:
-        """Return R_nb of the static dwells, (s, 3, 3), in the frame of the table's azimuth."""
-        return np.array([s.attitude for s in self.segments]).reshape(-1, 3, 3)
-
     def precision_weights(self) -> Floats:
         """Return the weight of every static dwell in the mean of its position, (s, 6).
 
@@ -334,13 +330,13 @@ class Evidence:
 
     def vertical_axes(self) -> list[tuple[int, int]]:
         """Return for every static dwell which body axis is vertical, and +1 up or -1 down."""
-        pairs = zip(self.attitudes(), self.segments, strict=True)
+        pairs = zip(self.dwell_attitudes, self.segments, strict=True)
         return [vertical_axis(attitude[2], s.position) for attitude, s in pairs]
 
     def off_axis(self) -> Floats:
         """Return the deviation of up, by encoders, from the vertical body axis, (s, 3)."""
         exact = [sign * np.eye(3)[axis] for axis, sign in self.vertical_axes()]
-        return np.asarray(self.attitudes()[:, 2] - np.array(exact).reshape(-1, 3))
+        return np.asarray(self.dwell_attitudes[:, 2] - np.array(exact).reshape(-1, 3))
 
     def clock_rate(self) -> tuple[float, float]:
         """Return the relative rate of the IMU's clock against the table's, and its deviation.

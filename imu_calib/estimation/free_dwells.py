@@ -124,7 +124,7 @@ class FreeEquations(Equations):
         """Return the equations in attitudes turned by the end of a step (n,), and the state."""
         turned = np.zeros(len(self._sought))
         turned[self._sought] = step[self.north_slice.stop :]
-        attitudes = rotations(turned.reshape(-1, 3)) @ self.evidence.attitudes()
+        attitudes = rotations(turned.reshape(-1, 3)) @ self.evidence.dwell_attitudes
         state = state + step
         state[self.north_slice.stop :] = 0.0
         return replace(self, evidence=self.evidence.with_attitudes(attitudes)), state

@@ -55,7 +55,7 @@ from .score import Family, Pattern, Score, WhitenedResiduals, scores_of
 from .search import SignificantFamily
 from .solution import Solution
 from .solve import least_squares
-from .term_tests import TermTest, test_of
+from .term_tests import TermTest, chance_in_words, test_of
 from .variances import Variance, choose_variances, restricted
 
 NAME = 'free_positions'  #: The method's name in plans.
@@ -786,8 +786,7 @@ def _one_term(found: SignificantFamily, fit: FreeFit) -> str:
     largest = np.abs(fit.model.values(fit.parameters)[places]).max() / unit.scale
     text = (
         f'The session shows {term.kind.value.words} ({term.name}, by up to '
-        f'{significant(largest)} {unit.unit}, by chance once in '
-        f'10^{max(3, round(-found.log_p / np.log(10)))} sessions): it is estimated'
+        f'{significant(largest)} {unit.unit}, {chance_in_words(found.log_p)}): it is estimated'
     )
     if found.alternatives:
         names = ' or '.join(other.name for other in found.alternatives)

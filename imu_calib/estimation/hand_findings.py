@@ -26,6 +26,7 @@ from ..model.session_terms import session_term
 from ..session.imu import SCALE_LIMIT
 from .checks import measured_latitude, vertical_earth_rate
 from .evidence import Evidence
+from .term_tests import chance_in_words
 
 _ASTRAY = 10 * DEG
 """rad, root mean square over the turns: gravity turned by the gyros misses the next hold by more
@@ -126,7 +127,7 @@ def _signed_axes() -> list[Floats]:
 def _turned_gravity_error(evidence: Evidence, model: SensorModel, response: Floats) -> float:
     """Return the error of gravity turned by gyros of a response (3, 3), rad, root mean square."""
     tried = SensorModel(Triad(response - np.eye(3), model.gyro.bias), model.accel)
-    used, ups = evidence.used_moves, evidence.attitudes()[:, 2]
+    used, ups = evidence.used_moves, evidence.dwell_attitudes[:, 2]
     propagated_ups = np.array(
         [
             path.rotation @ ups[link.first]
@@ -241,8 +242,7 @@ def _amount(found: Drift) -> str:
 def _one_drift(found: Drift) -> str:
     whose = 'gyros' if found.name == 'trend:D_g' else 'accelerometers'
     by = f'of the {whose} by up to {_amount(found)}'
-    exponent = max(3, round(-found.log_p / np.log(10)))
-    odds = f'by chance once in 10^{exponent} sessions'
+    odds = chance_in_words(found.log_p)
     if found.kind is DriftKind.EVEN:
         return f'{by} ({found.name}, {odds})'
     return f'{by} ({odds})' if found.kind is DriftKind.UNEVEN else by

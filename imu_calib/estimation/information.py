@@ -198,7 +198,7 @@ def unobservable_in_words(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
     words = []
     unnamed = {p.name for p, gone in zip(PARAMETERS, lost, strict=True) if gone}
     turned = [np.abs(turn.up) for turn in evidence.turns]
-    stood = [np.abs(attitude[2]) for attitude in evidence.attitudes()]
+    stood = [np.abs(attitude[2]) for attitude in evidence.dwell_attitudes]
     place = 'position' if evidence.plan.is_stated else 'static dwell'
     about = 'no position turns {}' if evidence.plan.is_stated else 'no turn is about {}'
     reasons = (('g', turned, about), ('a', stood, f'no {place} has {{}} vertical'))

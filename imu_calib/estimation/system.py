@@ -263,7 +263,7 @@ class TriadSystem:
         """(s, 3) specific forces at rest in body axes, m/s^2."""
         if self.up is not None:
             return self.up.forces
-        return self.evidence.attitudes()[:, 2] * self.evidence.site.gravity
+        return self.evidence.dwell_attitudes[:, 2] * self.evidence.site.gravity
 
     @cached_property
     def equations(self) -> Equations:
@@ -550,7 +550,7 @@ def _mounted(evidence: Evidence, small: Floats) -> Evidence:
     """Return the session with the unit rotated in its mount by a rotation vector (3,)."""
     turned = rotations(small[None])[0]
     turns = tuple(replace(t, up=turned @ t.up) for t in evidence.turns)
-    return replace(evidence.with_attitudes(evidence.attitudes() @ turned.T), turns=turns)
+    return replace(evidence.with_attitudes(evidence.dwell_attitudes @ turned.T), turns=turns)
 
 
 def factor_of(covariance: Floats) -> Floats:

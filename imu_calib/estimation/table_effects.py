@@ -321,7 +321,7 @@ def tilt_bias(evidence: Evidence, accel: Triad, solver: Accelerometers, tilt: Ti
     """Return the errors of a closed form by a tilt, (12,) in the order of the parameters."""
 
     def solved(up: Floats) -> Floats:
-        forces = evidence.site.gravity * np.einsum('skj,k->sj', evidence.attitudes(), up)
+        forces = evidence.site.gravity * np.einsum('skj,k->sj', evidence.dwell_attitudes, up)
         outputs = forces @ accel.response.T + accel.bias
         segments = tuple(
             replace(s, statistics=replace(s.statistics, mean=np.append(s.statistics.mean[:3], y)))

@@ -261,7 +261,7 @@ def _likely(search: SearchResult) -> list[str]:
 def _found_sentence(found: SignificantFamily, search: SearchResult, table: Table | None) -> str:
     """Return a sentence on a family that is on though it was not requested."""
     family = found.family
-    chance = _chance(found.log_p)
+    chance = chance_in_words(found.log_p)
     if found.steps:
         return _step_sentence(found.steps[0], found.seen, chance, search)
     if family.of_table:
@@ -272,7 +272,7 @@ def _found_sentence(found: SignificantFamily, search: SearchResult, table: Table
     return _term_sentence(found, family.term, chance)
 
 
-def _chance(log_p: float) -> str:
+def chance_in_words(log_p: float) -> str:
     """Return a probability, of which the natural logarithm is given, in words."""
     return f'by chance once in 10^{max(3, round(-log_p / _LN10))} sessions'
 
@@ -282,8 +282,8 @@ def _unobservable_sentence(one: UnobservableFamily) -> str:
     term = one.family.term
     needs = '' if term is None else f' To determine it takes {term.needs}.'
     return (
-        f'The session hints at {one.family.name} ({_chance(one.log_p)}), which is not observable '
-        f'beside the others: with it {one.parameter.name} would have '
+        f'The session hints at {one.family.name} ({chance_in_words(one.log_p)}), which is not '
+        f'observable beside the others: with it {one.parameter.name} would have '
         f'{significant(one.ratio)} times its standard deviation, so it is left out, and the '
         f'parameters hold if it is absent.{needs}'
     )

@@ -280,7 +280,7 @@ def test_rests_with_the_same_up_are_one_group() -> None:
     ups = [[0, 0, 1], [0, 1, 0], [0, np.sin(0.1), np.cos(0.1)], [0, 0, -1], [0, 1, 0]]
     attitudes = np.zeros((5, 3, 3))
     attitudes[:, 2] = ups
-    held: Any = SimpleNamespace(attitudes=lambda: attitudes)
+    held: Any = SimpleNamespace(dwell_attitudes=attitudes)
     means = _means_by_up(held) @ np.arange(15.0)
     assert means.reshape(-1, 3).tolist() == [[3, 4, 5], [7.5, 8.5, 9.5], [9, 10, 11]]
 

@@ -534,7 +534,7 @@ def test_a_step_turns_the_attitudes_and_leaves_no_rotation() -> None:
     # Of the first rest of a run two, of the others three.
     angles = [[1, 2, 0], [3, 4, 5], [6, 7, 0], [8, 9, 10], [11, 12, 13]]
     for before, after, angle in zip(
-        found.evidence.attitudes(), moved.evidence.attitudes(), angles, strict=True
+        found.evidence.dwell_attitudes, moved.evidence.dwell_attitudes, angles, strict=True
     ):
         turned = Rotation.from_rotvec(np.array(angle) * 1e-3).as_matrix()
         np.testing.assert_allclose(after, turned @ before, atol=1e-12)
@@ -544,7 +544,7 @@ def test_a_step_turns_the_attitudes_and_leaves_no_rotation() -> None:
 
 def test_rests_are_led_on_to_the_heading_where_moves_end() -> None:
     found = free(1).evidence
-    attitudes = found.attitudes()
+    attitudes = found.dwell_attitudes
     for k in (0, 2, 3):
         # Three turns of 0.2 about each axis, as rotation vectors of one direction.
         shown = Rotation.from_rotvec([-0.6] * 3).as_matrix() @ attitudes[k].T

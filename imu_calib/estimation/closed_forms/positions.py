@@ -140,7 +140,7 @@ def _bias_weights(evidence: Evidence) -> tuple[Floats, list[str]]:
     axes = [axis for axis, _ in evidence.vertical_axes()]
     names = [s.position for s in evidence.segments]
     shares = evidence.precision_weights()[:, :3]
-    inputs = np.transpose(evidence.attitudes(), (0, 2, 1))
+    inputs = np.transpose(evidence.dwell_attitudes, (0, 2, 1))
     rows, incomplete = [], []
     for axis in range(3):
         mine = np.array([k for k, found in enumerate(axes) if found == axis], dtype=int)
@@ -197,7 +197,7 @@ def _bias_equation(evidence: Evidence) -> tuple[Floats, Floats]:
     if not positions:
         raise NotObservable('No position of the plan was found: nothing can be determined.')
     weights = shares / positions
-    mean = np.einsum('s,sij->ji', weights.mean(axis=1), evidence.attitudes())
+    mean = np.einsum('s,sij->ji', weights.mean(axis=1), evidence.dwell_attitudes)
     earth = evidence.site.earth_rate
     if evidence.azimuth is not None:
         return weights, mean @ earth
@@ -221,7 +221,7 @@ def solve_n_positions(evidence: Evidence) -> Solution:
         )
     turned, _ = rate_test_weights(evidence)
     fitted, condition = force_weights(
-        evidence.attitudes()[:, 2],
+        evidence.dwell_attitudes[:, 2],
         position_weights(evidence),
         evidence.positions_in_words(),
         N_POSITIONS_ESTIMATES,
@@ -234,7 +234,7 @@ def _against_north(
     evidence: Evidence, turned: Floats, at_rest: Floats, fitted: Floats, condition: float
 ) -> Solution:
     """Solve by weights on turns (3, t), of gyros at rest (u, s), and by `force_weights` (4, s)."""
-    rates = evidence.attitudes().transpose(0, 2, 1) @ evidence.site.earth_rate
+    rates = evidence.dwell_attitudes.transpose(0, 2, 1) @ evidence.site.earth_rate
     # n_g - (I + M_g) w: the rate test enters all that is fitted to it.
     gyro = np.hstack([at_rest, -(at_rest @ rates) @ turned])
     gyro = np.vstack([np.pad(turned, ((0, 0), (len(rates), 0))), gyro])
@@ -297,7 +297,7 @@ def solve_rate_24(evidence: Evidence) -> Solution:
         )
     turned, condition = rate_test_weights(evidence)
     count = len({s.position for s in evidence.segments})
-    ups, weights = evidence.attitudes()[:, 2], position_weights(evidence)
+    ups, weights = evidence.dwell_attitudes[:, 2], position_weights(evidence)
     fitted, spread = force_weights(ups, weights, f'{count} positions', PARAMETERS)
     condition = max(condition, spread)
     return _against_north(evidence, turned, weights[None] / count, fitted, condition)
@@ -315,7 +315,7 @@ def solve_static_six(evidence: Evidence) -> Solution:
     """Estimate the 12 parameters of the gyros; the accelerometers are not estimated."""
     require_north(evidence)
     weights, condition = _static_weights(
-        evidence.attitudes(),
+        evidence.dwell_attitudes,
         evidence.site,
         position_weights(evidence),
         evidence.positions_in_words(),
@@ -392,7 +392,7 @@ _WORDS = ('X north', 'X south', 'Y north', 'Y south')
 def solve_off_axis_four(evidence: Evidence) -> Solution:
     """Estimate the 12 parameters of the gyros; the accelerometers are not estimated."""
     require_north(evidence)
-    weights = _off_axis_weights(evidence.attitudes(), evidence.site, 'the recording')
+    weights = _off_axis_weights(evidence.dwell_attitudes, evidence.site, 'the recording')
     # Every column of the four equations is a difference or a mean of all outputs: orthogonal.
     return gyros_only(evidence, weights, _condition(evidence.site))
 
