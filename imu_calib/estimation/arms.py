@@ -67,7 +67,6 @@ class Arms:
         return cls(np.array(which, dtype=np.intp), slopes, np.array(deviations).ravel())
 
     def __len__(self) -> int:
-        """Return the number of arms."""
         return len(self.deviations)
 
 

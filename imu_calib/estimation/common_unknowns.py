@@ -272,7 +272,6 @@ class _System:
         return np.delete(np.arange(unit.size), unit.sensors + np.arange(len(TABLE_STATE)))
 
     def _copy_table_to_states(self) -> None:
-        """Set azimuth and tilts in the state of each unit to the common ones."""
         for unit, state in zip(self._units, self._states, strict=True):
             state[unit.sensors + np.arange(len(TABLE_STATE))] = self._table
 

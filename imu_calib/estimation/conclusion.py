@@ -114,7 +114,7 @@ def conclude(
         condition: Condition number of its system.
         gain: (n, m) derivatives of its parameters by the outputs.
         parameters: Of the rows of the covariance.
-        findings: Findings of the method so far.
+        findings: Of the method.
         north_known: Whether the attitudes are against north.
         accelerometers: Closed form for the accelerometers; None if not estimated.
 

@@ -60,16 +60,11 @@ def forecast(
 ) -> Forecast:
     """Predict the standard deviations of a session.
 
-    Args:
-        setup: Plan, method, table, IMU and site.
-        truth: Assumed sensors.
-        azimuth: True heading of the table's zero, rad; None for the table's own, or north.
-        drifting: Whether the biases drift by the IMU's bias instability.
-        rise: As in `expected`.
+    Arguments and errors are those of `expected`; `drifting` is whether the biases drift by the
+    IMU's bias instability.
 
     Raises:
-        InputError: The table cannot run the plan, the IMU states no noise, or there is no such
-            method.
+        InputError: There is no such method.
     """
     evidence = expected(setup, truth, azimuth, rise=rise)
     if setup.method_name == free_positions.NAME:

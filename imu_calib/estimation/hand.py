@@ -682,7 +682,6 @@ def initial_equations(evidence: Evidence) -> tuple[FreeEquations, Floats]:
 
 
 def _check_observable(state: _State) -> None:
-    """Raise if attitudes and turns do not determine all parameters."""
     parameters, evidence = state.equations.parameters, state.equations.evidence
     std = state.information.std[: len(parameters)]
     ratio = np.array([p.kind is not ParameterKind.BIAS for p in parameters])

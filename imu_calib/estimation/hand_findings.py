@@ -233,7 +233,6 @@ def drift_words(drifts: Sequence[Drift]) -> list[str]:
 
 
 def _amount(found: Drift) -> str:
-    """Return the size of a drift."""
     if found.name == 'trend:D_g':
         return f'{significant(found.largest / DEG)} deg/s'
     return f'{significant(found.largest / (STANDARD_GRAVITY / 1000))} mg'

@@ -124,7 +124,6 @@ def _tilt_explanation(found: Estimate, outlier: Outlier) -> str:
 
 
 def _constant_finding(found: Estimate) -> str:
-    """Report coefficients of changes during the session that it does not determine."""
     names = ', '.join(c.name for c in found.constant)
     return (
         f'The session does not show how {names} change '
@@ -162,7 +161,6 @@ def _rejected_moves_finding(found: Estimate) -> list[str]:
 
 
 def _names_of_moves(moves: Sequence[RejectedMove]) -> str:
-    """Return the names of the first of several moves."""
     names = ', '.join(' to '.join(move.positions) for move in moves[:_NAMED])
     more = '' if len(moves) <= _NAMED else f' and {len(moves) - _NAMED} more'
     return f'from position {names}{more}'
@@ -180,7 +178,6 @@ def _scatter_findings(found: Estimate, confounded: Sequence[str] = ()) -> list[s
 
 
 def _positioning_findings(found: Estimate, confounded: Sequence[str]) -> list[str]:
-    """Report positioning errors beyond those that the table's file states."""
     evidence, scatter = found.equations.evidence, found.scatter
     notes: list[Finding] = []
     small = evidence.positioning / ARCSEC

@@ -310,12 +310,8 @@ def reach(
 ) -> Reached:
     """Find one dwell for each position, of least sum, that reach an accuracy.
 
-    Args:
-        setup: Plan, method, table, IMU and site.
-        truth: Assumed sensors.
-        wanted: Standard deviations by name of the parameter, SI units.
-        azimuth: True heading of the table's zero, rad; None for the table's own, or north.
-        drifting: Whether the biases drift by the IMU's bias instability.
+    `wanted` are standard deviations by name of the parameter, SI units; other arguments are those
+    of `forecast`.
 
     Raises:
         InputError: There is no such parameter.
@@ -441,7 +437,6 @@ def _shorter(
 
 
 def _with_dwells(plan: Plan, times: Mapping[str, float]) -> Plan:
-    """Return a plan with other dwells, s, at the positions named."""
     positions = tuple(
         replace(p, dwell=float(times[p.id])) if p.id in times else p for p in plan.positions
     )

@@ -143,7 +143,6 @@ def start_from_moves(resting: Equations, state: Floats, moves: tuple[Move, ...])
 
 
 def _count(moves: Sequence[Move]) -> int:
-    """Return the number of rotations and velocities."""
     return sum(1 if move.velocity_steps is None else 2 for move in moves)
 
 

@@ -29,7 +29,6 @@ class OutputLayout:
     moves_with_accels: tuple[int, ...] = ()  #: Moves whose accelerometers are used.
 
     def __len__(self) -> int:
-        """Return the number of outputs."""
         threes = self.turns + self.moves + len(self.turns_with_accels) + len(self.moves_with_accels)
         return 6 * self.dwells + 3 * threes
 

@@ -68,7 +68,6 @@ class Solution:
     search: SearchResult | None = None
 
     def __post_init__(self) -> None:
-        """Raise if the covariance is of other parameters."""
         assert self.covariance.shape == (len(self.parameters),) * 2
 
     @property

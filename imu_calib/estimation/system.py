@@ -313,7 +313,6 @@ class TriadSystem:
 
     @property
     def _block(self) -> tuple[Indices, ...]:
-        """Indices of the covariance of the triad's equations."""
         return np.ix_(self._mine, self._mine)
 
     def _lengths(self, values: Floats) -> tuple[Floats, Floats, Floats]:
@@ -323,7 +322,6 @@ class TriadSystem:
         return compare_lengths(self.sensors, values, self.outputs, noise, self.up, site)
 
     def _covariance(self, state: Floats) -> Floats:
-        """Return the covariance (m, m) of the triad's equations."""
         if self.up is not None:
             return self._lengths(state)[2]
         return self.equations.covariance(state)[self._block]

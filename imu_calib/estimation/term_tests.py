@@ -278,7 +278,6 @@ def chance_in_words(log_p: float) -> str:
 
 
 def _unobservable_sentence(one: UnobservableFamily) -> str:
-    """Return a sentence on a family that a session shows and cannot carry."""
     term = one.family.term
     needs = '' if term is None else f' To determine it takes {term.needs}.'
     return (
@@ -290,7 +289,6 @@ def _unobservable_sentence(one: UnobservableFamily) -> str:
 
 
 def _table_error_sentence(found: SignificantFamily, chance: str, table: Table | None) -> str:
-    """Return a sentence on an error of the table that the session shows."""
     name = found.family.name
     size = f'{significant(found.size / ARCSEC, 3)} arcsec'
     if table is not None and (known := getattr(table.errors, name)):
@@ -366,7 +364,6 @@ def _possible(search: SearchResult) -> list[str]:
 def _course_sentence(
     found: SignificantFamily, course: Course, chance: str, search: SearchResult
 ) -> str:
-    """Return a sentence on a change during the session."""
     text = f'The session shows {course.words} ({found.family.name}, {chance})'
     if course is Course.STEP:
         equations = search.estimate.equations
@@ -389,7 +386,6 @@ def _as_well(found: SignificantFamily) -> str:
 
 
 def _term_sentence(found: SignificantFamily, term: Term, chance: str) -> str:
-    """Return a sentence on a term of the sensors."""
     shown = f'The session shows {term.kind.value.words} ({found.family.name}, {chance})'
     text, needs = f'{shown}: it is estimated', ''
     if found.considered:
