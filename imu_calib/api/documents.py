@@ -192,7 +192,8 @@ def _recalibrate(
     if again.parameters != calibration.parameters or _far_apart(again, calibration):
         raise InputError(
             f'{bag}, calibrated again, does not give the numbers of {name}. Something was stated '
-            'when it was calibrated: state the same `imu` (its noise counts), `plan`, `table`, `latitude`, `height`, `gravity`, `method`, `terms` and `segments`.'
+            'when it was calibrated: state the same `imu` (its noise counts), `plan`, `table`, '
+            '`latitude`, `height`, `gravity`, `method`, `terms` and `segments`.'
         )
     return result
 
