@@ -33,16 +33,17 @@ from ..estimation.hand import NAME as FREE_POSITIONS
 from ..estimation.system import observe
 from ..recordings.order import StampSorter
 from ..recordings.rosbag2 import Recording
+from ..recordings.text import fits, numbers_of, parted
 from ..reports.repeatability import date_of
 from ..segmentation.course import Temperature
 from ..segmentation.segmented import Segmented
 from ..segmentation.segmenter import Segmenter
-from ..session.imu import ImuSpec
+from ..session.imu import UNNAMED, ImuSpec, compensated_imu
 from ..session.keywords import Named, Stated, Verified, with_keywords
 from ..session.metadata import compensated_already
 from ..session.plan import UNPLANNED
 from ..session.segments_file import read_segments
-from .recorded import Recorded, recording_for
+from .recorded import Recorded, recording_at
 from .session import (
     as_applied,
     contradicted_latitude,
@@ -111,8 +112,11 @@ def verify(
     """
     loaded, name = as_applied(calibration)
     session = Stated(**stated)
-    with recording_for(bag, session, loaded, name) as recording:
-        found = _verify(loaded, name, recording, session, another_unit, progress)
+    # Columns are read as the calibration means them, or in their own units.
+    own = _in_units_of(session, described_by(first_of(loaded)))
+    opened = replace(session, imu=session.imu or own)
+    with recording_at(bag, opened) as recording:
+        found = _verify(loaded, name, own, recording, session, another_unit, progress)
     if not isinstance(calibration, str | Path):
         return found
     file = user_path(calibration)
@@ -132,6 +136,7 @@ def verify(
 def _verify(
     loaded: AnyCalibration,
     name: str,
+    own: ImuSpec,
     recording: Recording,
     stated: Stated,
     another_unit: bool,
@@ -143,7 +148,7 @@ def _verify(
     # Omit what is not stated: a plan gives names, a table attitudes.
     plan = stated_plan(stated, recording) or UNPLANNED
     known = stated_imu(stated, recording, streams.imu)
-    imu, says = (described_by(first_of(loaded)), str(recording.path)) if known is None else known
+    imu, says = (own, str(recording.path)) if known is None else known
     if not another_unit:
         serial = serial_of(stated, recording, streams.imu)
         # The number is that of the option where the recording states none.
@@ -158,10 +163,10 @@ def _verify(
         by_hand = streams.joints is None and origin.get('method') == FREE_POSITIONS
         site = site_of(stated, recording, by_hand=by_hand)
     except NotStated as error:
-        own = origin.get('latitude_deg')
-        if own is None:
+        stated_there = origin.get('latitude_deg')
+        if stated_there is None:
             raise
-        raise error.followed_by(f'{name} was made at latitude {own:g}.') from None
+        raise error.followed_by(f'{name} was made at latitude {stated_there:g}.') from None
     table = table_of(stated, recording) if streams.joints is not None else None
     listed = None if stated.segments is None else read_segments(stated.segments)
     segmenter, moving = Segmenter(imu, table, listed), TurnsSeen()
@@ -271,9 +276,11 @@ def _check_identity(
     calibration: AnyCalibration, name: str, imu: ImuSpec, where: str, serial: str, by: str
 ) -> None:
     """Refuse the calibration of another unit, if calibration and recording name their units."""
+    # The supplied descriptions of rates state units alone.
+    named = first_of(calibration).imu if imu.id in UNNAMED else imu
     try:
-        check_identity(calibration, name, imu, where)
-        check_identity(calibration, name, imu, by, serial)
+        check_identity(calibration, name, named, where)
+        check_identity(calibration, name, named, by, serial)
     except InputError as error:
         raise InputError(
             f'{error} Give the calibration of that unit, or compare them with `another_unit`.'
@@ -293,6 +300,25 @@ def described_by(calibration: Calibration) -> ImuSpec:
         gyro=replace(imu.gyro, random_walk=walk[0], bias_instability=stated[0] or drift[0]),
         accel=replace(imu.accel, random_walk=walk[1], bias_instability=stated[1] or drift[1]),
     )
+
+
+def _in_units_of(stated: Stated, own: ImuSpec) -> ImuSpec:
+    """Return a calibration's description of its IMU in the units of stated columns.
+
+    One unit may be recorded in pulses and in SI: its parameters are ratios and SI biases.
+    """
+    if stated.gyro is None or stated.accel is None or stated.imu is not None:
+        return own
+    numbers = numbers_of(parted(stated.gyro)[1], parted(stated.accel)[1])
+    if fits(own, numbers):
+        return own
+    if numbers.whole:
+        raise InputError(
+            f'`gyro` and `accel` are in {numbers.value}, and the calibration is of '
+            f'{own.units.value}: give `imu`, a file that says what one is (config/imus has '
+            'examples).'
+        )
+    return replace(compensated_imu(own, 1.0, 1.0), units=numbers)
 
 
 def _at_temperature(

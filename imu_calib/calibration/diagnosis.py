@@ -457,13 +457,16 @@ def diagnose(system: TriadSystem, values: Floats, factor: Floats, without: float
     if not good:
         return _another_unit(system, values, factor)
     best = max(evidence for evidence, _, _ in good)
-    (first, fit), *others = [(h, f) for e, h, f in good if e > best - _AS_GOOD]
+    (first, fit), *others = [(h, f) for e, h, f in good if e >= best - _AS_GOOD]
     text = f'The residuals of the {name} vanish when {first.when}. {first.why}'
     if others:
         also = '; '.join(other.when for other, _ in others[:3])
         text = f'{text.removesuffix(".")} (as good: {also}).'
     parameters = tuple(dict.fromkeys((*system.sensors.parameters, *first.freed)))
-    far = _shifted_parameters(parameters, fit, indices_of(first.freed, parameters))
+    # What the calibration leaves open of its values is part of a difference from them.
+    own = np.linalg.norm(factor, axis=1)
+    differing = replace(fit, std=np.hypot(fit.std, np.pad(own, (0, len(parameters) - len(own)))))
+    far = _shifted_parameters(parameters, differing, indices_of(first.freed, parameters))
     biases = bool(first.freed) and all(p.kind is ParameterKind.BIAS for p in first.freed)
     return Diagnosis(text, far, biases and not others)
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..common.budget import ErrorSource
 from ..common.errors import NotObservable
 from ..common.rotations import rotations
-from ..common.stream import Floats, Units
+from ..common.stream import Floats
 from ..model.earth import EARTH_RATE, Site
 from ..model.parameters import Parameter
 from ..model.sensors import Triad
@@ -50,7 +50,6 @@ class Observed:
     #: Dwells and turns by name; without attitudes and turns if these are unknown.
     evidence: Evidence
     imu: ImuSpec  #: The recording's description of its IMU.
-    sample_rate: float  #: Samples per second, Hz.
     notes: tuple[str, ...] = ()  #: What was left out, in sentences.
 
     @property
@@ -69,16 +68,14 @@ class Observed:
         A user of a calibration interprets the stream by the calibration's own description of the
         IMU. The factors are for gyros and accelerometers, dimensionless.
         """
-        if spec.units is not self.imu.units and spec.units.physical and self.imu.units.physical:
-            return 1.0, 1.0  # Each states what its own numbers are.
-        gyro, accel = self._si_per_number(spec) / self._si_per_number(self.imu)
-        return float(gyro), float(accel)
-
-    def _si_per_number(self, spec: ImuSpec) -> Floats:
-        if spec.units is Units.SI:
-            return np.ones(2)
-        scales = np.array([spec.gyro.scale_factor, spec.accel.scale_factor])
-        return scales * (self.sample_rate if spec.units.per_interval else 1.0)
+        if spec.units is not self.imu.units:
+            # Each states what its own numbers are, and parameters are ratios and SI biases.
+            return 1.0, 1.0
+        own = self.imu
+        return (
+            spec.gyro.scale_factor / own.gyro.scale_factor,
+            spec.accel.scale_factor / own.accel.scale_factor,
+        )
 
 
 def observe(
@@ -112,9 +109,6 @@ def observe(
             f'Neither static dwells nor whole turns were found in {session.samples} IMU samples '
             f'({session.duration:.0f} s): nothing can be compared.'
         )
-    # A plan of turns alone has no named dwells.
-    timed = [s.statistics for s in labelled.segments or labelled.turns]
-    sample_rate = float(np.median([s.samples / s.duration for s in timed]))
     # Attitudes held by hand are accurate to degrees only.
     known = not plan.by_hand and all(s.attitude is not None for s in labelled.segments)
     segments = tuple(
@@ -129,7 +123,7 @@ def observe(
         clock, Evidence.from_session(named, session, plan, imu, site, table)
     )
     evidence = evidence if known else replace(evidence, turns=(), moves=())
-    return Observed(evidence, imu, sample_rate, (*labelled.notes, *session.losses))
+    return Observed(evidence, imu, (*labelled.notes, *session.losses))
 
 
 def _by_the_clock_of(clock: StampingClock | None, evidence: Evidence) -> Evidence:

@@ -309,9 +309,14 @@ class OtherNumbers(InputError):
         self.contradiction = contradiction
 
 
+def fits(spec: ImuSpec, numbers: Units) -> bool:
+    """Return whether what is stated of an IMU may be that of columns of these numbers."""
+    return spec.units in _FITTING[numbers]
+
+
 def fitting(spec: ImuSpec, name: str, numbers: Units) -> ImuSpec:
     """Return what is stated of an IMU if it fits columns of these numbers."""
-    if spec.units not in _FITTING[numbers]:
+    if not fits(spec, numbers):
         raise OtherNumbers(
             f'`imu` {name}',
             f'units: found {spec.units.value}, but the numbers are {_NUMBERS[numbers]}.',

@@ -304,10 +304,20 @@ def test_units_that_the_numbers_contradict_are_refused(named, expected):
         imu_calib.calibrate(named, latitude=48.1, **columns)
     with pytest.raises(imu_calib.InputError, match=message):
         imu_calib.verify(named, expected, latitude=48.1, imu='si', **columns)
-    # No IMU is stated: the calibration is named.
-    message = '^calibration of mems_counts: units: found counts, but the numbers are rates'
     with pytest.raises(imu_calib.InputError, match=message):
         imu_calib.verify(named, expected, latitude=48.1, **columns)
+
+
+def test_columns_in_other_units_than_the_calibration_are_read_by_their_own(named, expected):
+    """An `imu` that nobody gave was said to contradict the columns."""
+    columns = {**OWN, 'stamp': 't:s'}
+    for imu in (None, 'si'):
+        found = imu_calib.verify(named, expected, latitude=48.1, imu=imu, **columns)
+        assert {t.verdict.name for t in found.triads} == {'PASS'}
+    made = imu_calib.calibrate(named, latitude=48.1, **columns)
+    whole = {'gyro': 'gx,gy,gz:count', 'accel': 'ax,ay,az:count', 'stamp': 't:s'}
+    with pytest.raises(imu_calib.InputError, match='in counts, and the calibration is of si: give'):
+        imu_calib.verify(named, made, latitude=48.1, **whole)
 
 
 @pytest.mark.parametrize(

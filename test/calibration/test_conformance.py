@@ -607,7 +607,7 @@ def evidence_of(terms: tuple[Term, ...]) -> Evidence:
 
 
 def observed(terms: tuple[Term, ...]) -> Observed:
-    return Observed(evidence_of(terms), load_imu('si'), 100.0)
+    return Observed(evidence_of(terms), load_imu('si'))
 
 
 @pytest.mark.parametrize('triads', ['g', 'a', 'ga'])

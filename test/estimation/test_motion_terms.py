@@ -106,7 +106,7 @@ def test_accelerometers_that_are_together_and_in_time_are_found_so() -> None:
 
 
 def test_verify_holds_them_against_a_recording(moved: Evidence) -> None:
-    observation = Observed(moved, known(terms=True).imu, UNIT.rate)
+    observation = Observed(moved, known(terms=True).imu)
     right = SensorModel().with_values(parameters_of(TERMS), true_values())
     spread = np.diag((1e-6 * np.abs(true_values())) ** 2)
     calibration = replace(known(terms=True), model=right, covariance=spread)

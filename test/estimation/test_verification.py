@@ -396,8 +396,8 @@ DEFECTS: dict[str, tuple[Callable[[], Calibration], bool, str]] = {
         True,
         'reads 2 times too much',
     ),
-    'counts for pulses': (
-        lambda: replace(calibration(), imu=replace(calibration().imu, units=Units.SI)),
+    'a scale factor for one of another unit': (
+        lambda: scaled(gyro=1e6 * paper_imu().gyro.scale_factor),
         True,
         'the outputs are read as the recording describes them',
     ),
@@ -410,6 +410,16 @@ def test_a_spoilt_calibration_is_rejected_with_its_symptom(name: str) -> None:
     verification = verify(spoil(), without_moves())
     assert verification.verdict is Verdict.FAIL
     assert words in symptom(verification, gyros=gyros).split('as good')[0]
+
+
+@pytest.mark.parametrize('units', [Units.SI, Units.RATES, Units.COUNTS])
+def test_a_recording_in_other_units_than_the_calibration_is_read_as_it_says(units: Units) -> None:
+    """Parameters are ratios and SI biases: pulses were read as SI, and the same unit rejected."""
+    imu = replace(scaled(gyro=1.0, accel=1.0).imu, units=units)
+    other = replace(calibration(), imu=imu)
+    assert verify(other, without_moves()).verdict is Verdict.PASS
+    wrong = replace(gyro(g().error_matrix.T), imu=imu)
+    assert 'matrix is transposed' in symptom(verify(wrong, without_moves()), gyros=True)
 
 
 def test_what_has_moved_is_told_with_its_size() -> None:
