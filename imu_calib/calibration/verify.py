@@ -11,17 +11,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from ..common.files import require
 from ..common.finding import warning
 from ..common.stream import Floats
 from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G, counted
 from ..estimation.free_dwells import Sensors, Up, noise_at_rest, squares, transformed_covariance
-from ..estimation.system import Fit, Observed, TriadSystem, factor_of
+from ..estimation.system import Fit, Observed, Shifts, TriadSystem, factor_of
 from ..model.earth import EARTH_RATE, Site
 from ..model.parameters import AXES, Parameter, ParameterKind, Shown, engineering, indices_of
 from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms, terms_of
@@ -282,13 +284,25 @@ class Judged:
     chi_square: float  #: Chi-square of all their equations.
     freedom: int  #: Its degrees of freedom.
     diagnosis: Diagnosis | None  #: What is wrong; None unless rejected.
+    #: Parameters whose shift alone casts doubt on the calibration.
+    shifted: tuple[ShiftedParameter, ...] = ()
 
     def __str__(self) -> str:
         """Return the result in one line."""
-        return (
+        line = (
             f'{"gyros" if self.gyros else "accelerometers"}: {self.verdict}, chi-square '
             f'{self.chi_square:.1f} with {self.freedom} degrees of freedom'
         )
+        shifted = ', '.join(
+            f'{one.parameter.name} off by {abs(one.difference / one.std):.1f}'
+            for one in self.shifted
+        )
+        return f'{line}, {shifted} standard deviations' if shifted else line
+
+    @property
+    def moved(self) -> tuple[ShiftedParameter, ...]:
+        """The parameters that have moved, by the diagnosis or each alone."""
+        return (() if self.diagnosis is None else self.diagnosis.moved) or self.shifted
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units."""
@@ -299,7 +313,7 @@ class Judged:
             'chi_square': float(self.chi_square),
             'degrees_of_freedom': int(self.freedom),
             'symptom': None if found is None else found.symptom,
-            'moved': [] if found is None else [moved.to_dict() for moved in found.moved],
+            'moved': [moved.to_dict() for moved in self.moved],
         }
 
 
@@ -380,9 +394,8 @@ class Verification:
 
     @property
     def moved(self) -> tuple[ShiftedParameter, ...]:
-        """The parameters that differ in the recording, of the triads that are rejected."""
-        found = [t.diagnosis for t in self.triads if t.diagnosis is not None]
-        return tuple(moved for diagnosis in found for moved in diagnosis.moved)
+        """The parameters that differ in the recording."""
+        return tuple(moved for triad in self.triads for moved in triad.moved)
 
     @property
     def moved_frame(self) -> pandas.DataFrame:
@@ -507,8 +520,12 @@ def _verified(calibration: Calibration, observed: Observed) -> Verification:
         carried, considered = _carried(calibration, observed, gyros)
         trials.append(_Trial.fit_triad(calibration, carried, gyros=False, considered=considered))
     compared = [c for t in trials for c in compare(t.system, t.values, t.factor, t.fit)]
-    limits = (_limit(DOUBT, len(compared)), _limit(REJECTION, len(compared)))
-    judged = tuple(trial.judge(compared, limits) for trial in trials)
+    tested = [trial.tested(_limit(REJECTION, len(compared))) for trial in trials]
+    count = len(compared) + sum(int(mine.sum()) for mine in tested)
+    limits = (_limit(DOUBT, count), _limit(REJECTION, count))
+    judged = tuple(
+        trial.judge(compared, limits, mine) for trial, mine in zip(trials, tested, strict=True)
+    )
     return Verification(
         judged,
         tuple(compared),
@@ -522,7 +539,14 @@ def _verified(calibration: Calibration, observed: Observed) -> Verification:
         ),
         by_hand=calibration.by_hand,
         untested=(
-            *(name for trial in trials for name in trial.untested(calibration, limits[1])),
+            *(
+                parameter.name
+                for trial, mine in zip(trials, tested, strict=True)
+                for parameter, own, shows in zip(
+                    trial.system.sensors.parameters, trial.own, mine, strict=True
+                )
+                if own > 0 and not shows
+            ),
             *_not_compared(calibration, trials),
         ),
     )
@@ -626,6 +650,7 @@ class _Trial:
     values: Floats
     factor: Floats
     fit: Fit
+    own: Floats  #: (p,) standard deviations of the parameters in the calibration.
 
     @classmethod
     def fit_triad(
@@ -644,24 +669,24 @@ class _Trial:
         system = with_true_noise(system)
         factor = _factor(calibration, system, system.spec.bias_instability)
         values = calibration.model.values(sensors.parameters)
-        return cls(system, values, factor, system.fit(values, factor))
+        own = calibration.std[list(indices_of(sensors.parameters, calibration.parameters))]
+        return cls(system, values, factor, system.fit(values, factor), own)
 
     @property
     def name(self) -> str:
         return 'gyros' if self.system.gyros else 'accelerometers'
 
-    def untested(self, calibration: Calibration, limit: float) -> list[str]:
-        """Return the parameters of which only errors of many deviations reach a limit."""
-        parameters = self.system.sensors.parameters
-        own = calibration.std[list(indices_of(parameters, calibration.parameters))]
+    @cached_property
+    def shifts(self) -> Shifts:
+        """What the session shows of each parameter alone."""
+        return self.system.shifts(self.values, self.factor, self.fit)
+
+    def tested(self, limit: float) -> NDArray[np.bool_]:
+        """Return which parameters (p,) have errors of so few deviations that reach a limit."""
         # Of biases that drift between sessions, the deviations are those of the drift.
-        allowed = np.maximum(own, np.linalg.norm(self.factor, axis=1))
-        shown = allowed * self.system.sensitivities(self.values, self.factor, self.fit.unknown)
-        return [
-            p.name
-            for p, std, by in zip(parameters, own, shown, strict=True)
-            if std > 0 and by < limit / _UNTESTED
-        ]
+        allowed = np.maximum(self.own, np.linalg.norm(self.factor, axis=1))
+        shown = allowed * self.shifts.sensitivities
+        return np.asarray((self.own > 0) & (shown >= limit / _UNTESTED))
 
     def findings(self) -> list[str]:
         """Report excess scatter of the session, and a search that did not converge."""
@@ -687,10 +712,17 @@ class _Trial:
             )
         return found
 
-    def judge(self, compared: list[ComparedQuantity], limits: tuple[float, float]) -> Judged:
-        """Return the verdict and, for a rejection, the diagnosis."""
+    def judge(
+        self,
+        compared: list[ComparedQuantity],
+        limits: tuple[float, float],
+        tested: NDArray[np.bool_],
+    ) -> Judged:
+        """Return the verdict by what is compared and tested; for a rejection, the diagnosis."""
         mine = [abs(c.ratio) for c in compared if c.quantity.of_gyros == self.system.gyros]
-        chance, worst = self.fit.chance, max(mine)
+        # Chi-square of a hundred equations dilutes one parameter.
+        shifts = np.abs(self.shifts.deviates[tested])
+        chance, worst = self.fit.chance, max(*mine, float(shifts.max(initial=0.0)))
         verdict = Verdict.PASS
         # Limits this wide would hide more than positioning errors and drift, such as a wrong
         # latitude.
@@ -706,7 +738,23 @@ class _Trial:
             diagnosis = self._in_one_attitude(compared) or diagnose(
                 self.system, self.values, self.factor, self.fit.chi_square
             )
-        return Judged(self.system.gyros, verdict, self.fit.chi_square, self.fit.freedom, diagnosis)
+        parameters = self.system.sensors.parameters
+        shifted = tuple(
+            ShiftedParameter(parameters[k], size, std)
+            for k, size, std in self.shifts.beyond(limits[0], tested)
+        )
+        if diagnosis is not None and chance > REJECTION and shifted:
+            # Of what all equations together do not show, each parameter alone tells.
+            diagnosis = replace(diagnosis, moved=shifted)
+        alone = diagnosis is None or chance > REJECTION
+        return Judged(
+            self.system.gyros,
+            verdict,
+            self.fit.chi_square,
+            self.fit.freedom,
+            diagnosis,
+            shifted if alone else (),
+        )
 
     def _in_one_attitude(self, compared: list[ComparedQuantity]) -> Diagnosis | None:
         """Return by how much sensors are off in the only attitude; None if there are more.

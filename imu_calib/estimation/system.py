@@ -164,6 +164,7 @@ _PROBABLE = 0.05
 """Probability of a kind of scatter below which it is none. A judgement: positioning errors that a
 few dwells seem to show affect turns so much that a millionth of them would widen these."""
 
+_SEEN = 1e-6  #: Share of a column that is no rounding: far above it, and far below any correlation.
 _ANY_TILT = 0.1  #: rad: prior std of an unlevelled table. Accelerometers determine the tilt.
 
 
@@ -199,6 +200,55 @@ class Scatter:
     factors: tuple[float, ...] = (1.0, 1.0, 1.0)  #: Times the noise of dwells, turns and moves.
     at_rest: float = 0.0  #: Degrees of freedom of the residuals of dwells.
     freedom: float = 0.0  #: Those of all.
+
+
+@dataclass(frozen=True, eq=False)
+class Shifts:
+    """Equations of shifts of the parameters beyond their deviations, in standard deviations.
+
+    residuals = columns shift + noise of variance 1. The likelihood of a shift depends on no more.
+    """
+
+    columns: Floats  #: (n, p)
+    residuals: Floats  #: (n,)
+
+    @property
+    def sensitivities(self) -> Floats:
+        """(p,) deviations by which a shift of one unit of each parameter shows."""
+        return np.asarray(np.linalg.norm(self.columns, axis=0))
+
+    @property
+    def deviates(self) -> Floats:
+        """(p,) score statistics: standard normal numbers unless a parameter has moved."""
+        return self._of(self.columns, self.residuals)
+
+    def beyond(self, limit: float, among: NDArray[np.bool_]) -> list[tuple[int, float, float]]:
+        """Return index, size and standard deviation of the shifts (p,) that explain the session.
+
+        The largest is taken out until none of the others is beyond a limit: one that moved shows
+        in whatever it is correlated with, too.
+        """
+        found: list[int] = []
+        left, residuals = self.columns, self.residuals
+        while True:
+            deviates = np.where(among, np.abs(self._of(left, residuals)), 0.0)
+            deviates[found] = 0.0
+            if not deviates.max(initial=0.0) > limit:
+                break
+            found.append(int(np.argmax(deviates)))
+            taken = np.linalg.qr(self.columns[:, found])[0]
+            left = self.columns - taken @ (taken.T @ self.columns)
+            residuals = self.residuals - taken @ (taken.T @ self.residuals)
+        columns = self.columns[:, found]
+        size = np.linalg.lstsq(columns, self.residuals, rcond=None)[0]
+        std = np.linalg.norm(np.linalg.pinv(columns), axis=1)
+        return list(zip(found, size.tolist(), std.tolist(), strict=True))
+
+    def _of(self, columns: Floats, residuals: Floats) -> Floats:
+        own, now = self.sensitivities, np.linalg.norm(columns, axis=0)
+        # Rounding is left of what no session shows, or what others take up.
+        seen = now > _SEEN * np.where(own > 0, own, 1.0)
+        return np.where(seen, columns.T @ residuals / np.where(seen, now, 1.0), 0.0)
 
 
 _System = Callable[[Floats], tuple[Floats, Floats]]
@@ -479,20 +529,22 @@ class TriadSystem:
 
         return system
 
-    def sensitivities(self, values: Floats, factor: Floats, unknown: Floats) -> Floats:
-        """Return by how many deviations an error of one unit of each parameter (p,) would show.
+    def shifts(self, values: Floats, factor: Floats, fit: Fit) -> Shifts:
+        """Return what the session shows of shifts of the parameters (p,) beyond their deviations.
 
-        Deviations are those of the noise and of the parameters, by the factor (p, k) of their
-        covariance. What the other unknowns (u,) take up of it, such as the tilt of the table, is
-        left out.
+        Those are by the factor (p, k) of their covariance. What the other unknowns take up of a
+        shift, such as the tilt of the table, is left out.
         """
-        rows = self._whitened(values, unknown)
-        columns, others = rows[:, : len(values)], rows[:, len(values) : -1]
-        taken_up = others @ np.linalg.lstsq(others, columns, rcond=None)[0] if others.size else 0.0
-        seen = np.linalg.qr(columns - taken_up, mode='r')
-        by_parameters = seen @ factor
-        root = np.linalg.cholesky(np.eye(len(seen)) + by_parameters @ by_parameters.T)
-        return np.asarray(np.linalg.norm(np.linalg.solve(root, seen), axis=0))
+        rows = self._whitened(values + fit.delta, fit.unknown)
+        count = len(values)
+        shown, others = rows[:, [*range(count), -1]], rows[:, count:-1]
+        if others.size:
+            shown = shown - others @ np.linalg.lstsq(others, shown, rcond=None)[0]
+        orthogonal, columns = np.linalg.qr(shown[:, :count])
+        residuals = orthogonal.T @ shown[:, count] + columns @ fit.delta
+        by_parameters = columns @ factor
+        root = np.linalg.cholesky(np.eye(len(columns)) + by_parameters @ by_parameters.T)
+        return Shifts(np.linalg.solve(root, columns), np.linalg.solve(root, residuals))
 
     def _whitened(self, values: Floats, unknown: Floats) -> Floats:
         """Return derivatives and residuals (m + q, p + u + 1) in deviations, priors last."""

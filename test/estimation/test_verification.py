@@ -35,7 +35,7 @@ from imu_calib.common.units import (
 )
 from imu_calib.estimation import system
 from imu_calib.estimation.free_dwells import Sensors
-from imu_calib.estimation.system import Observed, observe
+from imu_calib.estimation.system import Observed, Shifts, observe
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.model.parameters import ParameterKind
 from imu_calib.model.sensors import Triad
@@ -218,6 +218,8 @@ def test_the_limits_are_those_of_the_largest_of_all_that_is_compared() -> None:
     # The chance that the largest of n independent ratios exceeds the limit, by sound data.
     n = len(verification.compared)
     assert n == 6 * 4 + 18 * 2
+    # Every parameter is one more number.
+    n += len(calibration().parameters)
     for limit, chance in zip(verification.limits, (1e-2, 1e-6), strict=True):
         assert -np.expm1(n * np.log1p(-2 * norm.sf(limit))) == pytest.approx(chance, rel=0.01)
 
@@ -275,6 +277,57 @@ def test_the_drift_that_the_calibration_found_is_expected_where_none_is_stated()
     spec = _described(found)
     assert (spec.gyro.bias_instability, spec.accel.bias_instability) == pytest.approx((1e-7, 2e-4))
     assert _described(replace(found, provenance={})).accel.bias_instability == 0.0
+
+
+@pytest.mark.parametrize(('name', 'gyros'), [('D_gx', True), ('E_gxy', True), ('K_az', False)])
+@pytest.mark.parametrize('size', [7.0, -7.0, 10.0])
+def test_one_parameter_that_moved_is_named_whatever_the_others_dilute(
+    name: str, gyros: bool, size: float
+) -> None:
+    """Of 92 degrees of freedom one bias that moved by eight deviations was a doubt at most."""
+    trial = _Trial.fit_triad(calibration(), without_moves(), gyros=gyros)
+    index = [p.name for p in trial.system.sensors.parameters].index(name)
+    std = 1 / float(trial.shifts.sensitivities[index])
+    # Beside what the noise of the session shows already.
+    shift = (size - float(trial.shifts.deviates[index])) * std
+    found = verify(_moved(name, -shift), without_moves())
+    (judged,) = [t for t in found.triads if t.gyros == gyros]
+    assert judged.verdict is Verdict.FAIL
+    assert [one.parameter.name for one in found.moved] == [name]
+    if abs(size) < 9:
+        assert found.moved[0].difference == pytest.approx(size * std, rel=0.01)
+        assert found.moved[0].std == pytest.approx(std, rel=0.01)
+        # Chi-square alone does not reject it, of either sign.
+        assert chi2.sf(judged.chi_square, judged.freedom) > 1e-6
+        assert f'{name} off by' in str(judged)
+
+
+def _moved(name: str, shift: float) -> Calibration:
+    good = calibration()
+    index = [p.name for p in good.parameters].index(name)
+    values = good.values + shift * np.eye(len(good.values))[index]
+    return replace(good, model=good.model.with_values(good.parameters, values))
+
+
+def test_a_shift_of_a_sound_session_is_a_standard_normal_number() -> None:
+    """Drawn sessions of equations in which the parameters are correlated."""
+    rng, runs = np.random.default_rng(5), 4000
+    columns = rng.standard_normal((8, 5)) @ (np.eye(5) + 0.7)
+    noise = rng.standard_normal((runs, 8))
+    sound = np.array([Shifts(columns, one).deviates for one in noise])
+    assert np.abs(np.cov(sound.T).diagonal() - 1).max() < 5 * np.sqrt(2 / runs)
+    # One that moved by twelve deviations shows in others too, and is named alone.
+    own, every = 12 / Shifts(columns, noise[0]).sensitivities, np.ones(5, bool)
+    for k in range(5):
+        shown = Shifts(columns, noise[k] + columns[:, k] * own[k])
+        assert (np.abs(shown.deviates) > 4).sum() > 1
+        ((index, size, std),) = shown.beyond(4.0, every)
+        assert index == k and std == pytest.approx(own[k] / 12)
+        assert abs(size - own[k]) < 4 * std
+    assert not Shifts(columns, noise[0]).beyond(4.0, every)
+    # What no session shows is no number.
+    unseen = Shifts(np.insert(columns, 2, 0.0, axis=1), noise[0])
+    assert unseen.deviates[2] == 0.0 and np.isfinite(unseen.deviates).all()
 
 
 def test_what_passes_by_the_drift_stated_alone_is_said() -> None:
