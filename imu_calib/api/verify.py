@@ -180,6 +180,7 @@ def _verify(
                     moving.add_samples(block.stamp, block.gyro, block.accel)
         session = segmenter.finish()
         calibration, notes = _at_temperature(loaded, session.temperature)
+        warmer = _warmer(calibration, session.temperature)
         try:
             observed = observe(session, imu, site, plan, table, calibration.clock)
         except NotObservable as error:
@@ -194,6 +195,7 @@ def _verify(
         replace(
             observed,
             notes=(*recording.losses, *already, *order.sentences, *notes, *observed.notes),
+            warmer=warmer,
         ),
     )
     recorded_unit = serial_of(replace(stated, serial=None), recording, streams.imu)
@@ -332,12 +334,20 @@ def _at_temperature(
                 'verify it with a recording that has one (topic imu/temperature).'
             )
         return loaded.at(seen.mean), []
-    made_at = loaded.provenance.get('temperature')
-    if seen is None or not isinstance(made_at, dict):
+    warmer = _warmer(loaded, seen)
+    if seen is None or warmer is None:
         return loaded, unknown_temperature(loaded, recorded=seen is not None)
-    if abs(seen.mean - float(made_at['mean'])) < _OTHER_TEMPERATURE:
+    if abs(warmer) < _OTHER_TEMPERATURE:
         return loaded, []
     return loaded, [
         f'The recording was made at {seen.mean:.1f} degrees Celsius, the calibration at '
-        f'{float(made_at["mean"]):.1f}.'
+        f'{seen.mean - warmer:.1f}.'
     ]
+
+
+def _warmer(calibration: Calibration, seen: Temperature | None) -> float | None:
+    """Return by how many K a recording is warmer than a calibration; None if either is unknown."""
+    made_at = calibration.provenance.get('temperature')
+    if seen is None or not isinstance(made_at, dict):
+        return None
+    return seen.mean - float(made_at['mean'])

@@ -294,18 +294,19 @@ _WIDE_G = 1e-3  #: s/m: prior standard deviation of g-sensitivity of an unknown 
 _OF_TERMS = {term.kind for term in TERMS}  #: Kinds that belong to terms.
 _ALL_BUT_ZERO = 1e-9  #: Tolerance on a factor of one: far above rounding, far below any wrong unit.
 _FREED = {
-    ParameterKind.BIAS: ('the biases are others', 'They have moved: another temperature, or time.'),
-    ParameterKind.SCALE_FACTOR_ERROR: (
-        'the scale factors are others',
-        'They have moved: temperature, or time.',
-    ),
+    ParameterKind.BIAS: ('the biases are others', ''),
+    ParameterKind.SCALE_FACTOR_ERROR: ('the scale factors are others', ''),
     ParameterKind.MISALIGNMENT: (
         'the misalignments are others',
         "The unit or its axes have moved, or the table's positioning error is as large "
         '(positioning in its YAML).',
     ),
 }
-"""Condition and cause where freed parameters of a kind explain a session."""
+"""Condition and cause where freed parameters of a kind explain a session; without one, they have
+moved with temperature or time."""
+_SAME_TEMPERATURE = 0.1
+"""K between two sessions below which it is one temperature: sensors in IMUs resolve no less. A
+judgement."""
 _ALIKE = '; or, if all are off alike, gravity or latitude are other than for the calibration.'
 
 
@@ -499,14 +500,49 @@ def _scale_cause(system: TriadSystem, share: float) -> tuple[str, str]:
             f'They are of another scale than the file says: {words}.',
         )
     if system.gyros:
+        ppm = (1 / share - 1) / PPM
         return (
-            f'all gyros answer {(1 / share - 1) / PPM:+.1f} ppm more',
-            'The clock of the IMU, or the nominal scale factor, is not what it was.',
+            f'all gyros answer {abs(ppm):.1f} ppm {"more" if ppm > 0 else "less"}',
+            f'Possible causes: {_of_temperature(system, ppm)}the clock of the IMU, or another '
+            'nominal scale factor.',
         )
     return (
         f'gravity is {system.magnitude / share:.5f} m/s^2 instead of {system.magnitude:.5f}',
         'Latitude, height or gravity are not those of the recording, or not those of the '
         'calibration; or all accelerometers have changed alike.',
+    )
+
+
+def _of_temperature(system: TriadSystem, ppm: float) -> str:
+    """Return temperature as a cause of a change of the scale factors, first of several.
+
+    One session at one temperature does not tell it from the others.
+    """
+    warmer = system.observed.warmer
+    if warmer is None:
+        return 'another temperature, '
+    if abs(warmer) < _SAME_TEMPERATURE:
+        return ''
+    return (
+        f'the temperature (the recording is {_other_temperature(warmer)}; '
+        f'{abs(ppm / warmer):.2g} ppm/K suffice), '
+    )
+
+
+def _other_temperature(warmer: float) -> str:
+    return f'{abs(warmer):.1f} K {"warmer" if warmer > 0 else "colder"}'
+
+
+def _moved_by(system: TriadSystem) -> str:
+    """Return why parameters have moved, a sentence."""
+    warmer = system.observed.warmer
+    if warmer is None:
+        return 'They have moved: another temperature, or time.'
+    if abs(warmer) < _SAME_TEMPERATURE:
+        return 'They have moved with time: the temperature is that of the calibration.'
+    return (
+        f'They have moved: the recording is {_other_temperature(warmer)} than the calibration, or '
+        'with time.'
     )
 
 
@@ -519,6 +555,7 @@ def _freed(system: TriadSystem, values: Floats) -> Iterator[Hypothesis]:
         yield Hypothesis('the unit is turned', why, values, mount_free=True)
     for kind in dict.fromkeys((*_FREED, *(p.kind for p in mine))):
         when, why = _words(kind)
+        why = why or _moved_by(system)
         if kind is ParameterKind.SCALE_FACTOR_ERROR and not system.gyros:
             why = why.removesuffix('.') + _ALIKE
         freed = tuple(p for p in mine if p.kind is kind)

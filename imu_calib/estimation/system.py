@@ -51,6 +51,8 @@ class Observed:
     evidence: Evidence
     imu: ImuSpec  #: The recording's description of its IMU.
     notes: tuple[str, ...] = ()  #: What was left out, in sentences.
+    #: By how much the recording is warmer than the calibration, K; None if either is unknown.
+    warmer: float | None = None
 
     @property
     def site(self) -> Site:

@@ -526,6 +526,31 @@ def test_another_gravity_is_told_from_accelerometers_that_have_changed() -> None
         assert f'instead of {site.gravity:.5f}' in words
 
 
+@pytest.mark.parametrize(
+    ('warmer', 'words'),
+    [
+        (None, 'causes: another temperature, the clock of the IMU, or another nominal scale'),
+        (0.02, 'causes: the clock of the IMU, or another nominal scale factor'),
+        (-1.5, 'causes: the temperature (the recording is 1.5 K colder; 20 ppm/K suffice), the cl'),
+    ],
+)
+def test_temperature_is_a_cause_where_it_differs_or_is_not_known(
+    warmer: float | None, words: str
+) -> None:
+    seen = replace(without_moves(), warmer=warmer)
+    alike = gyro(g().error_matrix + 30 * PPM * g().response)
+    said = symptom(verify(alike, seen), gyros=True)
+    assert re.search(r'all gyros answer (29|30|31)\.\d ppm less', said)
+    assert words in said
+    biased = verify(gyro(bias=g().bias + np.array([2 * DEG_H, 0.0, 0.0])), seen)
+    told = {
+        None: 'They have moved: another temperature, or time.',
+        0.02: 'moved with time: the temperature is that of the calibration.',
+        -1.5: 'They have moved: the recording is 1.5 K colder than the calibration, or with time.',
+    }
+    assert told[warmer] in symptom(biased, gyros=True)
+
+
 def test_without_plan_and_table_lengths_are_compared() -> None:
     verification = verify(calibration(), by_the_imu_alone())
     assert verification.verdict is not Verdict.FAIL
