@@ -241,6 +241,8 @@ class Shifts:
             taken = np.linalg.qr(self.columns[:, found])[0]
             left = self.columns - taken @ (taken.T @ self.columns)
             residuals = self.residuals - taken @ (taken.T @ self.residuals)
+        if not found:
+            return []
         columns = self.columns[:, found]
         size = np.linalg.lstsq(columns, self.residuals, rcond=None)[0]
         std = np.linalg.norm(np.linalg.pinv(columns), axis=1)
