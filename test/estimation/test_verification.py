@@ -15,7 +15,7 @@ from scipy.stats import chi2, norm
 from sessions import LATITUDE, SITE, at_one_rate, calibrate, paper_imu, quick_plan, session, stand
 
 from imu_calib.api.simulate import serialised
-from imu_calib.api.verify import _described
+from imu_calib.api.verify import described_by
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.diagnosis import diagnose, mistakes, share_in_words
 from imu_calib.calibration.verify import Quantity, Verdict, Verification, _Trial, verify
@@ -274,9 +274,9 @@ def test_a_drift_that_the_session_does_not_have_hides_nothing() -> None:
 
 def test_the_drift_that_the_calibration_found_is_expected_where_none_is_stated() -> None:
     found = replace(calibration(), provenance={'bias_drift': [1e-7] * 3 + [2e-4] * 3})
-    spec = _described(found)
+    spec = described_by(found)
     assert (spec.gyro.bias_instability, spec.accel.bias_instability) == pytest.approx((1e-7, 2e-4))
-    assert _described(replace(found, provenance={})).accel.bias_instability == 0.0
+    assert described_by(replace(found, provenance={})).accel.bias_instability == 0.0
 
 
 @pytest.mark.parametrize(('name', 'gyros'), [('D_gx', True), ('E_gxy', True), ('K_az', False)])
