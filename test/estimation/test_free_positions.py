@@ -334,7 +334,7 @@ def test_thirty_holds_with_the_shortest_turns_state_what_the_plan_said_beforehan
     plan = load_plan('free_positions')
     ups = np.array([p.up for p in plan.positions])
     session = shortest_turns(ups, np.array([p.dwell for p in plan.positions]), heading=1.0)
-    assert session.dwell_attitudes[:, 2] == pytest.approx(ups, abs=1e-12)
+    assert session.attitudes()[:, 2] == pytest.approx(ups, abs=1e-12)
     found = calibrator(session, unit(0), 0, bias_instability=False).finish().calibration
     ahead = forecast(Setup(SPEC, plan, None, SITE), unit(0)).std
     # The noise of thirty short holds is known to a few percent; level biases share with north.
