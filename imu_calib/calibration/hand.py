@@ -10,6 +10,7 @@ from itertools import product
 
 import numpy as np
 
+from ..common.budget import ErrorSource
 from ..common.errors import InputError, NotObservable
 from ..common.finding import Finding, warning, with_full_stop
 from ..common.stream import Block, Floats, ImuBlock, TemperatureBlock, Units
@@ -44,6 +45,7 @@ from ..segmentation.segmented import Move, Segmented
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.segments import Segment
 from ..session.imu import SCALE_LIMIT, ImuSpec
+from ..session.table_errors import clock_share
 from .calibration import BY_ACCELEROMETERS
 from .mistakes import dead_channels, explained, refuse_separate_messages, with_facts
 from .results import (
@@ -262,6 +264,9 @@ def _deviations(rows: Floats) -> Floats:
 _LEAST_STD = np.repeat([1e-9, 1e-7], 3)
 """rad/s and m/s^2: least std assumed for numbers without noise, for the conditioning of the solver.
 After a hold, the std of the best shipped units is 300 times larger."""
+_LEAST_CLOCK = 1e-6
+"""Relative standard deviation of the sample interval below which it is no share of K_g: a hundredth
+of what a session by hand reaches. Pulses are angles, for any interval."""
 _LOST = 100.0
 """Ratio of the variance from lost samples in a turn to all its other variance above which the turn
 is not used: with ten times the std, it has a hundredth of the information of others."""
@@ -504,10 +509,12 @@ class HandCalibrator:
         )
         used = evidence.used_moves
         variances = used.variances(evidence.walk_of_moves)[:, :3]
+        # Of gaps in the holds beside it what is filled in is known, and its variance with it.
+        within = {move.start: move.filled for move in moves}
         kept = tuple(
             link.move
             for link, variance in zip(used.linked, variances, strict=True)
-            if link.move.filled <= _LOST * (variance.mean() - link.move.filled)
+            if within[link.move.start] <= _LOST * (variance.mean() - link.move.filled)
             # A hold that slides is in another attitude at its end.
             and not (holds[link.first].sliding or holds[link.second].sliding)
         )
@@ -564,6 +571,11 @@ class HandCalibrator:
         # The attitudes of a free-position plan are proposals: none can be missing.
         origin.pop('missing_positions', None)
         calibration = calibrated(setup, solution, origin, solution.findings)
+        if not setup.imu.units.per_interval and session.interval_std > _LEAST_CLOCK:
+            share = clock_share(
+                calibration.model, calibration.parameters, setup.imu.units, session.interval_std
+            )
+            calibration = calibration.with_share(ErrorSource.CLOCK, share)
         noise = calibration.unknown_noise
         calibration = replace(calibration, findings=(*calibration.findings, *noise))
         return Result(calibration, solution, session, Labelled(segments, (), session.rejected))

@@ -92,7 +92,12 @@ class ErrorSource(Enum):
     DELAY = 'delay', 'B', 'delay', 'delay of accelerometers after gyros'
     NORTH = 'unknown_north', 'B', 'north', 'horizontal Earth rate, unknown heading or left by turns'
     TABLE = 'table', 'B', 'table', 'axes, zeros and encoders of the table, as stated or assumed'
-    CLOCK = 'clock', 'A', 'clock', 'rate between the clocks of IMU and table'
+    CLOCK = (
+        'clock',
+        'A',
+        'clock',
+        'rate between the clocks of IMU and table, or sample interval by stamps alone',
+    )
     TABLE_CLOCK = (
         'table_clock',
         'B',

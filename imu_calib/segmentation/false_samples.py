@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..common.stream import Floats, Stamps, Units, at
 from ..common.units import DEG, STANDARD_GRAVITY, counted
 from .counters import all_in_row, any_in_row
-from .stamp_faults import INTERRUPTION
+from .stamp_faults import INTERRUPTION, sample_interval
 
 _SPIKE = 20.0
 """Times the roughness of the samples around by which a single sensor has to be beyond both
@@ -151,6 +151,11 @@ class FalseSamples:
 
 NONE_FALSE = FalseSamples()  #: Of a stream without samples.
 
+_VANISHES = 0.5 * STANDARD_GRAVITY
+"""m/s^2 by which accelerometers jump where one number on all six axes is no reading, for however
+many samples up to a second. A judgement: half of gravity, which is there before it. Longer runs are
+of a device that is frozen."""
+
 
 class Rows(NamedTuple):
     """Stamps (n,), ns, and values (n, 6)."""
@@ -195,6 +200,82 @@ class _Limits(NamedTuple):
         return cls(ratio, 0.0, _COARSEST / value, least / value, _JUMP / value)
 
 
+class _FailedReads:
+    """Finds longer runs of one number on all six axes, up to a second, where gravity vanishes.
+
+    So reads a bus that fails for some samples. A counter reads one number by chance, too: of
+    increments, shorter runs alone are judged, by the samples around. The result does not depend on
+    how a stream is cut into blocks: a run waits for its end.
+
+    Args:
+        scale: (6,) nominal scale factors of the values, SI.
+    """
+
+    def __init__(self, scale: Floats) -> None:
+        self._scale = scale[3:]
+        self._last: Floats | None = None
+        """(3,) accelerometers of the last sample of different numbers, m/s^2; None before it."""
+        self._run = Rows(np.empty(0, dtype=np.int64), np.empty((0, 6)))
+        self._goes_on = False  #: Whether the last row was of a run.
+        self._is_over = False  #: Whether that run lasts too long to be one of failed reads.
+
+    def sound(self, stamp: Stamps, values: Floats) -> tuple[Rows, Stamps]:
+        """Add (n,) stamps, ns, with (n, 6) values; return the rows to keep, stamps of the others.
+
+        What waits for the end of a run is in neither.
+        """
+        sizes = np.abs(values)
+        alike = all_in_row(sizes == sizes[:, :1])
+        if not alike.any() and not len(self._run.stamp):
+            self._goes_on = False
+            self._note(values)
+            return Rows(stamp, values), stamp[:0]
+        kept, lost = np.ones(len(stamp), dtype=bool), np.zeros(len(stamp), dtype=bool)
+        waiting = len(self._run.stamp)
+        if waiting:
+            stamp, values = (
+                np.concatenate(both) for both in zip(self._run, (stamp, values), strict=True)
+            )
+            alike = np.append(np.ones(waiting, dtype=bool), alike)
+            kept, lost = np.ones(len(stamp), dtype=bool), np.zeros(len(stamp), dtype=bool)
+        edges = np.flatnonzero(np.diff(alike, prepend=False, append=False)).reshape(-1, 2)
+        self._run = Rows(stamp[:0], values[:0])
+        for first, last in edges.tolist():
+            if first:
+                self._note(values[:first])
+            if first or not self._goes_on:
+                self._is_over = False
+            self._is_over |= bool(stamp[last - 1] - stamp[first] >= INTERRUPTION)
+            if last == len(stamp) and not self._is_over:
+                self._run = Rows(stamp[first:].copy(), values[first:].copy())
+                kept[first:] = False
+            elif not self._is_over and self._vanishes(values, first, last):
+                kept[first:last], lost[first:last] = False, True
+        self._goes_on = bool(alike[-1])
+        if not self._goes_on:
+            self._note(values)
+        return Rows(stamp[kept], values[kept]), stamp[lost]
+
+    def finish(self) -> Rows:
+        """End the stream: return the rows that wait."""
+        run, self._run = self._run, Rows(self._run.stamp[:0], self._run.values[:0])
+        return run
+
+    def _note(self, values: Floats) -> None:
+        if len(values):
+            self._last = values[-1, 3:] * self._scale
+
+    def _vanishes(self, values: Floats, first: int, last: int) -> bool:
+        """Return whether the accelerometers jump where a run begins and where it ends."""
+        if last - first <= _LONGEST:
+            return False
+        own = values[first:last, 3:] * self._scale
+        beside = [values[last, 3:] * self._scale]
+        beside += [] if self._last is None else [self._last]
+        apart = np.linalg.norm(own[:, None] - np.array(beside), axis=2)
+        return bool((apart > _VANISHES).all())
+
+
 class FalseSampleFilter:
     """Removes false samples from a stream; the result does not depend on how it is cut into blocks.
 
@@ -215,7 +296,9 @@ class FalseSampleFilter:
         parts: Collection[int] = frozenset(),
     ) -> None:
         self.found = FalseSamples(of=of)  #: What was removed.
+        self.removed: list[int] = []  #: Stamps of these, ns, in order.
         self._units, self._scale, self._parts = units, scale, parts
+        self._failed = None if units.per_interval else _FailedReads(scale)
         self._limits: tuple[_Limits, _Limits] | None = None
         """For rows of one number, and for spikes; None before the first rows."""
         self._rows = Rows(np.empty(0, dtype=np.int64), np.empty((0, 6)))
@@ -224,6 +307,25 @@ class FalseSampleFilter:
 
     def remove(self, stamp: Stamps, values: Floats) -> Rows:
         """Add (n,) stamps, ns, with (n, 6) values; return the rows that are certain."""
+        if self._failed is not None and len(stamp):
+            (stamp, values), lost = self._failed.sound(stamp, values)
+            self._leave_out(lost)
+        return self._judged_rows(stamp, values)
+
+    def _leave_out(self, lost: Stamps) -> None:
+        """Count longer runs of failed reads, by their stamps (n,), ns."""
+        if len(lost):
+            self.removed += lost.tolist()
+            self.removed.sort()
+            self.found = replace(
+                self.found,
+                on_all_axes=self.found.on_all_axes + len(lost),
+                received=self.found.received + len(lost),
+                first=min(self.found.first, int(lost[0])) if self.found.count else int(lost[0]),
+            )
+
+    def _judged_rows(self, stamp: Stamps, values: Floats) -> Rows:
+        """Add rows; return those that are certain."""
         if len(self._rows.stamp):
             stamp = np.concatenate([self._rows.stamp, stamp])
             values = np.concatenate([self._rows.values, values])
@@ -231,7 +333,9 @@ class FalseSampleFilter:
 
     def finish(self) -> Rows:
         """End the stream: return the rows that wait."""
-        return self._passed(self._rows, len(self._rows.stamp), 0)
+        certain = [] if self._failed is None else [self._judged_rows(*self._failed.finish())]
+        certain.append(self._passed(self._rows, len(self._rows.stamp), 0))
+        return Rows(*(np.concatenate(part) for part in zip(*certain, strict=True)))
 
     def _passed(self, rows: Rows, end: int, fewest: int) -> Rows:
         """Return the sound rows of those up to `end` that have not been judged yet."""
@@ -252,8 +356,9 @@ class FalseSampleFilter:
                 on_all_axes=self.found.on_all_axes + on_all_axes,
                 repeats=self.found.repeats + repeats,
                 spikes=self.found.spikes + spikes,
-                first=self.found.first if self.found.count else int(stamp[np.argmax(wrong)]),
+                first=min(self.found.first or int(stamp[-1]), int(stamp[np.argmax(wrong)])),
             )
+            self.removed = sorted([*self.removed, *stamp[wrong].tolist()])
             stamp, values = stamp[~wrong], values[~wrong]
         begin = max(0, end - _RADIUS)
         # Copies: views would keep the whole block.
@@ -265,7 +370,7 @@ class FalseSampleFilter:
         """Return the limits for rows of one number and for spikes, by the first stamps, ns."""
         value = self._scale
         if self._units.per_interval and len(stamp) > 1:
-            value = value / (float(np.median(np.diff(stamp))) * 1e-9)
+            value = value / (sample_interval(stamp) * 1e-9)
         if self._units.whole:
             return _Limits.of_whole(_ALL_AXES, value), _Limits.of_whole(_SPIKE, value)
         # A single increment of a slow counter is a spike too, of one coarse step.

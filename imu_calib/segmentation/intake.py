@@ -298,6 +298,11 @@ class StreamBuffer:
         """False samples of the IMU."""
         return self._imu.false.found
 
+    def imu_numbers(self, stamp: Stamps) -> NDArray[np.int64]:
+        """Return the numbers of buffered rows by their stamps, (n,) ns: false samples count."""
+        rows = self.imu.removed + np.searchsorted(self.imu.stamp, stamp)
+        return np.asarray(rows + np.searchsorted(self._imu.false.removed, stamp), np.int64)
+
     def add_imu(self, block: ImuBlock) -> None:
         """Add samples."""
         values = np.empty((len(block), 6))

@@ -21,7 +21,7 @@ from .allan import AllanAccumulator, AllanSums, fully_overlapping_sums
 from .course import Temperature, Thermometer
 from .gaps import bridged
 from .intake import StreamBuffer
-from .stamp_faults import interruptions
+from .stamp_faults import interruptions, sample_interval
 from .stamps import MISSES_ONE, read_grid
 from .statistics import Samples, gap_free, to_samples
 from .stream_facts import StreamFacts
@@ -267,14 +267,13 @@ class StillSoFar:
         values = np.concatenate([block.gyro, block.accel], axis=1)[: len(block)] * self._imu.scale
         sound = (np.abs(values) <= LARGEST).all(axis=1)
         values, stamp = values[sound], block.stamp[sound]
-        steps = np.diff(stamp)
-        steps = steps[steps > 0]
-        if not len(steps):
+        # In bursts most steps are short: the median of them is not the interval.
+        period = sample_interval(np.unique(stamp)) * 1e-9
+        if not period:
             return True
         if self._first is None:
             self._first = int(stamp[0])
         self._last = int(stamp[-1])
-        period = float(np.median(steps)) * 1e-9
         if self._imu.units.per_interval:
             values = values / period
         window = max(1, round(_WINDOW_SECONDS / period))

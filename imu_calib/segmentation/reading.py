@@ -264,7 +264,7 @@ class IntervalReader:
         self.choice: SegmentChoice | None = None  #: Of the holds to use; None for all.
         self.found = ReadParts()
         self.moves = MoveReader(sensor, by_hand=table is None)
-        self.pace = Pace()
+        self.pace = Pace(intake.imu_numbers)
         self.late = Lateness()
         self.rounding = Rounding(sensor.spec)
         self.offset_ns = offset_ns  #: IMU clock minus table clock by the last motion.

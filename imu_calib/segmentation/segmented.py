@@ -66,10 +66,17 @@ class HeldAngles:
     to_mean: Floats  #: From its start to its mean attitude.
     from_mean: Floats  #: From there to its end.
     seconds: float  #: Its duration, s.
+    #: (2,) variances of both about any axis due to lost samples that are interpolated, rad^2.
+    filled: tuple[float, float] = (0.0, 0.0)
 
     def times(self, factors: Floats | float, longer: float = 1.0) -> HeldAngles:
         """Return angles multiplied by (3,) factors or one, and the duration by another."""
-        return HeldAngles(self.to_mean * factors, self.from_mean * factors, self.seconds * longer)
+        return replace(
+            self,
+            to_mean=self.to_mean * factors,
+            from_mean=self.from_mean * factors,
+            seconds=self.seconds * longer,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,3 +161,4 @@ class Segmented:
     mistimed: str = ''
     #: That the unit turned evenly where it seemed at rest; empty if it did not.
     turning: str = ''
+    interval_std: float = 0.0  #: Relative standard deviation of the sample interval by the stamps.

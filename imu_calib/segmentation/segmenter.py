@@ -377,6 +377,7 @@ class Segmenter:
             self._frozen,
             mistimed,
             turning,
+            reader.pace.interval_std,
         )
 
     @property

@@ -9,6 +9,7 @@ two estimates are averaged by their variances (docs/mathematics.md, 'Stamps and 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -89,9 +90,17 @@ class Slews:
 
 
 class Pace:
-    """Times segments of samples in order; the result depends on these alone."""
+    """Times segments of samples in order; the result depends on these alone.
 
-    def __init__(self) -> None:
+    Args:
+        numbers: Returns the numbers of rows, by their stamps, in the stream as it came in. Stamps
+            in ticks do not show how many samples lie between two segments; the rows do.
+    """
+
+    def __init__(self, numbers: Callable[[Stamps], NDArray[np.int64]] | None = None) -> None:
+        self._numbers = numbers
+        self._before: int | None = None
+        """Number of the first row's sample less that of the row, of the last segment by rows."""
         self._start = 0
         self._reference = 0.0
         """First interval found, s: lines are relative to it, against rounding."""
@@ -110,16 +119,21 @@ class Pace:
 
     def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
         """Return the grid of a segment, (n,) stamps in ns, and its timing by all so far."""
-        grid = read_grid(stamp, self._long()[0] or None)
+        number = None if self._numbers is None else self._numbers(stamp)
+        grid = read_grid(stamp, self._long()[0] or None, number, self.tick)
         self.tick = max(self.tick, grid.tick)
         self._is_in_ticks |= grid.tick > 0 and grid.is_counted
         if not grid.tick or not grid.is_counted:
             uncounted = self._uncounted if grid.tick else self._without_ticks
             uncounted.append((int(stamp[0]), int(stamp[-1])))
+        if not grid.is_counted:
+            # Rows do not show how many samples are missing.
+            self.begin_line()
         if not self._reference:
             self._start, self._reference = int(stamp[0]), grid.period
         if grid.is_counted and np.isfinite(grid.period_std):
-            self._note(float(stamp[0] - self._start) * 1e-9, grid)
+            row = None if number is None or not grid.is_by_rows else int(number[0])
+            self._note(float(stamp[0] - self._start) * 1e-9, grid, row)
             error = max(grid.period_std, _LEAST_STD / (len(stamp) - 1))
             self._read.append((int(stamp[0]), int(stamp[-1]), grid.period, error))
             self._skip = max(self._skip, skip(stamp))
@@ -129,7 +143,7 @@ class Pace:
     def begin_line(self) -> None:
         """Begin another line: the clock was set."""
         self._pieces += _line(self._knots, self._reference)
-        self._knots, self._known = [], None
+        self._knots, self._known, self._before = [], None, None
 
     @property
     def uncounted(self) -> list[tuple[int, int]]:
@@ -226,6 +240,14 @@ class Pace:
         """Interval by all segments so far, s; by the first one where no line fits them."""
         return self._long()[0] or self._reference
 
+    @property
+    def interval_std(self) -> float:
+        """Relative standard deviation of `interval`; 0 where nothing shows it."""
+        long, std = self._long()
+        if long:
+            return std / long
+        return self._read[0][3] / self._read[0][2] if self._read else 0.0
+
     def combined(self, timing: Timing) -> tuple[float, float]:
         """Return the interval of a segment by its own stamps and all others, and its std, s."""
         long, long_std = self._long()
@@ -249,16 +271,24 @@ class Pace:
             self._known = self._reference + change, std
         return self._known
 
-    def _note(self, start: float, grid: SampleGrid) -> None:
-        """Add a segment to the line, or begin another if it does not lie on it."""
+    def _note(self, start: float, grid: SampleGrid, row: int | None = None) -> None:
+        """Add a segment to the line, or begin another if it does not lie on it.
+
+        `row` is the number of its first row, where rows are samples, none of them missing.
+        """
         middle = float(grid.index[grid.kept].mean())
         # The level of a line has the uncertainty of its slope times the spread of its samples.
         std = grid.period_std * float(np.std(grid.index[grid.kept]))
         time = start + grid.origin + middle * grid.period
-        first = self._number_of_first(time, middle, grid)
+        if row is not None and self._before is not None:
+            first: int | None = row + self._before
+        else:
+            first = self._number_of_first(time, middle, grid)
         if first is None:
             self.begin_line()
             first = 0
+        if row is not None:
+            self._before = first - row
         self._knots.append(_Knot(first + middle, time, max(std, _LEAST_STD)))
         self._known = None
 

@@ -13,7 +13,7 @@ from ..common.gaussian import MAD_TO_STD
 from ..common.stream import NS, Floats, Stamps, at
 from ..common.units import counted
 from .clock import FARTHEST
-from .stamps import LAG, SHORT
+from .stamps import LAG, SHORT, uncut_interval
 
 INTERRUPTION = NS
 """A stream that is silent for so long, ns, may come from a program that was started again. A
@@ -98,8 +98,11 @@ def sample_interval(stamp: Stamps) -> float:
         return 0.0
     # In bunches the median single step is not the interval; where some are lost, spans are used.
     lag = min(LAG, -(-len(steps) // 2))
+    mean = float(np.median(stamp[lag:] - stamp[:-lag])) / lag
+    if uncut := uncut_interval(stamp):
+        return uncut
     apart = steps[steps >= SHORT * float(steps.mean())]
-    return min(float(np.median(apart)), float(np.median(stamp[lag:] - stamp[:-lag])) / lag)
+    return min(float(np.median(apart)), mean)
 
 
 def interruption(last: int, begins: int, what: str = 'The IMU stream was interrupted') -> str:

@@ -287,8 +287,8 @@ _SELDOM = 500
 """Least samples for each step off the grid: with more steps than that the stamps have no grid."""
 
 _TICKS = 4
-"""Ticks of an interval from which on its clock is coarse: its stamps advance by one tick more or
-less now and then. A judgement: milliseconds at 250 Hz and less."""
+"""Ticks of an interval from which on its stamps are as those that jitter. A judgement: milliseconds
+at 250 Hz and less."""
 
 _ON_TICK = 0.05  #: Of a tick: tolerance of a stamp about a whole number of them.
 _ON_TICKS = 0.9
@@ -297,6 +297,14 @@ _ON_TICKS = 0.9
 _UNEVEN = 16
 """Steps of another number of ticks than most that show a clock of ticks: so many lost samples would
 lead away from a line by more than a tick in all but one of 10^5 segments (a random walk)."""
+_CUT = 0.05
+"""Least share of the steps that are another number of ticks, for ticks shorter than an interval:
+where fewer are, samples may be missing, or the interval is nearly a whole number of ticks
+(`skip`)."""
+_SEVERAL = 2  #: Ticks of an interval from which on a step shows whether a sample is missing.
+_COUNTED = 3
+"""Ticks of an interval from which on its stamps advance by one tick more or less now and then. Of
+two, a clock that was set by half an interval looks the same."""
 _ONE_TICK = 0.1  #: Quantile of the steps that are not short: one tick, some being rounded.
 _NEAR_TICK = 0.1  #: Of a tick: tolerance of a step; 15.6 ms may be written in whole ms.
 _WITHIN_TICKS = 1.25
@@ -371,6 +379,7 @@ class SampleGrid:
     kept: NDArray[np.bool_]  #: (n,) stamps used in the fit of the line.
     tick: float = 0.0  #: Of stamps in ticks about as long as an interval, or longer, s; else 0.
     is_counted: bool = True  #: Whether the stamps show how many samples are missing.
+    is_by_rows: bool = False  #: Whether `index` is that of the rows, as none is missing.
 
     def stamps(self, stamp: Stamps) -> Stamps:
         """Return the instants of the samples, ns; the stamps themselves where they are clean."""
@@ -381,22 +390,35 @@ class SampleGrid:
         return np.asarray(stamp[0] + np.rint(line * 1e9).astype(np.int64))
 
 
-def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
-    """Fit equal intervals, about `hint`, s, where known, to increasing stamps (n,), ns."""
-    if (ticks := _grid_of_ticks(stamp)) is not None:
+def read_grid(
+    stamp: Stamps,
+    hint: float | None = None,
+    number: NDArray[np.int64] | None = None,
+    tick: float = 0.0,
+) -> SampleGrid:
+    """Fit equal intervals to increasing stamps (n,), ns.
+
+    Args:
+        stamp: (n,) ns.
+        hint: About so long, s; None where it is not known.
+        number: (n,) of the rows as they came in, where some were taken out; None if none was.
+        tick: Of other segments whose stamps come in ticks, s; else 0.
+    """
+    if (ticks := _grid_of_ticks(stamp, number, tick)) is not None:
         return ticks
     time = (sampling_times(stamp)[0] - stamp[0]) * 1e-9
-    period, bunched = _first_period(time)
+    cut = cut_to(stamp)
+    period, bunched = _first_period(time, cut)
     if hint is not None and abs(hint - period) < _LIKE * period:
         period = hint
     index = np.arange(len(time))
-    grid = _laid(time, index, period)
+    grid = _laid(time, index, period, cut)
     window = _NARROW if bunched and hint is None else _WINDOW
     for _ in range(_LAYINGS):
         counted = index + _missing_before(time, period, window, bunched=bunched)
         if window == _WINDOW and np.array_equal(counted, grid.index):
             break
-        grid = _laid(time, counted, period)
+        grid = _laid(time, counted, period, cut)
         period, window = grid.period, _WINDOW
     return grid
 
@@ -417,6 +439,34 @@ def skip(stamp: Stamps) -> float:
     if not 0 < len(some) <= _FEW_SKIPS * len(steps) or abs(some.sum()) < np.abs(some).sum() / 2:
         return 0.0
     return float(np.median(np.abs(some))) * 1e-9
+
+
+def cut_to(stamp: Stamps) -> float:
+    """Return the tick to which stamps (n,), ns, are cut, half of their interval or less, s; else 0.
+
+    Of an interval that is no whole number of ticks, as 416 Hz in milliseconds, steps have one of
+    two numbers of ticks, and neither is the interval: the mean is.
+    """
+    steps = np.diff(stamp) * 1e-9
+    mean = float(steps.sum()) / max(len(steps), 1)
+    if len(steps) < 2 * _UNEVEN or float(np.ptp(steps)) <= _OFF_GRID * mean:
+        return 0.0
+    off = np.abs(steps - float(np.median(steps)))
+    uneven = off > _OFF_GRID * mean
+    if np.count_nonzero(uneven) < _CUT * len(steps):
+        return 0.0
+    tick = float(np.median(off[uneven]))
+    counts = np.rint(steps / tick)
+    usual = float(np.median(counts))
+    cut = np.abs(steps - counts * tick) < _NEAR_TICK * tick
+    cut &= np.abs(counts - usual) <= 1
+    return tick if usual >= _SEVERAL and np.mean(cut) >= _ON_TICKS else 0.0
+
+
+def uncut_interval(stamp: Stamps) -> float:
+    """Return the interval of stamps (n,), ns, that are cut to a tick (`cut_to`), ns; else 0."""
+    tick = cut_to(stamp)
+    return _first_period((stamp - stamp[0]) * 1e-9, tick)[0] * 1e9 if tick else 0.0
 
 
 def clock_steps(stamp: Stamps, hint: float = 0.0) -> list[int]:
@@ -508,7 +558,7 @@ def rate_changes(stamp: Stamps) -> list[int]:
 
 def _is_tick(step: float, stamp: Stamps, period: float) -> bool:
     """Return whether a step, s, is one tick of the stamps."""
-    if not 0 < step * _TICKS <= period * (1 + _ON_TICK):
+    if not 0 < step * _COUNTED <= period * (1 + _ON_TICK):
         return False
     ticks = np.diff(stamp) * 1e-9 / step
     return bool(np.mean(np.abs(ticks - np.rint(ticks)) < _ON_TICK) >= _ON_TICKS)
@@ -520,8 +570,12 @@ def _hasty(steps: Floats, interval: float) -> bool:
     return float(steps.min()) < limit and float(np.quantile(steps, 0.25)) < limit
 
 
-def _grid_of_ticks(stamp: Stamps) -> SampleGrid | None:
+def _grid_of_ticks(
+    stamp: Stamps, number: NDArray[np.int64] | None = None, known: float = 0.0
+) -> SampleGrid | None:
     """Fit equal intervals to stamps in ticks about as long as an interval, or longer; else None.
+
+    Fewer steps of another number of ticks show the tick, s, that is known of other segments.
 
     Ticks of a clock, or of a reader that polls, put each stamp within a tick of the line on which
     the samples lie, if none is missing. Missing ones lead away from that line; where several
@@ -531,28 +585,41 @@ def _grid_of_ticks(stamp: Stamps) -> SampleGrid | None:
     mean = float(steps.sum()) / max(len(steps), 1)
     if len(steps) < 2 * _UNEVEN or float(np.ptp(steps)) <= _OFF_GRID * mean:
         return None
-    advances = steps > SHORT * mean
-    tick = float(np.quantile(steps[advances], _ONE_TICK))
+    advances, cut = steps > SHORT * mean, cut_to(stamp)
+    # Of finer ticks the steps of a coarse clock may be written in.
+    cut = cut if cut * _TICKS >= mean else 0.0
+    tick = cut or float(np.quantile(steps[advances], _ONE_TICK))
     counts = np.rint(steps / tick)
-    uneven = counts - np.median(counts)
-    # A stamp that is late by itself makes two steps that cancel: jitter, and no tick.
-    late = np.append(uneven[:-1] + uneven[1:] == 0, False)
-    uneven[late | np.append(False, late[:-1])] = 0
     on_tick = np.abs(steps - counts * tick) < _NEAR_TICK * tick
-    if tick * _TICKS < mean or np.count_nonzero(uneven) < _UNEVEN or np.mean(on_tick) < _ON_TICKS:
+    least = 1 if abs(tick - known) < _NEAR_TICK * known else _UNEVEN
+    if tick * _TICKS < mean or _uneven(counts) < least or np.mean(on_tick) < _ON_TICKS:
         return None
     starts = _bunches(stamp)
     if starts is not None and _pattern(stamp, starts).size is not None:
         return None
     time = (stamp - stamp[0]) * 1e-9
-    index = np.arange(len(stamp))
-    grid = _laid(time, index, mean)
+    index = np.arange(len(stamp)) if number is None else number - number[0]
+    grid = _laid(time, index, mean, cut)
     if float(np.ptp(time - index * grid.period)) <= _WITHIN_TICKS * tick:
-        return replace(grid, tick=tick)
+        # Between ticks shorter than an interval a missing sample is seen: they need no note.
+        return replace(grid, tick=0.0 if cut else tick, is_by_rows=True)
     is_coarse = tick >= _COARSE * mean and np.mean(on_tick[advances]) >= _ON_TICKS
-    if not is_coarse or not _shares_ticks(np.flatnonzero(advances), counts):
+    if cut or not is_coarse or not _shares_ticks(np.flatnonzero(advances), counts):
         return None
-    return replace(grid, tick=tick, is_counted=_all_came(time, mean))
+    all_came = _all_came(time, mean)
+    return replace(grid, tick=tick, is_counted=all_came, is_by_rows=all_came)
+
+
+def _uneven(counts: Floats) -> int:
+    """Return how many steps (n,), in ticks, have another number of ticks than most."""
+    uneven = counts - np.median(counts)
+    if counts.min() == 1 == np.median(counts) and np.count_nonzero(uneven) < _CUT * len(counts):
+        # One tick but for a few longer ones: an interval, and samples are missing.
+        return 0
+    # A stamp that is late by itself makes two steps that cancel: jitter, and no tick.
+    late = np.append(uneven[:-1] + uneven[1:] == 0, False)
+    uneven[late | np.append(False, late[:-1])] = 0
+    return int(np.count_nonzero(uneven))
 
 
 def _shares_ticks(advances: NDArray[np.intp], counts: Floats) -> bool:
@@ -573,17 +640,36 @@ def _all_came(time: Floats, interval: float) -> bool:
     return float(np.ptp(time[last] - last * grid.period)) <= _WITHIN_INTERVALS * interval
 
 
-def _first_period(time: Floats) -> tuple[float, bool]:
-    """Return the sample interval within a percent or so, s, and whether samples come in bunches."""
+def _first_period(time: Floats, tick: float = 0.0) -> tuple[float, bool]:
+    """Return the sample interval within a percent or so, s, and whether samples come in bunches.
+
+    Stamps that are cut to a tick, s, show it over longer spans.
+    """
     steps = np.diff(time)
     few = min(_FEW, len(steps))
     typical, single = float(np.median(time[few:] - time[:-few])) / few, float(np.median(steps))
+    if tick:
+        return _uncut_period(time, typical, tick), False
     if not _hasty(steps, typical):
         return typical if abs(typical - single) < _CLOSE * single else single, False
     waits = np.flatnonzero(steps > SHORT * typical)
     bunch = max(1, int(np.median(np.diff(waits)))) if len(waits) > 1 else 1
     lag = max(bunch, min(LAG, len(steps) // _LAGS) // bunch * bunch)
     return float(np.quantile(time[lag:] - time[:-lag], _WITHOUT_GAP)) / lag, True
+
+
+def _uncut_period(time: Floats, period: float, tick: float) -> float:
+    """Return the interval of stamps cut to a tick, s: the mean over longer and longer spans.
+
+    Those without a gap are off by a tick at most.
+    """
+    lag = _FEW
+    while lag <= min(_WINDOW, len(time) // 2):
+        spans = time[lag:] - time[:-lag]
+        near = np.abs(spans - lag * period) <= max(tick, period / 2)
+        period = float(spans[near].mean()) / lag if near.any() else period
+        lag *= 2
+    return period
 
 
 def _missing_before(
@@ -616,21 +702,21 @@ def _missing_before(
     return found
 
 
-def _laid(time: Floats, index: NDArray[np.int64], period: float) -> SampleGrid:
-    """Fit a robust line time = origin + period index."""
+def _laid(time: Floats, index: NDArray[np.int64], period: float, tick: float = 0.0) -> SampleGrid:
+    """Fit a robust line time = origin + period index to stamps that are cut to a tick, s."""
     n = len(time)
     if n < _FEWEST:
         step = float(time[-1]) / max(1, int(index[-1]))
         everything = np.ones(n, dtype=bool)
         return SampleGrid(index, 0.0, step, float('inf'), 0.0, everything)
-    kept = _near(time - index * period)
+    kept = _near(time - index * period, tick)
     for _ in range(_ROUNDS):
         some, instants = (index, time) if kept.all() else (index[kept], time[kept])
         middle, mean = float(some.mean()), float(instants.mean())
         centred = some - middle
         slope = float(centred @ instants / (centred @ centred))
         residuals = time - mean - slope * (index - middle)
-        near = _near(residuals)
+        near = _near(residuals, tick)
         if np.array_equal(near, kept):
             break
         kept = near
@@ -642,12 +728,15 @@ def _laid(time: Floats, index: NDArray[np.int64], period: float) -> SampleGrid:
     )
 
 
-def _near(residuals: Floats) -> NDArray[np.bool_]:
-    """Return which residuals (n,), s, are not outliers; always more than half of them."""
+def _near(residuals: Floats, tick: float = 0.0) -> NDArray[np.bool_]:
+    """Return which residuals (n,), s, are not outliers; always more than half of them.
+
+    Cut to a tick, s, they may have two values, and the median deviation be 0.
+    """
     if float(np.ptp(residuals)) <= 2 * _ROUNDING:
         return np.ones(len(residuals), dtype=bool)
     off = np.abs(residuals - np.median(residuals))
-    return np.asarray(off <= _OUTLYING * MAD_TO_STD * float(np.median(off)) + 2 * _ROUNDING)
+    return np.asarray(off <= _OUTLYING * MAD_TO_STD * float(np.median(off)) + 2 * _ROUNDING + tick)
 
 
 def _in_common(residuals: Floats) -> float:
@@ -680,6 +769,7 @@ class RowBuffer:
         self._values: Floats = np.empty((_FIRST_CAPACITY, columns))
         self._first = 0
         self._last = 0
+        self.removed = 0  #: Number of rows that were removed, the first ones.
 
     def __len__(self) -> int:
         return self._last - self._first
@@ -687,6 +777,7 @@ class RowBuffer:
     def __deepcopy__(self, _: object) -> RowBuffer:
         """Return a separate buffer with the same rows and no spare capacity."""
         other = RowBuffer(self._values.shape[1])
+        other.removed = self.removed
         other._allot(len(self) + _FIRST_CAPACITY, self)
         return other
 
@@ -735,4 +826,5 @@ class RowBuffer:
         """Remove so many of the first rows, none if below zero; return how many."""
         removed = max(0, count)
         self._first += removed
+        self.removed += removed
         return removed

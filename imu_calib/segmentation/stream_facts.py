@@ -14,6 +14,7 @@ from ..common.finding import warning
 from ..common.stream import Floats, Stamps, Units, at, utc
 from ..common.units import DEG, LARGEST, STANDARD_GRAVITY, counted
 from .counters import all_in_row, any_in_row, by_columns, runs_of
+from .stamp_faults import sample_interval
 
 _LEAST = 0.05
 """Share of rows that each sensor has of its own. A judgement: a unit whose gyros read 0 at rest
@@ -235,10 +236,10 @@ class StreamFacts:
     @property
     def _missing(self) -> float:
         """Share of the samples that the usual interval leads to expect."""
-        steps = np.diff(np.unique(self._stamps))
-        if not len(steps):
+        interval = sample_interval(np.unique(self._stamps))
+        if not interval:
             return 0.0
-        expected = (self._last - self._first) / float(np.median(steps)) + 1
+        expected = (self._last - self._first) / interval + 1
         return max(0.0, 1 - (self.samples - self._same) / expected)
 
     def _counts(self) -> list[tuple[int, str]]:

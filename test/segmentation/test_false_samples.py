@@ -274,6 +274,8 @@ def test_the_result_does_not_depend_on_blocks(units):
     first = np.arange(60, len(stamp) - 60, 41)
     values[np.concatenate([first, first + 1, first + 2]), 2] = -32768.0
     values[first + 10] = values[first + 9]
+    for start, length in ((0, 20), (1000, 12), (2000, 60), (2500, 300), (3990, 10)):
+        values[start : start + length] = 0.0
     if units is Units.SI:
         values *= np.repeat([MEMS.gyro.scale_factor, MEMS.accel.scale_factor], 3)
     whole, cut = FalseSampleFilter(units), FalseSampleFilter(units)
@@ -299,7 +301,26 @@ def test_runs_of_up_to_eight_are_false_and_longer_ones_frozen():
         values = np.random.default_rng(length).normal([0, 0, 0, 10, 500, 2000], 3.0, (400, 6))
         values = np.rint(values)
         values[200 : 200 + length] = 0.0
-        assert passed(values, Units.COUNTS).on_all_axes == count
+        assert passed(values, Units.PULSES).on_all_axes == count
+
+
+@pytest.mark.parametrize('number', [0.0, -1.0, 32767.0])
+@pytest.mark.parametrize('where', [0, 200, 300])
+def test_of_runs_of_up_to_a_second_gravity_tells(number, where):
+    """Twelve zeros in a row, as of an I2C bus that hangs, were taken for readings."""
+    for length, count in ((9, 9), (12, 12), (99, 99), (102, 0), (150, 0)):
+        values = np.rint(
+            np.random.default_rng(length).normal([0, 0, 0, 10, 500, 16000], 3.0, (600, 6))
+        )
+        values[where : where + length] = number
+        found = passed(values, Units.COUNTS)
+        assert found.on_all_axes == count
+        assert found.received == 600
+        assert not count or found.first == where * 10_000_000
+    # Of accelerometers that read no gravity beside it nothing tells.
+    values = np.rint(np.random.default_rng(1).normal(0, 1.0, (600, 6)))
+    values[200:220] = 0.0
+    assert passed(values, Units.COUNTS).on_all_axes == 0
 
 
 @pytest.mark.parametrize('scale', [1.0, 0.001])
