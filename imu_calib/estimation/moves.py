@@ -475,10 +475,12 @@ def from_mean_attitudes(moves: Sequence[Move], sensor_walk: Floats) -> tuple[Mov
     if not seen > own:
         return tuple(moves)
     share = 1 - own / seen
+    usual = float(np.median([one.seconds for one in holds]))
 
     def extended(move: Move) -> Move:
         if move.edges is None:
-            return move
+            # As far from the mean attitudes as the edges of the others, two of them together.
+            return replace(move, filled=move.filled + seen * usual / 3)
         before, after = move.edges
         held = np.array([before.seconds, after.seconds])
         spans = share / 2 * held
@@ -487,7 +489,16 @@ def from_mean_attitudes(moves: Sequence[Move], sensor_walk: Floats) -> tuple[Mov
         # The weights of an edge rise linearly towards the move.
         moment = spans @ ((move.duration / 2 + held / 3) * [-1, 1])
         later, quiet = float(moment / seconds.sum()), float(spans.sum()) / 3
-        return replace(move, turned=turned, seconds=seconds, edges=None, quiet=quiet, later=later)
+        filled = move.filled + share**2 * (before.filled[1] + after.filled[0])
+        return replace(
+            move,
+            turned=turned,
+            seconds=seconds,
+            edges=None,
+            quiet=quiet,
+            later=later,
+            filled=filled,
+        )
 
     return tuple(map(extended, moves))
 

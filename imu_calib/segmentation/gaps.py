@@ -8,6 +8,7 @@ is a whole number (docs/mathematics.md, 'Stamps and lost samples').
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 
@@ -27,6 +28,10 @@ over it; a longer one is a stop of the stream."""
 
 _MOST = 0.1
 """Share of a segment that may be bridged: more is not caused by a line that drops a message."""
+
+LONGEST_HELD, _MOST_HELD = 1.0, 0.25
+"""The same of a hold in the hand whose values are not pulses, s. A judgement: what the hand does in
+the gap is known by what it does in the rest of the hold, and its mean attitude needs the whole."""
 
 _REACHES: tuple[int, ...] = tuple(1 << k for k in range(14))
 """Samples on either side that a gap may be read from: a counter of one pulse in ten seconds at 100
@@ -89,7 +94,9 @@ class Bridged:
         return np.asarray(np.where(lost, np.nan, values[np.maximum(self.rows, 0)]))
 
 
-def bridged(samples: Samples, walk: Floats, reach: int | None = None) -> Bridged:
+def bridged(
+    samples: Samples, walk: Floats, reach: int | None = None, *, held: bool = False
+) -> Bridged:
     """Fill short gaps.
 
     Args:
@@ -97,14 +104,17 @@ def bridged(samples: Samples, walk: Floats, reach: int | None = None) -> Bridged
         walk: (6,) random-walk coefficients to choose the reach by, rad/sqrt(s) and (m/s)/sqrt(s).
         reach: Samples on either side to read from; chosen by the noise, for a steady rate, if not
             given. Use one where the rate changes steadily.
+        held: Whether it is a hold in the hand, in which longer gaps are filled, too.
     """
+    held &= not samples.pulse.any()
+    longest, most = (LONGEST_HELD, _MOST_HELD) if held else (LONGEST, _MOST)
     runs = gap_free(samples.stamp, samples.period)
     starts = [first for first, _ in runs[1:]]
     intervals = np.diff(samples.stamp)[np.array(starts, dtype=int) - 1] * 1e-9 / samples.period
     gaps = (np.rint(intervals).astype(int) - 1).tolist()
-    short = [0 < m <= max(1, round(LONGEST / samples.period)) for m in gaps]
+    short = [0 < m <= max(1, round(longest / samples.period)) for m in gaps]
     lost = sum(m for m, fits in zip(gaps, short, strict=True) if fits)
-    if not lost or lost > _MOST * (len(samples.stamp) + lost):
+    if not lost or lost > most * (len(samples.stamp) + lost):
         return Bridged(samples, np.arange(len(samples.stamp)))
     rows = _with_gaps(runs, gaps, short)
     stamps = samples.stamp[np.maximum(rows, 0)]
@@ -123,7 +133,11 @@ def bridged(samples: Samples, walk: Floats, reach: int | None = None) -> Bridged
             variance[c] = _count(counts, holes, noise[c] / pulse, reach) * pulse**2
             increments[:, c] = np.where(rows < 0, counts * pulse, increments[:, c])
         else:
-            variance[c] = _average(increments[:, c], rows, holes, reach or _PLAIN) * noise[c] ** 2
+            near = reach or _PLAIN
+            total = _average(increments[:, c], rows, holes, near) * noise[c] ** 2
+            seen = _seen(increments[:, c], rows < 0, holes, near) if held else 0.0
+            # A hand trembles, whether the noise is stated or not.
+            variance[c] = max(total, seen)
     whole = replace(
         samples, stamp=stamps, increments=increments, filled=rows < 0, bridged=variance / len(holes)
     )
@@ -182,6 +196,30 @@ def _average(increments: Floats, rows: NDArray[np.intp], holes: list[_Hole], rea
         increments[hole.start : hole.stop] = increments[near].mean()
         # The noise of the lost samples is not in the sum, but their neighbours have more weight.
         total += missing + missing**2 / len(near)
+    return total
+
+
+def _seen(increments: Floats, lost: NDArray[np.bool_], holes: list[_Hole], reach: int) -> float:
+    """Return the variance of all that was filled in: that of the same where nothing is missing.
+
+    As many samples in a row, anywhere in (n,) increments, are compared with the mean of `reach` on
+    either side of them.
+    """
+    sums, gone = (np.append(0.0, np.cumsum(part)) for part in (increments, lost))
+    total = 0.0
+    for missing, times in Counter(hole.stop - hole.start for hole in holes).items():
+        # Fewer beside it where the whole is short.
+        beside = min(reach, (len(increments) - missing) // 4)
+        first = np.arange(beside, len(increments) - missing - beside + 1)
+        last = first + missing
+        whole = gone[last + beside] == gone[first - beside]
+        first, last = first[whole], last[whole]
+        if not beside or not len(first):
+            total += times * missing**2 * float(np.var(increments))
+            continue
+        around = sums[first] - sums[first - beside] + sums[last + beside] - sums[last]
+        errors = sums[last] - sums[first] - missing * around / (2 * beside)
+        total += times * float(np.mean(errors**2))
     return total
 
 

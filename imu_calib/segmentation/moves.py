@@ -211,7 +211,12 @@ def _held_angles(samples: Samples, segment: Segment) -> HeldAngles | None:
         return None
     angle = part.increments[:, :3]
     over = (np.arange(len(angle)) + 0.5) / len(angle)
-    return HeldAngles((1 - over) @ angle, over @ angle, len(angle) * part.period)
+    filled = (0.0, 0.0)
+    if part.filled is not None:
+        places = over[[(a + b) // 2 for a, b in runs_of(part.filled).tolist()]]
+        each = float(part.bridged[:3].mean())
+        filled = each * float(((1 - places) ** 2).sum()), each * float((places**2).sum())
+    return HeldAngles((1 - over) @ angle, over @ angle, len(angle) * part.period, filled)
 
 
 def _concatenated(parts: Sequence[_Steps]) -> _Steps:

@@ -308,7 +308,7 @@ class IntervalReader:
                 self.pace.begin_line()
             came = self.sensor.samples(stamp[piece], values[piece], self.pace)
             self.late.count_late(came.stamp, late[piece] + (stamp[piece] - came.stamp), came.period)
-            whole = bridged(came, self.sensor.walk)
+            whole = bridged(came, self.sensor.walk, held=self._table is None)
             self._note_lost(whole, start, end)
             delivered = whole.values(values[piece])
             self.rounding.check_dwell(delivered)

@@ -162,3 +162,23 @@ def test_false_samples_of_a_chunk_count():
     found = solved(stamp, values)
     assert found.session.false_samples.count >= 55
     assert np.abs(off(found)).max() < 4
+
+
+@pytest.mark.parametrize('length', [3, 6, 12])
+def test_failed_reads_cost_what_they_hide(length):
+    """Of 3 and 6 rows biases and scale factors were five standard deviations off.
+
+    Of 12 rows the zeros were taken for readings.
+    """
+    errors = []
+    for seed in range(4):
+        _, values = held(100, seed, tremble=3 * DEG)
+        rng = np.random.default_rng(seed)
+        rows = rng.choice(len(values) - length, 15, replace=False)[:, None] + np.arange(length)
+        values[rows.ravel()] = 0
+        found = solved(np.arange(len(values)) * 10_000_000, values)
+        assert found.session.false_samples.count > 14 * length
+        assert len(found.calibration.parameters) == 24
+        errors.append(off(found))
+    assert np.abs(errors).max() < 4
+    assert np.sqrt(np.mean(np.square(errors))) < 1.15

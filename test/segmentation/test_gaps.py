@@ -320,3 +320,30 @@ def test_a_walk_is_the_likeliest_beside_what_quantisation_leaves():
     assert found.freedom == pytest.approx(np.full(6, information * likeliest**2), rel=1e-4)
     nothing = pooled_walk([lone])
     assert nothing.deviation.tolist() == [inf] * 6
+
+
+# Holds in the hand
+
+
+@pytest.mark.parametrize('missing', [3, 12, 30])
+def test_what_a_trembling_hand_does_in_a_gap_is_known_by_the_rest(missing):
+    """The noise is not stated, and what was filled in counted as exact."""
+    time = PERIOD * np.arange(400)
+    errors, stated = [], []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        phase = rng.uniform(0, 2 * np.pi, (2, 6))
+        values = 3 * np.sin(2 * np.pi * 9 * time[:, None] + phase[0]) + rng.normal(0, 0.5, (400, 6))
+        first = rng.integers(20, 350)
+        rows = without(400, *range(first, first + missing))
+        whole = bridged(samples(rows, values[rows]), np.zeros(6), held=True)
+        assert whole.lost == missing
+        errors.append(whole.samples.increments.sum(axis=0) - values.sum(axis=0))
+        stated.append(whole.samples.bridged)
+    assert np.sqrt(np.mean(np.square(errors) / stated)) == pytest.approx(1, abs=0.15)
+
+
+def test_a_gap_of_more_than_a_second_or_a_quarter_is_not_filled_in_the_hand_either():
+    for count, missing, lost in ((1000, 100, 100), (1000, 101, 0), (100, 25, 25), (100, 26, 0)):
+        rows = without(count, *range(30, 30 + missing))
+        assert bridged(samples(rows, np.ones(len(rows))), WALK, held=True).lost == lost
