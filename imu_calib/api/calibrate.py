@@ -19,7 +19,7 @@ from ..calibration.results import MISSING, Result
 from ..common.arguments import checked
 from ..common.errors import Contradiction, ImuCalibError, InputError, NotObservable, NotStated
 from ..common.files import printable, unwritable
-from ..common.finding import warning
+from ..common.finding import Finding, is_warning, warning
 from ..common.processes import by_one_thread
 from ..common.progress import Progress, silent
 from ..common.stream import Block, Floats, ImuBlock
@@ -198,7 +198,8 @@ def documented(opened: Opened, result: Result) -> Result:
     assumed += tuple(clock_findings(opened.recording, opened.streams, opened.setup.imu.units))
     assumed += tuple(_wrong_rate(opened, calibration))
     assumed += tuple(_kelvin(calibration.provenance.get('temperature')))
-    findings = (*assumed, *calibration.findings, *opened.losses)
+    losses = (t if is_warning(t) else Finding(t, lost=True) for t in opened.losses)
+    findings = (*losses, *assumed, *calibration.findings)
     findings = tuple(t if printable(t) == t else printable(t) for t in findings)
     calibration = replace(calibration, provenance=provenance, findings=findings)
     return replace(result, calibration=calibration)

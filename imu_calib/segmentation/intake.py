@@ -420,11 +420,12 @@ class StreamBuffer:
         if self._table is not None:
             cut = f'a static dwell is cut in two there, and {cut}'
         lost += other_session(self.imu_clock, 'the IMU')
-        lost += set_back_sentences(self.imu_clock.found, 'the IMU', cut)
+        lost += set_back_sentences(self.imu_clock.found, 'the IMU', cut, self.first_stamp)
         if self._table is None:
             return lost
         lost += other_session(self.joint_clock, 'the joint states')
-        lost += set_back_sentences(self.joint_clock.found, 'the joint states', cut)
+        joints = self.joint_clock.found
+        lost += set_back_sentences(joints, 'the joint states', cut, self.first_stamp)
         expected = f'not all joints of table {self._table.name} ({", ".join(self._table.names)})'
         lost += [
             f'{count} joint states left out: they name {named}, {expected}'

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.finding import warning
+from ..common.finding import Finding, warning
 from ..common.gaussian import MAD_TO_STD
 from ..common.stream import NS, Floats, Stamps, at
 from ..common.units import counted
@@ -451,26 +451,35 @@ class SetBackClock:
         return stamp[-_KNOWN:].copy(), values[-_KNOWN:].copy()
 
 
-def set_back_sentences(found: Sequence[SetBack], whose: str, then: str) -> list[str]:
+def set_back_sentences(
+    found: Sequence[SetBack], whose: str, then: str, begin: int | None = None
+) -> list[str]:
     """Return a sentence on a clock that was set back.
 
     Args:
         found: When, and by how much.
         whose: The stamps, 'the IMU'.
         then: What became of the data.
+        begin: First stamp of the recording, ns.
     """
     if not found:
         return []
     first = at(found[0].instant - found[0].by)
+    if begin is not None:
+        first += f', {(found[0].instant - begin) * 1e-9:.1f} s after the first sample'
     seconds = [one.by * 1e-9 for one in found if one.by > 0]
-    times = f'by {seconds[0]:.2f} s at {first}'
+    times = f'by {seconds[0]:.2f} s to {first}'
     if len(seconds) > 1:
-        times = f'{len(seconds)} times, by {max(seconds):.2f} s at most and first at {first}'
+        times = f'{len(seconds)} times, by {max(seconds):.2f} s at most and first to {first}'
     if len(found) > len(seconds):
         times += f', and on again {counted(len(found) - len(seconds), "time")} by as much'
     return [
-        f'The stamps of {whose} go back {times}: the clock was set back, or the device '
-        f'restarted. Later stamps are shifted to continue one interval after the last one; {then}'
+        Finding(
+            f'The stamps of {whose} go back {times}: the clock was set back, or the device '
+            'restarted. Later stamps are shifted to continue one interval after the last one; '
+            f'{then}',
+            lost=True,
+        )
     ]
 
 

@@ -150,6 +150,21 @@ def test_degrees_and_g_are_named_and_compare_with_si(frame):
     assert imu_calib.verify(other, by_si, latitude=48.1).verdict.name == 'FAIL'
 
 
+def test_a_restart_and_a_wrapped_counter_are_said_first(frame):
+    seconds = 0.01 * np.arange(len(frame))
+    columns = {
+        'gyro': f'{",".join(NAMES[:3])}:count',
+        'accel': f'{",".join(NAMES[3:])}:count',
+        'stamp': 't:us',
+    }
+    restarted = np.rint(1e6 * np.where(seconds < 55, seconds, seconds - 54))
+    found = imu_calib.calibrate(frame.assign(t=restarted), **columns, **STATED).calibration
+    assert 'go back by 54.00 s to 1.000 s, 55.0 s after the first sample' in found.findings[0]
+    wrapped = (2**32 - 55e6 + 1e6 * seconds) % 2**32
+    found = imu_calib.calibrate(frame.assign(t=wrapped), **columns, **STATED).calibration
+    assert 'wraps once' in found.findings[0]
+
+
 def every(frame: Any, interval: float) -> Any:
     """Return a frame with an index of whole intervals."""
     return frame.set_index(interval * np.arange(1, len(frame) + 1))

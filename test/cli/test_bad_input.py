@@ -652,14 +652,14 @@ def test_an_imu_clock_that_jumps_on_for_good(cli):
 def test_an_imu_clock_that_jumps_back_for_good(cli):
     stamp = good().imu.stamp.copy()
     stamp[middle_of_7() :] -= 5 * NS
-    sentence = r'The stamps of the IMU go back by 5\.00 s at'
+    sentence = r'The stamps of the IMU go back by 5\.00 s to'
     cli.uses_the_rest(sentence, good().with_imu(stamp=stamp))
 
 
 def test_joint_stamps_that_jump_back_for_good(cli):
     stamp = good().joints.stamp.copy()
     stamp[good().row(sum(good().dwells['7']) / 2, JOINTS) :] -= 5 * NS
-    sentence = r'The stamps of the joint states go back by 5\.00 s at'
+    sentence = r'The stamps of the joint states go back by 5\.00 s to'
     cli.uses_the_rest(sentence, good().with_joint_stamps(stamp))
 
 
@@ -667,7 +667,7 @@ def test_joint_stamps_that_jump_back_and_return(cli):
     stamp = good().joints.stamp.copy()
     first = good().row(sum(good().dwells['7']) / 2, JOINTS)
     stamp[first : first + 50] -= 5 * NS
-    sentence = r'The stamps of the joint states go back by 5\.00 s at .*, and on again 1 time'
+    sentence = r'The stamps of the joint states go back by 5\.00 s to .*, and on again 1 time'
     cli.uses_the_rest(sentence, good().with_joint_stamps(stamp))
 
 
@@ -676,7 +676,7 @@ def test_a_small_jump_of_the_clocks_is_found_and_bridged(cli, jump):
     stamp = good().imu.stamp.copy()
     stamp[middle_of_7() :] += round(jump * NS)
     sentence = {
-        -0.3: r'The stamps of the IMU go back by 0\.30 s at',
+        -0.3: r'The stamps of the IMU go back by 0\.30 s to',
         0.3: r'The clocks of IMU and table jump by \+0.(3|29)',
     }[jump]
     cli.uses_the_rest(sentence, good().with_imu(stamp=stamp))

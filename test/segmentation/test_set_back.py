@@ -80,7 +80,7 @@ def test_a_clock_that_was_set_back_and_on_again_is_as_before(size):
         (true[1600], -5 * NS),
     ]
     (said,) = set_back_sentences(clock.found, 'the IMU', 'then')
-    assert 'go back by 5.00 s at 2023-11-14 22:13:30.000 UTC, and on again 1 time by as m' in said
+    assert 'go back by 5.00 s to 2023-11-14 22:13:30.000 UTC, and on again 1 time by as m' in said
 
 
 @pytest.mark.parametrize('size', [1, 7, 5000])
@@ -161,11 +161,11 @@ def test_sentences_say_when_and_by_how_much():
     *_, clock = followed(set_back(true, 2000, 2.0), values, 100)
     (once,) = set_back_sentences(clock.found, 'the IMU', 'then')
     assert once.startswith(
-        'The stamps of the IMU go back by 2.00 s at 2023-11-14 22:13:38.000 UTC: the clock was '
+        'The stamps of the IMU go back by 2.00 s to 2023-11-14 22:13:38.000 UTC: the clock was '
     )
     *_, clock = followed(set_back(set_back(true, 2000, 2.0), 2500, 0.5), values, 100)
     (twice,) = set_back_sentences(clock.found, 'the IMU', 'then')
-    assert 'go back 2 times, by 2.00 s at most and first at 2023-11-14 22:13:38.000 UTC' in twice
+    assert 'go back 2 times, by 2.00 s at most and first to 2023-11-14 22:13:38.000 UTC' in twice
 
 
 def test_setpoints_are_moved_on_with_the_joint_states():
