@@ -25,6 +25,7 @@ from ..common.progress import Progress, silent
 from ..common.stream import Block, Floats, ImuBlock
 from ..common.units import counted
 from ..estimation.common_unknowns import TableEstimate
+from ..estimation.hand import FEWEST
 from ..estimation.hand import NAME as FREE_POSITIONS
 from ..model.parameters import ParameterKind
 from ..recordings.order import StampSorter
@@ -147,8 +148,8 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
             plan = opened.setup.plan
             if plan.by_hand and opened.setup.method_name != FREE_POSITIONS:
                 error = error.followed_by(
-                    f'If the session did not follow {plan.name}, leave `plan` out: holds in any '
-                    'attitudes are calibrated without one.'
+                    f'If the session did not follow {plan.name}, leave `plan` out: {FEWEST} or '
+                    'more holds in any attitudes are calibrated without one.'
                 )
             refusal = error.among(after=(*lost, *opened.assumed))
             # A contradiction is in what there is.
