@@ -277,7 +277,8 @@ def provenance(
 def _gravity_off(evidence: Evidence, solution: Solution) -> dict[str, object]:
     """Return by how much the accelerometers at rest miss gravity, before and after calibration.
 
-    Ratios, at the worst static dwell; the length of a force does not depend on the attitude.
+    Ratios, at the worst static dwell; the length of a force does not depend on the attitude. What
+    no more dwells than unknowns leave says nothing of the calibration.
     """
     of_accels = np.array([p.triad == 'a' for p in solution.parameters])
     if not (evidence.segments and np.isfinite(solution.std[of_accels]).all()):
@@ -288,6 +289,9 @@ def _gravity_off(evidence: Evidence, solution: Solution) -> dict[str, object]:
         float(np.abs(np.linalg.norm(f, axis=1) / evidence.site.gravity - 1).max())
         for f in (means[:, 3:], forces)
     )
+    unknowns = int(np.count_nonzero(solution.std[of_accels]))
+    if evidence.free and len(evidence.segments) <= unknowns:
+        return {'gravity_off_before': before}
     return {'gravity_off_before': before, 'gravity_off_after': after}
 
 

@@ -244,11 +244,14 @@ def gravity_won(facts: Facts) -> str:
     Samples that are off by half of it have another unit or another zero: of these it means nothing.
     """
     before, after = (number(facts, f'gravity_off_{when}') for when in ('before', 'after'))
-    if before is None or after is None:
+    if before is None:
         return ''
     least = 0.0 if facts.get('by_hand') else _IN_PERCENT
-    raw = f'{_ratio(before, least)} off raw, ' if before < _ANOTHER else ''
-    return f'at worst {raw}{_ratio(after, least)}{"" if raw else " off"} calibrated'
+    raw = f'{_ratio(before, least)} off raw' if before < _ANOTHER else ''
+    if after is None:
+        return f'at worst {raw}' if raw else ''
+    won = f'{_ratio(after, least)}{"" if raw else " off"} calibrated'
+    return f'at worst {raw}, {won}' if raw else f'at worst {won}'
 
 
 _ANOTHER = 0.5

@@ -12,6 +12,7 @@ from sessions import SITE
 import imu_calib
 from imu_calib.cli.main import main
 from imu_calib.estimation.hand import in_frame_of_accelerometers
+from imu_calib.reports.provenance import gravity_won
 
 Rows = list[dict[str, str]]
 HAND = {'imu': 'mems_counts', 'latitude': 48.1}
@@ -66,14 +67,44 @@ def test_a_file_as_it_was_written_gives_the_result_of_the_search(hand, tmp_path)
     assert 'found.csv' in ' '.join(again.calibration.findings)
 
 
-def test_holds_of_one_second_with_late_stamps_are_used_as_they_were_written(tmp_path):
-    log, file = tmp_path / 'log.csv', tmp_path / 'found.csv'
+@pytest.fixture(scope='module')
+def log(tmp_path_factory):
+    """A text file of counts with late stamps, and its columns."""
+    file = tmp_path_factory.mktemp('log') / 'log.csv'
     blocks = list(spread_holds(20).blocks(SPEC, unit(0), SITE))
     stamps = np.concatenate([block.stamp for block in blocks]) // 1000
     late = np.random.default_rng(0).integers(0, 2000, len(stamps))
     rows = np.vstack([np.hstack([block.gyro, block.accel]) for block in blocks])
-    np.savetxt(log, np.column_stack([stamps - stamps[0] + late, rows]), fmt='%d', delimiter=',')
-    columns = {'stamp': '1:us', 'gyro': '2,3,4:count', 'accel': '5,6,7:count', **HAND}
+    np.savetxt(file, np.column_stack([stamps - stamps[0] + late, rows]), fmt='%d', delimiter=',')
+    return file, {'stamp': '1:us', 'gyro': '2,3,4:count', 'accel': '5,6,7:count'}
+
+
+def test_a_report_on_columns_needs_no_imu(log, tmp_path):
+    file, columns = log
+    options = [f'--{name}={value}' for name, value in columns.items()]
+    saved, imu = str(tmp_path / 'calibration.yaml'), tmp_path / 'imu.yaml'
+    imu.write_text(
+        'id: mine\nunits: counts\ngyro: {scale_factor: 0.06103515625 dps/LSB}\n'
+        'accelerometer: {scale_factor: 2048 LSB/g}\n'
+    )
+    imu_calib.calibrate(file, **columns, **{**HAND, 'imu': imu}).calibration.save(saved)
+    page = tmp_path / 'page.html'
+    assert main(['report', saved, str(file), *options, '-o', str(page)]) == 0
+    assert 'data:image' in page.read_text() or '<svg' in page.read_text()
+
+
+def test_as_many_holds_as_unknowns_say_nothing_of_what_is_left(hand, tmp_path):
+    file, rows = written(hand, tmp_path)
+    # Six faces, and a slant in each plane of two axes.
+    nine = edited(file, [*rows[:6], rows[6], rows[10], rows[14]])
+    found = imu_calib.calibrate(hand, segments=nine).calibration
+    assert 'gravity_off_after' not in found.provenance
+    assert gravity_won(found.provenance).endswith('% off raw')
+
+
+def test_holds_of_one_second_with_late_stamps_are_used_as_they_were_written(log, tmp_path):
+    file, (log, columns) = tmp_path / 'found.csv', log
+    columns = {**columns, **HAND}
     options = [f'--{name}={value}' for name, value in columns.items()]
     assert main(['info', str(log), *options, '--segments', str(file)]) == 0
     found, again = (imu_calib.calibrate(log, **columns, **s) for s in ({}, {'segments': file}))
