@@ -151,7 +151,9 @@ def _table(path: AnyPath, written: Sequence[str], delimiter: str | None) -> Text
     if len(set(names)) < len(names):
         twice = sorted({n for n in names if names.count(n) > 1})
         raise InputError(f'{path}: its heading has {", ".join(twice)} more than once.')
-    rows = lines[first:]
+    # Lines with other labels than the rows are empty by now.
+    rows = [row for row in lines[first:] if row]
+    above += len(lines) - first - len(rows)
     if between != ',':
         rows = [row.replace(',', '.') for row in rows]
     values, broken = _numbers(rows, between, len(names) or count)

@@ -99,6 +99,16 @@ def test_labels_before_several_numbers_are_no_names_of_columns(tmp_path):
     assert columns['linear_acceleration.z'] == pytest.approx([9.80665] * 2)
 
 
+def test_a_labelled_line_that_is_cut_off_is_counted(tmp_path):
+    row = 't={} wx=90 wy=0 wz=0 ax=0 ay=0 az=1\n'
+    rows = [row.format(1.5 + 0.1 * k) for k in range(20)]
+    path = write(
+        tmp_path / 'log.txt', ''.join(['MPU6050 OK\n', *rows[:9], 't=2.3 wx=9\n', *rows[9:]])
+    )
+    done = imu_calib.convert(path, tmp_path / 'bag', **WORDS)
+    assert '2 lines of log.txt are not rows of numbers; left out.' in done.findings
+
+
 def test_a_time_before_a_trigger_is_shifted_to_begin_at_0(tmp_path):
     path = write(tmp_path / 'log.csv', ROW + '-0.1,90,0,0,0,0,1\n0.0,90,0,0,0,0,1\n')
     done = imu_calib.convert(path, tmp_path / 'bag', **WORDS)
