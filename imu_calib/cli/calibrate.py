@@ -12,6 +12,7 @@ from ..api.compare import Conformity, conformity
 from ..api.documents import export
 from ..api.files import output_or_default, output_path, page_path
 from ..api.noise import noise
+from ..api.recorded import recording_at
 from ..api.verify import verify
 from ..calibration.noise_at_rest import NOISE_EXPORTS, NoiseAtRest
 from ..calibration.verify import Verdict, Verification
@@ -251,7 +252,7 @@ def run_calibrate(arguments: argparse.Namespace) -> CommandResult:
     arguments.bag = located(arguments.bag)
     if has_several_units(arguments):
         return run_several(arguments)
-    path = output_path(output_or_default(arguments.output, _FILE))
+    path = _output(arguments)
     judged = arguments.specification
     result = calibrated(arguments.bag, options.stated(arguments), progress_bar, to_be_judged=judged)
     result.calibration.save(path)
@@ -262,6 +263,15 @@ def run_calibrate(arguments: argparse.Namespace) -> CommandResult:
     print_findings(result.calibration.findings, verbose=arguments.verbose, room=ROOM)
     OUTPUT.print(f'written to {path}', markup=False)
     return judged_result(_document(result, found, path), found)
+
+
+def _output(arguments: argparse.Namespace) -> Path:
+    """Return the file to write; of wrong columns and of a file that exists, refuse the columns."""
+    try:
+        return output_path(output_or_default(arguments.output, _FILE))
+    except InputError:
+        recording_at(arguments.bag, options.stated(arguments)).close()
+        raise
 
 
 _PICTURES = ('.png', '.svg', '.pdf')

@@ -108,6 +108,10 @@ def test_a_calibration_that_nobody_named_is_not_overwritten(program, folder, tmp
         'overwrite it.'
     )
     assert file.read_bytes() == before
+    log = tmp_path / 'log.csv'
+    log.write_text('t,gx,gy,gz,ax,ay,az\n0,1,2,3,4,5,6\n1,1,2,3,4,5,6\n')
+    # What is missing of the input comes before the name of the output.
+    assert 'its columns are' in program('calibrate', log, code=2)['error']['message']
     program('calibrate', folder / 'two', '-o', file.name)
     assert file.read_bytes() != before
 
