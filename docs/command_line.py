@@ -20,8 +20,9 @@ HEAD = f"""# Command line
 
 {EXIT_CODES} An error is a sentence on
 stderr; with `--json` it is in the document on stdout too ([output](files/output.md)).
-A recording is never overwritten. A file named with `-o` is; one that a command names itself is
-not where it exists, but for the page of `fleet`, which is made anew.
+A recording is never overwritten, nor is a text file where samples are written (`compensate -o
+log.csv`): nobody can make raw data again. Any other file named with `-o` is; one that a command
+names itself is not where it exists, but for the page of `fleet`, which is made anew.
 `imu-calib COMMAND --help` prints the usual options, `--help-all` all of this text
 (`python docs/command_line.py` writes this page).
 
