@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -63,11 +63,17 @@ _FORMS = {
     'accel': 'NAME,NAME,NAME:UNIT',
 }
 _USUAL = {
-    'stamp': re.compile(r'(t|time|stamp|timestamp|seconds|secs?|millis|micros)\b|t[ _.\[(]'),
-    'gyro': re.compile(r'(g|gyr\w*|w|omega|ang\w*|rate|rot\w*)[ _.]*(x|y|z)\b'),
-    'accel': re.compile(r'(a|acc\w*|f|force|lin\w*)[ _.]*(x|y|z)\b'),
+    'stamp': re.compile(r'(t|time|stamp|timestamp|seconds|secs?|millis|micros)(?![^\W_])'),
+    'gyro': re.compile(
+        r'(g|gyr\w*|w|omega|ang\w*|rate|rot\w*)[ _.]*(x|y|z)(?![^\W_])|gyr\w*\[[012]\]'
+    ),
+    'accel': re.compile(r'(a|acc\w*|f|force|lin\w*)[ _.]*(x|y|z)(?![^\W_])|acc\w*\[[012]\]'),
 }
 """Usual names of columns, in small letters."""
+_IN_HEADING = re.compile(
+    r'[\[(]([^\[(\])]+)[\])]$'
+)  #: A unit behind a name: 'Time (s)', 'x[mdps]'.
+_TYPED = re.compile(r'[\w.]+')  #: A name that no shell takes for more.
 _LONGEST_LOSS = 10e9
 """ns of rows that may be missing where a counter begins anew. A judgement: a clock that is set back
 by a period of 72 minutes or 50 days does not meet it within seconds by chance."""
@@ -173,16 +179,31 @@ def _refuse_lacking(text: Text, columns: InColumns, *, apart: bool) -> None:
 def suggested(text: Text) -> dict[str, str]:
     """Return what may be meant by `stamp`, `gyro` and `accel`, by the names of columns.
 
-    The units are those that the numbers allow, or UNIT: they are to be read and corrected.
+    The units are those of the heading, else those that the numbers allow, or UNIT: they are to be
+    read and corrected. A name that a command line takes only in quotes is given by its place.
     """
     found = {}
     for option, pattern in _USUAL.items():
         names = [name for name in text.names if pattern.match(name.lower())]
+        if option == 'stamp' and len(names) > 1:
+            # Of several times, the first that is one; a `T` may be a temperature.
+            units = (_likely_unit(option, text.column(n, option)[:, None]) for n in names)
+            names = [n for n, unit in zip(names, units, strict=True) if unit != 'UNIT'][:1]
         if len(names) != (1 if option == 'stamp' else 3):
             continue
         values = np.column_stack([text.column(name, option) for name in names])
-        found[option] = f'{",".join(names)}:{_likely_unit(option, values)}'
+        unit = _stated_unit(option, names) or _likely_unit(option, values)
+        if not all(_TYPED.fullmatch(name) for name in names):
+            names = [str(text.names.index(name) + 1) for name in names]
+        found[option] = f'{",".join(names)}:{unit}'
     return found
+
+
+def _stated_unit(option: str, names: Sequence[str]) -> str:
+    """Return the unit that all names of a heading end with; empty without one that is known."""
+    stated = {match[1].replace('°', 'deg') for n in names if (match := _IN_HEADING.search(n))}
+    known = {'stamp': _STAMP, 'gyro': GYRO, 'accel': ACCEL}[option]
+    return stated.pop() if len(stated) == 1 and stated <= known.keys() else ''
 
 
 def _likely_unit(option: str, values: Floats) -> str:

@@ -395,3 +395,53 @@ def test_the_imu_is_stated_once(frame, tmp_path, name):
         (['report', str(made), str(log), *again, '-o', str(tmp_path / 'r.html')], 0),
     ):
         assert main([*command, *words]) == code, command
+
+
+@pytest.mark.parametrize(
+    ('heading', 'scale', 'stated'),
+    [
+        # As STMicro, Bosch and phyphox write them: the heading's unit, and places for the names
+        # that a command line takes only in quotes.
+        (
+            'timestamp[us],a_x[mg],a_y[mg],a_z[mg],g_x[mdps],g_y[mdps],g_z[mdps]',
+            (1e6, 1e3, 1e3),
+            ('`stamp` 1:us `gyro` 5,6,7:mdps `accel` 2,3,4:mg'),
+        ),
+        (
+            'Time_(s);ACC_X_(g);ACC_Y_(g);ACC_Z_(g);GYRO_X_(dps);GYRO_Y_(dps);GYRO_Z_(dps)',
+            (1, 1, 1),
+            ('`stamp` 1:s `gyro` 5,6,7:dps `accel` 2,3,4:g'),
+        ),
+        (
+            '"Time (s)","Acceleration x (g)","Acceleration y (g)","Acceleration z (g)",'
+            '"Gyroscope x (°/s)","Gyroscope y (°/s)","Gyroscope z (°/s)"',
+            (1, 1, 1),
+            ('`stamp` 1:s `gyro` 5,6,7:deg/s `accel` 2,3,4:g'),
+        ),
+        # Of ulog2csv, and of mavlogdump with a temperature T.
+        (
+            'timestamp,accelerometer_m_s2[0],accelerometer_m_s2[1],accelerometer_m_s2[2],'
+            'gyro_rad[0],gyro_rad[1],gyro_rad[2]',
+            (1e6, STANDARD_GRAVITY, 0.01),
+            ('`stamp` timestamp:us `gyro` 5,6,7:UNIT `accel` 2,3,4:m/s^2'),
+        ),
+        (
+            'timestamp,AccX,AccY,AccZ,GyrX,GyrY,GyrZ,T',
+            (1, STANDARD_GRAVITY, 0.01),
+            ('`stamp` timestamp:s `gyro` GyrX,GyrY,GyrZ:UNIT `accel` AccX,AccY,AccZ:m/s^2'),
+        ),
+    ],
+)
+def test_the_layouts_of_other_loggers_are_suggested_with_their_units(
+    heading, scale, stated, tmp_path
+):
+    """Unit and column of the rows that a person is told to state: none is taken in silence."""
+    at, force, rate = scale
+    parts = ';' if ';' in heading else ','
+    rows = [[k * 0.02 * at, 0, 0, force, rate * k, 0, 0, 35.5] for k in range(100)]
+    count = heading.count(parts) + 1
+    text = '\n'.join(parts.join(f'{v:.6f}' for v in row[:count]) for row in rows)
+    (tmp_path / 'log.csv').write_text(f'{heading}\n{text}\n', encoding='utf-8')
+    with pytest.raises(imu_calib.InputError) as refused:
+        imu_calib.calibrate(tmp_path / 'log.csv')
+    assert f'State {stated}, if these are the units' in str(refused.value)
