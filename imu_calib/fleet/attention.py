@@ -13,11 +13,11 @@ import numpy as np
 from ..common.errors import beginning
 from ..common.stream import Floats
 from ..common.units import decimals, typeset
-from ..model.parameters import PARAMETERS, engineering
+from ..model.parameters import PARAMETER_NAMES, PARAMETERS, engineering
 from ..reports.charts import drawing, tag
 from ..reports.html import bullets, paragraph, table
 from ..reports.tables import fixed
-from ..session.imu import COVERAGE
+from ..session.imu import COVERAGE, Verdict, judge
 from .page_contents import PLACE_OF, Flag, Fleet, Unit, count, day
 from .results import Outlier, Population, Signal, UnitHistory
 from .sentences import (
@@ -65,7 +65,7 @@ class Issue:
 
 def issues(fleet: Fleet) -> list[Issue]:
     """Return all matters, the worst first."""
-    kinds = (_failed, _stands, _outside, _due, _control, _steps, _drifts, _outliers)
+    kinds = (_failed, _stands, _outside, _due, _control, _steps, _drifts, _marginal, _outliers)
     found = [issue for find in kinds for issue in find(fleet)]
     return sorted(found, key=lambda issue: ('fail', 'marginal', 'plain').index(issue.kind))
 
@@ -135,6 +135,38 @@ def _outside_of(unit: Unit) -> str:
         )
         words.append(f'{name} {value} (limit {limit})')
     return listed(words, 2)
+
+
+def _marginal(fleet: Fleet) -> Iterator[Issue]:
+    units = fleet.flagged(Flag.MARGINAL)
+    if not units:
+        return
+    cells = [[link(u), _newest(u), escape(typeset(_marginal_of(u)))] for u in units]
+    yield Issue(
+        'Marginal',
+        'marginal',
+        [
+            f'{count(len(units), "unit has a limit", "units have limits")} of the specification '
+            f'within {COVERAGE:g} standard deviations of a parameter: it may be inside or outside. '
+            'A longer session, or a better table, may decide it.'
+        ],
+        ['unit', 'newest session', 'marginal'],
+        cells,
+        Flag.MARGINAL,
+    )
+
+
+def _marginal_of(unit: Unit) -> str:
+    history = unit.history
+    if history is None:
+        return 'the verdict of its calibration'
+    value, std, limit = history.values[-1], history.std[-1], history.limit
+    names = [
+        PARAMETER_NAMES[k]
+        for k in np.flatnonzero(np.isfinite(value) & np.isfinite(limit))
+        if judge(float(value[k]), float(std[k]), float(limit[k])) is Verdict.MARGINAL
+    ]
+    return listed(names, MOST)
 
 
 def _newest(unit: Unit) -> str:

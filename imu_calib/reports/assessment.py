@@ -34,6 +34,8 @@ _VERDICTS_SHOWN = 1.4
 """Half the width of a bar, in limits."""
 _PLAIN = 5
 """Columns of a table without limits."""
+_NAMED = 6
+"""Marginal parameters that a summary names: with the counts they fit into two lines."""
 _OF_TERMS = {term.kind for term in TERMS}
 _LINEAR = frozenset(ParameterKind) - _OF_TERMS
 _VERDICT_GROUPS: tuple[tuple[str, str, Collection[ParameterKind]], ...] = (
@@ -76,14 +78,21 @@ def summary(assessed: Sequence[Assessed]) -> str:
     counts = Counter(a.verdict for a in assessed)
     if not sum(counts[v] for v in Verdict):
         return 'The values are not judged: no file of the IMU with a specification was given.'
-    outside = ', '.join(a.parameter.name for a in assessed if a.verdict is Verdict.FAIL)
+    names = {v: [a.parameter.name for a in assessed if a.verdict is v] for v in Verdict}
+    marginal = names[Verdict.MARGINAL]
+    if len(marginal) > _NAMED:
+        marginal = [*marginal[:_NAMED], f'{len(marginal) - _NAMED} more']
     words = [
         f'{counts[Verdict.PASS]} of {len(assessed)} parameters within the specification',
-        f'{counts[Verdict.MARGINAL]} marginal',
-        f'{counts[Verdict.FAIL]} outside' + (f' ({outside})' if outside else ''),
+        f'{counts[Verdict.MARGINAL]} marginal{_in_brackets(marginal)}',
+        f'{counts[Verdict.FAIL]} outside{_in_brackets(names[Verdict.FAIL])}',
     ]
     text = ', '.join(words)
     return f'{text}, {counts[None]} without a limit.' if counts[None] else f'{text}.'
+
+
+def _in_brackets(names: Sequence[str]) -> str:
+    return f' ({", ".join(names)})' if names else ''
 
 
 def worst(assessed: Sequence[Assessed]) -> Verdict | None:

@@ -21,7 +21,7 @@ from browser import browser as browser  # noqa: PLC0414
 import imu_calib
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
-from imu_calib.model.parameters import PARAMETER_NAMES
+from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS
 
 pytest.importorskip('pyarrow')
 pytest.importorskip('bokeh')
@@ -294,6 +294,24 @@ def test_units_of_simulated_data_are_said_to_be_that(tmp_path):
     add(folder, 2, serial='none', simulated=True, **unit)
     text = imu_calib.fleet_report(folder, tmp_path / 'fleet.html').read_text()
     assert '2 units: 1 simulated, 1 fine.' in text
+
+
+def test_a_marginal_unit_needs_a_person_and_its_parameter_is_named(tmp_path):
+    """The page counted a marginal unit and none that is fine, and said: Nothing."""
+    folder = tmp_path / 'catalogue'
+    Catalogue(folder, create=True)
+    limits = imu_calib.load_imu('fog_medium').specification
+    values = 0.1 * STD
+    values[1] = limits.limit(PARAMETERS[1])
+    day = datetime(2026, 10, 1, tzinfo=timezone.utc)
+    add(folder, 1, serial='M1', imu='fog_medium', parameters=values.tolist(), date=day)
+    text = imu_calib.fleet_report(folder, tmp_path / 'fleet.html', imu=['fog_medium']).read_text()
+    assert '1 unit: 1 marginal, 0 fine.' in text
+    section = text[text.index('What needs a person') :]
+    assert '1 unit has a limit' in section
+    (row,) = re.findall(r'<tr>(?:(?!</tr>).)*fog_medium/M1.*?</tr>', section)
+    assert 'K_gy' in row and 'K_gx' not in row
+    assert 'Nothing.' not in section
 
 
 def test_every_failed_recording_is_listed(made, tmp_path):

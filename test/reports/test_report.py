@@ -24,7 +24,7 @@ from imu_calib.common.files import named_file
 from imu_calib.common.units import ARCMIN, DEG_H, MICRO_G, PPM
 from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from imu_calib.recordings.writer import RecordingWriter
-from imu_calib.reports.assessment import assess, limits_tables
+from imu_calib.reports.assessment import Assessed, assess, limits_tables, summary
 from imu_calib.reports.budget import budget_section
 from imu_calib.reports.charts import Axis
 from imu_calib.reports.noise import noise_notes
@@ -558,3 +558,14 @@ def test_units_in_the_hand_have_the_units_of_their_grade():
     first = known.values[0]
     assert f'>{first / PPM:.0f}<' in table
     assert f'>{100 * first:.3f}<' in hand
+
+
+def test_the_summary_names_what_is_marginal_and_outside():
+    def summed(*values):
+        pairs = zip(PARAMETERS, values, strict=False)
+        return summary([Assessed(p, value, 0.1, 1.0) for p, value in pairs])
+
+    assert summed(0.0, 0.9, 1.3, 1.1).startswith(
+        '1 of 4 parameters within the specification, 2 marginal (K_gy, E_gxy), 1 outside (K_gz)'
+    )
+    assert '8 marginal (K_gx, K_gy, K_gz, E_gxy, E_gxz, E_gyx, 2 more), 0 out' in summed(*[1.0] * 8)
