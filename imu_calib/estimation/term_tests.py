@@ -535,13 +535,14 @@ def temperature_finding(found: Estimate) -> list[str]:
     if not warms(evidence) or any(c.of_scale_factor for c in equations.changes):
         return []
     seen = temperatures(evidence)
-    known, unknown, most = [], [], 0.0
+    known, unknown, lacking, most = [], [], [], 0.0
     for letter, words in TRIADS.items():
         stated = float(evidence.thermal['ga'.index(letter), 0])
         if stated:
-            known.append(f'{significant(stated / PPM, 3)} ppm/K of the {words}s')
+            known.append(f'{significant(stated / PPM, 3)} ppm/K for {words}s')
         elif (moved := _moved(found, letter))[1] * _CHEAPEST > 1:
             unknown.append(f'of {words}s with {significant(1 / moved[1] / PPM)} ppm/K ({moved[0]})')
+            lacking.append(f'{words}s')
             most = max(most, moved[1] * _CHEAPEST)
     if not known and not unknown:
         return []
@@ -550,13 +551,17 @@ def temperature_finding(found: Estimate) -> list[str]:
         'degC), and K and D are taken as constant'
     )
     if known:
-        text += f'; the standard deviations allow for {" and ".join(known)} of the scale factors'
+        text += (
+            '; the standard deviations allow for scale factors that change by '
+            f'{" and ".join(known)}'
+        )
     if not unknown:
         return [Finding(f'{text}. To follow it, {_FOLLOW}.', ErrorSource.TEMPERATURE)]
     return [
         warning(
             f'{text}; scale factors {" or ".join(unknown)} would be wrong by a standard deviation. '
-            f"State scale_factor_temperature in the IMU's file, or {_FOLLOW}.",
+            f"State scale_factor_temperature of the {' and '.join(lacking)} in the IMU's file, or "
+            f'{_FOLLOW}.',
             ErrorSource.TEMPERATURE,
             effect=most,
         )

@@ -464,9 +464,8 @@ def test_a_temperature_that_moved_is_said_with_what_it_means() -> None:
     (text,) = temperature_finding(stated)
     assert text.startswith('The temperature moved by 3.9 K (20.0 to 23.9')
     assert text.endswith(
-        'the standard deviations allow for 20 ppm/K of the gyros and 30 ppm/K of the '
-        'accelerometers of the scale factors. To follow it, use the terms thermal or trend '
-        '(`terms`).'
+        'the standard deviations allow for scale factors that change by 20 ppm/K for gyros and '
+        '30 ppm/K for accelerometers. To follow it, use the terms thermal or trend (`terms`).'
     )
     asked = replace(stated.equations, changes=session_term('thermal'))
     assert temperature_finding(SimpleNamespace(**{**vars(stated), 'equations': asked})) == []
@@ -475,8 +474,14 @@ def test_a_temperature_that_moved_is_said_with_what_it_means() -> None:
 def test_a_temperature_matters_where_the_cheapest_units_would_be_off_by_a_deviation() -> None:
     (text,) = temperature_finding(moved_by(4.0, np.zeros((2, 2)), 1e-6))
     assert text.startswith('Warning: The temperature moved by 3.9 K')
-    assert "State scale_factor_temperature in the IMU's file" in text
+    assert (
+        "State scale_factor_temperature of the gyros and accelerometers in the IMU's file" in text
+    )
     assert ' or of accelerometers with ' in text
+    # What is stated of the gyros is not asked for again.
+    (text,) = temperature_finding(moved_by(4.0, [[3 * PPM, 0.0], [0.0, 0.0]], 1e-6))
+    assert 'that change by 3 ppm/K for gyros; scale factors of accelerometers with' in text
+    assert "State scale_factor_temperature of the accelerometers in the IMU's file" in text
     # At 200 ppm/K and 4 K everything is below a deviation of a tenth.
     assert temperature_finding(moved_by(4.0, np.zeros((2, 2)), 0.1)) == []
 
