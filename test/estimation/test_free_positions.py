@@ -152,18 +152,6 @@ def test_the_derivatives_by_parameters_north_and_attitudes_are_those_of_the_pred
         assert jacobian[:, k] == pytest.approx(found, abs=1e-3 * np.abs(found).max(initial=1e-9))
 
 
-def test_what_is_kept_in_other_attitudes_is_what_comes_of_them_anew() -> None:
-    equations, state = on_the_earth()
-    equations.whitened(state)
-    step = np.random.default_rng(4).normal(0, 1e-3, len(state))
-    moved, there = equations.moved(state, step)
-    # A copy has no results yet.
-    anew = replace(moved, evidence=replace(moved.evidence))
-    assert moved.evidence.used_moves.linked is equations.evidence.used_moves.linked
-    for kept, fresh in zip(moved.whitened(there), anew.whitened(there), strict=True):
-        assert np.array_equal(kept, fresh)
-
-
 def test_a_plain_loop_over_the_samples_predicts_the_same() -> None:
     """Holds and turns on the Earth by the rotations themselves, no code of the package's."""
     equations, state = on_the_earth()
