@@ -1,6 +1,8 @@
 """Frames on a line: formats read from YAML, streams that are cut and damaged, clocks that err."""
 
+import binascii
 import os
+import re
 import socket
 import struct
 import threading
@@ -16,6 +18,7 @@ from loopback import until
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
+from imu_calib.common.units import STANDARD_GRAVITY
 from imu_calib.live.devices.clock import DeviceClock
 from imu_calib.live.devices.decoder import Decoder
 from imu_calib.live.devices.fields import (
@@ -29,7 +32,7 @@ from imu_calib.live.devices.fields import (
 )
 from imu_calib.live.devices.format import load_format, read_format
 from imu_calib.live.devices.health import Reception
-from imu_calib.live.devices.source import Chunk, DeviceReader
+from imu_calib.live.devices.source import Chunk, DeviceReader, ReaderState
 from imu_calib.live.rules import Severity
 from imu_calib.session.imu import load_imu
 from imu_calib.simulation.frames import pack
@@ -621,3 +624,54 @@ def test_a_port_that_is_not_there_yet_is_said_and_tried_again():
     source.start()
     assert until(lambda: 'does not open' in source.state.text)
     source.stop()
+
+
+FORMAT = """
+name: nav7
+sync: [0x47, 0x58]
+length: LENGTH
+byte_order: ORDER
+fields:
+  counter: {type: u8, offset: 2}
+  time: {type: u32, offset: 4, unit: us}
+  gyro: {type: i32, offset: [8, 12, 16]}
+  accelerometer: {type: i32, offset: [20, 24, 28]}
+checksum: {kind: CRC-16/CCITT-FALSE, offset: 34, covers: [2, 33], byte_order: big}
+"""
+PULSES = 'fog_medium'
+
+
+def read_by(length, order):
+    """Statuses, by part, of the first seconds of a unit at rest, whose frames have 36 bytes."""
+    text = FORMAT.replace('LENGTH', str(length)).replace('ORDER', order)
+    reception = Reception(read_format(Section.parse(text, 'nav7.yaml')), load_imu(PULSES))
+    up = round(STANDARD_GRAVITY / 100 / load_imu(PULSES).accel.scale_factor)
+    seen = []
+    for k in range(20):
+        data = b''
+        for n in range(10 * k, 10 * k + 10):
+            body = struct.pack('<BBI6ih', n % 256, 4, 10_000 * n, n % 3, -1, 1, 0, n % 2, up, 0)
+            data += b'\x47\x58' + body + struct.pack('>H', binascii.crc_hqx(body, 0xFFFF))
+        now = (k + 1) * NS // 10
+        reception.decode_chunks([Chunk(data, now, now)], now, now * 1e-9)
+        state = ReaderState(open=True, ended=False, text='open')
+        seen.append({one.part: one for one in reception.statuses(state, now, now * 1e-9)})
+    return seen
+
+
+def test_a_stream_of_absurd_values_is_a_wrong_byte_order_and_no_clock_that_jumps():
+    """The clock was said to jump 23 times, and then the file of the IMU was blamed."""
+    seen = read_by(36, 'big')
+    assert 'byte order, the type or the offset' in seen[-1]['format'].text
+    assert seen[-1]['format'].severity is Severity.ERROR
+    assert {one['clock'].severity for one in seen} == {Severity.OK}
+    assert read_by(36, 'little')[-1]['format'].severity is Severity.OK
+
+
+def test_frames_that_are_lost_steadily_from_the_start_are_an_error_of_the_format():
+    """A session began with every second frame, after a warning."""
+    status = read_by(37, 'little')[-1]['format']
+    assert status.severity is Severity.ERROR
+    assert re.match(
+        r'(49|50|51)% of the frames are lost from the start. Check length \(37', status.text
+    )

@@ -10,7 +10,7 @@ from datetime import datetime
 import numpy as np
 
 from ...common.stream import NS, Floats, Stamps, Units
-from ...common.units import STANDARD_GRAVITY
+from ...common.units import DEG, STANDARD_GRAVITY
 from ...session.imu import GRAVITY_FACTOR, ImuSpec
 from ..rules import Severity
 from .clock import DeviceClock
@@ -27,11 +27,17 @@ _PIECE_NS = 100_000_000
 2 %; one pulse is small beside the pulses of gravity in it."""
 
 
+_NO_RATE, _NO_FORCE = 1e4 * DEG, 1e3 * STANDARD_GRAVITY
+"""rad/s and m/s^2: typical samples of both beyond this are no numbers of an IMU. A judgement: gyros
+of 4000 deg/s and accelerometers of 200 g are sold; a wrong scale factor seldom puts off both."""
+
+
 class Gravity:
     """Check the first half second of samples, if the IMU is described."""
 
     def __init__(self, imu: ImuSpec | None) -> None:
         self._imu = imu
+        self._gyro: list[Floats] = []
         self._accel: list[Floats] = []
         self._elapsed: list[Stamps] = []
         self._verdict: str | None = None if imu is not None else ''
@@ -41,21 +47,24 @@ class Gravity:
         """Whether the check is complete."""
         return self._verdict is not None
 
-    def check_samples(self, accel: Floats, elapsed: Stamps) -> str:
+    def check_samples(self, gyro: Floats, accel: Floats, elapsed: Stamps) -> str:
         """Add samples; return why the numbers contradict the file.
 
         Args:
-            accel: (n, 3) as sent, n > 0.
+            gyro: (n, 3) as sent, n > 0.
+            accel: (n, 3) likewise.
             elapsed: (n,) ns after the first sample.
 
         Returns:
             A sentence; empty without a contradiction.
         """
         if self._verdict is None:
+            self._gyro.append(gyro)
             self._accel.append(accel)
             self._elapsed.append(elapsed)
             if elapsed[-1] - self._elapsed[0][0] >= _SPAN_NS:
                 self._verdict = self._judge(np.concatenate(self._elapsed))
+                self._gyro.clear()
                 self._accel.clear()
                 self._elapsed.clear()
         return self._verdict or ''
@@ -63,6 +72,16 @@ class Gravity:
     def _judge(self, elapsed: Stamps) -> str:
         imu = self._imu
         assert imu is not None
+        # The nominal interval: of a wrong byte order the device's time is absurd, too.
+        period = 1 / imu.sample_rate if imu.sample_rate and imu.units.per_interval else 1.0
+        fastest = _usual_size(np.concatenate(self._gyro)) * imu.gyro.scale_factor / period
+        hardest = _usual_size(np.concatenate(self._accel)) * imu.accel.scale_factor / period
+        if fastest > _NO_RATE and hardest > _NO_FORCE:
+            return (
+                f'Gyros and accelerometers read absurd values ({fastest:.2g} rad/s, {hardest:.2g} '
+                'm/s^2). The byte order, the type or the offset of the fields in the file of the '
+                'device is wrong.'
+            )
         force = _specific_force(np.concatenate(self._accel), elapsed, imu)
         low, high = STANDARD_GRAVITY / GRAVITY_FACTOR, STANDARD_GRAVITY * GRAVITY_FACTOR
         # An ADC may count from any offset: its codes may exceed gravity.
@@ -73,6 +92,11 @@ class Gravity:
             f'{imu.accel.scale_factor:.3g}) the accelerometers read {force:.3g} m/s^2, expected '
             f'gravity, {STANDARD_GRAVITY:.2f} m/s^2. Give the file of the IMU in this device.'
         )
+
+
+def _usual_size(values: Floats) -> float:
+    """Return the usual size of the largest of three channels: means of random ones are smaller."""
+    return float(np.median(np.abs(values).max(axis=1)))
 
 
 def _specific_force(accel: Floats, elapsed: Stamps, imu: ImuSpec) -> float:
@@ -106,6 +130,10 @@ greet at another baud rate. A judgement."""
 _GREETING = 0.5
 """s: longest output of a device before its frames. A judgement: 5 kB at 115200 bit/s, ten times the
 output of a boot loader."""
+
+_STEADILY_LOST = 0.1
+"""Share of the first frames that may be lost. A judgement: noise damages a few in a hundred; where
+the file states one byte too many, half of them are lost."""
 
 _PATIENCE = 0.25
 """s: a longer gap is not a delay of the host."""
@@ -144,6 +172,9 @@ class Health:
         self._caution = caution
         self._gravity = Gravity(imu)
         self._misfit = ''
+        self._lossy = ''
+        # Without a description of the numbers nothing is judged at the start.
+        self._losses_judged = imu is None
         self._nominal = nominal
         self._gap_timeout = gap_timeout
         self._bytes = 0
@@ -184,7 +215,7 @@ class Health:
                 self._first_bytes = steady
         if len(samples) == 0:
             return
-        self._misfit = self._gravity.check_samples(samples.accel, elapsed)
+        self._misfit = self._gravity.check_samples(samples.gyro, samples.accel, elapsed)
         self._received_at, self._received_steady = now, steady
         # For a person, whose clock is not that of a simulation.
         self._last_seen = datetime.now()
@@ -257,6 +288,7 @@ class Health:
             self._begun = now
         if self._last_bytes is None:
             self._last_bytes = steady
+        self._judge_losses(counts)
         self._note_events(counts, steady)
         return [
             self._port(state),
@@ -265,6 +297,20 @@ class Health:
             self._clock(clock, steady),
             *self._status(steady),
         ]
+
+    def _judge_losses(self, counts: Counts) -> None:
+        """Note once, with the first samples, that many frames are lost from the start."""
+        made = counts.frames + counts.lost
+        if self._losses_judged or not self._gravity.judged or made < _STRANGE:
+            return
+        self._losses_judged = True
+        share = counts.lost / made
+        if share > _STEADILY_LOST:
+            self._lossy = (
+                f'{share:.0%} of the frames are lost from the start. Check length '
+                f'({self._format.length} bytes) in the file of device {self._format.name}, and '
+                'whether the line is fast enough.'
+            )
 
     def _port(self, state: ReaderState) -> PartStatus:
         figures = {'bytes': str(self._bytes)}
@@ -366,8 +412,8 @@ class Health:
                 Severity.ERROR,
                 f'{what} no frame of the format {self._format.name}: {why}',
             )
-        if self._misfit:
-            return PartStatus('format', Severity.ERROR, self._misfit)
+        if misfit := self._misfit or self._lossy:
+            return PartStatus('format', Severity.ERROR, misfit)
         name = f'the format {self._format.name}'
         waits = self._received_at is None
         text = f'Frames of {name} are expected.' if waits else f'Frames of {name} are read.'
@@ -393,17 +439,19 @@ class Health:
             figures['stamps ahead of arrival'] = f'{clock.ahead:.6f} s'
         if drift is not None:
             figures['drift'] = f'{drift.ppm:.1f} ppm +- {drift.std:.1f} ppm'
+        # Before the numbers are known to be sound, the device's time may be none.
+        misread = bool(self._misfit) or not self._gravity.judged
         last = clock.last_jump
         if clock.jumps > self._jumps:
             self._jumps = clock.jumps
             self._events['jump'] = '', steady
-        if last is not None:
+        if last is not None and not misread:
             by = '' if last.seconds is None else f'by {last.seconds:.3g} s, '
             when = f'{last.elapsed / NS:.3f} s after the first sample'
             severity = Severity.ERROR if 'jump' in self._events else Severity.WARN
             return PartStatus('clock', severity, f'{last.reason[:-1]} ({by}{when}).', figures)
         certain = 0.0 if drift is None else abs(drift.ppm) - 3 * drift.std
-        if certain > _DRIFT_TOLERANCE and clock.drift_counts:
+        if certain > _DRIFT_TOLERANCE and clock.drift_counts and not misread:
             text = "The device's count of time or samples drifts against the host's clock."
             return PartStatus('clock', Severity.WARN, text, figures)
         settled = clock.offset is not None
