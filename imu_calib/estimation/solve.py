@@ -134,7 +134,9 @@ def least_squares(
         if not damping and (_settled(change, before, share) or change < rounding):
             return tried
         no_nearer, before = change > before * _NO_NEARER, change
-        ahead = system(tried)
+        # A step may lead beyond all numbers: it is then taken back, as one that leads uphill.
+        with np.errstate(over='ignore', invalid='ignore'):
+            ahead = system(tried)
         gained = _square(residuals) - _square(ahead[1])
         if damping == _DAMPING and abs(gained) < _NOTHING:
             return tried if gained > 0 else state
@@ -171,7 +173,8 @@ def _by_half_steps(
     """Go on by half steps, judged by their lengths alone, as `least_squares`."""
     change = before = np.inf
     for _ in range(rounds):
-        jacobian, residuals = system(state)
+        with np.errstate(over='ignore', invalid='ignore'):
+            jacobian, residuals = system(state)
         if not np.isfinite(jacobian.sum() + residuals.sum()):
             # Steps that nothing holds back have led beyond all numbers.
             break

@@ -300,6 +300,17 @@ def test_a_sentence_is_shown_once_and_its_end_too(capsys, monkeypatch):
     assert capsys.readouterr().err == 'imu_node: Frames are lost.\n'
 
 
+def test_a_failure_that_turntable_node_passes_on_is_said_once_by_the_command(capsys, monkeypatch):
+    monkeypatch.setattr(time, 'monotonic', lambda: 100.0)
+    words = NodeReports(real=True)
+    words.nodes = ('turntable_node',)
+    part = 'turntable_node: calibrator'
+    report_status(words, 2, 'The calibrator has failed: no parameter can be stated.', part=part)
+    assert not capsys.readouterr().err
+    report_status(words, 2, 'The calibrator expects plan b.', part=part)
+    assert capsys.readouterr().err == 'turntable_node: The calibrator expects plan b.\n'
+
+
 def test_a_port_that_breaks_later_ends_nothing(capsys, monkeypatch):
     now = 100.0
     monkeypatch.setattr(time, 'monotonic', lambda: now)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from evidence import evidence_of
@@ -239,5 +241,6 @@ def test_steps_that_lead_beyond_all_numbers_are_refused() -> None:
         # Each step leads away, and the farther the longer.
         return np.eye(1) * x**2, x**5
 
-    with np.errstate(over='ignore', invalid='ignore'), pytest.raises(NotConverged):
+    with warnings.catch_warnings(), pytest.raises(NotConverged):
+        warnings.simplefilter('error')
         least_squares(np.ones(1), system, np.add, 100)
