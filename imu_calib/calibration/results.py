@@ -391,6 +391,10 @@ def loss_findings(
 def _beside_plan(setup: Setup, labelled: Labelled) -> list[str]:
     """Return sentences on dwells that fit no position of the plan, and on their use."""
     of_plan = labelled.of_plan(setup.plan).segments
+    # Every session begins where the table happens to stand.
+    begins = labelled.segments[:1]
+    if not setup.plan_alone and [s for s in labelled.segments if s not in of_plan] == [*begins]:
+        return []
     names = [str(s.position) for s in labelled.segments if s not in of_plan]
     if not names:
         return []

@@ -13,7 +13,7 @@ from ..common.errors import Contradiction, InputError, NotObservable
 from ..common.finding import Finding, warning
 from ..common.gaussian import FIVE_SIGMA
 from ..common.stream import Floats
-from ..common.units import DEG, DEG_H, PPM
+from ..common.units import DEG, DEG_H, PPM, rounded
 from ..model.earth import EARTH_RATE
 from ..model.parameters import AXES
 from ..model.sensors import TIMES, SensorModel, wrong_scale_sentences
@@ -160,6 +160,10 @@ class WrongLatitude(Contradiction):
         self.misfit = misfit
 
 
+def _with_std(value: float, std: float) -> str:
+    return ' +- '.join(rounded(value, std))
+
+
 def check_latitude(
     evidence: Evidence, earth: Floats, covariance: Floats, freedom: float = np.inf
 ) -> None:
@@ -189,9 +193,9 @@ def check_latitude(
     total = float(np.hypot(earth[2], level))
     total_std = max(up_std, level_std)
     text = (
-        f'the gyros see an Earth rate of {earth[2] / DEG_H:.2f} +- {up_std / DEG_H:.2f} deg/h up '
-        f'(expected {site.up_rate / DEG_H:.2f}) and {level / DEG_H:.2f} +- '
-        f'{level_std / DEG_H:.2f} deg/h horizontal (expected {site.north_rate / DEG_H:.2f})'
+        f'the gyros see an Earth rate of {_with_std(earth[2] / DEG_H, up_std / DEG_H)} deg/h up '
+        f'(expected {site.up_rate / DEG_H:.2f}) and {_with_std(level / DEG_H, level_std / DEG_H)} '
+        f'deg/h horizontal (expected {site.north_rate / DEG_H:.2f})'
     )
     if abs(total - EARTH_RATE) > limit * total_std:
         raise Contradiction(
@@ -201,7 +205,7 @@ def check_latitude(
         )
     fits = ''
     if total_std < _DETERMINED * EARTH_RATE:
-        fits = f' It fits a latitude of {seen / DEG:.1f} +- {total_std / total / DEG:.1f} deg.'
+        fits = f' It fits a latitude of {_with_std(seen / DEG, total_std / total / DEG)} deg.'
     raise WrongLatitude(
         f'The data contradicts the latitude {site.latitude / DEG:.2f} deg: {text}.{fits}',
         seen,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
@@ -101,7 +102,8 @@ def facts(pairs: Sequence[tuple[str, str]]) -> str:
 
 def _sentence(text: str) -> str:
     """Return plain text with units as pages show them, and keywords as options, set as code."""
-    return as_options(escape(typeset(text)), '<code>{}</code>')
+    text = as_options(escape(typeset(text)), '<code>{}</code>')
+    return re.sub('`([^`]+)`', r'<code>\1</code>', text)
 
 
 def sheet(name: str) -> str:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from sessions import (
     truth,
 )
 
-from imu_calib.calibration.results import Result
+from imu_calib.calibration.results import Result, _beside_plan
 from imu_calib.common.config import Section
 from imu_calib.common.stream import Block, Floats, JointBlock, Mode, SetpointBlock
 from imu_calib.common.units import ARCMIN, DEG, DEG_H, PPM
@@ -250,3 +251,20 @@ def test_holding_the_table_where_it_stands_leaves_the_position_its_name():
 
     result = calibrate(held(session(plan, stand(block_length=1e4), 1)), plan)
     assert [s.position for s in result.labelled.segments] == [p.id for p in plan.positions]
+
+
+def test_where_the_table_stands_at_first_is_no_position_to_speak_of():
+    """Every short run had a note: Z up is no position of its plan."""
+    at_first, up, odd = (SimpleNamespace(position=name) for name in ('Z up', 'x_up', 'Y up'))
+    plan = SimpleNamespace(name='six')
+
+    def sentences(*segments, plan_alone=False):
+        fitting = SimpleNamespace(segments=[up])
+        labelled = SimpleNamespace(segments=segments, of_plan=lambda _: fitting)
+        setup = SimpleNamespace(plan=plan, plan_alone=plan_alone, method_name='joint')
+        return _beside_plan(setup, labelled)
+
+    assert sentences(at_first, up) == []
+    assert 'six: Z up; Y up: joint uses' in sentences(at_first, up, odd)[0]
+    assert 'six: Y up: joint uses' in sentences(up, odd)[0]
+    assert 'leaves them out' in sentences(at_first, up, plan_alone=True)[0]

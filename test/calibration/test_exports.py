@@ -236,6 +236,12 @@ def test_the_c_header_names_the_units_of_raw_values(units, scales, said):
     assert said in exported('c', replace(unit('si'), imu=ImuSpec('a', units, None, *triads)))
 
 
+@pytest.mark.parametrize(('rate', 'seconds'), [(200.0, '0.005'), (None, '0.01')])
+def test_the_example_of_the_c_header_has_the_interval_of_the_unit(rate, seconds):
+    own = replace(unit('si'), imu=ImuSpec('a', Units.SI, rate, TriadSpec(), TriadSpec()))
+    assert f'(raw_gyro, raw_accel, {seconds}, rate, force)' in exported('c', own)
+
+
 @pytest.mark.parametrize('name', EXPORTS)
 def test_an_export_names_the_unit_or_its_recording_in_one_line(name):
     calibration = unit('si')

@@ -731,7 +731,7 @@ def test_an_axis_that_nothing_turned_about(cli):
 
 @pytest.mark.parametrize('latitude', [44.65, again(24.65), -34.65])
 def test_a_wrong_latitude(cli, recorded, latitude):
-    sentence = rf'contradicts the latitude {latitude} deg.*fits a latitude of 3[345]\.\d \+-'
+    sentence = rf'contradicts the latitude {latitude} deg.*fits a latitude of 3[345]\.\d+ \+-'
     cli.refuses(1, sentence, recorded, '--latitude', latitude)
 
 
@@ -741,7 +741,7 @@ def test_six_positions_at_a_wrong_latitude(cli, tmp_path):
     bag = tmp_path / 'six'
     assert main(['simulate', 'six_position', '--seed', '4', '-o', str(bag)]) == 0
     for latitude in (-34.65, 49.65):
-        sentence = rf'contradicts the latitude {latitude} deg.*fits a latitude of 3[345]\.\d \+-'
+        sentence = rf'contradicts the latitude {latitude} deg.*fits a latitude of 3[345]\.\d+ \+-'
         cli.refuses(1, sentence, bag, '--latitude', latitude)
 
 

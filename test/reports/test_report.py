@@ -27,6 +27,7 @@ from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.reports.assessment import Assessed, assess, limits_tables, summary
 from imu_calib.reports.budget import budget_section
 from imu_calib.reports.charts import Axis
+from imu_calib.reports.html import bullets
 from imu_calib.reports.noise import noise_notes
 from imu_calib.reports.page import Contents, _residuals, page, terms_section
 from imu_calib.reports.provenance import provenance, verdict_line
@@ -569,3 +570,9 @@ def test_the_summary_names_what_is_marginal_and_outside():
         '1 of 4 parameters within the specification, 2 marginal (K_gy, E_gxy), 1 outside (K_gz)'
     )
     assert '8 marginal (K_gx, K_gy, K_gz, E_gxy, E_gxz, E_gyx, 2 more), 0 out' in summed(*[1.0] * 8)
+
+
+def test_a_line_of_a_file_in_a_sentence_is_code_on_a_page():
+    shown = bullets(['State it (`clock: 5 ppm`, for instance) with `gravity_std`.'])
+    assert '<code>clock: 5 ppm</code>' in shown and '`' not in shown
+    assert '<code>--gravity-std</code>' in shown
