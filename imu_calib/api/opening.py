@@ -27,7 +27,7 @@ from ..session.plan import UNPLANNED, load_plan
 from ..session.segments_file import read_segments
 from .recorded import Recorded, recording_at
 from .session import (
-    contradicted_latitude,
+    contradicted_site,
     contradicted_type,
     corrected_serial,
     gravity_as_exact,
@@ -218,7 +218,7 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
         refuse_rest(recording, streams.imu, imu)
     steps = load_plan('free_positions') if plan is None else plan
     statements = (*([] if known else [ASSUMED_SI]), *([] if plan else [ASSUMED_BY_HAND]))
-    statements += (*corrected_serial(stated), *contradicted_latitude(stated, recording))
+    statements += (*corrected_serial(stated), *contradicted_site(stated, recording))
     statements += contradicted_type(stated, recording, streams.imu)
     rate = rows_per_second(stated.rate)
     if rate is not None:

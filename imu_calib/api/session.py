@@ -302,6 +302,8 @@ def table_of(stated: Stated, recording: Recording) -> Table:
 
 _SAME_LATITUDE = 0.06
 """deg: a latitude that is rounded to a tenth differs by no more; gravity by 6 ppm then."""
+_SAME_HEIGHT = 20.0  #: m: gravity differs by 6 ppm then, as for the latitude.
+_SAME_GRAVITY = 6e-6  #: Ratio, likewise; two measurements agree within their deviations.
 
 
 def _is_near(latitude: float, recording: Recording) -> bool:
@@ -312,19 +314,30 @@ def _is_near(latitude: float, recording: Recording) -> bool:
     return abs(own - latitude) <= _SAME_LATITUDE
 
 
-def contradicted_latitude(stated: Stated, recording: Recording) -> tuple[str, ...]:
-    """Return a warning that the recording itself states another latitude than is stated."""
-    if stated.latitude is None or not states_site(recording.custom_data):
+def contradicted_site(stated: Stated, recording: Recording) -> tuple[str, ...]:
+    """Return warnings that the recording itself states another site than is stated."""
+    if not states_site(recording.custom_data):
         return ()
-    if _is_near(stated.latitude, recording):
-        return ()
-    own = described_site(recording.custom_data, str(recording.path)).latitude / DEG
-    return (
+    own = described_site(recording.custom_data, str(recording.path))
+    follows = 'gravity, and so every K_a, follows from it'
+    found = []
+    if stated.latitude is not None and not _is_near(stated.latitude, recording):
+        follow = 'gravity, and so every K_a, and the Earth rate follow from it'
+        found.append(('latitude', f'{own.latitude / DEG:.6g}', f'{stated.latitude:.6g}', follow))
+    height = stated.height
+    if height is not None and own.height is not None and abs(height - own.height) > _SAME_HEIGHT:
+        found.append(('height', f'{own.height:g} m', f'{height:g} m', follows))
+    if stated.gravity is not None and own.gravity_source == MEASURED:
+        doubt = 2 * math.hypot(own.gravity_std, stated.gravity_std or 0.0)
+        if abs(stated.gravity - own.gravity) > _SAME_GRAVITY * own.gravity + doubt:
+            values = f'{own.gravity:.7g} m/s^2', f'{stated.gravity:.7g} m/s^2'
+            found.append(('gravity', *values, 'every K_a follows from it'))
+    return tuple(
         warning(
-            f'The recording states latitude {own:.6g}, and {stated.latitude:.6g} is used as given: '
-            'gravity, and so every K_a, and the Earth rate follow from it. Leave `latitude` out if '
-            'the recording is right.'
-        ),
+            f'The recording states {name} {recorded}, and {given} is used as given: {effect}. '
+            f'Leave `{name}` out if the recording is right.'
+        )
+        for name, recorded, given, effect in found
     )
 
 
@@ -366,7 +379,7 @@ def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> S
     """Return the stated site, or the one in the recording.
 
     Stated height and gravity also apply at the recording's latitude, and its height at a stated
-    latitude that is the same.
+    latitude.
 
     Args:
         stated: Known facts.
@@ -374,6 +387,10 @@ def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> S
         by_hand: A measured gravity is sufficient: the Earth rate is below the resolution in a hand.
     """
     if stated.latitude is not None and not _is_near(stated.latitude, recording):
+        if stated.height is None and stated.gravity is None and states_site(recording.custom_data):
+            # Who corrects the latitude alone has no other height.
+            own = described_site(recording.custom_data, str(recording.path))
+            stated = replace(stated, height=own.height)
         return stated.site(stated.latitude)
     if by_hand and stated.gravity is not None and not states_site(recording.custom_data):
         return replace(stated, latitude_std=VAGUE / DEG).site(_ANYWHERE)

@@ -46,7 +46,7 @@ from ..session.segments_file import read_segments
 from .recorded import Recorded, recording_at
 from .session import (
     as_applied,
-    contradicted_latitude,
+    contradicted_site,
     serial_of,
     site_of,
     stated_imu,
@@ -186,7 +186,7 @@ def _verify(
         except NotObservable as error:
             refusal = bad_samples_first(error, session)
             raise refusal.among(after=(session.facts.sentence,)) from None
-    notes += (*contradicted_latitude(stated, recording), *site.contradictions)
+    notes += (*contradicted_site(stated, recording), *site.contradictions)
     notes += clock_findings(recording, streams, imu.units)
     notes += another_topic(recording, streams.imu, origin.get('topics') or ())
     already = compensated_already(recording.custom_data, streams.imu)

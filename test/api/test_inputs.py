@@ -14,6 +14,7 @@ from sessions import brief_plan
 
 import imu_calib
 from imu_calib.api.recorded import recording_at
+from imu_calib.api.session import contradicted_site, site_of
 from imu_calib.api.streams import temperature_topic
 from imu_calib.cli.main import main
 from imu_calib.common.files import named_file
@@ -21,7 +22,7 @@ from imu_calib.common.finding import is_warning
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.recordings.cdr_codec import Kind
 from imu_calib.session.keywords import Stated
-from imu_calib.session.metadata import serial_key
+from imu_calib.session.metadata import PREFIX, serial_key
 
 NAMES = [f'{name}.{a}' for name in ('angular_velocity', 'linear_acceleration') for a in 'xyz']
 
@@ -200,6 +201,26 @@ def test_limits_of_another_type_than_the_recordings_are_a_warning(hand, tmp_path
     said = 'The recording is of a mems_counts, and `imu` states a '
     assert f'{said}wider: the noise, and the limits' in findings(replace(own, id='wider'))
     assert said not in findings(replace(own, sample_rate=90.0))
+
+
+@pytest.mark.parametrize(
+    ('stated', 'expected', 'height'),
+    [
+        ({'height': 5200.0}, 'states height 520 m, and 5200 m is used', 5200),
+        ({'height': 530.0}, '', 530),
+        ({'gravity': 9.8}, 'states gravity 9.8073 m/s^2, and 9.8 m/s^2 is used', 520),
+        # The height stays where the latitude alone is corrected.
+        ({'latitude': 50.1}, 'states latitude 48.1, and 50.1 is used', 520),
+        ({'latitude': 50.1, 'height': 5200.0}, 'states height 520 m', 5200),
+    ],
+)
+def test_a_site_that_the_recording_contradicts_is_a_warning(stated, expected, height):
+    texts = {'latitude_deg': 48.1, 'height': 520.0, 'gravity': 9.8073, 'gravity_std': 1e-5}
+    data = {f'{PREFIX}{name}': str(value) for name, value in texts.items()}
+    recording = SimpleNamespace(custom_data=data, path='rec')
+    said = ' '.join(contradicted_site(Stated(**stated), recording))
+    assert expected in said if expected else not said
+    assert site_of(Stated(**stated), recording).height == height
 
 
 def test_a_frame_is_verified_and_compensated_as_its_recording(hand, frame, expected, tmp_path):
