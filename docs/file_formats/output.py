@@ -413,6 +413,7 @@ _OF_UNITS = [
     _key('sessions', _rows(_OF_SESSION), 'by date'),
     _key('steps', _rows(_STEP), 'between sessions'),
     _key('signals', _rows(_stated(results.Signal)), 'of the charts'),
+    _key('warnings', _TEXTS, 'of its calibrations: values may be wrong by more than stated'),
     _key('findings', _TEXTS, 'what the user of the result must know'),
 ]
 _DISTRIBUTION = [

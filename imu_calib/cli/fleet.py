@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from datetime import date, datetime
+from datetime import date, datetime, time, timedelta
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from ..fleet.catalogue import Catalogue, rows_of, schema
 from ..fleet.history import history
 from ..fleet.page import summary, written
 from ..fleet.page_contents import AHEAD
-from ..fleet.results import USUAL, unit_rows
+from ..fleet.results import USUAL, day, unit_rows
 from ..fleet.sentences import (
     SCATTER_WORDS,
     by_urgency,
@@ -41,6 +41,7 @@ from .terminal import ERRORS, OUTPUT, print_text, print_whole, progress_bar, sen
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from ..fleet.batch import Batch
     from ..fleet.results import History, UnitHistory
 
 
@@ -125,26 +126,11 @@ def run_batch(arguments: argparse.Namespace) -> CommandResult:
         f'{counted(done.recordings, "recording")}{several} in {done.seconds:.1f} s: '
         f'{done.calibrated} calibrated, {done.failed} failed, {done.known} done before{before}'
     )
-    if done.removed:
-        OUTPUT.print(
-            f'{counted(done.removed, "failed row")} removed: the recording is gone, or stated '
-            'otherwise now'
-        )
-    if done.relabelled:
-        OUTPUT.print(f'{counted(done.relabelled, "row")} relabelled as stated now')
-    for names in done.alike:
-        OUTPUT.print(f'{listed(names)} are the same recording, which counts once', markup=False)
-    for sentence in done.contradictory:
+    for sentence in _remarks(done):
         OUTPUT.print(sentence, markup=False)
-    if done.convertible:
-        count = len(done.convertible)
-        endings = ', '.join(sorted({path.suffix.lower() for path in done.convertible}))
-        are = 'is no recording' if count == 1 else 'are no recordings'
-        OUTPUT.print(
-            f'{counted(count, "file")} ({endings}) {are}: --stamp, --gyro and --accel read text '
-            'files, and imu-calib info FILE says the way for others'
-        )
     OUTPUT.print(f'written to {done.catalogue}', markup=False)
+    for sentence in _doubts(done):
+        OUTPUT.print(sentence, style='yellow', markup=False)
     failed = done.failed + done.known_failed
     if not failed:
         return CommandResult()
@@ -153,6 +139,46 @@ def run_batch(arguments: argparse.Namespace) -> CommandResult:
     if done.known_failed:
         message += f' {done.known_failed} failed before and did not change: --retry repeats them.'
     return CommandResult(exit_code=NotObservable.exit_code, message=message)
+
+
+def _remarks(done: Batch) -> Iterator[str]:
+    """Yield sentences on rows that changed, and on sources that count once or not at all."""
+    if done.removed:
+        yield (
+            f'{counted(done.removed, "failed row")} removed: the recording is gone, or stated '
+            'otherwise now'
+        )
+    if done.relabelled:
+        yield f'{counted(done.relabelled, "row")} relabelled as stated now'
+    for names in done.alike:
+        yield f'{listed(names)} are the same recording, which counts once'
+    yield from done.contradictory
+    if done.convertible:
+        count = len(done.convertible)
+        endings = ', '.join(sorted({path.suffix.lower() for path in done.convertible}))
+        are = 'is no recording' if count == 1 else 'are no recordings'
+        yield (
+            f'{counted(count, "file")} ({endings}) {are}: --stamp, --gyro and --accel read text '
+            'files, and imu-calib info FILE says the way for others'
+        )
+
+
+def _doubts(done: Batch) -> Iterator[str]:
+    """Yield sentences on units whose calibration exists, but must not be used unread."""
+    catalogue = f'imu-calib catalogue {done.catalogue}'
+    if done.warned:
+        yield (
+            f'{counted(len(done.warned), "unit")} with warnings ({listed(done.warned)}): values '
+            f'may be wrong by more than stated. {catalogue} --where "warnings > 0" --columns '
+            'serial,recording,findings shows them.'
+        )
+    if done.outside:
+        yield (
+            f'Outside the specification: {listed(done.outside)}. {catalogue} --where "verdict = '
+            "'fail'\" lists them."
+        )
+    if done.marginal:
+        yield f'A limit lies within the uncertainty: {listed(done.marginal)} (verdict marginal).'
 
 
 def add_fleet_options(parser: argparse.ArgumentParser) -> None:
@@ -203,7 +229,7 @@ def _date(text: str | None) -> datetime | None:
         raise InputError(f'--on: found {text!r}, expected a date as 2026-11-22.') from None
 
 
-_SHOWN = ('date', 'imu', 'serial', 'stand', 'status', 'verdict', 'recording', 'error')
+_SHOWN = ('date', 'imu', 'serial', 'stand', 'status', 'verdict', 'warnings', 'recording', 'error')
 
 
 def add_catalogue_options(parser: argparse.ArgumentParser) -> None:
@@ -314,13 +340,28 @@ def _text(value: Any) -> str:
         return ''
     if isinstance(value, float):
         return f'{value:.6g}'
-    return (
-        value.isoformat(sep=' ', timespec='seconds') if hasattr(value, 'isoformat') else str(value)
-    )
+    if isinstance(value, list) and value and isinstance(value[0], str):
+        # Sentences, or names of parameters.
+        return '\n'.join(value)
+    if isinstance(value, datetime):
+        return value.isoformat(sep=' ', timespec='seconds')
+    return str(_plain(value))
 
 
 def _plain(value: Any) -> Any:
-    return value.isoformat() if isinstance(value, datetime) else value
+    """Return a value of SQL as JSON and CSV can hold it."""
+    if isinstance(value, date | time):
+        return value.isoformat()
+    if isinstance(value, timedelta):
+        return str(value)
+    if type(value).__name__ == 'MonthDayNano':
+        # An interval, as Arrow has it.
+        months, days, nanoseconds = value
+        parts = [counted(months, 'month')] * bool(months)
+        if days or nanoseconds or not months:
+            parts.append(str(timedelta(days=days, microseconds=nanoseconds // 1000)))
+        return ', '.join(parts)
+    return value
 
 
 _MOST_UNITS = 25  #: Units of a table on the terminal, the most urgent; a file has all.
@@ -416,7 +457,8 @@ def _unit_sentences(found: History, on: np.datetime64) -> list[str]:
         ),
         (f'Due by {on}', [f'{u.serial} (on {u.forecast.recalibrate})' for u in due]),
         ('Drift', [_drift(u) for u in found.units if u.trend.significant.any()]),
-        ('Stepped', [u.serial for u in found.units if u.own_steps]),
+        ('With warnings', [u.serial for u in found.units if u.warnings]),
+        ('Stepped', [_stepped(u) for u in found.units if u.own_steps]),
         (
             'Out of control at their newest session',
             [
@@ -438,6 +480,18 @@ def _unit_sentences(found: History, on: np.datetime64) -> list[str]:
         ]
     rate = 100 * found.rules.false_alarm
     return [*lines, f'False-alarm rate of each kind of statement: {rate:g} %.']
+
+
+def _stepped(unit: UnitHistory) -> str:
+    """Return a unit with the largest change of its newest step."""
+    step = unit.own_steps[-1]
+    k = int(np.argmax(np.abs(step.size) / step.std))
+    size = quantity(step.size[k], step.parameters[k], sign=True, by_hand=unit.by_hand)
+    more = len(step.parameters) - 1
+    before = len(unit.own_steps) - 1
+    others = f' and {more} more' if more else ''
+    earlier = f', {counted(before, "step")} before' if before else ''
+    return f'{unit.serial} ({step.parameters[k]} {size}{others} by {day(step.before)}{earlier})'
 
 
 def _drift(unit: UnitHistory) -> str:

@@ -11,6 +11,7 @@ from urllib.parse import quote
 import numpy as np
 
 from ..common.errors import beginning
+from ..common.finding import is_warning, without_label
 from ..common.stream import Floats
 from ..common.units import decimals, typeset
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS, engineering
@@ -65,7 +66,10 @@ class Issue:
 
 def issues(fleet: Fleet) -> list[Issue]:
     """Return all matters, the worst first."""
-    kinds = (_failed, _stands, _outside, _due, _control, _steps, _drifts, _marginal, _outliers)
+    kinds = (
+        *(_failed, _stands, _outside, _due, _control),
+        *(_warned, _steps, _earlier_steps, _drifts, _marginal, _outliers),
+    )
     found = [issue for find in kinds for issue in find(fleet)]
     return sorted(found, key=lambda issue: ('fail', 'marginal', 'plain').index(issue.kind))
 
@@ -293,6 +297,27 @@ def _signal(signal: Signal) -> str:
     return f'{what}: {signal.value:.3g}, limit {signal.limit:.3g}'.replace('-', '\u2212')
 
 
+def _warned(fleet: Fleet) -> Iterator[Issue]:
+    units = fleet.flagged(Flag.WARNED)
+    if not units:
+        return
+    rows = fleet.recordings
+    cells = []
+    for unit in units:
+        for k in reversed(unit.sessions):
+            if warnings := [*filter(is_warning, rows.findings[k])]:
+                break
+        words = ' '.join(map(without_label, warnings))
+        cells.append([link(unit), dated(rows.date[k]), escape(typeset(words))])
+    sentence = (
+        f'{count(len(units), "unit has", "units have")} a calibration with warnings: values may be '
+        'wrong by more than stated, whatever the verdict, and trends with them. Correct the cause '
+        'and calibrate again.'
+    )
+    headings = ['unit', 'session', 'warning']
+    yield Issue('Warnings', 'marginal', [sentence], headings, cells, Flag.WARNED)
+
+
 def _steps(fleet: Fleet) -> Iterator[Issue]:
     units = fleet.flagged(Flag.STEP)
     if not units:
@@ -315,6 +340,24 @@ def _steps(fleet: Fleet) -> Iterator[Issue]:
         cells,
         Flag.STEP,
     )
+
+
+def _earlier_steps(fleet: Fleet) -> Iterator[Issue]:
+    """Yield the steps before a unit's newest session, of which no cause is known."""
+    found = [(u, _steps_before(u.history)) for u in fleet.units if u.history is not None]
+    cells = [[link(unit), escape(typeset(words))] for unit, words in found if words]
+    if cells:
+        sentence = (
+            f'{count(len(cells), "unit has", "units have")} changed between two earlier sessions: '
+            'find the cause if it is not known. Trends and due dates consider the step.'
+        )
+        yield Issue('Earlier steps', 'plain', [sentence], ['unit', 'what'], cells)
+
+
+def _steps_before(history: UnitHistory) -> str:
+    newest = len(history.key) - 1
+    earlier = [step for step in reversed(history.own_steps) if step.index != newest]
+    return ' '.join(step_sentence(step, by_hand=history.by_hand) for step in earlier)
 
 
 def _drifts(fleet: Fleet) -> Iterator[Issue]:

@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from ..api.session import as_list
 from ..common.errors import InputError, beginning
 from ..common.files import user_path
+from ..common.finding import is_warning
 from ..common.parallel import MEMORY, Engine, WorkerDied, outcomes
 from ..common.progress import Progress, silent
 from ..common.units import counted
 from ..recordings.remote import is_url
+from ..session.imu import Verdict
 from ..session.keywords import Inspected, Stated, with_keywords
 from ..session.units_file import load_units
 from .recordings import OF_ONE, Job, convertible, find_jobs
@@ -63,6 +65,10 @@ class Batch:
     relabelled: int = 0  #: Number of rows that got the names in their labels as stated now.
     #: Sentences on those of `failed`: unit, recording and why.
     failures: tuple[str, ...] = ()
+    #: Units with a calibration that has warnings, those done before among them.
+    warned: tuple[str, ...] = ()
+    outside: tuple[str, ...] = ()  #: Likewise those outside their specification.
+    marginal: tuple[str, ...] = ()  #: Likewise those with a limit within the uncertainty.
 
     def __repr__(self) -> str:
         return (
@@ -280,6 +286,7 @@ def run_batch(
         for some in numbers.values()
         if len({jobs[k].labels for k in some}) == 1
     }
+    warned, outside, marginal = _in_doubt(catalogue, numbers)
     return Batch(
         catalogue.folder,
         len(jobs),
@@ -291,7 +298,29 @@ def run_batch(
         removed=removed,
         relabelled=relabelled,
         failures=tuple(sorted(tally.failures)),
+        warned=warned,
+        outside=outside,
+        marginal=marginal,
     )
+
+
+def _in_doubt(catalogue: Catalogue, keys: Container[str]) -> list[tuple[str, ...]]:
+    """Return the units whose calibrations warn, those outside, and those that are marginal."""
+    rows = catalogue.some(keys, ['status', 'serial', 'recording', 'verdict', 'findings'])
+    found: tuple[set[str], ...] = (set(), set(), set())
+    for row in rows:
+        if row['status'] != CALIBRATED:
+            continue
+        unit = row['serial'] or Path(row['recording']).name
+        meets = (
+            any(map(is_warning, row['findings'] or ())),
+            row['verdict'] == Verdict.FAIL.value,
+            row['verdict'] == Verdict.MARGINAL.value,
+        )
+        for units, one in zip(found, meets, strict=True):
+            if one:
+                units.add(unit)
+    return [tuple(sorted(units)) for units in found]
 
 
 def _is_stale(

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -26,6 +26,7 @@ from urllib.parse import quote
 from ..common.arguments import checked
 from ..common.errors import InputError, NotObservable
 from ..common.files import other_format, printable, require, unwritable, user_path, write_whole
+from ..common.finding import is_warning
 from ..common.units import counted
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from ..recordings import metadata_yaml
@@ -36,7 +37,7 @@ from .task import CALIBRATED, FAILED, SUPERSEDED, TaskResult
 if TYPE_CHECKING:
     import pyarrow as pa
 
-VERSION = 4
+VERSION = 5
 """Version of the columns; a reader refuses a newer one and fills in the columns that an older one
 lacks."""
 
@@ -74,6 +75,7 @@ def schema() -> pa.Schema:
         column('verdict', text),
         column('simulated', pa.bool_()),
         column('findings', pa.list_(text)),
+        column('warnings', whole),
         column('latitude', number, 'deg'),
         column('temperature', number, 'degC'),
         column('duration', number, 's'),
@@ -90,10 +92,16 @@ def schema() -> pa.Schema:
 
 
 def _table_of(rows: list[dict[str, Any]]) -> pa.Table:
-    """Return rows as a table with these columns."""
+    """Return rows as a table with these columns; their warnings are counted here."""
     import pyarrow as pa
 
-    return pa.Table.from_pylist(rows, schema())
+    counted_rows = [{**row, 'warnings': _warnings(row.get('findings'))} for row in rows]
+    return pa.Table.from_pylist(counted_rows, schema())
+
+
+def _warnings(findings: Sequence[str] | None) -> int | None:
+    """Return the number of warnings among the findings of a row; None without findings."""
+    return None if findings is None else sum(map(is_warning, findings))
 
 
 @dataclass(frozen=True)
@@ -219,6 +227,13 @@ class Catalogue:
                     table = table.set_column(place, table.field(name), column)
                 self._write(part, table)
         return changed
+
+    def some(self, keys: Container[str], columns: Sequence[str]) -> list[dict[str, Any]]:
+        """Return some columns of the rows with these keys."""
+        self._look()
+        chosen = [part for part in self._parts() if any(k in keys for k in self._seen[part].keys)]
+        rows = [row for part in chosen for row in _read(part, ['key', *columns]).to_pylist()]
+        return [row for row in rows if row['key'] in keys]
 
     def table(self) -> pa.Table:
         """Return all rows, in the order of their addition.
@@ -478,7 +493,10 @@ def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
     today = schema() if columns is None else pa.schema([schema().field(one) for one in columns])
     missing = [one for one in today if one.name not in found.column_names]
     for one in missing:
-        found = found.append_column(one, pa.nulls(len(found), one.type))
+        column = pa.nulls(len(found), one.type)
+        if one.name == 'warnings' and 'findings' in found.column_names:
+            column = pa.array([_warnings(f) for f in found['findings'].to_pylist()], one.type)
+        found = found.append_column(one, column)
     try:
         return found.select(today.names).cast(today)
     except pa.ArrowException as error:

@@ -14,14 +14,16 @@ from ..api.session import as_list
 from ..common.arguments import checked
 from ..common.errors import InputError, NotObservable
 from ..common.files import is_shipped
+from ..common.finding import is_warning, without_label
 from ..common.stream import Floats
+from ..common.units import counted
 from ..estimation.hand import NAME as FREE_POSITIONS
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from ..session.imu import ImuSpec
 from ..session.keywords import Named, as_imu
 from .catalogue import Catalogue
 from .evaluation import backtest
-from .results import USUAL, History, Rules, Sessions
+from .results import USUAL, History, Rules, Sessions, UnitHistory, day
 from .sentences import listed
 from .task import CALIBRATED, FAILED, SUPERSEDED, limits_of
 
@@ -72,7 +74,10 @@ def history(
             f'{"" if where is None else f" for which {where}"}: there is no history.'
         )
     whole = backtest(sessions, {**limits, **_limits_of(as_list(imu))}, rules)
-    whole = replace(whole, findings=(*whole.findings, *findings))
+    warnings = _warnings_of(table)
+    findings += _on_warnings(sessions.key, warnings, found.folder)
+    units = tuple(_with_warnings(unit, warnings) for unit in whole.units)
+    whole = replace(whole, units=units, findings=(*whole.findings, *findings))
     if serial is None:
         return whole
     units = tuple(unit for unit in whole.units if unit.serial == serial)
@@ -83,6 +88,37 @@ def history(
             f'{failed}.'
         )
     return replace(whole, units=units)
+
+
+def _warnings_of(table: pa.Table) -> dict[str, tuple[str, ...]]:
+    """Return the warnings of each calibration that has some, by its key."""
+    rows = zip(table['key'].to_pylist(), table['findings'].to_pylist(), strict=True)
+    found = {key: tuple(filter(is_warning, sentences or ())) for key, sentences in rows}
+    return {key: warnings for key, warnings in found.items() if warnings}
+
+
+def _with_warnings(unit: UnitHistory, warnings: Mapping[str, Sequence[str]]) -> UnitHistory:
+    """Return a unit with the warnings of its calibrations, the newest first, before all else."""
+    dates: dict[str, list[str]] = {}
+    for key, date in reversed(list(zip(unit.key, unit.date, strict=True))):
+        for text in warnings.get(key, ()):
+            dates.setdefault(without_label(text), []).append(day(date) or 'an unknown date')
+    told = tuple(f'Calibration of {listed(some)}: {text}' for text, some in dates.items())
+    return replace(unit, warnings=told, findings=(*told, *unit.findings))
+
+
+def _on_warnings(
+    keys: Sequence[str], warnings: Mapping[str, Sequence[str]], folder: Path
+) -> list[str]:
+    """Return a sentence on the used calibrations that have warnings."""
+    count = sum(key in warnings for key in keys)
+    if not count:
+        return []
+    return [
+        f'{count} of {counted(len(keys), "calibration")} with warnings: values may be wrong by '
+        f'more than stated, and trends with them. imu-calib catalogue {folder} --where '
+        '"warnings > 0" --columns serial,recording,findings shows them.'
+    ]
 
 
 def sessions_of(table: pa.Table, folder: Path) -> tuple[Sessions, list[str], dict[str, Floats]]:

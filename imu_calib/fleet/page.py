@@ -138,6 +138,7 @@ _COLUMN_TEXTS = {
     Flag.OUTSIDE: 'outside the specification',
     Flag.OFF_STAND: 'calibrated on a stand that is off',
     Flag.FAILED: 'with a failed newest recording',
+    Flag.WARNED: 'with warnings',
     Flag.STEP: 'with a step',
     Flag.DRIFTS: 'drifting',
     Flag.DUE: 'due soon',

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.finding import is_warning
 from ..common.stream import Floats
 from ..common.units import decimals, typeset
 from ..model.parameters import PARAMETERS, engineering
@@ -48,6 +49,11 @@ class Flag(Enum):
         'stand off', 'fail', 'its newest calibration is from a stand that is off, and has its error'
     )
     CONTROL = State('out of control', 'fail', 'a control chart signals at its newest session')
+    WARNED = State(
+        'warned',
+        'marginal',
+        'a calibration of it has warnings: values may be wrong by more than stated',
+    )
     STEP = State('step', 'marginal', 'changed since the session before its newest')
     DRIFTS = State('drifts', 'marginal', 'has a significant trend')
     DUE = State('due', 'marginal', 'is to be recalibrated soon')
@@ -187,6 +193,7 @@ def _flags(
     flags = {Flag.FAILED: any(_later(rows.date[k], last) for k in failed)}
     flags[Flag.OUTLIER], flags[Flag.UNJUDGED] = apart, not sessions
     flags[Flag.SIMULATED] = bool(sessions) and rows.simulated[sessions[-1]]
+    flags[Flag.WARNED] = any(is_warning(text) for k in sessions for text in rows.findings[k])
     if history is not None:
         newest, due = len(history.key) - 1, history.forecast.recalibrate
         # A unit that is outside has no date until which it is inside.

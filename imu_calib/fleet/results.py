@@ -233,6 +233,7 @@ class UnitHistory:
     charts: Charts  #: Control charts.
     findings: tuple[str, ...]  #: Messages for the user on this unit, sentences.
     by_hand: bool = False  #: Whether its type is held by hand, for the units shown.
+    warnings: tuple[str, ...] = ()  #: Of its calibrations, with their dates.
 
     @property
     def own_steps(self) -> tuple[Step, ...]:
@@ -449,6 +450,7 @@ def _unit(unit: UnitHistory) -> dict[str, Any]:
         'sessions': _rows(sessions),
         'steps': [_step(one) for one in unit.steps],
         **_some(unit.charts, 'signals'),
+        **_some(unit, 'warnings'),
         'findings': list(unit.findings),
     }
 

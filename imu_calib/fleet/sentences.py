@@ -123,10 +123,13 @@ def _drifts(unit: UnitHistory, rules: Rules) -> Iterator[str]:
 
 def step_sentence(step: Step, *, by_hand: bool) -> str:
     """Return a sentence on a step of a unit, its sessions and its cause."""
-    parts = [
-        f'{name} {quantity(size, name, sign=True, by_hand=by_hand)}'
-        for name, size in zip(step.parameters, step.size, strict=True)
-    ]
+    parts = []
+    for k, name in enumerate(step.parameters):
+        size, low, high = (
+            quantity(x[k], name, sign=True, by_hand=by_hand)
+            for x in (step.size, step.low, step.high)
+        )
+        parts.append(f'{name} {size} ({low} to {high})')
     if step.cause is Cause.OUTLIER:
         return (
             f'The session of {day(step.before)} is unlike those before and after '

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -328,6 +329,19 @@ def test_what_is_done_is_not_done_again_and_what_failed_is_said(recordings, done
     assert rows(done) == before
 
 
+def test_a_batch_names_the_units_whose_results_are_in_doubt(recordings, tmp_path, capsys):
+    wrong = ['batch', str(recordings / 'a'), '-o', str(tmp_path / 'c'), '--workers', '1']
+    # Also those that the catalogue has already.
+    for count in ('1 calibrated', '0 calibrated'):
+        assert main([*wrong, '--gravity', '9.7', '--gravity-std', '0.0001']) == 0
+        out = ' '.join(capsys.readouterr().out.split())
+        assert count in out and '1 unit with warnings (S1): values may be wrong' in out
+    where = ['--where', 'warnings > 0', '--columns', 'serial,findings']
+    assert main(['catalogue', str(tmp_path / 'c'), *where]) == 0
+    out = ' '.join(capsys.readouterr().out.split())
+    assert 'S1' in out and 'Warning: The stated gravity of' in out
+
+
 def test_what_cannot_be_read_is_one_row_until_it_changes(recordings, tmp_path):
     lacking = tmp_path / 'one' / 'rec'
     shutil.copytree(recordings / 'a', lacking)
@@ -368,6 +382,12 @@ def test_catalogue_lists_filters_and_exports(done, tmp_path, capsys):
     capsys.readouterr()
     assert main(['catalogue', str(done), *asked]) == 0
     assert capsys.readouterr().out.split()[:2] == ['n', 'avg(K_gx)']
+    # Dates, times and intervals are values too.
+    asked = "select date::date d, max(date) - min(date) span, interval '3 days' as three from rows"
+    for to in ([], ['-o', str(json)]):
+        assert main(['catalogue', str(done), '--sql', f'{asked} group by 1', *to]) == 0
+    out = capsys.readouterr().out
+    assert '3 days, 0:00:00' in out and re.search(r'\d-\d\d +0:00:00', out)
     # A word of SQL is a column, and numbers have their units.
     assert main(['catalogue', str(done), '--columns', 'serial,at, K_gx,D_gx,temperature']) == 0
     heading = capsys.readouterr().out.split('\n')[0]
@@ -376,7 +396,7 @@ def test_catalogue_lists_filters_and_exports(done, tmp_path, capsys):
     # All do not fit on a screen: their names do.
     assert main(['catalogue', str(done), '--columns', '*']) == 0
     out = capsys.readouterr().out
-    assert out.startswith('3 rows of 80 columns: key, recording,') and 'K_gx [1], ' in out
+    assert out.startswith('3 rows of 81 columns: key, recording,') and 'K_gx [1], ' in out
     assert main(['catalogue', str(done), '--sql', 'select nothing']) == 2
     assert 'nothing' in capsys.readouterr().err
     assert main(['catalogue', str(done), '--columns', 'kgx']) == 2
@@ -634,9 +654,9 @@ def test_older_columns_are_filled_in_and_newer_refused(tmp_path):
     pq.write_table(text, part)
     with pytest.raises(InputError, match='its columns are not those of a catalogue'):
         Catalogue(tmp_path / 'c').table()
-    newer = table.replace_schema_metadata({b'imu_calib.catalogue': b'5'})
+    newer = table.replace_schema_metadata({b'imu_calib.catalogue': b'6'})
     pq.write_table(newer, part)
-    with pytest.raises(InputError, match=r'found version 5 .* expected 4 or older'):
+    with pytest.raises(InputError, match=r'found version 6 .* expected 5 or older'):
         Catalogue(tmp_path / 'c').table()
     part.write_bytes(b'PAR1 no more')
     with pytest.raises(InputError, match='is not a part of a catalogue'):

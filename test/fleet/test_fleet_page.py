@@ -314,6 +314,20 @@ def test_a_marginal_unit_needs_a_person_and_its_parameter_is_named(tmp_path):
     assert 'Nothing.' not in section
 
 
+def test_a_unit_of_which_a_calibration_warns_needs_a_person(tmp_path):
+    folder = tmp_path / 'catalogue'
+    Catalogue(folder, create=True)
+    day = datetime(2026, 10, 1, tzinfo=timezone.utc)
+    unit = {'imu': 'fog_medium', 'parameters': (0.1 * STD).tolist(), 'date': day}
+    add(folder, 1, serial='fine', **unit)
+    add(folder, 3, serial='odd', **{**unit, 'date': datetime(2026, 11, 1, tzinfo=timezone.utc)})
+    add(folder, 2, serial='odd', **{**unit, 'findings': ['Warning: Gravity is wrong.', 'A note.']})
+    text = imu_calib.fleet_report(folder, tmp_path / 'fleet.html').read_text()
+    assert '2 units: 1 with warnings, 1 fine.' in text
+    needed = text[text.index('What needs a person') : text.index('<h3>On the catalogue')]
+    assert 'Gravity is wrong.' in needed and 'A note.' not in needed and 'Nothing.' not in needed
+
+
 def test_every_failed_recording_is_listed(made, tmp_path):
     folder = fleets.write(tmp_path / 'catalogue', made)
     early, late = (datetime(year, 1, 2, tzinfo=timezone.utc) for year in (2020, 2027))

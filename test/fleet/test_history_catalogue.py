@@ -168,11 +168,35 @@ def test_the_command_says_what_needs_attention(laboratory, run):
     assert 'No date for F000: It is outside its specification already.' in out
     assert 'Stand south is off: it adds +' in out and 'east and west agree' in out
     assert re.search(r'Drift: F001 \(D_gx [+][\d.]+ deg/h/month', out) and re.search(
-        r'Stepped: .*F002', out
+        r'Stepped: .*F002 \([KED]_\w+ [+-][\d.]+ \w+( and \d+ more)? by 20\d\d-\d\d-\d\d', out
     )
     assert re.search(r'from a stand that is off.*: F\d+ \(south\), ', ' '.join(out.split()))
     for unit in ('ppm', 'arcmin', 'deg/h', 'ug'):
         assert sum(line.rstrip().endswith(unit) for line in lines) >= 3
+
+
+def test_warnings_of_calibrations_are_said_with_their_units(tmp_path, run):
+    made = sessions(np.random.default_rng(1), 3, 2)
+    doubtful = ['Warning: The stated gravity is wrong.', 'A note.']
+    rows = [done(made, k, findings=doubtful if made.serial[k] == 'F001' else []) for k in range(6)]
+    folder = tmp_path / 'catalogue'
+    Catalogue(folder, create=True).add(rows)
+    first, second = (str(date)[:10] for date in imu_calib.history(folder).units[1].date)
+    told = f'Calibration of {second} and {first}: The stated gravity is wrong.'
+    assert [u.warnings for u in imu_calib.history(folder).units] == [(), (told,), ()]
+    out = ' '.join(run(folder)[1].split())
+    assert 'With warnings: F001.' in out
+    assert '2 of 6 calibrations with warnings' in out
+    assert told in run(folder, '--serial', 'F001')[1]
+    assert set(Catalogue(folder).selected('warnings > 0')['serial'].to_pylist()) == {'F001'}
+
+
+def test_a_step_between_earlier_sessions_is_on_the_page(laboratory, tmp_path):
+    text = imu_calib.fleet_report(laboratory, tmp_path / 'fleet.html').read_text('utf-8')
+    earlier = text[text.index('<h3>Earlier steps') :]
+    assert re.search(
+        r'K_az \+[\d.]+ ppm \(\+[\d.]+ ppm to \+[\d.]+ ppm\)', earlier[: earlier.index('<h3>', 1)]
+    )
 
 
 def test_the_command_says_all_of_one_unit(laboratory, run):
