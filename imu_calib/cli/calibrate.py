@@ -270,8 +270,8 @@ def _output(arguments: argparse.Namespace) -> Path:
     try:
         return output_path(output_or_default(arguments.output, _FILE))
     except InputError:
-        recording_at(arguments.bag, options.stated(arguments)).close()
-        raise
+        with recording_at(arguments.bag, options.stated(arguments)):
+            raise
 
 
 _PICTURES = ('.png', '.svg', '.pdf')
