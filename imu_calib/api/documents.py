@@ -176,6 +176,7 @@ def _recalibrate(
     stated = replace(stated, method=method, terms=terms, plan=plan, serial=serial)
     if all(value is None for value in (stated.latitude, stated.height, stated.gravity)):
         stated = _where_it_was(stated, origin)
+    assumed = False
     with recording:
         expected, found = origin.get('sha256'), recording.sha256()
         if expected is not None and expected != found:
@@ -186,10 +187,13 @@ def _recalibrate(
         if stated.imu is None and imus is None:
             topic = imu_topic(stated.imu_topic, recording, serial)
             if stated_imu(stated, recording, topic) is None:
-                stated = replace(stated, imu=known)
+                stated, assumed = replace(stated, imu=known), True
         result = _solved_again(recording, imus, stated, origin, progress)
-    again = result.calibration
-    if again.parameters != calibration.parameters or _far_apart(again, calibration):
+        if assumed and _far_apart(result.calibration, calibration):
+            # The noise in the file is what was found, where the IMU's file had stated none.
+            stated = replace(stated, imu=calibration.imu)
+            result = _solved_again(recording, imus, stated, origin, progress)
+    if _far_apart(result.calibration, calibration):
         raise InputError(
             f'{bag}, calibrated again, does not give the numbers of {name}. Something was stated '
             'when it was calibrated: state the same `imu` (its noise counts), `plan`, `table`, '
@@ -265,6 +269,8 @@ def _where_it_was(stated: Stated, origin: Mapping[str, Any]) -> Stated:
 
 def _far_apart(again: Calibration, calibration: Calibration) -> bool:
     """Return whether two results differ by more than versions of a library explain."""
+    if again.parameters != calibration.parameters:
+        return True
     known = np.isfinite(calibration.std)
     apart = np.abs(again.values - calibration.values)[known]
     return bool(np.any(apart > _ALIKE * calibration.std[known]))
