@@ -63,7 +63,9 @@ _FORMS = {
     'accel': 'NAME,NAME,NAME:UNIT',
 }
 _USUAL = {
-    'stamp': re.compile(r'(t|time|stamp|timestamp|seconds|secs?|millis|micros)(?![^\W_])'),
+    'stamp': re.compile(
+        r'(t|time|zeit|stamp|timestamp|seconds|secs?|millis|micros|[mun]?s)(?![^\W_])'
+    ),
     'gyro': re.compile(
         r'(g|gyr\w*|w|omega|ang\w*|rate|rot\w*)[ _.]*(x|y|z)(?![^\W_])|gyr\w*\[[012]\]'
     ),

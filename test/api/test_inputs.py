@@ -439,6 +439,16 @@ def test_the_imu_is_stated_once(frame, tmp_path, name):
             (1, 1, 1),
             ('`stamp` 1:s `gyro` 5,6,7:deg/s `accel` 2,3,4:g'),
         ),
+        (
+            'Zeit_ms,ax,ay,az,gx,gy,gz',
+            (1e3, 1, 1),
+            ('`stamp` Zeit_ms:ms `gyro` gx,gy,gz:count `accel` ax,ay,az:g'),
+        ),
+        (
+            'us,ax,ay,az,gx,gy,gz',
+            (1e6, 1, 1),
+            ('`stamp` us:us `gyro` gx,gy,gz:count `accel` ax,ay,az:g'),
+        ),
         # Of ulog2csv, and of mavlogdump with a temperature T.
         (
             'timestamp,accelerometer_m_s2[0],accelerometer_m_s2[1],accelerometer_m_s2[2],'
