@@ -59,7 +59,8 @@ def test_a_file_as_it_was_written_gives_the_result_of_the_search(hand, tmp_path)
     file, rows = written(hand, tmp_path)
     found, again = imu_calib.calibrate(hand), imu_calib.calibrate(hand, segments=file)
     assert {row['kind'] for row in rows} == {'hold'}
-    assert rows[0]['attitude'] == 'X up'
+    # A hand holds it up to some degrees.
+    assert rows[0]['attitude'].startswith('X +8')
     # Times are written to a millisecond, and each hold settles anew: far below the noise.
     moved = np.abs(again.calibration.values - found.calibration.values)
     assert (moved <= 0.5 * found.calibration.std + 1e-12).all()
