@@ -11,6 +11,7 @@ from ..common.files import printable
 from ..common.finding import is_warning
 from ..common.processes import by_one_thread
 from ..common.progress import Progress, silent
+from ..common.stream import Floats
 from ..recordings.cdr_codec import Kind
 from ..recordings.order import StampSorter
 from ..recordings.rosbag2 import Recording
@@ -81,7 +82,7 @@ def noise(
         kind = recording.path.name if spec.id == GENERIC else spec.id
         found = noise_at_rest(rest, number or kind)
         findings = (
-            *([] if any(map(is_warning, recording.losses)) else _units_in_doubt(found)),
+            *([] if any(map(is_warning, recording.losses)) else _units_in_doubt(rest.means)),
             *([] if known else [ASSUMED_SI]),
             *average_findings(recording, streams.imu),
             *found.findings,
@@ -91,9 +92,9 @@ def noise(
         return replace(found, findings=tuple(map(printable, findings)), topic=streams.imu)
 
 
-def _units_in_doubt(found: NoiseAtRest) -> list[str]:
-    """Warn of mean outputs that no unit at rest has: all densities are then of wrong units."""
-    seen = against_si(found.mean[None, 3:], found.mean[None, :3])
+def _units_in_doubt(means: Floats) -> list[str]:
+    """Warn of outputs (k, 6) that no unit at rest has: all densities are then of wrong units."""
+    seen = against_si(means[:, 3:], means[:, :3])
     return [units_in_doubt(seen)] if seen else []
 
 

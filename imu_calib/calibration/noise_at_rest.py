@@ -146,6 +146,7 @@ class NoiseAtRest:
     temperature: tuple[float, float] | None  #: Lowest and highest, degrees Celsius.
     findings: tuple[str, ...]  #: What to know about it, in sentences.
     topic: str = TOPIC  #: Of the recording.
+    still: float = 1.0  #: Share of the record at rest; the unit was moved in the others.
 
     def __repr__(self) -> str:
         return f'<NoiseAtRest of {self.imu}: {lasting(self.seconds)} at {self.rate:.4g} Hz>'
@@ -234,6 +235,7 @@ def noise_at_rest(rest: LongRest, imu: str) -> NoiseAtRest:
         rest.start,
         None if seen is None else (seen.lowest, seen.highest),
         (*rest.findings, *_findings(channels), *_warmth(rest)),
+        still=rest.still,
     )
 
 

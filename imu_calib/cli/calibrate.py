@@ -353,9 +353,11 @@ def _picture_path(stated: str) -> Path:
 
 
 def _show_noise(found: NoiseAtRest) -> None:
+    rest = f'{lasting(found.seconds)} at rest'
+    if found.still < 1:
+        rest = f'{lasting(found.seconds)}, {lasting(found.still * found.seconds)} of it at rest'
     OUTPUT.print(
-        f'{found.imu}: {lasting(found.seconds)} at rest, {found.samples} samples at '
-        f'{found.rate:.6g} Hz',
+        f'{found.imu}: {rest}, {found.samples} samples at {found.rate:.6g} Hz',
         markup=False,
     )
     for part in noise_tables(found):

@@ -57,8 +57,10 @@ class LongRest:
     sums: AllanSums
     pulse: Floats  #: (6,) size of a pulse of a counter, rad and m/s; 0 for other values.
     mean: Floats  #: (6,) mean outputs, rad/s and m/s^2.
+    means: Floats  #: (k, 6) likewise of each second at rest, in whatever attitude.
     samples: int  #: Used.
     seconds: float  #: From the first stamp to the last.
+    still: float  #: Share of them at rest.
     start: int  #: First stamp, ns.
     temperature: Temperature | None  #: None without a thermometer.
     findings: tuple[str, ...]  #: What was lost, left out and noticed, in sentences.
@@ -136,8 +138,10 @@ class LongRestReader:
             sums,
             self._pulse,
             self._gained / (self._samples * self._period),
+            self._movements.means,
             self._samples,
             (end - self._first) * 1e-9,
+            self._movements.still_share,
             self._first,
             self._thermometer.temperature,
             (*moved, *(f'{sentence}.' for sentence in lost)),
@@ -337,6 +341,11 @@ class _Movements:
     def still_share(self) -> float:
         """Share of the seconds in which the unit lies still."""
         return 1 - float(np.concatenate(self._moved).mean())
+
+    @property
+    def means(self) -> Floats:
+        """Mean outputs of each second at rest, (k, 6)."""
+        return np.concatenate(self._means)[~np.concatenate(self._moved)]
 
     @property
     def first(self) -> int:

@@ -127,6 +127,15 @@ def test_a_text_file_is_read_by_its_columns(tmp_path):
         imu_calib.noise(values, rate=RATE, stamp='t:s')
 
 
+def test_a_unit_at_rest_in_several_attitudes_reads_gravity_in_each():
+    values = at_rest(240.0)
+    values[len(values) // 2 :, 3:] *= -1.0
+    found = imu_calib.noise(values, rate=RATE)
+    assert not any('units may be wrong' in finding for finding in found.findings)
+    assert any('turned by 1.8e+02 deg' in finding for finding in found.findings)
+    assert 0.9 < found.still < 1.0
+
+
 def test_a_unit_in_motion_is_refused_with_the_facts_of_the_stream():
     values = at_rest(100.0)
     values[:, 2] += np.sin(np.arange(len(values)) / RATE * 3)
