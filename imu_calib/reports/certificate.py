@@ -153,7 +153,7 @@ def certificate_of(
             'with their coverage: expected one with uncertainty_budget (docs/budget.md).'
         )
     fields = _completed(fields, calibration)
-    _check(fields, calibration)
+    wrong = _contradictions(fields, calibration)
     lacking = missing(fields, dcc=dcc, limits=specification is not None)
     if not calibration.serial_number:
         lacking.append(
@@ -184,16 +184,27 @@ def certificate_of(
             '(7.11.3)'
         )
     lacking += _unnamed_references(fields, calibration, budget)
-    if lacking and not draft:
-        raise InputError(
-            f'{fields.where}: {len(lacking)} of the entries that a certificate needs '
-            f'{"is" if len(lacking) == 1 else "are"} missing: '
-            f'{"; ".join(lacking)}. State them, or write a draft (`draft`), which is marked as one.'
-        )
+    if wrong or (lacking and not draft):
+        raise InputError(f'{fields.where}: {_refusal(wrong, [] if draft else lacking)}')
     results = _results(calibration, budget, fields, specification or Specification())
     data = calibration.to_yaml().encode() if source is None else source.read_bytes()
     file = f'{"as saved" if source is None else source.name}, SHA-256 {sha256(data).hexdigest()}'
     return Certificate(fields, calibration, budget, results, file, tuple(lacking), draft)
+
+
+def _refusal(wrong: Sequence[str], lacking: Sequence[str]) -> str:
+    """Return all that speaks against a certificate: several items on a line each."""
+    parts = []
+    if wrong:
+        head = f'{len(wrong)} entries contradict the calibration:'
+        parts.append(wrong[0] if len(wrong) == 1 else '\n  - '.join([head, *wrong]))
+    if lacking:
+        are = 'is' if len(lacking) == 1 else 'are'
+        head = f'{len(lacking)} of the entries that a certificate needs {are} missing:'
+        listed = f'{head} {lacking[0]}. ' if len(lacking) == 1 else '\n  - '.join([head, *lacking])
+        advice = 'State them, or write a draft (`draft`), which is marked as one.'
+        parts.append(f'{listed}{advice}' if len(lacking) == 1 else f'{listed}\n{advice}')
+    return '\n'.join(parts)
 
 
 _GRAVITY = ('gravi',)
@@ -244,8 +255,8 @@ def recorded(calibration: Calibration) -> date | None:
     return None if found is None else found.date()
 
 
-def _check(fields: Fields, calibration: Calibration) -> None:
-    """Refuse fields of another unit or another session, and references that were not valid.
+def _contradictions(fields: Fields, calibration: Calibration) -> list[str]:
+    """Return sentences on fields of another unit or session, and references that were not valid.
 
     Source: ISO/IEC 17025:2017, 6.4.4 and 6.5.1 for references.
     """
@@ -256,10 +267,12 @@ def _check(fields: Fields, calibration: Calibration) -> None:
             f'item: serial_number: found {found}, expected {expected} as in the calibration.'
         )
     day, began = recorded(calibration), 'when the recording of the calibration began.'
+    ended = None if fields.calibrated is None else fields.calibrated[1]
     if day is not None and fields.calibrated is not None:
         first, last = fields.calibrated
         if not first - _ZONES <= day <= last + _ZONES:
             wrong.append(f'calibrated: found {first} to {last}, expected {day}, {began}')
+            ended = day
     if day is not None and fields.received is not None and fields.received > day + _ZONES:
         wrong.append(f'received: found {fields.received}, after {day}, {began}')
     if day is not None and fields.issued is not None and fields.issued < day - _ZONES:
@@ -272,16 +285,15 @@ def _check(fields: Fields, calibration: Calibration) -> None:
                 'the results are not traceable to it. Leave it out, or calibrate again with '
                 '`gravity` and `gravity_std`.'
             )
-        if fields.calibrated is None or one.valid_until is None:
+        if ended is None or one.valid_until is None:
             continue
-        if one.valid_until < (last := fields.calibrated[1]):
+        if one.valid_until < ended:
             wrong.append(
                 f'equipment[{k}]: valid_until: found {one.valid_until}, before the end of the '
-                f'calibration, {last}: the results are not traceable to it. State the certificate '
+                f'calibration, {ended}: the results are not traceable to it. State the certificate '
                 'that was valid then, or calibrate again with a valid reference.'
             )
-    if wrong:
-        raise InputError(f'{fields.where}: {" ".join(wrong)}')
+    return wrong
 
 
 def _results(

@@ -432,7 +432,13 @@ def test_fields_of_another_session_are_refused(calibration, change, message):
 
 def test_all_contradictions_are_named_at_once(calibration):
     changes = {'item': {'serial_number': 'B7'}, 'calibrated': None, 'received': '2023-11-16'}
-    with pytest.raises(InputError, match=r'item: serial_number: .*received: .*equipment\[0\]: '):
+    lines = r'(?s)\n  - item: serial_number: .*\n  - received: .*\n  - equipment\[0\]: '
+    with pytest.raises(InputError, match=lines):
+        made(calibration, **changes, equipment=referring('2023-11-13'))
+    # What is missing, and references that ended before the session, are not a second round.
+    changes |= {'calibrated': {'from': '2023-11-16'}, 'laboratory': {'name': 'L'}}
+    told = rf'{lines}valid_until: .*\n\d+ of the entries .* are missing:\n  - laboratory'
+    with pytest.raises(InputError, match=told):
         made(calibration, **changes, equipment=referring('2023-11-13'))
 
 
