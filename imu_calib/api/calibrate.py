@@ -32,6 +32,7 @@ from ..recordings.order import StampSorter
 from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording
 from ..segmentation.course import SignalMeans
+from ..segmentation.intake import GOES_ON
 from ..segmentation.segmented import Segmented
 from ..session.imu import HOTTEST
 from ..session.keywords import Calibrated, Named, OfSeveral, Stated, with_keywords
@@ -161,6 +162,17 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
     return result
 
 
+_CUT_SECONDS = 60.0
+"""s: a cut recording may lose the last chunk of one topic alone, which holds seconds, at most some
+ten of them. A judgement: an IMU that is silent for longer stopped."""
+
+
+def _of_the_cut(text: str) -> bool:
+    """Return whether a finding is the effect of a cut recording, which `losses` names."""
+    found = GOES_ON.match(text)
+    return found is not None and float(found[1]) < _CUT_SECONDS
+
+
 def _unfinished_first(opened: Opened, said: tuple[str, ...]) -> tuple[str, ...]:
     """Return a refusal that begins with what a session lacks that did not come to its end."""
     # Loaded here: what runs a stand is another command.
@@ -168,7 +180,9 @@ def _unfinished_first(opened: Opened, said: tuple[str, ...]) -> tuple[str, ...]:
 
     folder, cut = Path(str(opened.recording.path)).parent, opened.recording.unfinished
     lacks = next((text for text in said if text.startswith(MISSING)), '')
-    rest = tuple(text for text in said if text not in {cut, lacks})
+    rest = tuple(
+        text for text in said if text not in {cut, lacks} and not (cut and _of_the_cut(text))
+    )
     if can_be_resumed(folder):
         command = f'imu-calib stand --resume {shlex.quote(str(folder))}'
         first = f'The session was interrupted before its end. {lacks} Go on with it: {command}.'
@@ -200,7 +214,10 @@ def documented(opened: Opened, result: Result) -> Result:
     assumed += tuple(_wrong_rate(opened, calibration))
     assumed += tuple(_kelvin(calibration.provenance.get('temperature')))
     losses = (t if is_warning(t) else Finding(t, lost=True) for t in opened.losses)
-    findings = (*losses, *assumed, *calibration.findings)
+    own = calibration.findings
+    if opened.recording.unfinished:
+        own = tuple(text for text in own if not _of_the_cut(text))
+    findings = (*losses, *assumed, *own)
     findings = tuple(t if printable(t) == t else printable(t) for t in findings)
     calibration = replace(calibration, provenance=provenance, findings=findings)
     return replace(result, calibration=calibration)

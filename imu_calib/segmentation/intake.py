@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -122,6 +123,8 @@ class StampOrder:
         return rows, lost, moved, count
 
 
+GOES_ON = re.compile(r'The joint states go on for ([\d.]+) s after')
+"""The sentence on joint states that outlast the samples, with the seconds."""
 _APART = 10_000_000_000
 """ns by which joint states may outlast the samples of a recording. A judgement: an operator ends
 both recordings within seconds."""

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from extent import again
 from loopback import completed
 from sessions import SITE, paper_imu, stand, truth
 
+from imu_calib.api.calibrate import _unfinished_first
 from imu_calib.api.simulate import serialised
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main
@@ -387,6 +389,15 @@ def test_messages_of_what_was_cut_off_are_counted(cli, recorded, tmp_path):
     rows_of_cut, lost = shown(cut)
     assert rows_of_cut == rows
     assert 'its recorder did not finish' in lost
+
+
+@pytest.mark.parametrize(('seconds', 'told'), [(10.0, False), (100.0, True)])
+def test_the_effect_of_a_cut_is_not_told_as_another_fault(recorded, seconds, told):
+    cut = 'a.mcap is cut off: its recorder did not finish.'
+    gap = f'The joint states go on for {seconds} s after the last IMU sample, 9 s: it stopped.'
+    opened = SimpleNamespace(recording=SimpleNamespace(path=recorded, unfinished=cut))
+    said = _unfinished_first(opened, ('Too short.', gap, cut))
+    assert said == (f'{cut} Too short.', *([gap] if told else []))
 
 
 def test_an_mcap_cut_late(cli, recorded, tmp_path):
