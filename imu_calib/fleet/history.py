@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _SIZE = len(PARAMETERS)
 _TEXTS = (
     *('key', 'sha256', 'recording', 'serial', 'imu', 'lot', 'stand', 'status', 'error'),
-    *('method', 'plan'),
+    *('method', 'plan', 'table'),
 )
 _BY_HAND = frozenset({FREE_POSITIONS, 'six_position_by_hand'})
 """Methods and plans of units that are held and turned by hand."""
@@ -142,6 +142,12 @@ def sessions_of(table: pa.Table, folder: Path) -> tuple[Sessions, list[str], dic
     again = [group for group in of_one.values() if current[group[-1]]]
     rows = sorted(group[-1] for group in again)
     findings = _left_out(columns, again, folder)
+    tables = sorted({columns['table'][k] for k in rows} - {''})
+    if len(tables) > 1 and not any(columns['stand'][k] for k in rows):
+        findings.append(
+            f'The sessions were on different tables ({listed(tables)}), and none states a stand: '
+            'whether one of them is off cannot be seen until their stands are stated.'
+        )
     date = times_of(table['date'].to_pylist())
     kept = table.take(np.array(rows, dtype=np.int64))
     stated = kept['limits'].to_pylist()

@@ -572,7 +572,10 @@ def _incomparable(groups: list[list[str]], unknown: int, sessions: int) -> list[
     if not sessions:
         return []
     if unknown == sessions:
-        return ['No session says on which stand it was: offsets of stands are attributed to units.']
+        return [
+            'No session says on which stand it was: offsets of stands are attributed to units. '
+            'State them in the column stand of a manifest; nothing is calibrated again for that.'
+        ]
     found = []
     if unknown:
         found.append(

@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from datetime import datetime, timezone
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -21,7 +21,9 @@ from ..api.streams import imu_topic, units_of
 from ..calibration.results import Result
 from ..common.errors import ImuCalibError, InputError
 from ..common.files import named_file, read_text, unreadable, user_path, version
+from ..common.finding import warning
 from ..common.stream import utc
+from ..common.units import counted
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS, indices_of
 from ..recordings.metadata_yaml import NAME as METADATA
 from ..recordings.remote import AnyPath, is_url, located
@@ -129,6 +131,7 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> TaskResult:
             start = recording.start_ns
             result = solve(opened)
         row = {**_common(job, key, sha256), **_calibrated(result), **_when(job, start)}
+        row['findings'] = [*_doubtful_date(job, start), *row['findings']]
         row['topic'] = opened.streams.imu
         row['seconds'] = time.process_time() - begun
         return TaskResult(key, row, result.calibration.to_yaml())
@@ -192,6 +195,7 @@ def _several(
             row |= {'serial': unit.serial_number, 'imu': unit.imu}
         else:
             row = {**_common(job, own, sha256), **_calibrated(unit.result)}
+            row['findings'] = [*_doubtful_date(job, start), *row['findings']]
             text = unit.result.calibration.to_yaml()
         row |= {**_when(job, start), 'topic': unit.topic, 'seconds': seconds}
         ended.append(TaskResult(own, row, text))
@@ -327,6 +331,31 @@ def _common(job: Job, key: str, sha256: str) -> dict[str, Any]:
 def _when(job: Job, start_ns: int | None) -> dict[str, Any]:
     # Stamps without dates count from the start of a device, or are none.
     return {'date': job.labels.date or utc(start_ns)}
+
+
+_SAME_DATE = timedelta(days=3)
+"""Difference of a stated date from the stamps that is usual: a zone, a session over a weekend."""
+
+
+def _doubtful_date(job: Job, start_ns: int | None) -> list[str]:
+    """Return a warning of a stated date that lies ahead, or is not that of the stamps."""
+    stated, stamped = job.labels.date, utc(start_ns)
+    if stated is None:
+        return []
+    if stated > datetime.now(timezone.utc) + _SAME_DATE:
+        doubt = 'lies in the future'
+    elif stamped is not None and abs(stated - stamped) > _SAME_DATE:
+        doubt = (
+            f'is {counted(abs(stated - stamped).days, "day")} off its stamps, {stamped:%Y-%m-%d}'
+        )
+    else:
+        return []
+    return [
+        warning(
+            f'The stated date of the recording, {stated:%Y-%m-%d}, {doubt}: drift and due dates '
+            'follow from it. Correct the date in the manifest, or leave it out.'
+        )
+    ]
 
 
 def _calibrated(result: Result) -> dict[str, Any]:

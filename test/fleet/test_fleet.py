@@ -329,6 +329,18 @@ def test_what_is_done_is_not_done_again_and_what_failed_is_said(recordings, done
     assert rows(done) == before
 
 
+@pytest.mark.parametrize(
+    ('date', 'said'),
+    [(-2, ''), (700, ' 700 days off its stamps'), (40_000, ' lies in the future')],
+)
+def test_a_date_that_contradicts_the_stamps_is_a_warning(recordings, date, said):
+    job = Job(str(recordings / 'a'))
+    begun = run(job).row['date']
+    row = run(replace(job, labels=Labels(date=begun + timedelta(days=date)))).row
+    warnings = [one for one in row['findings'] if 'date of the recording' in one]
+    assert bool(warnings) == bool(said) and all(said in one for one in warnings)
+
+
 def test_a_batch_names_the_units_whose_results_are_in_doubt(recordings, tmp_path, capsys):
     wrong = ['batch', str(recordings / 'a'), '-o', str(tmp_path / 'c'), '--workers', '1']
     # Also those that the catalogue has already.

@@ -244,6 +244,16 @@ def test_the_command_refuses_what_it_cannot_do(laboratory, run, tmp_path):
     assert code == 1 and "no row meets imu = 'none'. It has " in err
 
 
+def test_tables_without_stands_are_named(tmp_path, run):
+    made = replace(sessions(np.random.default_rng(1), 2, 2), stand=('',) * 4)
+    folder = tmp_path / 'catalogue'
+    rows = [done(made, k, table='east' if k % 2 else 'west') for k in range(4)]
+    Catalogue(folder, create=True).add(rows)
+    out = ' '.join(run(folder)[1].split())
+    assert 'No session says on which stand it was' in out and 'column stand of a manifest' in out
+    assert 'different tables (east and west)' in out
+
+
 def test_two_days_make_a_history(tmp_path, run):
     """A catalogue as it begins: one unit, two sessions, no specification, nothing stated."""
     made = sessions(np.random.default_rng(1), 1, 2)
