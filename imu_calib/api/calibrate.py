@@ -202,7 +202,7 @@ def documented(opened: Opened, result: Result) -> Result:
         'recording': printable(opened.recording.path.name),
         'sha256': opened.recording.sha256(),
         **described_origin(opened.recording.custom_data),
-        **opened.hashes,
+        **opened.hashes(),
         'topics': sorted(opened.streams.kinds()),
         **interpolated,
         **({} if listed is None else {'segments_file': printable(Path(listed.where).name)}),

@@ -156,10 +156,17 @@ class Opened:
     setup: Setup  #: Set-up for the calibrator.
     streams: Streams  #: Its topics.
     assumed: tuple[str, ...] = ()  #: Assumptions about what is not stated, in sentences.
-    #: SHA-256 of the files of IMU and table, by key of the provenance.
-    hashes: Mapping[str, str] = field(default_factory=dict)
+    #: 'imu' and 'table' as stated in place of the recording's own; None where they are not.
+    replaced: Mapping[str, object] = field(default_factory=dict)
     rate: float | None = None  #: As stated of samples without stamps, Hz; None if they have some.
     order: StampSorter = field(default_factory=StampSorter)  #: Sorts the samples of the IMU.
+
+    def hashes(self) -> dict[str, str]:
+        """Return the SHA-256 of the files of IMU and table, by key of the provenance."""
+        found = file_hashes(self.recording.custom_data, self.streams.imu, self.replaced)
+        if self.setup.table is None:
+            found.pop('table_sha256', None)
+        return found
 
     def blocks(self, progress: Progress = silent) -> Iterator[Block]:
         """Read the needed topics, in order, the samples of the IMU in that of their stamps."""
@@ -245,9 +252,5 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
         stated.search_terms,
         None if stated.segments is None else read_segments(stated.segments),
     )
-    hashes = file_hashes(
-        recording.custom_data, streams.imu, {'imu': stated.imu, 'table': stated.table}
-    )
-    if setup.table is None:
-        hashes.pop('table_sha256', None)
-    return Opened(recording, setup, streams, statements, hashes, rate)
+    replaced = {'imu': stated.imu, 'table': stated.table}
+    return Opened(recording, setup, streams, statements, replaced, rate)

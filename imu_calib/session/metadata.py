@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import replace
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -185,6 +184,8 @@ def file_hashes(
         stated: What is used in their place, by 'imu' and 'table': a name or file, or a value, which
             has no file; None where it is that of the recording.
     """
+    import hashlib  # Only what is written needs it.
+
     hashes = {}
     for kind, text in (('imu', described_imu(data, topic)), ('table', data.get(TABLE))):
         given = None if stated is None else stated.get(kind)
@@ -194,7 +195,7 @@ def file_hashes(
             if isinstance(given, str | Path):
                 content = read_bytes(named_file(f'{kind}s', given))
         if content:
-            hashes[f'{kind}_sha256'] = sha256(content).hexdigest()
+            hashes[f'{kind}_sha256'] = hashlib.sha256(content).hexdigest()
     return hashes
 
 
