@@ -29,10 +29,10 @@ import yaml
 from extent import ALL
 
 from imu_calib.api.compare import conformity
+from imu_calib.api.session import HELD_UNIT as HELD
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.exports import EXPORTS
 from imu_calib.cli.main import main
-from imu_calib.cli.several import HELD_UNIT as HELD
 from imu_calib.common.files import share_folder
 from imu_calib.common.stream import Floats, Units
 from imu_calib.estimation import hand as free_positions

@@ -127,7 +127,7 @@ def test_units_without_a_result_are_named(file, tmp_path, capsys):
 def test_a_narrow_terminal_shows_each_result_whole(file, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(terminal.OUTPUT, 'width', 40)
     arguments = argparse.Namespace(
-        imus=file({'serial_number': 'A1001-2026'}), without='', verbose=False
+        imus=file({'serial_number': 'A1001-2026'}), without='', verbose=False, imperfections=''
     )
     result = brick_at(20.0, std=1e-6, samples=123456)
     (tmp_path / 'calibrations').mkdir()
