@@ -451,9 +451,11 @@ def cut_to(stamp: Stamps) -> float:
     mean = float(steps.sum()) / max(len(steps), 1)
     if len(steps) < 2 * _UNEVEN or float(np.ptp(steps)) <= _OFF_GRID * mean:
         return 0.0
-    off = np.abs(steps - float(np.median(steps)))
+    off = np.abs(steps - float(np.quantile(steps, 0.5, method='lower')))
     uneven = off > _OFF_GRID * mean
-    if np.count_nonzero(uneven) < _CUT * len(steps):
+    rare = np.count_nonzero(uneven)
+    # The rarer number of ticks stands alone: where it follows itself, the rate has changed.
+    if rare < _CUT * len(steps) or 2 * np.count_nonzero(uneven[1:] & uneven[:-1]) > rare:
         return 0.0
     tick = float(np.median(off[uneven]))
     counts = np.rint(steps / tick)

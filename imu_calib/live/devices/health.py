@@ -41,6 +41,7 @@ class Gravity:
         self._accel: list[Floats] = []
         self._elapsed: list[Stamps] = []
         self._verdict: str | None = None if imu is not None else ''
+        self.absurd = False  #: Whether the numbers are none of an IMU.
 
     @property
     def judged(self) -> bool:
@@ -76,7 +77,8 @@ class Gravity:
         period = 1 / imu.sample_rate if imu.sample_rate and imu.units.per_interval else 1.0
         fastest = _usual_size(np.concatenate(self._gyro)) * imu.gyro.scale_factor / period
         hardest = _usual_size(np.concatenate(self._accel)) * imu.accel.scale_factor / period
-        if fastest > _NO_RATE and hardest > _NO_FORCE:
+        self.absurd = fastest > _NO_RATE and hardest > _NO_FORCE
+        if self.absurd:
             return (
                 f'Gyros and accelerometers read absurd values ({fastest:.2g} rad/s, {hardest:.2g} '
                 'm/s^2). The byte order, the type or the offset of the fields in the file of the '
@@ -439,8 +441,8 @@ class Health:
             figures['stamps ahead of arrival'] = f'{clock.ahead:.6f} s'
         if drift is not None:
             figures['drift'] = f'{drift.ppm:.1f} ppm +- {drift.std:.1f} ppm'
-        # Before the numbers are known to be sound, the device's time may be none.
-        misread = bool(self._misfit) or not self._gravity.judged
+        # Where the numbers are absurd, and before that is known, the device's time may be none.
+        misread = self._gravity.absurd or not self._gravity.judged
         last = clock.last_jump
         if clock.jumps > self._jumps:
             self._jumps = clock.jumps
