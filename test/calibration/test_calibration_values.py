@@ -132,7 +132,7 @@ def test_what_is_loaded_can_be_verified(recordings):
     document = load(recordings['hand'].with_suffix('.yaml').read_text())
     origin = {'provenance': document['provenance']}
     judged = 0
-    for path, value in cases(origin, 5, 40):
+    for path, value in cases(origin, 5, 60):
         calibration = loaded(dump(with_another(document, path, value)), path)
         if calibration is not None and judged < 6:
             judged += 1

@@ -192,11 +192,21 @@ def test_a_move_is_left_out_that_chance_makes_once_in_a_billion(
         assert (kept[0].velocity_steps is not None) is velocity_kept
 
 
+@dataclass(frozen=True)
+class Moving:
+    """Of a session's evidence, its moves."""
+
+    moves: tuple[Any, ...] = ()
+
+    @property
+    def used_moves(self) -> tuple[Any, ...]:
+        return self.moves
+
+
 def test_moves_are_judged_anew_with_the_positioning_errors_that_they_show(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    given: Any = SimpleNamespace(used_moves=[1], with_moves=lambda moves: ('with', moves))
-    plain: Any = SimpleNamespace(with_moves=lambda _: given)
+    plain: Any = Moving()
     sizes = iter((1.0, 2.0, 3.0))
     sees = []
 
@@ -214,11 +224,11 @@ def test_moves_are_judged_anew_with_the_positioning_errors_that_they_show(
     answers = [(one, ('x', 'y')), (two, ('x',)), (two, ('z',))]
     evidence, astray = outliers.moves_that_fit(resting, np.zeros(9), two)  # type: ignore[arg-type]
     # More fit with each look, until no more do.
-    assert (evidence, astray) == (('with', two), ('z',))
+    assert (evidence, astray) == (Moving(two), ('z',))
     assert [p.joints for p in sees] == [1.0, 2.0, 3.0]
     answers, sizes = [(two, ())], iter((1.0,))
-    assert outliers.moves_that_fit(resting, np.zeros(9), two) == (given, ())  # type: ignore[arg-type]
-    given.used_moves = []
+    seen = outliers.moves_that_fit(resting, np.zeros(9), two)  # type: ignore[arg-type]
+    assert seen == (Moving(two), ())
     assert outliers.moves_that_fit(resting, np.zeros(9), ()) == (plain, ())
 
 
