@@ -386,7 +386,6 @@ def export_c_header(source: ExportSource) -> Exported:
         imu=_comment(calibration.unit_name),
         guard=guard,
         file=source.file,
-        seconds=f'{1 / (imu.sample_rate or _EXAMPLE_RATE):.6g}',
         what=what.format(_unit(Dimension.RATE, imu.gyro), _unit(Dimension.ACCELERATION, imu.accel)),
         constants=constants,
         per_interval=per_interval,
@@ -497,7 +496,6 @@ def _matrix(name: str, matrix: Floats, comment: str) -> str:
     return f'/* {comment} */\nstatic const imu_calib_real {name}[3][3] = {{\n{rows}}};'
 
 
-_EXAMPLE_RATE = 100.0  #: Hz, in the example of a unit whose file states none.
 _TEMPLATE = """\
 /* Calibration of {imu}, written by imu_calib.
  *
@@ -509,7 +507,7 @@ _TEMPLATE = """\
  * Usage:
  *   #include "{file}"       define IMU_CALIB_FLOAT before it for single precision
  *   imu_calib_real rate[3], force[3];
- *   imu_calib_compensate(raw_gyro, raw_accel, {seconds}, rate, force);
+ *   imu_calib_compensate(raw_gyro, raw_accel, seconds, rate, force);
  */
 #ifndef {guard}
 #define {guard}
