@@ -3,7 +3,7 @@
 A calibration passes if the data agrees with it within the covariance of its parameters, the noise
 of the session, and tilt and azimuth of the table. The limits are false-alarm probabilities of a
 session of sound data: one in a hundred for MARGINAL, one in a million for FAIL, shared among all
-compared quantities.
+compared quantities and tested parameters; chi-square of gyros and of accelerometers have their own.
 """
 
 from __future__ import annotations
@@ -264,8 +264,8 @@ _OUTCOMES = {
     Verdict.PASS: 'PASS: the recording is consistent with the calibration.',
     Verdict.MARGINAL: (
         'MARGINAL, accepted: the recording casts doubt on the calibration but does not '
-        'contradict it. Verify with another one: one sound session in a hundred is marginal by '
-        'chance, two in a row are not.'
+        'contradict it. Verify with another one: a few sound sessions in a hundred are marginal by '
+        'chance, two in a row hardly are.'
     ),
     Verdict.FAIL: 'FAIL: the recording contradicts the calibration.',
     Verdict.NOT_TESTED: (
